@@ -1,0 +1,82 @@
+# Everything happens in .venv, which the targets below set up when it is missing or out of date.
+# Needed beforehand: make, Python >= 3.11 with its headers, a C compiler, and a package index that pip can reach.
+
+PYTHON ?= python3
+ARGS ?=
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+MAKEFLAGS += --no-print-directory
+
+BIN := .venv/bin
+LOCKED := .venv/locked
+BUILT := .venv/built
+SOURCES := setup.py pyproject.toml cosim/engine/build.py $(wildcard cosim/engine/*.c cosim/engine/*.h) \
+	$(shell find engines -type f 2>/dev/null)
+# what the set-up leaves outside .venv; if any of it was deleted, it is made again
+MISSING := $(if $(and $(wildcard fmus/*.fmu),$(wildcard cosim/engine/_bank.*.so)),,missing)
+
+##@ Fly and look
+demo: setup ## fly roll-doublet without and with the Smith predictor, and compare
+	@$(BIN)/python -m cosim.demo $(ARGS)
+
+bench: setup ## measure microseconds per step and ratios (asserts nothing)
+	@$(BIN)/python -m benchmarks $(ARGS)
+
+##@ Work on it
+setup: $(BUILT) ## .venv with the locked packages, the project (editable) and its FMUs
+
+check: setup ## lint, format and types: everything that is checked without running
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: setup ## run the tests; options for pytest in ARGS: make test ARGS="-k smith -x"
+	@$(BIN)/python -m pytest $(ARGS)
+
+fmus: setup ## build the engines' FMUs anew
+	@$(BIN)/hexjet fmu build $(ARGS)
+
+lock: ## resolve pyproject.toml into requirements.lock; newer releases: make lock ARGS=--upgrade
+	@$(call check_python)
+	@test -x build/lock/bin/uv || { $(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install --quiet uv; }
+	@build/lock/bin/uv pip compile --quiet --universal --python-version 3.11 --all-extras --generate-hashes \
+		--no-emit-index-url --custom-compile-command "make lock" --output-file requirements.lock $(ARGS) pyproject.toml
+
+clean: ## remove .venv, builds and caches; flights in runs/ stay
+	rm -rf .venv build dist *.egg-info fmus/*.fmu cosim/engine/_bank.*.so .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+help: ## this list
+	@awk 'BEGIN { FS = ":.*## " } /^##@/ { printf "\n%s\n", substr($$0, 5) } \
+		/^[a-z]+:.*## / { printf "  make %-6s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@printf '\nThe interpreter: make PYTHON=python3.12 ... (at the first set-up, or after make clean)\n'
+
+.PHONY: demo bench setup check test fmus lock clean help missing
+
+$(LOCKED): requirements.lock
+	@$(call check_python)
+	@$(call check_compiler)
+	@test -x $(BIN)/python || { echo "set-up: .venv with $$($(PYTHON) --version)"; $(PYTHON) -m venv .venv; }
+	@echo "set-up: packages from requirements.lock"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements.lock
+	@touch $@
+
+$(BUILT): $(LOCKED) $(SOURCES) $(MISSING)
+	@echo "set-up: the project and its FMUs"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+define check_python
+command -v $(PYTHON) >/dev/null || { echo "$(PYTHON): not found; choose a Python >= 3.11: make PYTHON=python3.12" >&2; exit 1; }; \
+$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(v < (3, 11) and \
+"$(PYTHON) is Python %d.%d; choose a Python >= 3.11: make PYTHON=python3.12" % v)'
+endef
+
+define check_compiler
+$(PYTHON) -c 'import os, shutil, sys, sysconfig; \
+cc = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]; \
+header = os.path.join(sysconfig.get_path("include"), "Python.h"); \
+sys.exit(cc + ": not found; install a C compiler, or name one: make CC=clang" if not shutil.which(cc) else \
+not os.path.exists(header) and header + ": not found; install the headers of this Python (Debian: python3-dev)")'
+endef

@@ -1,0 +1,31 @@
+"""Co-simulation of the Hex-Jet: JSBSim airframe, FMU engines, predictor-based control.
+
+from cosim import Scenario, fly
+
+run = fly(Scenario.load("roll-doublet").replace(engine="edf"))
+run.outcome, run.metrics["roll"].rmse_rad, run.log["roll_rad"]
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from cosim.errors import EngineError, FlightError, InputError
+
+if TYPE_CHECKING:
+    from cosim.flight import fly
+    from cosim.run import Run, open_run
+    from cosim.scenario import Scenario
+
+__all__ = ["EngineError", "FlightError", "InputError", "Run", "Scenario", "fly", "open_run"]
+
+_WHERE = {"Scenario": "cosim.scenario", "fly": "cosim.flight", "Run": "cosim.run", "open_run": "cosim.run"}
+
+
+def __getattr__(name: str) -> Any:
+    """Load what is asked for and nothing else: half of a short flight's time would go into imports."""
+    if name in _WHERE:
+        from importlib import import_module
+
+        return getattr(import_module(_WHERE[name]), name)
+    raise AttributeError(f"module 'cosim' has no attribute {name!r}")

@@ -1,0 +1,357 @@
+"""The airframe: JSBSim behind SI units, FRD body axes and NED.
+
+The only module that imports ``jsbsim`` and the only place with lbf, ft and slug.  One control step is ``substeps``
+runs of JSBSim with every input held.  JSBSim moves the state with the accelerations of the run before, so a force
+written before a step changes the rates one run late: ``step / substeps`` seconds, listed in the delay ledger.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Sequence
+from math import cos, radians, sin
+from pathlib import Path
+
+os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner to standard output otherwise
+
+import jsbsim
+
+from cosim.errors import FlightError, InputError
+from cosim.scenario import Environment, Initial
+from cosim.signals import JETS, ZERO3, Disturbance, State, Vector3
+from cosim.vehicle import Vehicle
+
+FOOT = 0.3048  # m, exact
+INCH = 0.0254  # m, exact
+POUND_FORCE = 4.4482216152605  # N, exact
+SLUG = POUND_FORCE / FOOT  # kg
+SLUG_FT2 = SLUG * FOOT**2  # kg m^2
+POUND_FOOT = POUND_FORCE * FOOT  # N m
+JSBSIM_POUNDS_PER_SLUG = 32.174049  # the constant with which JSBSim turns weights into masses
+
+NEAR_GROUND = 2.0  # m: below this height the contacts are looked at
+_INTEGRATE_RATE = 1  # JSBSim's rectangular Euler: the ledger counts on it
+
+_STATE = (
+    "position/from-start-neu-n-ft",
+    "position/from-start-neu-e-ft",
+    "position/from-start-neu-u-ft",
+    "velocities/v-north-fps",
+    "velocities/v-east-fps",
+    "velocities/v-down-fps",
+    "attitude/phi-rad",
+    "attitude/theta-rad",
+    "attitude/psi-rad",
+    "velocities/p-rad_sec",
+    "velocities/q-rad_sec",
+    "velocities/r-rad_sec",
+    "accelerations/a-pilot-x-ft_sec2",
+    "accelerations/a-pilot-y-ft_sec2",
+    "accelerations/a-pilot-z-ft_sec2",
+    "position/h-agl-ft",
+)
+_WIND = ("atmosphere/total-wind-north-fps", "atmosphere/total-wind-east-fps", "atmosphere/total-wind-down-fps")
+
+
+class Airframe:
+    """JSBSim flying one vehicle.
+
+    ``step`` and ``substeps``: control step [s] and JSBSim runs in it.  Raises InputError if the model does not load.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, folder: Path, environment: Environment, step: float, substeps: int, seed: int
+    ) -> None:
+        self.substeps = substeps
+        self._vehicle = vehicle
+        self._environment = environment
+        self._folder = tempfile.TemporaryDirectory(prefix="hexjet-airframe-")
+        self.model_xml = render(vehicle, folder / vehicle.model)
+        self.sha256 = hashlib.sha256(self.model_xml).hexdigest()
+        self._fdm = _load(self.model_xml, vehicle, Path(self._folder.name), folder / vehicle.model)
+        self._fdm.set_dt(step / substeps)
+        self._run = self._fdm.run
+        self._bind()
+        # JSBSim keeps the seed in a C int
+        self._set("atmosphere/randomseed", float(seed % 2**31))
+        self._set("simulation/integrator/rate/rotational", _INTEGRATE_RATE)
+
+    def _bind(self) -> None:
+        node = self._node
+        self._get_state: list[Callable[[], float]] = [node(name).get_double_value for name in _STATE]
+        self._get_wind: list[Callable[[], float]] = [node(name).get_double_value for name in _WIND]
+        self._get_mass = node("inertia/mass-slugs").get_double_value
+        names = [f"external_reactions/jet{jet}" for jet in range(1, JETS + 1)]
+        self._set_jet = [tuple(node(f"{name}/{axis}").set_double_value for axis in "xyz") for name in names]
+        self._set_push = [node(f"external_reactions/push/{axis}").set_double_value for axis in "xyz"]
+        self._set_twist = [node(f"external_reactions/twist/{axis}").set_double_value for axis in "lmn"]
+        for name in [*names, "external_reactions/push"]:
+            node(f"{name}/magnitude").set_double_value(1.0)
+        node("external_reactions/twist/magnitude-lbsft").set_double_value(1.0)
+        contacts = [node(f"contact/unit[{unit}]/WOW").get_double_value for unit in range(len(self._vehicle.contacts))]
+        self._legs = [
+            get for get, contact in zip(contacts, self._vehicle.contacts, strict=True) if contact.kind == "leg"
+        ]
+        self._hull = [
+            get for get, contact in zip(contacts, self._vehicle.contacts, strict=True) if contact.kind == "hull"
+        ]
+        self._set_wind = [node(f"atmosphere/wind-{axis}-fps").set_double_value for axis in ("north", "east", "down")]
+        self._set_payload = node("inertia/pointmass-weight-lbs").set_double_value
+        self._set_payload_place = [node(f"inertia/pointmass-location-{axis}-inches").set_double_value for axis in "XYZ"]
+
+    def _node(self, name: str) -> jsbsim.FGPropertyNode:
+        # JSBSim silently creates a property that is written but does not exist, so every name is resolved first
+        found = self._fdm.get_property_manager().get_node(name)
+        if found is None:
+            raise InputError(f"{self._vehicle.model}: this JSBSim model has no property {name}")
+        return found
+
+    def _set(self, name: str, value: float) -> None:
+        self._node(name).set_double_value(value)
+
+    def reset(self, initial: Initial, forces: Sequence[Vector3], wind: Vector3) -> State:
+        """Put the vehicle at its initial state with ``forces`` (N, body, one per jet) already acting."""
+        place = self._environment
+        height = standing_height(self._vehicle) if initial.on_ground else initial.altitude_m
+        settings = {
+            "ic/lat-geod-deg": place.latitude_deg,
+            "ic/long-gc-deg": place.longitude_deg,
+            "ic/terrain-elevation-ft": place.ground_m / FOOT,
+            "ic/h-agl-ft": height / FOOT,
+        }
+        for axis, angle in zip(("phi-deg", "theta-deg", "psi-true-deg"), initial.attitude_deg, strict=True):
+            settings[f"ic/{axis}"] = angle
+        for axis, speed in zip(("vn", "ve", "vd"), initial.velocity_ned_m_s, strict=True):
+            settings[f"ic/{axis}-fps"] = speed / FOOT
+        for axis, rate in zip("pqr", initial.rate_deg_s, strict=True):
+            settings[f"ic/{axis}-rad_sec"] = radians(rate)
+        for name, value in settings.items():
+            self._set(name, value)
+        self._disturbance = Disturbance()
+        self._wind = ZERO3
+        self._mass = self._get_mass() * SLUG
+        self._set("atmosphere/turb-type", 4.0 if place.turbulence_severity else 0.0)  # 4: MIL-F-8785C, Tustin form
+        self._set("atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps", place.turbulence_wind_m_s / FOOT)
+        self._set("atmosphere/turbulence/milspec/severity", float(place.turbulence_severity))
+        self._apply_forces(forces)
+        self._apply(Disturbance(wind=wind))
+        if not self._fdm.run_ic():
+            raise FlightError("JSBSim could not start from the initial state")
+        self._still = not (place.turbulence_severity or any(wind))
+        # JSBSim counts "up" from a datum of its own; ours is the ground below the start
+        self._datum = self._get_state[_STATE.index("position/from-start-neu-u-ft")]() * FOOT - height
+        return self._read()
+
+    def step(self, forces: Sequence[Vector3], disturbance: Disturbance) -> State:
+        """Advance one control step with ``forces`` (N, body, at each jet's station) and ``disturbance`` held.
+
+        Raises FlightError when JSBSim stops or the state is no longer finite.
+        """
+        self._apply_forces(forces)
+        if disturbance is not self._disturbance:
+            self._apply(disturbance)
+        run = self._run
+        for _ in range(self.substeps):
+            if not run():
+                raise FlightError("JSBSim ended the run")
+        return self._read()
+
+    def _apply_forces(self, forces: Sequence[Vector3]) -> None:
+        for (set_x, set_y, set_z), (x, y, z) in zip(self._set_jet, forces, strict=True):
+            set_x(x / POUND_FORCE)
+            set_y(y / POUND_FORCE)
+            set_z(z / POUND_FORCE)
+
+    def _apply(self, disturbance: Disturbance) -> None:
+        """Hand over what differs from the step before."""
+        old = self._disturbance
+        for write, newton in zip(self._set_push, disturbance.force, strict=True):
+            write(newton / POUND_FORCE)
+        for write, moment in zip(self._set_twist, disturbance.moment, strict=True):
+            write(moment / POUND_FOOT)
+        for write, speed in zip(self._set_wind, disturbance.wind, strict=True):
+            write(speed / FOOT)
+        if any(disturbance.wind) or disturbance.gust:
+            self._still = False
+        if disturbance.payload != old.payload:
+            self._apply_payload(disturbance.payload)
+        if disturbance.gust:
+            self._start_gust(*disturbance.gust)
+        self._disturbance = disturbance
+
+    def _apply_payload(self, payload: tuple[float, float, float, float]) -> None:
+        mass, x, y, z = payload
+        self._set_payload(mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
+        for write, place in zip(self._set_payload_place, _structural((x, y, z)), strict=True):
+            write(place)
+        self._mass = sum((self._vehicle.mass_kg, mass))
+
+    def _start_gust(self, velocity: Vector3, rise: float, hold: float, fall: float) -> None:
+        gust = "atmosphere/cosine-gust"
+        size = sum(v * v for v in velocity) ** 0.5
+        self._set(f"{gust}/startup-duration-sec", rise)
+        self._set(f"{gust}/steady-duration-sec", hold)
+        self._set(f"{gust}/end-duration-sec", fall)
+        self._set(f"{gust}/magnitude-ft_sec", size / FOOT)
+        self._set(f"{gust}/frame", 3.0)  # local: NED
+        for axis, speed in zip("XYZ", velocity, strict=True):
+            self._set(f"{gust}/{axis}-velocity-ft_sec", speed / FOOT)
+        self._set(f"{gust}/start", 1.0)
+
+    def _read(self) -> State:
+        north, east, up, vn, ve, vd, roll, pitch, yaw, p, q, r, ax, ay, az, height = [get() for get in self._get_state]
+        height *= FOOT
+        total = north + east + up + vn + ve + vd + roll + pitch + yaw + p + q + r
+        if total - total != 0.0:  # NaN or infinite
+            raise FlightError("the airframe's state is not finite")
+        if height < NEAR_GROUND:
+            on_ground = any(get() > 0.0 for get in self._legs)
+            hull = any(get() > 0.0 for get in self._hull)
+        else:
+            on_ground = hull = False
+        wind = ZERO3
+        if not self._still:
+            wn, we, wd = [get() for get in self._get_wind]
+            wind = (wn * FOOT, we * FOOT, wd * FOOT)
+        cr, sr = cos(0.5 * roll), sin(0.5 * roll)
+        cp, sp = cos(0.5 * pitch), sin(0.5 * pitch)
+        cy, sy = cos(0.5 * yaw), sin(0.5 * yaw)
+        return State(
+            (north * FOOT, east * FOOT, self._datum - up * FOOT),
+            (vn * FOOT, ve * FOOT, vd * FOOT),
+            (
+                cr * cp * cy + sr * sp * sy,
+                sr * cp * cy - cr * sp * sy,
+                cr * sp * cy + sr * cp * sy,
+                cr * cp * sy - sr * sp * cy,
+            ),
+            (roll, pitch, yaw if yaw < 3.141592653589793 else yaw - 6.283185307179586),
+            (p, q, r),
+            (ax * FOOT, ay * FOOT, az * FOOT),
+            height,
+            wind,
+            self._mass,
+            on_ground,
+            hull,
+        )
+
+    def external_wrench(self) -> tuple[Vector3, Vector3]:
+        """Force (N) and moment about the present centre of gravity (N m), body, that JSBSim makes of the external forces."""
+        get = self._fdm.get_property_value
+        force = [get(f"forces/fb{axis}-external-lbs") * POUND_FORCE for axis in "xyz"]
+        moment = [get(f"moments/{axis}-external-lbsft") * POUND_FOOT for axis in "lmn"]
+        return (force[0], force[1], force[2]), (moment[0], moment[1], moment[2])
+
+    def mass_properties(self) -> tuple[float, Vector3, Vector3]:
+        """Mass (kg), centre of gravity (m, body, from that of the vehicle as built), moments of inertia (kg m^2)."""
+        get = self._fdm.get_property_value
+        cg = [get(f"inertia/cg-{axis}-in") * INCH for axis in "xyz"]
+        inertia = [get(f"inertia/i{axis}{axis}-slugs_ft2") * SLUG_FT2 for axis in "xyz"]
+        return get("inertia/mass-slugs") * SLUG, (-cg[0], cg[1], -cg[2]), (inertia[0], inertia[1], inertia[2])
+
+    def gravity(self) -> float:
+        """Acceleration of gravity where the vehicle is, m/s^2."""
+        return float(self._fdm.get_property_value("accelerations/gravity-ft_sec2")) * FOOT
+
+    def inertial_rate(self) -> Vector3:
+        """Body rates against inertial space, rad/s."""
+        p, q, r = (self._fdm.get_property_value(f"velocities/{axis}i-rad_sec") for axis in "pqr")
+        return (p, q, r)
+
+    def latitude_longitude_deg(self) -> tuple[float, float]:
+        """Geodetic latitude and longitude, degrees."""
+        get = self._fdm.get_property_value
+        return get("position/lat-geod-deg"), get("position/long-gc-deg")
+
+    def close(self) -> None:
+        """Remove the temporary model; may be called twice."""
+        self._folder.cleanup()
+
+
+def standing_height(vehicle: Vehicle) -> float:
+    """Height of the centre of gravity above the ground (m) when the vehicle stands at rest on its legs."""
+    legs = [contact for contact in vehicle.contacts if contact.kind == "leg"]
+    lowest = max(leg.position_m[2] for leg in legs)
+    standing = [leg for leg in legs if leg.position_m[2] == lowest]
+    sink = vehicle.mass_kg * 9.80665 / sum(leg.spring_n_m for leg in standing)
+    return lowest - sink
+
+
+def _structural(body: Vector3) -> tuple[float, float, float]:
+    """A body-frame place (m, FRD) in JSBSim's structural frame: inches, x aft, y right, z up."""
+    x, y, z = body
+    return (-x / INCH, y / INCH, -z / INCH)
+
+
+def render(vehicle: Vehicle, model: Path) -> bytes:
+    """The JSBSim model with the vehicle's numbers written over the ones in the file, in JSBSim's own units.
+
+    Raises InputError if the file cannot be read or lacks an element.
+    """
+    try:
+        tree = ET.parse(model)
+    except OSError as error:
+        raise InputError(f"{model}: {error.strerror or error}") from error
+    except ET.ParseError as error:
+        raise InputError(f"{model}: not valid XML: {error}") from error
+    root = tree.getroot()
+
+    def find(path: str) -> ET.Element:
+        element = root.find(path)
+        if element is None:
+            raise InputError(f"{model}: the model has no element {path}")
+        return element
+
+    def write(path: str, value: float, unit: str) -> None:
+        element = find(path)
+        element.text = repr(float(value))
+        element.set("unit", unit)
+
+    def place(path: str, body: Vector3) -> None:
+        find(path).set("unit", "IN")
+        for axis, value in zip("xyz", _structural(body), strict=True):
+            find(f"{path}/{axis}").text = repr(value + 0.0)
+
+    write("mass_balance/emptywt", vehicle.mass_kg / SLUG * JSBSIM_POUNDS_PER_SLUG, "LBS")
+    for axis, inertia in zip(("ixx", "iyy", "izz"), vehicle.inertia_kg_m2, strict=True):
+        write(f"mass_balance/{axis}", inertia / SLUG_FT2, "SLUG*FT2")
+    place("metrics/location[@name='AERORP']", vehicle.aero.centre_m)
+    for number, jet in enumerate(vehicle.jets, 1):
+        place(f"external_reactions/force[@name='jet{number}']/location", jet.position_m)
+    if len(root.findall("ground_reactions/contact")) != len(vehicle.contacts):
+        raise InputError(f"{model}: the model and vehicle.toml do not have the same number of contacts")
+    for contact in vehicle.contacts:
+        path = f"ground_reactions/contact[@name='{contact.name}']"
+        place(f"{path}/location", contact.position_m)
+        write(f"{path}/spring_coeff", contact.spring_n_m, "N/M")
+        write(f"{path}/damping_coeff", contact.damping_n_s_m, "N/M/SEC")
+        find(f"{path}/static_friction").text = repr(contact.friction_static)
+        find(f"{path}/dynamic_friction").text = repr(contact.friction_dynamic)
+    constants = {element.text: element for element in root.findall("flight_control/property")}
+    values = {
+        f"aero/drag-area-{axis}-ft2": area / FOOT**2
+        for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True)
+    }
+    for axis, damping in zip(("roll", "pitch", "yaw"), vehicle.aero.damping_n_m_s, strict=True):
+        values[f"aero/damping-{axis}-lbf_ft_s"] = damping / POUND_FOOT
+    for name, value in values.items():
+        if name not in constants:
+            raise InputError(f"{model}: the model has no constant {name}")
+        constants[name].set("value", repr(value))
+    return ET.tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+def _load(xml: bytes, vehicle: Vehicle, root: Path, source: Path) -> jsbsim.FGFDMExec:
+    folder = root / vehicle.name
+    folder.mkdir()
+    (folder / f"{vehicle.name}.xml").write_bytes(xml)
+    fdm = jsbsim.FGFDMExec(str(root), None)
+    fdm.set_debug_level(0)
+    fdm.set_aircraft_path(".")
+    # load_model answers False instead of raising
+    if not fdm.load_model(vehicle.name):
+        raise InputError(f"{source}: JSBSim could not load the model")
+    return fdm

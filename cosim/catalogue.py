@@ -1,0 +1,25 @@
+"""What is shipped, by name, with a line about each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cosim.config import read_toml
+from cosim.paths import data_folder, names_in
+from cosim.scenario import scenario_names
+
+
+def catalogue(kind: str) -> list[dict[str, Any]]:
+    """The entries of one kind, each with ``name`` and ``title``."""
+    if kind == "scenarios":
+        return [_entry(name, read_toml(data_folder(kind) / f"{name}.toml")) for name in scenario_names()]
+    if kind == "controllers":
+        from cosim.control.predictor import TITLES
+
+        return [{"name": name, "title": title} for name, title in TITLES.items()]
+    marker = {"aircraft": "vehicle.toml", "engines": "engine.toml"}[kind]
+    return [_entry(name, read_toml(data_folder(kind) / name / marker)) for name in names_in(kind, marker)]
+
+
+def _entry(name: str, table: dict[str, Any]) -> dict[str, Any]:
+    return {"name": name, "title": str(table.get("title", ""))}

@@ -1,0 +1,195 @@
+"""The command line: arguments in, calls out."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from cosim.errors import FlightError, InputError
+
+DONE, FLIGHT_FAILED, WRONG_INPUT = 0, 1, 2
+KINDS = ("scenarios", "engines", "aircraft", "controllers")
+
+
+def _example(text: str) -> str:
+    return f"\b\nExample:\n  {text}"
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="hexjet-cosim", prog_name="hexjet")
+def cli() -> None:
+    """Co-simulation of the Hex-Jet: JSBSim airframe, FMU engines, predictor-based control."""
+
+
+@cli.command(epilog=_example("hexjet fly roll-doublet --controller baseline --set vehicle.mass_kg=6.0"))
+@click.argument("scenario")
+@click.option("--controller", metavar="NAME", help="Overrides the scenario's; see: hexjet list controllers.")
+@click.option("--engine", metavar="NAME|FILE.fmu", help="Overrides the scenario's; see: hexjet list engines.")
+@click.option(
+    "settings",
+    "--set",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Write a value over the scenario's, e.g. vehicle.mass_kg=6.0; its expectations are not checked then.",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="The run's folder.  [default: a new one in runs/]"
+)
+@click.option("--seed", type=int, help="Overrides the scenario's seed.")
+@click.option("--realtime", is_flag=True, help="Pace the flight in real time.")
+@click.option("as_json", "--json", is_flag=True, help="Print the run's summary as one JSON object and nothing else.")
+def fly(
+    scenario: str,
+    controller: str | None,
+    engine: str | None,
+    settings: tuple[str, ...],
+    out: Path | None,
+    seed: int | None,
+    realtime: bool,
+    as_json: bool,
+) -> int:
+    """Fly SCENARIO: a name in scenarios/ or the path of a TOML file.
+
+    Leaves a folder with summary, resolved scenario, log and report.  Status 0: flown as planned; 1: the flight failed
+    or did not come to what the scenario expects; 2: wrong input.
+    """
+    from cosim.console import flight_progress, print_run
+    from cosim.flight import fly as fly_scenario
+    from cosim.flight import new_folder
+
+    flown = load_scenario(scenario, controller, engine, seed, settings)
+    folder = out if out is not None else new_folder(Path("runs"), f"{flown.name}-{flown.controller}")
+    with flight_progress(flown, quiet=as_json) as observers:
+        run = fly_scenario(flown, folder, observers=observers, realtime_factor=1.0 if realtime else None)
+    if as_json:
+        click.echo(json.dumps(run.summary.model_dump(mode="json"), allow_nan=False))
+    else:
+        print_run(run)
+    return DONE if run.outcome == "completed" and run.summary.expectations_met is not False else FLIGHT_FAILED
+
+
+def load_scenario(
+    name: str, controller: str | None, engine: str | None, seed: int | None, settings: tuple[str, ...]
+) -> Any:
+    """The scenario with the command line's choices written over it."""
+    from cosim.scenario import Scenario
+
+    scenario = Scenario.load(name, list(settings))
+    changes: dict[str, Any] = {}
+    if controller is not None:
+        changes["controller"] = controller
+    if engine is not None:
+        # a file on the command line is meant from here, one in the scenario from the scenario's folder
+        is_file = engine.lower().endswith(".fmu") or "/" in engine
+        changes["engine"] = str(Path(engine).absolute()) if is_file else engine
+    if seed is not None:
+        changes["seed"] = seed
+    if settings:
+        changes["expect"] = []
+    return scenario.replace(**changes) if changes else scenario
+
+
+@cli.command("list", epilog=_example("hexjet list engines"))
+@click.argument("kind", required=False, type=click.Choice(KINDS))
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
+def list_(kind: str | None, as_json: bool) -> int:
+    """List what can be flown: scenarios, engines, aircraft, controllers."""
+    from cosim.console import print_catalogue
+    from cosim.catalogue import catalogue
+
+    found = {name: catalogue(name) for name in ([kind] if kind else KINDS)}
+    if as_json:
+        click.echo(json.dumps(found))
+    else:
+        print_catalogue(found)
+    return DONE
+
+
+@cli.group()
+def fmu() -> None:
+    """Build and check engine FMUs."""
+
+
+@fmu.command("build", epilog=_example("hexjet fmu build turbojet"))
+@click.argument("engines", nargs=-1)
+def fmu_build(engines: tuple[str, ...]) -> int:
+    """Build the FMUs of ENGINES, or of all, from their sources; those up to date are left alone."""
+    from cosim.engine import build_engines
+
+    for path in build_engines(list(engines) or None):
+        click.echo(str(path))
+    return DONE
+
+
+@fmu.command("check", epilog=_example("hexjet fmu check turbojet"))
+@click.argument("engine", metavar="NAME|FILE.fmu")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
+def fmu_check(engine: str, as_json: bool) -> int:
+    """Tell whether an FMU is fit to be an engine: validate it, run it through its throttle, measure its response."""
+    from cosim.console import print_check
+    from cosim.engine import check_fmu
+
+    report = check_fmu(engine)
+    if as_json:
+        click.echo(json.dumps(report.to_dict(), allow_nan=False))
+    else:
+        print_check(report)
+    return DONE if report.ok else FLIGHT_FAILED
+
+
+@cli.command(epilog=_example("hexjet report runs/roll-doublet-smith-001"))
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+def report(folder: Path) -> int:
+    """Write the report of the run in DIR again; a run that was killed is finished first, with all that it recorded."""
+    from cosim.console import print_run
+    from cosim.report import write_report
+    from cosim.run import REPORT, open_run
+
+    run = open_run(folder)
+    write_report(run, folder / REPORT)
+    print_run(run)
+    return DONE
+
+
+@cli.command(epilog=_example("hexjet export runs/roll-doublet-smith-001 --to ulog"))
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@click.option("target", "--to", type=click.Choice(["ulog", "csv"]), required=True, help="The format.")
+def export(folder: Path, target: str) -> int:
+    """Write the log of the run in DIR as CSV, or as ULog for PlotJuggler and Flight Review."""
+    from cosim.export import export_csv, export_ulog
+
+    path = folder / {"ulog": "flight.ulg", "csv": "flight.csv"}[target]
+    (export_ulog if target == "ulog" else export_csv)(folder, path)
+    click.echo(str(path))
+    return DONE
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The command ``hexjet``: exits with 0, 1 (the flight failed) or 2 (wrong input, one line)."""
+    try:
+        status = cli.main(args=arguments, prog_name="hexjet", standalone_mode=False)
+    except InputError as error:
+        _complain(str(error))
+        status = WRONG_INPUT
+    except click.ClickException as error:
+        where = f" ({error.ctx.command_path} --help)" if isinstance(error, click.UsageError) and error.ctx else ""
+        _complain(" ".join(error.format_message().split()) + where)
+        status = WRONG_INPUT
+    except FlightError as error:
+        _complain(str(error))
+        status = FLIGHT_FAILED
+    except BrokenPipeError:
+        # whoever read the output has gone; keep Python from complaining about it while it shuts down
+        sys.stdout = None  # type: ignore[assignment]
+        status = DONE
+    except (click.Abort, KeyboardInterrupt):
+        status = 130
+    sys.exit(status if isinstance(status, int) else DONE)
+
+
+def _complain(message: str) -> None:
+    click.echo(f"hexjet: {message}", err=True)

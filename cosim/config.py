@@ -1,0 +1,151 @@
+"""Reading TOML into typed, frozen models, and saying in one line what is wrong with it."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from cosim.errors import InputError
+
+
+class Model(BaseModel):
+    """A frozen table of a TOML file: unknown keys, NaN and infinities are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Vector = tuple[float, float, float]
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file.  Raises InputError that names the file and, for bad syntax, the line."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 text (byte {error.start})") from error
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+
+
+def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:
+    """Turn a TOML table into ``model``; ``where`` names its source in the error.
+
+    Raises InputError: one line with the key, the value and what is allowed.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise InputError(f"{where}: {_first_complaint(model, error)}") from error
+
+
+def nearest(name: str, allowed: Iterable[str]) -> str:
+    """A clause that lists what is allowed, with the likeliest name first when there is a near miss."""
+    names = sorted(allowed)
+    close = difflib.get_close_matches(name, names, n=1)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{hint}allowed: {', '.join(names)}"
+
+
+def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """``base`` with the leaves of ``over`` written over it; neither is changed."""
+    merged = dict(base)
+    for key, value in over.items():
+        old = merged.get(key)
+        merged[key] = merge(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return merged
+
+
+def parse_setting(text: str) -> tuple[list[str], Any]:
+    """Split ``a.b.c=VALUE`` into its path and its value, read as TOML and, failing that, as a string.
+
+    Raises InputError if there is no ``=`` or the key is empty.
+    """
+    key, equals, value = text.partition("=")
+    path = [part.strip() for part in key.split(".")]
+    if not equals or not all(path):
+        raise InputError(f"--set {text}: write it as KEY=VALUE, for example vehicle.mass_kg=6.0")
+    try:
+        return path, tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return path, value.strip()
+
+
+def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> None:
+    """Write ``value`` at a dotted path into nested tables and lists (a number indexes a list).
+
+    Raises InputError where the path runs through something that is neither.
+    """
+    here: Any = data
+    for depth, part in enumerate(path):
+        last = depth == len(path) - 1
+        if isinstance(here, list):
+            if not part.lstrip("-").isdigit() or not 0 <= int(part) < len(here):
+                raise InputError(
+                    f"{where}: {'.'.join(path[: depth + 1])}: a number from 0 to {len(here) - 1} goes here"
+                )
+            if last:
+                here[int(part)] = value
+            else:
+                here = here[int(part)]
+        elif isinstance(here, dict):
+            if last:
+                here[part] = value
+            else:
+                here = here.setdefault(part, {})
+        else:
+            raise InputError(f"{where}: {'.'.join(path[:depth])} is a value, not a table")
+
+
+def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
+    complaints = error.errors()
+    first = complaints[0]
+    key = ".".join(str(part) for part in first["loc"])
+    kind, value = first["type"], first["input"]
+    rest = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
+    if kind == "extra_forbidden":
+        name = str(first["loc"][-1])
+        return f"unknown key {key!r}; {nearest(name, _keys_beside(model, first['loc']))}{rest}"
+    if kind == "missing":
+        return f"{key} is missing{rest}"
+    message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    shown = "" if isinstance(value, (dict, list)) else f" = {value!r}"
+    return f"{key}{shown}: {message}{rest}" if key else f"{message}{rest}"
+
+
+def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """The keys that the table holding ``location`` knows."""
+    found: list[type[BaseModel]] = [model]
+    for part in location[:-1]:
+        stepped: list[type[BaseModel]] = []
+        for candidate in found:
+            if part in candidate.model_fields:
+                stepped += _models_in(candidate.model_fields[str(part)].annotation)
+            elif _tag(candidate) == part:
+                stepped.append(candidate)
+        # an index into a list, or a key of a mapping, stays at the same models
+        found = stepped or found
+    return sorted({name for candidate in found for name in candidate.model_fields})
+
+
+def _tag(model: type[BaseModel]) -> Any:
+    kind = model.model_fields.get("kind")
+    return get_args(kind.annotation)[0] if kind and get_args(kind.annotation) else None
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_in(part)]

@@ -1,0 +1,114 @@
+"""What a person sees in the terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cosim.engine import CheckReport
+    from cosim.run import Run
+    from cosim.scenario import Scenario
+    from cosim.signals import Sample
+    from cosim.simulation import Observer
+
+_COLUMNS = (
+    ("rmse [rad]", "rmse_rad", "{:.4f}"),
+    ("max error [rad]", "max_abs_error_rad", "{:.4f}"),
+    ("overshoot [%]", "overshoot_percent", "{:.1f}"),
+    ("settling [s]", "settling_time_s", "{:.2f}"),
+    ("rate rmse [rad/s]", "rate_rmse_rad_s", "{:.4f}"),
+    ("final error [rad]", "final_error_rad", "{:.4f}"),
+)
+
+
+@contextmanager
+def flight_progress(scenario: Scenario, quiet: bool) -> Iterator[Sequence[Observer]]:
+    """An observer that shows how far the flight is, on a terminal; none in a pipe."""
+    if quiet or not sys.stderr.isatty():
+        yield ()
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    every = max(1, round(0.5 / scenario.step_s))
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(scenario.name, total=scenario.steps)
+
+        class Watch:
+            def observe(self, sample: Sample) -> None:
+                if sample.k % every == 0:
+                    progress.update(task, completed=sample.k)
+
+        yield (Watch(),)
+
+
+def print_run(run: Run) -> None:
+    """Outcome, metrics, what was expected and not met, and where the report is."""
+    summary = run.summary
+    console = _console()
+    console.print(f"{summary.scenario}: [bold]{run.outcome}[/bold], {run.reason}", highlight=False)
+    console.print(
+        f"{summary.aircraft}, engine {summary.engine}, controller {summary.controller}, seed {summary.seed}: "
+        f"{summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor),
+        highlight=False,
+    )
+    print_metrics([run])
+    for complaint in summary.complaints:
+        console.print(f"not as expected: {complaint}", highlight=False)
+    if run.folder is not None:
+        console.print(f"report: {run.folder / 'report.html'}", highlight=False, soft_wrap=True)
+
+
+def print_metrics(runs: Sequence[Run], by: str = "axis") -> None:
+    """A table of the commanded axes' metrics, one row an axis and run; ``by`` names the first column."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD)
+    table.add_column(by)
+    for title, _, _ in _COLUMNS:
+        table.add_column(title, justify="right")
+    for run in runs:
+        for axis, metrics in run.metrics.items():
+            if metrics.commanded or by == "axis":
+                label = axis if by == "axis" else f"{run.summary.controller}, {axis}"
+                table.add_row(label, *[_cell(getattr(metrics, key), form) for _, key, form in _COLUMNS])
+    _console().print(table)
+
+
+def print_catalogue(found: dict[str, list[dict[str, Any]]]) -> None:
+    """Names and titles, kind by kind."""
+    console = _console()
+    for kind, entries in found.items():
+        if len(found) > 1:
+            console.print(f"[bold]{kind}[/bold]")
+        width = max((len(entry["name"]) for entry in entries), default=0)
+        for entry in entries:
+            console.print(f"  {entry['name']:{width}}  {entry['title']}", highlight=False, soft_wrap=True)
+
+
+def print_check(report: CheckReport) -> None:
+    """The findings, one to a line, problems last."""
+    console = _console()
+    for label, value in report.lines():
+        console.print(f"{label:22} {value}", highlight=False, soft_wrap=True)
+    for problem in report.problems:
+        console.print(f"problem: {problem}", highlight=False, soft_wrap=True)
+    console.print("fit to fly" if report.ok else "not fit to fly", style="bold")
+
+
+def _speed(factor: float | None) -> str:
+    return "" if factor is None else f", {factor:.0f} x real time"
+
+
+def _cell(value: float | None, form: str) -> str:
+    return "-" if value is None else form.format(value)
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    return Console(soft_wrap=False)

@@ -1,0 +1,83 @@
+"""Allocation: collective and three torque commands to six throttles and two tilts.
+
+Roll is differential throttle between the banks, pitch is both banks tilted alike, yaw is them tilted apart.  What
+does not fit is refused and reported, in this order: roll is kept before collective (attitude before height), pitch
+before yaw; a roll command beyond half the throttle range, or tilts beyond the servos' range, are cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cosim.errors import InputError
+from cosim.signals import ZERO3, Actuation, Refused, Vector3
+from cosim.vehicle import AllocationLimits, Jet
+
+_LEAST_SHARE = 0.25  # of hover thrust, below which tilts are not enlarged further
+
+
+class Allocator:
+    """Throttles and tilts of a vehicle with two banks of jets.
+
+    ``hover`` is the throttle at which the vehicle hovers: tilt commands are stated at hover thrust and are enlarged
+    or reduced in inverse proportion to the collective, so that their moment stays the same.
+    Raises InputError where the banks leave no lever for roll or pitch.
+    """
+
+    def __init__(self, jets: Sequence[Jet], limits: AllocationLimits, tilt_range: float, hover: float) -> None:
+        self._low, self._high = limits.throttle_min, limits.throttle_max
+        self._range = tilt_range
+        self.hover = hover
+        for jet in jets:
+            if jet.position_m[1] == 0.0 or (jet.position_m[1] > 0.0) != (jet.servo == "right"):
+                raise InputError(
+                    f"vehicle.jets: the {jet.servo} servo's jet at y = {jet.position_m[1]:g} m is not on its side"
+                )
+        self._left = tuple(jet.servo == "left" for jet in jets)
+        lever = sum(jet.position_m[2] for jet in jets)
+        if lever == 0.0:
+            raise InputError(
+                "vehicle.jets: with all jets at the height of the centre of gravity, tilting gives no pitch"
+            )
+        # a forward tilt pushes forward at z: nose up where the jets stand below the centre of gravity
+        self._pitch_sign = 1.0 if lever > 0.0 else -1.0
+
+    def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
+        """``collective`` in throttle; ``torque`` roll in throttle, pitch and yaw in rad of tilt at hover thrust.
+
+        ``added`` is a disturbance of the torque command that the controller does not know: it moves the actuators,
+        and what is refused is stated against the sum.
+        """
+        roll, pitch, yaw = torque
+        if added is not ZERO3:
+            roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
+        low, high = self._low, self._high
+        half = 0.5 * (high - low)
+        r = half if roll > half else (-half if roll < -half else roll)
+        spread = r if r >= 0.0 else -r
+        least, most = low + spread, high - spread
+        c = least if collective < least else (most if collective > most else collective)
+        left, right = c + r, c - r
+
+        share = c / self.hover
+        if share < _LEAST_SHARE:
+            share = _LEAST_SHARE
+        # what fits is refused exactly nothing, not a rounding error: the integrals stop on any refusal
+        limit = self._range
+        p = self._pitch_sign * pitch / share
+        refused_pitch = refused_yaw = 0.0
+        if p > limit or p < -limit:
+            p = limit if p > 0.0 else -limit
+            refused_pitch = pitch - self._pitch_sign * p * share
+        room = limit - (p if p >= 0.0 else -p)
+        y = yaw / share
+        if y > room or y < -room:
+            y = room if y > 0.0 else -room
+            refused_yaw = yaw - y * share
+
+        a, b, d, e, f, g = [left if on_left else right for on_left in self._left]
+        return Actuation(
+            (a, b, d, e, f, g),
+            (p + y, p - y),
+            Refused(roll - r, refused_pitch, refused_yaw, collective - c),
+        )

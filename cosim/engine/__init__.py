@@ -1,0 +1,18 @@
+"""Engines: one engine is one FMU behind ``reset / step / close``; the bank steps all of them.
+
+The only package that imports FMPy, and only where it is needed, because that import takes a fifth of a second.
+"""
+
+from cosim.engine.bank import EngineBank
+from cosim.engine.check import CheckReport, check_fmu
+from cosim.engine.spec import EngineSpec, build_engines, engine_names, load_engine
+
+__all__ = [
+    "CheckReport",
+    "EngineBank",
+    "EngineSpec",
+    "build_engines",
+    "check_fmu",
+    "engine_names",
+    "load_engine",
+]

@@ -1,0 +1,235 @@
+"""``hexjet fmu check``: is this FMU a sound engine, and how does it answer its throttle?"""
+
+from __future__ import annotations
+
+import time
+import zipfile
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cosim.engine import _bank
+from cosim.engine.archive import Archive, Variable, unpack, validate
+from cosim.engine.response import Hold, Response, ResponseError, settle, static_curve, step_response, window_for
+from cosim.engine.slave import Slave, SlaveError
+from cosim.engine.spec import find_archive, need_whole_steps
+from cosim.errors import InputError
+
+DEFAULT_STEP_S = 0.004
+TRIAL_STEPS = 500
+SAVED_AT = 37
+TIMED_STEPS = 20_000
+
+
+@dataclass
+class CheckReport:
+    """What was found; ``problems`` is empty for a sound engine, ``notes`` is worth knowing.
+
+    Times are in s, thrusts in N.  A field is None where a problem before it kept it from being found.
+    """
+
+    path: str
+    name: str
+    fmi_version: str
+    sha256: str
+    step: float
+    inputs: list[dict[str, Any]]
+    outputs: list[dict[str, Any]]
+    parameters: list[dict[str, Any]]
+    throttle: list[float] | None = None  # of the static curve
+    thrust: list[float] | None = None
+    delay_samples_up: int | None = None  # communication steps
+    delay_samples_down: int | None = None
+    rise_time_up: float | None = None  # 10 to 90 %
+    rise_time_down: float | None = None
+    deterministic: bool | None = None
+    reset_restores_start: bool | None = None
+    state_restores: bool | None = None  # None also if the FMU does not claim it
+    serialized_state_restores: bool | None = None
+    microseconds_per_step: float | None = None
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def ok(self) -> bool:
+        """Whether no problem was found."""
+        return not self.problems
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain lists, numbers and strings, for JSON."""
+        return {"ok": self.ok, **asdict(self)}
+
+
+def check_fmu(path_or_name: str, step: float | None = None) -> CheckReport:
+    """Check an FMU by path or by its name in the library, at its own step size unless ``step`` [s] is given.
+
+    Raises InputError if the file cannot be loaded as an engine at all: one line that says why.
+    """
+    archive, engine = find_archive(path_or_name)
+    step = step or archive.internal_step or archive.preferred_step or DEFAULT_STEP_S
+    need_whole_steps(archive, engine, step)
+    report = CheckReport(
+        path=str(archive.path),
+        name=archive.model,
+        fmi_version=archive.version,
+        sha256=archive.sha256,
+        step=step,
+        inputs=_described(archive.inputs),
+        outputs=_described(archive.outputs),
+        parameters=_described(archive.parameters),
+    )
+    report.problems += validate(archive.path)
+    report.problems += _checksums(archive.path)
+    report.notes += _notes(archive)
+    with unpack(archive) as folder:
+        trial = _Trial(archive, Path(folder), step)
+        for part in (_respond, _repeat, _reset, _restore, _serialize, _time):
+            try:
+                part(trial, report)
+            except (SlaveError, ResponseError) as error:
+                report.problems.append(str(error))
+    return report
+
+
+def _described(variables: Iterable[Variable]) -> list[dict[str, Any]]:
+    return [{key: value for key, value in asdict(v).items() if key != "reference"} for v in variables]
+
+
+def _checksums(path: Path) -> list[str]:
+    try:
+        with zipfile.ZipFile(path) as fmu:
+            damaged = fmu.testzip()
+    except (OSError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: {error}") from error
+    return [f"{damaged} fails its checksum"] if damaged else []
+
+
+def _notes(archive: Archive) -> list[str]:
+    notes = []
+    for variable, unit in ((archive.throttle, "1"), (archive.thrust, "N")):
+        if variable.unit is None:
+            notes.append(f"{variable.name} states no unit; it is taken to be in {unit}")
+    if archive.throttle.min is None or archive.throttle.max is None:
+        notes.append(f"{archive.throttle.name} states no range; it is taken to run from 0 to 1")
+    if not archive.saves_state:
+        notes.append("cannot save its state")
+    if archive.once_per_process:
+        notes.append("may be instantiated once per process: every engine gets a library of its own")
+    return notes
+
+
+class _Trial:
+    """Fresh instances of one archive, and what it takes to step them."""
+
+    def __init__(self, archive: Archive, folder: Path, step: float) -> None:
+        self.archive, self.folder, self.step = archive, folder, step
+
+    def run(self, use: Callable[[Slave, Hold], None]) -> None:
+        """Hand a fresh, initialized instance to ``use`` and free it afterwards.
+
+        Raises SlaveError if the FMU returns an error.
+        """
+        slave = Slave(self.archive, self.folder, "checked")
+        try:
+            slave.initialize((), 0.0)
+            use(slave, self.hold(slave))
+        except _bank.Failure as failure:
+            raise SlaveError(slave.explain(failure)) from failure
+        finally:
+            slave.close()
+
+    def hold(self, slave: Slave, done: int = 0) -> Hold:
+        """Stepping of an instance that has ``done`` steps behind it."""
+        native = _bank.Bank([slave.row(done)], self.step)
+        return lambda throttle, steps: native.hold(0, throttle, steps)
+
+
+def _zigzag(hold: Hold, begin: int = 0, end: int = TRIAL_STEPS) -> list[float]:
+    """Thrusts under a throttle that keeps changing within 0..1."""
+    return [hold((k * 7 % 20) / 19, 1)[0] for k in range(begin, end)]
+
+
+def _respond(trial: _Trial, report: CheckReport) -> None:
+    def use(slave: Slave, hold: Hold) -> None:
+        at_rest = settle(hold, 0.0, max(1, round(1.0 / trial.step)), trial.step)
+        up = step_response(hold, at_rest, 1.0, trial.step)
+        report.delay_samples_up, report.rise_time_up = up.delay, up.rise
+        down: Response = step_response(hold, up.after, 0.0, trial.step)
+        report.delay_samples_down, report.rise_time_down = down.delay, down.rise
+        curve = static_curve(hold, window_for(max(up.delay, down.delay)), trial.step)
+        report.throttle, report.thrust = list(curve.throttle), list(curve.thrust)
+        if any(b <= a for a, b in zip(curve.thrust, curve.thrust[1:], strict=False)):
+            report.problems.append("thrust does not rise with the throttle all the way from 0 to 1")
+
+    trial.run(use)
+
+
+def _repeat(trial: _Trial, report: CheckReport) -> None:
+    runs: list[list[float]] = []
+    for _ in range(2):
+        trial.run(lambda slave, hold: runs.append(_zigzag(hold)))
+    report.deterministic = runs[0] == runs[1]
+    if not report.deterministic:
+        report.problems.append("two runs with the same throttle differ")
+
+
+def _reset(trial: _Trial, report: CheckReport) -> None:
+    def use(slave: Slave, hold: Hold) -> None:
+        first = _zigzag(hold)
+        slave.call("reset")
+        slave.initialize((), 0.0)
+        report.reset_restores_start = _zigzag(trial.hold(slave)) == first
+        if not report.reset_restores_start:
+            report.problems.append("a run after a reset differs from the first")
+
+    trial.run(use)
+
+
+def _restore(trial: _Trial, report: CheckReport) -> None:
+    if not trial.archive.saves_state:
+        return
+
+    def use(slave: Slave, hold: Hold) -> None:
+        report.state_restores = _continues(trial, slave, hold, lambda state: state)
+        if not report.state_restores:
+            report.problems.append("a run from a restored state differs from the first")
+
+    trial.run(use)
+
+
+def _serialize(trial: _Trial, report: CheckReport) -> None:
+    if not trial.archive.serializes_state:
+        return
+
+    def through_bytes(slave: Slave, state: Any) -> Any:
+        return slave.call("deserializeFMUState", slave.call("serializeFMUState", state))
+
+    def use(slave: Slave, hold: Hold) -> None:
+        report.serialized_state_restores = _continues(trial, slave, hold, lambda state: through_bytes(slave, state))
+        if not report.serialized_state_restores:
+            report.problems.append("a run from a serialized state differs from the first")
+
+    trial.run(use)
+
+
+def _continues(trial: _Trial, slave: Slave, hold: Hold, copy: Callable[[Any], Any]) -> bool:
+    """Save the state in mid-run, run on, go back to it, or to what ``copy`` makes of it, and see the same again."""
+    _zigzag(hold, 0, SAVED_AT)
+    saved = slave.call("getFMUState")
+    first = _zigzag(hold, SAVED_AT)
+    copied = copy(saved)
+    slave.call("setFMUState", copied)
+    second = _zigzag(trial.hold(slave, SAVED_AT), SAVED_AT)
+    for state in {id(state): state for state in (saved, copied)}.values():
+        slave.call("freeFMUState", state)
+    return first == second
+
+
+def _time(trial: _Trial, report: CheckReport) -> None:
+    def use(slave: Slave, hold: Hold) -> None:
+        begin = time.perf_counter()
+        hold(0.5, TIMED_STEPS)
+        report.microseconds_per_step = (time.perf_counter() - begin) / TIMED_STEPS * 1e6
+
+    trial.run(use)

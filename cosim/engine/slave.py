@@ -1,0 +1,194 @@
+"""One FMU instance: loaded, instantiated and initialized through FMPy, then handed to the C loop for stepping."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim.engine import _bank
+from cosim.engine.archive import Archive, Variable, one_line
+
+STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
+FATAL = 4
+
+# What failed, in the words of the C loop -> in ours.
+FAULTS = {
+    "set": "setting the throttle returned {status}",
+    "step": "doStep returned {status}",
+    "get": "getting the thrust returned {status}",
+    "terminate": "it asked to end the simulation",
+    "early": "it returned early from doStep",
+    "event": "it asked for event handling",
+    "nan": "thrust is not finite",
+    "throttle": "throttle is not finite",
+}
+
+Setting = tuple[Variable, float]
+Row = tuple[int, int, int, int, int, int, int, int]
+
+
+class SlaveError(Exception):
+    """An FMU refused: one line without its name, which the caller knows."""
+
+
+def fault_text(failure: _bank.Failure) -> str:
+    """The words for a failure of the C loop."""
+    _, what, status = failure.args
+    return FAULTS[what].format(status=STATUS.get(status, f"status {status}"))
+
+
+class Slave:
+    """An instance of ``archive``, whose unpacked files are in ``folder``.
+
+    Raises SlaveError if the library does not load or the FMU refuses to be instantiated.
+    """
+
+    def __init__(self, archive: Archive, folder: Path, name: str) -> None:
+        self.archive = archive
+        self.log = _bank.Log()
+        self._stepping = False
+        self._dead = False
+        self.fmu: Any = _load(archive, folder, name)
+        try:
+            self._instantiate(folder)
+        except BaseException:
+            self.fmu.freeLibrary()
+            self.fmu = None
+            raise
+
+    def _instantiate(self, folder: Path) -> None:
+        fmu = self.fmu
+        if self.archive.fmi == 2:
+            self._callbacks = _callbacks2(self.log)
+            place = (folder / "resources").as_uri().encode()
+            fmu.component = fmu.fmi2Instantiate(
+                fmu.instanceName.encode(), 1, fmu.guid.encode(), place, ctypes.byref(self._callbacks), 0, 1
+            )
+        else:
+            from fmpy.fmi3 import fmi3IntermediateUpdateCallback, fmi3LogMessageCallback  # type: ignore[import-untyped]
+
+            place = f"{folder / 'resources'}{os.sep}".encode()
+            self._callbacks = fmi3LogMessageCallback(_bank.LOGGER3), fmi3IntermediateUpdateCallback()
+            logger, no_update = self._callbacks
+            fmu.component = fmu.fmi3InstantiateCoSimulation(
+                fmu.instanceName.encode(),
+                fmu.guid.encode(),
+                place,
+                *(False, True),  # not visible, logging on
+                *(False, False),  # neither event mode nor early return
+                *(None, 0),  # no intermediate variables
+                self.log.address,
+                logger,
+                no_update,
+            )
+        if not fmu.component:
+            raise SlaveError(self._with_log("cannot be instantiated"))
+
+    def initialize(self, settings: Sequence[Setting], throttle: float) -> float:
+        """Set parameters and throttle, leave initialization mode at time 0, and return the thrust [N] there.
+
+        Raises SlaveError if the FMU returns an error on the way.
+        """
+        reference = self.archive.throttle.reference
+        if self.archive.fmi == 2:
+            self.call("setupExperiment", startTime=0.0)
+        for variable, value in settings:
+            self._set(variable, value)
+        self.call("enterInitializationMode")
+        self.call("setReal" if self.archive.fmi == 2 else "setFloat64", [reference], [throttle])
+        self.call("exitInitializationMode")
+        self._stepping = True
+        return self.thrust()
+
+    def _set(self, variable: Variable, value: float) -> None:
+        convert = bool if variable.type == "Boolean" else float if variable.type in ("Real", "Float64", "Float32") else int
+        self.call(f"set{variable.type}", [variable.reference], [convert(value)])
+
+    def thrust(self) -> float:
+        """The thrust [N] where the FMU stands."""
+        getter = "getReal" if self.archive.fmi == 2 else "getFloat64"
+        return float(self.call(getter, [self.archive.thrust.reference])[0])
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> Any:
+        """Call one of FMPy's wrappers.  Raises SlaveError if it returns worse than a warning."""
+        from fmpy.fmi1 import FMICallException  # type: ignore[import-untyped]
+
+        try:
+            return getattr(self.fmu, name)(*args, **kwargs)
+        except FMICallException as error:
+            self.failed(error.status)
+            status = STATUS.get(error.status, f"status {error.status}")
+            raise SlaveError(self._with_log(f"{error.function} returned {status}")) from error
+
+    def failed(self, status: int) -> None:
+        """Remember that the FMU is in its error state, where little may be called, or beyond all calls."""
+        self._stepping = False
+        self._dead = self._dead or status == FATAL
+
+    def _with_log(self, text: str) -> str:
+        said = one_line(self.log.take())
+        return f"{text}: {said}" if said else text
+
+    def explain(self, failure: _bank.Failure) -> str:
+        """What went wrong in the C loop, with what the FMU itself said about it."""
+        self.failed(failure.args[2])
+        return self._with_log(fault_text(failure))
+
+    def row(self, done: int = 0) -> Row:
+        """What the C loop needs to step this instance, which has ``done`` communication steps behind it."""
+        fmi, throttle, thrust = self.archive.fmi, self.archive.throttle.reference, self.archive.thrust.reference
+        names = ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal") if fmi == 2 else ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64")
+        setter, step, getter = (ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value or 0 for name in names)
+        return fmi, self.fmu.component, setter, step, getter, throttle, thrust, done
+
+    def close(self) -> None:
+        """Terminate and free the instance, and let go of the library."""
+        if self.fmu is None:
+            return
+        fmu, self.fmu = self.fmu, None
+        if self._dead:
+            return  # after a fatal error nothing may be called any more, not even to free it
+        version = self.archive.fmi
+        if self._stepping:
+            getattr(fmu.dll, f"fmi{version}Terminate")(fmu.component)
+        fmu.freeInstance()
+
+
+def _load(archive: Archive, folder: Path, name: str) -> Any:
+    from fmpy.fmi2 import FMU2Slave  # type: ignore[import-untyped]
+    from fmpy.fmi3 import FMU3Slave
+
+    kind = FMU2Slave if archive.fmi == 2 else FMU3Slave
+    here = Path.cwd()
+    try:
+        return kind(
+            guid=archive.token,
+            unzipDirectory=str(folder),
+            modelIdentifier=archive.identifier,
+            instanceName=name,
+        )
+    except Exception as error:  # FMPy raises bare exceptions here
+        reason = one_line(error).replace(f"{folder}{os.sep}", "")
+        raise SlaveError(f"its shared library does not load: {reason}") from error
+    finally:
+        os.chdir(here)  # FMPy changes it, and leaves it changed when loading fails
+
+
+def _callbacks2(log: _bank.Log) -> Any:
+    from fmpy import calloc, free  # type: ignore[import-untyped]
+    from fmpy.fmi2 import (
+        fmi2CallbackAllocateMemoryTYPE,
+        fmi2CallbackFreeMemoryTYPE,
+        fmi2CallbackFunctions,
+        fmi2CallbackLoggerTYPE,
+    )
+
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(_bank.LOGGER2)
+    callbacks.allocateMemory = ctypes.cast(calloc, fmi2CallbackAllocateMemoryTYPE)
+    callbacks.freeMemory = ctypes.cast(free, fmi2CallbackFreeMemoryTYPE)
+    callbacks.componentEnvironment = log.address
+    return callbacks

@@ -1,0 +1,61 @@
+"""The delay ledger: every sample of delay between a roll command and the measured roll rate, and who owns it.
+
+Each row states the delay of its element at rest: the limit of ``-phase / omega`` as the frequency goes to 0, in
+control steps, against an ideal integrator from command to rate.  Transport delays and lags add up in that limit, so
+the sum can be measured exactly: after a step of roll command the rate grows along ``K (t - D)``, and ``D`` is the sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp
+
+from cosim.engine import EngineSpec
+from cosim.scenario import Scenario
+from cosim.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class LedgerRow:
+    """One element of the chain."""
+
+    element: str
+    owner: str
+    kind: str  # "transport", "lag", "hold" or "exchange"
+    samples: float | None  # None where the engine does not say
+
+    def milliseconds(self, step: float) -> float | None:
+        """The same in ms."""
+        return None if self.samples is None else self.samples * step * 1e3
+
+
+def delay_ledger(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[LedgerRow]:
+    """The rows in the order in which the signal passes them."""
+    gyro = vehicle.sensors.gyro
+    pole = exp(-scenario.step_s / gyro.filter_s) if gyro.filter_s > 0.0 else 0.0
+    return [
+        LedgerRow("command held over the step", "control step", "hold", 0.5),
+        LedgerRow("transport delay", f"engine {engine.name}", "transport", _ratio(engine.delay, scenario.step_s)),
+        LedgerRow("spool lag 1/(1 - a)", f"engine {engine.name}", "lag", _lag(engine, scenario.step_s)),
+        LedgerRow("thrust of the step's end acts over all of it", "engines, then airframe", "exchange", -1.0),
+        LedgerRow("force acts one JSBSim run late", "JSBSim", "transport", 1.0 / scenario.substeps),
+        LedgerRow("gyro low-pass a/(1 - a)", "sensors.gyro.filter_s", "lag", pole / (1.0 - pole)),
+        LedgerRow("gyro latency", "sensors.gyro.latency_samples", "transport", float(gyro.latency_samples)),
+    ]
+
+
+def total_samples(rows: list[LedgerRow]) -> float | None:
+    """The sum in control steps; None if any element is unknown."""
+    samples = [row.samples for row in rows]
+    return None if any(value is None for value in samples) else sum(value for value in samples if value is not None)
+
+
+def _ratio(seconds: float | None, step: float) -> float | None:
+    return None if seconds is None else seconds / step
+
+
+def _lag(engine: EngineSpec, step: float) -> float | None:
+    """Control steps: the pole is the engine's own, at its internal step."""
+    if engine.pole is None or engine.internal_step is None:
+        return None
+    return engine.internal_step / step / (1.0 - engine.pole)

@@ -1,0 +1,18 @@
+"""Where the aircraft, engines, FMUs and scenarios are: in the clone, or inside the installed package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parent
+_ROOT = _PACKAGE / "data" if (_PACKAGE / "data").is_dir() else _PACKAGE.parent
+
+
+def data_folder(name: str) -> Path:
+    """The folder ``aircraft``, ``engines``, ``fmus`` or ``scenarios``."""
+    return _ROOT / name
+
+
+def names_in(folder: str, marker: str) -> list[str]:
+    """The names of the sub-folders of ``folder`` that hold a file called ``marker``."""
+    return sorted(path.parent.name for path in data_folder(folder).glob(f"*/{marker}"))

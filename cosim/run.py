@@ -1,0 +1,347 @@
+"""A run and its folder: begun before the first step, finished after the last, opened again later.
+
+``summary.json``, ``scenario.toml`` with the files it names, ``flight.parquet`` and ``report.html``.  While the flight
+lasts its rows are in ``flight.arrows``; that file goes only when everything made from it is in place, so that a run
+which was killed is finished by :func:`open_run`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from platform import python_version
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from cosim.config import Vector
+from cosim.errors import FlightError, InputError
+from cosim.metrics import AltitudeMetrics, AxisMetrics, Metrics, Record, check_expectations, flatten, flight_metrics
+from cosim.recorder import (
+    Log,
+    MemorySink,
+    ParquetLog,
+    Recorder,
+    StreamSink,
+    locked,
+    read_note,
+    replacing,
+    stream_to_parquet,
+)
+from cosim.scenario import Expectation, Scenario
+from cosim.signals import Sample
+
+Outcome = Literal["completed", "crashed", "diverged", "failed"]
+
+SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
+    "summary.json",
+    "scenario.toml",
+    "flight.parquet",
+    "flight.arrows",
+    "report.html",
+)
+TELEMETRY = "telemetry.tlog"
+RUN_FILES = (SUMMARY, SCENARIO, LOG, STREAM, REPORT, TELEMETRY)
+PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")
+
+
+class DelayRow(Record):
+    """One element of the chain from command to measured rate, and the samples of delay that it owns."""
+
+    element: str
+    owner: str
+    kind: str
+    samples: float | None  # None where its owner does not say
+
+
+class Setup(BaseModel):
+    """What is known of a run before its first step."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    scenario: str
+    title: str = ""
+    description: str = ""
+    aircraft: str
+    engine: str
+    controller: str
+    seed: int
+    step_s: float
+    planned_s: float  # how long the flight is meant to be
+    started: str = ""  # UTC, ISO 8601
+    engine_curve: list[tuple[float, float]] = []  # throttle, thrust of one engine at rest [N]
+    jets_m: list[Vector] = []  # engine stations, body
+    delay_ledger: list[DelayRow] = []
+    expectation: Expectation | None = None  # what this controller with this engine must come to
+    versions: dict[str, str] = {}
+    sha256: dict[str, str] = {}  # of the aircraft model and of every FMU
+
+
+class Summary(Setup):
+    """What ``summary.json`` says."""
+
+    outcome: Outcome
+    reason: str
+    steps: int
+    duration_s: float  # flown
+    wall_s: float | None = None  # spent on the steps; None if the process did not live to say so
+    realtime_factor: float | None = None
+    step_us: float | None = None
+    metrics: dict[str, AxisMetrics]
+    altitude: AltitudeMetrics
+    touchdown_m_s: float | None = None
+    expectations_met: bool | None = None  # None: nothing is expected
+    complaints: list[str] = []  # a line for each expectation that is not met
+
+    @property
+    def flat_metrics(self) -> dict[str, float | None]:
+        """Every metric under the name that an expectation uses, such as ``roll.rmse_rad``."""
+        return flatten(Metrics(axes=self.metrics, altitude=self.altitude, touchdown_m_s=self.touchdown_m_s))
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run.  ``folder`` is None if it was flown without one; ``log["roll_rad"]`` is a column."""
+
+    summary: Summary
+    log: Log
+    folder: Path | None = None
+    flown: Scenario | None = None  # kept by the process that flew it
+
+    @property
+    def scenario(self) -> Scenario:
+        """The resolved scenario, from the run's folder if need be.  Raises InputError if it cannot be read."""
+        if self.flown is not None:
+            return self.flown
+        assert self.folder is not None
+        return Scenario.load(self.folder / SCENARIO)
+
+    @property
+    def outcome(self) -> Outcome:
+        return self.summary.outcome
+
+    @property
+    def reason(self) -> str:
+        return self.summary.reason
+
+    @property
+    def metrics(self) -> dict[str, AxisMetrics]:
+        return self.summary.metrics
+
+
+class Recording:
+    """A run that is being flown: an observer, and at the end :meth:`finish`."""
+
+    def __init__(self, setup: Setup, scenario: Scenario, sink: MemorySink | StreamSink) -> None:
+        self._setup = setup
+        self._scenario = scenario
+        self._sink = sink
+        self._recorder = Recorder(setup.step_s, sink)
+
+    def observe(self, sample: Sample) -> None:
+        """Record one control step.  Raises FlightError if the log cannot be written."""
+        self._recorder.observe(sample)
+
+    def finish(self, outcome: Outcome, reason: str, wall_s: float | None = None, report: bool = True) -> Run:
+        """Put the run's files into place; ``wall_s`` is the time spent on the steps.
+
+        A log that could not be written to its end makes the run ``failed``.  Raises FlightError if the files cannot be
+        written; what was recorded stays and :func:`open_run` takes it up again.
+        """
+        if isinstance(self._sink, MemorySink):
+            self._recorder.flush()
+            log = self._sink.log()
+            return Run(summarize(self._setup, log, outcome, reason, wall_s), log, None, self._scenario)
+        try:
+            self._recorder.flush()
+            self._sink.end()
+        except FlightError as error:
+            outcome, reason = "failed", str(error)
+        folder = self._sink.path.parent
+        try:
+            summary, log = _settle(folder, self._setup, outcome, reason, wall_s)
+        finally:
+            self._sink.close()
+        self._sink.path.unlink()
+        run = Run(summary, log, folder, self._scenario)
+        if report:
+            from cosim.report import write_report
+
+            write_report(run, folder / REPORT)
+        return run
+
+
+def begin_run(
+    setup: Setup, scenario: Scenario, folder: Path | None = None, files: Mapping[str, Path] | None = None
+) -> Recording:
+    """Begin a run, in ``folder`` or in memory.
+
+    ``scenario`` is resolved: what is written to ``scenario.toml`` flies as it is.  ``files`` are copied beside it under
+    their keys.  Raises InputError if the folder already holds a run or cannot be written to.
+    """
+    if folder is None:
+        return Recording(setup, scenario, MemorySink())
+    try:
+        _refuse_if_used(folder, files or {})
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror or error}") from error
+    sink = StreamSink(folder / STREAM, setup.model_dump_json())
+    try:
+        for name, source in (files or {}).items():
+            _write(folder / name, source.read_bytes())
+        _write(folder / SCENARIO, _toml(scenario))
+    except (OSError, FlightError) as error:
+        sink.close()
+        sink.path.unlink(missing_ok=True)
+        raise InputError(str(error)) from error
+    return Recording(setup, scenario, sink)
+
+
+def open_run(folder: Path | str) -> Run:
+    """Open a finished run, or finish one that was killed with everything it had written.
+
+    Raises InputError if there is no run, if it is still being flown, or if its files cannot be read.
+    """
+    folder = Path(folder)
+    if (folder / STREAM).is_file():
+        _recover(folder)
+    for name in (SUMMARY, LOG):
+        if not (folder / name).is_file():
+            raise InputError(f"{folder}: no run here ({name} is missing)")
+    path = folder / SUMMARY
+    try:
+        summary = Summary.model_validate_json(path.read_text(encoding="utf-8"))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{path}: not a run's summary: {key + ': ' if key else ''}{first['msg']}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    return Run(summary, ParquetLog(folder / LOG), folder)
+
+
+def summarize(setup: Setup, log: Log, outcome: Outcome, reason: str, wall_s: float | None) -> Summary:
+    """The summary of a flight from its log."""
+    metrics = flight_metrics(log, setup.step_s)
+    steps = len(log)
+    duration = steps * setup.step_s
+    complaints = _complaints(setup.expectation, outcome, flatten(metrics))
+    return Summary(
+        **dict(setup),
+        outcome=outcome,
+        reason=reason,
+        steps=steps,
+        duration_s=duration,
+        wall_s=wall_s,
+        realtime_factor=duration / wall_s if wall_s else None,
+        step_us=1e6 * wall_s / steps if wall_s is not None and steps else None,
+        metrics=metrics.axes,
+        altitude=metrics.altitude,
+        touchdown_m_s=metrics.touchdown_m_s,
+        expectations_met=None if setup.expectation is None else not complaints,
+        complaints=complaints,
+    )
+
+
+def versions() -> dict[str, str]:
+    """What a run depends on: Python and the packages that make its numbers."""
+    found = {"python": python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:  # the clone itself, not installed
+            continue
+    return found
+
+
+def now() -> str:
+    """The time of day for :attr:`Setup.started`."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _complaints(expectation: Expectation | None, outcome: Outcome, flat: Mapping[str, float | None]) -> list[str]:
+    if expectation is None:
+        return []
+    wrong = (
+        [] if outcome in expectation.outcome else [f"outcome = {outcome}, expected {' or '.join(expectation.outcome)}"]
+    )
+    return wrong + check_expectations(flat, expectation.metrics)
+
+
+def _settle(
+    folder: Path, setup: Setup, outcome: Outcome, reason: str, wall_s: float | None
+) -> tuple[Summary, ParquetLog]:
+    """Make Parquet and summary of a stream, and leave the stream."""
+    try:
+        stream_to_parquet(folder / STREAM, folder / LOG)
+        log = ParquetLog(folder / LOG)
+        summary = summarize(setup, log, outcome, reason, wall_s)
+        _write(folder / SUMMARY, _json(summary).encode())
+    except FlightError as error:
+        raise FlightError(
+            f"{error}; what was flown is kept in {folder / STREAM}: hexjet report {folder} finishes it"
+        ) from error
+    return summary, log
+
+
+def _recover(folder: Path) -> None:
+    """Finish a run whose process did not."""
+    stream = folder / STREAM
+    with locked(stream):
+        if not (folder / SUMMARY).is_file():
+            note = read_note(stream)
+            if note is None:
+                raise InputError(f"{stream}: torn before its first row; nothing of this run can be recovered")
+            try:
+                setup = Setup.model_validate_json(note)
+            except ValidationError as error:
+                raise InputError(f"{stream}: not a stream of this program") from error
+            _settle(folder, setup, "failed", "interrupted", None)
+        elif not (folder / LOG).is_file():
+            stream_to_parquet(stream, folder / LOG)
+        stream.unlink()
+
+
+def _refuse_if_used(folder: Path, files: Mapping[str, Path]) -> None:
+    for name in files:
+        if name in RUN_FILES or Path(name).name != name:
+            raise InputError(f"scenario: a file named {name!r} cannot be copied into a run's folder")
+    held = [name for name in (*RUN_FILES, *files) if (folder / name).exists()]
+    if held:
+        raise InputError(f"{folder}: already holds a run ({held[0]}); choose another folder or remove it")
+
+
+def _toml(scenario: Scenario) -> bytes:
+    import tomli_w
+
+    return tomli_w.dumps(scenario.model_dump(mode="json", exclude_none=True)).encode()
+
+
+def _json(summary: Summary) -> str:
+    """The summary with what is asked for first on top; what is in a table or list has a line of its own."""
+    data = summary.model_dump(mode="json")
+    first = ("outcome", "reason", "complaints", "metrics", "altitude", "touchdown_m_s")
+    lines = []
+    for key, value in ({name: data[name] for name in first} | data).items():
+        text = json.dumps(value, allow_nan=False)
+        if isinstance(value, dict) and value:
+            inner = (f"    {json.dumps(name)}: {json.dumps(part, allow_nan=False)}" for name, part in value.items())
+            text = "{\n" + ",\n".join(inner) + "\n  }"
+        elif isinstance(value, list) and len(text) > 100:
+            text = "[\n" + ",\n".join(f"    {json.dumps(part, allow_nan=False)}" for part in value) + "\n  ]"
+        lines.append(f"  {json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file that is either there whole or not at all.  Raises FlightError."""
+    try:
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
+    except OSError as error:
+        raise FlightError(f"{path}: {error.strerror or error}") from error

@@ -1,0 +1,319 @@
+"""A scenario as its TOML states it: who flies, what is asked of it, what disturbs it, and what is expected.
+
+Angles in the file are in degrees where the key says ``_deg``; everything behind :mod:`cosim.commands` and
+:mod:`cosim.disturbances` is in rad and SI.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from cosim.config import (
+    Model,
+    NotNegative,
+    Positive,
+    Vector,
+    merge,
+    nearest,
+    parse_setting,
+    read_toml,
+    set_path,
+    validate,
+)
+from cosim.errors import InputError
+from cosim.paths import data_folder
+
+SIGNALS = (
+    "roll_deg",
+    "pitch_deg",
+    "yaw_deg",
+    "altitude_m",
+    "rate_p_deg_s",
+    "rate_q_deg_s",
+    "rate_r_deg_s",
+    "collective",
+)
+Signal = Literal[
+    "roll_deg", "pitch_deg", "yaw_deg", "altitude_m", "rate_p_deg_s", "rate_q_deg_s", "rate_r_deg_s", "collective"
+]
+Axis = Literal["roll", "pitch", "yaw"]
+
+
+class StepCommand(Model):
+    """``amplitude`` from ``start_s`` on."""
+
+    kind: Literal["step"]
+    signal: Signal
+    start_s: NotNegative
+    amplitude: float
+
+
+class DoubletCommand(Model):
+    """``amplitude`` for ``width_s``, then its opposite for as long."""
+
+    kind: Literal["doublet"]
+    signal: Signal
+    start_s: NotNegative
+    amplitude: float
+    width_s: Positive
+
+
+class RampCommand(Model):
+    """From nothing at ``start_s`` to ``amplitude`` after ``duration_s``, held from then on."""
+
+    kind: Literal["ramp"]
+    signal: Signal
+    start_s: NotNegative
+    amplitude: float
+    duration_s: Positive
+
+
+class SweepCommand(Model):
+    """A sine whose frequency grows exponentially from ``from_hz`` to ``to_hz`` over ``duration_s``."""
+
+    kind: Literal["sweep"]
+    signal: Signal
+    start_s: NotNegative
+    amplitude: float
+    from_hz: Positive
+    to_hz: Positive
+    duration_s: Positive
+
+
+class TableCommand(Model):
+    """Columns of a CSV: ``time_s`` and any signals, held between rows or interpolated linearly."""
+
+    kind: Literal["table"]
+    file: str
+    start_s: NotNegative = 0.0
+    interpolate: Literal["hold", "linear"] = "linear"
+
+
+class SticksCommand(Model):
+    """A recording of sticks, a CSV with ``time_s, roll, pitch, yaw, throttle`` in -1..1.
+
+    Roll and pitch ask for an angle, yaw for a turn rate, throttle for a climb rate.
+    """
+
+    kind: Literal["sticks"]
+    file: str
+    start_s: NotNegative = 0.0
+    tilt_deg: Positive = 20.0
+    yaw_rate_deg_s: Positive = 45.0
+    climb_m_s: Positive = 1.0
+
+
+CommandEntry = Annotated[
+    StepCommand | DoubletCommand | RampCommand | SweepCommand | TableCommand | SticksCommand,
+    Field(discriminator="kind"),
+]
+
+
+class ForceDisturbance(Model):
+    """A constant force at the centre of gravity of the vehicle as built, body frame."""
+
+    kind: Literal["force"]
+    start_s: NotNegative
+    duration_s: Positive
+    force_n: Vector
+
+
+class MomentDisturbance(Model):
+    """A constant moment, body frame."""
+
+    kind: Literal["moment"]
+    start_s: NotNegative
+    duration_s: Positive
+    moment_n_m: Vector
+
+
+class TorqueCommandDisturbance(Model):
+    """Added to the rate controller's output on one axis, without the controller's knowledge.
+
+    The unit is that output's: throttle on roll, rad of tilt on pitch and yaw.
+    """
+
+    kind: Literal["torque_command"]
+    axis: Axis
+    shape: Literal["step", "doublet", "sweep"] = "step"
+    start_s: NotNegative
+    duration_s: Positive  # of the whole step, doublet or sweep
+    amplitude: float
+    from_hz: Positive = 0.3
+    to_hz: Positive = 4.0
+
+
+class PayloadDisturbance(Model):
+    """A point mass fixed to the vehicle from ``start_s`` on, for ``duration_s`` or to the end."""
+
+    kind: Literal["payload"]
+    start_s: NotNegative
+    duration_s: Positive | None = None
+    mass_kg: Positive
+    offset_m: Vector
+
+
+class WindDisturbance(Model):
+    """A change of the steady wind (where the air moves to), NED."""
+
+    kind: Literal["wind"]
+    start_s: NotNegative
+    duration_s: Positive | None = None
+    velocity_ned_m_s: Vector
+
+
+class GustDisturbance(Model):
+    """JSBSim's one-minus-cosine gust: rises over ``rise_s``, holds, and falls."""
+
+    kind: Literal["gust"]
+    start_s: NotNegative
+    velocity_ned_m_s: Vector
+    rise_s: Positive
+    hold_s: NotNegative
+    fall_s: Positive
+
+
+DisturbanceEntry = Annotated[
+    ForceDisturbance
+    | MomentDisturbance
+    | TorqueCommandDisturbance
+    | PayloadDisturbance
+    | WindDisturbance
+    | GustDisturbance,
+    Field(discriminator="kind"),
+]
+
+
+class Initial(Model):
+    """Where the flight begins."""
+
+    on_ground: bool = False
+    altitude_m: NotNegative = 30.0  # above the ground; not used on the ground
+    attitude_deg: Vector = (0.0, 0.0, 0.0)
+    velocity_ned_m_s: Vector = (0.0, 0.0, 0.0)
+    rate_deg_s: Vector = (0.0, 0.0, 0.0)
+
+
+class Environment(Model):
+    """Place, steady wind and turbulence (JSBSim's MIL-F-8785C model)."""
+
+    latitude_deg: Annotated[float, Field(ge=-89.0, le=89.0)] = 22.35
+    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 113.59
+    ground_m: Annotated[float, Field(ge=-400.0, le=5000.0)] = 0.0
+    wind_ned_m_s: Vector = (0.0, 0.0, 0.0)
+    turbulence_wind_m_s: NotNegative = 0.0  # mean wind at 6 m that sets the turbulence's strength below 300 m
+    turbulence_severity: Annotated[int, Field(ge=0, le=7)] = 0  # probability-of-exceedance index; 0 is none
+
+
+class Range(Model):
+    min: float | None = None
+    max: float | None = None
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Range:
+        if self.min is None and self.max is None:
+            raise ValueError("give min, max or both")
+        return self
+
+
+class Expectation(Model):
+    """What a flight with this controller and engine must come to."""
+
+    controller: str
+    engine: str
+    outcome: list[Literal["completed", "crashed", "diverged", "failed"]] = ["completed"]
+    metrics: dict[str, Range] = {}  # "roll.overshoot_percent" -> range
+
+
+class Scenario(Model):
+    """One flight.  ``vehicle`` and ``engine_parameters`` are written over what the aircraft and engine state."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    title: str = ""
+    description: str = ""
+    aircraft: str = "hexjet"
+    engine: str = "edf-as-flown"
+    controller: str = "smith"
+    duration_s: Positive
+    step_s: Annotated[float, Field(gt=0.0, le=0.1)] = 0.004
+    substeps: Annotated[int, Field(ge=1, le=100)] = 4
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    sensor_noise: bool = True
+    initial: Initial = Initial()
+    environment: Environment = Environment()
+    command: list[CommandEntry] = []
+    disturbance: list[DisturbanceEntry] = []
+    engine_parameters: dict[str, float] = {}
+    vehicle: dict[str, Any] = {}
+    expect: list[Expectation] = []
+
+    _folder: Path = PrivateAttr(default_factory=Path)
+
+    @property
+    def folder(self) -> Path:
+        """What relative file names in the scenario start from."""
+        return self._folder
+
+    @property
+    def steps(self) -> int:
+        """Control steps in the whole flight."""
+        return self.count(self.duration_s, "duration_s")
+
+    def count(self, seconds: float, key: str) -> int:
+        """A time as a whole number of control steps.
+
+        Raises InputError if it is not one to within a millionth of a step.
+        """
+        steps = round(seconds / self.step_s)
+        if abs(steps * self.step_s - seconds) > 1e-6 * self.step_s:
+            raise InputError(
+                f"scenario {self.name}: {key} = {seconds:g} s is not a whole number of {self.step_s:g} s steps"
+            )
+        return steps
+
+    @classmethod
+    def load(cls, name: str | Path, settings: list[str] | None = None) -> Scenario:
+        """Read a scenario by its name in ``scenarios/`` or by path, with ``KEY=VALUE`` settings written over it.
+
+        Raises InputError for an unknown name (lists the known ones), wrong TOML, or a wrong key or value.
+        """
+        path = find_scenario(name)
+        data = read_toml(path)
+        for text in settings or []:
+            key, value = parse_setting(text)
+            set_path(data, key, value, f"{path}: --set")
+        return cls.from_table(data, path.parent, str(path))
+
+    @classmethod
+    def from_table(cls, data: dict[str, Any], folder: Path, where: str) -> Scenario:
+        """Validate a parsed table; relative file names in it start from ``folder``."""
+        scenario = validate(cls, data, where)
+        scenario._folder = folder
+        return scenario
+
+    def replace(self, **changes: Any) -> Scenario:
+        """A copy with ``changes`` merged into it: tables are merged, everything else is replaced."""
+        data = merge(self.model_dump(exclude_none=True), changes)
+        return self.from_table(data, self.folder, f"scenario {self.name}")
+
+
+def scenario_names() -> list[str]:
+    """Every scenario that is shipped."""
+    return sorted(path.stem for path in data_folder("scenarios").glob("*.toml"))
+
+
+def find_scenario(name: str | Path) -> Path:
+    """The file of a scenario given by name or path."""
+    path = Path(name)
+    if path.suffix == ".toml" or path.is_file():
+        if not path.is_file():
+            raise InputError(f"{path}: no such scenario file")
+        return path
+    if str(name) not in scenario_names():
+        raise InputError(
+            f"unknown scenario {str(name)!r}; {nearest(str(name), scenario_names())}, or the path of a .toml file"
+        )
+    return data_folder("scenarios") / f"{name}.toml"

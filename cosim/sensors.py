@@ -1,0 +1,134 @@
+"""What the controller is told: rate gyro, attitude, GNSS and barometer, with noise, bias, lag and latency.
+
+The noise comes from a generator of its own, seeded by the scenario, so that a change elsewhere does not change it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import exp
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from cosim.frames import multiply, normalize
+from cosim.signals import Measured, Quaternion, State, Vector3
+from cosim.vehicle import Sensors
+
+T = TypeVar("T")
+
+_DRAWS = 13  # standard normals a step: gyro 3, attitude 3, position 3, velocity 3, height 1
+_BLOCK = 256  # steps drawn at once
+
+
+class Latency(Generic[T]):
+    """A value comes out a whole number of updates after it went in."""
+
+    def __init__(self, samples: int) -> None:
+        self._samples = samples
+        self._line: deque[T] = deque()
+
+    def reset(self, value: T) -> None:
+        """As if ``value`` had been there forever."""
+        self._line = deque([value] * self._samples)
+
+    def update(self, value: T) -> T:
+        if not self._samples:
+            return value
+        self._line.append(value)
+        return self._line.popleft()
+
+
+class SensorSuite:
+    """All sensors of the vehicle, sampled once a control step.
+
+    The gyro's filter is ``y += (1 - exp(-T/tau)) (rate - y)``: pole ``a = exp(-T/tau)``, a delay of ``a / (1 - a)``
+    samples at rest.  ``noisy`` False leaves filter, latency and hold, and takes away noise and bias.
+    """
+
+    def __init__(self, sensors: Sensors, step: float, seed: int, noisy: bool) -> None:
+        self._noisy = noisy
+        self._seed = seed
+        gyro, attitude, gnss, barometer = sensors.gyro, sensors.attitude, sensors.gnss, sensors.barometer
+        self._share = 1.0 - exp(-step / gyro.filter_s) if gyro.filter_s > 0.0 else 1.0
+        on = 1.0 if noisy else 0.0
+        self._gyro_noise = gyro.noise_rad_s * on
+        self._gyro_bias = _scaled(gyro.bias_rad_s, on)
+        self._attitude_noise = attitude.noise_rad * on
+        self._attitude_bias = _scaled(attitude.bias_rad, on)
+        self._position_noise = gnss.position_noise_m * on
+        self._velocity_noise = gnss.velocity_noise_m_s * on
+        self._height_noise = barometer.noise_m * on
+        self._height_bias = barometer.bias_m * on
+        self._period = gnss.period_samples
+        self._gyro_line: Latency[Vector3] = Latency(gyro.latency_samples)
+        self._attitude_line: Latency[Quaternion] = Latency(attitude.latency_samples)
+        self._gnss_line: Latency[tuple[Vector3, Vector3]] = Latency(gnss.latency_samples)
+        self._height_line: Latency[float] = Latency(barometer.latency_samples)
+        self._draws: list[list[float]] = []
+
+    def reset(self, state: State) -> Measured:
+        """Start again as if the vehicle had been in ``state`` forever; the same noise follows."""
+        self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(0,)))
+        self._draws = []
+        self._count = 0
+        self._rate = state.rate
+        self._fix = (state.position, state.velocity)
+        self._gyro_line.reset(state.rate)
+        self._attitude_line.reset(state.attitude)
+        self._gnss_line.reset(self._fix)
+        self._height_line.reset(state.altitude)
+        return Measured(state.rate, state.attitude, state.position, state.velocity, state.altitude)
+
+    def sample(self, state: State) -> Measured:
+        """The measurements at the end of a step, from the true ``state`` there."""
+        p, q, r = state.rate
+        attitude = state.attitude
+        altitude = state.altitude
+        fix = None
+        self._count += 1
+        if self._count % self._period == 0:
+            fix = (state.position, state.velocity)
+        if self._noisy:
+            n = self._next_draws()
+            s = self._gyro_noise
+            bp, bq, br = self._gyro_bias
+            p += s * n[0] + bp
+            q += s * n[1] + bq
+            r += s * n[2] + br
+            s = 0.5 * self._attitude_noise
+            ax, ay, az = self._attitude_bias
+            attitude = normalize(
+                multiply(attitude, (1.0, s * n[3] + 0.5 * ax, s * n[4] + 0.5 * ay, s * n[5] + 0.5 * az))
+            )
+            altitude += self._height_noise * n[12] + self._height_bias
+            if fix:
+                s, t = self._position_noise, self._velocity_noise
+                (x, y, z), (u, v, w) = fix
+                fix = (
+                    (x + s * n[6], y + s * n[7], z + s * n[8]),
+                    (u + t * n[9], v + t * n[10], w + t * n[11]),
+                )
+        fp, fq, fr = self._rate
+        share = self._share
+        self._rate = (fp + share * (p - fp), fq + share * (q - fq), fr + share * (r - fr))
+        if fix:
+            self._fix = fix
+        position, velocity = self._gnss_line.update(self._fix)
+        return Measured(
+            self._gyro_line.update(self._rate),
+            self._attitude_line.update(attitude),
+            position,
+            velocity,
+            self._height_line.update(altitude),
+        )
+
+    def _next_draws(self) -> list[float]:
+        if not self._draws:
+            self._draws = self._rng.standard_normal((_BLOCK, _DRAWS)).tolist()
+            self._draws.reverse()
+        return self._draws.pop()
+
+
+def _scaled(vector: Vector3, factor: float) -> Vector3:
+    return (vector[0] * factor, vector[1] * factor, vector[2] * factor)

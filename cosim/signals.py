@@ -1,0 +1,102 @@
+"""The small records that travel on the wires between the blocks of one control step.
+
+Frames: *body* is forward-right-down (FRD) with its origin at the centre of gravity of the vehicle as built;
+*NED* is north-east-down with its origin on the ground below the starting point.  Angles are in rad, everything
+else is in SI units.  A quaternion is ``(w, x, y, z)`` and turns body vectors into NED vectors.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+Vector3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Six = tuple[float, float, float, float, float, float]
+
+ZERO3: Vector3 = (0.0, 0.0, 0.0)
+JETS = 6
+AXES = ("roll", "pitch", "yaw")
+
+
+class Command(NamedTuple):
+    """What the pilot or the script asks for during one step."""
+
+    attitude: Vector3  # roll, pitch, yaw [rad], NED to body, order yaw-pitch-roll
+    altitude: float  # height above the ground [m], held when collective is None
+    rate: Vector3 | None = None  # body rates [rad/s]; replaces the attitude loop
+    collective: float | None = None  # mean throttle [0..1]; replaces the altitude hold
+
+
+class Disturbance(NamedTuple):
+    """What acts on the vehicle from outside during one step."""
+
+    force: Vector3 = ZERO3  # N, body, at the centre of gravity of the vehicle as built
+    moment: Vector3 = ZERO3  # N m, body
+    torque_command: Vector3 = ZERO3  # added to the rate controller's output, unknown to the controller
+    wind: Vector3 = ZERO3  # m/s, NED: where the air moves to, turbulence not included
+    payload: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # kg, then its place [m], body
+    gust: tuple[Vector3, float, float, float] | None = None  # m/s NED, rise, hold, fall [s]; only in the step it starts
+
+
+class State(NamedTuple):
+    """The true motion of the airframe at one instant."""
+
+    position: Vector3  # m, NED
+    velocity: Vector3  # m/s, NED, over the ground
+    attitude: Quaternion  # body to NED
+    euler: Vector3  # roll, pitch, yaw [rad]
+    rate: Vector3  # rad/s, body, against the rotating Earth
+    specific_force: Vector3  # m/s^2, body, what an accelerometer at the centre of gravity feels
+    altitude: float  # m above the ground
+    wind: Vector3  # m/s, NED, turbulence included
+    mass: float  # kg
+    on_ground: bool  # a leg touches
+    hull_contact: bool  # anything but a leg touches
+
+
+class Measured(NamedTuple):
+    """What the sensors tell the controller at one instant."""
+
+    rate: Vector3  # rad/s, body, after the gyro's filter
+    attitude: Quaternion
+    position: Vector3  # m, NED
+    velocity: Vector3  # m/s, NED
+    altitude: float  # m above the ground
+
+
+class Refused(NamedTuple):
+    """What allocation could not give: requested minus achieved."""
+
+    roll: float = 0.0
+    pitch: float = 0.0
+    yaw: float = 0.0
+    collective: float = 0.0
+
+
+class Actuation(NamedTuple):
+    """What allocation asks of the engines and of the two tilt servos."""
+
+    throttle: Six  # 0..1, jets 1 to 6
+    tilt: tuple[float, float]  # rad, left and right servo, positive tilts the thrust forward
+    refused: Refused
+
+
+class Sample(NamedTuple):
+    """One row of the log: everything that was on the wires during step ``k``.
+
+    ``state`` and ``measured`` are taken at ``t_k``, before the step; the rest acts over ``[t_k, t_k+1)``.
+    """
+
+    k: int
+    time: float
+    command: Command
+    state: State
+    measured: Measured
+    rate_setpoint: Vector3  # rad/s, body
+    rate_predicted: Vector3  # rad/s, body: what the rate controller is fed with
+    torque_command: Vector3  # the rate controller's output: throttle, rad of tilt, rad of tilt
+    collective: float  # mean throttle asked for
+    actuation: Actuation
+    tilt: tuple[float, float]  # rad, where the servos stand
+    thrust: Six  # N, delivered
+    disturbance: Disturbance

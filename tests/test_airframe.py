@@ -1,0 +1,339 @@
+"""The airframe against Newton, Euler and an independent r x F."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import cos, pi, radians, sin, sqrt
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from cosim.airframe import Airframe, render, standing_height
+from cosim.errors import InputError
+from cosim.frames import jet_axis
+from cosim.scenario import Environment, Initial
+from cosim.signals import ZERO3, Disturbance, Vector3
+from cosim.vehicle import Vehicle, load_vehicle
+
+STEP = 0.004
+NO_AERO = {"aero": {"drag_area_m2": [0.0, 0.0, 0.0], "damping_n_m_s": [0.0, 0.0, 0.0]}}
+OFF = [ZERO3] * 6
+CALM = Disturbance()
+
+
+@contextmanager
+def airframe(
+    overrides: dict[str, object] | None = None, environment: Environment | None = None, substeps: int = 4, seed: int = 1
+) -> Iterator[tuple[Airframe, Vehicle]]:
+    vehicle, folder = load_vehicle("hexjet", overrides)
+    frame = Airframe(vehicle, folder, environment or Environment(), STEP, substeps, seed)
+    try:
+        yield frame, vehicle
+    finally:
+        frame.close()
+
+
+def normal_gravity(latitude_deg: float, height: float) -> float:
+    """Somigliana's formula for WGS 84 with the free-air gradient, m/s^2: attraction less centrifugal acceleration."""
+    s2 = sin(radians(latitude_deg)) ** 2
+    return 9.7803253359 * (1 + 0.00193185265241 * s2) / sqrt(1 - 0.00669437999013 * s2) - 3.0877e-6 * height
+
+
+def thrust(vehicle: Vehicle, newtons: list[float], left: float, right: float) -> list[Vector3]:
+    forces = []
+    for jet, newton in zip(vehicle.jets, newtons, strict=True):
+        x, y, z = jet_axis(left if jet.servo == "left" else right)
+        forces.append((newton * x, newton * y, newton * z))
+    return forces
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_force_and_moment_are_r_cross_f(seed: int) -> None:
+    """To 1e-9 relative, also with a payload that moves the centre of gravity."""
+    rng = np.random.default_rng(seed)
+    with airframe() as (frame, vehicle):
+        frame.reset(Initial(), OFF, ZERO3)
+        newtons = rng.uniform(0.0, 20.0, 6).tolist()
+        forces = thrust(vehicle, newtons, *rng.uniform(-0.5, 0.5, 2).tolist())
+        payload = (
+            (float(rng.uniform(0.1, 1.0)), *rng.uniform(-0.2, 0.2, 3).tolist()) if seed % 2 else (0.0, 0.0, 0.0, 0.0)
+        )
+        frame.step(forces, Disturbance(payload=payload))
+        cg = np.array(payload[1:]) * payload[0] / (vehicle.mass_kg + payload[0])
+        arms = np.array([jet.position_m for jet in vehicle.jets]) - cg
+        force, moment = frame.external_wrench()
+        expected = np.cross(arms, forces).sum(axis=0)
+        assert force == pytest.approx(np.sum(forces, axis=0), rel=1e-9, abs=1e-9)
+        assert np.linalg.norm(np.array(moment) - expected) <= 1e-9 * np.linalg.norm(expected)
+
+
+def test_the_papers_closed_forms_under_the_sign_table() -> None:
+    """Printed: z up, roll positive for more thrust at +y, yaw opposite to r x F.  README.md has the table."""
+    with airframe() as (frame, vehicle):
+        lx, ly, lz = vehicle.jets[0].position_m
+        assert lx > 0.0
+        up = -lz  # the paper's L_z counts upwards
+        f_left, f_right, a1, a2 = 7.0, 9.0, 0.2, -0.1
+        frame.reset(Initial(), OFF, ZERO3)
+        newtons = [f_left if jet.servo == "left" else f_right for jet in vehicle.jets]
+        frame.step(thrust(vehicle, newtons, a1, a2), CALM)
+        (fx, fy, fz), (mx, my, mz) = frame.external_wrench()
+        assert fx == pytest.approx(3 * (f_left * sin(a1) + f_right * sin(a2)), rel=1e-9)  # + printed row
+        assert fy == 0.0
+        assert -fz == pytest.approx(3 * (f_left * cos(a1) + f_right * cos(a2)), rel=1e-9)  # - printed row
+
+        # the printed moments assume equal thrust for pitch and yaw, no tilt for roll
+        frame.step(thrust(vehicle, newtons, 0.0, 0.0), CALM)
+        mx = frame.external_wrench()[1][0]
+        assert -mx == pytest.approx(3 * (f_right * ly - f_left * ly), rel=1e-9)
+        frame.step(thrust(vehicle, [f_left] * 6, a1, a2), CALM)
+        _, my, mz = frame.external_wrench()[1]
+        assert -my == pytest.approx(3 * f_left * up * (sin(a1) + sin(a2)), rel=1e-9)
+        assert -mz == pytest.approx(3 * f_left * ly * (sin(a2) - sin(a1)), rel=1e-9)
+
+
+def test_jets_stand_where_the_paper_puts_them() -> None:
+    vehicle, _ = load_vehicle("hexjet")
+    lx, ly, lz = vehicle.jets[0].position_m
+    signs = [(1, 1), (-1, -1), (1, -1), (-1, 1), (0, 1), (0, -1)]  # L_1 to L_6
+    assert [jet.position_m for jet in vehicle.jets] == [(sx * lx, sy * ly, lz) for sx, sy in signs]
+    assert [jet.servo for jet in vehicle.jets] == ["right", "left", "left", "right", "right", "left"]
+
+
+def test_roll_inertia_follows_from_the_identified_gain() -> None:
+    """433.1 rad/s^2 per unit of throttle = 6 L_y T / J_xx with the EDF's thrust at full throttle."""
+    vehicle, _ = load_vehicle("hexjet")
+    full = 0.2554 / (1 - 0.8748) * 9.80665
+    gain = 6 * vehicle.jets[0].position_m[1] * full / vehicle.inertia_kg_m2[0]
+    assert gain == pytest.approx(433.1, rel=1e-4)  # the paper's digits
+
+
+def test_mass_properties_are_the_vehicles() -> None:
+    with airframe() as (frame, vehicle):
+        frame.reset(Initial(), OFF, ZERO3)
+        mass, cg, inertia = frame.mass_properties()
+        assert mass == pytest.approx(vehicle.mass_kg, rel=1e-12)
+        assert inertia == pytest.approx(vehicle.inertia_kg_m2, rel=1e-12)
+        assert cg == pytest.approx((0.0, 0.0, 0.0), abs=1e-15)
+
+
+def test_payload_adds_mass_and_moves_centre_and_inertia() -> None:
+    m, place = 0.8, np.array([0.1, -0.05, 0.07])
+    with airframe() as (frame, vehicle):
+        frame.reset(Initial(), OFF, ZERO3)
+        state = frame.step(OFF, Disturbance(payload=(m, *place.tolist())))
+        mass, cg, inertia = frame.mass_properties()
+        total = vehicle.mass_kg + m
+        assert state.mass == pytest.approx(total, rel=1e-12)
+        assert mass == pytest.approx(total, rel=1e-12)
+        assert cg == pytest.approx(place * m / total, rel=1e-9)
+        # two bodies about their common centre: reduced mass times the distance squared
+        reduced = vehicle.mass_kg * m / total
+        expected = np.array(vehicle.inertia_kg_m2) + reduced * (place @ place - place**2)
+        assert inertia == pytest.approx(expected, rel=1e-6)  # JSBSim's constants for inches and slugs are rounded
+        state = frame.step(OFF, CALM)
+        assert frame.mass_properties()[0] == pytest.approx(vehicle.mass_kg, rel=1e-12)
+        assert state.mass == vehicle.mass_kg
+
+
+def test_the_file_in_the_repository_is_the_vehicle() -> None:
+    """hexjet.xml as bare JSBSim reads it says what vehicle.toml says."""
+    vehicle, folder = load_vehicle("hexjet")
+    stated = ET.parse(folder / vehicle.model).getroot()
+    flown = ET.fromstring(render(vehicle, folder / vehicle.model))
+    to_si = {
+        "KG": 1.0,
+        "KG*M2": 1.0,
+        "M": 1.0,
+        "IN": 0.0254,
+        "LBS": 14.593902937206364 / 32.174049,
+        "SLUG*FT2": 1.3558179483314004,
+    }
+    compared = 0
+    for old, new in zip(stated.iter(), flown.iter(), strict=True):
+        if old.tag == "location":
+            for a, b in zip(old, new, strict=True):
+                assert float(a.text or "") == pytest.approx(float(b.text or "") * to_si[new.get("unit", "")], abs=1e-12)
+                compared += 1
+        elif old.tag not in "xyz" and old.text != new.text:
+            a, b = (float(e.text or "") * to_si.get(e.get("unit", ""), 1.0) for e in (old, new))
+            assert a == pytest.approx(b, rel=1e-12), old.tag
+            compared += 1
+        elif old.get("value") != new.get("value"):
+            assert float(old.get("value", "")) == pytest.approx(float(new.get("value", "")), rel=1e-3), old.text
+            compared += 1
+    assert compared > 40
+
+
+def test_free_fall() -> None:
+    """z = g t^2 / 2 with the normal gravity of the place, no drag."""
+    with airframe(NO_AERO) as (frame, _):
+        place = Environment()
+        state = frame.reset(Initial(altitude_m=100.0), OFF, ZERO3)
+        steps = 500
+        for _ in range(steps):
+            state = frame.step(OFF, CALM)
+        t = steps * STEP
+        g = normal_gravity(place.latitude_deg, 100.0 - g_half(t))
+        # 1e-5: J2 against the whole ellipsoid (2e-6), the gradient over the fall (6e-6)
+        assert state.position[2] + 100.0 == pytest.approx(0.5 * g * t * t, rel=1e-5)
+        assert state.velocity[2] == pytest.approx(g * t, rel=1e-5)
+        # the Earth turns away below: a third of Omega g t^3 cos(latitude) to the east
+        east = 7.292115e-5 * g * t**3 * cos(radians(place.latitude_deg)) / 3
+        assert state.position[1] == pytest.approx(east, rel=0.02)
+
+
+def g_half(t: float) -> float:
+    """About the mean depth of the fall."""
+    return 9.8 * t * t / 6
+
+
+def test_hover_equilibrium() -> None:
+    """Thrust equal to the weight at the place: nothing moves."""
+    with airframe(NO_AERO) as (frame, vehicle):
+        weight = vehicle.mass_kg * normal_gravity(Environment().latitude_deg, 30.0)
+        forces = thrust(vehicle, [weight / 6] * 6, 0.0, 0.0)
+        state = frame.reset(Initial(altitude_m=30.0), forces, ZERO3)
+        for _ in range(500):
+            state = frame.step(forces, CALM)
+        # 2e-6 g of the gravity formulas over 2 s
+        assert state.velocity == pytest.approx((0.0, 0.0, 0.0), abs=2e-4)
+        assert state.altitude == pytest.approx(30.0, abs=2e-4)
+        # the local vertical turns with the Earth, at 7.3e-5 rad/s
+        assert state.euler == pytest.approx((0.0, 0.0, 0.0), abs=2 * 7.3e-5)
+
+
+def test_torque_free_spin_follows_euler() -> None:
+    """Against an independent integration of Euler's equations; JSBSim's is of first order, so halving halves the error."""
+
+    def error(substeps: int) -> float:
+        with airframe(NO_AERO, substeps=substeps) as (frame, vehicle):
+            frame.reset(Initial(rate_deg_s=(100.0, 20.0, -60.0), altitude_m=500.0), OFF, ZERO3)
+            start = frame.inertial_rate()
+            for _ in range(250):
+                frame.step(OFF, CALM)
+            J = np.array(vehicle.inertia_kg_m2)
+            exact = solve_ivp(lambda _, w: -np.cross(w, J * w) / J, (0.0, 1.0), start, rtol=1e-11, atol=1e-11)
+            return float(np.linalg.norm(np.array(frame.inertial_rate()) - exact.y[:, -1]))
+
+    coarse, fine = error(4), error(8)
+    assert coarse < 3e-3  # rad/s, of 2.1
+    assert coarse / fine == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.parametrize("substeps", [1, 4])
+def test_a_force_reaches_the_rate_one_run_late(substeps: int) -> None:
+    """A constant roll moment from rest: p = M / J (t - step / substeps), and not a moment earlier."""
+    with airframe(NO_AERO, substeps=substeps) as (frame, vehicle):
+        frame.reset(Initial(), OFF, ZERO3)
+        moment = 0.05
+        for k in range(1, 26):
+            state = frame.step(OFF, Disturbance(moment=(moment, 0.0, 0.0)))
+            expected = moment / vehicle.inertia_kg_m2[0] * (k * STEP - STEP / substeps)
+            # the Earth's rate seen by a body that turns: 7e-5 rad/s times the angle
+            assert state.rate[0] == pytest.approx(expected, rel=1e-9, abs=1e-7)
+
+
+def test_disturbing_force_acts_at_the_centre_of_gravity() -> None:
+    with airframe(NO_AERO) as (frame, vehicle):
+        frame.reset(Initial(), OFF, ZERO3)
+        frame.step(OFF, Disturbance(force=(1.0, -2.0, 3.0)))
+        force, moment = frame.external_wrench()
+        assert force == pytest.approx((1.0, -2.0, 3.0), rel=1e-12)
+        assert moment == pytest.approx((0.0, 0.0, 0.0), abs=1e-15)
+
+
+def test_drag_is_quadratic_in_the_wind() -> None:
+    """One step in a steady side wind: a = rho CdA v^2 / 2 m, with the ISA density at sea level."""
+    with airframe() as (frame, vehicle):
+        speed = 8.0
+        state = frame.reset(Initial(altitude_m=2.0), OFF, (0.0, speed, 0.0))
+        state = frame.step(OFF, Disturbance(wind=(0.0, speed, 0.0)))
+        rho = 1.225 * (1 - 2.25577e-5 * 2.0) ** 4.2559
+        expected = 0.5 * rho * vehicle.aero.drag_area_m2[1] * speed**2 / vehicle.mass_kg
+        assert state.wind == pytest.approx((0.0, speed, 0.0), abs=1e-12)
+        # the vehicle has hardly begun to drift after 4 ms
+        assert state.specific_force[1] == pytest.approx(expected, rel=2e-3)
+
+
+def test_stands_still_on_its_legs() -> None:
+    with airframe() as (frame, vehicle):
+        state = frame.reset(Initial(on_ground=True), OFF, ZERO3)
+        for _ in range(500):
+            state = frame.step(OFF, CALM)
+        assert state.on_ground
+        assert not state.hull_contact
+        assert state.altitude == pytest.approx(standing_height(vehicle), abs=1e-4)
+        assert state.velocity == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+        assert state.euler == pytest.approx((0.0, 0.0, 0.0), abs=1e-4)
+
+
+def test_falls_over_onto_its_hull() -> None:
+    with airframe() as (frame, _):
+        state = frame.reset(Initial(altitude_m=1.0, attitude_deg=(170.0, 0.0, 0.0)), OFF, ZERO3)
+        for _ in range(250):
+            state = frame.step(OFF, CALM)
+            if state.hull_contact:
+                break
+        assert state.hull_contact
+
+
+def test_position_is_counted_from_the_ground_below_the_start() -> None:
+    place = Environment(ground_m=1200.0)
+    with airframe(environment=place) as (frame, _):
+        state = frame.reset(Initial(altitude_m=25.0), OFF, ZERO3)
+        assert state.altitude == pytest.approx(25.0, abs=1e-6)
+        assert state.position == pytest.approx((0.0, 0.0, -25.0), abs=1e-6)
+        assert frame.latitude_longitude_deg() == pytest.approx((place.latitude_deg, place.longitude_deg), abs=1e-9)
+
+
+@pytest.mark.parametrize("angles", [(10.0, -20.0, 30.0), (0.0, 0.0, -170.0), (-5.0, 40.0, 179.0)])
+def test_initial_attitude_velocity_and_rates(angles: Vector3) -> None:
+    initial = Initial(attitude_deg=angles, velocity_ned_m_s=(1.0, -2.0, 0.5), rate_deg_s=(10.0, -5.0, 3.0))
+    with airframe() as (frame, _):
+        state = frame.reset(initial, OFF, ZERO3)
+        assert state.euler == pytest.approx([radians(a) for a in angles], abs=1e-9)
+        assert all(-pi <= a <= pi for a in state.euler)
+        assert state.velocity == pytest.approx(initial.velocity_ned_m_s, abs=1e-9)
+        assert state.rate == pytest.approx([radians(r) for r in initial.rate_deg_s], abs=1e-9)
+
+
+def test_gust_rises_holds_and_falls() -> None:
+    """JSBSim's one-minus-cosine: half its size halfway up."""
+    with airframe() as (frame, _):
+        frame.reset(Initial(), OFF, ZERO3)
+        start = Disturbance(gust=((3.0, 4.0, 0.0), 0.4, 0.4, 0.4))
+        speeds = [float(np.linalg.norm(frame.step(OFF, start if k == 0 else CALM).wind)) for k in range(400)]
+        assert speeds[49] == pytest.approx(2.5, abs=0.04)  # 0.2 s; it grows by 0.04 m/s a step there
+        assert max(speeds) == pytest.approx(5.0, rel=1e-9)
+        assert speeds[-1] == 0.0
+
+
+def test_turbulence_follows_the_seed() -> None:
+    place = Environment(turbulence_wind_m_s=8.0, turbulence_severity=4, wind_ned_m_s=(5.0, 0.0, 0.0))
+
+    def winds(seed: int) -> list[Vector3]:
+        with airframe(environment=place, seed=seed) as (frame, _):
+            frame.reset(Initial(), OFF, place.wind_ned_m_s)
+            return [frame.step(OFF, Disturbance(wind=place.wind_ned_m_s)).wind for _ in range(50)]
+
+    assert winds(1) == winds(1)
+    assert winds(1) != winds(2)
+    assert float(np.std(winds(1), axis=0).min()) > 0.0
+
+
+def test_a_model_that_lacks_an_element_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    vehicle, folder = load_vehicle("hexjet")
+    text = (folder / vehicle.model).read_text().replace('name="jet4"', 'name="engine4"')
+    broken = tmp_path / "broken.xml"
+    broken.write_text(text)
+    with pytest.raises(InputError, match=r"broken\.xml: the model has no element .*jet4"):
+        render(vehicle, broken)
+    broken.write_text(text[:500])
+    with pytest.raises(InputError, match=r"broken\.xml: not valid XML"):
+        render(vehicle, broken)
+    with pytest.raises(InputError, match="No such file"):
+        render(vehicle, tmp_path / "none.xml")

@@ -1,0 +1,359 @@
+"""Control laws against closed forms, scipy and python-control."""
+
+from __future__ import annotations
+
+from math import cos, pi, sin
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from cosim import frames
+from cosim.control.allocation import Allocator
+from cosim.control.altitude import GRAVITY, AltitudeController
+from cosim.control.attitude import AttitudeController
+from cosim.control.predictor import DelayLine, DiscreteModel, NoPredictor, Predictor, SmithPredictor
+from cosim.control.rate import RateAxis
+from cosim.errors import InputError
+from cosim.signals import Command, Measured, Refused
+from cosim.vehicle import AltitudeGains, AttitudeGains, Jet, RateGains, RateModel, load_vehicle
+
+STEP = 0.004
+VEHICLE, _ = load_vehicle("hexjet")
+ROLL = VEHICLE.identified["edf-as-flown"]["roll"]
+LIMITS = VEHICLE.control.allocation
+HOVER = 0.45
+
+
+def measured(attitude: tuple[float, float, float, float], height: float = 0.0, climb: float = 0.0) -> Measured:
+    return Measured((0.0, 0.0, 0.0), attitude, (0.0, 0.0, -height), (0.0, 0.0, -climb), height)
+
+
+def with_delay(model: RateModel, samples: int) -> RateModel:
+    return model.model_copy(update={"delay_samples": samples})
+
+
+# --- attitude ---------------------------------------------------------------------------------------------------
+
+angles = st.floats(-3.0, 3.0)
+tilts = st.floats(-1.5, 1.5)
+
+
+@given(angles, tilts, angles, angles, tilts, angles)
+def test_attitude_error_is_that_of_the_rotation_between(
+    r: float, p: float, y: float, a: float, b: float, c: float
+) -> None:
+    """Against the axis and angle of the relative rotation: 2 sin(angle / 2) about the axis, the short way."""
+    controller = AttitudeController(AttitudeGains(gain_1_s=(1.0, 1.0, 1.0), rate_limit_rad_s=(9.0, 9.0, 9.0)))
+    now, wanted = frames.from_euler(r, p, y), frames.from_euler(a, b, c)
+    w, *axis = frames.multiply(frames.conjugate(now), wanted)
+    expected = 2.0 * np.array(axis) * (1.0 if w >= 0 else -1.0)
+    ours = controller.update(Command((a, b, c), 0.0), measured(now))
+    if abs(w) > 1e-9:  # at half a turn both ways are the short one
+        assert ours == pytest.approx(expected, abs=1e-12)
+
+
+def test_attitude_gain_and_limit_per_axis() -> None:
+    controller = AttitudeController(AttitudeGains(gain_1_s=(2.0, 3.0, 4.0), rate_limit_rad_s=(0.5, 9.0, 9.0)))
+    small = 1e-4
+    command = Command((0.0, small, 0.0), 0.0)
+    assert controller.update(command, measured(frames.IDENTITY)) == pytest.approx((0.0, 3.0 * small, 0.0), rel=1e-6)
+    assert controller.update(Command((-1.0, 0.0, 0.0), 0.0), measured(frames.IDENTITY))[0] == -0.5
+    assert controller.update(Command((1.0, 0.0, 0.0), 0.0, rate=(0.1, 0.2, 0.3)), measured(frames.IDENTITY)) == (
+        0.1,
+        0.2,
+        0.3,
+    )
+
+
+@given(angles, tilts, angles)
+def test_attitude_loop_comes_to_rest_at_the_setpoint(r: float, p: float, y: float) -> None:
+    """With ideal rates the error angle decays, from anywhere short of half a turn."""
+    controller = AttitudeController(AttitudeGains(gain_1_s=(3.0, 3.0, 3.0), rate_limit_rad_s=(9.0, 9.0, 9.0)))
+    q = frames.from_euler(r, p, y)
+    command = Command((0.3, -0.2, 0.1), 0.0)
+    for _ in range(2000):
+        wx, wy, wz = controller.update(command, measured(q))
+        q = frames.normalize(frames.multiply(q, (1.0, 0.5 * STEP * wx, 0.5 * STEP * wy, 0.5 * STEP * wz)))
+    assert frames.to_euler(q) == pytest.approx(command.attitude, abs=1e-6)
+
+
+# --- rate -------------------------------------------------------------------------------------------------------
+
+
+def axis(
+    p: float = 0.0, i: float = 0.0, d: float = 0.0, predictor: Predictor | None = None, limit: float = 10.0
+) -> RateAxis:
+    gains = RateGains(p=p, i=i, d=d, d_filter_s=0.02, integral_limit=limit)
+    return RateAxis(gains, predictor or NoPredictor(), STEP)
+
+
+def test_pid_is_the_difference_equation() -> None:
+    """Against scipy's filters for each of the three terms."""
+    rng = np.random.default_rng(1)
+    setpoint, rate = rng.standard_normal((2, 300))
+    share = STEP / (0.02 + STEP)
+    error = setpoint - rate
+    slope = lfilter([share / STEP, -share / STEP], [1.0, share - 1.0], rate - rate[0])
+    expected = 0.7 * error + 0.3 * STEP * np.cumsum(error) - 0.05 * slope
+    block = axis(0.7, 0.3, 0.05)
+    ours = [block.update(float(s), float(y), 0.0) for s, y in zip(setpoint, rate, strict=True)]
+    assert ours == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_setpoint_steps_do_not_kick_the_derivative() -> None:
+    block = axis(d=1.0)
+    assert [block.update(float(s), 0.0, 0.0) for s in (0.0, 1.0, -1.0)] == [0.0, 0.0, 0.0]
+
+
+def test_integral_stops_against_a_refusal_and_runs_away_from_it() -> None:
+    block = axis(i=1.0)
+    for _ in range(10):
+        block.update(1.0, 0.0, 0.0)
+    held = block.update(1.0, 0.0, 0.5)
+    assert held == block.update(1.0, 0.0, 0.5)
+    assert block.update(-1.0, 0.0, 0.5) < held
+
+
+def test_integral_is_limited() -> None:
+    block = axis(i=100.0, limit=0.2)
+    assert [block.update(1.0, 0.0, 0.0) for _ in range(10)][-1] == 0.2
+
+
+# --- delay line, model, Smith predictor -----------------------------------------------------------------------------
+
+
+@given(st.integers(0, 60), st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=200))
+def test_delay_line_shifts_by_whole_samples(samples: int, values: list[float]) -> None:
+    line = DelayLine(samples)
+    assert [line.update(v) for v in values] == ([0.0] * samples + values)[: len(values)]
+    line.reset()
+    assert line.update(1.0) == (0.0 if samples else 1.0)
+
+
+def test_model_is_the_papers_transfer_function() -> None:
+    """Against scipy's filter of 0.0689 (z + 1.4538) / ((z - 0.9999)(z - 0.9024)), delay left out."""
+    u = np.random.default_rng(2).standard_normal(500)
+    expected = lfilter(0.0689 * np.array([0.0, 1.0, 1.4538]), np.convolve([1.0, -0.9999], [1.0, -0.9024]), u)
+    model = DiscreteModel(ROLL)
+    model.update(0.0)
+    # our update takes u_k-1 and gives y_k
+    ours = [model.update(float(v)) for v in u]
+    assert ours[:-1] == pytest.approx(expected[1:], rel=1e-11, abs=1e-12)
+
+
+class Plant:
+    """The identified roll response as a plant: command in, rate out, ``samples`` late, gain scaled."""
+
+    def __init__(self, samples: int, gain: float = 1.0) -> None:
+        self._model = DiscreteModel(ROLL.model_copy(update={"gain": ROLL.gain * gain}))
+        self._line = DelayLine(samples)
+
+    def update(self, command: float) -> float:
+        return self._line.update(self._model.update(command))
+
+
+def closed_loop(
+    predictor: Predictor, samples: int, steps: int, p: float = 0.02, gain: float = 1.0
+) -> tuple[list[float], list[float], list[float]]:
+    """Set-point 1 rad/s from rest: command, rate, and the rate fed back."""
+    plant, block = Plant(samples, gain), axis(p, 0.02, predictor=predictor)
+    rate, commands, rates, fed = 0.0, [], [], []
+    for _ in range(steps):
+        command = block.update(1.0, rate, 0.0)
+        fed.append(block.predicted)
+        commands.append(command)
+        rates.append(rate)
+        rate = plant.update(command)
+    return commands, rates, fed
+
+
+@pytest.mark.parametrize("samples", [1, 7, 25, 60])
+def test_smith_feeds_back_the_delay_free_plant(samples: int) -> None:
+    """Perfect model: the loop is the delay-free one, to 1e-12, and the true rate follows ``samples`` later."""
+    commands, rates, fed = closed_loop(SmithPredictor(with_delay(ROLL, samples)), samples, 1500)
+    free_commands, free_rates, _ = closed_loop(NoPredictor(), 0, 1500)
+    assert fed == pytest.approx(free_rates, abs=1e-12)
+    assert commands == pytest.approx(free_commands, abs=1e-12)
+    assert rates[samples:] == pytest.approx(free_rates[:-samples], abs=1e-12)
+
+
+def test_smith_without_delay_is_the_baseline_bit_for_bit() -> None:
+    assert closed_loop(SmithPredictor(with_delay(ROLL, 0)), 0, 1500) == closed_loop(NoPredictor(), 0, 1500)
+
+
+def loop_poles(model_delay: int, plant_delay: int, p: float, i: float, gain: float) -> np.ndarray:
+    """Closed-loop poles with PI and a Smith predictor whose delay or gain is wrong.
+
+    The roots of ``D + C N (gain z^-n + 1 - z^-h)``, the paper's characteristic equation before its perfect-model
+    cancellation, over the common power of z.
+    """
+    denominator = np.convolve([1.0, -0.9999], [1.0, -0.9024])
+    numerator = 0.0689 * np.array([1.0, 1.4538])
+    shift = max(plant_delay, model_delay)
+    mismatch = np.zeros(shift + 1)
+    mismatch[0] += 1.0
+    mismatch[model_delay] -= 1.0
+    mismatch[plant_delay] += gain
+    with_integrator = np.convolve([1.0, -1.0], denominator)
+    pi_numerator = np.array([p + i * STEP, -p])
+    return np.roots(
+        np.polyadd(
+            np.convolve(with_integrator, [1.0] + [0.0] * shift),
+            np.convolve(np.convolve(pi_numerator, numerator), mismatch),
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("plant_delay", "gain"), [(25, 1.0), (30, 1.0), (20, 1.0), (45, 1.0), (60, 1.0), (25, 1.8), (2, 1.0)]
+)
+def test_a_wrong_model_degrades_as_the_poles_say(plant_delay: int, gain: float) -> None:
+    """The growth or decay of the loop over many seconds is that of its largest pole."""
+    p, i = 0.02, 0.02
+    poles = loop_poles(25, plant_delay, p, i, gain)
+    largest = float(max(abs(poles)))
+    n = 6000
+    _, rates, _ = closed_loop(SmithPredictor(ROLL), plant_delay, n, p, gain)
+    deviation = np.abs(np.array(rates) - 1.0)
+    early, late = deviation[1500:2500].max(), deviation[-1000:].max()
+    if largest > 1.0:
+        assert late > early
+        assert (late / early) ** (1 / (n - 2500)) == pytest.approx(largest, rel=1e-3)
+    else:
+        assert late < early or late < 1e-6
+
+
+def test_delay_margin_of_the_smith_loop_is_python_controls() -> None:
+    """The loop opened at the command: python-control's margins say how much more delay it survives; so do we."""
+    p = 0.02
+    den = np.convolve([1.0, -0.9999], [1.0, -0.9024])
+    omega = np.linspace(0.05, 0.5 * pi / STEP, 8000)
+    z = np.exp(1j * omega * STEP)
+    g = 0.0689 * (z + 1.4538) / np.polyval(den, z)
+    # seen from the plant: L = C G z^-h / (1 + C G (1 - z^-h))
+    loop = p * g * z**-25 / (1 + p * g * (1 - z**-25))
+    margins = control.stability_margins(control.FRD(loop, omega), returnall=True)
+    phase_margins, crossings = margins[1], margins[4]
+    extra = min(np.radians(pm % 360.0) / wc / STEP for pm, wc in zip(phase_margins, crossings, strict=True))
+    first_loss = next(n for n in range(60) if max(abs(loop_poles(25, 25 + n, p, 1e-9, 1.0))) > 1.0)
+    assert first_loss - 1 <= extra <= first_loss
+
+
+# --- allocation ----------------------------------------------------------------------------------------------------
+
+ALLOCATOR = Allocator(VEHICLE.jets, LIMITS, VEHICLE.servo.range_rad, HOVER)
+
+
+@given(st.floats(-2.0, 3.0), st.floats(-2.0, 2.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
+def test_allocation_stays_inside_and_accounts_for_everything(
+    collective: float, roll: float, pitch: float, yaw: float
+) -> None:
+    throttle, tilt, refused = ALLOCATOR.allocate(collective, (roll, pitch, yaw))
+    assert all(LIMITS.throttle_min - 1e-15 <= t <= LIMITS.throttle_max + 1e-15 for t in throttle)
+    assert all(abs(t) <= VEHICLE.servo.range_rad * (1 + 1e-15) for t in tilt)
+    left, right = throttle[1], throttle[0]
+    mean = 0.5 * (left + right)
+    share = max(0.25, mean / HOVER)
+    # achieved plus refused is what was asked; pitch up tilts back, for the jets stand above the centre of gravity
+    assert mean + refused.collective == pytest.approx(collective, abs=1e-12)
+    assert 0.5 * (left - right) + refused.roll == pytest.approx(roll, abs=1e-12)
+    assert -0.5 * (tilt[0] + tilt[1]) * share + refused.pitch == pytest.approx(pitch, abs=1e-12)
+    assert 0.5 * (tilt[0] - tilt[1]) * share + refused.yaw == pytest.approx(yaw, abs=1e-12)
+
+
+def test_what_fits_is_not_refused_at_all() -> None:
+    for roll, pitch, yaw in ((0.1, 0.05, -0.03), (-0.2, 0.1, 0.1)):
+        assert ALLOCATOR.allocate(HOVER, (roll, pitch, yaw)).refused == Refused()
+
+
+def test_attitude_before_collective() -> None:
+    """Full climb and a roll: the roll is given whole, the collective gives way."""
+    throttle, _, refused = ALLOCATOR.allocate(1.0, (0.2, 0.0, 0.0))
+    assert refused == Refused(0.0, 0.0, 0.0, pytest.approx(0.2))
+    assert throttle[1] == 1.0
+    assert throttle[0] == pytest.approx(0.6)
+    assert ALLOCATOR.allocate(0.0, (0.2, 0.0, 0.0)).refused.roll == 0.0
+
+
+def test_pitch_before_yaw() -> None:
+    limit = VEHICLE.servo.range_rad
+    _, tilt, refused = ALLOCATOR.allocate(HOVER, (0.0, 2 * limit, 0.1))
+    assert tilt == pytest.approx((-limit, -limit))
+    assert refused.pitch == pytest.approx(limit)
+    assert refused.yaw == 0.1
+
+
+def test_torque_commands_turn_the_right_way() -> None:
+    """Signs against r x F: positive roll is right side down, positive pitch nose up, positive yaw nose right."""
+    for axis_index, torque in enumerate(((0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.1))):
+        throttle, (left, right), _ = ALLOCATOR.allocate(HOVER, torque)
+        moment = np.zeros(3)
+        for jet, t in zip(VEHICLE.jets, throttle, strict=True):
+            a = left if jet.servo == "left" else right
+            moment += np.cross(jet.position_m, t * np.array([sin(a), 0.0, -cos(a)]))
+        assert moment[axis_index] > 0.0
+        assert np.abs(np.delete(moment, axis_index)).max() < 1e-9
+
+
+def test_tilt_moment_does_not_depend_on_the_collective() -> None:
+    """Thrust times tilt stays the same."""
+    for collective in (0.3, HOVER, 0.9):
+        _, tilt, _ = ALLOCATOR.allocate(collective, (0.0, 0.1, 0.0))
+        assert tilt[0] * collective == pytest.approx(-0.1 * HOVER)
+
+
+def test_banks_on_the_wrong_side_are_refused() -> None:
+    jets = [Jet(position_m=(0.0, 0.1, -0.1), servo="left"), *VEHICLE.jets[1:]]
+    with pytest.raises(InputError, match="not on its side"):
+        Allocator(jets, LIMITS, 0.5, HOVER)
+    flat = [Jet(position_m=(j.position_m[0], j.position_m[1], 0.0), servo=j.servo) for j in VEHICLE.jets]
+    with pytest.raises(InputError, match="no pitch"):
+        Allocator(flat, LIMITS, 0.5, HOVER)
+
+
+# --- altitude ------------------------------------------------------------------------------------------------------
+
+
+def altitude(**changes: float) -> AltitudeController:
+    gains = dict(
+        position_1_s=1.0,
+        climb_limit_m_s=2.0,
+        descent_limit_m_s=1.0,
+        velocity_1_s=2.0,
+        integral_1_s2=0.0,
+        integral_limit_m_s2=3.0,
+    )
+    return AltitudeController(AltitudeGains(**{**gains, **changes}), 5.0, lambda thrust: thrust / 100.0, STEP)
+
+
+def test_hover_thrust_is_the_weight_over_the_lean() -> None:
+    block, command = altitude(), Command((0.0, 0.0, 0.0), 10.0)
+    assert block.update(command, measured(frames.IDENTITY, 10.0), Refused()) == pytest.approx(5.0 * GRAVITY / 100)
+    leaning = frames.from_euler(0.5, 0.0, 0.0)
+    assert block.update(command, measured(leaning, 10.0), Refused()) == pytest.approx(5.0 * GRAVITY / 100 / cos(0.5))
+    upside_down = frames.from_euler(pi, 0.0, 0.0)
+    assert block.update(command, measured(upside_down, 10.0), Refused()) == pytest.approx(5.0 * GRAVITY / 100 / 0.5)
+
+
+def test_climb_and_descent_are_limited() -> None:
+    block = altitude()
+    for target, climb in ((1000.0, 2.0), (-1000.0, -1.0)):
+        ours = block.update(Command((0.0, 0.0, 0.0), target), measured(frames.IDENTITY, 10.0), Refused())
+        assert ours == pytest.approx(5.0 * (GRAVITY + 2.0 * climb) / 100)
+
+
+def test_altitude_integral_stops_when_the_collective_is_refused() -> None:
+    block, command = altitude(integral_1_s2=1.0), Command((0.0, 0.0, 0.0), 11.0)
+    before = block.update(command, measured(frames.IDENTITY, 10.0), Refused(collective=0.1))
+    assert block.update(command, measured(frames.IDENTITY, 10.0), Refused(collective=0.1)) == before
+    assert block.update(command, measured(frames.IDENTITY, 10.0), Refused()) > before
+
+
+def test_commanded_collective_replaces_the_hold() -> None:
+    assert (
+        altitude().update(Command((0.0, 0.0, 0.0), 5.0, collective=0.33), measured(frames.IDENTITY), Refused()) == 0.33
+    )

@@ -1,0 +1,240 @@
+"""The bank of engines: the same equations through the C loop, starts, failures in flight, and what it leaves behind."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from engine_tools import (
+    BOTH,
+    FAULT_THROTTLE,
+    FAULTS,
+    NEWTON_PER_KGF,
+    STEP,
+    archive,
+    build_faulty,
+    driven,
+    edit_description,
+    paper_thrust,
+    throttles,
+)
+
+from cosim.engine import EngineBank, EngineSpec, build_engines, load_engine
+from cosim.errors import EngineError, InputError
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _built() -> None:
+    build_engines()
+
+
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory: pytest.TempPathFactory) -> Mapping[int, Path]:
+    return build_faulty(tmp_path_factory.mktemp("faulty"))
+
+
+@pytest.fixture
+def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Where temporary folders go; it must be empty at the end."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield folder
+    assert list(folder.iterdir()) == []
+
+
+def spec_of(name: str, fmi: int = 3) -> EngineSpec:
+    return load_engine(name if fmi == 3 else f"{name}-fmi2", {}, STEP)
+
+
+@pytest.mark.parametrize("shape", ["step", "ramp", "random"])
+@pytest.mark.parametrize(("name", "fmi"), BOTH)
+def test_six_engines_follow_the_papers_difference_equation(name: str, fmi: int, shape: str, workplace: Path) -> None:
+    # six different throttles, so that no engine can be taken for another
+    throttle = np.outer(throttles()[shape], np.linspace(0.1, 1.0, 6))
+    with EngineBank(spec_of(name, fmi), 6, STEP) as bank:
+        assert bank.reset(0.0) == (0.0,) * 6
+        thrust = np.array([bank.step(k, tuple(row)) for k, row in enumerate(throttle.tolist())])
+    for i in range(6):
+        np.testing.assert_allclose(thrust[:, i], paper_thrust(name, throttle[:, i]), rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_the_bank_and_fmpys_wrappers_agree_bit_for_bit(fmi: int, tmp_path: Path) -> None:
+    throttle = throttles()["random"]
+    with driven(archive("turbojet", fmi), tmp_path) as engine:
+        engine.start()
+        expected = engine.run(throttle)
+    with EngineBank(spec_of("turbojet", fmi), 1, STEP) as bank:
+        bank.reset(0.0)
+        thrust = [bank.step(k, (u,))[0] for k, u in enumerate(throttle.tolist())]
+    assert np.array(thrust).tobytes() == expected.tobytes()
+
+
+def test_the_first_step_already_shows_the_gain() -> None:
+    with EngineBank(spec_of("edf"), 1, STEP) as bank:
+        bank.reset(0.0)
+        assert bank.step(0, (0.7,)) == (pytest.approx(0.2554 * 0.7 * NEWTON_PER_KGF, rel=1e-15),)
+
+
+@pytest.mark.parametrize("name", ["turbojet", "edf", "edf-as-flown-fmi2"])
+def test_reset_starts_in_equilibrium(name: str) -> None:
+    spec = load_engine(name, {}, STEP)
+    assert spec.start == "throttle_start"
+    with EngineBank(spec, 6, STEP) as bank:
+        for throttle in (0.45, 0.8):  # twice, to see that a second reset is as good as the first
+            steady = bank.reset(throttle)
+            assert steady == (pytest.approx(throttle * spec.thrust_max, rel=1e-9),) * 6
+            for k in range(200):
+                assert bank.step(k, (throttle,) * 6) == pytest.approx(steady, rel=1e-14)
+
+
+def test_engines_without_a_start_parameter_are_run_up(faulty: Mapping[int, Path]) -> None:
+    """Thrust after the run-up is that of an engine that started there, and flight step 0 comes next."""
+    known = spec_of("edf")
+    throttle = throttles()["random"].tolist()
+    with EngineBank(known, 1, STEP) as bank:
+        first = bank.reset(0.4)
+        expected = [first, *(bank.step(k, (u,)) for k, u in enumerate(throttle))]
+    for path in faulty.values():
+        spec = load_engine(str(path), {}, STEP)
+        assert spec.start is None
+        with EngineBank(spec, 2, STEP) as bank:
+            for _ in range(2):
+                first = bank.reset(0.4)
+                thrust = [first, *(bank.step(k, (u, u)) for k, u in enumerate(throttle))]
+                assert all(a == b for a, b in thrust)
+                # settled to 1e-10 of 1 N per window of steps, which is 1e-10 N of the final value for this lag
+                np.testing.assert_allclose([a for a, _ in thrust], np.ravel(expected), rtol=0.0, atol=1e-9)
+
+
+def test_engines_of_different_kinds_in_one_bank() -> None:
+    names = ["edf", "turbojet-fmi2", "edf-as-flown"]
+    with EngineBank([load_engine(name, {}, STEP) for name in names], 3, STEP) as bank:
+        bank.reset(0.0)
+        thrust = np.array([bank.step(k, (1.0, 1.0, 1.0)) for k in range(100)])
+    for i, name in enumerate(["edf", "turbojet", "edf-as-flown"]):
+        np.testing.assert_allclose(thrust[:, i], paper_thrust(name, np.ones(100)), rtol=0.0, atol=1e-12)
+
+
+def test_parameters_reach_every_engine() -> None:
+    spec = load_engine("edf", {"delay_samples": 7, "gain": 0.5}, STEP)
+    with EngineBank(spec, 6, STEP) as bank:
+        bank.reset(0.0)
+        thrust = [bank.step(k, (1.0,) * 6) for k in range(9)]
+    assert thrust[6] == (0.0,) * 6
+    assert thrust[7] == (pytest.approx(0.5 * NEWTON_PER_KGF),) * 6
+
+
+def test_a_control_step_of_several_internal_steps() -> None:
+    with EngineBank(load_engine("edf", {}, 0.012), 1, 0.012) as coarse:
+        coarse.reset(0.0)
+        thrust = [coarse.step(k, (1.0,))[0] for k in range(50)]
+    np.testing.assert_allclose(thrust, paper_thrust("edf", np.ones(150))[2::3], rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("nan", "thrust is not finite at step 812 (3.248 s)"),
+        ("infinite", "thrust is not finite at step 812 (3.248 s)"),
+        ("error", "doStep returned error at step 812 (3.248 s): compressor surge; flame out"),
+        ("fatal", "doStep returned fatal at step 812 (3.248 s)"),
+        ("discard", "doStep returned discard at step 812 (3.248 s)"),
+        ("set", "setting the throttle returned error at step 812 (3.248 s)"),
+        ("get", "getting the thrust returned error at step 812 (3.248 s)"),
+        ("terminate", "it asked to end the simulation at step 812 (3.248 s)"),
+        ("early", "it returned early from doStep at step 812 (3.248 s)"),
+        ("event", "it asked for event handling at step 812 (3.248 s)"),
+    ],
+)
+def test_a_failure_in_flight_names_engine_step_and_time(
+    faulty: Mapping[int, Path], fmi: int, fault: str, words: str, workplace: Path
+) -> None:
+    if fmi == 2 and fault in ("terminate", "early", "event"):
+        pytest.skip("FMI 2.0 has no such flag")
+    spec = load_engine(str(faulty[fmi]), {"fault": FAULTS[fault]}, STEP)
+    with EngineBank(spec, 6, STEP) as bank:
+        bank.reset(0.3)
+        for k in range(812):
+            bank.step(k, (0.6,) * 6)
+        with pytest.raises(EngineError) as caught:
+            bank.step(812, (0.6, 0.6, FAULT_THROTTLE, 0.6, 0.6, 0.6))
+        assert str(caught.value) == f"engine 3 ({faulty[fmi].name}): {words}"
+        with pytest.raises(ValueError, match="step 813 after a failure"):
+            bank.step(813, (0.6,) * 6)
+        bank.reset(0.3)  # fresh instances: the bank can be used again
+        assert len(bank.step(0, (0.6,) * 6)) == 6
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_warning_is_not_a_failure(faulty: Mapping[int, Path], fmi: int) -> None:
+    spec = load_engine(str(faulty[fmi]), {"fault": FAULTS["warning"]}, STEP)
+    with EngineBank(spec, 1, STEP) as bank:
+        bank.reset(0.3)
+        assert bank.step(0, (FAULT_THROTTLE,))[0] > 0.0
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_throttle_that_is_not_finite_is_stopped_before_the_engine(value: float) -> None:
+    with EngineBank(spec_of("edf"), 2, STEP) as bank:
+        bank.reset(0.0)
+        with pytest.raises(EngineError, match=r"^engine 2 \(edf\.fmu\): throttle is not finite at step 0 \(0 s\)$"):
+            bank.step(0, (0.5, value))
+
+
+def test_steps_come_one_after_the_other() -> None:
+    with EngineBank(spec_of("edf"), 1, STEP) as bank:
+        bank.reset(0.0)
+        bank.step(0, (0.1,))
+        for wrong in (0, 2, -1):
+            with pytest.raises(ValueError, match=f"step {wrong}, but 1 is next"):
+                bank.step(wrong, (0.1,))
+        bank.step(1, (0.1,))
+        with pytest.raises(TypeError, match="tuple of 1 throttles"):
+            bank.step(2, (0.1, 0.1))
+
+
+def test_stepping_before_reset_or_after_close_is_an_error() -> None:
+    bank = EngineBank(spec_of("edf"), 1, STEP)
+    with pytest.raises(EngineError, match="fmi3DoStep is not allowed before initialization"):
+        bank.step(0, (0.1,))
+    bank.close()
+    bank.close()
+    with pytest.raises(TypeError):
+        bank.step(0, (0.1,))
+
+
+def test_an_fmu_that_may_be_instantiated_once_gets_libraries_of_its_own(tmp_path: Path, workplace: Path) -> None:
+    path = edit_description(
+        archive("edf", 3), tmp_path / "once.fmu", "<CoSimulation ", '<CoSimulation canBeInstantiatedOnlyOncePerProcess="true" '
+    )
+    with EngineBank(load_engine(str(path), {}, STEP), 3, STEP) as bank:
+        assert len({slave.fmu.dll._handle for slave in bank._slaves}) == 3
+        bank.reset(0.0)
+        thrust = np.array([bank.step(k, (0.2, 0.5, 1.0)) for k in range(50)])
+    np.testing.assert_allclose(thrust[:, 1], paper_thrust("edf", np.full(50, 0.5)), rtol=0.0, atol=1e-12)
+    with EngineBank(spec_of("edf"), 3, STEP) as bank:
+        assert len({slave.fmu.dll._handle for slave in bank._slaves}) == 1
+
+
+def test_an_archive_that_changed_since_it_was_loaded_is_refused(tmp_path: Path, workplace: Path) -> None:
+    path = tmp_path / "engine.fmu"
+    path.write_bytes(archive("edf", 3).read_bytes())
+    spec = load_engine(str(path), {}, STEP)
+    path.write_bytes(archive("turbojet", 3).read_bytes())
+    with pytest.raises(InputError, match=r"engine\.fmu: was changed while it was in use"):
+        EngineBank(spec, 6, STEP)
+
+
+def test_two_flights_are_bit_identical() -> None:
+    runs = []
+    for _ in range(2):
+        with EngineBank(spec_of("edf-as-flown"), 6, STEP) as bank:
+            bank.reset(0.45)
+            runs.append([bank.step(k, (u,) * 6) for k, u in enumerate(throttles()["random"].tolist())])
+    assert runs[0] == runs[1]

@@ -1,0 +1,301 @@
+"""Loading an engine: names, parameters, static curve, and one clear line for everything that cannot be loaded."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from engine_tools import NEWTON_PER_KGF, PAPER, STEP, archive, edit_description, rewrite
+
+from cosim.engine import build_engines, engine_names, load_engine
+from cosim.errors import InputError
+
+Breaker = Callable[[Path], Path]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _built() -> None:
+    build_engines()
+
+
+@pytest.fixture(autouse=True)
+def _clean(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Whatever happens, no temporary folder is left, and nobody changes the working directory."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    here = Path.cwd()
+    yield
+    assert list(folder.iterdir()) == []
+    assert Path.cwd() == here
+
+
+def test_the_library() -> None:
+    assert engine_names() == ["edf", "edf-as-flown", "turbojet"]
+
+
+@pytest.mark.parametrize("suffix", ["", "-fmi2"])
+@pytest.mark.parametrize("name", PAPER)
+def test_a_library_engine_knows_its_numbers(name: str, suffix: str) -> None:
+    gain, pole, delay = PAPER[name]
+    spec = load_engine(name + suffix, {}, STEP)
+    assert (spec.name, spec.fmi) == (name + suffix, "2.0" if suffix else "3.0")
+    assert (spec.pole, spec.delay_samples, spec.internal_step) == (pole, delay, STEP)
+    assert spec.delay == pytest.approx(delay * STEP, abs=1e-15)
+    # the time constants of the paper: 0.33 s and 0.029 s (29.9 ms unrounded)
+    assert spec.lag == pytest.approx({"turbojet": 0.32857}.get(name, 0.029904), rel=2e-5)
+    assert spec.parameters == {
+        "gain": gain,
+        "pole": pole,
+        "delay_samples": float(delay),
+        "newton_per_unit": NEWTON_PER_KGF,
+    }
+    steady = gain / (1.0 - pole) * NEWTON_PER_KGF
+    assert spec.thrust_max == pytest.approx(steady, rel=1e-9)
+    # measured by stepping until the thrust stands still to 1e-10, so a few times that
+    np.testing.assert_allclose(spec.curve.thrust, np.array(spec.curve.throttle) * steady, rtol=0.0, atol=1e-8)
+    assert spec.thrust_at(0.333) == pytest.approx(0.333 * steady, rel=1e-8)
+    assert spec.throttle_for(0.333 * steady) == pytest.approx(0.333, rel=1e-8)
+    assert (spec.throttle_for(99.0), spec.throttle_for(-1.0)) == (1.0, 0.0)
+
+
+def test_thrust_of_the_identified_engines_is_what_the_paper_implies() -> None:
+    """Gains at rest 1.542 and 2.040 kgf per unit throttle: 15.1 N and 20.0 N."""
+    assert load_engine("turbojet", {}, STEP).thrust_max == pytest.approx(15.12, abs=0.01)
+    assert load_engine("edf", {}, STEP).thrust_max == pytest.approx(20.00, abs=0.01)
+
+
+def test_parameters_change_curve_and_ledger() -> None:
+    spec = load_engine("edf", {"delay_samples": 12, "pole": 0.9, "newton_per_unit": 1.0}, STEP)
+    assert (spec.delay_samples, spec.pole, spec.delay) == (12, 0.9, pytest.approx(0.048))
+    assert spec.thrust_max == pytest.approx(2.554, rel=1e-9)
+    assert spec.parameters["delay_samples"] == 12.0
+
+
+def test_the_longest_delay_is_measured_through() -> None:
+    spec = load_engine("turbojet", {"delay_samples": 1000}, STEP)
+    assert spec.thrust_max == pytest.approx(0.01866 / 0.0121 * NEWTON_PER_KGF, rel=1e-9)
+    assert spec.window > 1000
+
+
+def test_by_path_there_is_no_ledger_but_everything_else() -> None:
+    by_name, by_path = load_engine("turbojet", {}, STEP), load_engine(str(archive("turbojet", 3)), {}, STEP)
+    assert (by_path.pole, by_path.delay_samples, by_path.lag, by_path.delay) == (None, None, None, None)
+    assert (by_path.name, by_path.title, by_path.start) == ("turbojet", "turbojet", "throttle_start")
+    assert (by_path.sha256, by_path.curve, by_path.parameters) == (by_name.sha256, by_name.curve, by_name.parameters)
+
+
+def test_ports_are_found_in_any_case_and_newtons_by_any_name(tmp_path: Path) -> None:
+    path = edit_description(archive("edf", 3), tmp_path / "a.fmu", 'name="throttle"', 'name="Throttle"')
+    path = edit_description(path, tmp_path / "b.fmu", 'name="thrust"', 'name="THRUST"')
+    path = edit_description(path, tmp_path / "c.fmu", '"N"', '"newton"')
+    assert load_engine(str(path), {}, STEP).thrust_max == pytest.approx(20.005, abs=1e-3)
+
+
+def test_a_start_parameter_that_does_not_start_the_engine_there_is_not_used(tmp_path: Path) -> None:
+    """Named as ours, but another parameter's reference: setting it changes the gain, not the start."""
+    text = 'name="throttle_start" valueReference="7"'
+    path = edit_description(archive("edf", 3), tmp_path / "a.fmu", text, text.replace("7", "99"))
+    path = edit_description(path, tmp_path / "b.fmu", 'name="gain" valueReference="3"', 'name="gain" valueReference="7"')
+    path = edit_description(path, tmp_path / "c.fmu", text.replace("7", "99"), text.replace("7", "3"))
+    assert load_engine(str(path), {}, STEP).start is None
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"gian": 1.0}, "gian: no such parameter; did you mean 'gain'? allowed: delay_samples, gain, newton_per_unit, pole"),
+        ({"pole": 1.0}, "pole = 1: must be a number from 0 to 0.999999"),
+        ({"gain": float("nan")}, "gain = nan: must be a number from 0 to 1000"),
+        ({"delay_samples": 2.5}, "delay_samples = 2.5: must be a whole number from 0 to 1000"),
+        ({"delay_samples": 1001}, "delay_samples = 1001: must be a whole number from 0 to 1000"),
+        ({"throttle_start": 0.5}, "throttle_start is set by the simulation itself; allowed: delay_samples, gain, "),
+        ({"gain": 0.0}, "thrust does not answer the throttle within 10 s"),
+    ],
+)
+@pytest.mark.parametrize("name", ["edf", "edf-fmi2"])
+def test_wrong_parameters(name: str, parameters: dict[str, float], words: str) -> None:
+    assert words in refusal(name, parameters)
+
+
+def refusal(name: str, parameters: dict[str, float] | None = None, step: float = STEP) -> str:
+    with pytest.raises(InputError) as caught:
+        load_engine(name, parameters or {}, step)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def test_unknown_engine_lists_the_known_ones() -> None:
+    assert refusal("turbo") == (
+        "unknown engine 'turbo'; did you mean 'turbojet'? allowed: edf, edf-as-flown, turbojet, or the path of an .fmu file"
+    )
+
+
+@pytest.mark.parametrize("name", ["edf", "edf-fmi2"])
+@pytest.mark.parametrize("step", [0.005, 0.002, 0.0040001])
+def test_a_step_that_does_not_fit_names_both_numbers(name: str, step: float) -> None:
+    words = f"{archive('edf', 2 if 'fmi2' in name else 3)}: step {step:g} s is not a whole multiple of the engine's"
+    assert refusal(name, step=step) == f"{words} internal step 0.004 s"
+
+
+def test_an_fmu_that_cannot_state_its_step_says_it_itself(tmp_path: Path) -> None:
+    path = shutil.copy(archive("edf", 2), tmp_path / "mine.fmu")
+    assert refusal(str(path), step=0.005) == (
+        f"{path}: doStep returned error (while its thrust was measured): "
+        "communication step 0.005 s is not a whole multiple of the internal step 0.004 s"
+    )
+
+
+def missing(folder: Path) -> Path:
+    return folder / "nowhere.fmu"
+
+
+def a_folder(folder: Path) -> Path:
+    return folder
+
+
+def empty(folder: Path) -> Path:
+    return write(folder, b"")
+
+
+def text_file(folder: Path) -> Path:
+    return write(folder, b"this is a turbojet, honestly")
+
+
+def write(folder: Path, data: bytes) -> Path:
+    path = folder / "broken.fmu"
+    path.write_bytes(data)
+    return path
+
+
+def truncated(folder: Path) -> Path:
+    return write(folder, archive("edf", 3).read_bytes()[:9000])
+
+
+def flipped(folder: Path) -> Path:
+    """One byte of the compressed library changed."""
+    data = bytearray(archive("edf", 3).read_bytes())
+    with zipfile.ZipFile(archive("edf", 3)) as fmu:
+        place = next(info.header_offset for info in fmu.infolist() if info.filename.endswith(".so"))
+    data[place + 1000] ^= 0xFF
+    return write(folder, bytes(data))
+
+
+def changed(change: Callable[[dict[str, bytes]], None], fmi: int = 3) -> Breaker:
+    return lambda folder: rewrite(archive("edf", fmi), folder / "broken.fmu", change)
+
+
+def edited(old: str, new: str, fmi: int = 3) -> Breaker:
+    return lambda folder: edit_description(archive("edf", fmi), folder / "broken.fmu", old, new)
+
+
+def library(contents: dict[str, bytes]) -> str:
+    return next(name for name in contents if name.startswith("binaries/"))
+
+
+def fmi1(contents: dict[str, bytes]) -> None:
+    contents["modelDescription.xml"] = b'<fmiModelDescription fmiVersion="1.0" modelName="old" guid="x"/>'
+
+
+def for_windows(contents: dict[str, bytes]) -> None:
+    contents["binaries/x86_64-windows/edf.dll"] = contents.pop(library(contents))
+
+
+def no_binary(contents: dict[str, bytes]) -> None:
+    del contents[library(contents)]
+
+
+def garbage_library(contents: dict[str, bytes]) -> None:
+    contents[library(contents)] = b"not a shared library"
+
+
+def library_of_the_other_version(contents: dict[str, bytes]) -> None:
+    with zipfile.ZipFile(archive("edf", 2)) as other:
+        contents[library(contents)] = other.read(next(name for name in other.namelist() if name.startswith("binaries/")))
+
+
+BROKEN: dict[str, tuple[Breaker, str]] = {
+    "missing": (missing, "no such file"),
+    "folder": (a_folder, "is a folder; an .fmu archive is needed"),
+    "empty": (empty, "is not an FMU: not a zip archive"),
+    "text": (text_file, "is not an FMU: not a zip archive"),
+    "truncated": (truncated, "is damaged or truncated: File is not a zip file"),
+    "flipped": (flipped, "Error -3 while decompressing data"),
+    "no description": (
+        changed(lambda contents: contents.pop("modelDescription.xml") and None),
+        "is not an FMU: it has no modelDescription.xml",
+    ),
+    "broken XML": (edited("<CoSimulation ", "<CoSimulation <"), "modelDescription.xml is not valid XML: not well-formed"),
+    "other XML": (
+        changed(lambda contents: contents.update({"modelDescription.xml": b"<svg/>"})),
+        "modelDescription.xml describes a svg, not an FMU",
+    ),
+    "FMI 1.0": (changed(fmi1), "FMI version 1.0 is not supported; allowed: 2.0, 3.0"),
+    "model exchange": (
+        edited(
+            'CoSimulation modelIdentifier="edf" canHandleVariableCommunicationStepSize="false" ',
+            'ModelExchange modelIdentifier="edf" ',
+            fmi=2,
+        ),
+        "modelDescription.xml is not valid XML: mismatched tag",
+    ),
+    "no throttle": (edited('name="throttle"', 'name="lever"'), "has no input called throttle (inputs: lever)"),
+    "no thrust": (edited('name="thrust"', 'name="force"'), "has no output called thrust (outputs: force)"),
+    "percent": (edited('max="1.0" start="0.0" />\n    <Float64 name="thrust"', 'max="100" start="0.0" />\n    <Float64 name="thrust"'), "its throttle runs from 0.0 to 100.0; it must run from 0 to 1"),
+    "pounds": (
+        edited('name="N">\n      <BaseUnit', 'name="N" />\n    <Unit name="lbf">\n      <BaseUnit factor="4.448"'),
+        "",
+    ),
+    "wrong platform": (changed(for_windows), "has no binary for this machine, binaries/"),
+    "no binary": (changed(no_binary), "(it has: no binary at all)"),
+    "garbage library": (changed(garbage_library), "its shared library does not load: Failed to load shared library binaries/"),
+    "other library": (changed(library_of_the_other_version), "its shared library does not load: "),
+    "wrong token": (
+        edited('instantiationToken="{', 'instantiationToken="{0'),
+        "cannot be instantiated: the instantiation token is not that of this FMU",
+    ),
+    "invalid": (
+        edited('<Output valueReference="2" dependencies="" />', ""),
+        "",
+    ),
+    "unknown unit": (
+        edited('unit="N" />', 'unit="furlong" />'),
+        'modelDescription.xml is not valid: The unit "furlong" of variable "thrust" (line ',
+    ),
+    "no such attribute": (edited("<CoSimulation ", '<CoSimulation speed="9" '), "modelDescription.xml is not valid: ERROR (line"),
+    "parent path": (
+        changed(lambda contents: contents.update({"resources/../../evil": b""})),
+        "has an unsafe path inside: 'resources/../../evil'",
+    ),
+    "absolute path": (
+        changed(lambda contents: contents.update({"/etc/evil": b""})),
+        "has an unsafe path inside: '/etc/evil'",
+    ),
+    "backslash": (
+        changed(lambda contents: contents.update({"..\\evil": b""})),
+        "has an unsafe path inside: '..\\\\evil'",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_a_broken_archive_gets_one_clear_line(what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    breaker, words = BROKEN[what]
+    path = breaker(tmp_path)
+    text = refusal(str(path))
+    assert text.startswith(f"{path}: {words}" if not words.startswith(("(", "Error")) else f"{path}: ")
+    assert words in text
+    assert str(tempfile.tempdir) not in text
+    assert capfd.readouterr() == ("", "")
+
+
+def test_loading_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    load_engine("edf-fmi2", {}, STEP)
+    load_engine("edf", {}, STEP)
+    assert capfd.readouterr() == ("", "")

@@ -1,0 +1,155 @@
+"""What travels: the source distribution and the wheel made from it, and the command in an environment of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+METADATA = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+DATA = ("aircraft", "engines", "scenarios")
+ENGINES = sorted(path.parent.name for path in (ROOT / "engines").glob("*/engine.toml"))
+SCENARIOS = sorted(path.stem for path in (ROOT / "scenarios").glob("*.toml"))
+NOT_SOURCE = shutil.ignore_patterns(
+    ".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "build", "dist", "runs", "*.egg-info", "*.so", "*.fmu"
+)
+
+
+def run(*command: str | Path, cwd: Path) -> str:
+    """Run a command away from the clone's environment and return what it printed; a failure shows all it said."""
+    inherited = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "PIP_"))}
+    done = subprocess.run(
+        [*map(str, command)], cwd=cwd, env=inherited, stdin=subprocess.DEVNULL, capture_output=True, text=True
+    )
+    assert done.returncode == 0, f"{' '.join(map(str, command))}: status {done.returncode}\n{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+def build(kind: str, source: Path, target: Path) -> Path:
+    """Ask the build backend for an ``sdist`` or a ``wheel`` of ``source``: offline, with what is installed here."""
+    target.mkdir()
+    run(
+        sys.executable, "-c", f"from setuptools import build_meta; build_meta.build_{kind}({str(target)!r})", cwd=source
+    )
+    (archive,) = target.iterdir()
+    return archive
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sdist")
+    shutil.copytree(ROOT, folder / "clone", ignore=NOT_SOURCE)
+    return build("sdist", folder / "clone", folder / "dist")
+
+
+@pytest.fixture(scope="module")
+def wheel(sdist: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(folder, filter="data")
+    return build("wheel", folder / sdist.name.removesuffix(".tar.gz"), folder / "dist")
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The programs' folder of an environment that has the wheel, and sees the libraries of this one."""
+    folder = tmp_path_factory.mktemp("environment")
+    run(sys.executable, "-m", "venv", "--without-pip", folder, cwd=folder)
+    python = folder / "bin" / "python"
+    run(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index", wheel, cwd=folder)
+    site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('platlib'))", cwd=folder).strip())
+    # a path in a .pth is not searched for further .pth files: the clone, installed editable here, stays out of sight
+    (site / "libraries.pth").write_text("".join(f"{sysconfig.get_path(name)}\n" for name in ("purelib", "platlib")))
+    return folder / "bin"
+
+
+def source_files(name: str) -> set[str]:
+    files = (path for path in (ROOT / name).rglob("*") if path.is_file())
+    return {path.relative_to(ROOT).as_posix() for path in files if path.suffix != ".pyc" and path.name[0] != "."}
+
+
+def test_the_source_distribution_is_the_whole_project(sdist: Path) -> None:
+    prefix = f"hexjet_cosim-{METADATA['version']}/"
+    with tarfile.open(sdist) as archive:
+        names = {name.removeprefix(prefix) for name in archive.getnames()}
+    top = {"LICENSE", "Makefile", "README.md", "pyproject.toml", "requirements.lock", "setup.py", ".ci/run"}
+    wanted = top.union(*(source_files(name) for name in (*DATA, "tests", "docs", "benchmarks")))
+    assert wanted - names == set()
+    assert not [name for name in names if name.endswith((".so", ".fmu", ".pyc"))]
+
+
+def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    assert ENGINES
+    assert SCENARIOS
+    fmus = {f"cosim/data/fmus/{name}{version}.fmu" for name in ENGINES for version in ("", "-fmi2")}
+    data = {f"cosim/data/{name}" for folder in DATA for name in source_files(folder)}
+    code = {path.relative_to(ROOT).as_posix() for path in (ROOT / "cosim").rglob("*.py")}
+    templates = {
+        path.relative_to(ROOT).as_posix() for path in (ROOT / "cosim" / "templates").rglob("*") if path.is_file()
+    }
+    assert templates
+    assert (fmus | data | code | templates | {"cosim/py.typed"}) - names == set()
+    # and nothing else of the data than what is in the clone
+    assert {name for name in names if name.startswith("cosim/data/")} == fmus | data
+    assert (
+        len([name for name in names if name.startswith("cosim/engine/_bank.") and name.endswith((".so", ".pyd"))]) == 1
+    )
+    outside = {name.split("/")[0] for name in names} - {"cosim", f"hexjet_cosim-{METADATA['version']}.dist-info"}
+    assert outside == set()
+
+
+def test_the_wheel_states_licence_and_version(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        folder = f"hexjet_cosim-{METADATA['version']}.dist-info"
+        metadata = archive.read(f"{folder}/METADATA").decode()
+        licence = archive.read(f"{folder}/licenses/LICENSE").decode()
+    assert f"\nVersion: {METADATA['version']}\n" in metadata
+    assert "\nLicense-Expression: MIT\n" in metadata
+    assert licence == (ROOT / "LICENSE").read_text(encoding="utf-8")
+
+
+def test_the_archives_in_the_wheel_hold_their_sources_and_a_binary(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        archives = [name for name in archive.namelist() if name.endswith(".fmu")]
+        for name in archives:
+            with archive.open(name) as stream, zipfile.ZipFile(stream) as fmu:
+                files = fmu.namelist()
+                assert fmu.testzip() is None
+            assert "modelDescription.xml" in files
+            assert any(file.startswith("binaries/") for file in files)
+            assert any(file.startswith("sources/") and file.endswith(".c") for file in files)
+
+
+def test_the_installed_command_lists_what_is_shipped(installed: Path, tmp_path: Path) -> None:
+    words = run(installed / "hexjet", "list", cwd=tmp_path).split()
+    assert set(SCENARIOS) <= set(words)
+    assert set(ENGINES) <= set(words)
+
+
+def test_the_installed_package_is_not_the_clone(installed: Path, tmp_path: Path) -> None:
+    script = "import cosim, cosim.paths as p; print(cosim.__file__); print(p.data_folder('fmus'))"
+    for line in run(installed / "python", "-c", script, cwd=tmp_path).splitlines():
+        assert Path(line).resolve().is_relative_to(installed.parent.resolve())
+
+
+def test_the_installed_command_flies_and_reports(installed: Path, tmp_path: Path) -> None:
+    """A short flight needs all of it: scenario, aircraft, FMUs, extension and the report's template."""
+    printed = run(
+        installed / "hexjet", "fly", "hover", "--set", "duration_s=0.2", "--out", "flight", "--json", cwd=tmp_path
+    )
+    summary = json.loads(printed)
+    assert (summary["outcome"], summary["steps"]) == ("completed", 50)
+    left = {path.name for path in (tmp_path / "flight").iterdir()}
+    assert {"summary.json", "scenario.toml", "flight.parquet", "report.html"} <= left
