@@ -33,7 +33,7 @@ POUND_FOOT = POUND_FORCE * FOOT  # N m
 JSBSIM_POUNDS_PER_SLUG = 32.174049  # the constant with which JSBSim turns weights into masses
 
 NEAR_GROUND = 2.0  # m: below this height the contacts are looked at
-_INTEGRATE_RATE = 1  # JSBSim's rectangular Euler: the ledger counts on it
+_RECTANGULAR_EULER = 1.0  # JSBSim's default from moment to rate, made sure of because the delay ledger counts on it
 
 _STATE = (
     "position/from-start-neu-n-ft",
@@ -69,15 +69,30 @@ class Airframe:
         self._vehicle = vehicle
         self._environment = environment
         self._folder = tempfile.TemporaryDirectory(prefix="hexjet-airframe-")
-        self.model_xml = render(vehicle, folder / vehicle.model)
-        self.sha256 = hashlib.sha256(self.model_xml).hexdigest()
-        self._fdm = _load(self.model_xml, vehicle, Path(self._folder.name), folder / vehicle.model)
-        self._fdm.set_dt(step / substeps)
-        self._run = self._fdm.run
+        self._source = folder / vehicle.model
+        self._dt = step / substeps
+        self._seed = float(seed % 2**31)  # JSBSim keeps it in a C int
+        xml = render(vehicle, self._source)
+        self.sha256 = hashlib.sha256(xml).hexdigest()
+        root = Path(self._folder.name)
+        (root / vehicle.name).mkdir()
+        (root / vehicle.name / f"{vehicle.name}.xml").write_bytes(xml)
+        self._load()
+
+    def _load(self) -> None:
+        fdm = jsbsim.FGFDMExec(self._folder.name, None)
+        fdm.set_debug_level(0)
+        fdm.set_aircraft_path(".")
+        # load_model answers False instead of raising
+        if not fdm.load_model(self._vehicle.name):
+            raise InputError(f"{self._source}: JSBSim could not load the model")
+        fdm.set_dt(self._dt)
+        self._fdm = fdm
+        self._run = fdm.run
+        self._fresh = True
         self._bind()
-        # JSBSim keeps the seed in a C int
-        self._set("atmosphere/randomseed", float(seed % 2**31))
-        self._set("simulation/integrator/rate/rotational", _INTEGRATE_RATE)
+        self._set("atmosphere/randomseed", self._seed)
+        self._set("simulation/integrator/rate/rotational", _RECTANGULAR_EULER)
 
     def _bind(self) -> None:
         node = self._node
@@ -114,6 +129,10 @@ class Airframe:
 
     def reset(self, initial: Initial, forces: Sequence[Vector3], wind: Vector3) -> State:
         """Put the vehicle at its initial state with ``forces`` (N, body, one per jet) already acting."""
+        if not self._fresh:
+            # JSBSim's own reset leaves traces in the initial state; a new one is the same to the last bit
+            self._load()
+        self._fresh = False
         place = self._environment
         height = standing_height(self._vehicle) if initial.on_ground else initial.altitude_m
         settings = {
@@ -341,17 +360,4 @@ def render(vehicle: Vehicle, model: Path) -> bytes:
         if name not in constants:
             raise InputError(f"{model}: the model has no constant {name}")
         constants[name].set("value", repr(value))
-    return ET.tostring(root, encoding="utf-8", xml_declaration=True)
-
-
-def _load(xml: bytes, vehicle: Vehicle, root: Path, source: Path) -> jsbsim.FGFDMExec:
-    folder = root / vehicle.name
-    folder.mkdir()
-    (folder / f"{vehicle.name}.xml").write_bytes(xml)
-    fdm = jsbsim.FGFDMExec(str(root), None)
-    fdm.set_debug_level(0)
-    fdm.set_aircraft_path(".")
-    # load_model answers False instead of raising
-    if not fdm.load_model(vehicle.name):
-        raise InputError(f"{source}: JSBSim could not load the model")
-    return fdm
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))

@@ -175,6 +175,9 @@ def main(arguments: list[str] | None = None) -> None:
     except InputError as error:
         _complain(str(error))
         status = WRONG_INPUT
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.ctx.get_help() if error.ctx else "", err=True)
+        status = WRONG_INPUT
     except click.ClickException as error:
         where = f" ({error.ctx.command_path} --help)" if isinstance(error, click.UsageError) and error.ctx else ""
         _complain(" ".join(error.format_message().split()) + where)

@@ -60,6 +60,8 @@ class Commander:
 
     def at(self, k: int) -> Command:
         """The command held over step ``k``."""
+        if not self._waves and self._last_values:
+            return self._last
         values = self._base.copy()
         for signal, wave in self._waves:
             values[signal] += wave(k)

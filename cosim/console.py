@@ -14,13 +14,14 @@ if TYPE_CHECKING:
     from cosim.signals import Sample
     from cosim.simulation import Observer
 
+_PIPE_WIDTH = 120
 _COLUMNS = (
-    ("rmse [rad]", "rmse_rad", "{:.4f}"),
-    ("max error [rad]", "max_abs_error_rad", "{:.4f}"),
-    ("overshoot [%]", "overshoot_percent", "{:.1f}"),
-    ("settling [s]", "settling_time_s", "{:.2f}"),
-    ("rate rmse [rad/s]", "rate_rmse_rad_s", "{:.4f}"),
-    ("final error [rad]", "final_error_rad", "{:.4f}"),
+    ("rmse, rad", "rmse_rad", "{:.4f}"),
+    ("max error, rad", "max_abs_error_rad", "{:.4f}"),
+    ("overshoot, %", "overshoot_percent", "{:.1f}"),
+    ("settling, s", "settling_time_s", "{:.2f}"),
+    ("rate rmse, rad/s", "rate_rmse_rad_s", "{:.4f}"),
+    ("final error, rad", "final_error_rad", "{:.4f}"),
 )
 
 
@@ -111,4 +112,5 @@ def _cell(value: float | None, form: str) -> str:
 def _console() -> Any:
     from rich.console import Console
 
-    return Console(soft_wrap=False)
+    # in a pipe there is no width to fit
+    return Console() if sys.stdout.isatty() else Console(width=_PIPE_WIDTH)

@@ -53,6 +53,7 @@ class Disturber:
                 assert end is not None
                 self._torques.append((AXES.index(entry.axis), _torque(entry, scenario, start, end - start, where)))
         self._parts: tuple[object, ...] | None = None
+        self._calm = not scenario.disturbance
 
     def _add_gust(self, entry: GustDisturbance, start: int, where: str) -> None:
         if start in self._gusts or not any(entry.velocity_ned_m_s):
@@ -61,6 +62,8 @@ class Disturber:
 
     def at(self, k: int) -> Disturbance:
         """The disturbance held over step ``k``."""
+        if self._calm and self._parts:
+            return self._last
         parts = (
             _total(self._forces, k),
             _total(self._moments, k),

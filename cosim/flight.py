@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from cosim.run import Run, Setup, begin_run, now, versions
+from cosim.run import DelayRow, Run, Setup, begin_run, now, versions
 from cosim.scenario import Expectation, Scenario, SticksCommand, TableCommand
 from cosim.simulation import Ending, Observer, Simulation, build
 
@@ -77,7 +77,7 @@ def _setup(simulation: Simulation) -> Setup:
         started=now(),
         engine_curve=list(zip(engine.curve.throttle, engine.curve.thrust, strict=True)),
         jets_m=[jet.position_m for jet in simulation.vehicle.jets],
-        delay_ledger=[asdict(row) for row in simulation.ledger],
+        delay_ledger=[DelayRow(**asdict(row)) for row in simulation.ledger],
         expectation=expectation(scenario),
         versions=versions(),
         sha256={

@@ -1,8 +1,9 @@
 """The delay ledger: every sample of delay between a roll command and the measured roll rate, and who owns it.
 
-Each row states the delay of its element at rest: the limit of ``-phase / omega`` as the frequency goes to 0, in
-control steps, against an ideal integrator from command to rate.  Transport delays and lags add up in that limit, so
-the sum can be measured exactly: after a step of roll command the rate grows along ``K (t - D)``, and ``D`` is the sum.
+Each row states the delay of its element at low frequency, in control steps: the limit of ``-phase / omega`` as the
+frequency goes to 0, with the integration from moment to rate taken as ideal (-90 deg throughout).  In that limit
+transport delays and lags add up, so the sum can be measured: after a step of roll command at step 0 the rate grows
+along ``K T (k + 1/2 - D)``, and ``D`` is the sum.
 """
 
 from __future__ import annotations

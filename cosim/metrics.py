@@ -26,7 +26,7 @@ HOLD_S = 0.2  # chosen by us: shorter than any doublet worth flying, longer than
 SMALLEST_STEP_RAD = 1e-3  # chosen by us: a smaller offset at the start is trim or noise, not a command
 SETTLING_BAND = 0.05  # of the step's size, the common 5 % convention
 FINAL_S = 1.0  # the end of the flight that tells whether it is at rest
-FLIGHT_S = 0.5  # in the air for less than this between two contacts is a bounce, not a flight
+FLIGHT_M = 0.2  # chosen by us: less is a hop at take-off or a bounce
 
 
 class Record(BaseModel):
@@ -83,7 +83,7 @@ def flight_metrics(log: Columns, step_s: float) -> Metrics:
         axes={axis: _axis_of(log, axis, rate, step_s) for axis, rate in zip(AXES, RATES, strict=True)},
         altitude=altitude_metrics(log["altitude_setpoint_m"], log["altitude_m"]),
         touchdown_m_s=touchdown(
-            (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0), log["velocity_down_m_s"], step_s
+            (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0), log["altitude_m"], log["velocity_down_m_s"]
         ),
     )
 
@@ -157,14 +157,17 @@ def altitude_metrics(setpoint: Array, altitude: Array) -> AltitudeMetrics:
     return AltitudeMetrics(rmse_m=_rms(error), max_abs_error_m=_largest(np.abs(error)))
 
 
-def touchdown(contact: NDArray[np.bool_], velocity_down: Array, step_s: float) -> float | None:
-    """Descent speed (m/s) on the last row before the first contact that ends a flight of at least ``FLIGHT_S``."""
-    shortest = max(1, round(FLIGHT_S / step_s))
-    touching = np.flatnonzero(np.diff(contact.astype(np.int8)) == 1) + 1
-    leaving = np.append(0, np.flatnonzero(np.diff(contact.astype(np.int8)) == -1) + 1)
-    for row in touching:
-        airborne_since = leaving[leaving < row][-1]
-        if row - airborne_since >= shortest:
+def touchdown(contact: NDArray[np.bool_], altitude: Array, velocity_down: Array) -> float | None:
+    """Descent speed (m/s) on the last row before the first contact that ends a flight.
+
+    A flight is a stretch in the air that was at least ``FLIGHT_M`` above where it ends.
+    """
+    edges = np.diff(contact.astype(np.int8))
+    landings = np.flatnonzero(edges == 1) + 1
+    departures = np.append(0, np.flatnonzero(edges == -1) + 1)
+    for row in landings:
+        since = departures[departures < row][-1]
+        if np.max(altitude[since:row]) - altitude[row] >= FLIGHT_M:
             return float(velocity_down[row - 1])
     return None
 

@@ -200,23 +200,25 @@ class Judge:
 
     def look(self, state: State, now: float) -> Ending | None:
         """The ending, if ``state`` at ``now`` [s] is one."""
-        limits = self._limits
         _, x, y, _ = state.attitude
-        upright = 1.0 - 2.0 * (x * x + y * y)
         p, q, r = state.rate
         most = self._most_rate
-        lean = ", ".join(f"{axis} {degrees(angle):.0f} deg" for axis, angle in zip(AXES, state.euler, strict=True))
         if state.hull_contact:
-            return Ending("crashed", f"the hull touched the ground at {now:.3f} s ({lean})")
+            return Ending("crashed", f"the hull touched the ground at {now:.3f} s ({_lean(state)})")
+        limits = self._limits
         if state.on_ground and not self._was_on_ground and self._descent > limits.touchdown_m_s:
-            return Ending("crashed", f"hit the ground at {self._descent:.1f} m/s at {now:.3f} s ({lean})")
+            return Ending("crashed", f"hit the ground at {self._descent:.1f} m/s at {now:.3f} s ({_lean(state)})")
         self._was_on_ground = state.on_ground
         self._descent = state.velocity[2]
-        if upright < self._least_upright:
-            return Ending("diverged", f"leaned past {limits.tilt_deg:g} deg at {now:.3f} s ({lean})")
+        if 1.0 - 2.0 * (x * x + y * y) < self._least_upright:
+            return Ending("diverged", f"leaned past {limits.tilt_deg:g} deg at {now:.3f} s ({_lean(state)})")
         if not (-most < p < most and -most < q < most and -most < r < most):
-            return Ending("diverged", f"turned faster than {limits.rate_deg_s:g} deg/s at {now:.3f} s")
+            return Ending("diverged", f"turned faster than {limits.rate_deg_s:g} deg/s at {now:.3f} s ({_lean(state)})")
         return None
+
+
+def _lean(state: State) -> str:
+    return ", ".join(f"{axis} {degrees(angle):.0f} deg" for axis, angle in zip(AXES, state.euler, strict=True))
 
 
 @dataclass(frozen=True)

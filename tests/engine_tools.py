@@ -21,7 +21,7 @@ from cosim.paths import data_folder
 
 STEP = 0.004
 NEWTON_PER_KGF = 9.80665
-# gain, pole, delay of G(z) = gain / (z - pole) z^-delay as printed in the paper; the third is the EDF flown with 25 samples
+# gain, pole, delay of G(z) = gain / (z - pole) z^-delay as the paper prints them; the third is the EDF with 25 samples
 PAPER = {
     "turbojet": (0.01866, 0.9879, 25),
     "edf": (0.2554, 0.8748, 0),

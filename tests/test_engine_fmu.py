@@ -38,6 +38,19 @@ def test_thrust_is_the_papers_difference_equation(name: str, fmi: int, shape: st
     np.testing.assert_allclose(thrust, paper_thrust(name, throttle), rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize(("name", "fmi"), BOTH)
+def test_the_step_response_is_the_closed_form(name: str, fmi: int, tmp_path: Path) -> None:
+    """K U (1 - pole^(k - delay)) after k steps, as the engines' READMEs have it."""
+    gain, pole, delay = PAPER[name]
+    with driven(archive(name, fmi), tmp_path) as engine:
+        engine.start()
+        thrust = engine.run(np.full(400, 0.7))
+    k = np.arange(1, 401)
+    closed = NEWTON_PER_KGF * gain / (1.0 - pole) * 0.7 * (1.0 - pole ** np.maximum(k - delay, 0))
+    # 400 rounded steps of a filter that forgets: some rounding errors of 14 N
+    np.testing.assert_allclose(thrust, closed, rtol=0.0, atol=1e-12)
+
+
 @pytest.mark.parametrize("name", PAPER)
 def test_both_versions_agree_bit_for_bit(name: str, tmp_path: Path) -> None:
     runs = []
@@ -88,7 +101,13 @@ def test_units_ranges_and_start_values_are_described(name: str, fmi: int) -> Non
     assert (newton.kg, newton.m, newton.s, newton.factor) == (1, 1, -2, 1.0)
     assert (variables["thrust"].causality, variables["thrust"].unit) == ("output", "N")
     throttle = variables["throttle"]
-    assert (throttle.causality, throttle.unit, throttle.min, throttle.max, throttle.start) == ("input", "1", "0.0", "1.0", "0.0")
+    assert (throttle.causality, throttle.unit, throttle.min, throttle.max, throttle.start) == (
+        "input",
+        "1",
+        "0.0",
+        "1.0",
+        "0.0",
+    )
     gain, pole, delay = PAPER[name]
     found = [float(variables[key].start) for key in ("gain", "pole", "delay_samples", "newton_per_unit")]
     assert found == [gain, pole, delay, NEWTON_PER_KGF]
@@ -338,9 +357,13 @@ def test_instances_in_one_process_do_not_touch_each_other(tmp_path: Path) -> Non
         engines = [Driven(archive("edf-as-flown", fmi), folder, name=f"engine {i}") for i in range(6)]
         for engine in engines:
             engine.start()
-        thrusts = np.array([[engine.run(np.array([i / 5]), first=k)[0] for i, engine in enumerate(engines)] for k in range(80)])
+        thrusts = np.array(
+            [[engine.run(np.array([i / 5]), first=k)[0] for i, engine in enumerate(engines)] for k in range(80)]
+        )
         for i, engine in enumerate(engines):
-            np.testing.assert_allclose(thrusts[:, i], paper_thrust("edf-as-flown", np.full(80, i / 5)), rtol=0.0, atol=1e-12)
+            np.testing.assert_allclose(
+                thrusts[:, i], paper_thrust("edf-as-flown", np.full(80, i / 5)), rtol=0.0, atol=1e-12
+            )
             engine.fmu.terminate()
             engine.fmu.freeInstance()
 

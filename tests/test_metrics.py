@@ -226,15 +226,20 @@ def test_altitude() -> None:
 
 
 def test_touchdown_is_the_descent_before_the_first_contact_after_a_flight() -> None:
-    stand, bounce, fly, land = 100, 20, 400, 100
-    contact = np.repeat([True, False, True, False, True, False, True], [stand, bounce, 5, fly, 3, 200, land])
+    stand, hop, fly, land = 100, 150, 400, 100
+    contact = np.repeat([True, False, True, False, True, False, True], [stand, hop, 5, fly, 3, 200, land])
+    altitude = np.full(contact.size, 0.13)
+    altitude[stand : stand + hop] += 0.15  # a hop at take-off
+    altitude[stand + hop + 5 : stand + hop + 5 + fly] += np.linspace(0.0, 0.4, fly) * np.linspace(4.0, 0.0, fly)
     down = np.linspace(-1.0, 1.0, contact.size)
-    down[stand + bounce + 5 + fly - 1] = 0.7
-    assert touchdown(contact, down, STEP) == 0.7
-    assert touchdown(contact[: stand + bounce + 5 + fly], down, STEP) is None  # still flying
-    assert touchdown(np.ones(50, bool), down, STEP) is None  # never left
-    assert touchdown(np.repeat([False, True], [200, 5]), down, STEP) == down[199]  # began in the air
-    assert touchdown(np.zeros(0, bool), np.zeros(0), STEP) is None
+    landing = stand + hop + 5 + fly
+    down[landing - 1] = 0.7
+    assert touchdown(contact, altitude, down) == 0.7
+    assert touchdown(contact[:landing], altitude[:landing], down[:landing]) is None  # still flying
+    assert touchdown(np.ones(50, bool), altitude[:50], down[:50]) is None  # never left
+    fall = np.linspace(2.0, 0.1, 205)
+    assert touchdown(np.repeat([False, True], [200, 5]), fall, fall) == fall[199]  # began in the air
+    assert touchdown(np.zeros(0, bool), np.zeros(0), np.zeros(0)) is None
 
 
 # ---- expectations

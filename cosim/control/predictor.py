@@ -63,27 +63,23 @@ class DiscreteModel:
     def __init__(self, model: RateModel) -> None:
         a = _polynomial(model.poles)
         b = [model.gain * c for c in _polynomial(model.zeros)]
-        self._b = [0.0] * (len(a) - 1 - len(b)) + b
         self._a = a[1:]
+        self._b = [0.0] * (len(self._a) - len(b)) + b
         self.reset()
 
     def reset(self) -> None:
         """At rest."""
-        self._u = [0.0] * len(self._a)
-        self._y = [0.0] * len(self._a)
+        self._past = [0.0] * len(self._a)
 
     def update(self, applied: float) -> float:
         """Output at ``t_k`` from the input held over ``[t_k-1, t_k)``."""
-        u, y = self._u, self._y
-        u.insert(0, applied)
-        u.pop()
-        value = 0.0
-        for b, past in zip(self._b, u, strict=True):
-            value += b * past
-        for a, past in zip(self._a, y, strict=True):
-            value -= a * past
-        y.insert(0, value)
-        y.pop()
+        # transposed direct form: past[i] holds what is known by now of the output i steps ahead
+        past = self._past
+        value = past[0] + self._b[0] * applied
+        last = len(past) - 1
+        for i in range(last):
+            past[i] = past[i + 1] + self._b[i + 1] * applied - self._a[i] * value
+        past[last] = -self._a[last] * value
         return value
 
 

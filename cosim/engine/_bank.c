@@ -1,7 +1,7 @@
 /* The loop over the engines: set throttle, do step, get thrust, for all of them in one call from Python.
  *
  * FMPy loads and instantiates the FMUs; what arrives here are instances and function addresses.  Nothing here reads
- * files or formats messages: a failure is raised as Failure(index, what, status), and Python says it in words.
+ * files or formats messages: a failure is raised as FailureError(index, what, status), and Python says it in words.
  *
  * Keeps to Python's limited API, so that one build serves every Python from 3.11 on.
  */
@@ -337,9 +337,9 @@ PyMODINIT_FUNC PyInit__bank(void)
     PyObject *module = PyModule_Create(&definition);
     if (!module)
         return NULL;
-    failure_type = PyErr_NewException("cosim.engine._bank.Failure", NULL, NULL);
+    failure_type = PyErr_NewException("cosim.engine._bank.FailureError", NULL, NULL);
     Py_XINCREF(failure_type);
-    if (!add(module, "Failure", failure_type) || !add(module, "Log", PyType_FromSpec(&log_spec)) ||
+    if (!add(module, "FailureError", failure_type) || !add(module, "Log", PyType_FromSpec(&log_spec)) ||
         !add(module, "Bank", PyType_FromSpec(&bank_spec)) ||
         !add(module, "LOGGER2", PyLong_FromVoidPtr((void *)(uintptr_t)logger2)) ||
         !add(module, "LOGGER3", PyLong_FromVoidPtr((void *)(uintptr_t)logger3))) {

@@ -3,7 +3,7 @@ from collections.abc import Sequence
 LOGGER2: int
 LOGGER3: int
 
-class Failure(Exception):
+class FailureError(Exception):
     args: tuple[int, str, int]  # engine's index, what failed, FMI status
 
 class Log:

@@ -17,6 +17,7 @@ from cosim.errors import InputError
 
 INTEGERS = {"Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"}
 REALS = {"Real", "Float64", "Float32"}
+DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)  # from zipfile, on bad archives
 INTERFACES = {"ModelExchange": "model exchange", "ScheduledExecution": "scheduled execution"}
 
 
@@ -73,7 +74,7 @@ def read_archive(path: Path, throttle: str = "throttle", thrust: str = "thrust")
     """
     try:
         return _read(path, throttle, thrust)
-    except _Unusable as reason:
+    except _UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason
 
 
@@ -86,15 +87,18 @@ def unpack(archive: Archive) -> TemporaryDirectory[str]:
     try:
         data = _bytes(archive.path)
         if hashlib.sha256(data).hexdigest() != archive.sha256:
-            raise _Unusable("was changed while it was in use")
+            raise _UnusableError("was changed while it was in use")
         binaries = f"binaries/{platform_folder(archive.fmi)}/"
         with zipfile.ZipFile(io.BytesIO(data)) as fmu:
             for name in fmu.namelist():
                 if name.startswith((binaries, "resources/")):
                     fmu.extract(name, folder.name)
-    except (_Unusable, OSError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+    except _UnusableError as reason:
         folder.cleanup()
-        raise InputError(f"{archive.path}: {one_line(error)}") from error
+        raise InputError(f"{archive.path}: {reason}") from reason
+    except DAMAGE as error:
+        folder.cleanup()
+        raise InputError(f"{archive.path}: is damaged: {one_line(error)}") from error
     return folder
 
 
@@ -112,7 +116,7 @@ def validate(path: Path) -> list[str]:
     return [one_line(problem) for problem in validate_fmu(str(path))]
 
 
-class _Unusable(Exception):
+class _UnusableError(Exception):
     """Why an archive cannot be used; the caller knows its path."""
 
 
@@ -120,11 +124,11 @@ def _bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except IsADirectoryError as error:
-        raise _Unusable("is a folder; an .fmu archive is needed") from error
+        raise _UnusableError("is a folder; an .fmu archive is needed") from error
     except FileNotFoundError as error:
-        raise _Unusable("no such file") from error
+        raise _UnusableError("no such file") from error
     except OSError as error:
-        raise _Unusable(error.strerror or str(error)) from error
+        raise _UnusableError(error.strerror or str(error)) from error
 
 
 def _read(path: Path, throttle: str, thrust: str) -> Archive:
@@ -133,10 +137,10 @@ def _read(path: Path, throttle: str, thrust: str) -> Archive:
     root = _root(xml)
     version = root.get("fmiVersion", "none stated")
     if version != "2.0" and not version.startswith("3.0"):
-        raise _Unusable(f"FMI version {version} is not supported; allowed: 2.0, 3.0")
+        raise _UnusableError(f"FMI version {version} is not supported; allowed: 2.0, 3.0")
     if root.find("CoSimulation") is None:
         other = [words for tag, words in INTERFACES.items() if root.find(tag) is not None]
-        raise _Unusable(f"has no co-simulation interface (it has: {', '.join(other) or 'none'})")
+        raise _UnusableError(f"has no co-simulation interface (it has: {', '.join(other) or 'none'})")
     fmi = int(version[0])
     description = _describe(data)
     slave = description.coSimulation
@@ -171,34 +175,34 @@ def _read(path: Path, throttle: str, thrust: str) -> Archive:
     )
     low, high = archive.throttle.min, archive.throttle.max
     if (low is not None and low != 0.0) or (high is not None and high != 1.0):
-        raise _Unusable(f"its throttle runs from {low} to {high}; it must run from 0 to 1")
+        raise _UnusableError(f"its throttle runs from {low} to {high}; it must run from 0 to 1")
     return archive
 
 
 def _open(data: bytes) -> tuple[list[str], bytes]:
     """The names in an archive and its model description."""
     if not data.startswith(b"PK"):
-        raise _Unusable("is not an FMU: not a zip archive")
+        raise _UnusableError("is not an FMU: not a zip archive")
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as fmu:
             names = fmu.namelist()
             for name in names:
                 if "\\" in name or ":" in name or name.startswith("/") or ".." in PurePosixPath(name).parts:
-                    raise _Unusable(f"has an unsafe path inside: {name!r}")
+                    raise _UnusableError(f"has an unsafe path inside: {name!r}")
             if "modelDescription.xml" not in names:
-                raise _Unusable("is not an FMU: it has no modelDescription.xml")
+                raise _UnusableError("is not an FMU: it has no modelDescription.xml")
             return names, fmu.read("modelDescription.xml")
-    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, NotImplementedError, RuntimeError) as error:
-        raise _Unusable(f"is damaged or truncated: {one_line(error)}") from error
+    except DAMAGE as error:
+        raise _UnusableError(f"is damaged or truncated: {one_line(error)}") from error
 
 
 def _root(xml: bytes) -> ElementTree.Element:
     try:
         root = ElementTree.fromstring(xml)
     except ElementTree.ParseError as error:
-        raise _Unusable(f"modelDescription.xml is not valid XML: {error}") from error
+        raise _UnusableError(f"modelDescription.xml is not valid XML: {error}") from error
     if root.tag != "fmiModelDescription":
-        raise _Unusable(f"modelDescription.xml describes a {root.tag}, not an FMU")
+        raise _UnusableError(f"modelDescription.xml describes a {root.tag}, not an FMU")
     return root
 
 
@@ -210,9 +214,9 @@ def _describe(data: bytes) -> Any:
         return read_model_description(io.BytesIO(data))
     except ValidationError as error:
         more = f" (and {len(error.problems) - 1} more)" if len(error.problems) > 1 else ""
-        raise _Unusable(f"modelDescription.xml is not valid: {one_line(error.problems[0])}{more}") from error
+        raise _UnusableError(f"modelDescription.xml is not valid: {one_line(error.problems[0])}{more}") from error
     except Exception as error:  # FMPy raises bare exceptions, and stumbles in its own ways over strange descriptions
-        raise _Unusable(f"modelDescription.xml cannot be used: {one_line(error)}") from error
+        raise _UnusableError(f"modelDescription.xml cannot be used: {one_line(error)}") from error
 
 
 def _need_library(names: list[str], fmi: int, identifier: str) -> None:
@@ -223,28 +227,30 @@ def _need_library(names: list[str], fmi: int, identifier: str) -> None:
         return
     found = {PurePosixPath(name).parts[1] for name in names if name.startswith("binaries/") and name.count("/") > 1}
     has = ", ".join(sorted(found)) or "no binary at all"
-    raise _Unusable(f"has no binary for this machine, {needed} (it has: {has})")
+    raise _UnusableError(f"has no binary for this machine, {needed} (it has: {has})")
 
 
 def _port(causality: str, wanted: str, variables: dict[str, Any]) -> Any:
     found = [v for v in variables.values() if v.name.lower() == wanted.lower()]
     if not found:
-        raise _Unusable(f"has no {causality} called {wanted} ({causality}s: {', '.join(variables) or 'none'})")
+        raise _UnusableError(f"has no {causality} called {wanted} ({causality}s: {', '.join(variables) or 'none'})")
     if found[0].type not in ("Real", "Float64"):
-        raise _Unusable(f"its {found[0].name} is of type {found[0].type}; it must be Real (FMI 2.0) or Float64 (FMI 3.0)")
+        raise _UnusableError(
+            f"its {found[0].name} is of type {found[0].type}; it must be Real (FMI 2.0) or Float64 (FMI 3.0)"
+        )
     return found[0]
 
 
 def _need_unit(description: Any, variable: Any, name: str, base: dict[str, int]) -> None:
-    """Accept no unit, the unit itself, or one that is the same in SI base units."""
+    """Accept no unit, one that is the same in SI base units, or, where these are not stated, one of the same name."""
     stated = variable.unit or (variable.declaredType.unit if variable.declaredType else None)
-    if stated is None or stated == name:
-        return
     defined = next((unit.baseUnit for unit in description.unitDefinitions if unit.name == stated), None)
+    if stated is None or (defined is None and stated == name):
+        return
     exponents = {key: getattr(defined, key) for key in ("kg", "m", "s", "A", "K", "mol", "cd", "rad") if defined}
     same = defined is not None and defined.factor == 1.0 and defined.offset == 0.0
     if not same or {key: value for key, value in exponents.items() if value} != base:
-        raise _Unusable(f"its {variable.name} is in {stated}; it must be in {name}")
+        raise _UnusableError(f"its {variable.name} is in {stated}; it must be in {name}")
 
 
 def _variable(v: Any) -> Variable:

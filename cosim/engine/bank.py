@@ -38,7 +38,7 @@ class EngineBank:
 
     def _instantiate(self) -> None:
         for index, spec in enumerate(self._specs):
-            # an FMU that may be instantiated once per process is loaded from a file of its own, so it is another library
+            # an FMU that may be instantiated once per process is loaded from copies: another file, another library
             key = spec.sha256, index if spec.archive.once_per_process else -1
             if key not in self._folders:
                 self._folders[key] = unpack(spec.archive)
@@ -84,8 +84,9 @@ class EngineBank:
 
         try:
             return settle(hold, throttle, self._specs[index].window, self._step)
-        except _bank.Failure as failure:
-            raise EngineError(f"{self._label(index)}: {self._slaves[index].explain(failure)} before the flight") from failure
+        except _bank.FailureError as failure:
+            what = self._slaves[index].explain(failure, "before the flight")
+            raise EngineError(f"{self._label(index)}: {what}") from failure
         except ResponseError as error:
             raise EngineError(f"{self._label(index)}: {error}") from error
 
@@ -97,11 +98,10 @@ class EngineBank:
         """
         try:
             return self._native.step(k, throttle)
-        except _bank.Failure as failure:
+        except _bank.FailureError as failure:
             index = failure.args[0]
-            what, _, said = self._slaves[index].explain(failure).partition(": ")
-            moment = f"{self._label(index)}: {what} at step {k} ({k * self._step:g} s)"
-            raise EngineError(f"{moment}: {said}" if said else moment) from failure
+            what = self._slaves[index].explain(failure, f"at step {k} ({k * self._step:g} s)")
+            raise EngineError(f"{self._label(index)}: {what}") from failure
 
     def close(self) -> None:
         """Terminate and free the engines and remove their files.  May be called again."""

@@ -116,23 +116,25 @@ def read_engine(folder: Path) -> Engine:
         raise BuildError(f"{path}: not valid TOML: {error}") from error
     try:
         return _engine(folder, data)
-    except _Wrong as wrong:
+    except _WrongError as wrong:
         raise BuildError(f"{path}: {wrong}") from wrong
 
 
-class _Wrong(Exception):
+class _WrongError(Exception):
     """What is wrong with an engine.toml."""
 
 
 def _engine(folder: Path, data: dict[str, Any]) -> Engine:
     name = folder.name
     if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", name) or name.endswith(FMI2_SUFFIX):
-        raise _Wrong(f"the folder's name {name!r} must be lower-case words joined by '-', not ending in {FMI2_SUFFIX}")
+        raise _WrongError(
+            f"the folder's name {name!r} must be lower-case words joined by '-', not ending in {FMI2_SUFFIX}"
+        )
     wanted = {"title", "description", "sources", "internal_step_s", "ports", "ledger", "variables"}
     _keys("", data, wanted, wanted - {"ledger"})
     step = _number("internal_step_s", data["internal_step_s"])
     if not step > 0.0:
-        raise _Wrong(f"internal_step_s = {step}: must be above 0")
+        raise _WrongError(f"internal_step_s = {step}: must be above 0")
     variables = tuple(_variable(key, i, table) for i, (key, table) in enumerate(data["variables"].items(), start=1))
     by_name = {variable.name: variable for variable in variables}
     ports, ledger = data["ports"], data.get("ledger", {})
@@ -143,34 +145,38 @@ def _engine(folder: Path, data: dict[str, Any]) -> Engine:
         kind = kinds.get(port, "parameter")
         if variable not in by_name or by_name[variable].causality != kind:
             allowed = ", ".join(v.name for v in variables if v.causality == kind) or "none is stated"
-            raise _Wrong(f"{port} = {variable!r}: must name an {kind} (allowed: {allowed})".replace("an p", "a p"))
+            raise _WrongError(f"{port} = {variable!r}: must name an {kind} (allowed: {allowed})".replace("an p", "a p"))
     sources = tuple((folder / source).resolve() for source in data["sources"])
     for source in sources:
         if not source.is_file():
-            raise _Wrong(f"sources: there is no file {source}")
+            raise _WrongError(f"sources: there is no file {source}")
     return Engine(name, folder, data["title"], data["description"], sources, step, ports, ledger, variables)
 
 
 def _variable(name: str, reference: int, table: dict[str, Any]) -> Variable:
     where = f"variables.{name}"
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or name == "time":
-        raise _Wrong(f"{where}: a variable's name is a C identifier in lower case and not time")
-    _keys(where, table, {"causality", "type", "unit", "min", "max", "start", "description"}, {"causality", "description"})
+        raise _WrongError(f"{where}: a variable's name is a C identifier in lower case and not time")
+    _keys(
+        where, table, {"causality", "type", "unit", "min", "max", "start", "description"}, {"causality", "description"}
+    )
     causality, kind = table["causality"], table.get("type", "real")
     if causality not in ("input", "output", "parameter"):
-        raise _Wrong(f"{where}.causality = {causality!r}: allowed: input, output, parameter")
+        raise _WrongError(f"{where}.causality = {causality!r}: allowed: input, output, parameter")
     if kind not in ("real", "integer"):
-        raise _Wrong(f"{where}.type = {kind!r}: allowed: real, integer")
+        raise _WrongError(f"{where}.type = {kind!r}: allowed: real, integer")
     if kind == "integer" and causality != "parameter":
-        raise _Wrong(f"{where}: only a parameter may be an integer")
+        raise _WrongError(f"{where}: only a parameter may be an integer")
     unit = table.get("unit")
     if unit is not None and unit not in UNITS:
-        raise _Wrong(f"{where}.unit = {unit!r}: allowed: {', '.join(UNITS)}")
-    low, high, start = (_number(f"{where}.{key}", table[key]) if key in table else None for key in ("min", "max", "start"))
+        raise _WrongError(f"{where}.unit = {unit!r}: allowed: {', '.join(UNITS)}")
+    low, high, start = (
+        _number(f"{where}.{key}", table[key]) if key in table else None for key in ("min", "max", "start")
+    )
     if (start is None) != (causality == "output"):
-        raise _Wrong(f"{where}: inputs and parameters have a start, outputs have none")
+        raise _WrongError(f"{where}: inputs and parameters have a start, outputs have none")
     if kind == "integer" and (low is None or high is None):
-        raise _Wrong(f"{where}: an integer needs min and max")
+        raise _WrongError(f"{where}: an integer needs min and max")
     return Variable(name, reference, causality, kind == "integer", unit, low, high, start, table["description"])
 
 
@@ -178,14 +184,14 @@ def _keys(where: str, table: Mapping[str, Any], allowed: set[str], needed: set[s
     prefix = f"{where}." if where else ""
     for key in table:
         if key not in allowed:
-            raise _Wrong(f"unknown key {prefix}{key}; allowed: {', '.join(sorted(allowed))}")
+            raise _WrongError(f"unknown key {prefix}{key}; allowed: {', '.join(sorted(allowed))}")
     for key in sorted(needed - set(table)):
-        raise _Wrong(f"{prefix}{key} is missing")
+        raise _WrongError(f"{prefix}{key} is missing")
 
 
 def _number(where: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or abs(value) > 1e300 or value != value:
-        raise _Wrong(f"{where} = {value!r}: must be a finite number")
+        raise _WrongError(f"{where} = {value!r}: must be a finite number")
     return float(value)
 
 
@@ -208,15 +214,17 @@ def _literal(value: float | None, otherwise: str) -> str:
     return otherwise if value is None else repr(value)
 
 
+def _row(v: Variable) -> list[str]:
+    """A variable's row in the C table."""
+    kind = [f'"{v.name}"', v.causality.upper(), "INTEGER" if v.integer else "REAL", f"offsetof(Variables, {v.name})"]
+    return [*kind, _literal(v.min, "-HUGE_VAL"), _literal(v.max, "HUGE_VAL"), _literal(v.start, "0.0")]
+
+
 def _variables_header(engine: Engine, token: str) -> str:
     """``variables.h``: what the C code needs to know of ``engine.toml``."""
     fields = [f"    {'int32_t' if v.integer else 'double'} {v.name};" for v in engine.variables]
     limits = [f"#define {v.name.upper()}_MAX {int(v.max)}" for v in engine.variables if v.integer and v.max is not None]
-    rows = [
-        f'    {{"{v.name}", {v.causality.upper()}, {"INTEGER" if v.integer else "REAL"}, offsetof(Variables, {v.name}), '
-        f"{_literal(v.min, '-HUGE_VAL')}, {_literal(v.max, 'HUGE_VAL')}, {_literal(v.start, '0.0')}}}"
-        for v in engine.variables
-    ]
+    rows = [f"    {{{', '.join(_row(v))}}}" for v in engine.variables]
     return "\n".join(
         [
             "/* Generated from engine.toml: do not edit. */",
@@ -245,7 +253,7 @@ def _variables_header(engine: Engine, token: str) -> str:
 
 def _xml(root: ElementTree.Element) -> bytes:
     ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
 
 
 def _number_text(value: float, integer: bool) -> str:

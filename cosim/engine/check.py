@@ -56,9 +56,56 @@ class CheckReport:
         """Whether no problem was found."""
         return not self.problems
 
-    def as_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Plain lists, numbers and strings, for JSON."""
         return {"ok": self.ok, **asdict(self)}
+
+    def lines(self) -> list[tuple[str, str]]:
+        """What to tell a reader, label and text, problems left out."""
+        rows = [
+            ("file", self.path),
+            ("model", f"{self.name}, FMI {self.fmi_version}, sha256 {self.sha256[:12]}"),
+            *(("input", _variable_text(v)) for v in self.inputs),
+            *(("output", _variable_text(v)) for v in self.outputs),
+            *(("parameter", _variable_text(v)) for v in self.parameters),
+            ("step", f"{self.step:g} s"),
+        ]
+        if self.throttle is not None and self.thrust is not None:
+            shown = range(0, len(self.throttle), len(self.throttle) // 5)
+            points = (f"{self.throttle[k]:g}: {round(self.thrust[k], 3) + 0.0:g}" for k in shown)
+            rows.append(("static thrust [N]", ", ".join(points)))
+        for way, delay, rise in (
+            ("up", self.delay_samples_up, self.rise_time_up),
+            ("down", self.delay_samples_down, self.rise_time_down),
+        ):
+            if delay is not None and rise is not None:
+                text = f"delay {delay} samples ({delay * self.step:g} s), then 10 to 90 % in {rise:.4g} s"
+                rows.append((f"throttle {way}", text))
+        rows += [
+            ("runs repeat", _verdict(self.deterministic)),
+            ("reset", _verdict(self.reset_restores_start)),
+            ("saved state", _verdict(self.state_restores)),
+            ("serialized state", _verdict(self.serialized_state_restores)),
+        ]
+        if self.microseconds_per_step is not None:
+            rows.append(("one step takes", f"{self.microseconds_per_step:.2f} us"))
+        return [*rows, *(("note", note) for note in self.notes)]
+
+
+def _variable_text(v: dict[str, Any]) -> str:
+    unit = "" if v["unit"] in (None, "1") else f" {v['unit']}"
+    start = "" if v["start"] is None else f" = {v['start']:g}{unit}"
+    limits = "" if v["min"] is None and v["max"] is None else f", {_limit(v['min'])} to {_limit(v['max'])}"
+    what = f": {v['description']}" if v["description"] else ""
+    return f"{v['name']}{start or unit}{limits}{what}"
+
+
+def _limit(value: float | None) -> str:
+    return "any" if value is None else f"{value:g}"
+
+
+def _verdict(found: bool | None) -> str:
+    return {True: "good", False: "bad", None: "not tried"}[found]
 
 
 def check_fmu(path_or_name: str, step: float | None = None) -> CheckReport:
@@ -134,8 +181,8 @@ class _Trial:
         try:
             slave.initialize((), 0.0)
             use(slave, self.hold(slave))
-        except _bank.Failure as failure:
-            raise SlaveError(slave.explain(failure)) from failure
+        except _bank.FailureError as failure:
+            raise SlaveError(slave.explain(failure, "while it was stepped")) from failure
         finally:
             slave.close()
 
@@ -167,8 +214,14 @@ def _respond(trial: _Trial, report: CheckReport) -> None:
 
 def _repeat(trial: _Trial, report: CheckReport) -> None:
     runs: list[list[float]] = []
-    for _ in range(2):
-        trial.run(lambda slave, hold: runs.append(_zigzag(hold)))
+
+    def use(slave: Slave, hold: Hold) -> None:
+        runs.append(_zigzag(hold))
+        if len(runs) < 2 and not trial.archive.once_per_process:
+            trial.run(use)  # the first instance still lives, as in a bank: they must not share anything
+
+    while len(runs) < 2:
+        trial.run(use)
     report.deterministic = runs[0] == runs[1]
     if not report.deterministic:
         report.problems.append("two runs with the same throttle differ")

@@ -34,10 +34,8 @@ class SlaveError(Exception):
     """An FMU refused: one line without its name, which the caller knows."""
 
 
-def fault_text(failure: _bank.Failure) -> str:
-    """The words for a failure of the C loop."""
-    _, what, status = failure.args
-    return FAULTS[what].format(status=STATUS.get(status, f"status {status}"))
+def _status(status: int) -> str:
+    return STATUS.get(status, f"status {status}")
 
 
 class Slave:
@@ -104,7 +102,9 @@ class Slave:
         return self.thrust()
 
     def _set(self, variable: Variable, value: float) -> None:
-        convert = bool if variable.type == "Boolean" else float if variable.type in ("Real", "Float64", "Float32") else int
+        convert = (
+            bool if variable.type == "Boolean" else float if variable.type in ("Real", "Float64", "Float32") else int
+        )
         self.call(f"set{variable.type}", [variable.reference], [convert(value)])
 
     def thrust(self) -> float:
@@ -120,8 +120,7 @@ class Slave:
             return getattr(self.fmu, name)(*args, **kwargs)
         except FMICallException as error:
             self.failed(error.status)
-            status = STATUS.get(error.status, f"status {error.status}")
-            raise SlaveError(self._with_log(f"{error.function} returned {status}")) from error
+            raise SlaveError(self._with_log(f"{error.function} returned {_status(error.status)}")) from error
 
     def failed(self, status: int) -> None:
         """Remember that the FMU is in its error state, where little may be called, or beyond all calls."""
@@ -132,15 +131,20 @@ class Slave:
         said = one_line(self.log.take())
         return f"{text}: {said}" if said else text
 
-    def explain(self, failure: _bank.Failure) -> str:
-        """What went wrong in the C loop, with what the FMU itself said about it."""
-        self.failed(failure.args[2])
-        return self._with_log(fault_text(failure))
+    def explain(self, failure: _bank.FailureError, moment: str) -> str:
+        """What went wrong in the C loop and when, with what the FMU itself said about it."""
+        _, what, status = failure.args
+        self.failed(status)
+        return self._with_log(f"{FAULTS[what].format(status=_status(status))} {moment}")
 
     def row(self, done: int = 0) -> Row:
         """What the C loop needs to step this instance, which has ``done`` communication steps behind it."""
         fmi, throttle, thrust = self.archive.fmi, self.archive.throttle.reference, self.archive.thrust.reference
-        names = ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal") if fmi == 2 else ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64")
+        names = (
+            ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal")
+            if fmi == 2
+            else ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64")
+        )
         setter, step, getter = (ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value or 0 for name in names)
         return fmi, self.fmu.component, setter, step, getter, throttle, thrust, done
 

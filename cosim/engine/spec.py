@@ -45,8 +45,11 @@ class EngineSpec:
 
     @property
     def family(self) -> str:
-        """The name without the suffix that chooses the FMI version: what an identified model is filed under."""
-        return self.name.removesuffix(build.FMI2_SUFFIX) if self.library else self.name
+        """What an identified model is filed under: the library's name in either FMI version, else the file's name.
+
+        With the file's suffix, so that somebody's ``edf.fmu`` is not taken for the library's ``edf``.
+        """
+        return self.name.removesuffix(build.FMI2_SUFFIX) if self.library else self.path.name
 
     @property
     def delay(self) -> float | None:
@@ -62,23 +65,12 @@ class EngineSpec:
             return None
         return -self.internal_step / math.log(self.pole) if self.pole > 0.0 else 0.0
 
-    @property
-    def thrust_max(self) -> float:
-        """Steady thrust [N] at full throttle."""
-        return self.curve.thrust[-1]
-
     def thrust_at(self, throttle: float) -> float:
         """Steady thrust [N] at a throttle, linear between the measured points."""
-        return _interpolate(throttle, self.curve.throttle, self.curve.thrust)
-
-    def throttle_for(self, thrust: float) -> float:
-        """Throttle that gives a steady thrust [N], within 0..1.
-
-        Raises InputError if the static curve does not rise all the way.
-        """
-        if any(b <= a for a, b in zip(self.curve.thrust, self.curve.thrust[1:], strict=False)):
-            raise InputError(f"engine {self.name}: its thrust does not rise with the throttle all the way from 0 to 1")
-        return _interpolate(thrust, self.curve.thrust, self.curve.throttle)
+        throttles, thrusts = self.curve
+        k = min(max(bisect_right(throttles, throttle), 1), len(throttles) - 1)
+        share = (throttle - throttles[k - 1]) / (throttles[k] - throttles[k - 1])
+        return thrusts[k - 1] + (thrusts[k] - thrusts[k - 1]) * min(max(share, 0.0), 1.0)
 
 
 def engine_names() -> list[str]:
@@ -223,8 +215,8 @@ def _measure(
             at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step)
             response = step_response(hold, at_rest, 1.0, step)
             curve = static_curve(hold, window_for(response.delay), step)
-        except _bank.Failure as failure:
-            raise SlaveError(f"{slave.explain(failure)} (while its thrust was measured)") from failure
+        except _bank.FailureError as failure:
+            raise SlaveError(slave.explain(failure, "while its thrust was measured")) from failure
         finally:
             slave.close()
         if start is not None and not _starts_level(archive, Path(folder), settings, start, step, curve, response):
@@ -241,27 +233,19 @@ def _starts_level(
     curve: Curve,
     response: Response,
 ) -> bool:
-    """Whether the start parameter starts the engine at the curve's thrust and keeps it there, tried at half throttle."""
+    """Whether the start parameter starts the engine on its static curve and keeps it there, tried at half throttle."""
     middle = len(curve.throttle) // 2
     throttle, thrust = curve.throttle[middle], curve.thrust[middle]
     slave = Slave(archive, folder, "started")
     try:
         first = slave.initialize([*settings, (archive.parameter(start), throttle)], throttle)
         rest = _bank.Bank([slave.row()], step).hold(0, throttle, window_for(response.delay))
-    except (SlaveError, _bank.Failure) as error:
-        if isinstance(error, _bank.Failure):
-            slave.explain(error)
+    except SlaveError:
+        return False
+    except _bank.FailureError as failure:
+        slave.explain(failure, "")
         return False
     finally:
         slave.close()
     tolerance = 1e-6 * max(1.0, abs(response.after))
     return all(abs(value - thrust) <= tolerance for value in [first, *rest])
-
-
-def _interpolate(x: float, xs: tuple[float, ...], ys: tuple[float, ...]) -> float:
-    if x <= xs[0]:
-        return ys[0]
-    if x >= xs[-1]:
-        return ys[-1]
-    k = bisect_right(xs, x)
-    return ys[k - 1] + (ys[k] - ys[k - 1]) * (x - xs[k - 1]) / (xs[k] - xs[k - 1])

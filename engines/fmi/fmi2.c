@@ -174,7 +174,10 @@ NONE(fmi2SetString, const fmi2String)
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate)
 {
-    return status(allows(c, "fmi2GetFMUstate", ANY_MODE) && slave_save(c, (Snapshot **)FMUstate));
+    Snapshot *snapshot = *FMUstate;
+    const bool good = allows(c, "fmi2GetFMUstate", ANY_MODE) && slave_save(c, &snapshot);
+    *FMUstate = snapshot;
+    return status(good);
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate)
@@ -184,7 +187,10 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate)
 
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate)
 {
-    slave_forget((Snapshot **)FMUstate);
+    if (FMUstate) {
+        free(*FMUstate);
+        *FMUstate = NULL;
+    }
     return status(allows(c, "fmi2FreeFMUstate", ANY_MODE));
 }
 
@@ -205,8 +211,11 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byt
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size, fmi2FMUstate *FMUstate)
 {
-    return status(allows(c, "fmi2DeSerializeFMUstate", ANY_MODE) &&
-                  slave_deserialize(c, (const unsigned char *)serializedState, size, (Snapshot **)FMUstate));
+    Snapshot *snapshot = *FMUstate;
+    const bool good =
+        allows(c, "fmi2DeSerializeFMUstate", ANY_MODE) && slave_deserialize(c, (const unsigned char *)serializedState, size, &snapshot);
+    *FMUstate = snapshot;
+    return status(good);
 }
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[], size_t nUnknown,

@@ -220,7 +220,10 @@ fmi3Status fmi3SetBinary(fmi3Instance instance, const fmi3ValueReference valueRe
 
 fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState)
 {
-    return status(allows(instance, "fmi3GetFMUState", ANY_MODE) && slave_save(instance, (Snapshot **)FMUState));
+    Snapshot *snapshot = *FMUState;
+    const bool good = allows(instance, "fmi3GetFMUState", ANY_MODE) && slave_save(instance, &snapshot);
+    *FMUState = snapshot;
+    return status(good);
 }
 
 fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState FMUState)
@@ -230,7 +233,10 @@ fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState FMUState)
 
 fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState)
 {
-    slave_forget((Snapshot **)FMUState);
+    if (FMUState) {
+        free(*FMUState);
+        *FMUState = NULL;
+    }
     return status(allows(instance, "fmi3FreeFMUState", ANY_MODE));
 }
 
@@ -252,8 +258,11 @@ fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState, f
 fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte serializedState[], size_t size,
                                    fmi3FMUState *FMUState)
 {
-    return status(allows(instance, "fmi3DeserializeFMUState", ANY_MODE) &&
-                  slave_deserialize(instance, serializedState, size, (Snapshot **)FMUState));
+    Snapshot *snapshot = *FMUState;
+    const bool good =
+        allows(instance, "fmi3DeserializeFMUState", ANY_MODE) && slave_deserialize(instance, serializedState, size, &snapshot);
+    *FMUState = snapshot;
+    return status(good);
 }
 
 fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint, fmi3Float64 communicationStepSize,

@@ -265,14 +265,6 @@ bool slave_restore(Slave *s, const Snapshot *snapshot)
     return true;
 }
 
-void slave_forget(Snapshot **snapshot)
-{
-    if (!snapshot)
-        return;
-    free(*snapshot);
-    *snapshot = NULL;
-}
-
 bool slave_serialize(Slave *s, const Snapshot *snapshot, unsigned char *bytes, size_t size)
 {
     if (!snapshot || !bytes || size < slave_serialized_size())

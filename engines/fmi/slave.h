@@ -49,10 +49,9 @@ ENGINE_LOCAL bool slave_set(Slave *s, uint32_t reference, Type type, double valu
 ENGINE_LOCAL bool slave_do_step(Slave *s, double point, double step);
 ENGINE_LOCAL double slave_time(const Slave *s);
 
-/* Saved states.  slave_save allocates *snapshot if it is null. */
+/* Saved states, freed with free().  Where *snapshot is null, it is allocated. */
 ENGINE_LOCAL bool slave_save(Slave *s, Snapshot **snapshot);
 ENGINE_LOCAL bool slave_restore(Slave *s, const Snapshot *snapshot);
-ENGINE_LOCAL void slave_forget(Snapshot **snapshot);
 ENGINE_LOCAL size_t slave_serialized_size(void);
 ENGINE_LOCAL bool slave_serialize(Slave *s, const Snapshot *snapshot, unsigned char *bytes, size_t size);
 ENGINE_LOCAL bool slave_deserialize(Slave *s, const unsigned char *bytes, size_t size, Snapshot **snapshot);

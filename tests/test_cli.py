@@ -1,0 +1,171 @@
+"""The command line as a user meets it: exit status, one line for wrong input, JSON, what is left behind."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cosim.cli import main
+from cosim.paths import data_folder
+
+SHORT = ["--set", "duration_s=1.0"]
+
+
+class Done:
+    def __init__(self, status: int, out: str, err: str) -> None:
+        self.status, self.out, self.err = status, out, err
+
+
+@pytest.fixture
+def hexjet(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):  # type: ignore[no-untyped-def]
+    """Run the command in an empty folder; everything that any library prints is caught too."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> Done:
+        with pytest.raises(SystemExit) as end:
+            main(list(arguments))
+        out, err = capfd.readouterr()
+        return Done(int(end.value.code or 0), out, err)
+
+    return run
+
+
+def test_fly_leaves_a_run_and_says_where(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    done = hexjet("fly", "roll-doublet", *SHORT)
+    assert done.status == 0
+    assert "roll-doublet: completed" in done.out
+    assert "report: runs/roll-doublet-smith-001/report.html" in done.out
+    folder = tmp_path / "runs" / "roll-doublet-smith-001"
+    assert {p.name for p in folder.iterdir()} == {"summary.json", "scenario.toml", "flight.parquet", "report.html"}
+    assert hexjet("fly", "roll-doublet", *SHORT).status == 0
+    assert (tmp_path / "runs" / "roll-doublet-smith-002").is_dir()
+
+
+def test_json_is_one_object_and_nothing_else(hexjet) -> None:  # type: ignore[no-untyped-def]
+    done = hexjet("fly", "hover", "--json", "--seed", "5", "--engine", "edf", "--controller", "baseline", *SHORT)
+    summary = json.loads(done.out)
+    assert done.err == ""
+    assert (summary["outcome"], summary["seed"], summary["engine"], summary["controller"]) == ("completed", 5, "edf", "baseline")
+    wanted = {
+        "outcome", "reason", "scenario", "aircraft", "engine", "controller", "seed", "steps", "duration_s", "wall_s",
+        "realtime_factor", "step_us", "metrics", "versions", "sha256",
+    }  # fmt: skip
+    assert wanted <= set(summary)
+    assert set(summary["sha256"]) == {"hexjet.xml", "edf.fmu"}
+    assert set(summary["metrics"]["roll"]) >= {
+        "rmse_rad", "max_abs_error_rad", "overshoot_percent", "settling_time_s", "rate_rmse_rad_s",
+    }  # fmt: skip
+
+
+def test_a_resolved_scenario_flies_again_to_the_same_bits(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """From another folder, with sticks from a file, an overridden vehicle and an engine parameter."""
+    settings = ["--set", "duration_s=3.0", "--set", "vehicle.mass_kg=5.8", "--set", "engine_parameters.delay_samples=20"]
+    assert hexjet("fly", "manual", *settings, "--out", "first").status == 0
+    shutil.move(tmp_path / "first", tmp_path / "moved")
+    assert hexjet("fly", "moved/scenario.toml", "--out", "second").status == 0
+    assert (tmp_path / "moved/flight.parquet").read_bytes() == (tmp_path / "second/flight.parquet").read_bytes()
+    assert (tmp_path / "moved/scenario.toml").read_bytes() == (tmp_path / "second/scenario.toml").read_bytes()
+
+
+def test_a_lost_vehicle_is_status_1_with_log_and_report(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    done = hexjet("fly", "roll-doublet", "--controller", "baseline", "--out", "lost")
+    assert done.status == 1
+    assert "diverged" in done.out
+    assert (tmp_path / "lost" / "report.html").is_file()
+
+
+def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    text = (data_folder("scenarios") / "hover.toml").read_text().replace("duration_s = 20.0", "duration_s = 1.0")
+    (tmp_path / "strict.toml").write_text(text.replace('"roll.rmse_rad" = { max = 0.01 }', '"roll.rmse_rad" = { max = 1e-9 }'))
+    done = hexjet("fly", "strict.toml")
+    assert done.status == 1
+    assert "not as expected: roll.rmse_rad" in done.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["fly", "rol-doublet"], "unknown scenario 'rol-doublet'; did you mean 'roll-doublet'? allowed: climb-and-land, gust"),
+        (["fly", "hover", "--controller", "pid"], "unknown controller 'pid'; allowed: baseline, smith"),
+        (["fly", "hover", "--engine", "edg"], "unknown engine 'edg'; did you mean 'edf'? allowed: edf, edf-as-flown, turbojet"),
+        (["fly", "hover", "--engine", "none.fmu"], "none.fmu: no such file"),
+        (["fly", "hover", "--set", "vehicle.mass_kg=-2"], "mass_kg = -2"),
+        (["fly", "hover", "--set", "vehicle.mass_kg=nan"], "mass_kg = nan"),
+        (["fly", "hover", "--set", "step_s=0.005"], "step 0.005 s is not a whole multiple of the engine's internal step 0.004 s"),
+        (["fly", "hover", "--seed", "-1"], "seed = -1"),
+        (["fly", "hover", "--seed", "x"], "'x' is not a valid integer"),
+        (["fly", "hover", "--engine", "turbojet"], "needs an identified model of hexjet with engine 'turbojet'"),
+        (["fly"], "Missing argument 'SCENARIO'"),
+        (["fly", "hover", "--wind", "3"], "No such option"),
+        (["list", "planes"], "'planes' is not one of 'scenarios', 'engines', 'aircraft', 'controllers'"),
+        (["report", "nowhere"], "nowhere: no run here"),
+        (["export", "nowhere", "--to", "csv"], "nowhere: no run here"),
+        (["export", "nowhere", "--to", "mat"], "'mat' is not one of 'ulog', 'csv'"),
+        (["fmu", "check", "none.fmu"], "none.fmu: no such file"),
+        (["fmu", "build", "steam"], "steam"),
+        (["frobnicate"], "No such command 'frobnicate'"),
+    ],
+)
+def test_wrong_input_is_one_line_and_status_2(hexjet, arguments: list[str], message: str) -> None:  # type: ignore[no-untyped-def]
+    done = hexjet(*arguments)
+    assert done.status == 2
+    assert done.out == ""
+    assert done.err.count("\n") == 1
+    assert done.err.startswith("hexjet: ")
+    assert message in done.err
+
+
+def test_a_folder_with_a_run_is_not_written_over(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    assert hexjet("fly", "hover", *SHORT, "--out", "kept").status == 0
+    before = {p.name: p.read_bytes() for p in (tmp_path / "kept").iterdir()}
+    done = hexjet("fly", "hover", *SHORT, "--out", "kept")
+    assert done.status == 2
+    assert "already holds a run" in done.err
+    assert {p.name: p.read_bytes() for p in (tmp_path / "kept").iterdir()} == before
+
+
+def test_wrong_input_leaves_no_folder(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    hexjet("fly", "hover", "--set", "vehicle.mass_kg=-2")
+    hexjet("fly", "hover", "--engine", "none.fmu", "--out", "empty")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_list(hexjet) -> None:  # type: ignore[no-untyped-def]
+    everything = json.loads(hexjet("list", "--json").out)
+    assert set(everything) == {"scenarios", "engines", "aircraft", "controllers"}
+    assert {e["name"] for e in everything["engines"]} >= {"turbojet", "edf", "edf-as-flown"}
+    assert all(entry["title"] for entries in everything.values() for entry in entries)
+    text = hexjet("list", "scenarios").out
+    assert "roll-doublet" in text
+    assert "turbojet" not in text
+
+
+def test_report_and_export_of_a_run(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    hexjet("fly", "hover", *SHORT, "--out", "run")
+    (tmp_path / "run" / "report.html").unlink()
+    assert hexjet("report", "run").status == 0
+    assert (tmp_path / "run" / "report.html").is_file()
+    assert hexjet("export", "run", "--to", "csv").out.strip() == "run/flight.csv"
+    assert (tmp_path / "run" / "flight.csv").read_text().startswith("time_s,roll_rad,")
+    assert hexjet("export", "run", "--to", "ulog").status == 0
+
+
+def test_fmu_check_and_build(hexjet) -> None:  # type: ignore[no-untyped-def]
+    done = hexjet("fmu", "check", "turbojet")
+    assert done.status == 0
+    assert "delay 25 samples" in done.out
+    found = json.loads(hexjet("fmu", "check", "edf-as-flown-fmi2", "--json").out)
+    assert found["ok"]
+    assert hexjet("fmu", "build", "edf").out.split("\n")[0].endswith("edf.fmu")
+
+
+def test_help_has_an_example(hexjet) -> None:  # type: ignore[no-untyped-def]
+    for command in (["fly"], ["list"], ["fmu", "build"], ["fmu", "check"], ["report"], ["export"]):
+        done = hexjet(*command, "--help")
+        assert done.status == 0
+        assert "hexjet " in done.out.partition("Example:")[2]
+    assert hexjet().status == 2
+    assert hexjet("--version").out.startswith("hexjet, version ")

@@ -1,0 +1,368 @@
+"""From an engine's folder to its archives: reproducible, self-contained, quiet, and clear about what is wrong."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from engine_tools import STEP, archive, driven, rewrite, throttles
+from fmpy.validation import validate_fmu
+
+from cosim.engine import EngineBank, build, build_engines, check_fmu, load_engine
+from cosim.engine.build import BuildError, build_all, read_engine
+from cosim.errors import InputError
+from cosim.paths import data_folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _built() -> None:
+    build_engines()
+
+
+@pytest.fixture
+def engines(tmp_path: Path) -> Path:
+    """A copy of the engines' sources, to be changed at will."""
+    return Path(shutil.copytree(data_folder("engines"), tmp_path / "engines"))
+
+
+def test_the_same_input_gives_the_same_bytes_and_no_words(
+    engines: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Built elsewhere, in another folder, it is the archive in ``fmus/``."""
+    for path in build_all(engines, tmp_path / "fmus", ["edf"]):
+        assert path.read_bytes() == (data_folder("fmus") / path.name).read_bytes()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_is_up_to_date_is_left_alone_and_what_is_not_is_built(
+    engines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(data_folder("fmus"), tmp_path / "fmus")
+    compiled = []
+    monkeypatch.setattr(build, "compile_sources", lambda folder, label: compiled.append(label))
+    built = build_all(engines, tmp_path / "fmus")
+    assert sorted(path.name for path in built) == sorted(f"{n}{s}.fmu" for n in load_names() for s in ("", "-fmi2"))
+    assert compiled == []
+
+    source = engines / "delayed_lag.c"
+    source.write_text(source.read_text() + "\n")
+    build_all(engines, tmp_path / "fmus", ["turbojet"])
+    assert compiled == ["turbojet.fmu", "turbojet-fmi2.fmu"]
+
+    compiled.clear()
+    rewrite(
+        archive("edf", 3), tmp_path / "fmus" / "edf.fmu", lambda contents: contents.pop("modelDescription.xml") and None
+    )
+    (tmp_path / "fmus" / "edf-fmi2.fmu").write_bytes(b"half an archive")
+    source.write_text(source.read_text()[:-1])
+    build_all(engines, tmp_path / "fmus", ["edf"])
+    assert compiled == ["edf.fmu", "edf-fmi2.fmu"]
+
+
+def load_names() -> list[str]:
+    return build.engine_folders(data_folder("engines"))
+
+
+def test_the_token_is_that_of_the_content(engines: Path) -> None:
+    def token(fmi: int) -> str:
+        return build._token(read_engine(engines / "edf"), engines / "fmi", fmi)
+
+    described = fmpy.read_model_description(str(archive("edf", 3)))
+    assert described.instantiationToken == token(3) != token(2)
+    before = token(3)
+    path = engines / "fmi" / "slave.c"
+    path.write_text(path.read_text().replace("1e-9", "1e-8"))
+    assert token(3) != before
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_the_sources_inside_are_enough_to_compile_it_elsewhere(fmi: int, tmp_path: Path) -> None:
+    def strip(contents: dict[str, bytes]) -> None:
+        for name in [name for name in contents if name.startswith("binaries/")]:
+            del contents[name]
+
+    stripped = rewrite(archive("turbojet", fmi), tmp_path / "stripped.fmu", strip)
+    folder = tmp_path / "unpacked"
+    fmpy.extract(str(stripped), str(folder))
+    assert not (folder / "binaries").exists()
+    assert not list((folder / "sources").glob("fmi*.h"))  # the importer's own headers are to be used
+    build.compile_sources(folder, "turbojet")
+    runs = []
+    for place in (folder, tmp_path / "shipped"):
+        with driven(archive("turbojet", fmi), place) as engine:
+            engine.start()
+            runs.append(engine.run(throttles()["random"]))
+    assert runs[0].tobytes() == runs[1].tobytes()
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_the_sources_compile_without_a_warning(fmi: int, tmp_path: Path) -> None:
+    compiler = shutil.which("cc")
+    assert compiler is not None
+    with zipfile.ZipFile(archive("edf", fmi)) as fmu:
+        fmu.extractall(tmp_path)
+    headers = Path(fmpy.__file__).parent / "c-code"
+    sources = sorted((tmp_path / "sources").glob("*.c"))
+    options = [
+        "-std=c99",
+        "-O2",
+        "-Wall",
+        "-Wextra",
+        "-Wpedantic",
+        "-Wconversion",
+        "-Wshadow",
+        "-Werror",
+        "-fPIC",
+        "-shared",
+    ]
+    command = [
+        compiler,
+        *options,
+        f"-I{headers}",
+        f"-I{tmp_path / 'sources'}",
+        *sources,
+        "-lm",
+        "-o",
+        tmp_path / "x.so",
+    ]
+    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_nothing_but_fmi_functions_is_exported(tmp_path: Path) -> None:
+    """Or two FMUs in one process could be bound to each other's functions."""
+    for fmi in (2, 3):
+        fmpy.extract(str(archive("edf", fmi)), str(tmp_path / str(fmi)))
+        (library,) = (tmp_path / str(fmi) / "binaries").rglob("edf.so")
+        symbols = subprocess.run(
+            ["nm", "-D", "--defined-only", library], capture_output=True, text=True, check=True
+        ).stdout
+        names = [line.split()[-1] for line in symbols.splitlines()]
+        assert names
+        assert [name for name in names if not name.startswith(f"fmi{fmi}")] == []
+
+
+def test_it_builds_without_the_package_around_it(tmp_path: Path) -> None:
+    """As the package's own build does: loaded by path, with the standard library and FMPy alone."""
+    program = f"""
+import importlib.util, json, sys
+from pathlib import Path
+spec = importlib.util.spec_from_file_location("engine_build", {str(Path(build.__file__))!r})
+module = sys.modules["engine_build"] = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(module)
+paths = module.build_all(Path({str(data_folder("engines"))!r}), Path({str(data_folder("fmus"))!r}))
+print(json.dumps([len(paths), "cosim" in sys.modules, "pydantic" in sys.modules]))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert json.loads(done.stdout) == [6, False, False]
+
+
+def test_an_unknown_engine(engines: Path, tmp_path: Path) -> None:
+    with pytest.raises(BuildError, match="unknown engine 'rocket'; allowed: edf, edf-as-flown, turbojet"):
+        build_all(engines, tmp_path, ["rocket"])
+    with pytest.raises(InputError, match="unknown engine 'rocket'"):
+        build_engines(["rocket"])
+
+
+def test_no_compiler(engines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("CC", "CXX"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PATH", str(make(tmp_path)))
+    with pytest.raises(BuildError, match=r"^edf\.fmu: cannot be compiled: no C and C\+\+ compiler found \(on Debian"):
+        build_all(engines, tmp_path / "fmus", ["edf"])
+    assert list((tmp_path / "fmus").iterdir()) == []
+
+
+def make(folder: Path) -> Path:
+    """A folder that holds make and nothing else."""
+    tool = shutil.which("make")
+    assert tool is not None
+    (folder / "bin").mkdir()
+    (folder / "bin" / "make").symlink_to(tool)
+    return folder / "bin"
+
+
+def test_no_cmake(engines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cmake", None)
+    monkeypatch.setenv("PATH", str(make(tmp_path)))
+    with pytest.raises(BuildError, match=r"^edf\.fmu: cannot be compiled: cmake is not found"):
+        build_all(engines, tmp_path / "fmus", ["edf"])
+
+
+def test_a_fault_in_the_c_source_is_quoted(engines: Path, tmp_path: Path) -> None:
+    source = engines / "delayed_lag.c"
+    source.write_text(source.read_text().replace("v->thrust = v->newton", "v->thrust = w->newton"))
+    with pytest.raises(
+        BuildError, match=r"^edf\.fmu: cannot be compiled: .*delayed_lag\.c:\d+:\d+: error: .w. undeclared"
+    ):
+        build_all(engines, tmp_path / "fmus", ["edf"])
+
+
+def replaced(old: str, new: str) -> Callable[[str], str]:
+    def change(text: str) -> str:
+        assert old in text
+        return text.replace(old, new, 1)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (replaced("title = ", "titel = "), "unknown key titel; allowed: description, internal_step_s, ledger, ports,"),
+        (replaced('title = "Electric ducted fan"\n', ""), "title is missing"),
+        (replaced("title", "title title"), "not valid TOML: "),
+        (replaced("internal_step_s = 0.004", "internal_step_s = 0"), "internal_step_s = 0.0: must be above 0"),
+        (
+            replaced("internal_step_s = 0.004", "internal_step_s = nan"),
+            "internal_step_s = nan: must be a finite number",
+        ),
+        (replaced("../delayed_lag.c", "missing.c"), "sources: there is no file "),
+        (replaced('thrust = "thrust"', 'thrust = "force"'), "thrust = 'force': must name an output (allowed: thrust)"),
+        (
+            replaced('start = "throttle_start"', 'start = "x"'),
+            "start = 'x': must name a parameter (allowed: gain, pole, ",
+        ),
+        (replaced('pole = "pole"', 'zero = "pole"'), "unknown key ledger.zero; allowed: delay, pole"),
+        (
+            replaced('causality = "input"', 'causality = "in"'),
+            "variables.throttle.causality = 'in': allowed: input, output,",
+        ),
+        (replaced('unit = "N"', 'unit = "lbf"'), "variables.thrust.unit = 'lbf': allowed: 1, N, K, "),
+        (replaced("start = 0.2554", ""), "variables.gain: inputs and parameters have a start, outputs have none"),
+        (replaced("min = 0\n", ""), "variables.delay_samples: an integer needs min and max"),
+        (
+            replaced("[variables.gain]", "[variables.Gain]"),
+            "variables.Gain: a variable's name is a C identifier in lower case",
+        ),
+    ],
+)
+def test_a_wrong_engine_toml_gets_one_line(engines: Path, change: Callable[[str], str], words: str) -> None:
+    path = engines / "edf" / "engine.toml"
+    path.write_text(change(path.read_text()))
+    with pytest.raises(BuildError) as caught:
+        read_engine(path.parent)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: {words}")
+    assert "\n" not in text
+
+
+# --- another kind of engine: nonlinear, with more ports, in a folder of its own --------------------------------------
+
+SPOOL_TOML = """
+title = "Spool"
+description = "A spool with inertia, exhaust temperature, fuel flow and an ambient pressure"
+sources = ["spool.c"]
+internal_step_s = 0.002
+[ports]
+throttle = "lever"
+thrust = "net_thrust"
+[variables.lever]
+causality = "input"
+unit = "1"
+min = 0.0
+max = 1.0
+start = 0.0
+description = "Lever"
+[variables.ambient_pressure]
+causality = "input"
+unit = "Pa"
+min = 0.0
+start = 101325.0
+description = "Ambient pressure"
+[variables.net_thrust]
+causality = "output"
+unit = "N"
+description = "Thrust"
+[variables.spool_speed]
+causality = "output"
+unit = "rpm"
+description = "Speed"
+[variables.exhaust_temperature]
+causality = "output"
+unit = "K"
+description = "EGT"
+[variables.fuel_flow]
+causality = "output"
+unit = "kg/s"
+description = "Fuel"
+[variables.idle]
+causality = "parameter"
+unit = "rpm"
+min = 1000.0
+start = 30000.0
+description = "Idle speed"
+"""
+
+SPOOL_C = """
+#include "engine.h"
+typedef struct { double speed; } State;
+const size_t engine_state_size = sizeof(State);
+static void outputs(Variables *v, const State *s)
+{
+    v->spool_speed = s->speed;
+    v->net_thrust = 2e-8 * s->speed * s->speed * v->ambient_pressure / 101325.0;
+    v->exhaust_temperature = 600.0 + 4e-3 * s->speed;
+    v->fuel_flow = 1e-7 * s->speed;
+}
+void engine_start(Variables *v, void *state)
+{
+    State *s = state;
+    s->speed = v->idle;
+    outputs(v, s);
+}
+void engine_step(Variables *v, void *state)
+{
+    State *s = state;
+    const double wanted = v->idle + 80000.0 * limit(v->lever, 0.0, 1.0);
+    s->speed += ENGINE_STEP * (wanted - s->speed) * s->speed / 30000.0;
+    outputs(v, s);
+}
+"""
+
+
+def test_an_engine_of_another_kind_is_a_new_folder(engines: Path, tmp_path: Path) -> None:
+    folder = engines / "spool"
+    folder.mkdir()
+    (folder / "engine.toml").write_text(SPOOL_TOML)
+    (folder / "spool.c").write_text(SPOOL_C)
+    for path in build_all(engines, tmp_path / "fmus", ["spool"]):
+        assert validate_fmu(str(path)) == []
+        units = {u.name: u.baseUnit for u in fmpy.read_model_description(str(path)).unitDefinitions}
+        assert units["rpm"].factor == pytest.approx(math.pi / 30.0, rel=1e-15)
+        with driven(path, tmp_path / path.stem) as engine:
+            engine.start()
+            engine.set("ambient_pressure", 80000.0)
+            speed = 30000.0
+            for k in range(300):
+                engine.set("lever", 0.6)
+                engine.fmu.doStep(k * 0.004, 0.004)
+                for _ in range(2):  # two internal steps in each communication step
+                    speed += 0.002 * (30000.0 + 80000.0 * 0.6 - speed) * speed / 30000.0
+            assert engine.get("spool_speed") == pytest.approx(speed, rel=1e-13)
+            assert engine.get("net_thrust") == pytest.approx(2e-8 * speed**2 * 80000.0 / 101325.0, rel=1e-13)
+
+        # as an engine of a user, its ports go by their plain names
+        def rename(contents: dict[str, bytes]) -> None:
+            text = contents["modelDescription.xml"]
+            text = text.replace(b'name="lever"', b'name="throttle"').replace(b'name="net_thrust"', b'name="thrust"')
+            contents["modelDescription.xml"] = text
+
+        mine = rewrite(path, tmp_path / f"my-{path.name}", rename)
+        spec = load_engine(str(mine), {"idle": 20000.0}, STEP)
+        assert (spec.start, spec.pole, spec.delay_samples) == (None, None, None)
+        np.testing.assert_allclose(
+            spec.curve.thrust, [2e-8 * (20000.0 + 80000.0 * u) ** 2 for u in spec.curve.throttle], rtol=1e-8
+        )
+        with EngineBank(spec, 6, STEP) as bank:
+            assert bank.reset(0.5) == pytest.approx([2e-8 * 60000.0**2] * 6, rel=1e-8)
+        assert check_fmu(str(mine)).ok

@@ -1,0 +1,184 @@
+"""``fmu check`` and the measurements behind it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from engine_tools import PAPER, STEP, archive, edit_description, paper_thrust
+
+from cosim.engine import build_engines, check_fmu
+from cosim.engine.build import build_all
+from cosim.engine.response import Hold, ResponseError, settle, static_curve, step_response, window_for
+from cosim.errors import InputError
+from cosim.paths import data_folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _built() -> None:
+    build_engines()
+
+
+@pytest.mark.parametrize("suffix", ["", "-fmi2"])
+@pytest.mark.parametrize("name", PAPER)
+def test_the_library_is_sound(name: str, suffix: str, capfd: pytest.CaptureFixture[str]) -> None:
+    report = check_fmu(name + suffix)
+    assert (report.ok, report.problems, report.notes) == (True, [], [])
+    assert report.deterministic
+    assert report.reset_restores_start
+    assert report.state_restores
+    assert report.serialized_state_restores
+    assert report.delay_samples_up == report.delay_samples_down == PAPER[name][2]
+    assert report.rise_time_up == pytest.approx(rise_time(name), rel=1e-9)
+    assert report.rise_time_down == pytest.approx(rise_time(name), rel=1e-9)
+    assert report.microseconds_per_step is not None
+    assert 0.0 < report.microseconds_per_step < 100.0
+    assert capfd.readouterr() == ("", "")
+
+
+def rise_time(name: str) -> float:
+    """10 to 90 % of the paper's transfer function, interpolated between samples by numpy."""
+    thrust = np.concatenate([[0.0], paper_thrust(name, np.ones(6000))])
+    low, high = np.interp([0.1 * thrust[-1], 0.9 * thrust[-1]], thrust, np.arange(len(thrust)) * STEP)
+    return float(high - low)
+
+
+def test_the_report_is_plain_json_and_readable_lines() -> None:
+    report = check_fmu("edf-as-flown")
+    data = json.loads(json.dumps(report.to_dict(), allow_nan=False))
+    assert data["ok"] is True
+    assert [v["name"] for v in data["outputs"]] == ["thrust"]
+    assert data["inputs"][0] == {
+        "name": "throttle",
+        "type": "Float64",
+        "unit": "1",
+        "min": 0.0,
+        "max": 1.0,
+        "start": 0.0,
+        "description": "Throttle, limited to 0..1 where it enters the engine",
+    }
+    lines = dict(report.lines())
+    assert lines["static thrust [N]"] == "0: 0, 0.2: 4.001, 0.4: 8.002, 0.6: 12.003, 0.8: 16.004, 1: 20.005"
+    assert lines["throttle up"] == "delay 25 samples (0.1 s), then 10 to 90 % in 0.06571 s"
+
+
+def test_what_is_left_unsaid_is_noted(tmp_path: Path) -> None:
+    path = edit_description(archive("edf", 3), tmp_path / "a.fmu", ' unit="N" />\n    <F', " />\n    <F")
+    path = edit_description(
+        path, tmp_path / "b.fmu", ' unit="1" min="0.0" max="1.0" start="0.0" />\n    <F', ' start="0" />\n    <F'
+    )
+    path = edit_description(path, tmp_path / "c.fmu", ' canGetAndSetFMUState="true" canSerializeFMUState="true"', "")
+    report = check_fmu(str(path))
+    assert report.ok
+    assert report.state_restores is None
+    assert report.notes == [
+        "throttle states no unit; it is taken to be in 1",
+        "thrust states no unit; it is taken to be in N",
+        "throttle states no range; it is taken to run from 0 to 1",
+        "cannot save its state",
+    ]
+
+
+def test_what_fmpy_says_against_the_description_is_a_problem(tmp_path: Path) -> None:
+    old = '<Output valueReference="2" dependencies="" />'
+    path = edit_description(archive("edf", 3), tmp_path / "x.fmu", old, "")
+    report = check_fmu(str(path))
+    assert report.problems == [
+        'ModelStructure/Outputs must have exactly one entry for each variable with causality="output".'
+    ]
+    assert report.delay_samples_up == 0  # the rest is still told
+
+
+def test_an_engine_with_memory_it_does_not_own_is_found_out(tmp_path: Path) -> None:
+    """It leaks a static variable into its thrust at one throttle, and its static thrust has a hump."""
+    engines = Path(shutil.copytree(data_folder("engines"), tmp_path / "engines"))
+    source = engines / "delayed_lag.c"
+    old = "v->thrust = v->newton_per_unit * s->y;\n}\n"
+    head, _, tail = source.read_text().rpartition(old)
+    assert not tail
+    source.write_text(
+        head
+        + "static double leak = 0.0;\n"
+        + "leak += v->throttle == 7.0 / 19.0 ? 0.001 : 0.0;\n"
+        + "v->thrust = v->newton_per_unit * s->y * (1.5 - v->gain / (1.0 - v->pole) * 0.4 * s->y / 2.04) + leak;\n}\n"
+    )
+    for path in build_all(engines, tmp_path / "fmus", ["edf"]):
+        report = check_fmu(str(path))
+        assert report.problems == [
+            "thrust does not rise with the throttle all the way from 0 to 1",
+            "two runs with the same throttle differ",
+            "a run after a reset differs from the first",
+            "a run from a restored state differs from the first",
+            "a run from a serialized state differs from the first",
+        ]
+        assert not report.ok
+
+
+def test_what_cannot_be_loaded_cannot_be_checked(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        check_fmu(str(tmp_path / "nowhere.fmu"))
+    with pytest.raises(
+        InputError, match=r"step 0\.005 s is not a whole multiple of the engine's internal step 0\.004 s"
+    ):
+        check_fmu("edf", step=0.005)
+
+
+# --- the measurements, on engines made of a few lines of Python ---------------------------------------------------
+
+
+def engine(law: Callable[[float, int], float], lag: float = 0.9, delay: int = 0) -> Hold:
+    """``hold`` of an engine whose thrust follows ``law(throttle, k)`` with a lag and a delay."""
+    state = {"y": law(0.0, 0)}
+    line = [0.0] * delay
+    count = itertools.count()
+
+    def hold(throttle: float, steps: int) -> list[float]:
+        thrusts = []
+        for _ in range(steps):
+            line.append(throttle)
+            state["y"] += (1.0 - lag) * (law(line.pop(0), next(count)) - state["y"])
+            thrusts.append(state["y"])
+        return thrusts
+
+    return hold
+
+
+@pytest.mark.parametrize("delay", [0, 1, 63, 64, 65, 700])
+def test_any_delay_is_measured(delay: int) -> None:
+    response = step_response(engine(lambda u, k: 10.0 * u, delay=delay), 0.0, 1.0, STEP)
+    assert response.delay == delay
+    assert response.after == pytest.approx(10.0, abs=1e-7)
+    # ln 9 time constants, as far as straight lines between samples follow the exponential
+    assert response.rise == pytest.approx(np.log(9.0) * -STEP / np.log(0.9), rel=2e-3)
+
+
+def test_a_curve_with_an_idle_thrust() -> None:
+    hold = engine(lambda u, k: 3.0 + 5.0 * u * u)
+    assert settle(hold, 0.0, 50, STEP) == pytest.approx(3.0)
+    step_response(hold, 3.0, 1.0, STEP)
+    curve = static_curve(hold, window_for(0), STEP)
+    np.testing.assert_allclose(curve.thrust, 3.0 + 5.0 * np.square(curve.throttle), atol=1e-7)
+
+
+def test_an_engine_that_never_stands_still() -> None:
+    hold = engine(lambda u, k: 10.0 * u + (k % 2), lag=0.5)
+    with pytest.raises(ResponseError, match=r"thrust does not settle within 60 s at throttle 0\.5"):
+        settle(hold, 0.5, 50, STEP)
+    with pytest.raises(ResponseError, match="does not settle"):
+        step_response(hold, 0.0, 1.0, STEP)
+
+
+def test_an_engine_that_never_answers() -> None:
+    with pytest.raises(ResponseError, match="thrust does not answer the throttle within 10 s"):
+        step_response(engine(lambda u, k: 2.0), 2.0, 1.0, STEP)
+
+
+def test_an_engine_that_comes_back_to_where_it_was() -> None:
+    hold = engine(lambda u, k: 1.0 if 20 < k < 40 else 0.0)
+    with pytest.raises(ResponseError, match="thrust is the same at throttle 0 and 1"):
+        step_response(hold, 0.0, 1.0, STEP)

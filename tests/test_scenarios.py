@@ -1,0 +1,124 @@
+"""Every shipped scenario flies and comes to what it expects; what is wrong in a scenario is said in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.errors import InputError
+from cosim.flight import fly
+from cosim.scenario import Scenario, scenario_names
+
+SHIPPED = {"hover", "roll-doublet", "pitch-doublet", "yaw-doublet", "manual", "payload-drop", "gust", "climb-and-land"}
+EXPECTED = [
+    (name, entry.controller, entry.engine) for name in scenario_names() for entry in Scenario.load(name).expect
+]
+
+
+def test_the_scenarios_are_there_and_say_what_they_are() -> None:
+    assert set(scenario_names()) >= SHIPPED
+    for name in scenario_names():
+        scenario = Scenario.load(name)
+        assert scenario.name == name
+        assert scenario.title
+        assert scenario.description
+        own = [entry for entry in scenario.expect if (entry.controller, entry.engine) == (scenario.controller, scenario.engine)]
+        assert own, f"{name} does not say what it expects of its own controller and engine"
+
+
+@pytest.mark.parametrize(("name", "controller", "engine"), EXPECTED)
+def test_scenario_comes_to_what_it_expects(name: str, controller: str, engine: str) -> None:
+    run = fly(Scenario.load(name).replace(controller=controller, engine=engine))
+    assert run.summary.complaints == [], f"{run.outcome}: {run.reason}"
+    assert run.summary.expectations_met
+
+
+def test_climb_and_land_stands_at_the_end() -> None:
+    run = fly(Scenario.load("climb-and-land"))
+    log = run.log
+    assert log["altitude_m"].max() == pytest.approx(5.0, abs=0.3)
+    assert log["on_ground"][0] == log["on_ground"][-1] == 1.0
+    assert not log["on_ground"][1500:3000].any()
+    assert abs(log["velocity_down_m_s"][-250:]).max() < 0.01
+    # the thrust goes away once it stands
+    assert log["thrust_1_N"][-1] * 6 < 0.5 * 5.525 * 9.8
+
+
+def test_a_classic_smith_predictor_leans_under_a_constant_moment() -> None:
+    """The roll offset that a load off to the side leaves: K h T d over the attitude gain.
+
+    The pole of the paper's model is 0.9999 and not 1, so the offset fades with its time constant of 40 s.
+    """
+    load = {"kind": "payload", "start_s": 1.0, "mass_kg": 0.5, "offset_m": [0.0, 0.01, 0.0]}
+    run = fly(Scenario.load("payload-drop").replace(sensor_noise=False, disturbance=[load], duration_s=14.0, expect=[]))
+    gain, delay, attitude_gain = 433.1, 25 * 0.004, 3.5
+    carried = -run.log["torque_roll"][-500:].mean()
+    # the load's moment about the common centre of gravity, per thrust at full throttle and lever
+    assert carried == pytest.approx(0.5 * 9.8 * 0.01 / (6 * 0.15 * 20.005), rel=0.05)
+    lean = gain * delay * np.exp(-0.025 * 12.0) * carried / attitude_gain
+    assert run.log["roll_rad"][-500:].mean() == pytest.approx(lean, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name = 'x'\nduration_s = = 3\n", r"x\.toml: not valid TOML: .*line 2"),
+        ("name = 'x'", r"x\.toml: duration_s is missing"),
+        ("name = 'x'\nduration_s = nan", r"x\.toml: duration_s = nan: .*(finite|greater)"),
+        ("name = 'x'\nduration_s = -1", r"x\.toml: duration_s = -1: .*greater than 0"),
+        ("name = 'x'\nduration_s = 1\ncontroler = 'smith'", r"unknown key 'controler'; did you mean 'controller'\?"),
+        ("name = 'x'\nduration_s = 1\n[initial]\nheight_m = 3", r"unknown key 'initial\.height_m'; .*allowed: altitude_m"),
+        ("name = 'x'\nduration_s = 1\n[[command]]\nkind = 'stp'", r"command\.0.*'step', 'doublet', 'ramp'"),
+        (
+            "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'step'\nsignal = 'rol_deg'\nstart_s = 0\namplitude = 1",
+            r"command\.0.*signal = 'rol_deg': .*'roll_deg'",
+        ),
+        (
+            "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'step'\nsignal = 'roll_deg'\nstart_s = 0\namplitude = 1\nwidth_s = 2",
+            r"unknown key 'command\.0\.step\.width_s'; .*allowed: amplitude, kind, signal, start_s",
+        ),
+        ("name = 'x'\nduration_s = 1\n[[expect]]\ncontroller = 'smith'\nengine = 'edf'\noutcome = ['landed']", r"outcome"),
+    ],
+)
+def test_wrong_scenarios_are_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "x.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        Scenario.load(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_names_list_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"unknown scenario 'rol-doublet'; did you mean 'roll-doublet'\? allowed: .*hover"):
+        Scenario.load("rol-doublet")
+    with pytest.raises(InputError, match=r"none\.toml: no such scenario file"):
+        Scenario.load(tmp_path / "none.toml")
+
+
+def test_settings_write_over_the_file() -> None:
+    scenario = Scenario.load(
+        "roll-doublet",
+        ["vehicle.mass_kg=6.5", "command.0.amplitude=5", "engine=edf", "initial.velocity_ned_m_s=[1.0, 0.0, 0.0]"],
+    )
+    assert scenario.vehicle == {"mass_kg": 6.5}
+    assert scenario.command[0].amplitude == 5.0  # type: ignore[union-attr]
+    assert scenario.engine == "edf"
+    assert scenario.initial.velocity_ned_m_s == (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("mass", "write it as KEY=VALUE"),
+        ("=3", "write it as KEY=VALUE"),
+        ("command.7.amplitude=5", r"--set: command\.7: a number from 0 to 0 goes here"),
+        ("title.x=5", r"--set: title is a value, not a table"),
+        ("vehicel.mass_kg=5", r"unknown key 'vehicel'; did you mean 'vehicle'\?"),
+        ("duration_s=inf", r"duration_s = inf: .*finite"),
+    ],
+)
+def test_wrong_settings_are_refused(setting: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Scenario.load("roll-doublet", [setting])

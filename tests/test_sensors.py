@@ -1,0 +1,119 @@
+"""Sensors and servos: closed forms for lag, latency and hold, statistics for the noise."""
+
+from __future__ import annotations
+
+from math import exp
+
+import numpy as np
+import pytest
+
+from cosim import frames
+from cosim.sensors import Latency, SensorSuite
+from cosim.servo import TiltServo
+from cosim.signals import Measured, State
+from cosim.vehicle import Sensors, Servo, load_vehicle
+
+STEP = 0.004
+VEHICLE, _ = load_vehicle("hexjet")
+
+
+def state(rate: float = 0.0, height: float = 10.0, north: float = 0.0) -> State:
+    position, euler = (north, 0.0, -height), (0.1, -0.2, 0.3)
+    attitude = frames.from_euler(*euler)
+    return State(
+        position, (1.0, 2.0, -3.0), attitude, euler, (rate, 0.0, -rate), (0.0, 0.0, -9.8), height, (0.0,) * 3, 5.5, False, False  # type: ignore[arg-type]
+    )
+
+
+def suite(noisy: bool = False, seed: int = 1, **changes: dict[str, object]) -> SensorSuite:
+    data = VEHICLE.sensors.model_dump()
+    for sensor, values in changes.items():
+        data[sensor] |= values
+    return SensorSuite(Sensors.model_validate(data), STEP, seed, noisy)
+
+
+def record(sensors: SensorSuite, states: list[State]) -> list[Measured]:
+    sensors.reset(states[0])
+    return [sensors.sample(s) for s in states]
+
+
+def test_gyro_filter_is_the_exact_lag_of_a_held_rate() -> None:
+    """1 - exp(-t / tau) at the samples."""
+    sensors = suite()
+    sensors.reset(state())
+    ours = [sensors.sample(state(2.0)).rate[0] for _ in range(20)]
+    assert ours == pytest.approx([2.0 * (1 - exp(-(n + 1) * STEP / 0.009)) for n in range(20)], rel=1e-12)
+
+
+def test_without_filter_and_noise_the_truth_comes_through() -> None:
+    sensors = suite(gyro={"filter_s": 0.0}, gnss={"period_samples": 1, "latency_samples": 0})
+    truth = state(1.0)
+    sensors.reset(state())
+    seen = sensors.sample(truth)
+    assert seen == Measured(truth.rate, truth.attitude, truth.position, truth.velocity, truth.altitude)
+
+
+def test_latency_is_whole_samples() -> None:
+    line: Latency[int] = Latency(3)
+    line.reset(-1)
+    assert [line.update(n) for n in range(6)] == [-1, -1, -1, 0, 1, 2]
+    sensors = suite(gyro={"filter_s": 0.0, "latency_samples": 2}, barometer={"latency_samples": 1})
+    seen = record(sensors, [state(float(n), 10.0 + n) for n in range(6)])
+    assert [m.rate[0] for m in seen] == [0.0, 0.0, 0.0, 1.0, 2.0, 3.0]
+    assert [m.altitude for m in seen] == [10.0, 10.0, 11.0, 12.0, 13.0, 14.0]
+
+
+def test_gnss_is_sampled_and_held_and_late() -> None:
+    sensors = suite(gnss={"period_samples": 3, "latency_samples": 1})
+    seen = record(sensors, [state(north=float(n)) for n in range(1, 11)])
+    assert [m.position[0] for m in seen] == [1, 1, 1, 3, 3, 3, 6, 6, 6, 9]
+
+
+def test_noise_has_the_stated_size_and_no_mean() -> None:
+    n = 20_000
+    seen = record(suite(True, gyro={"filter_s": 0.0}, gnss={"period_samples": 1}), [state()] * n)[100:]
+    sensors = VEHICLE.sensors
+    pairs = [
+        ([m.rate[1] for m in seen], sensors.gyro.noise_rad_s),
+        ([m.altitude - 10.0 for m in seen], sensors.barometer.noise_m),
+        ([m.position[0] for m in seen], sensors.gnss.position_noise_m),
+        ([m.velocity[2] + 3.0 for m in seen], sensors.gnss.velocity_noise_m_s),
+    ]
+    truth = state().attitude
+    error = [frames.multiply(frames.conjugate(truth), m.attitude) for m in seen]
+    pairs += [([2.0 * q[axis] for q in error], sensors.attitude.noise_rad) for axis in (1, 2, 3)]
+    for values, sigma in pairs:
+        # 4 standard errors of the deviation and of the mean
+        assert np.std(values) == pytest.approx(sigma, rel=4 / np.sqrt(2 * n))
+        assert abs(np.mean(values)) < 4 * sigma / np.sqrt(n)
+
+
+def test_bias_is_added_and_can_be_switched_off() -> None:
+    biased = {"gyro": {"filter_s": 0.0, "noise_rad_s": 0.0, "bias_rad_s": (0.1, 0.0, 0.0)}, "barometer": {"noise_m": 0.0, "bias_m": 2.0}}
+    seen = record(suite(True, **biased), [state()] * 3)  # type: ignore[arg-type]
+    assert seen[2].rate[0] == pytest.approx(0.1)
+    assert seen[2].altitude == pytest.approx(12.0)
+    assert record(suite(False, **biased), [state()] * 3)[2].rate[0] == 0.0  # type: ignore[arg-type]
+
+
+def test_noise_follows_the_seed_alone() -> None:
+    rates = [[m.rate for m in record(suite(True, seed), [state()] * 600)] for seed in (1, 1, 2)]
+    assert rates[0] == rates[1]
+    assert rates[0] != rates[2]
+
+
+# --- servo ---------------------------------------------------------------------------------------------------------
+
+
+def test_servo_is_the_exact_lag_of_a_held_command() -> None:
+    servo = TiltServo(Servo(lag_s=0.02, rate_limit_rad_s=100.0, range_rad=0.5), STEP)
+    ours = [servo.update(0.3) for _ in range(20)]
+    assert ours == pytest.approx([0.3 * (1 - exp(-(n + 1) * STEP / 0.02)) for n in range(20)], rel=1e-12)
+
+
+def test_servo_limits_rate_and_range() -> None:
+    servo = TiltServo(Servo(lag_s=0.0, rate_limit_rad_s=10.0, range_rad=0.1), STEP)
+    assert [servo.update(9.0) for _ in range(4)] == pytest.approx([0.04, 0.08, 0.1, 0.1])
+    assert [servo.update(-9.0) for _ in range(6)] == pytest.approx([0.06, 0.02, -0.02, -0.06, -0.1, -0.1])
+    servo.reset(0.05)
+    assert servo.angle == 0.05

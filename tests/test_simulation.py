@@ -1,0 +1,296 @@
+"""The whole co-simulation: the ledger of delays, the paper's roll response, the Smith identities, determinism."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cosim.control.predictor import PREDICTORS
+from cosim.errors import EngineError, InputError
+from cosim.flight import fly
+from cosim.ledger import total_samples
+from cosim.run import Run
+from cosim.scenario import Scenario
+from cosim.signals import Sample
+from cosim.simulation import build
+
+STEP = 0.004
+GYRO_LATENCY = {"sensors": {"gyro": {"latency_samples": 3}}}
+
+
+class Rows:
+    """Keeps every sample."""
+
+    def __init__(self) -> None:
+        self.samples: list[Sample] = []
+
+    def observe(self, sample: Sample) -> None:
+        self.samples.append(sample)
+
+
+def scenario(**changes: object) -> Scenario:
+    base: dict[str, object] = {"name": "test", "duration_s": 4.0, "sensor_noise": False}
+    return Scenario.from_table(base | changes, Scenario.load("hover").folder, "test")
+
+
+# --- delay ---------------------------------------------------------------------------------------------------------
+
+
+def measured_delay(flown: Scenario) -> tuple[float, float]:
+    """Delay from roll command to measured roll rate in control steps, as measured and as the ledger states it.
+
+    A small step of roll command from hover, the rate loop's gain at zero: once the lags have died out, the rate of an
+    integrator grows along K T (k + 1/2 - D), k counted from the step.  The half is the ideal integrator's own: the one
+    with a phase of -90 deg at every frequency, the trapezoidal rule, has gone half a step at the step itself.  K is
+    known from the engine's thrust, the lever and the inertia.
+    """
+    amplitude, start = 1e-4, 50
+    gains = {"p": 0.0, "i": 0.0, "d": 0.0}
+    flown = flown.replace(
+        controller="baseline",
+        duration_s=2.4,
+        disturbance=[
+            {"kind": "torque_command", "axis": "roll", "start_s": start * STEP, "duration_s": 9.0, "amplitude": amplitude}
+        ],
+        vehicle={"aero": {"damping_n_m_s": [0.0, 0.0, 0.0]}, "control": {"rate": {"roll": gains}}},
+    )
+    rows = Rows()
+    with build(flown) as simulation:
+        simulation.run([rows])
+        vehicle, engine = simulation.vehicle, simulation.engine
+        stated = total_samples(simulation.ledger)
+    lever = sum(abs(jet.position_m[1]) for jet in vehicle.jets)
+    hover = simulation.allocator.hover
+    slope = engine.thrust_at(hover + amplitude) - engine.thrust_at(hover)
+    gain = lever * slope / vehicle.inertia_kg_m2[0]
+    last = rows.samples[-1]
+    grown = (last.measured.rate[0] - rows.samples[start].measured.rate[0]) / (gain * STEP)
+    assert stated is not None
+    return last.k - start + 0.5 - grown, stated
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"substeps": 1},
+        {"engine": "edf"},
+        {"engine": "edf-as-flown-fmi2"},
+        {"vehicle": GYRO_LATENCY},
+        {"vehicle": {"sensors": {"gyro": {"filter_s": 0.0}}}},
+        {"engine_parameters": {"delay_samples": 60.0}},
+    ],
+    ids=str,
+)
+def test_measured_delay_is_the_ledgers_sum(changes: dict[str, object]) -> None:
+    """To a twentieth of a sample, as promised; the rest is the engine's lag not having died out to the last bit."""
+    measured, stated = measured_delay(scenario(**changes))
+    assert measured == pytest.approx(stated, abs=0.05)
+
+
+@pytest.mark.parametrize("added", [1, 10, 35])
+def test_delay_grows_by_what_is_added(added: int) -> None:
+    base, _ = measured_delay(scenario())
+    more, _ = measured_delay(scenario(engine_parameters={"delay_samples": 25.0 + added}))
+    assert more - base == pytest.approx(added, abs=1e-3)
+
+
+def test_ledger_owns_the_transport_delay_once() -> None:
+    """25 samples, in the engine and nowhere else."""
+    with build(scenario()) as simulation:
+        transport = {row.owner: row.samples for row in simulation.ledger if row.kind == "transport" and row.samples}
+    assert transport == {"engine edf-as-flown": 25.0, "JSBSim": 0.25}
+
+
+# --- the paper's roll response ------------------------------------------------------------------------------------
+
+
+def paper_response(hertz: np.ndarray) -> np.ndarray:
+    z = np.exp(2j * np.pi * hertz * STEP)
+    return np.asarray(0.0689 * (z + 1.4538) / ((z - 0.9999) * (z - 0.9024)) * z**-25)
+
+
+@pytest.mark.parametrize("substeps", [1, 4])
+def test_swept_roll_response_is_the_papers(substeps: int) -> None:
+    """Within 1 dB and 6 deg of G(z) from 0.3 to 4 Hz, roll command to measured rate, closed loop, as flown."""
+    swept = scenario(
+        duration_s=100.0,
+        substeps=substeps,
+        disturbance=[
+            {
+                "kind": "torque_command",
+                "axis": "roll",
+                "shape": "sweep",
+                "start_s": 2.0,
+                "duration_s": 92.0,
+                "amplitude": 0.02,
+                "from_hz": 0.15,
+                "to_hz": 6.0,
+            }
+        ],
+    )
+    run = fly(swept)
+    assert run.outcome == "completed", run.reason
+    log = run.log
+    command = log["torque_roll"] + log["disturbance_torque_roll"] - log["refused_roll"]
+    rate = log["rate_p_measured_rad_s"]
+    hertz = np.array([0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0])
+    # the record begins and ends at rest, so its Fourier transforms divide without a window
+    kernel = np.exp(-2j * np.pi * hertz[:, None] * log["time_s"])
+    ratio = (kernel @ rate) / (kernel @ command) / paper_response(hertz)
+    assert np.abs(20 * np.log10(np.abs(ratio))).max() < 1.0
+    assert np.abs(np.degrees(np.angle(ratio))).max() < 6.0
+
+
+# --- Smith ---------------------------------------------------------------------------------------------------------
+
+
+def columns(run: Run) -> dict[str, np.ndarray]:
+    return {name: run.log[name] for name in run.log.columns}
+
+
+def test_smith_with_a_model_without_delay_is_the_baseline_bit_for_bit() -> None:
+    """In the whole co-simulation, with noise: the engine without delay, its model without delay."""
+    runs = [
+        fly(Scenario.load("roll-doublet").replace(engine="edf", controller=controller, duration_s=5.0))
+        for controller in ("baseline", "smith")
+    ]
+    baseline, smith = map(columns, runs)
+    for name, values in baseline.items():
+        np.testing.assert_array_equal(values, smith[name], err_msg=name)
+
+
+def test_roll_doublet_as_the_paper_reports_it() -> None:
+    """Same gains: with Smith both ways settle and it ends level; without, the vehicle is lost or swings on."""
+    smith = fly(Scenario.load("roll-doublet"))
+    roll = smith.metrics["roll"]
+    assert smith.outcome == "completed"
+    assert roll.settling_time_s is not None
+    assert roll.settling_time_s < 2.0
+    assert roll.final_error_rad is not None
+    assert roll.final_error_rad < 0.005
+    baseline = fly(Scenario.load("roll-doublet").replace(controller="baseline"))
+    if baseline.outcome == "completed":
+        error = np.abs(baseline.log["roll_rad"] - baseline.log["roll_setpoint_rad"])
+        swings = [error[start : start + 250].max() for start in (2000, 2250, 2500, 2750)]
+        assert swings[-1] > max(swings[0], np.radians(10.0))
+    else:
+        assert baseline.outcome in ("diverged", "crashed")
+    # the same command, and the same motion until the predictor first has something to say
+    both = min(len(smith.log), len(baseline.log))
+    np.testing.assert_array_equal(smith.log["roll_setpoint_rad"][:both], baseline.log["roll_setpoint_rad"][:both])
+    np.testing.assert_array_equal(smith.log["roll_rad"][:26], baseline.log["roll_rad"][:26])
+
+
+# --- runs ----------------------------------------------------------------------------------------------------------
+
+
+def test_one_seed_one_log_bit_for_bit() -> None:
+    """With turbulence, noise and a payload; another seed gives another log."""
+    flown = Scenario.load("gust").replace(duration_s=5.0)
+    first, second, third = columns(fly(flown)), columns(fly(flown)), columns(fly(flown.replace(seed=2)))
+    for name, values in first.items():
+        assert values.tobytes() == second[name].tobytes(), name
+    assert (first["rate_p_measured_rad_s"] != third["rate_p_measured_rad_s"]).any()
+    assert (first["wind_north_m_s"] != third["wind_north_m_s"]).any()
+
+
+def test_a_simulation_can_be_flown_again() -> None:
+    rows = Rows(), Rows()
+    with build(Scenario.load("payload-drop").replace(duration_s=4.0)) as simulation:
+        for kept in rows:
+            simulation.reset()
+            simulation.run([kept])
+    # NaN-free records compare as they are
+    assert rows[0].samples == rows[1].samples
+
+
+def test_fmi_2_and_fmi_3_engines_fly_alike() -> None:
+    flown = Scenario.load("roll-doublet").replace(duration_s=3.0)
+    three, two = columns(fly(flown)), columns(fly(flown.replace(engine="edf-as-flown-fmi2")))
+    for name, values in three.items():
+        assert values.tobytes() == two[name].tobytes(), name
+
+
+def test_the_step_is_sequential() -> None:
+    """Thrust of step k acts in step k, the disturbance too, and the sample shows the state before it."""
+    rows = Rows()
+    with build(scenario(duration_s=0.2)) as simulation:
+        simulation.run([rows])
+        assert simulation.k == 50
+    assert [sample.k for sample in rows.samples] == list(range(50))
+    assert [sample.time for sample in rows.samples] == [k * STEP for k in range(50)]
+    assert rows.samples[0].state.altitude == pytest.approx(30.0, abs=1e-6)
+
+
+def test_an_engine_that_fails_ends_the_run_and_keeps_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    flown = Scenario.load("hover").replace(duration_s=2.0)
+    from cosim.engine import EngineBank
+
+    honest = EngineBank.step
+
+    def fail(self: EngineBank, k: int, throttle: tuple[float, ...]) -> tuple[float, ...]:
+        if k == 300:
+            raise EngineError("engine 3 (edf.fmu): thrust is not finite at step 300 (1.2 s)")
+        return honest(self, k, throttle)
+
+    monkeypatch.setattr(EngineBank, "step", fail)
+    run = fly(flown)
+    assert run.outcome == "failed"
+    assert run.reason == "engine 3 (edf.fmu): thrust is not finite at step 300 (1.2 s)"
+    assert len(run.log) == 300
+
+
+def test_crash_and_divergence_are_outcomes() -> None:
+    dropped = fly(scenario(initial={"altitude_m": 3.0}, command=[{"kind": "step", "signal": "collective", "start_s": 0.0, "amplitude": 0.1}]))
+    assert dropped.outcome == "crashed"
+    assert "hit the ground at" in dropped.reason
+    tumbled = fly(scenario(disturbance=[{"kind": "moment", "start_s": 0.4, "duration_s": 2.0, "moment_n_m": [3.0, 0.0, 0.0]}]))
+    assert tumbled.outcome == "diverged"
+    assert "leaned past 80 deg" in tumbled.reason
+    assert len(tumbled.log) < 1000
+
+
+# --- wiring --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"controller": "smyth"}, r"unknown controller 'smyth'; did you mean 'smith'\? allowed: .*baseline"),
+        ({"engine": "edfs"}, r"unknown engine 'edfs'; did you mean 'edf'\? allowed: .*turbojet"),
+        ({"aircraft": "hexjat"}, r"unknown aircraft 'hexjat'; did you mean 'hexjet'\? allowed: "),
+        ({"duration_s": 1.0005}, r"duration_s = 1.0005 s is not a whole number of 0.004 s steps"),
+        ({"engine_parameters": {"delay": 3.0}}, r"delay: no such parameter; allowed: delay_samples, gain"),
+        ({"vehicle": {"mass_kg": -1.0}}, r"mass_kg = -1.0: .*greater than 0"),
+        ({"vehicle": {"mas_kg": 1.0}}, r"unknown key 'mas_kg'; did you mean 'mass_kg'\?"),
+        ({"vehicle": {"mass_kg": float("nan")}}, r"mass_kg = nan: .*finite"),
+        ({"vehicle": {"mass_kg": 14.0}}, r"would hover at throttle 1\.\d+, outside 0.05 to 1"),
+        ({"vehicle": {"inertia_kg_m2": [0.1, 0.01, 0.01]}}, r"no body has one moment above the sum"),
+        ({"step_s": 0.005, "duration_s": 1.0}, r"step 0.005 s is not a whole multiple of the engine's internal step 0.004 s"),
+        ({"step_s": 0.008, "duration_s": 1.6}, r"model's sample time 0.004 s is not the scenario's step 0.008 s"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        build(scenario(**changes))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_controller_without_a_model_of_the_engine_says_which_there_are() -> None:
+    flown = scenario()
+    with build(flown) as simulation:
+        vehicle, engine = simulation.vehicle, replace(simulation.engine, name="own", library=False)
+    from cosim.simulation import predictors
+
+    with pytest.raises(InputError, match="needs an identified model of hexjet with engine 'own'; there are models for: edf"):
+        predictors(flown, vehicle, engine)
+    assert len(predictors(flown.replace(controller="baseline"), vehicle, engine)) == 3
+
+
+def test_every_controller_is_described() -> None:
+    from cosim.control.predictor import TITLES
+
+    assert set(TITLES) == set(PREDICTORS)
