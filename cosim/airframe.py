@@ -178,6 +178,10 @@ class Airframe:
                 raise FlightError("JSBSim ended the run")
         return self._read()
 
+    def bare_run(self) -> Callable[[], bool]:
+        """JSBSim's own ``run``, good until the next reset: one of its steps with everything held, to time it alone."""
+        return self._run
+
     def _apply_forces(self, forces: Sequence[Vector3]) -> None:
         for (set_x, set_y, set_z), (x, y, z) in zip(self._set_jet, forces, strict=True):
             set_x(x / POUND_FORCE)
@@ -258,7 +262,7 @@ class Airframe:
         )
 
     def external_wrench(self) -> tuple[Vector3, Vector3]:
-        """Force (N) and moment about the present centre of gravity (N m), body, that JSBSim makes of the external forces."""
+        """What JSBSim makes of the external forces: N, and N m about the present centre of gravity, body."""
         get = self._fdm.get_property_value
         force = [get(f"forces/fb{axis}-external-lbs") * POUND_FORCE for axis in "xyz"]
         moment = [get(f"moments/{axis}-external-lbsft") * POUND_FOOT for axis in "lmn"]

@@ -98,8 +98,8 @@ def load_scenario(
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
 def list_(kind: str | None, as_json: bool) -> int:
     """List what can be flown: scenarios, engines, aircraft, controllers."""
-    from cosim.console import print_catalogue
     from cosim.catalogue import catalogue
+    from cosim.console import print_catalogue
 
     found = {name: catalogue(name) for name in ([kind] if kind else KINDS)}
     if as_json:
@@ -187,7 +187,7 @@ def main(arguments: list[str] | None = None) -> None:
         status = FLIGHT_FAILED
     except BrokenPipeError:
         # whoever read the output has gone; keep Python from complaining about it while it shuts down
-        sys.stdout = None  # type: ignore[assignment]
+        sys.stdout = None
         status = DONE
     except (click.Abort, KeyboardInterrupt):
         status = 130

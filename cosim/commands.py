@@ -56,7 +56,8 @@ class Commander:
         self._base = [0.0] * len(SIGNALS)
         self._base[_YAW] = radians(scenario.initial.attitude_deg[2])
         self._base[_ALTITUDE] = height
-        self._last_values: list[float] | None = None
+        self._last_values: list[float] = []
+        self._last = Command((0.0, 0.0, 0.0), height)
 
     def at(self, k: int) -> Command:
         """The command held over step ``k``."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from cosim.commands import Waveform, doublet, pulse, sweep
 from cosim.errors import InputError
 from cosim.scenario import (
@@ -53,6 +52,7 @@ class Disturber:
                 assert end is not None
                 self._torques.append((AXES.index(entry.axis), _torque(entry, scenario, start, end - start, where)))
         self._parts: tuple[object, ...] | None = None
+        self._last = Disturbance()
         self._calm = not scenario.disturbance
 
     def _add_gust(self, entry: GustDisturbance, start: int, where: str) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from cosim.run import DelayRow, Run, Setup, begin_run, now, versions
+from cosim.run import DelayRow, Recording, Run, Setup, begin_run, now, versions
 from cosim.scenario import Expectation, Scenario, SticksCommand, TableCommand
 from cosim.simulation import Ending, Observer, Simulation, build
 
@@ -29,8 +29,7 @@ def fly(
     Raises InputError if the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
     """
     with build(scenario) as simulation:
-        resolved, files = resolve(simulation)
-        recording = begin_run(_setup(simulation), resolved, None if out is None else Path(out), files)
+        recording = record(simulation, None if out is None else Path(out))
         begin = time.perf_counter()
         try:
             ending = simulation.run([recording, *observers], realtime_factor)
@@ -39,8 +38,14 @@ def fly(
         return recording.finish(ending.outcome, ending.reason, time.perf_counter() - begin, report)
 
 
+def record(simulation: Simulation, folder: Path | None) -> Recording:
+    """Begin the recording of a flight, in ``folder`` or in memory.  Raises InputError if the folder is not usable."""
+    resolved, files = resolve(simulation)
+    return begin_run(_setup(simulation), resolved, folder, files)
+
+
 def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path]]:
-    """The scenario as it flies, with every number of the vehicle and the engine in it, and the files to copy beside it."""
+    """The scenario as it flies, with every number of vehicle and engine in it, and the files to copy beside it."""
     scenario = simulation.scenario
     files: dict[str, Path] = {}
     commands = []

@@ -79,5 +79,5 @@ def cross(a: Vector3, b: Vector3) -> Vector3:
 
 
 def jet_axis(tilt: float) -> Vector3:
-    """Unit thrust in the body frame of a jet tilted by ``tilt`` rad: 0 is straight up (-z), positive is forward (+x)."""
+    """Unit thrust, body, of a jet tilted by ``tilt`` rad: 0 is straight up (-z), positive is forward (+x)."""
     return (sin(tilt), 0.0, -cos(tilt))

@@ -153,7 +153,7 @@ def altitude_cells(summary: Summary) -> list[tuple[str, str, str]]:
 
 def comparison_rows(summaries: Sequence[Summary]) -> list[dict[str, Any]]:
     """The metrics of the axes that any run commands, and of height, one row each; the least of a row is marked."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     for axis in AXES:
         found = [summary.metrics[axis] for summary in summaries]
         if any(metrics.commanded for metrics in found):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
-Six = tuple[float, float, float, float, float, float]
+PerJet = tuple[float, ...]  # jets 1 to 6
 
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 JETS = 6
@@ -76,7 +76,7 @@ class Refused(NamedTuple):
 class Actuation(NamedTuple):
     """What allocation asks of the engines and of the two tilt servos."""
 
-    throttle: Six  # 0..1, jets 1 to 6
+    throttle: PerJet  # 0..1, jets 1 to 6
     tilt: tuple[float, float]  # rad, left and right servo, positive tilts the thrust forward
     refused: Refused
 
@@ -98,5 +98,5 @@ class Sample(NamedTuple):
     collective: float  # mean throttle asked for
     actuation: Actuation
     tilt: tuple[float, float]  # rad, where the servos stand
-    thrust: Six  # N, delivered
+    thrust: PerJet  # N, delivered
     disturbance: Disturbance

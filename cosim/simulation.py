@@ -6,6 +6,7 @@ import time
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import cos, degrees, radians, sin
 from typing import Literal, Protocol
 
@@ -25,7 +26,7 @@ from cosim.scenario import Scenario
 from cosim.sensors import SensorSuite
 from cosim.servo import TiltServo
 from cosim.signals import AXES, JETS, Refused, Sample, State, Vector3
-from cosim.vehicle import Limits, RateModel, Vehicle, load_vehicle
+from cosim.vehicle import Limits, Vehicle, load_vehicle
 
 Outcome = Literal["completed", "crashed", "diverged", "failed"]
 
@@ -94,7 +95,7 @@ class Simulation:
         self.measured = self.sensors.reset(self.state)
 
     def step(self) -> Sample:
-        """One control step over ``[t_k, t_k+1)``, every input held; see the design of the step in docs/design.md."""
+        """One control step over ``[t_k, t_k+1)``, every input held; see docs/design.md."""
         k, state, measured = self.k, self.state, self.measured
         command = self.commander.at(k)
         disturbance = self.disturber.at(k)
@@ -232,12 +233,12 @@ class Control:
 
 
 def throttle_map(engine: EngineSpec) -> Callable[[float], float]:
-    """Thrust of one engine at rest [N] to throttle: the engine's measured static curve, inverted, linear between points.
+    """Thrust of one engine at rest [N] to throttle: its measured static curve, inverted, linear between points.
 
     Raises InputError if the thrust does not grow with the throttle.
     """
     throttles, thrusts = engine.curve.throttle, engine.curve.thrust
-    if any(b <= a for a, b in zip(thrusts, thrusts[1:], strict=False)):
+    if any(b <= a for a, b in pairwise(thrusts)):
         raise InputError(f"engine {engine.name}: its thrust at rest does not grow with the throttle")
 
     def throttle(thrust: float) -> float:
@@ -301,16 +302,17 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
     models = vehicle.identified.get(engine.family, {})
     if scenario.controller != "baseline" and not models:
         raise InputError(
-            f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine {engine.name!r}; "
-            f"there are models for: {', '.join(sorted(vehicle.identified))} (or fly --controller baseline)"
+            f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "
+            f"{engine.name!r}; there are models for: {', '.join(sorted(vehicle.identified))} "
+            "(or fly --controller baseline)"
         )
     found: list[Predictor] = []
     for axis in AXES:
         model = models.get(axis)  # type: ignore[call-overload]
         if model is not None and abs(model.sample_time_s - scenario.step_s) > 1e-9:
             raise InputError(
-                f"vehicle.identified.{engine.family}.{axis}: the model's sample time {model.sample_time_s:g} s is not the "
-                f"scenario's step {scenario.step_s:g} s"
+                f"vehicle.identified.{engine.family}.{axis}: the model's sample time {model.sample_time_s:g} s is not "
+                f"the scenario's step {scenario.step_s:g} s"
             )
         found.append(PREDICTORS[scenario.controller](model) if model is not None else NoPredictor())
     return found

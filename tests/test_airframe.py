@@ -238,7 +238,7 @@ def test_a_force_reaches_the_rate_one_run_late(substeps: int) -> None:
 
 
 def test_disturbing_force_acts_at_the_centre_of_gravity() -> None:
-    with airframe(NO_AERO) as (frame, vehicle):
+    with airframe(NO_AERO) as (frame, _):
         frame.reset(Initial(), OFF, ZERO3)
         frame.step(OFF, Disturbance(force=(1.0, -2.0, 3.0)))
         force, moment = frame.external_wrench()

@@ -48,7 +48,12 @@ def test_json_is_one_object_and_nothing_else(hexjet) -> None:  # type: ignore[no
     done = hexjet("fly", "hover", "--json", "--seed", "5", "--engine", "edf", "--controller", "baseline", *SHORT)
     summary = json.loads(done.out)
     assert done.err == ""
-    assert (summary["outcome"], summary["seed"], summary["engine"], summary["controller"]) == ("completed", 5, "edf", "baseline")
+    assert (summary["outcome"], summary["seed"], summary["engine"], summary["controller"]) == (
+        "completed",
+        5,
+        "edf",
+        "baseline",
+    )
     wanted = {
         "outcome", "reason", "scenario", "aircraft", "engine", "controller", "seed", "steps", "duration_s", "wall_s",
         "realtime_factor", "step_us", "metrics", "versions", "sha256",
@@ -62,7 +67,14 @@ def test_json_is_one_object_and_nothing_else(hexjet) -> None:  # type: ignore[no
 
 def test_a_resolved_scenario_flies_again_to_the_same_bits(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     """From another folder, with sticks from a file, an overridden vehicle and an engine parameter."""
-    settings = ["--set", "duration_s=3.0", "--set", "vehicle.mass_kg=5.8", "--set", "engine_parameters.delay_samples=20"]
+    settings = [
+        "--set",
+        "duration_s=3.0",
+        "--set",
+        "vehicle.mass_kg=5.8",
+        "--set",
+        "engine_parameters.delay_samples=20",
+    ]
     assert hexjet("fly", "manual", *settings, "--out", "first").status == 0
     shutil.move(tmp_path / "first", tmp_path / "moved")
     assert hexjet("fly", "moved/scenario.toml", "--out", "second").status == 0
@@ -79,7 +91,9 @@ def test_a_lost_vehicle_is_status_1_with_log_and_report(hexjet, tmp_path: Path) 
 
 def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     text = (data_folder("scenarios") / "hover.toml").read_text().replace("duration_s = 20.0", "duration_s = 1.0")
-    (tmp_path / "strict.toml").write_text(text.replace('"roll.rmse_rad" = { max = 0.01 }', '"roll.rmse_rad" = { max = 1e-9 }'))
+    (tmp_path / "strict.toml").write_text(
+        text.replace('"roll.rmse_rad" = { max = 0.01 }', '"roll.rmse_rad" = { max = 1e-9 }')
+    )
     done = hexjet("fly", "strict.toml")
     assert done.status == 1
     assert "not as expected: roll.rmse_rad" in done.out
@@ -88,13 +102,22 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["fly", "rol-doublet"], "unknown scenario 'rol-doublet'; did you mean 'roll-doublet'? allowed: climb-and-land, gust"),
+        (
+            ["fly", "rol-doublet"],
+            "unknown scenario 'rol-doublet'; did you mean 'roll-doublet'? allowed: climb-and-land, gust",
+        ),
         (["fly", "hover", "--controller", "pid"], "unknown controller 'pid'; allowed: baseline, smith"),
-        (["fly", "hover", "--engine", "edg"], "unknown engine 'edg'; did you mean 'edf'? allowed: edf, edf-as-flown, turbojet"),
+        (
+            ["fly", "hover", "--engine", "edg"],
+            "unknown engine 'edg'; did you mean 'edf'? allowed: edf, edf-as-flown, turbojet",
+        ),
         (["fly", "hover", "--engine", "none.fmu"], "none.fmu: no such file"),
         (["fly", "hover", "--set", "vehicle.mass_kg=-2"], "mass_kg = -2"),
         (["fly", "hover", "--set", "vehicle.mass_kg=nan"], "mass_kg = nan"),
-        (["fly", "hover", "--set", "step_s=0.005"], "step 0.005 s is not a whole multiple of the engine's internal step 0.004 s"),
+        (
+            ["fly", "hover", "--set", "step_s=0.005"],
+            "step 0.005 s is not a whole multiple of the engine's internal step 0.004 s",
+        ),
         (["fly", "hover", "--seed", "-1"], "seed = -1"),
         (["fly", "hover", "--seed", "x"], "'x' is not a valid integer"),
         (["fly", "hover", "--engine", "turbojet"], "needs an identified model of hexjet with engine 'turbojet'"),

@@ -175,7 +175,14 @@ def test_payloads_share_one_centre() -> None:
 def test_torque_commands_by_axis_and_shape() -> None:
     entries = [
         {"kind": "torque_command", "axis": "yaw", "start_s": 0.0, "duration_s": 0.004, "amplitude": 0.3},
-        {"kind": "torque_command", "axis": "roll", "shape": "doublet", "start_s": 0.0, "duration_s": 0.016, "amplitude": 0.1},
+        {
+            "kind": "torque_command",
+            "axis": "roll",
+            "shape": "doublet",
+            "start_s": 0.0,
+            "duration_s": 0.016,
+            "amplitude": 0.1,
+        },
     ]
     disturber = Disturber(scenario(disturbance=entries))
     assert [disturber.at(k).torque_command for k in range(5)] == [
@@ -186,12 +193,19 @@ def test_torque_commands_by_axis_and_shape() -> None:
         ZERO3,
     ]
     odd = entries[1] | {"duration_s": 0.012}
-    with pytest.raises(InputError, match="even number of 0.004 s steps"):
+    with pytest.raises(InputError, match=r"even number of 0\.004 s steps"):
         Disturber(scenario(disturbance=[odd]))
 
 
 def test_a_gust_is_announced_once() -> None:
-    entry = {"kind": "gust", "start_s": 0.008, "velocity_ned_m_s": [0, 8, 0], "rise_s": 1.0, "hold_s": 0.0, "fall_s": 1.0}
+    entry = {
+        "kind": "gust",
+        "start_s": 0.008,
+        "velocity_ned_m_s": [0, 8, 0],
+        "rise_s": 1.0,
+        "hold_s": 0.0,
+        "fall_s": 1.0,
+    }
     disturber = Disturber(scenario(disturbance=[entry]))
     assert [disturber.at(k).gust for k in range(4)] == [None, None, ((0.0, 8.0, 0.0), 1.0, 0.0, 1.0), None]
     with pytest.raises(InputError, match="a gust needs a velocity"):

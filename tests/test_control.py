@@ -319,14 +319,14 @@ def test_banks_on_the_wrong_side_are_refused() -> None:
 
 
 def altitude(**changes: float) -> AltitudeController:
-    gains = dict(
-        position_1_s=1.0,
-        climb_limit_m_s=2.0,
-        descent_limit_m_s=1.0,
-        velocity_1_s=2.0,
-        integral_1_s2=0.0,
-        integral_limit_m_s2=3.0,
-    )
+    gains = {
+        "position_1_s": 1.0,
+        "climb_limit_m_s": 2.0,
+        "descent_limit_m_s": 1.0,
+        "velocity_1_s": 2.0,
+        "integral_1_s2": 0.0,
+        "integral_limit_m_s2": 3.0,
+    }
     return AltitudeController(AltitudeGains(**{**gains, **changes}), 5.0, lambda thrust: thrust / 100.0, STEP)
 
 

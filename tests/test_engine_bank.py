@@ -172,6 +172,25 @@ def test_a_failure_in_flight_names_engine_step_and_time(
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("nan", "thrust is not finite at the start"),
+        ("set", "fmi{}returned error"),
+        ("error", "doStep returned error before the flight: compressor surge; flame out"),
+    ],
+)
+def test_a_failure_at_the_start_names_the_engine(
+    faulty: Mapping[int, Path], fmi: int, fault: str, words: str, workplace: Path
+) -> None:
+    spec = load_engine(str(faulty[fmi]), {"fault": FAULTS[fault]}, STEP)
+    with EngineBank(spec, 2, STEP) as bank, pytest.raises(EngineError) as caught:
+        bank.reset(FAULT_THROTTLE)
+    words = words.format("2SetReal " if fmi == 2 else "3SetFloat64 ")
+    assert str(caught.value) == f"engine 1 ({faulty[fmi].name}): {words}"
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
 def test_a_warning_is_not_a_failure(faulty: Mapping[int, Path], fmi: int) -> None:
     spec = load_engine(str(faulty[fmi]), {"fault": FAULTS["warning"]}, STEP)
     with EngineBank(spec, 1, STEP) as bank:

@@ -177,7 +177,7 @@ def test_no_compiler(engines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     for name in ("CC", "CXX"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PATH", str(make(tmp_path)))
-    with pytest.raises(BuildError, match=r"^edf\.fmu: cannot be compiled: no C and C\+\+ compiler found \(on Debian"):
+    with pytest.raises(BuildError, match=r"^edf\.fmu: cannot be compiled: no C compiler found \(on Debian"):
         build_all(engines, tmp_path / "fmus", ["edf"])
     assert list((tmp_path / "fmus").iterdir()) == []
 

@@ -12,9 +12,7 @@ from cosim.flight import fly
 from cosim.scenario import Scenario, scenario_names
 
 SHIPPED = {"hover", "roll-doublet", "pitch-doublet", "yaw-doublet", "manual", "payload-drop", "gust", "climb-and-land"}
-EXPECTED = [
-    (name, entry.controller, entry.engine) for name in scenario_names() for entry in Scenario.load(name).expect
-]
+EXPECTED = [(name, entry.controller, entry.engine) for name in scenario_names() for entry in Scenario.load(name).expect]
 
 
 def test_the_scenarios_are_there_and_say_what_they_are() -> None:
@@ -24,7 +22,11 @@ def test_the_scenarios_are_there_and_say_what_they_are() -> None:
         assert scenario.name == name
         assert scenario.title
         assert scenario.description
-        own = [entry for entry in scenario.expect if (entry.controller, entry.engine) == (scenario.controller, scenario.engine)]
+        own = [
+            entry
+            for entry in scenario.expect
+            if (entry.controller, entry.engine) == (scenario.controller, scenario.engine)
+        ]
         assert own, f"{name} does not say what it expects of its own controller and engine"
 
 
@@ -69,7 +71,10 @@ def test_a_classic_smith_predictor_leans_under_a_constant_moment() -> None:
         ("name = 'x'\nduration_s = nan", r"x\.toml: duration_s = nan: .*(finite|greater)"),
         ("name = 'x'\nduration_s = -1", r"x\.toml: duration_s = -1: .*greater than 0"),
         ("name = 'x'\nduration_s = 1\ncontroler = 'smith'", r"unknown key 'controler'; did you mean 'controller'\?"),
-        ("name = 'x'\nduration_s = 1\n[initial]\nheight_m = 3", r"unknown key 'initial\.height_m'; .*allowed: altitude_m"),
+        (
+            "name = 'x'\nduration_s = 1\n[initial]\nheight_m = 3",
+            r"unknown key 'initial\.height_m'; .*allowed: altitude_m",
+        ),
         ("name = 'x'\nduration_s = 1\n[[command]]\nkind = 'stp'", r"command\.0.*'step', 'doublet', 'ramp'"),
         (
             "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'step'\nsignal = 'rol_deg'\nstart_s = 0\namplitude = 1",
@@ -79,7 +84,10 @@ def test_a_classic_smith_predictor_leans_under_a_constant_moment() -> None:
             "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'step'\nsignal = 'roll_deg'\nstart_s = 0\namplitude = 1\nwidth_s = 2",
             r"unknown key 'command\.0\.step\.width_s'; .*allowed: amplitude, kind, signal, start_s",
         ),
-        ("name = 'x'\nduration_s = 1\n[[expect]]\ncontroller = 'smith'\nengine = 'edf'\noutcome = ['landed']", r"outcome"),
+        (
+            "name = 'x'\nduration_s = 1\n[[expect]]\ncontroller = 'smith'\nengine = 'edf'\noutcome = ['landed']",
+            r"outcome",
+        ),
     ],
 )
 def test_wrong_scenarios_are_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
@@ -91,7 +99,9 @@ def test_wrong_scenarios_are_refused_in_one_line(tmp_path: Path, text: str, mess
 
 
 def test_unknown_names_list_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"unknown scenario 'rol-doublet'; did you mean 'roll-doublet'\? allowed: .*hover"):
+    with pytest.raises(
+        InputError, match=r"unknown scenario 'rol-doublet'; did you mean 'roll-doublet'\? allowed: .*hover"
+    ):
         Scenario.load("rol-doublet")
     with pytest.raises(InputError, match=r"none\.toml: no such scenario file"):
         Scenario.load(tmp_path / "none.toml")

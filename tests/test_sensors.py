@@ -21,7 +21,17 @@ def state(rate: float = 0.0, height: float = 10.0, north: float = 0.0) -> State:
     position, euler = (north, 0.0, -height), (0.1, -0.2, 0.3)
     attitude = frames.from_euler(*euler)
     return State(
-        position, (1.0, 2.0, -3.0), attitude, euler, (rate, 0.0, -rate), (0.0, 0.0, -9.8), height, (0.0,) * 3, 5.5, False, False  # type: ignore[arg-type]
+        position,
+        (1.0, 2.0, -3.0),
+        attitude,
+        euler,
+        (rate, 0.0, -rate),
+        (0.0, 0.0, -9.8),
+        height,
+        (0.0,) * 3,
+        5.5,
+        False,
+        False,  # type: ignore[arg-type]
     )
 
 
@@ -89,7 +99,10 @@ def test_noise_has_the_stated_size_and_no_mean() -> None:
 
 
 def test_bias_is_added_and_can_be_switched_off() -> None:
-    biased = {"gyro": {"filter_s": 0.0, "noise_rad_s": 0.0, "bias_rad_s": (0.1, 0.0, 0.0)}, "barometer": {"noise_m": 0.0, "bias_m": 2.0}}
+    biased = {
+        "gyro": {"filter_s": 0.0, "noise_rad_s": 0.0, "bias_rad_s": (0.1, 0.0, 0.0)},
+        "barometer": {"noise_m": 0.0, "bias_m": 2.0},
+    }
     seen = record(suite(True, **biased), [state()] * 3)  # type: ignore[arg-type]
     assert seen[2].rate[0] == pytest.approx(0.1)
     assert seen[2].altitude == pytest.approx(12.0)

@@ -52,7 +52,13 @@ def measured_delay(flown: Scenario) -> tuple[float, float]:
         controller="baseline",
         duration_s=2.4,
         disturbance=[
-            {"kind": "torque_command", "axis": "roll", "start_s": start * STEP, "duration_s": 9.0, "amplitude": amplitude}
+            {
+                "kind": "torque_command",
+                "axis": "roll",
+                "start_s": start * STEP,
+                "duration_s": 9.0,
+                "amplitude": amplitude,
+            }
         ],
         vehicle={"aero": {"damping_n_m_s": [0.0, 0.0, 0.0]}, "control": {"rate": {"roll": gains}}},
     )
@@ -244,10 +250,17 @@ def test_an_engine_that_fails_ends_the_run_and_keeps_the_log(monkeypatch: pytest
 
 
 def test_crash_and_divergence_are_outcomes() -> None:
-    dropped = fly(scenario(initial={"altitude_m": 3.0}, command=[{"kind": "step", "signal": "collective", "start_s": 0.0, "amplitude": 0.1}]))
+    dropped = fly(
+        scenario(
+            initial={"altitude_m": 3.0},
+            command=[{"kind": "step", "signal": "collective", "start_s": 0.0, "amplitude": 0.1}],
+        )
+    )
     assert dropped.outcome == "crashed"
     assert "hit the ground at" in dropped.reason
-    tumbled = fly(scenario(disturbance=[{"kind": "moment", "start_s": 0.4, "duration_s": 2.0, "moment_n_m": [3.0, 0.0, 0.0]}]))
+    tumbled = fly(
+        scenario(disturbance=[{"kind": "moment", "start_s": 0.4, "duration_s": 2.0, "moment_n_m": [3.0, 0.0, 0.0]}])
+    )
     assert tumbled.outcome == "diverged"
     assert "leaned past 80 deg" in tumbled.reason
     assert len(tumbled.log) < 1000
@@ -269,7 +282,10 @@ def test_crash_and_divergence_are_outcomes() -> None:
         ({"vehicle": {"mass_kg": float("nan")}}, r"mass_kg = nan: .*finite"),
         ({"vehicle": {"mass_kg": 14.0}}, r"would hover at throttle 1\.\d+, outside 0.05 to 1"),
         ({"vehicle": {"inertia_kg_m2": [0.1, 0.01, 0.01]}}, r"no body has one moment above the sum"),
-        ({"step_s": 0.005, "duration_s": 1.0}, r"step 0.005 s is not a whole multiple of the engine's internal step 0.004 s"),
+        (
+            {"step_s": 0.005, "duration_s": 1.0},
+            r"step 0.005 s is not a whole multiple of the engine's internal step 0.004 s",
+        ),
         ({"step_s": 0.008, "duration_s": 1.6}, r"model's sample time 0.004 s is not the scenario's step 0.008 s"),
     ],
 )
@@ -285,7 +301,9 @@ def test_a_controller_without_a_model_of_the_engine_says_which_there_are() -> No
         vehicle, engine = simulation.vehicle, replace(simulation.engine, name="own", library=False)
     from cosim.simulation import predictors
 
-    with pytest.raises(InputError, match="needs an identified model of hexjet with engine 'own'; there are models for: edf"):
+    with pytest.raises(
+        InputError, match=r"needs an identified model of hexjet with engine 'own'; there are models for: edf"
+    ):
         predictors(flown, vehicle, engine)
     assert len(predictors(flown.replace(controller="baseline"), vehicle, engine)) == 3
 

@@ -19,7 +19,7 @@ class Predictor(Protocol):
         """Forget everything: at rest, nothing applied."""
 
     def update(self, measured: float, applied: float) -> float:
-        """The rate to feed back at ``t_k``, from the measurement at ``t_k`` and the command applied over the step before."""
+        """The rate to feed back at ``t_k``, from the measurement there and the command applied over the step before."""
 
 
 class NoPredictor:

@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -47,7 +48,6 @@ ADAPTER = ("engine.h", "slave.h", "slave.c")
 
 # No fused multiply-add, so that every build computes the same bits.
 C_FLAGS = "" if sys.platform == "win32" else "-ffp-contract=off"
-
 PORTS = {"throttle", "thrust", "start"}
 LEDGER = {"pole", "delay"}
 
@@ -504,11 +504,20 @@ def compile_sources(folder: Path, label: str) -> None:
     with tempfile.TemporaryFile() as chatter, tempfile.TemporaryDirectory(prefix="engine-build-") as build:
         try:
             with _cmake_on_path(), _output_to(chatter.fileno()):
-                build_platform_binary(folder, build, cmake_options={"CMAKE_C_FLAGS:STRING": C_FLAGS})
+                build_platform_binary(folder, build, cmake_options=_cmake_options())
         except (subprocess.CalledProcessError, OSError) as error:
             chatter.seek(0)
             reason = _reason(chatter.read().decode(errors="replace"), error)
             raise BuildError(f"{label}: {reason}") from error
+
+
+def _cmake_options() -> dict[str, str]:
+    options = {"CMAKE_C_FLAGS:STRING": C_FLAGS}
+    compiler = shutil.which((os.environ.get("CC") or "cc").split()[0])
+    if compiler and sys.platform != "win32":
+        # FMPy's CMake project enables C++ too; nothing is compiled with it, so no such compiler is asked for
+        options |= {"CMAKE_CXX_COMPILER:STRING": compiler, "CMAKE_CXX_COMPILER_FORCED:BOOL": "TRUE"}
+    return options
 
 
 def _reason(chatter: str, error: Exception) -> str:
@@ -516,7 +525,7 @@ def _reason(chatter: str, error: Exception) -> str:
     if isinstance(error, FileNotFoundError):
         return "cannot be compiled: cmake is not found (it comes with the Python package cmake)"
     if re.search(r"No CMAKE_C(XX)?_COMPILER could be found|no such file or directory: .*cl\.exe", chatter):
-        return "cannot be compiled: no C and C++ compiler found (on Debian: apt install build-essential)"
+        return "cannot be compiled: no C compiler found (on Debian: apt install build-essential)"
     lines = [line.strip() for line in chatter.splitlines()]
     telling = [line for line in lines if re.search(r"\b(fatal )?error\b", line, re.IGNORECASE)]
     return f"cannot be compiled: {(telling or [str(error)])[0]}"

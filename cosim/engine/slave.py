@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from cosim.engine import _bank
-from cosim.engine.archive import Archive, Variable, one_line
+from cosim.engine.archive import REALS, Archive, Variable, one_line
 
 STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 FATAL = 4
+
+FUNCTIONS = {
+    2: ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
+    3: ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
+}
 
 # What failed, in the words of the C loop -> in ours.
 FAULTS = {
@@ -32,10 +38,6 @@ Row = tuple[int, int, int, int, int, int, int, int]
 
 class SlaveError(Exception):
     """An FMU refused: one line without its name, which the caller knows."""
-
-
-def _status(status: int) -> str:
-    return STATUS.get(status, f"status {status}")
 
 
 class Slave:
@@ -58,29 +60,39 @@ class Slave:
             raise
 
     def _instantiate(self, folder: Path) -> None:
+        # FMPy's own instantiate() would print the FMU's messages; this way the C loop's log gets them
         fmu = self.fmu
+        name, token, resources = fmu.instanceName.encode(), self.archive.token.encode(), folder / "resources"
         if self.archive.fmi == 2:
+            from fmpy.fmi2 import fmi2CoSimulation  # type: ignore[import-untyped]
+
             self._callbacks = _callbacks2(self.log)
-            place = (folder / "resources").as_uri().encode()
             fmu.component = fmu.fmi2Instantiate(
-                fmu.instanceName.encode(), 1, fmu.guid.encode(), place, ctypes.byref(self._callbacks), 0, 1
+                instanceName=name,
+                fmuType=fmi2CoSimulation,
+                guid=token,
+                resourceLocation=resources.as_uri().encode(),
+                callbacks=ctypes.byref(self._callbacks),
+                visible=False,
+                loggingOn=True,
             )
         else:
             from fmpy.fmi3 import fmi3IntermediateUpdateCallback, fmi3LogMessageCallback  # type: ignore[import-untyped]
 
-            place = f"{folder / 'resources'}{os.sep}".encode()
             self._callbacks = fmi3LogMessageCallback(_bank.LOGGER3), fmi3IntermediateUpdateCallback()
-            logger, no_update = self._callbacks
             fmu.component = fmu.fmi3InstantiateCoSimulation(
-                fmu.instanceName.encode(),
-                fmu.guid.encode(),
-                place,
-                *(False, True),  # not visible, logging on
-                *(False, False),  # neither event mode nor early return
-                *(None, 0),  # no intermediate variables
-                self.log.address,
-                logger,
-                no_update,
+                instanceName=name,
+                instantiationToken=token,
+                resourcePath=f"{resources}{os.sep}".encode(),
+                visible=False,
+                loggingOn=True,
+                eventModeUsed=False,
+                earlyReturnAllowed=False,
+                requiredIntermediateVariables=None,
+                nRequiredIntermediateVariables=0,
+                instanceEnvironment=self.log.address,
+                logMessage=self._callbacks[0],
+                intermediateUpdate=self._callbacks[1],
             )
         if not fmu.component:
             raise SlaveError(self._with_log("cannot be instantiated"))
@@ -99,18 +111,14 @@ class Slave:
         self.call("setReal" if self.archive.fmi == 2 else "setFloat64", [reference], [throttle])
         self.call("exitInitializationMode")
         self._stepping = True
-        return self.thrust()
+        thrust = self.call("getReal" if self.archive.fmi == 2 else "getFloat64", [self.archive.thrust.reference])[0]
+        if not math.isfinite(thrust):
+            raise SlaveError("thrust is not finite at the start")
+        return float(thrust)
 
     def _set(self, variable: Variable, value: float) -> None:
-        convert = (
-            bool if variable.type == "Boolean" else float if variable.type in ("Real", "Float64", "Float32") else int
-        )
-        self.call(f"set{variable.type}", [variable.reference], [convert(value)])
-
-    def thrust(self) -> float:
-        """The thrust [N] where the FMU stands."""
-        getter = "getReal" if self.archive.fmi == 2 else "getFloat64"
-        return float(self.call(getter, [self.archive.thrust.reference])[0])
+        fitting = value if variable.type in REALS else bool(value) if variable.type == "Boolean" else int(value)
+        self.call(f"set{variable.type}", [variable.reference], [fitting])
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> Any:
         """Call one of FMPy's wrappers.  Raises SlaveError if it returns worse than a warning."""
@@ -140,11 +148,7 @@ class Slave:
     def row(self, done: int = 0) -> Row:
         """What the C loop needs to step this instance, which has ``done`` communication steps behind it."""
         fmi, throttle, thrust = self.archive.fmi, self.archive.throttle.reference, self.archive.thrust.reference
-        names = (
-            ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal")
-            if fmi == 2
-            else ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64")
-        )
+        names = FUNCTIONS[fmi]
         setter, step, getter = (ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value or 0 for name in names)
         return fmi, self.fmu.component, setter, step, getter, throttle, thrust, done
 
@@ -162,7 +166,7 @@ class Slave:
 
 
 def _load(archive: Archive, folder: Path, name: str) -> Any:
-    from fmpy.fmi2 import FMU2Slave  # type: ignore[import-untyped]
+    from fmpy.fmi2 import FMU2Slave
     from fmpy.fmi3 import FMU3Slave
 
     kind = FMU2Slave if archive.fmi == 2 else FMU3Slave
@@ -196,3 +200,7 @@ def _callbacks2(log: _bank.Log) -> Any:
     callbacks.freeMemory = ctypes.cast(free, fmi2CallbackFreeMemoryTYPE)
     callbacks.componentEnvironment = log.address
     return callbacks
+
+
+def _status(status: int) -> str:
+    return STATUS.get(status, f"status {status}")

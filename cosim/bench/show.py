@@ -1,0 +1,137 @@
+"""The measurements as a person reads them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from cosim.bench.blocks import Breakdown
+from cosim.bench.process import Memory, Startup
+from cosim.bench.speed import BARE
+from cosim.bench.suite import Result
+from cosim.bench.timing import Cost, Spread
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+@contextmanager
+def progress(quiet: bool) -> Iterator[Callable[[str, int, int], object]]:
+    """Shows on a terminal how far the measurements are; says nothing in a pipe."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda what, done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
+
+    with Progress(console=Console(stderr=True), transient=True) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def tell(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bars.add_task(what, total=total)
+            bars.update(tasks[what], completed=done)
+
+        yield tell
+
+
+def print_result(result: Result) -> None:
+    """Tables, then what was asked for and what came out."""
+    from rich.console import Console
+
+    console = Console()
+    machine, plan = result.machine, result.plan
+    console.print(
+        f"{machine.cpu}, {machine.cores} cores, {machine.system}, Python {result.versions['python']}, "
+        f"JSBSim {result.versions.get('jsbsim', '?')}; {plan.rounds} rounds of {plan.steps} steps",
+        highlight=False,
+    )
+    console.print(
+        "Median [quartiles] of the rounds.  A unit is one bare JSBSim run() timed just before and after, in processor "
+        "time of one thread.",
+        highlight=False,
+    )
+    if machine.processor_share < 0.95:
+        console.print(
+            f"Other work took {1.0 - machine.processor_share:.0%} of the wall time: trust the units, not the microseconds.",
+            style="yellow",
+            highlight=False,
+        )
+    for substeps, costs in result.speed.items():
+        console.print(_costs(f"one control step, JSBSim runs in it: {substeps}", costs))
+    console.print(_blocks(result.breakdown))
+    console.print(_startup(result.startup))
+    if result.memory:
+        console.print(_memory(result.memory))
+    console.print(_headlines(result))
+
+
+def _table(title: str, *columns: str) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    table.add_column("")
+    for column in columns:
+        table.add_column(column, justify="right")
+    return table
+
+
+def _spread(spread: Spread, digits: int) -> str:
+    return f"{spread.median:.{digits}f} [{spread.low:.{digits}f}, {spread.high:.{digits}f}]"
+
+
+def _cost_cells(cost: Cost) -> list[str]:
+    return [_spread(cost.wall_us, 2), _spread(cost.cpu_us, 2), _spread(cost.units, 2)]
+
+
+def _costs(title: str, costs: dict[str, Cost]) -> Any:
+    table = _table(title, "us, wall", "us, processor", "units")
+    for name, cost in costs.items():
+        cells = _cost_cells(cost)
+        table.add_row(name, *cells[:2], "1" if name == BARE else cells[2])
+    return table
+
+
+def _blocks(breakdown: Breakdown) -> Any:
+    table = _table("where it goes outside JSBSim: each block alone, on recorded inputs", "us, processor", "units", "%")
+    whole = breakdown.outside.units.median
+    for name, cost in breakdown.blocks.items():
+        share = f"{100.0 * cost.units.median / whole:.0f}"
+        table.add_row(name, f"{cost.cpu_us.median:.2f}", f"{cost.units.median:.2f}", share)
+    rest = breakdown.rest_units
+    name = "rest: loop, records, colder caches"
+    table.add_row(name, f"{breakdown.rest_us:.2f}", f"{rest:.2f}", f"{100.0 * rest / whole:.0f}", end_section=True)
+    table.add_row("all, recorded to disk", f"{breakdown.outside.cpu_us.median:.2f}", f"{whole:.2f}", "100")
+    return table
+
+
+def _startup(startup: Startup) -> Any:
+    table = _table("hexjet fly hover", "s")
+    for name, spread in (
+        ("Python starts", startup.python_s),
+        ("imports", startup.imports_s),
+        ("builds the flight, begins the log", startup.build_s),
+        ("to the first step", startup.first_step_s),
+    ):
+        table.add_row(name, _spread(spread, 3))
+    return table
+
+
+def _memory(memory: Memory) -> Any:
+    title = f"{memory.minutes:g} min of flight ({memory.steps} steps) in {memory.wall_s:.0f} s; folder {memory.log_mb:.0f} MB"
+    table = _table(title, "resident MB", "peak so far MB")
+    for landmark in memory.landmarks:
+        resident = "-" if landmark.resident_mb is None else f"{landmark.resident_mb:.0f}"
+        where = f"{landmark.where} of the flight" if "/" in landmark.where else landmark.where
+        table.add_row(where, resident, f"{landmark.peak_mb:.0f}")
+    return table
+
+
+def _headlines(result: Result) -> Any:
+    table = _table("asked for", "measured", "at most", "")
+    for name, value, most, unit in result.headlines():
+        table.add_row(name, f"{value:.3g}", f"{most:g} {unit}", "" if value <= most else "over")
+    return table

@@ -1,0 +1,405 @@
+"""The report: every figure is one that Plotly accepts, nothing is lost in drawing, and every run gets a page."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+import sys
+from collections.abc import Callable
+from html.parser import HTMLParser
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects
+import pytest
+from flights import STEP, samples, scenario, setup
+
+from cosim.columns import NAMES
+from cosim.errors import FlightError
+from cosim.figures import ATTITUDE, Reader, jet_rows, run_figures, stacked, thinned
+from cosim.recorder import MemoryLog
+from cosim.report import compare_report, figure_json, run_labels, verdict, write_report
+from cosim.run import DelayRow, Run, begin_run
+from cosim.signals import Command, Sample
+
+Change = Callable[[Sample], Sample]
+
+
+def flown(
+    steps: int = 2000,
+    outcome: Any = "completed",
+    reason: str = "",
+    change: Change = lambda sample: sample,
+    folder: Path | None = None,
+    **known: Any,
+) -> Run:
+    recording = begin_run(setup(**known), scenario(), folder)
+    for sample in samples(steps):
+        recording.observe(change(sample))
+    return recording.finish(outcome, reason, wall_s=0.1)
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return flown()
+
+
+class Page(HTMLParser):
+    """The text of a page, its elements, and the figures in it."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.text = ""
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.figures: dict[str, Any] = {}
+        self._open: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        self._open.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        while self._open and self._open.pop()[0] != tag:
+            pass
+
+    def handle_data(self, data: str) -> None:
+        tag, attrs = self._open[-1] if self._open else ("", {})
+        if tag == "script" and attrs.get("type") == "application/json":
+            self.figures[str(attrs["id"]).removeprefix("figure-")] = json.loads(data)
+        elif tag not in ("script", "style"):
+            self.text += " " + " ".join(data.split())
+
+    @property
+    def places(self) -> set[str]:
+        return {str(attrs["data-figure"]) for _, attrs in self.elements if "data-figure" in attrs}
+
+
+def page_of(run: Run, tmp_path: Path) -> Page:
+    write_report(run, tmp_path / "report.html")
+    return Page(tmp_path / "report.html")
+
+
+def decoded(values: Any) -> np.ndarray:
+    kinds = {"f4": np.float32, "f8": np.float64}
+    return np.frombuffer(base64.b64decode(values["bdata"]), dtype=kinds[values["dtype"]])
+
+
+# ---- figures
+
+
+def test_plotly_accepts_every_figure(run: Run) -> None:
+    figures = run_figures(run.log, run.summary)
+    assert set(figures) == {"attitude", "rate", "thrust", "tilt", "height", "effort", "track", "outside"}
+    for figure in figures.values():
+        plotly.graph_objects.Figure(figure)  # raises ValueError for a key or a value outside Plotly's schema
+        plotly.graph_objects.Figure(json.loads(figure_json(figure)))
+
+
+def test_a_figure_plotly_would_not_accept_is_noticed() -> None:
+    with pytest.raises(ValueError, match="Invalid"):
+        plotly.graph_objects.Figure({"data": [{"type": "scatter", "colour": "red"}]})
+
+
+def test_angles_are_drawn_in_degrees_and_nothing_else_is_changed(run: Run) -> None:
+    figures = run_figures(run.log, run.summary)
+    data = {trace["hovertemplate"].split(":")[0]: trace for trace in figures["attitude"]["data"]}
+    # float32 on the page: 24 bits
+    np.testing.assert_allclose(data["Roll, true"]["y"], np.degrees(run.log["roll_rad"]), rtol=2**-23)
+    np.testing.assert_allclose(data["Yaw, set-point"]["y"], np.degrees(run.log["yaw_setpoint_rad"]), rtol=2**-23)
+    assert (data["Roll, true"]["x0"], data["Roll, true"]["dx"]) == (0.0, STEP)
+    rates = {trace["hovertemplate"].split(":")[0]: trace for trace in figures["rate"]["data"]}
+    expected = np.degrees(run.log["rate_p_predicted_rad_s"])
+    np.testing.assert_allclose(rates["Roll rate, predicted"]["y"], expected, rtol=2**-23)
+    climb = figures["height"]["data"][-1]
+    np.testing.assert_allclose(climb["y"], -run.log["velocity_down_m_s"], rtol=2**-23)
+
+
+def test_thrust_is_drawn_where_the_jet_sits(run: Run) -> None:
+    figure = run_figures(run.log, run.summary)["thrust"]
+    titles = [note["text"] for note in figure["layout"]["annotations"]]
+    assert titles == [f"<b>Jet {jet}</b>" for jet in (3, 1, 6, 5, 2, 4)]
+    for number, jet in enumerate((3, 1, 6, 5, 2, 4)):
+        told, delivered = figure["data"][2 * number : 2 * number + 2]
+        # the curve of the made-up engine is a line through 0 with 20 N per unit of throttle
+        np.testing.assert_allclose(told["y"], 20.0 * run.log[f"throttle_{jet}"], rtol=2**-23)
+        np.testing.assert_allclose(delivered["y"], run.log[f"thrust_{jet}_N"], rtol=2**-23)
+    layout = figure["layout"]
+    assert layout["yaxis"]["domain"][0] > layout["yaxis5"]["domain"][1]  # jets 3 and 1 are in front
+    assert layout["xaxis"]["domain"][1] < layout["xaxis2"]["domain"][0]
+    assert len({tuple(layout[f"yaxis{n}" if n > 1 else "yaxis"]["range"]) for n in range(1, 7)}) == 1
+
+
+def test_jets_are_placed_by_the_vehicle() -> None:
+    assert jet_rows([]) == ((3, 1), (6, 5), (2, 4))
+    assert jet_rows([(1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0)]) == ((1, 2), (4, 3))
+
+
+def test_without_a_static_curve_only_what_was_delivered_is_drawn(tmp_path: Path) -> None:
+    run = flown(50, engine_curve=[])
+    assert [trace["name"] for trace in run_figures(run.log, run.summary)["thrust"]["data"]] == ["delivered"] * 6
+    assert "its thrust at rest is not known" in page_of(run, tmp_path).text
+
+
+def test_disturbances_are_shaded_and_what_is_not_there_is_left_out(run: Run, tmp_path: Path) -> None:
+    figures = run_figures(run.log, run.summary)
+    shade = figures["attitude"]["layout"]["shapes"][0]
+    # on for 6 < t < 7: from the row at 6.004 s to the one that begins at 7 s
+    assert (shade["x0"], shade["x1"]) == (pytest.approx(6.004), pytest.approx(7.0))
+    titles = [axis["title"]["text"] for key, axis in figures["outside"]["layout"].items() if key.startswith("yaxis")]
+    assert titles == ["Moment [N m]", "Wind [m/s]"]
+    assert not any(trace["name"] == "refused" for trace in figures["effort"]["data"])
+    calm = flown(100, change=lambda s: s._replace(state=s.state._replace(wind=(0.0, 0.0, 0.0))))
+    assert "outside" not in run_figures(calm.log, calm.summary)
+    assert "Nothing disturbed this flight" in page_of(calm, tmp_path).text
+
+
+def test_thinning_keeps_every_peak() -> None:
+    random = np.random.default_rng(4)
+    values = random.normal(size=900_001)
+    peaks = random.choice(values.size, size=40, replace=False)
+    values[peaks] = 50.0 + np.arange(40)
+    rows = thinned(values)
+    assert rows is not None
+    assert rows.size <= 4000
+    assert rows[0] == 0
+    assert rows[-1] == values.size - 1
+    assert np.all(np.diff(rows) > 0)
+    length = np.diff(rows).max()
+    for peak in peaks:  # it is drawn, unless a greater one stands in the same stretch
+        near = values[max(0, peak - length) : peak + length + 1]
+        assert peak in rows or near.max() > values[peak]
+    assert values[rows].max() == values.max()
+    assert values[rows].min() == values.min()
+
+
+@pytest.mark.parametrize("size", [3999, 4000, 4001, 4003, 7999, 8001, 12_345])
+def test_thinning_of_any_length(size: int) -> None:
+    values = np.sin(np.arange(size) * 0.1)
+    rows = thinned(values)
+    if size <= 4000:
+        assert rows is None
+    else:
+        assert rows is not None
+        assert rows.size <= 4000
+        assert rows.max() == size - 1
+
+
+def test_thinning_keeps_gaps() -> None:
+    values = np.ones(10_000)
+    values[3000:6000] = nan
+    rows = thinned(values)
+    assert rows is not None
+    assert np.isnan(values[rows]).any()
+    assert np.isfinite(values[rows]).sum() > 1000
+    assert thinned(np.full(10_000, nan)) is not None
+
+
+def test_a_long_flight_is_drawn_with_its_times() -> None:
+    table = np.zeros((len(NAMES), 20_000))
+    table[NAMES.index("roll_rad"), 12_345] = 1.0
+    figure = stacked(Reader(MemoryLog([table]), STEP), ATTITUDE)
+    trace = next(trace for trace in figure["data"] if trace["hovertemplate"].startswith("Roll, true"))
+    assert trace["x"][np.argmax(trace["y"])] == pytest.approx(12_345 * STEP)
+    assert len(trace["y"]) <= 4000
+    plotly.graph_objects.Figure(figure)
+
+
+# ---- the page
+
+
+def test_the_page_is_whole_and_needs_nothing_else(run: Run, tmp_path: Path) -> None:
+    page = page_of(run, tmp_path)
+    assert page.places == set(page.figures) == set(run_figures(run.log, run.summary))
+    loaded = [
+        attrs
+        for tag, attrs in page.elements
+        if tag in ("script", "link", "img", "iframe") and {"src", "href"} & set(attrs)
+    ]
+    assert loaded == []
+    style = re.search(r"<style>(.*?)</style>", (tmp_path / "report.html").read_text(), re.DOTALL)
+    assert style is not None
+    assert "url(" not in style[1]
+    assert "@import" not in style[1]
+    drawn = decoded(page.figures["attitude"]["data"][1]["y"])
+    np.testing.assert_allclose(drawn, np.degrees(run.log["roll_rad"]), rtol=2**-23)
+
+
+def test_the_page_says_what_there_is_to_say(run: Run, tmp_path: Path) -> None:
+    text = page_of(run, tmp_path).text
+    summary = run.summary
+    for word in (
+        "Roll doublet",
+        "hexjet",
+        "edf-as-flown",
+        "smith",
+        "completed",
+        "as expected",
+        "roll.overshoot_percent",
+    ):
+        assert word in text, word
+    assert summary.metrics["roll"].overshoot_percent is not None
+    assert f"{summary.metrics['roll'].overshoot_percent:.1f}" in text
+    assert f"{np.degrees(summary.metrics['roll'].rmse_rad or nan):.2f}" in text
+    assert "transport delay engine edf-as-flown transport 25.00 100.00" in text
+    assert "total 25.75 103.00" in text
+    for name, value in (summary.versions | summary.sha256).items():
+        assert name in text
+        assert value in text
+    assert "flown in memory" in text
+
+
+def test_a_run_in_a_folder_says_how_to_fly_it_again(tmp_path: Path) -> None:
+    folder = tmp_path / "my runs"
+    flown(10, folder=folder)
+    assert f"hexjet fly '{folder}/scenario.toml'" in Page(folder / "report.html").text
+
+
+def test_what_is_expected_and_not_met_is_plain_to_see(tmp_path: Path) -> None:
+    run = flown(change=lambda s: s._replace(state=s.state._replace(euler=(2.0 * s.state.euler[0], 0.0, 0.0))))
+    text = page_of(run, tmp_path).text
+    assert "not as expected" in text
+    assert re.search(r"roll\.overshoot_percent ≤ 35 [\d.]+ not met", text)
+    assert "outcome completed completed met" in text
+
+
+def test_a_delay_that_nobody_states_has_no_sum(tmp_path: Path) -> None:
+    rows = [*setup().delay_ledger, DelayRow(element="spool lag", owner="engine", kind="lag", samples=None)]
+    text = page_of(flown(10, delay_ledger=rows), tmp_path).text
+    assert "spool lag engine lag not stated" in text
+    assert "total not known" in text
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2])
+@pytest.mark.parametrize("outcome", ["crashed", "diverged", "failed"])
+def test_every_flight_gets_a_page(tmp_path: Path, rows: int, outcome: str) -> None:
+    reason = "engine 3 (edf.fmu): thrust is not finite at step 0 (0.000 s)"
+    page = page_of(flown(rows, outcome, reason), tmp_path)
+    assert outcome in page.text
+    assert reason in page.text
+    assert bool(page.figures) == bool(rows)
+    assert ("nothing to draw" in page.text) == (rows == 0)
+    for figure in page.figures.values():
+        plotly.graph_objects.Figure(figure)
+
+
+def test_values_that_are_no_numbers_are_gaps(tmp_path: Path) -> None:
+    def spoil(sample: Sample) -> Sample:
+        if sample.k < 100:
+            return sample._replace(command=Command((0.0, 0.0, 0.0), 30.0, rate=(0.0, 0.0, 0.0), collective=0.4))
+        return sample._replace(thrust=(nan, float("inf"), 1.0, 1.0, 1.0, 1.0)) if sample.k > 200 else sample
+
+    run = flown(300, "failed", "engine 1", change=spoil)
+    page = page_of(run, tmp_path)
+    for figure in page.figures.values():
+        plotly.graph_objects.Figure(figure)
+    setpoint = decoded(page.figures["attitude"]["data"][2]["y"])
+    assert np.isnan(setpoint[:100]).all()
+    assert np.isfinite(setpoint[100:]).all()
+
+
+def test_text_of_a_scenario_cannot_become_markup(tmp_path: Path) -> None:
+    evil = "</script><script>alert(1)</script><img src=x onerror=alert(1)> & \"quoted\" 'too'"
+    run = flown(
+        20,
+        "failed",
+        evil,
+        title=evil,
+        description=evil,
+        engine=evil,
+        delay_ledger=[DelayRow(element=evil, owner=evil, kind=evil, samples=1.0)],
+        versions={evil: evil},
+        sha256={evil: evil},
+    )
+    compare_report([run, flown(20)], tmp_path / "compare.html")
+    for page in (page_of(run, tmp_path), Page(tmp_path / "compare.html")):
+        assert not [tag for tag, attrs in page.elements if tag == "img" or "onerror" in attrs]
+        assert [tag for tag, _ in page.elements].count("script") == len(page.figures) + 2
+        assert evil.split("<")[0] in page.text
+    assert html.escape("<img src=x") in (tmp_path / "report.html").read_text()
+    assert "<" not in figure_json({"data": [{"name": evil}]})
+
+
+def test_a_page_that_cannot_be_written(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FlightError, match="file") as complaint:
+        write_report(run, tmp_path / "file" / "report.html")
+    assert "\n" not in str(complaint.value)
+
+
+def test_plotly_is_not_imported_to_write_a_page(run: Run, tmp_path: Path) -> None:
+    import subprocess
+
+    code = (
+        "import sys; from pathlib import Path; from cosim.run import open_run; from cosim.report import write_report;"
+        f"write_report(open_run({str(tmp_path / 'run')!r}), Path({str(tmp_path / 'x.html')!r}));"
+        "print('plotly.graph_objs' in sys.modules, 'plotly.io' in sys.modules)"
+    )
+    flown(10, folder=tmp_path / "run")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "False"]
+
+
+# ---- in words
+
+
+def test_verdicts(run: Run) -> None:
+    words = verdict(run.summary)
+    assert words.startswith("Flew all 8.00 s. Roll: 25 % overshoot, settled within 0.85 s, ")
+    assert "Pitch" not in words
+    lost = flown(
+        1500,
+        "diverged",
+        "leaned past 90 deg",
+        change=lambda s: s._replace(command=s.command._replace(attitude=(s.time, 0.0, 0.0))),
+    )
+    assert verdict(lost.summary).startswith("Diverged after 6.00 s of 8 s: leaned past 90 deg.")
+    still = flown(100, change=lambda s: s._replace(command=Command((0.0, 0.0, 0.0), 30.0)))
+    assert "Largest attitude error" in verdict(still.summary)
+    assert verdict(flown(0, "failed", "nothing").summary) == "Failed after 0.00 s of 8 s: nothing."
+
+
+def test_labels_tell_runs_apart(run: Run) -> None:
+    base = run.summary
+    other = base.model_copy(update={"controller": "baseline"})
+    assert run_labels([other, base]) == ["baseline", "smith"]
+    assert run_labels([base.model_copy(update={"seed": 2}), other]) == ["smith, 2", "baseline, 1"]
+    assert run_labels([base, base]) == ["smith #1", "smith #2"]
+    assert run_labels([base.model_copy(update={"engine": "edf"}), base]) == ["edf", "edf-as-flown"]
+
+
+# ---- comparison
+
+
+def test_runs_are_laid_over_each_other(tmp_path: Path) -> None:
+    ringing = flown(
+        folder=tmp_path / "a",
+        controller="baseline",
+        change=lambda s: s._replace(state=s.state._replace(euler=(1.5 * s.state.euler[0], 0.0, 0.0))),
+    )
+    calm = flown(folder=tmp_path / "b")
+    path = tmp_path / "comparison.html"
+    compare_report([ringing, calm], path)
+    page = Page(path)
+    assert page.places == set(page.figures)
+    roll = page.figures["attitude"]["data"][:3]
+    assert [trace["name"] for trace in roll] == ["baseline", "smith", "set-point"]
+    np.testing.assert_allclose(decoded(roll[0]["y"]), np.degrees(ringing.log["roll_rad"]), rtol=2**-23)
+    for figure in page.figures.values():
+        plotly.graph_objects.Figure(figure)
+    links = [attrs["href"] for tag, attrs in page.elements if tag == "a"]
+    assert links == ["a/report.html", "b/report.html"]
+    assert all((tmp_path / str(link)).is_file() for link in links)
+    cells = [attrs for tag, attrs in page.elements if tag == "td" and attrs.get("class") == "best"]
+    assert cells
+    values = [f"{run.metrics['roll'].overshoot_percent:.1f}" for run in (ringing, calm)]
+    assert f"Overshoot {values[0]} {values[1]} %" in page.text
+
+
+def test_one_run_can_be_compared_with_nothing(run: Run, tmp_path: Path) -> None:
+    compare_report([run], tmp_path / "one.html")
+    assert "smith" in Page(tmp_path / "one.html").text
