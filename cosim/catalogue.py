@@ -14,7 +14,7 @@ def catalogue(kind: str) -> list[dict[str, Any]]:
     if kind == "scenarios":
         return [_entry(name, read_toml(data_folder(kind) / f"{name}.toml")) for name in scenario_names()]
     if kind == "controllers":
-        from cosim.control.predictor import TITLES
+        from cosim.control.choice import TITLES
 
         return [{"name": name, "title": title} for name, title in TITLES.items()]
     marker = {"aircraft": "vehicle.toml", "engines": "engine.toml"}[kind]

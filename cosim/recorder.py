@@ -290,21 +290,19 @@ def stream_to_parquet(stream: Path, parquet: Path) -> int:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    schema = _schema()
-    names = list(NAMES)
     rows = 0
     try:
         with (
             replacing(parquet) as temporary,
             pq.ParquetWriter(
                 temporary,
-                schema,
+                _schema(),
                 compression="zstd",
                 use_dictionary=False,
-                column_encoding=dict.fromkeys(names, "BYTE_STREAM_SPLIT"),
+                column_encoding=dict.fromkeys(NAMES, "BYTE_STREAM_SPLIT"),
             ) as writer,
         ):
-            for table in _regrouped(_complete_batches(stream), schema):
+            for table in _regrouped(_complete_batches(stream)):
                 writer.write_table(table, row_group_size=ROW_GROUP)
                 rows += table.num_rows
     except (OSError, pa.ArrowException) as error:
@@ -393,8 +391,8 @@ def _complete_batches(stream: Path) -> Iterator[pa.RecordBatch]:
             yield batch
 
 
-def _regrouped(batches: Iterator[pa.RecordBatch], schema: pa.Schema) -> Iterator[pa.Table]:
-    """The same rows in tables of ROW_GROUP rows, the last one shorter, each in one piece."""
+def _regrouped(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
+    """The same rows in tables of ROW_GROUP rows, the last one shorter."""
     import pyarrow as pa
 
     waiting: list[pa.RecordBatch] = []
@@ -403,14 +401,10 @@ def _regrouped(batches: Iterator[pa.RecordBatch], schema: pa.Schema) -> Iterator
         while count + batch.num_rows >= ROW_GROUP:
             part = batch.slice(0, ROW_GROUP - count)
             batch = batch.slice(ROW_GROUP - count)
-            yield _joined(pa, [*waiting, part], schema)
+            yield pa.Table.from_batches([*waiting, part])
             waiting, count = [], 0
         if batch.num_rows:
             waiting.append(batch)
             count += batch.num_rows
     if waiting:
-        yield _joined(pa, waiting, schema)
-
-
-def _joined(pa: Any, batches: list[pa.RecordBatch], schema: pa.Schema) -> pa.Table:
-    return pa.Table.from_batches(batches).combine_chunks().cast(schema)
+        yield pa.Table.from_batches(waiting)

@@ -16,7 +16,8 @@ from cosim.config import nearest
 from cosim.control.allocation import Allocator
 from cosim.control.altitude import GRAVITY, AltitudeController
 from cosim.control.attitude import AttitudeController
-from cosim.control.predictor import PREDICTORS, NoPredictor, Predictor
+from cosim.control.choice import PREDICTORS
+from cosim.control.predictor import NoPredictor, Predictor
 from cosim.control.rate import RateController
 from cosim.disturbances import Disturber
 from cosim.engine import EngineBank, EngineSpec, load_engine
@@ -314,5 +315,6 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
                 f"vehicle.identified.{engine.family}.{axis}: the model's sample time {model.sample_time_s:g} s is not "
                 f"the scenario's step {scenario.step_s:g} s"
             )
-        found.append(PREDICTORS[scenario.controller](model) if model is not None else NoPredictor())
+        make = PREDICTORS[scenario.controller]
+        found.append(make(model, vehicle.control.predictor) if model is not None else NoPredictor())
     return found

@@ -139,11 +139,21 @@ class AllocationLimits(Model):
         return self
 
 
+class PredictorTuning(Model):
+    """What a predictor needs beside the identified model; each predictor reads its own."""
+
+    filter_s: NotNegative  # filtered Smith: time constant of the robustness filter
+    observer_rad_s: Positive  # state: both poles of the double-integrator observer at minus this
+    model_observer_rad_s: Positive  # state-model: observer poles
+    disturbance_observer_rad_s: Positive  # state-disturbance: observer poles
+
+
 class Control(Model):
     attitude: AttitudeGains
     rate: RateControl
     altitude: AltitudeGains
     allocation: AllocationLimits
+    predictor: PredictorTuning
 
 
 class RateModel(Model):
@@ -152,7 +162,7 @@ class RateModel(Model):
     gain: float
     zeros: list[float]
     poles: Annotated[list[Annotated[float, Field(gt=-1.0, le=1.0)]], Field(min_length=1)]
-    delay_samples: Samples
+    delay_samples: Annotated[float, Field(ge=0.0, le=1000.0)]  # need not be whole
     sample_time_s: Positive
     source: str
 

@@ -15,7 +15,7 @@ from cosim import frames
 from cosim.control.allocation import Allocator
 from cosim.control.altitude import GRAVITY, AltitudeController
 from cosim.control.attitude import AttitudeController
-from cosim.control.predictor import DelayLine, DiscreteModel, NoPredictor, Predictor, SmithPredictor
+from cosim.control.predictor import DelayLine, NoPredictor, Predictor, SmithPredictor, rate_model
 from cosim.control.rate import RateAxis
 from cosim.errors import InputError
 from cosim.signals import Command, Measured, Refused
@@ -138,7 +138,7 @@ def test_model_is_the_papers_transfer_function() -> None:
     """Against scipy's filter of 0.0689 (z + 1.4538) / ((z - 0.9999)(z - 0.9024)), delay left out."""
     u = np.random.default_rng(2).standard_normal(500)
     expected = lfilter(0.0689 * np.array([0.0, 1.0, 1.4538]), np.convolve([1.0, -0.9999], [1.0, -0.9024]), u)
-    model = DiscreteModel(ROLL)
+    model = rate_model(ROLL)
     model.update(0.0)
     # our update takes u_k-1 and gives y_k
     ours = [model.update(float(v)) for v in u]
@@ -149,7 +149,7 @@ class Plant:
     """The identified roll response as a plant: command in, rate out, ``samples`` late, gain scaled."""
 
     def __init__(self, samples: int, gain: float = 1.0) -> None:
-        self._model = DiscreteModel(ROLL.model_copy(update={"gain": ROLL.gain * gain}))
+        self._model = rate_model(ROLL.model_copy(update={"gain": ROLL.gain * gain}))
         self._line = DelayLine(samples)
 
     def update(self, command: float) -> float:

@@ -97,6 +97,10 @@ def test_no_overshoot_when_overdamped() -> None:
 def test_a_response_that_never_settles_has_no_settling_time() -> None:
     setpoint, angle = stepped(0.02, 0.2, after_s=3.0)
     assert of_axis(setpoint, angle).settling_time_s is None
+    pair = np.repeat([0.0, 0.1, 0.0], 500)
+    late = pair.copy()
+    late[-1] = 0.01  # the first step settles, the second does not
+    assert of_axis(pair, late).settling_time_s is None
     assert settling_time(np.array([1.0, 0.0, 0.06]), 1.0, STEP) is None
     assert settling_time(np.array([1.0, 0.06, 0.05]), 1.0, STEP) == 2 * STEP
     assert settling_time(np.array([0.05, 0.0]), -1.0, STEP) == 0.0

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.control.predictor import PREDICTORS
+from cosim.control.choice import PREDICTORS
 from cosim.errors import EngineError, InputError
 from cosim.flight import fly
 from cosim.ledger import total_samples
@@ -309,6 +309,6 @@ def test_a_controller_without_a_model_of_the_engine_says_which_there_are() -> No
 
 
 def test_every_controller_is_described() -> None:
-    from cosim.control.predictor import TITLES
+    from cosim.control.choice import TITLES
 
     assert set(TITLES) == set(PREDICTORS)

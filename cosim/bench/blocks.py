@@ -1,33 +1,55 @@
-"""Where the time outside JSBSim goes: every block of a step timed alone, on the inputs that it had in a flight."""
+"""Where the time outside JSBSim goes: every block of a step timed alone on recorded inputs, and in flight."""
 
 from __future__ import annotations
 
-from collections import deque
+import time
+from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import starmap
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from cosim.bench.speed import RECORDED, Flights, collect, fly_through
 from cosim.bench.timing import Action, Cost, Job
 from cosim.recorder import Array, MemorySink, Recorder, StreamSink
-from cosim.signals import ZERO3, Refused, Sample, State
+from cosim.signals import ZERO3, Refused, Sample
 from cosim.simulation import Simulation
 
-SUBSTEPS = 4  # as the shipped scenarios have it; matters to the whole step only
+SUBSTEPS = 4  # as the shipped scenarios have it
+
+COMMAND, DISTURBANCE, ATTITUDE, RATE, ALTITUDE = "command", "disturbance", "attitude", "rate, predictor", "altitude"
+ALLOCATION, ENGINES, SERVOS, FORCES = "allocation", "engines", "servos", "jet forces"
+AIRFRAME, SENSORS, JUDGE = "airframe but its runs", "sensors", "end of flight?"
+ROWS, DISK = "recorder: rows", "recorder: to disk"
+INSTRUMENTED = "instrumented flight"
+
+
+@dataclass(frozen=True)
+class InFlight:
+    """Median of a block between the others in a flight: microseconds by the clock, and units.
+
+    In flight a block finds its code and data pushed out of the processor's caches by the others.
+    """
+
+    us: float
+    units: float
 
 
 @dataclass(frozen=True)
 class Breakdown:
-    """The blocks, and the recorded step without its JSBSim runs, timed among them."""
+    """The blocks alone and in flight, and the recorded step without its JSBSim runs, timed among them.
+
+    The airframe in flight is a whole step of it less the units, so that it bears what JSBSim's runs cost more in flight.
+    """
 
     substeps: int
     outside: Cost
-    blocks: dict[str, Cost]
-    rest_units: float  # what the step has more than its blocks together: the loop, its records, colder caches
-    rest_us: float  # the same in processor time
+    alone: dict[str, Cost]
+    in_flight: dict[str, InFlight]
+    rest_units: float  # what the step has more than its blocks in flight: the loop and its records
 
 
 @dataclass(frozen=True)
@@ -57,43 +79,40 @@ class Block:
 def measure_blocks(steps: int, rounds: int, folder: Path, on_round: Callable[[], object]) -> Breakdown:
     """Time the blocks and, among them, the whole step."""
     with Flights(steps, folder) as flights:
-        stage = Stage(flights, folder)
-        jobs = [block.job(steps) for block in stage.blocks()]
+        replay, clocks = Replay(flights.build(SUBSTEPS), folder), Clocks(flights.build(SUBSTEPS), steps)
+        jobs = [block.job(steps) for block in replay.blocks()]
         try:
-            found = collect([*jobs, flights.recorded(SUBSTEPS)], flights.units(), rounds, on_round)
+            found = collect([*jobs, clocks.job, flights.recorded(SUBSTEPS)], flights.units(), rounds, on_round)
         finally:
-            stage.close()
+            replay.close()
     outside = Cost.of(found[SUBSTEPS, RECORDED], less=SUBSTEPS)
-    costs = {job.name: Cost.of(found[SUBSTEPS, job.name]) for job in jobs}
-    return Breakdown(
-        SUBSTEPS,
-        outside,
-        costs,
-        outside.units.median - sum(cost.units.median for cost in costs.values()),
-        outside.cpu_us.median - sum(cost.cpu_us.median for cost in costs.values()),
-    )
+    alone = {job.name: Cost.of(found[SUBSTEPS, job.name]) for job in jobs}
+    # a median over steps leaves out what other processes took, and so does processor time
+    in_flight = clocks.blocks([pair.unit.cpu for pair in found[SUBSTEPS, INSTRUMENTED]])
+    parts = {name: in_flight[name].units if name in in_flight else cost.units.median for name, cost in alone.items()}
+    return Breakdown(SUBSTEPS, outside, alone, in_flight, outside.units.median - sum(parts.values()))
 
 
-class Stage:
+class Replay:
     """The blocks of :meth:`cosim.simulation.Simulation.step` and of the loop around it, after one flight."""
 
-    def __init__(self, flights: Flights, folder: Path) -> None:
+    def __init__(self, simulation: Simulation, folder: Path) -> None:
+        self._simulation = simulation
         self._folder = folder
         self._streams = 0
         self._stream: StreamSink | None = None
-        self.simulation = flights.build(SUBSTEPS)
-        self._kept = _Keep()
-        memory = MemorySink()
-        recorder = Recorder(self.simulation.dt, memory)
-        fly_through(self.simulation, [self._kept, recorder])
+        kept, memory = _Keep(), MemorySink()
+        recorder = Recorder(simulation.dt, memory)
+        fly_through(simulation, [kept, recorder])
         recorder.flush()
+        self._samples = kept.samples
         self._tables = memory.tables
-        self._after = self.simulation.state, self.simulation.measured
+        self._states = [*[sample.state for sample in kept.samples[1:]], simulation.state]  # after each step
+        self._measured = [*[sample.measured for sample in kept.samples[1:]], simulation.measured]
 
     def blocks(self) -> list[Block]:
         """In the order in which a step comes by them."""
-        simulation, samples = self.simulation, self._kept.samples
-        return [*_control(simulation, samples), *_plant(simulation, samples, *self._after), *self._recording()]
+        return [*self._control(), *self._plant(), *self._recording()]
 
     def close(self) -> None:
         """Close what the last replay left open."""
@@ -101,11 +120,103 @@ class Stage:
             self._stream.close()
             self._stream = None
 
-    def _recording(self) -> list[Block]:
-        recorder = Recorder(self.simulation.dt, _Nowhere())
+    def _control(self) -> list[Block]:
+        simulation, samples = self._simulation, self._samples
+        attitude, rate, altitude = simulation.attitude, simulation.rate, simulation.altitude
+        # what was refused is known one step later
+        told = list(zip(samples, [Refused(), *[sample.actuation.refused for sample in samples]], strict=False))
+        ks = [(sample.k,) for sample in samples]
         return [
-            Block("recorder: rows", _nothing, recorder.observe, [(sample,) for sample in self._kept.samples]),
-            Block("recorder: blocks to disk", self._new_stream, self._write, [(table,) for table in self._tables]),
+            Block(COMMAND, _nothing, simulation.commander.at, ks, [s.command for s in samples]),
+            Block(DISTURBANCE, _nothing, simulation.disturber.at, ks, [s.disturbance for s in samples]),
+            Block(
+                ATTITUDE,
+                attitude.reset,
+                attitude.update,
+                [(s.command, s.measured) for s in samples],
+                [s.rate_setpoint for s in samples],
+            ),
+            Block(
+                RATE,
+                rate.reset,
+                rate.update,
+                [(s.rate_setpoint, s.measured.rate, refused) for s, refused in told],
+                [s.torque_command for s in samples],
+            ),
+            Block(
+                ALTITUDE,
+                altitude.reset,
+                altitude.update,
+                [(s.command, s.measured, refused) for s, refused in told],
+                [s.collective for s in samples],
+            ),
+            Block(
+                ALLOCATION,
+                _nothing,
+                simulation.allocator.allocate,
+                [(s.collective, s.torque_command, s.disturbance.torque_command) for s in samples],
+                [s.actuation for s in samples],
+            ),
+        ]
+
+    def _plant(self) -> list[Block]:
+        simulation, samples, states = self._simulation, self._samples, self._states
+        engines, airframe, sensors, judge = (
+            simulation.engines,
+            simulation.airframe,
+            simulation.sensors,
+            simulation.judge,
+        )
+        left, right = simulation.servos
+        initial = simulation.scenario.initial
+        jet_forces = simulation._jet_forces
+        forces = [jet_forces(sample.thrust, sample.tilt) for sample in samples]
+        airframe.substeps = 0  # from here on it writes and reads, and JSBSim stands still
+
+        def reset_servos() -> None:
+            left.reset()
+            right.reset()
+
+        def servos(left_command: float, right_command: float) -> tuple[float, float]:
+            return left.update(left_command), right.update(right_command)
+
+        return [
+            Block(
+                ENGINES,
+                partial(engines.reset, simulation.allocator.hover),
+                engines.step,
+                [(s.k, s.actuation.throttle) for s in samples],
+                [s.thrust for s in samples],
+            ),
+            Block(SERVOS, reset_servos, servos, [s.actuation.tilt for s in samples], [s.tilt for s in samples]),
+            Block(FORCES, _nothing, jet_forces, [(s.thrust, s.tilt) for s in samples]),
+            Block(
+                AIRFRAME,
+                partial(airframe.reset, initial, forces[0], ZERO3),
+                airframe.step,
+                [(force, s.disturbance) for force, s in zip(forces, samples, strict=True)],
+            ),
+            Block(
+                SENSORS,
+                partial(sensors.reset, samples[0].state),
+                sensors.sample,
+                [(state,) for state in states],
+                self._measured,
+            ),
+            Block(
+                JUDGE,
+                partial(judge.reset, initial.on_ground),
+                judge.look,
+                [(state, k * simulation.dt) for k, state in enumerate(states, 1)],
+                [None] * len(states),
+            ),
+        ]
+
+    def _recording(self) -> list[Block]:
+        recorder = Recorder(self._simulation.dt, _Nowhere())
+        return [
+            Block(ROWS, _nothing, recorder.observe, [(sample,) for sample in self._samples]),
+            Block(DISK, self._new_stream, self._write, [(table,) for table in self._tables]),
         ]
 
     def _new_stream(self) -> None:
@@ -116,6 +227,71 @@ class Stage:
     def _write(self, table: Array) -> None:
         assert self._stream is not None
         self._stream.write(table)
+
+
+class Clocks:
+    """A flight with a clock around every block."""
+
+    def __init__(self, simulation: Simulation, steps: int) -> None:
+        self._simulation = simulation
+        self._recorder = Recorder(simulation.dt, _Nowhere())
+        self._spent: dict[str, list[int]] = defaultdict(list)  # ns, call by call, of the flight that is flown
+        self._medians: dict[str, list[float]] = defaultdict(list)  # s a step, flight by flight
+        self.job = Job(INSTRUMENTED, SUBSTEPS, steps, self._prepare)
+        owners: list[tuple[str, Any, str]] = [
+            (COMMAND, simulation.commander, "at"),
+            (DISTURBANCE, simulation.disturber, "at"),
+            (ATTITUDE, simulation.attitude, "update"),
+            (RATE, simulation.rate, "update"),
+            (ALTITUDE, simulation.altitude, "update"),
+            (ALLOCATION, simulation.allocator, "allocate"),
+            (ENGINES, simulation.engines, "step"),
+            *[(SERVOS, servo, "update") for servo in simulation.servos],
+            (FORCES, simulation, "_jet_forces"),
+            (AIRFRAME, simulation.airframe, "step"),
+            (SENSORS, simulation.sensors, "sample"),
+            (JUDGE, simulation.judge, "look"),
+            (ROWS, self._recorder, "observe"),
+        ]
+        self._calls = {name: sum(owner[0] == name for owner in owners) for name, _, _ in owners}
+        for name, owner, method in owners:
+            setattr(owner, method, self._clocked(name, getattr(owner, method)))
+
+    def _clocked(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        now, note = time.perf_counter_ns, self._spent[name].append
+
+        def clocked(*arguments: Any) -> Any:
+            begin = now()
+            answer = function(*arguments)
+            note(now() - begin)
+            return answer
+
+        return clocked
+
+    def _prepare(self) -> Action:
+        self._simulation.reset()
+        return self._fly
+
+    def _fly(self) -> None:
+        for spent in self._spent.values():
+            spent.clear()
+        fly_through(self._simulation, [self._recorder])
+        now = time.perf_counter_ns
+        own = median([-(now() - now()) for _ in range(1000)])  # what the clock itself takes
+        for name, spent in self._spent.items():
+            self._medians[name].append(1e-9 * (median(spent) - own) * self._calls[name])
+
+    def blocks(self, units: Sequence[float]) -> dict[str, InFlight]:
+        """The medians of the flights; ``units`` are the unit's seconds, flight by flight."""
+        found = {}
+        for name, medians in self._medians.items():
+            less = SUBSTEPS if name == AIRFRAME else 0
+            rows = list(zip(medians, units, strict=True))
+            found[name] = InFlight(
+                1e6 * median([spent - less * unit for spent, unit in rows]),
+                median([spent / unit - less for spent, unit in rows]),
+            )
+        return found
 
 
 class _Keep:
@@ -137,93 +313,3 @@ class _Nowhere:
 
 def _nothing() -> None:
     """There is nothing to reset."""
-
-
-def _control(simulation: Simulation, samples: Sequence[Sample]) -> list[Block]:
-    # what was refused is known one step later
-    told = list(zip(samples, [Refused(), *[sample.actuation.refused for sample in samples]], strict=False))
-    ks = [(sample.k,) for sample in samples]
-    attitude, rate, altitude = simulation.attitude, simulation.rate, simulation.altitude
-    return [
-        Block("command", _nothing, simulation.commander.at, ks, [s.command for s in samples]),
-        Block("disturbance", _nothing, simulation.disturber.at, ks, [s.disturbance for s in samples]),
-        Block(
-            "attitude",
-            attitude.reset,
-            attitude.update,
-            [(s.command, s.measured) for s in samples],
-            [s.rate_setpoint for s in samples],
-        ),
-        Block(
-            "rate and predictor",
-            rate.reset,
-            rate.update,
-            [(s.rate_setpoint, s.measured.rate, refused) for s, refused in told],
-            [s.torque_command for s in samples],
-        ),
-        Block(
-            "altitude",
-            altitude.reset,
-            altitude.update,
-            [(s.command, s.measured, refused) for s, refused in told],
-            [s.collective for s in samples],
-        ),
-        Block(
-            "allocation",
-            _nothing,
-            simulation.allocator.allocate,
-            [(s.collective, s.torque_command, s.disturbance.torque_command) for s in samples],
-            [s.actuation for s in samples],
-        ),
-    ]
-
-
-def _plant(simulation: Simulation, samples: Sequence[Sample], state: State, measured: Any) -> list[Block]:
-    """``state`` and ``measured`` are those after the last step."""
-    initial = simulation.scenario.initial
-    engines, sensors, judge = simulation.engines, simulation.sensors, simulation.judge
-    states = [*[sample.state for sample in samples[1:]], state]
-    jet_forces = simulation._jet_forces
-    forces = [jet_forces(sample.thrust, sample.tilt) for sample in samples]
-    left, right = simulation.servos
-    airframe = simulation.airframe
-    airframe.substeps = 0  # from here on it writes and reads, and JSBSim stands still
-
-    def reset_servos() -> None:
-        left.reset()
-        right.reset()
-
-    def servos(left_command: float, right_command: float) -> tuple[float, float]:
-        return left.update(left_command), right.update(right_command)
-
-    return [
-        Block(
-            "engines",
-            partial(engines.reset, simulation.allocator.hover),
-            engines.step,
-            [(s.k, s.actuation.throttle) for s in samples],
-            [s.thrust for s in samples],
-        ),
-        Block("servos", reset_servos, servos, [s.actuation.tilt for s in samples], [s.tilt for s in samples]),
-        Block("jet forces", _nothing, jet_forces, [(s.thrust, s.tilt) for s in samples]),
-        Block(
-            "airframe: write and read",
-            partial(airframe.reset, initial, forces[0], ZERO3),
-            airframe.step,
-            [(force, s.disturbance) for force, s in zip(forces, samples, strict=True)],
-        ),
-        Block(
-            "sensors",
-            partial(sensors.reset, samples[0].state),
-            sensors.sample,
-            [(each,) for each in states],
-            [*[s.measured for s in samples[1:]], measured],
-        ),
-        Block(
-            "end of flight?",
-            partial(judge.reset, initial.on_ground),
-            judge.look,
-            [(each, k * simulation.dt) for k, each in enumerate(states, 1)],
-            [None] * len(states),
-        ),
-    ]

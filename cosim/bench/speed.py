@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -18,6 +19,7 @@ from cosim.signals import JETS, ZERO3
 from cosim.simulation import Observer, Simulation, build
 
 SUBSTEPS = (1, 4)
+UNIT_RUNS = 2000  # timed before and after every job
 
 BARE = "one bare JSBSim run()"
 ENGINES = "six engine FMUs"
@@ -59,7 +61,7 @@ class Flights:
 
     def units(self) -> dict[int, Job]:
         """Bare JSBSim by the number of runs a step, which decides how long one of its steps is."""
-        return {substeps: Job(BARE, substeps, self.steps, partial(self._run_bare, substeps)) for substeps in SUBSTEPS}
+        return {substeps: Job(BARE, substeps, UNIT_RUNS, partial(self._run_bare, substeps)) for substeps in SUBSTEPS}
 
     def jobs(self, substeps: int) -> list[Job]:
         """The engines alone, and whole flights without and with recording."""
@@ -80,7 +82,7 @@ class Flights:
         run = simulation.airframe.bare_run()
 
         def action() -> None:
-            for _ in repeat(None, self.steps):
+            for _ in repeat(None, UNIT_RUNS):
                 run()
 
         return action
@@ -132,10 +134,14 @@ def fly_through(simulation: Simulation, observers: Sequence[Observer] = ()) -> N
 def collect(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int, on_round: Callable[[], object]) -> Pairs:
     """Time the jobs, interleaved; ``on_round`` is called after each round."""
     found: Pairs = defaultdict(list)
-    for done, (job, pair) in enumerate(interleave(jobs, units, rounds), 1):
-        found[job.substeps, job.name].append(pair)
-        if done % len(jobs) == 0:
-            on_round()
+    gc.freeze()  # recorded inputs are many: the collector would go through them all before every job
+    try:
+        for done, (job, pair) in enumerate(interleave(jobs, units, rounds), 1):
+            found[job.substeps, job.name].append(pair)
+            if done % len(jobs) == 0:
+                on_round()
+    finally:
+        gc.unfreeze()
     return found
 
 

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from cosim.bench.blocks import Breakdown, measure_blocks
-from cosim.bench.process import LANDMARKS, Memory, Startup, measure_memory, measure_startup
+from cosim.bench.process import Memory, Startup, measure_memory, measure_startup
 from cosim.bench.speed import OUTSIDE, RECORDED, measure_speed
 from cosim.bench.timing import Cost
 from cosim.run import versions
@@ -93,7 +93,7 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
         startup = measure_startup(plan.starts, folder, counter("first step", plan.starts + 1))
         memory = None
         if plan.memory_minutes is not None:
-            memory = measure_memory(plan.memory_minutes, folder, counter("long flight", LANDMARKS + 3))
+            memory = measure_memory(plan.memory_minutes, folder, counter("long flight", 7))
     share = [costs[RECORDED].cpu_us.median / costs[RECORDED].wall_us.median for costs in speed.values()]
     end = _load()
     return Result(

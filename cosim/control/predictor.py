@@ -6,9 +6,11 @@ the command that was applied in the step before, and answers with the rate to fe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from math import exp, prod
 from typing import Protocol
 
+from cosim.errors import InputError
 from cosim.vehicle import RateModel
 
 
@@ -55,16 +57,15 @@ class DelayLine:
 
 
 class DiscreteModel:
-    """A strictly proper transfer function in z without its delay, as a difference equation.
+    """A strictly proper transfer function in z, as a difference equation.
 
-    ``y_k = sum_i b_i u_k-i - sum_i a_i y_k-i``, i = 1..order, from rest.
+    ``y_k = sum_i b_i u_k-i - sum_i a_i y_k-i``, i = 1..order, from rest; ``numerator`` and ``denominator`` are
+    polynomials in z, highest power first, the denominator's first coefficient 1.
     """
 
-    def __init__(self, model: RateModel) -> None:
-        a = _polynomial(model.poles)
-        b = [model.gain * c for c in _polynomial(model.zeros)]
-        self._a = a[1:]
-        self._b = [0.0] * (len(self._a) - len(b)) + b
+    def __init__(self, numerator: Sequence[float], denominator: Sequence[float]) -> None:
+        self._a = list(denominator[1:])
+        self._b = [0.0] * (len(self._a) - len(numerator)) + list(numerator)
         self.reset()
 
     def reset(self) -> None:
@@ -83,28 +84,130 @@ class DiscreteModel:
         return value
 
 
+def rate_model(model: RateModel) -> DiscreteModel:
+    """The identified response without its delay."""
+    return DiscreteModel([model.gain * c for c in polynomial(model.zeros)], polynomial(model.poles))
+
+
+class DelayedModel:
+    """The identified response with its delay, a whole number of samples or not.
+
+    ``n + f`` samples are ``n`` in a delay line and ``f`` inside the model: each mode ``c / (z - p)`` then answers to
+    the held input of this step for the last ``1 - f`` of it and to that of the step before until then,
+    ``c (s + (1 - s) / z) / (z - p)``, ``s = (p^(1-f) - 1) / (p - 1)`` (the modified z-transform of the mode).
+    Raises InputError where a fraction meets poles that are equal or not above 0.
+    """
+
+    def __init__(self, model: RateModel) -> None:
+        whole = int(model.delay_samples)
+        fraction = model.delay_samples - whole
+        self._line = DelayLine(whole)
+        self._model = _fractional(model, fraction) if fraction else rate_model(model)
+
+    def reset(self) -> None:
+        """At rest."""
+        self._line.reset()
+        self._model.reset()
+
+    def update(self, applied: float) -> float:
+        """Output at ``t_k`` from the inputs up to the one held over ``[t_k-1, t_k)``."""
+        return self._line.update(self._model.update(applied))
+
+
 class SmithPredictor:
     """Smith's predictor: ``y + G_n u - z^-h G_n u`` (Smith 1957; the paper's predicted output).
 
     With a perfect model and no disturbance this is the output of the plant without its delay.  On an (almost)
-    integrating plant a constant input disturbance ``d`` leaves the error ``K h T d`` in it for good.
+    integrating plant a constant input disturbance ``d`` leaves the error ``K h T d`` in it; where the model's slowest
+    pole is below 1 the error fades with that pole's time constant.
     """
 
     def __init__(self, model: RateModel) -> None:
-        self._model = DiscreteModel(model)
-        self._delay = DelayLine(model.delay_samples)
+        self._now = rate_model(model)
+        self._then = DelayedModel(model)
 
     def reset(self) -> None:
-        """Model and delay line at rest."""
-        self._model.reset()
-        self._delay.reset()
+        """Both models at rest."""
+        self._now.reset()
+        self._then.reset()
 
     def update(self, measured: float, applied: float) -> float:
-        now = self._model.update(applied)
-        return measured + (now - self._delay.update(now))
+        return measured + (self._now.update(applied) - self._then.update(applied))
 
 
-def _polynomial(roots: Sequence[float]) -> list[float]:
+class FilteredSmithPredictor:
+    """The filtered Smith predictor of Normey-Rico and Camacho: ``G_n u + F (y - z^-h G_n u)``.
+
+    ``F`` is :func:`robustness_filter`; with ``F = 1`` this is Smith's predictor.  What the filter passes of the
+    difference between plant and model is what the loop reacts to: slower is more robust, faster rejects sooner.
+    """
+
+    def __init__(self, model: RateModel, numerator: Sequence[float], denominator: Sequence[float]) -> None:
+        self._now = rate_model(model)
+        self._then = DelayedModel(model)
+        # a filter in z^-1 of which today's input already moves today's output: feed-through and a strictly proper rest
+        self._through = numerator[0]
+        rest = [b - self._through * a for b, a in zip(numerator[1:], denominator[1:], strict=True)]
+        self._rest = DiscreteModel(rest, denominator) if rest else None
+        self.reset()
+
+    def reset(self) -> None:
+        """Models and filter at rest."""
+        self._now.reset()
+        self._then.reset()
+        if self._rest:
+            self._rest.reset()
+        self._before = 0.0
+
+    def update(self, measured: float, applied: float) -> float:
+        difference = measured - self._then.update(applied)
+        filtered = self._through * difference
+        if self._rest:
+            filtered += self._rest.update(self._before)
+        self._before = difference
+        return self._now.update(applied) + filtered
+
+
+def robustness_filter(model: RateModel, time_constant: float) -> tuple[list[float], list[float]]:
+    """Numerator and denominator (highest power of z first) of the filter of a :class:`FilteredSmithPredictor`.
+
+    ``F = (b_0 z^2 + b_1 z) / (z - a)^2``, ``a = exp(-T / time_constant)``, with ``F(1) = 1`` (no offset of the
+    prediction at rest) and ``F(p) = p^h`` at the model's slowest pole ``p`` (its mode leaves the answer to a
+    disturbance, so that neither an integrator's offset nor a slow pole's tail remains).  At ``p = 1`` the second
+    condition is ``F'(1) = h``.  ``time_constant`` 0 gives the fastest filter.
+    """
+    a = exp(-model.sample_time_s / time_constant) if time_constant > 0.0 else 0.0
+    p, h = max(model.poles), model.delay_samples
+    at_one = (1.0 - a) ** 2
+    if abs(1.0 - p) < 1e-9:
+        # derivative of (b0 z^2 + b1 z) = F (z - a)^2 at 1
+        b0 = h * at_one + 2.0 * (1.0 - a) - at_one
+    else:
+        b0 = (p**h * (p - a) ** 2 / p - at_one) / (p - 1.0)
+    return [b0, at_one - b0, 0.0], [1.0, -2.0 * a, a * a]
+
+
+def _fractional(model: RateModel, fraction: float) -> DiscreteModel:
+    poles = model.poles
+    if min(poles) <= 0.0 or len(set(poles)) != len(poles):
+        raise InputError(
+            f"identified model: a delay of {model.delay_samples:g} samples needs poles above 0 and all different, "
+            f"not {poles}"
+        )
+    numerator = [0.0] * (len(poles) + 1)
+    for i, pole in enumerate(poles):
+        others = poles[:i] + poles[i + 1 :]
+        residue = model.gain * prod(pole - zero for zero in model.zeros) / prod(pole - other for other in others)
+        share = 1.0 - fraction if pole == 1.0 else (pole ** (1.0 - fraction) - 1.0) / (pole - 1.0)
+        # (share z + 1 - share) prod (z - other), over z prod (z - pole)
+        rest = polynomial(others)
+        for power, c in enumerate(rest):
+            numerator[power] += residue * share * c
+            numerator[power + 1] += residue * (1.0 - share) * c
+    return DiscreteModel(numerator, polynomial([0.0, *poles]))
+
+
+def polynomial(roots: Sequence[float]) -> list[float]:
     """Coefficients, highest power first, of ``prod (z - root)``."""
     coefficients = [1.0]
     for root in roots:
@@ -113,14 +216,3 @@ def _polynomial(roots: Sequence[float]) -> list[float]:
             shifted[i + 1] -= root * c
         coefficients = shifted
     return coefficients
-
-
-# The controllers a user can choose: the same gains, and one of these between measurement and rate loop.
-PREDICTORS: dict[str, Callable[[RateModel], Predictor]] = {
-    "baseline": lambda model: NoPredictor(),
-    "smith": SmithPredictor,
-}
-TITLES = {
-    "baseline": "cascaded P and PID, fed with the measured rate",
-    "smith": "the same gains, fed with a Smith predictor's rate on roll",
-}
