@@ -21,7 +21,7 @@ import jsbsim
 
 from cosim.errors import FlightError, InputError
 from cosim.scenario import Environment, Initial
-from cosim.signals import JETS, ZERO3, Disturbance, State, Vector3
+from cosim.signals import ZERO3, Disturbance, State, Vector3
 from cosim.vehicle import Vehicle
 
 FOOT = 0.3048  # m, exact
@@ -99,7 +99,7 @@ class Airframe:
         self._get_state: list[Callable[[], float]] = [node(name).get_double_value for name in _STATE]
         self._get_wind: list[Callable[[], float]] = [node(name).get_double_value for name in _WIND]
         self._get_mass = node("inertia/mass-slugs").get_double_value
-        names = [f"external_reactions/jet{jet}" for jet in range(1, JETS + 1)]
+        names = [f"external_reactions/jet{jet}" for jet in range(1, len(self._vehicle.jets) + 1)]
         self._set_jet = [tuple(node(f"{name}/{axis}").set_double_value for axis in "xyz") for name in names]
         self._set_push = [node(f"external_reactions/push/{axis}").set_double_value for axis in "xyz"]
         self._set_twist = [node(f"external_reactions/twist/{axis}").set_double_value for axis in "lmn"]
@@ -150,7 +150,7 @@ class Airframe:
         for name, value in settings.items():
             self._set(name, value)
         self._disturbance = Disturbance()
-        self._wind = ZERO3
+        self._reaction = 0.0
         self._mass = self._get_mass() * SLUG
         self._set("atmosphere/turb-type", 4.0 if place.turbulence_severity else 0.0)  # 4: MIL-F-8785C, Tustin form
         self._set("atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps", place.turbulence_wind_m_s / FOOT)
@@ -164,14 +164,18 @@ class Airframe:
         self._datum = self._get_state[_STATE.index("position/from-start-neu-u-ft")]() * FOOT - height
         return self._read()
 
-    def step(self, forces: Sequence[Vector3], disturbance: Disturbance) -> State:
+    def step(self, forces: Sequence[Vector3], disturbance: Disturbance, reaction: float = 0.0) -> State:
         """Advance one control step with ``forces`` (N, body, at each jet's station) and ``disturbance`` held.
 
+        ``reaction``: yaw moment of the rotors on the frame, N m.
         Raises FlightError when JSBSim stops or the state is no longer finite.
         """
         self._apply_forces(forces)
         if disturbance is not self._disturbance:
             self._apply(disturbance)
+        if reaction != self._reaction:
+            self._reaction = reaction
+            self._set_twist[2]((disturbance.moment[2] + reaction) / POUND_FOOT)
         run = self._run
         for _ in range(self.substeps):
             if not run():
@@ -193,7 +197,8 @@ class Airframe:
         old = self._disturbance
         for write, newton in zip(self._set_push, disturbance.force, strict=True):
             write(newton / POUND_FORCE)
-        for write, moment in zip(self._set_twist, disturbance.moment, strict=True):
+        x, y, z = disturbance.moment
+        for write, moment in zip(self._set_twist, (x, y, z + self._reaction), strict=True):
             write(moment / POUND_FOOT)
         for write, speed in zip(self._set_wind, disturbance.wind, strict=True):
             write(speed / FOOT)

@@ -260,15 +260,16 @@ def stacked(reader: Reader, panels: Sequence[Panel], shades: Sequence[Figure] = 
 
 
 def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
-    """Panels above each other; in each the trace ``which`` of every run, and the first run's set-point."""
+    """Panels above each other; in each the trace ``which`` of every run, and the longest run's set-point."""
     data: list[Figure] = []
+    longest = max(readers, key=lambda reader: len(reader.log))
     for number, panel in enumerate(panels):
         for run, (reader, label) in enumerate(zip(readers, labels, strict=True)):
             trace = next(trace for trace in panel.traces if trace.label == which)
             data.append(_line(reader, panel, number, trace._replace(label=label, colour=run_colour(run))))
         setpoint = [trace for trace in panel.traces if trace.label == "set-point"]
         if which == "true" and setpoint:
-            data.append(_line(readers[0], panel, number, setpoint[0]))
+            data.append(_line(longest, panel, number, setpoint[0]))
     return {"data": _named_once(data), "layout": _stacked_layout(panels, data)}
 
 

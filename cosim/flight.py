@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from cosim.errors import FlightError
 from cosim.run import DelayRow, Recording, Run, Setup, begin_run, now, versions
 from cosim.scenario import Expectation, Scenario, SticksCommand, TableCommand
 from cosim.simulation import Ending, Observer, Simulation, build
@@ -33,6 +34,8 @@ def fly(
         begin = time.perf_counter()
         try:
             ending = simulation.run([recording, *observers], realtime_factor)
+        except FlightError as error:  # the log cannot be written: the disk is full, say
+            ending = Ending("failed", str(error))
         except KeyboardInterrupt:
             ending = Ending("failed", f"interrupted at {simulation.k * simulation.dt:.3f} s")
         return recording.finish(ending.outcome, ending.reason, time.perf_counter() - begin, report)

@@ -36,6 +36,9 @@ def delay_ledger(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> li
     pole = exp(-scenario.step_s / gyro.filter_s) if gyro.filter_s > 0.0 else 0.0
     return [
         LedgerRow("command held over the step", "control step", "hold", 0.5),
+        LedgerRow(
+            "delay added to the roll output", "added_delay_samples", "transport", float(scenario.added_delay_samples)
+        ),
         LedgerRow("transport delay", f"engine {engine.name}", "transport", _ratio(engine.delay, scenario.step_s)),
         LedgerRow("spool lag 1/(1 - a)", f"engine {engine.name}", "lag", _lag(engine, scenario.step_s)),
         LedgerRow("thrust of the step's end acts over all of it", "engines, then airframe", "exchange", -1.0),

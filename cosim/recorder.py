@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from cosim.columns import COLUMNS, NAMES
 from cosim.config import nearest
 from cosim.errors import FlightError, InputError
-from cosim.signals import Sample, Vector3
+from cosim.signals import JETS, Sample, Vector3
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 
 ROW_GROUP = 16_384  # rows of Parquet written at once: 11 MB of float64
 WALL_FLUSH_S = 1.0  # a slow flight is handed on this often too
+_NO_JETS = [(nan,) * (JETS - jets) for jets in range(JETS + 1)]  # of a vehicle with fewer
 _NO_ATTITUDE: Vector3 = (nan, nan, nan)
 _EULER = NAMES.index("roll_measured_rad")  # three columns that come from the measured quaternion
 _WIDTH = len(NAMES) - 3 + 4  # of a row as recorded: the quaternion at its end in place of the three angles
@@ -84,6 +85,7 @@ class Recorder:
         position, velocity, _, euler, rate, specific_force, altitude, wind, mass, on_ground, hull_contact = state
         measured_rate, measured_attitude, measured_position, measured_velocity, measured_altitude = measured
         throttle, tilt_command, refused = acts
+        none = _NO_JETS[len(throttle)]
         force, moment, torque_disturbance, _, payload, _ = out
         self._pack(
             self._buffer,
@@ -99,7 +101,9 @@ class Recorder:
             *refused,
             collective,
             *throttle,
+            *none,
             *thrust,
+            *none,
             *tilt,
             *tilt_command,
             *position,

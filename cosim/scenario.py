@@ -242,6 +242,7 @@ class Scenario(Model):
     substeps: Annotated[int, Field(ge=1, le=100)] = 4
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     sensor_noise: bool = True
+    added_delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # on the rate controller's roll output
     initial: Initial = Initial()
     environment: Environment = Environment()
     command: list[CommandEntry] = []

@@ -14,7 +14,7 @@ Quaternion = tuple[float, float, float, float]
 PerJet = tuple[float, ...]  # jets 1 to 6
 
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
-JETS = 6
+JETS = 6  # at most; the log has as many columns
 AXES = ("roll", "pitch", "yaw")
 
 

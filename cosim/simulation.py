@@ -8,16 +8,17 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import cos, degrees, radians, sin
+from operator import mul
 from typing import Literal, Protocol
 
 from cosim.airframe import Airframe, standing_height
 from cosim.commands import Commander
 from cosim.config import nearest
-from cosim.control.allocation import Allocator
+from cosim.control.allocation import Allocator, RotorAllocator, TiltAllocator
 from cosim.control.altitude import GRAVITY, AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.choice import PREDICTORS
-from cosim.control.predictor import NoPredictor, Predictor
+from cosim.control.predictor import DelayLine, NoPredictor, Predictor
 from cosim.control.rate import RateController
 from cosim.disturbances import Disturber
 from cosim.engine import EngineBank, EngineSpec, load_engine
@@ -26,10 +27,18 @@ from cosim.ledger import LedgerRow, delay_ledger
 from cosim.scenario import Scenario
 from cosim.sensors import SensorSuite
 from cosim.servo import TiltServo
-from cosim.signals import AXES, JETS, Refused, Sample, State, Vector3
+from cosim.signals import AXES, Refused, Sample, State, Vector3
 from cosim.vehicle import Limits, Vehicle, load_vehicle
 
+_SERVOS = ("left", "right")
+
 Outcome = Literal["completed", "crashed", "diverged", "failed"]
+
+
+class Resettable(Protocol):
+    """A block that can start again."""
+
+    def reset(self) -> None: ...
 
 
 class Observer(Protocol):
@@ -71,9 +80,12 @@ class Simulation:
         self.altitude = control.altitude
         self.rate = control.rate
         self.allocator = control.allocator
-        self.servos = (TiltServo(vehicle.servo, self.dt), TiltServo(vehicle.servo, self.dt))
+        self.added_delay = DelayLine(scenario.added_delay_samples)
+        self.servos = [TiltServo(vehicle.servo, self.dt) for _ in _SERVOS] if vehicle.servo else []
         self.sensors = SensorSuite(vehicle.sensors, self.dt, scenario.seed, scenario.sensor_noise)
         self._left = tuple(jet.servo == "left" for jet in vehicle.jets)
+        self._reactions = tuple(jet.reaction_m for jet in vehicle.jets)
+        self._reacting = any(self._reactions)
         self._height = standing_height(vehicle) if scenario.initial.on_ground else scenario.initial.altitude_m
         self.commander = Commander(scenario, self._height)
         self.disturber = Disturber(scenario)
@@ -84,7 +96,8 @@ class Simulation:
         """Back to ``t = 0``: everything at rest, the engines settled at the throttle that holds the vehicle up."""
         self.k = 0
         self.refused = Refused()
-        for block in (self.attitude, self.altitude, self.rate, *self.servos):
+        blocks: list[Resettable] = [self.attitude, self.altitude, self.rate, self.added_delay, *self.servos]
+        for block in blocks:
             block.reset()
         limits = self.vehicle.control.allocation
         throttle = limits.throttle_min if self.scenario.initial.on_ground else self.allocator.hover
@@ -103,10 +116,11 @@ class Simulation:
         rate_setpoint = self.attitude.update(command, measured)
         torque = self.rate.update(rate_setpoint, measured.rate, self.refused)
         collective = self.altitude.update(command, measured, self.refused)
-        actuation = self.allocator.allocate(collective, torque, disturbance.torque_command)
+        late = (self.added_delay.update(torque[0]), torque[1], torque[2])
+        actuation = self.allocator.allocate(collective, late, disturbance.torque_command)
         thrust = self.engines.step(k, actuation.throttle)
-        tilt = (self.servos[0].update(actuation.tilt[0]), self.servos[1].update(actuation.tilt[1]))
-        self.state = self.airframe.step(self._jet_forces(thrust, tilt), disturbance)
+        tilt = self._tilt(actuation.tilt)
+        self.state = self.airframe.step(self._jet_forces(thrust, tilt), disturbance, self._reaction(thrust))
         self.measured = self.sensors.sample(self.state)
         self.refused = actuation.refused
         self.k = k + 1
@@ -125,6 +139,16 @@ class Simulation:
             thrust,
             disturbance,
         )
+
+    def _tilt(self, command: tuple[float, float]) -> tuple[float, float]:
+        if not self.servos:
+            return (0.0, 0.0)
+        left, right = self.servos
+        return (left.update(command[0]), right.update(command[1]))
+
+    def _reaction(self, thrust: Sequence[float]) -> float:
+        """Yaw moment of the rotors on the frame, N m."""
+        return sum(map(mul, self._reactions, thrust)) if self._reacting else 0.0
 
     def _jet_forces(self, thrust: Sequence[float], tilt: tuple[float, float]) -> list[Vector3]:
         """Each jet's thrust along its own tilted axis: N, body, as :func:`cosim.frames.jet_axis` has it."""
@@ -263,7 +287,7 @@ def build(scenario: Scenario) -> Simulation:
     control = _control(scenario, vehicle, engine)
     airframe = Airframe(vehicle, folder, scenario.environment, scenario.step_s, scenario.substeps, scenario.seed)
     try:
-        engines = EngineBank(engine, JETS, scenario.step_s)
+        engines = EngineBank(engine, len(vehicle.jets), scenario.step_s)
         return Simulation(
             scenario, vehicle, engine, airframe, engines, control, delay_ledger(scenario, vehicle, engine)
         )
@@ -282,7 +306,8 @@ def _control(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> Contro
     step = scenario.step_s
     gains = vehicle.control
     single = throttle_map(engine)
-    hover = single(vehicle.mass_kg * GRAVITY / JETS)
+    jets = len(vehicle.jets)
+    hover = single(vehicle.mass_kg * GRAVITY / jets)
     if not gains.allocation.throttle_min < hover < gains.allocation.throttle_max:
         raise InputError(
             f"engine {engine.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at throttle {hover:.2f}, "
@@ -290,11 +315,13 @@ def _control(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> Contro
         )
     return Control(
         AttitudeController(gains.attitude),
-        AltitudeController(gains.altitude, vehicle.mass_kg, lambda total: single(total / JETS), step),
+        AltitudeController(gains.altitude, vehicle.mass_kg, lambda total: single(total / jets), step),
         RateController(
             (gains.rate.roll, gains.rate.pitch, gains.rate.yaw), predictors(scenario, vehicle, engine), step
         ),
-        Allocator(vehicle.jets, gains.allocation, vehicle.servo.range_rad, hover),
+        TiltAllocator(vehicle.jets, gains.allocation, vehicle.servo.range_rad, hover)
+        if vehicle.servo
+        else RotorAllocator(vehicle.jets, gains.allocation, hover),
     )
 
 
@@ -316,5 +343,9 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
                 f"the scenario's step {scenario.step_s:g} s"
             )
         make = PREDICTORS[scenario.controller]
+        if model is not None and axis == "roll" and scenario.added_delay_samples:
+            # the controller adds this delay itself, so its predictor knows of it
+            delay = model.delay_samples + scenario.added_delay_samples
+            model = model.model_copy(update={"delay_samples": delay})
         found.append(make(model, vehicle.control.predictor) if model is not None else NoPredictor())
     return found

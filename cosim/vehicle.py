@@ -19,10 +19,11 @@ Samples = Annotated[int, Field(ge=0, le=1000)]
 
 
 class Jet(Model):
-    """One engine station."""
+    """One engine station: a jet on a tilting bank, or a rotor that points straight up."""
 
     position_m: Vector  # body, from the centre of gravity of the vehicle as built
-    servo: Literal["left", "right"]
+    servo: Literal["left", "right"] | None = None
+    reaction_m: float = 0.0  # yaw moment on the frame per thrust, positive turns the nose right
 
 
 class Servo(Model):
@@ -189,14 +190,21 @@ class Vehicle(Model):
     model: str  # the JSBSim model's file, beside vehicle.toml
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]
-    jets: Annotated[list[Jet], Field(min_length=6, max_length=6)]
+    jets: Annotated[list[Jet], Field(min_length=4, max_length=6)]
     contacts: Annotated[list[Contact], Field(min_length=1)]
-    servo: Servo
+    servo: Servo | None = None
     aero: Aero
     sensors: Sensors
     control: Control
     identified: dict[str, dict[Literal["roll", "pitch", "yaw"], RateModel]]
     limits: Limits
+
+    @model_validator(mode="after")
+    def _all_tilt_or_none(self) -> Vehicle:
+        tilting = [jet.servo is not None for jet in self.jets]
+        if any(tilting) != all(tilting) or any(tilting) != (self.servo is not None):
+            raise ValueError("jets: either all jets have a servo and there is a table [servo], or none and no table")
+        return self
 
     @model_validator(mode="after")
     def _inertia_exists(self) -> Vehicle:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from cosim import frames
-from cosim.control.allocation import Allocator
+from cosim.control.allocation import TiltAllocator
 from cosim.control.altitude import GRAVITY, AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.predictor import DelayLine, NoPredictor, Predictor, SmithPredictor, rate_model
@@ -245,7 +245,7 @@ def test_delay_margin_of_the_smith_loop_is_python_controls() -> None:
 
 # --- allocation ----------------------------------------------------------------------------------------------------
 
-ALLOCATOR = Allocator(VEHICLE.jets, LIMITS, VEHICLE.servo.range_rad, HOVER)
+ALLOCATOR = TiltAllocator(VEHICLE.jets, LIMITS, VEHICLE.servo.range_rad, HOVER)
 
 
 @given(st.floats(-2.0, 3.0), st.floats(-2.0, 2.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
@@ -309,10 +309,10 @@ def test_tilt_moment_does_not_depend_on_the_collective() -> None:
 def test_banks_on_the_wrong_side_are_refused() -> None:
     jets = [Jet(position_m=(0.0, 0.1, -0.1), servo="left"), *VEHICLE.jets[1:]]
     with pytest.raises(InputError, match="not on its side"):
-        Allocator(jets, LIMITS, 0.5, HOVER)
+        TiltAllocator(jets, LIMITS, 0.5, HOVER)
     flat = [Jet(position_m=(j.position_m[0], j.position_m[1], 0.0), servo=j.servo) for j in VEHICLE.jets]
     with pytest.raises(InputError, match="no pitch"):
-        Allocator(flat, LIMITS, 0.5, HOVER)
+        TiltAllocator(flat, LIMITS, 0.5, HOVER)
 
 
 # --- altitude ------------------------------------------------------------------------------------------------------

@@ -42,7 +42,7 @@ def full_thrust(spec: EngineSpec) -> float:
 
 
 def test_the_library() -> None:
-    assert engine_names() == ["edf", "edf-as-flown", "turbojet"]
+    assert engine_names() == ["edf", "edf-as-flown", "motor", "turbojet"]
 
 
 @pytest.mark.parametrize("suffix", ["", "-fmi2"])
@@ -149,7 +149,7 @@ def refusal(name: str, parameters: dict[str, float] | None = None, step: float =
 
 def test_unknown_engine_lists_the_known_ones() -> None:
     assert refusal("turbo") == (
-        "unknown engine 'turbo'; did you mean 'turbojet'? allowed: edf, edf-as-flown, turbojet, "
+        "unknown engine 'turbo'; did you mean 'turbojet'? allowed: edf, edf-as-flown, motor, turbojet, "
         "or the path of an .fmu file"
     )
 

@@ -20,7 +20,7 @@ from flights import STEP, samples, scenario, setup
 
 from cosim.columns import NAMES
 from cosim.errors import FlightError
-from cosim.figures import ATTITUDE, Reader, jet_rows, run_figures, stacked, thinned
+from cosim.figures import ATTITUDE, Reader, comparison_figures, jet_rows, run_figures, stacked, thinned
 from cosim.recorder import MemoryLog
 from cosim.report import compare_report, figure_json, run_labels, verdict, write_report
 from cosim.run import DelayRow, Run, begin_run
@@ -398,6 +398,13 @@ def test_runs_are_laid_over_each_other(tmp_path: Path) -> None:
     assert cells
     values = [f"{run.metrics['roll'].overshoot_percent:.1f}" for run in (ringing, calm)]
     assert f"Overshoot {values[0]} {values[1]} %" in page.text
+
+
+def test_the_set_point_is_that_of_the_longest_run(run: Run) -> None:
+    figures = comparison_figures([flown(500), run, flown(100)], ["a", "b", "c"])
+    assert len(figures["attitude"]["data"][3]["y"]) == len(run.log)
+    assert figures["attitude"]["data"][3]["name"] == "set-point"
+    assert figures["attitude"]["layout"]["xaxis"]["range"] == [0.0, pytest.approx(1999 * STEP)]
 
 
 def test_one_run_can_be_compared_with_nothing(run: Run, tmp_path: Path) -> None:

@@ -3,6 +3,6 @@
 Reports and judges nothing: times belong to the machine they were taken on, ratios travel better.
 """
 
-from cosim.bench.suite import Plan, measure
+from cosim.bench.suite import Plan, Result, measure
 
-__all__ = ["Plan", "measure"]
+__all__ = ["Plan", "Result", "measure"]

@@ -42,14 +42,14 @@ class InFlight:
 class Breakdown:
     """The blocks alone and in flight, and the recorded step without its JSBSim runs, timed among them.
 
-    The airframe in flight is a whole step of it less the units, so that it bears what JSBSim's runs cost more in flight.
+    The airframe in flight is its whole step less the units, and so bears what JSBSim's runs cost more in flight.
     """
 
     substeps: int
     outside: Cost
     alone: dict[str, Cost]
     in_flight: dict[str, InFlight]
-    rest_units: float  # what the step has more than its blocks in flight: the loop and its records
+    rest_units: float  # what the step has more than its blocks in flight: the loop, records, what medians leave out
 
 
 @dataclass(frozen=True)

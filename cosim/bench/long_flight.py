@@ -1,4 +1,4 @@
-"""A long flight in a process of its own, which says at landmarks how much memory it holds: see :mod:`cosim.bench.process`."""
+"""A long flight in a process of its own that says how much memory it holds: see :mod:`cosim.bench.process`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PARTS = 4  # of the flight, at whose ends memory is looked at
 
 
 def fly_long(folder: Path, minutes: float, tell: Callable[[str, int], None]) -> None:
-    """Fly ``hover`` for so long with full recording; ``tell`` is called with each landmark and the steps until there."""
+    """Fly ``hover`` for so long, recorded in full; ``tell`` is called with each landmark and the steps until there."""
     scenario = Scenario.load("hover").replace(duration_s=60.0 * minutes, expect=[])
     marks = {scenario.steps * part // PARTS - 1: f"{part}/{PARTS}" for part in range(1, PARTS + 1)}
 
@@ -40,7 +40,7 @@ def fly_long(folder: Path, minutes: float, tell: Callable[[str, int], None]) -> 
 def resident_and_peak() -> tuple[float | None, float]:
     """Resident memory of this process, None if the system does not tell, and the most there was of it: MB."""
     try:
-        with open("/proc/self/status", encoding="ascii") as status:
+        with open("/proc/self/status", encoding="utf-8", errors="replace") as status:
             words = [line.split() for line in status]
     except OSError:
         import resource

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cosim.bench.blocks import Breakdown
 from cosim.bench.process import Memory, Startup
@@ -49,13 +49,15 @@ def print_result(result: Result) -> None:
         highlight=False,
     )
     console.print(
-        "Median [quartiles] of the rounds.  A unit is one bare JSBSim run() timed just before and after, in processor "
-        "time of one thread.",
+        "Median [quartiles] of the rounds; cpu: processor time of the thread.  A unit is one bare JSBSim run(), timed "
+        "in the same round just before and after, cpu.  At best: the least step in the least unit of all rounds.",
         highlight=False,
+        markup=False,
     )
     if machine.processor_share < 0.95:
         console.print(
-            f"Other work took {1.0 - machine.processor_share:.0%} of the wall time: trust the units, not the microseconds.",
+            f"Other work took {1.0 - machine.processor_share:.0%} of the wall time: "
+            "trust the units, and among them the last column.",
             style="yellow",
             highlight=False,
         )
@@ -73,7 +75,7 @@ def _table(title: str, *columns: str) -> Table:
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
-    table.add_column("")
+    table.add_column("", no_wrap=True)
     for column in columns:
         table.add_column(column, justify="right")
     return table
@@ -83,33 +85,29 @@ def _spread(spread: Spread, digits: int) -> str:
     return f"{spread.median:.{digits}f} [{spread.low:.{digits}f}, {spread.high:.{digits}f}]"
 
 
-def _cost_cells(cost: Cost) -> list[str]:
-    return [_spread(cost.wall_us, 2), _spread(cost.cpu_us, 2), _spread(cost.units, 2)]
-
-
-def _costs(title: str, costs: dict[str, Cost]) -> Any:
-    table = _table(title, "us, wall", "us, processor", "units")
+def _costs(title: str, costs: dict[str, Cost]) -> Table:
+    table = _table(title, "us wall", "us cpu", "units", "at best")
     for name, cost in costs.items():
-        cells = _cost_cells(cost)
-        table.add_row(name, *cells[:2], "1" if name == BARE else cells[2])
+        units = ("1", "") if name == BARE else (_spread(cost.units, 2), f"{cost.units_at_best:.2f}")
+        table.add_row(name, f"{cost.wall_us.median:.2f}", f"{cost.cpu_us.median:.2f}", *units)
     return table
 
 
-def _blocks(breakdown: Breakdown) -> Any:
+def _blocks(breakdown: Breakdown) -> Table:
     title = f"where it goes outside JSBSim, {breakdown.substeps} runs a step"
-    table = _table(title, "us alone", "us in flight", "units in flight", "%")
+    table = _table(title, "us alone", "us in flight", "units", "%")
     whole = breakdown.outside.units.median
     for name, cost in breakdown.alone.items():
         met = breakdown.in_flight.get(name)
         us, units = ("-", cost.units.median) if met is None else (f"{met.us:.2f}", met.units)
         table.add_row(name, f"{cost.cpu_us.median:.2f}", us, f"{units:.2f}", f"{100.0 * units / whole:.0f}")
     rest = breakdown.rest_units
-    table.add_row("rest: the loop, its records", "", "", f"{rest:.2f}", f"{100.0 * rest / whole:.0f}", end_section=True)
+    table.add_row("rest: loop, records", "", "", f"{rest:.2f}", f"{100.0 * rest / whole:.0f}", end_section=True)
     table.add_row("all, recorded to disk", "", f"{breakdown.outside.cpu_us.median:.2f}", f"{whole:.2f}", "100")
     return table
 
 
-def _startup(startup: Startup) -> Any:
+def _startup(startup: Startup) -> Table:
     table = _table("hexjet fly hover", "s")
     for name, spread in (
         ("Python starts", startup.python_s),
@@ -121,8 +119,10 @@ def _startup(startup: Startup) -> Any:
     return table
 
 
-def _memory(memory: Memory) -> Any:
-    title = f"{memory.minutes:g} min of flight ({memory.steps} steps) in {memory.wall_s:.0f} s; folder {memory.log_mb:.0f} MB"
+def _memory(memory: Memory) -> Table:
+    title = (
+        f"{memory.minutes:g} min flown, {memory.steps} steps, in {memory.wall_s:.0f} s; folder {memory.log_mb:.0f} MB"
+    )
     table = _table(title, "resident MB", "peak so far MB")
     for landmark in memory.landmarks:
         resident = "-" if landmark.resident_mb is None else f"{landmark.resident_mb:.0f}"
@@ -131,7 +131,7 @@ def _memory(memory: Memory) -> Any:
     return table
 
 
-def _headlines(result: Result) -> Any:
+def _headlines(result: Result) -> Table:
     table = _table("asked for", "measured", "at most", "")
     for name, value, most, unit in result.headlines():
         table.add_row(name, f"{value:.3g}", f"{most:g} {unit}", "" if value <= most else "over")

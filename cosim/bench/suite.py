@@ -26,7 +26,7 @@ PEAK_MB = 300.0
 
 @dataclass(frozen=True)
 class Plan:
-    """How much to measure: steps a flight, rounds, processes started, minutes of the long flight (None: no such flight).
+    """How much to measure: steps a flight, rounds, processes started, minutes of the long flight (None: no long one).
 
     ``folder``: where flights are recorded; None is the system's place for temporary files.
     """
@@ -40,7 +40,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Machine:
-    """What the figures belong to.  ``processor_share``: processor time by wall time while flying; 1 on a quiet machine."""
+    """What the figures belong to.  ``processor_share``: processor time by wall time in flight; 1 on a quiet machine."""
 
     cpu: str
     cores: int

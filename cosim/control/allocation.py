@@ -1,22 +1,32 @@
-"""Allocation: collective and three torque commands to six throttles and two tilts.
+"""Allocation: collective and three torque commands to throttles and tilts.
 
-Roll is differential throttle between the banks, pitch is both banks tilted alike, yaw is them tilted apart.  What
-does not fit is refused and reported, in this order: roll is kept before collective (attitude before height), pitch
-before yaw; a roll command beyond half the throttle range, or tilts beyond the servos' range, are cut.
+On tilting banks roll is differential throttle between the banks, pitch is both banks tilted alike, yaw is them tilted
+apart.  What does not fit is refused and reported, in this order: roll is kept before collective (attitude before
+height), pitch before yaw; a roll command beyond half the throttle range, or tilts beyond the servos' range, are cut.
+On a multirotor all three are differential throttle, and roll and pitch are kept before yaw, yaw before collective.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 from cosim.errors import InputError
-from cosim.signals import ZERO3, Actuation, Refused, Vector3
+from cosim.signals import AXES, ZERO3, Actuation, Refused, Vector3
 from cosim.vehicle import AllocationLimits, Jet
 
 _LEAST_SHARE = 0.25  # of hover thrust, below which tilts are not enlarged further
 
 
-class Allocator:
+class Allocator(Protocol):
+    """Turns what the controllers ask for into what the actuators can do."""
+
+    hover: float  # throttle at which the vehicle hovers
+
+    def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation: ...
+
+
+class TiltAllocator:
     """Throttles and tilts of a vehicle with two banks of jets.
 
     ``hover`` is the throttle at which the vehicle hovers: tilt commands are stated at hover thrust and are enlarged
@@ -81,3 +91,49 @@ class Allocator:
             (p + y, p - y),
             Refused(roll - r, refused_pitch, refused_yaw, collective - c),
         )
+
+
+class RotorAllocator:
+    """Throttles of a multirotor whose rotors point straight up.
+
+    Torque commands are in throttle: a unit of roll adds one to the rotors on the left and takes one from those on
+    the right; pitch does so front and rear, yaw by the sense of rotation.  ``hover``: the throttle of hover.
+    Raises InputError where the rotors give no moment about an axis.
+    """
+
+    def __init__(self, jets: Sequence[Jet], limits: AllocationLimits, hover: float) -> None:
+        self._low, self._high = limits.throttle_min, limits.throttle_max
+        self.hover = hover
+        self._signs = tuple(
+            (-_sign(jet.position_m[1]), _sign(jet.position_m[0]), _sign(jet.reaction_m)) for jet in jets
+        )
+        for index, axis in enumerate(AXES):
+            signs = [sign[index] for sign in self._signs]
+            if not (max(signs) > 0.0 > min(signs)):
+                raise InputError(f"vehicle.jets: the rotors give no {axis} moment both ways")
+
+    def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
+        """All four commands in throttle; ``added`` as for :class:`TiltAllocator`."""
+        roll, pitch, yaw = torque
+        if added is not ZERO3:
+            roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
+        low, high = self._low, self._high
+        room = 0.5 * (high - low)
+        spread = abs(roll) + abs(pitch)
+        scale = room / spread if spread > room else 1.0
+        r, p = roll * scale, pitch * scale
+        left = room - min(spread, room)
+        y = left if yaw > left else (-left if yaw < -left else yaw)
+        span = abs(r) + abs(p) + abs(y)
+        least, most = low + span, high - span
+        # rounding may leave the two apart by nothing
+        c = least if collective < least else (most if collective > most else collective)
+        return Actuation(
+            tuple(min(high, max(low, c + a * r + b * p + d * y)) for a, b, d in self._signs),
+            (0.0, 0.0),
+            Refused(roll - r, pitch - p, yaw - y, collective - c),
+        )
+
+
+def _sign(value: float) -> float:
+    return 1.0 if value > 0.0 else (-1.0 if value < 0.0 else 0.0)

@@ -171,7 +171,8 @@ class StatePredictor:
         push = (old_x * before + new_x * now, old_v * before + new_v * now)
         (x, v), disturbance = self._observer.update(measured, f * before + (1.0 - f) * now, push)
         of_x, of_v = self._of_state
-        return of_x * x + of_v * v + sum(map(mul, self._weights, sent)) + self._of_disturbance * disturbance
+        on_its_way: float = sum(map(mul, self._weights, sent))
+        return of_x * x + of_v * v + on_its_way + self._of_disturbance * disturbance
 
 
 def _exponential(l1: float, l2: float, t: float) -> Matrix:
@@ -180,9 +181,7 @@ def _exponential(l1: float, l2: float, t: float) -> Matrix:
     if abs(l1 - l2) < 1e-9 * max(1.0, abs(l1)):
         return np.asarray(e1 * np.array([[1.0 - l1 * t, t], [-l1 * l1 * t, 1.0 + l1 * t]]))
     d = l1 - l2
-    return np.asarray(
-        np.array([[l1 * e2 - l2 * e1, e1 - e2], [l1 * l2 * (e2 - e1), l1 * e1 - l2 * e2]]) / d
-    )
+    return np.asarray(np.array([[l1 * e2 - l2 * e1, e1 - e2], [l1 * l2 * (e2 - e1), l1 * e1 - l2 * e2]]) / d)
 
 
 def _integral(l1: float, l2: float, t: float) -> Matrix:

@@ -1,0 +1,1 @@
+"""The paper's numbers, its experiments, and its comparison with ours."""

@@ -1,0 +1,193 @@
+"""One axis of a vehicle as a linear plant, closed with the flight software's own blocks.
+
+``attitude P -> rate PID (+ predictor) -> added delay -> plant -> gyro``: the rate loop, the predictors and the delay
+line are those that fly (:mod:`cosim.control`); only the plant is a transfer function, so that a run takes
+milliseconds and every claim can be compared with a computed one.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from math import inf
+
+import numpy as np
+
+from cosim.control.choice import PREDICTORS
+from cosim.control.predictor import DelayedModel, DelayLine, Predictor, rate_model
+from cosim.control.rate import RateAxis
+from cosim.control.state_predictor import DoubleIntegratorObserver, StateModel, StatePredictor
+from cosim.errors import InputError
+from cosim.paper import numbers
+from cosim.vehicle import PredictorTuning, RateGains, RateModel
+
+Signal = Callable[[int], float]
+LARGEST = 1e6  # rad/s: a loop that grows beyond this has told what it had to tell
+
+STATE_AS_PRINTED = "state-as-printed"  # the state predictor run with the printed matrices, 1/3660 of the plant's gain
+
+
+def nothing(k: int) -> float:
+    """A signal that is 0."""
+    return 0.0
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What the command meets after the added delay: ``gain * G_n(z) z^-extra``, ``extra`` whole or not.
+
+    ``model.delay_samples`` is not part of it: the added delay belongs to the loop.
+    """
+
+    model: RateModel
+    gain: float = 1.0  # of the printed gain: motors, battery, payload
+    extra_samples: float = 0.0  # delay that nobody modelled
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Everything that defines one loop.
+
+    ``model`` is what the predictor believes, its ``delay_samples`` included; ``delay_samples`` is the delay that is
+    really added.  ``knows_disturbance`` says on which side of the predictor's tap a disturbance of the command enters.
+    """
+
+    plant: Plant
+    model: RateModel
+    delay_samples: int
+    controller: str
+    gains: RateGains
+    attitude_gain: float  # 1/s; 0 leaves the rate loop alone
+    tuning: PredictorTuning
+    rate_limit: float = inf  # rad/s, of the attitude loop's answer
+    command_limit: float = inf  # of the command, either way
+    noise: float = 0.0  # rad/s, gyro, one standard deviation
+    seed: int = 1
+    knows_disturbance: bool = False
+
+    @property
+    def step(self) -> float:
+        """Control step, s."""
+        return self.model.sample_time_s
+
+    def with_delay(self, samples: int) -> Axis:
+        """The same loop with another added delay, known to the predictor."""
+        model = self.model.model_copy(update={"delay_samples": float(samples)})
+        return replace(self, delay_samples=samples, model=model)
+
+
+@dataclass
+class Record:
+    """A run, one value a step, taken at ``t_k``: rad, rad/s, and the command of the step that begins there."""
+
+    step: float
+    setpoint: array[float] = field(default_factory=lambda: array("d"))
+    angle: array[float] = field(default_factory=lambda: array("d"))
+    rate_setpoint: array[float] = field(default_factory=lambda: array("d"))
+    rate: array[float] = field(default_factory=lambda: array("d"))
+    predicted: array[float] = field(default_factory=lambda: array("d"))
+    command: array[float] = field(default_factory=lambda: array("d"))
+    disturbance: array[float] = field(default_factory=lambda: array("d"))
+
+
+def make_predictor(controller: str, model: RateModel, tuning: PredictorTuning) -> Predictor:
+    """A predictor by name: those that fly, and the paper's state predictor with its matrices as printed.
+
+    Raises InputError for an unknown name.
+    """
+    if controller == STATE_AS_PRINTED:
+        observer = DoubleIntegratorObserver(tuning.observer_rad_s, model.sample_time_s)
+        state = StateModel(model)
+        state.A, state.B = np.array(numbers.A_D), np.array(numbers.B_D)
+        return StatePredictor(model, observer, state)
+    if controller not in PREDICTORS:
+        raise InputError(f"unknown controller {controller!r}; allowed: {', '.join([*PREDICTORS, STATE_AS_PRINTED])}")
+    return PREDICTORS[controller](model, tuning)
+
+
+class _Summed:
+    """A predictor that sees the command with the disturbance in it: the tap lies behind the place where it enters."""
+
+    def __init__(self, predictor: Predictor) -> None:
+        self._predictor = predictor
+        self.added = 0.0
+
+    def reset(self) -> None:
+        self._predictor.reset()
+        self.added = 0.0
+
+    def update(self, measured: float, applied: float) -> float:
+        return self._predictor.update(measured, applied + self.added)
+
+
+def simulate(
+    axis: Axis,
+    steps: int,
+    setpoint: Signal = nothing,
+    disturbance: Signal = nothing,
+    rate_setpoint: Signal = nothing,
+) -> Record:
+    """Run the loop from rest: attitude command (rad), disturbance of the command, rate added to the set-point (rad/s).
+
+    ``r_k = limit(K (phi_sp - phi_k)) + r_added``; ``u_k`` from :class:`cosim.control.rate.RateAxis`;
+    ``y_k+1 = plant(z^-d (u_k + w_k))``; ``phi_k+1 = phi_k + T/2 (y_k + y_k+1)``; the gyro adds white noise to ``y``.
+    Ends early once the rate is beyond ``LARGEST``.
+    """
+    tap = _Summed(make_predictor(axis.controller, axis.model, axis.tuning))
+    rate_loop = RateAxis(axis.gains, tap, axis.step)
+    line = DelayLine(axis.delay_samples)
+    plant = _plant(axis.plant)
+    noise = _noise(axis.seed, steps)
+    gain, limit, most, sigma = axis.plant.gain, axis.rate_limit, axis.command_limit, axis.noise
+    k_att, half, knows = axis.attitude_gain, 0.5 * axis.step, axis.knows_disturbance
+    record = Record(axis.step)
+    angle = rate = refused = 0.0
+    for k in range(steps):
+        wanted = setpoint(k)
+        r = k_att * (wanted - angle)
+        r = (limit if r > limit else (-limit if r < -limit else r)) + rate_setpoint(k)
+        asked = rate_loop.update(r, rate + sigma * noise[k], refused)
+        u = most if asked > most else (-most if asked < -most else asked)
+        refused = asked - u
+        w = disturbance(k)
+        record.setpoint.append(wanted)
+        record.angle.append(angle)
+        record.rate_setpoint.append(r)
+        record.rate.append(rate)
+        record.predicted.append(rate_loop.predicted)
+        record.command.append(u)
+        record.disturbance.append(w)
+        if knows:
+            tap.added = w
+        after = plant(line.update(u + w)) * gain
+        angle += half * (rate + after)
+        rate = after
+        if not -LARGEST < rate < LARGEST:
+            break
+    return record
+
+
+def _plant(plant: Plant) -> Callable[[float], float]:
+    if not plant.extra_samples:
+        return rate_model(plant.model).update
+    return DelayedModel(plant.model.model_copy(update={"delay_samples": plant.extra_samples})).update
+
+
+@lru_cache(maxsize=8)
+def _noise(seed: int, steps: int) -> list[float]:
+    values: list[float] = np.random.default_rng(seed).standard_normal(steps).tolist()
+    return values
+
+
+def doublet(amplitude: float, start: float, each: float, step: float) -> Signal:
+    """``amplitude`` for ``each`` seconds from ``start``, then as long the other way, then 0."""
+    first, second, end = (round(t / step) for t in (start, start + each, start + 2.0 * each))
+
+    def signal(k: int) -> float:
+        if k < first or k >= end:
+            return 0.0
+        return amplitude if k < second else -amplitude
+
+    return signal
