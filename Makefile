@@ -37,6 +37,9 @@ test: setup ## run the tests; options for pytest in ARGS: make test ARGS="-k smi
 fmus: setup ## build the engines' FMUs anew
 	@$(BIN)/hexjet fmu build $(ARGS)
 
+pictures: setup ## draw the documentation's pictures anew, from flights
+	@$(BIN)/python docs/pictures.py
+
 lock: ## resolve pyproject.toml into requirements.lock; newer releases: make lock ARGS=--upgrade
 	@$(call check_python)
 	@test -x build/lock/bin/uv || { $(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install --quiet uv; }
@@ -49,10 +52,10 @@ clean: ## remove .venv, builds and caches; flights in runs/ stay
 
 help: ## this list
 	@awk 'BEGIN { FS = ":.*## " } /^##@/ { printf "\n%s\n", substr($$0, 5) } \
-		/^[a-z]+:.*## / { printf "  make %-6s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+		/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 	@printf '\nThe interpreter: make PYTHON=python3.12 ... (at the first set-up, or after make clean)\n'
 
-.PHONY: demo bench setup check test fmus lock clean help missing
+.PHONY: demo bench setup check test fmus pictures lock clean help missing
 
 $(LOCKED): requirements.lock
 	@$(call check_python)

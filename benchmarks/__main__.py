@@ -8,6 +8,7 @@ import click
 
 from cosim.bench import Plan, measure
 from cosim.bench.show import print_result, progress
+from cosim.errors import FlightError, InputError
 
 HOUR = 60.0
 
@@ -27,8 +28,11 @@ def main(
 ) -> None:
     """Measure what a flight costs on this machine; nothing is judged."""
     plan = Plan(steps, rounds, starts, HOUR if full and memory_minutes is None else memory_minutes, folder)
-    with progress(quiet=as_json) as tell:
-        result = measure(plan, tell)
+    try:
+        with progress(quiet=as_json) as tell:
+            result = measure(plan, tell)
+    except (InputError, FlightError) as error:
+        raise click.ClickException(str(error)) from error
     if as_json:
         click.echo(json.dumps(result.to_dict(), allow_nan=False))
     else:

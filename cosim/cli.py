@@ -37,6 +37,12 @@ def cli() -> None:
     help="Write a value over the scenario's, e.g. vehicle.mass_kg=6.0; its expectations are not checked then.",
 )
 @click.option(
+    "--model",
+    type=click.Path(path_type=Path),
+    metavar="FILE.toml",
+    help="Predict with the identified models in this file, as hexjet identify writes it.",
+)
+@click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="The run's folder.  [default: a new one in runs/]"
 )
 @click.option("--seed", type=int, help="Overrides the scenario's seed.")
@@ -47,6 +53,7 @@ def fly(
     controller: str | None,
     engine: str | None,
     settings: tuple[str, ...],
+    model: Path | None,
     out: Path | None,
     seed: int | None,
     realtime: bool,
@@ -61,7 +68,7 @@ def fly(
     from cosim.flight import fly as fly_scenario
     from cosim.flight import new_folder
 
-    flown = load_scenario(scenario, controller, engine, seed, settings)
+    flown = load_scenario(scenario, controller, engine, seed, settings, model)
     folder = out if out is not None else new_folder(Path("runs"), f"{flown.name}-{flown.controller}")
     with flight_progress(flown, quiet=as_json) as observers:
         run = fly_scenario(flown, folder, observers=observers, realtime_factor=1.0 if realtime else None)
@@ -73,7 +80,12 @@ def fly(
 
 
 def load_scenario(
-    name: str, controller: str | None, engine: str | None, seed: int | None, settings: tuple[str, ...]
+    name: str,
+    controller: str | None,
+    engine: str | None,
+    seed: int | None,
+    settings: tuple[str, ...],
+    model: Path | None = None,
 ) -> Any:
     """The scenario with the command line's choices written over it."""
     from cosim.scenario import Scenario
@@ -88,7 +100,11 @@ def load_scenario(
         changes["engine"] = str(Path(engine).absolute()) if is_file else engine
     if seed is not None:
         changes["seed"] = seed
-    if settings:
+    if model is not None:
+        from cosim.vehicle import read_models
+
+        changes["vehicle"] = {"identified": read_models(model)}
+    if settings or model is not None:
         changes["expect"] = []
     return scenario.replace(**changes) if changes else scenario
 
@@ -139,6 +155,94 @@ def fmu_check(engine: str, as_json: bool) -> int:
     else:
         print_check(report)
     return DONE if report.ok else FLIGHT_FAILED
+
+
+@cli.group()
+def identify() -> None:
+    """Sweep an engine or an axis in flight, and fit a model with a delay to its response."""
+
+
+def _sweep_options(command: Any) -> Any:
+    for option in reversed(
+        [
+            click.option("--from-hz", type=float, metavar="HZ", help="Lowest frequency of the response."),
+            click.option("--to-hz", type=float, metavar="HZ", help="Highest frequency of the response."),
+            click.option("--amplitude", type=float, metavar="A", help="Of the sweep, in the unit of the command."),
+            click.option("--duration", type=float, metavar="S", help="Of the sweep."),
+            click.option("holds", "--hold", metavar="NAME=VALUE", multiple=True, help="Keep a parameter of the model."),
+            click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]"),
+            click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else."),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+@identify.command("engine", epilog=_example("hexjet identify engine turbojet --set delay_samples=40"))
+@click.argument("name", metavar="NAME|FILE.fmu")
+@click.option("--throttle", type=float, default=0.5, show_default=True, help="Around which it is swept.")
+@click.option("--step", type=float, default=0.004, show_default=True, metavar="S", help="Sample time.")
+@click.option("--lags", type=click.IntRange(0, 2), default=0, show_default=True, help="Lags beside the first pole.")
+@click.option("settings", "--set", metavar="PARAMETER=VALUE", multiple=True, help="Set a parameter of the engine.")
+@_sweep_options
+def identify_engine(
+    name: str, settings: tuple[str, ...], holds: tuple[str, ...], out: Path | None, as_json: bool, **choices: Any
+) -> int:
+    """Identify an engine, throttle to thrust: one pole and a delay.
+
+    Band, amplitude and duration are chosen to suit the engine where they are not given.
+    """
+    from cosim.config import parse_numbers
+    from cosim.identify import identify_engine as identify
+
+    found = identify(name, parse_numbers(settings, "--set"), hold=parse_numbers(holds, "--hold"), **choices)
+    return _finish_identification(found, out, f"identify-{Path(name).stem}", as_json)
+
+
+def _identify_axis(
+    axis: str, settings: tuple[str, ...], holds: tuple[str, ...], out: Path | None, as_json: bool, **choices: Any
+) -> int:
+    from cosim.config import parse_numbers
+    from cosim.identify import identify_axis
+
+    found = identify_axis(axis, settings=settings, hold=parse_numbers(holds, "--hold"), **choices)
+    return _finish_identification(found, out, f"identify-{axis}", as_json)
+
+
+def _finish_identification(found: Any, out: Path | None, name: str, as_json: bool) -> int:
+    from cosim.console import print_identification
+    from cosim.flight import new_folder
+    from cosim.identify import write
+
+    paths = write(found, out if out is not None else new_folder(Path("runs"), name))
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+    else:
+        print_identification(found, paths)
+    return DONE
+
+
+def _axis_command(axis: str) -> None:
+    @identify.command(axis, epilog=_example(f"hexjet identify {axis} --engine edf --out {axis}-model"))
+    @click.option("--aircraft", default="hexjet", show_default=True, help="See: hexjet list aircraft.")
+    @click.option("--engine", metavar="NAME|FILE.fmu", help="See: hexjet list engines.  [default: edf-as-flown]")
+    @click.option("--controller", metavar="NAME", help="[default: smith, or baseline if no model is known]")
+    @click.option("--substeps", type=int, help="JSBSim steps in a control step.")
+    @click.option("--seed", type=int, help="Of the sensor noise.")
+    @click.option("--lags", type=click.IntRange(1, 2), default=1, show_default=True, help="Beside the slow pole.")
+    @click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
+    @_sweep_options
+    def command(**choices: Any) -> int:
+        return _identify_axis(axis, **choices)
+
+    command.help = (
+        f"Identify the {axis} axis in flight, torque command to measured rate: a slow pole, a lag and a delay.\n\n"
+        "Writes a model file for hexjet fly --model."
+    )
+
+
+for _axis in ("roll", "pitch", "yaw"):
+    _axis_command(_axis)
 
 
 @cli.command(epilog=_example("hexjet report runs/roll-doublet-smith-001"))

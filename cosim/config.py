@@ -83,6 +83,18 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
         return path, value.strip()
 
 
+def parse_numbers(texts: Iterable[str], option: str) -> dict[str, float]:
+    """``NAME=NUMBER`` texts as a table.  Raises InputError that names ``option``."""
+    found = {}
+    for text in texts:
+        name, _, value = (part.strip() for part in text.partition("="))
+        try:
+            found[name] = float(value)
+        except ValueError as error:
+            raise InputError(f"{option} {text}: write it as NAME=NUMBER") from error
+    return found
+
+
 def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> None:
     """Write ``value`` at a dotted path into nested tables and lists (a number indexes a list).
 

@@ -8,7 +8,10 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from cosim.engine import CheckReport
+    from cosim.identify import Identification
     from cosim.run import Run
     from cosim.scenario import Scenario
     from cosim.signals import Sample
@@ -99,6 +102,46 @@ def print_check(report: CheckReport) -> None:
     for problem in report.problems:
         console.print(f"problem: {problem}", highlight=False, soft_wrap=True)
     console.print("fit to fly" if report.ok else "not fit to fly", style="bold")
+
+
+def print_identification(found: Identification, paths: dict[str, Path]) -> None:
+    """The models side by side, the chosen one's discrete form, how the stated one compares, and where the files are."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.identify.result import equations, fit_rows
+
+    console = _console()
+    sweep, response = found.sweep, found.response
+    console.print(
+        f"{found.subject}: [bold]{found.channel}[/bold], {sweep.from_hz:.3g} to {sweep.to_hz:.3g} Hz in "
+        f"{sweep.duration_s:g} s, amplitude {sweep.amplitude:.3g}; {len(response.hertz)} points, "
+        f"coherence {response.coherence.min():.3f} or more",
+        highlight=False,
+    )
+    table = Table(box=box.SIMPLE_HEAD)
+    table.add_column("with 95 % bounds")
+    for fit in found.fits:
+        table.add_column(fit.label, justify="right")
+    for row in fit_rows(found):
+        table.add_row(*row)
+    console.print(table)
+    for text in equations(found):
+        console.print(f"G(z) = {text}", highlight=False, markup=False)
+    deviation = found.reference_deviation()
+    if found.reference is not None and deviation is not None:
+        console.print(
+            f"the model that {found.subject} states ({found.reference.source}) is within {deviation[0]:.2f} dB and "
+            f"{deviation[1]:.1f} deg of the response",
+            highlight=False,
+        )
+    if found.ledger_samples is not None:
+        console.print(f"all delay as the delay ledger has it: {found.ledger_samples:.2f} samples", highlight=False)
+    for note in found.notes:
+        console.print(f"note: {note}", highlight=False)
+    for name in ("model", "report"):
+        if name in paths:
+            console.print(f"{name}: {paths[name]}", highlight=False, soft_wrap=True)
 
 
 def _speed(factor: float | None) -> str:

@@ -26,7 +26,9 @@ class Disturber:
         self._forces: list[tuple[Waveform, Vector3]] = []
         self._moments: list[tuple[Waveform, Vector3]] = []
         self._winds: list[tuple[Waveform, Vector3]] = []
-        self._torques: list[tuple[int, Waveform]] = []
+        self._torques: list[tuple[int, Waveform]] = []  # at the actuators
+        self._outputs: list[tuple[int, Waveform]] = []  # at the controller
+        self._seen: list[tuple[int, Waveform]] = []
         self._payloads: list[tuple[Waveform, Payload]] = []
         self._gusts: dict[int, tuple[Vector3, float, float, float]] = {}
         self._steady_wind = scenario.environment.wind_ned_m_s
@@ -50,7 +52,10 @@ class Disturber:
                 self._payloads.append((on, (entry.mass_kg, *entry.offset_m)))
             else:
                 assert end is not None
-                self._torques.append((AXES.index(entry.axis), _torque(entry, scenario, start, end - start, where)))
+                torque = AXES.index(entry.axis), _torque(entry, scenario, start, end - start, where)
+                (self._torques if entry.at == "actuators" else self._outputs).append(torque)
+                if entry.seen:
+                    self._seen.append(torque)
         self._parts: tuple[object, ...] | None = None
         self._last = Disturbance()
         self._calm = not scenario.disturbance
@@ -67,23 +72,17 @@ class Disturber:
         parts = (
             _total(self._forces, k),
             _total(self._moments, k),
-            self._torque_command(k),
+            _torques(self._torques, k),
             _total(self._winds, k, self._steady_wind),
             self._payload(k),
             self._gusts.get(k),
+            _torques(self._outputs, k),
+            _torques(self._seen, k),
         )
         if parts != self._parts:
             self._parts = parts
             self._last = Disturbance(*parts)
         return self._last
-
-    def _torque_command(self, k: int) -> Vector3:
-        if not self._torques:
-            return ZERO3
-        total = [0.0, 0.0, 0.0]
-        for axis, wave in self._torques:
-            total[axis] += wave(k)
-        return (total[0], total[1], total[2])
 
     def _payload(self, k: int) -> Payload:
         """All payloads on board as one point mass at their common centre."""
@@ -92,6 +91,15 @@ class Disturber:
             if on(k):
                 mass, x, y, z = mass + m, x + m * px, y + m * py, z + m * pz
         return (mass, x / mass, y / mass, z / mass) if mass else _NO_PAYLOAD
+
+
+def _torques(entries: list[tuple[int, Waveform]], k: int) -> Vector3:
+    if not entries:
+        return ZERO3
+    total = [0.0, 0.0, 0.0]
+    for axis, wave in entries:
+        total[axis] += wave(k)
+    return (total[0], total[1], total[2])
 
 
 def _total(entries: list[tuple[Waveform, Vector3]], k: int, start: Vector3 = ZERO3) -> Vector3:

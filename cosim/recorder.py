@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from math import nan
+from operator import add
 from pathlib import Path
 from struct import Struct
 from typing import TYPE_CHECKING, Any, Protocol
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from cosim.columns import COLUMNS, NAMES
 from cosim.config import nearest
 from cosim.errors import FlightError, InputError
-from cosim.signals import JETS, Sample, Vector3
+from cosim.signals import JETS, ZERO3, Sample, Vector3
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -86,7 +87,9 @@ class Recorder:
         measured_rate, measured_attitude, measured_position, measured_velocity, measured_altitude = measured
         throttle, tilt_command, refused = acts
         none = _NO_JETS[len(throttle)]
-        force, moment, torque_disturbance, _, payload, _ = out
+        force, moment, torque_disturbance, _, payload, _, output, _ = out
+        if output is not ZERO3:
+            torque_disturbance = tuple(map(add, torque_disturbance, output))  # type: ignore[assignment]
         self._pack(
             self._buffer,
             self._offset,

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from importlib.resources import files
 from math import degrees
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from cosim.metrics import AxisMetrics, metric_names
 from cosim.recorder import one_line, replacing
 from cosim.run import LOG, REPORT, SCENARIO, Run, Summary
 from cosim.signals import AXES
+
+if TYPE_CHECKING:
+    from cosim.identify import Identification
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 
@@ -81,6 +84,23 @@ def compare_report(runs: Sequence[Run], path: Path) -> None:
             for number, (label, run) in enumerate(zip(labels, runs, strict=True))
         ],
         rows=comparison_rows([run.summary for run in runs]),
+    )
+
+
+def identification_report(found: Identification, path: Path) -> None:
+    """Write the page of an identification.  Raises FlightError if the file cannot be written."""
+    from cosim.identify.figure import response_figure
+    from cosim.identify.result import equations, fit_rows
+
+    _render(
+        "identify.html",
+        path,
+        {"response": response_figure(found)},
+        found=found,
+        columns=[fit.label for fit in found.fits],
+        rows=fit_rows(found),
+        equation="\n       ".join(equations(found)),
+        source=found.source,
     )
 
 

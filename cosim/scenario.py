@@ -133,7 +133,8 @@ class MomentDisturbance(Model):
 class TorqueCommandDisturbance(Model):
     """Added to the rate controller's output on one axis, without the controller's knowledge.
 
-    The unit is that output's: throttle on roll, rad of tilt on pitch and yaw.
+    The unit is that output's: throttle on roll, rad of tilt on pitch and yaw.  It enters at the ``actuators``, or at the
+    ``controller``: before the added delay, and if ``seen`` before the place where a predictor reads the command.
     """
 
     kind: Literal["torque_command"]
@@ -144,6 +145,14 @@ class TorqueCommandDisturbance(Model):
     amplitude: float
     from_hz: Positive = 0.3
     to_hz: Positive = 4.0
+    at: Literal["actuators", "controller"] = "actuators"
+    seen: bool = False  # by the predictor
+
+    @model_validator(mode="after")
+    def _seen_at_the_controller(self) -> TorqueCommandDisturbance:
+        if self.seen and self.at == "actuators":
+            raise ValueError("a predictor can see only what is added at the controller (at = 'controller')")
+        return self
 
 
 class PayloadDisturbance(Model):

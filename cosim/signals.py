@@ -36,6 +36,8 @@ class Disturbance(NamedTuple):
     wind: Vector3 = ZERO3  # m/s, NED: where the air moves to, turbulence not included
     payload: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # kg, then its place [m], body
     gust: tuple[Vector3, float, float, float] | None = None  # m/s NED, rise, hold, fall [s]; only in the step it starts
+    torque_output: Vector3 = ZERO3  # as torque_command, but added before the added delay
+    torque_seen: Vector3 = ZERO3  # the part of torque_output that a predictor sees
 
 
 class State(NamedTuple):

@@ -27,7 +27,7 @@ from cosim.ledger import LedgerRow, delay_ledger
 from cosim.scenario import Scenario
 from cosim.sensors import SensorSuite
 from cosim.servo import TiltServo
-from cosim.signals import AXES, Refused, Sample, State, Vector3
+from cosim.signals import AXES, ZERO3, Disturbance, Refused, Sample, State, Vector3
 from cosim.vehicle import Limits, Vehicle, load_vehicle
 
 _SERVOS = ("left", "right")
@@ -116,7 +116,7 @@ class Simulation:
         rate_setpoint = self.attitude.update(command, measured)
         torque = self.rate.update(rate_setpoint, measured.rate, self.refused)
         collective = self.altitude.update(command, measured, self.refused)
-        late = (self.added_delay.update(torque[0]), torque[1], torque[2])
+        late = self._delayed(torque, disturbance)
         actuation = self.allocator.allocate(collective, late, disturbance.torque_command)
         thrust = self.engines.step(k, actuation.throttle)
         tilt = self._tilt(actuation.tilt)
@@ -139,6 +139,15 @@ class Simulation:
             thrust,
             disturbance,
         )
+
+    def _delayed(self, torque: Vector3, disturbance: Disturbance) -> Vector3:
+        """The rate controller's output with what is added to it there, roll after the added delay."""
+        roll, pitch, yaw = torque
+        if disturbance.torque_output is not ZERO3:
+            x, y, z = disturbance.torque_output
+            roll, pitch, yaw = roll + x, pitch + y, yaw + z
+            self.rate.tell(disturbance.torque_seen)
+        return (self.added_delay.update(roll), pitch, yaw)
 
     def _tilt(self, command: tuple[float, float]) -> tuple[float, float]:
         if not self.servos:

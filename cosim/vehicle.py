@@ -216,6 +216,18 @@ class Vehicle(Model):
         return self
 
 
+class ModelFile(Model):
+    """Identified models in a file of their own, to be written over a vehicle's."""
+
+    identified: Annotated[dict[str, dict[Literal["roll", "pitch", "yaw"], RateModel]], Field(min_length=1)]
+
+
+def read_models(path: Path) -> dict[str, Any]:
+    """The table ``identified`` of a model file.  Raises InputError if it cannot be read or is not one."""
+    found: dict[str, Any] = validate(ModelFile, read_toml(path), str(path)).model_dump(mode="json")["identified"]
+    return found
+
+
 def aircraft_names() -> list[str]:
     """Every aircraft that can be flown."""
     return names_in("aircraft", "vehicle.toml")

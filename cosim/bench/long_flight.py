@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from cosim.errors import FlightError
 from cosim.flight import fly
 from cosim.run import REPORT
 from cosim.scenario import Scenario
@@ -18,7 +19,8 @@ PARTS = 4  # of the flight, at whose ends memory is looked at
 
 def fly_long(folder: Path, minutes: float, tell: Callable[[str, int], None]) -> None:
     """Fly ``hover`` for so long, recorded in full; ``tell`` is called with each landmark and the steps until there."""
-    scenario = Scenario.load("hover").replace(duration_s=60.0 * minutes, expect=[])
+    hover = Scenario.load("hover")
+    scenario = hover.replace(duration_s=round(60.0 * minutes / hover.step_s) * hover.step_s, expect=[])
     marks = {scenario.steps * part // PARTS - 1: f"{part}/{PARTS}" for part in range(1, PARTS + 1)}
 
     class Watch:
@@ -29,7 +31,7 @@ def fly_long(folder: Path, minutes: float, tell: Callable[[str, int], None]) -> 
     tell("start", 0)
     run = fly(scenario, folder, observers=[Watch()], report=False)
     if run.outcome != "completed":
-        raise RuntimeError(f"the long flight ended early: {run.reason}")
+        raise FlightError(f"the long flight ended early: {run.reason}")
     tell("log and summary", run.summary.steps)
     from cosim.report import write_report  # as late as a flight has it
 

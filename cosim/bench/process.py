@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.bench.timing import Spread
+from cosim.errors import FlightError
 
 MEGABYTE = 1e6
 
@@ -63,7 +64,7 @@ class Memory:
 
 
 def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) -> Startup:
-    """Start ``times`` processes, after one that warms the file cache."""
+    """Start ``times`` processes, after one that warms the file cache.  Raises FlightError if one does not get there."""
     rows = []
     for number in range(times + 1):
         arguments = ["fly", "hover", "--out", str(folder / f"start-{number}")]
@@ -71,7 +72,7 @@ def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) ->
         child = _python(["-c", _FIRST_STEP, *arguments])
         said, _ = child.communicate()
         if child.returncode:
-            raise RuntimeError(f"the flight to its first step ended with status {child.returncode}")
+            raise FlightError(f"the flight to its first step ended with status {child.returncode}")
         python, imported, stepped = (float(word) for word in said.split())
         if number:
             rows.append((stepped - started, python - started, imported - python, stepped - imported))
@@ -80,22 +81,23 @@ def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) ->
 
 
 def measure_memory(minutes: float, folder: Path, on_landmark: Callable[[], object]) -> Memory:
-    """Fly in a process of its own.  Raises RuntimeError if it ends before its report is written."""
+    """Fly in a process of its own.  Raises FlightError if it ends before its report is written."""
     out = folder / "long"
     begin = time.perf_counter()
     child = _python(["-m", "cosim.bench.long_flight", str(out), repr(minutes)])
     assert child.stdout is not None
-    landmarks, steps = [], 0
+    landmarks: list[Landmark] = []
+    steps = 0
     with child:
         for line in child.stdout:
             where, resident, peak, steps = json.loads(line)
-            landmarks.append(Landmark(where, resident, peak))
+            # the system counts roughly, and its peak may go down by a few pages
+            landmarks.append(Landmark(where, resident, max([peak, *(mark.peak_mb for mark in landmarks)])))
             on_landmark()
     if child.returncode or not landmarks or landmarks[-1].where != "report":
-        raise RuntimeError(f"the long flight ended early, with status {child.returncode}")
+        raise FlightError(f"the long flight ended early, with status {child.returncode}")
     size = sum(file.stat().st_size for file in out.iterdir()) / MEGABYTE
-    peak = max(landmark.peak_mb for landmark in landmarks)
-    return Memory(minutes, steps, time.perf_counter() - begin, size, landmarks, peak)
+    return Memory(minutes, steps, time.perf_counter() - begin, size, landmarks, landmarks[-1].peak_mb)
 
 
 def _python(arguments: list[str]) -> subprocess.Popen[str]:

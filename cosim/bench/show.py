@@ -50,14 +50,14 @@ def print_result(result: Result) -> None:
     )
     console.print(
         "Median [quartiles] of the rounds; cpu: processor time of the thread.  A unit is one bare JSBSim run(), timed "
-        "in the same round just before and after, cpu.  At best: the least step in the least unit of all rounds.",
+        "in the same round just before and after, cpu by cpu.",
         highlight=False,
         markup=False,
     )
     if machine.processor_share < 0.95:
         console.print(
             f"Other work took {1.0 - machine.processor_share:.0%} of the wall time: "
-            "trust the units, and among them the last column.",
+            "trust the units rather than the microseconds.",
             style="yellow",
             highlight=False,
         )
@@ -77,7 +77,7 @@ def _table(title: str, *columns: str) -> Table:
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
     table.add_column("", no_wrap=True)
     for column in columns:
-        table.add_column(column, justify="right")
+        table.add_column(column, justify="right", no_wrap=True)
     return table
 
 
@@ -86,10 +86,10 @@ def _spread(spread: Spread, digits: int) -> str:
 
 
 def _costs(title: str, costs: dict[str, Cost]) -> Table:
-    table = _table(title, "us wall", "us cpu", "units", "at best")
+    table = _table(title, "us wall", "us cpu", "units")
     for name, cost in costs.items():
-        units = ("1", "") if name == BARE else (_spread(cost.units, 2), f"{cost.units_at_best:.2f}")
-        table.add_row(name, f"{cost.wall_us.median:.2f}", f"{cost.cpu_us.median:.2f}", *units)
+        units = "1" if name == BARE else _spread(cost.units, 2)
+        table.add_row(name, f"{cost.wall_us.median:.2f}", f"{cost.cpu_us.median:.2f}", units)
     return table
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from cosim.bench.timing import Action, Cost, Job, Pair, interleave
 from cosim.control.altitude import GRAVITY
+from cosim.errors import FlightError
 from cosim.flight import record
 from cosim.run import Recording
 from cosim.scenario import Scenario
@@ -125,10 +126,10 @@ def hover(steps: int, substeps: int) -> Scenario:
 
 
 def fly_through(simulation: Simulation, observers: Sequence[Observer] = ()) -> None:
-    """Fly to the end.  Raises RuntimeError if the vehicle does not get there: its time would say nothing."""
+    """Fly to the end.  Raises FlightError if the vehicle does not get there: its time would say nothing."""
     ending = simulation.run(observers)
     if ending.outcome != "completed":
-        raise RuntimeError(f"the timed flight ended early: {ending.reason}")
+        raise FlightError(f"the timed flight ended early: {ending.reason}")
 
 
 def collect(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int, on_round: Callable[[], object]) -> Pairs:

@@ -60,15 +60,13 @@ class Spread:
 class Cost:
     """What one step costs: microseconds, and units of the same round, in processor time and in wall time.
 
-    ``units_at_best``: the least step of all rounds in the least unit of all rounds, in processor time.  Other work
-    on the machine only ever adds, so this comes nearest to what a quiet machine says.
+    No ratio of the least step to the least unit: a short job finds a quiet moment sooner than a long one.
     """
 
     wall_us: Spread
     cpu_us: Spread
     units: Spread
     units_wall: Spread
-    units_at_best: float
 
     @classmethod
     def of(cls, pairs: Sequence[Pair], less: int = 0) -> Cost:
@@ -78,7 +76,6 @@ class Cost:
             cpu_us=Spread.of([1e6 * (step.cpu - less * unit.cpu) for step, unit in pairs]),
             units=Spread.of([step.cpu / unit.cpu - less for step, unit in pairs]),
             units_wall=Spread.of([step.wall / unit.wall - less for step, unit in pairs]),
-            units_at_best=min(step.cpu for step, _ in pairs) / min(unit.cpu for _, unit in pairs) - less,
         )
 
 

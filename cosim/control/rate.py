@@ -51,6 +51,11 @@ class RateAxis:
         return self._command
 
 
+    def tell(self, added: float) -> None:
+        """The predictor reads the command behind a place where ``added`` came to it."""
+        self._command += added
+
+
 class RateController:
     """Three axes: rate set-point and measured rate (rad/s, body) to torque commands."""
 
@@ -71,6 +76,11 @@ class RateController:
             self._pitch.update(setpoint[1], measured[1], refused.pitch),
             self._yaw.update(setpoint[2], measured[2], refused.yaw),
         )
+
+    def tell(self, added: Vector3) -> None:
+        """The predictors read the commands behind a place where ``added`` came to them."""
+        for axis, value in zip((self._roll, self._pitch, self._yaw), added, strict=True):
+            axis.tell(value)
 
     @property
     def predicted(self) -> Vector3:

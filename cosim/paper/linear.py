@@ -182,12 +182,15 @@ def _noise(seed: int, steps: int) -> list[float]:
 
 
 def doublet(amplitude: float, start: float, each: float, step: float) -> Signal:
-    """``amplitude`` for ``each`` seconds from ``start``, then as long the other way, then 0."""
-    first, second, end = (round(t / step) for t in (start, start + each, start + 2.0 * each))
+    """``amplitude`` for ``each`` seconds from ``start``, then as long the other way, then 0.
 
-    def signal(k: int) -> float:
-        if k < first or k >= end:
-            return 0.0
-        return amplitude if k < second else -amplitude
+    An edge inside a step gives that step its mean, so that the integral is right for any length.
+    """
+    edges = [t / step for t in (start, start + each, start + 2.0 * each)]
 
-    return signal
+    def since(edge: float, k: int) -> float:
+        # the part of step k that lies after the edge; lengths are decimal, steps are not
+        part = k + 1.0 - edge
+        return 0.0 if part < 1e-9 else (1.0 if part > 1.0 - 1e-9 else part)
+
+    return lambda k: amplitude * (since(edges[0], k) - 2.0 * since(edges[1], k) + since(edges[2], k))

@@ -1,0 +1,25 @@
+"""Identification: a frequency sweep in, the fitted model with its confidence bounds out.
+
+``response`` turns a record into a frequency response with coherence, ``fit`` that into a model, ``engine`` and
+``axis`` sweep one FMU or the flying vehicle, ``result`` says and stores what came out.
+"""
+
+from cosim.identify.axis import identify_axis
+from cosim.identify.engine import identify_engine
+from cosim.identify.fit import Fit, Model, fit
+from cosim.identify.response import FrequencyResponse, Record, estimate
+from cosim.identify.result import Identification, Sweep, write
+
+__all__ = [
+    "Fit",
+    "FrequencyResponse",
+    "Identification",
+    "Model",
+    "Record",
+    "Sweep",
+    "estimate",
+    "fit",
+    "identify_axis",
+    "identify_engine",
+    "write",
+]

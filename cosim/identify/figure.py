@@ -1,0 +1,77 @@
+"""The figure of an identification: magnitude, phase and coherence over frequency, measured, fitted and stated."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cosim.figures import BLUE, GREEN, GREY, MAGENTA, ORANGE
+from cosim.identify.response import Array, Complex
+from cosim.identify.result import Identification, rate_response
+
+Figure = dict[str, Any]
+
+_POINTS = 300
+_COLOURS = (BLUE, GREEN, MAGENTA)
+_DOMAINS = ((0.62, 1.0), (0.24, 0.58), (0.0, 0.18))
+_TITLES = ("Magnitude [dB]", "Phase [deg]", "Coherence")
+
+
+def response_figure(found: Identification) -> Figure:
+    """Plotly's figure schema; the curves are drawn at the frequencies of the sweep, on one logarithmic axis."""
+    response = found.response
+    hertz = np.geomspace(response.hertz[0], response.hertz[-1], _POINTS)
+    data = _curve("measured", ORANGE, "markers", response.hertz, response.magnitude_db, response.phase_deg)
+    data.append(_trace("coherence", GREY, "lines+markers", response.hertz, response.coherence, 2))
+    for number, fit in enumerate(found.fits):
+        value = fit.model.response(hertz)
+        data += _model_curve(fit.label, _COLOURS[number % len(_COLOURS)], hertz, value, found, "solid")
+    if found.reference is not None:
+        data += _model_curve("stated model", GREY, hertz, rate_response(found.reference, hertz), found, "dash")
+    layout: Figure = {
+        "height": 620,
+        "margin": {"l": 64, "r": 12, "t": 40, "b": 44},
+        "hovermode": "x unified",
+        "hoversubplots": "axis",
+        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
+        "xaxis": {"type": "log", "title": {"text": "frequency [Hz]"}, "anchor": "y3", "hoverformat": ".3~g"},
+    }
+    for number, (domain, title) in enumerate(zip(_DOMAINS, _TITLES, strict=True)):
+        axis: Figure = {"domain": list(domain), "anchor": "x", "title": {"text": title}}
+        if number == 2:
+            axis["range"] = [0.0, 1.05]
+        layout["yaxis" if number == 0 else f"yaxis{number + 1}"] = axis
+    return {"data": data, "layout": layout}
+
+
+def _model_curve(
+    label: str, colour: str, hertz: Array, value: Complex, found: Identification, dash: str
+) -> list[Figure]:
+    """A model's curve, its phase on the same turn of the circle as the measured one."""
+    phase = np.degrees(np.unwrap(np.angle(value)))
+    turns = np.round((found.response.phase_deg[0] - phase[0]) / 360.0)
+    curves = _curve(label, colour, "lines", hertz, 20.0 * np.log10(np.abs(value)), phase + 360.0 * turns)
+    for trace in curves:
+        trace["line"]["dash"] = dash
+    return curves
+
+
+def _curve(label: str, colour: str, mode: str, hertz: Array, magnitude: Array, phase: Array) -> list[Figure]:
+    return [_trace(label, colour, mode, hertz, magnitude, 0), _trace(label, colour, mode, hertz, phase, 1)]
+
+
+def _trace(label: str, colour: str, mode: str, hertz: Array, values: Array, panel: int) -> Figure:
+    return {
+        "type": "scatter",
+        "mode": mode,
+        "name": label,
+        "legendgroup": label,
+        "showlegend": panel == 0,
+        "hovertemplate": f"{label}: %{{y:.4~g}}<extra></extra>",
+        "marker": {"size": 6, "color": colour},
+        "line": {"color": colour, "width": 1.8},
+        "x": np.asarray(hertz, np.float64),
+        "y": np.asarray(values, np.float64),
+        "yaxis": "y" if panel == 0 else f"y{panel + 1}",
+    }

@@ -1,0 +1,336 @@
+"""What the paper did not try, on the linear plant: robustness maps, offsets, delay, noise, and the true turbojet.
+
+Nothing here is calibrated to these questions; the quadrotor's loop is the calibrated one, the Hex-Jet's is what its
+``vehicle.toml`` flies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import exp, inf, log, pi
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from cosim.paper import numbers
+from cosim.paper.calibration import Calibration
+from cosim.paper.experiments import hexjet_axis, quadrotor_axis
+from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, simulate
+from cosim.paper.loops import LoopMap, controllers_response, grid, predictor_response
+from cosim.vehicle import RateModel
+
+QUADROTOR = ("baseline", "smith", "filtered-smith", "state", STATE_AS_PRINTED, "state-model", "state-disturbance")
+HEXJET = ("baseline", "smith", "filtered-smith", "state", "state-model", "state-disturbance")
+QUADROTOR_DELAY = 10  # where the paper's controllers part
+ROBUST = 1.7  # peak sensitivity that a careful designer allows
+_POINTS = 1200  # of the unit circle
+
+
+class Record(BaseModel):
+    """A frozen record."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+class RobustnessMap(Record):
+    """One controller over delay error (samples) x gain error (factor): a row for every gain.
+
+    ``sensitivity`` is the peak sensitivity, None where the closed loop has a pole outside the unit circle.
+    """
+
+    vehicle: str
+    controller: str
+    nominal_delay: int
+    delay_errors: list[int]
+    gains: list[float]
+    sensitivity: list[list[float | None]]
+
+    @property
+    def stable_share(self) -> float:
+        """Part of the map that is stable."""
+        cells = [cell for row in self.sensitivity for cell in row]
+        return sum(cell is not None for cell in cells) / len(cells)
+
+    def at(self, gain: float, delay_error: int) -> float | None:
+        """The cell nearest to a gain and a delay error."""
+        row = min(range(len(self.gains)), key=lambda n: abs(log(self.gains[n] / gain)))
+        return self.sensitivity[row][self.delay_errors.index(delay_error)]
+
+
+def loops(calibration: Calibration) -> dict[tuple[str, str], Axis]:
+    """The nominal loops, noise and limits aside, by vehicle and controller."""
+    made = {("quadrotor", c): quadrotor_axis(calibration, c, QUADROTOR_DELAY, noisy=False) for c in QUADROTOR}
+    made |= {("hexjet", c): hexjet_axis(calibration, c, "vehicle", noisy=False) for c in HEXJET}
+    return made
+
+
+def robustness_maps(calibration: Calibration) -> list[RobustnessMap]:
+    """Every controller of both vehicles."""
+    gains = [round(float(g), 4) for g in np.geomspace(0.25, 4.0, 25)]
+    errors = {"quadrotor": list(range(-10, 21, 2)), "hexjet": list(range(-25, 26, 2))}
+    maps = []
+    for (vehicle, controller), axis in loops(calibration).items():
+        loop = LoopMap(axis, _POINTS)
+        delays = [error if vehicle == "quadrotor" else error + 1 for error in errors[vehicle]]  # 0 is one of them
+        cells = [[_cell(loop, gain, axis.delay_samples + error) for error in delays] for gain in gains]
+        maps.append(
+            RobustnessMap(
+                vehicle=vehicle,
+                controller=controller,
+                nominal_delay=axis.delay_samples,
+                delay_errors=delays,
+                gains=gains,
+                sensitivity=cells,
+            )
+        )
+    return maps
+
+
+def _cell(loop: LoopMap, gain: float, delay: int) -> float | None:
+    return None if loop.unstable_poles(gain, delay) else loop.peak_sensitivity(gain, delay)
+
+
+class DelayPoint(Record):
+    """A controller that knows a delay, on a plant that has it."""
+
+    delay: int  # samples
+    stable: bool
+    sensitivity: float | None  # None where unstable
+    rmse: float | None  # rad, of the vehicle's doublet; None where unstable
+
+
+def delay_sweep(calibration: Calibration, longest: int = 60, every: int = 3) -> dict[tuple[str, str], list[DelayPoint]]:
+    """0 to ``longest`` samples of added delay, the predictor told of it, gains unchanged."""
+    amplitude = {"quadrotor": numbers.value("step.amplitude"), "hexjet": numbers.value("hexjet.amplitude")}
+    each, seconds = {"quadrotor": 0.5, "hexjet": 3.0}, {"quadrotor": 2.0, "hexjet": 8.0}
+    found: dict[tuple[str, str], list[DelayPoint]] = {}
+    for (vehicle, controller), axis in loops(calibration).items():
+        points = []
+        for delay in range(0, longest + 1, every):
+            loop = axis.with_delay(delay)
+            sensitivity = _cell(LoopMap(loop, _POINTS), 1.0, delay)
+            rmse = None
+            if sensitivity is not None:
+                signal = doublet(np.radians(amplitude[vehicle]), 0.2, each[vehicle], loop.step)
+                record = simulate(loop, round(seconds[vehicle] / loop.step), setpoint=signal)
+                rmse = float(np.sqrt(np.mean((np.array(record.setpoint) - np.array(record.angle)) ** 2)))
+            points.append(DelayPoint(delay=delay, stable=sensitivity is not None, sensitivity=sensitivity, rmse=rmse))
+        found[vehicle, controller] = points
+    return found
+
+
+class Offset(Record):
+    """What a constant disturbance of the command leaves of the roll angle."""
+
+    controller: str
+    peak: float  # rad
+    early: float  # rad, mean over a second, 10 s after the onset: what a pilot meets
+    late: float  # rad, mean over a second, 60 s after the onset: the slow pole has let go
+    time: list[float]  # s after the onset, one value every 0.1 s over the first 20 s
+    angle: list[float]  # rad
+
+
+def constant_disturbance(calibration: Calibration, disturbance: float = 0.01) -> list[Offset]:
+    """An off-centre payload on the Hex-Jet: a constant added to the roll command, unknown to the controller."""
+    offsets = []
+    for controller in ("baseline", *HEXJET[1:]):
+        axis = hexjet_axis(calibration, controller, "vehicle", noisy=False)
+        if LoopMap(axis, _POINTS).unstable_poles(1.0, axis.delay_samples):
+            continue
+        record = simulate(axis, round(61.0 / axis.step), disturbance=lambda k: disturbance)
+        angle = np.array(record.angle)
+        second, tenth = round(1.0 / axis.step), round(0.1 / axis.step)
+        offsets.append(
+            Offset(
+                controller=controller,
+                peak=float(angle[np.argmax(np.abs(angle))]),
+                early=float(np.mean(angle[10 * second : 11 * second])),
+                late=float(np.mean(angle[60 * second :])),
+                time=[round(0.1 * n, 1) for n in range(201)],
+                angle=angle[: 200 * tenth + 1 : tenth].tolist(),
+            )
+        )
+    return offsets
+
+
+def smith_offset(calibration: Calibration, disturbance: float = 0.01) -> float:
+    """The classic Smith predictor's roll offset in closed form, rad, before the slow pole lets go.
+
+    Prediction error ``e = K h T d``, ``K`` the plant's gain as an integrator (rad/s^2 per command).  At rest ``y = 0``,
+    so ``y^ = e`` and the integral wants ``r = y^``: ``-K_att phi = e``.
+    """
+    axis = hexjet_axis(calibration, "smith", "vehicle", noisy=False)
+    model = axis.model
+    k = integrating_gain(model)
+    return -k * model.delay_samples * model.sample_time_s * disturbance / axis.attitude_gain
+
+
+def integrating_gain(model: RateModel) -> float:
+    """Slope of the rate per command, rad/s^2, once the fast modes are over: residue of the slowest pole over ``T``."""
+    slow = max(model.poles)
+    others = [pole for pole in model.poles if pole != slow]
+    value = model.gain
+    for zero in model.zeros:
+        value *= slow - zero
+    for pole in others:
+        value /= slow - pole
+    return value / model.sample_time_s
+
+
+def noise_gain(axis: Axis, points: int = 6000) -> float:
+    """Standard deviation of the command per standard deviation of white gyro noise, by Parseval's theorem.
+
+    ``u / n = -C P_y / (1 + C G* + C_e K I G z^-d)``: the gyro's noise reaches the rate loop, not the angle.
+    Raises ValueError where the loop is unstable.
+    """
+    loop = LoopMap(axis, points)
+    if loop.unstable_poles(1.0, axis.delay_samples):
+        raise ValueError(f"{axis.controller}: an unstable loop has no noise gain")
+    z = grid(axis.step, points)
+    of_rate, _ = predictor_response(axis.controller, axis.model, axis.tuning)(z)
+    error, slope = controllers_response(axis, z)
+    size = np.abs((error + slope) * of_rate / loop.characteristic(1.0, axis.delay_samples)) ** 2
+    angles = np.angle(z)
+    return float(np.sqrt(np.trapezoid(size, angles) / pi))
+
+
+def noise_gains(calibration: Calibration) -> dict[tuple[str, str], float | None]:
+    """Noise amplification of every stable nominal loop; the quadrotor with 5 samples, where most are stable."""
+    found: dict[tuple[str, str], float | None] = {}
+    for (vehicle, controller), axis in loops(calibration).items():
+        loop = axis.with_delay(5) if vehicle == "quadrotor" else axis
+        try:
+            found[vehicle, controller] = noise_gain(loop)
+        except ValueError:
+            found[vehicle, controller] = None
+    return found
+
+
+# --- the true turbojet ------------------------------------------------------------------------------------------------
+
+
+class Reach(Record):
+    """The fastest attitude loop of a controller within ``Ms <= ROBUST``."""
+
+    engine: str
+    controller: str
+    bandwidth: float | None  # Hz, where roll over set-point falls by 3 dB; None if nothing qualifies
+    sensitivity: float | None
+    p: float | None
+    d: float | None
+    attitude_gain: float | None
+    overshoot_percent: float | None
+    noise_gain: float | None  # command per rad/s
+
+
+def turbojet_plant() -> tuple[RateModel, RateModel]:
+    """The Hex-Jet's roll axis on true turbojets: what it is, and the second-order model a predictor is given.
+
+    Gain: that of G(z), times the ratio of turbojet to EDF thrust per throttle at rest.  Lags: the turbojet's and the
+    9 ms that the identified roll lag has more than the EDF.  The model has one lag, the sum of both.
+    """
+    step = numbers.value("hexjet.step")
+    thrust = {
+        name: numbers.value(f"{name}.gain") / (1.0 - numbers.value(f"{name}.pole")) for name in ("turbojet", "edf")
+    }
+    edf, jet = (-step / log(numbers.value(f"{name}.pole")) for name in ("edf", "turbojet"))
+    rest = -step / log(numbers.value("roll.pole_fast")) - edf
+    gain = integrating_gain(numbers.roll_model()) * thrust["turbojet"] / thrust["edf"]
+    slow = -log(numbers.value("roll.pole_slow")) / step
+    truth = _discretised(gain, slow, [jet, rest], step, "true turbojet and gyro filter")
+    model = _discretised(gain, slow, [jet + rest], step, "true turbojet, one lag")
+    return truth, model
+
+
+def _discretised(gain: float, slow: float, lags: list[float], step: float, source: str) -> RateModel:
+    """Zero-order hold of ``gain / ((s + slow) prod(lag s + 1))`` with the turbojet's delay, by its modes."""
+    rates = [slow, *(1.0 / lag for lag in lags)]
+    poles = [exp(-rate * step) for rate in rates]
+    top = gain * float(np.prod([1.0 / lag for lag in lags]))
+    numerator = np.zeros(len(rates))
+    for i, rate in enumerate(rates):
+        others = [other for j, other in enumerate(rates) if j != i]
+        residue = top / float(np.prod([other - rate for other in others]))
+        held = residue * (1.0 - poles[i]) / rate
+        numerator = numerator + held * np.poly([pole for j, pole in enumerate(poles) if j != i])
+    zeros = np.roots(numerator)
+    return RateModel(
+        gain=float(numerator[0]),
+        zeros=[float(zero.real) for zero in zeros],
+        poles=poles,
+        delay_samples=numbers.value("hexjet.delay"),
+        sample_time_s=step,
+        source=source,
+    )
+
+
+def turbojet(calibration: Calibration) -> list[Reach]:
+    """Which bandwidth each controller reaches, with the engines as flown and with the true turbojet.
+
+    A search over rate gain, derivative in time constants of the engine, and attitude gain; no integral, which costs
+    every controller the same.
+    """
+    truth, model = turbojet_plant()
+    flown = numbers.roll_model()
+    found = []
+    for engine, plant, believed, lag in (("edf-as-flown", flown, flown, 0.039), ("turbojet", truth, model, 0.338)):
+        for controller in HEXJET:
+            base = hexjet_axis(calibration, controller, "vehicle", noisy=False)
+            axis = replace(base, plant=Plant(plant), model=believed, rate_limit=inf)
+            found.append(_reach(engine, axis, lag))
+    return found
+
+
+def _reach(engine: str, axis: Axis, lag: float) -> Reach:
+    z = grid(axis.step, 500, lowest=1e-3)
+    of_rate, of_command = predictor_response(axis.controller, axis.model, axis.tuning)(z)
+    best: tuple[float, Axis] | None = None
+    scale = lag / integrating_gain(axis.model)
+    for shape in (0.0, 0.25, 0.5, 0.75, 1.0, 1.5):
+        for p in np.geomspace(0.05, 30.0, 22):
+            for gain in np.geomspace(0.1, 8.0, 22):
+                # p in units of what gives the rate loop the lag's bandwidth
+                rate_gain = float(p * scale / lag)
+                gains = axis.gains.model_copy(update={"p": rate_gain, "i": 0.0, "d": shape * lag * rate_gain})
+                trial = replace(axis, gains=gains, attitude_gain=float(gain))
+                bandwidth = _bandwidth(trial, z, of_rate, of_command, best[0] if best else 0.0)
+                if bandwidth is not None:
+                    best = (bandwidth, trial)
+    if best is None:
+        return Reach(
+            engine=engine, controller=axis.controller, bandwidth=None, sensitivity=None, p=None, d=None,
+            attitude_gain=None, overshoot_percent=None, noise_gain=None,
+        )  # fmt: skip
+    bandwidth, chosen = best
+    record = simulate(replace(chosen, command_limit=inf), round(12.0 / chosen.step), setpoint=lambda k: 0.01)
+    return Reach(
+        engine=engine,
+        controller=chosen.controller,
+        bandwidth=bandwidth,
+        sensitivity=LoopMap(chosen).peak_sensitivity(1.0, chosen.delay_samples),
+        p=chosen.gains.p,
+        d=chosen.gains.d,
+        attitude_gain=chosen.attitude_gain,
+        overshoot_percent=max(0.0, 100.0 * (max(record.angle) / 0.01 - 1.0)),
+        noise_gain=noise_gain(chosen),
+    )
+
+
+def _bandwidth(
+    axis: Axis, z: NDArray[np.complex128], of_rate: NDArray[np.complex128], of_command: NDArray[np.complex128], beat: float
+) -> float | None:
+    """-3 dB of roll over set-point, Hz, if it is more than ``beat``, the loop stable and its peak sensitivity small."""
+    loop = LoopMap(axis, 0, (z, of_rate, of_command))
+    error, _ = controllers_response(axis, z)
+    plant = loop.plant(1.0, axis.delay_samples)
+    angle = 0.5 * axis.step * (z + 1.0) / (z - 1.0) * plant
+    closed = np.abs(axis.attitude_gain * error * angle / loop.characteristic(1.0, axis.delay_samples))
+    below = np.flatnonzero(closed < 10.0 ** (-3.0 / 20.0))
+    if not below.size or below[0] == 0:
+        return None
+    bandwidth = float(np.angle(z[below[0]]) / (2.0 * pi * axis.step))
+    if bandwidth <= beat or loop.peak_sensitivity(1.0, axis.delay_samples) > ROBUST:
+        return None
+    return None if loop.unstable_poles(1.0, axis.delay_samples) else bandwidth
+

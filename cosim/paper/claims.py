@@ -1,0 +1,454 @@
+"""Every sentence of the paper that claims an order or a stability, and whether it follows.
+
+A claim is judged from evidence alone: the metrics of experiments and the margins of loops, of one fidelity at a time.
+The paper's state predictor is judged twice: with G_n(z) realised, and run with the matrices as printed; a claim that
+follows only in the second case holds *under a condition*.  Where neither does, :func:`conditions` says what would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from cosim.paper import numbers
+from cosim.paper.calibration import Calibration, hexjet_ratios
+from cosim.paper.experiments import Metrics, quadrotor_axis
+from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant
+from cosim.paper.loops import LoopMap, Margins, margins, open_loop, predictor_response
+
+Verdict = Literal["holds", "under a condition", "does not hold", "not flown"]
+
+LITTLE = 20.0  # percent, chosen by us: an increase below this is little
+SIMILAR = 15.0  # percent, chosen by us
+DISTINCT = 10.0  # percent of overshoot, chosen by us: less is not distinct
+PRINTED_MATRICES = "holds for the state predictor run with the printed matrices, not with G_n(z) realised"
+SEEN = "holds where the disturbance enters before the predictor's tap, so that the predictor is told of it"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What one fidelity has to say: metrics by an experiment's name, margins and gain at 8 Hz [dB] by controller."""
+
+    metrics: Mapping[str, Metrics]
+    margins: Mapping[str, Margins]
+    gain_at_8_hz: Mapping[str, float]
+
+    def stable(self, name: str) -> bool:
+        return self.metrics[name].stable
+
+    def rmse(self, name: str) -> float:
+        return self.metrics[name].rmse
+
+    def max(self, name: str) -> float:
+        return self.metrics[name].max
+
+
+class Judged(BaseModel):
+    """One answer: does it follow, and the numbers that say so."""
+
+    model_config = ConfigDict(frozen=True)
+
+    verdict: Verdict
+    evidence: str
+    condition: str = ""
+
+
+class ClaimRow(BaseModel):
+    """A row of the claims table."""
+
+    model_config = ConfigDict(frozen=True)
+
+    key: str
+    claim: str
+    place: str
+    how: str
+    linear: Judged
+    flight: Judged | None = None
+
+
+Answer = tuple[bool, str]
+Test = Callable[[Evidence, str], Answer]  # the second argument is the state predictor's name
+
+
+@dataclass(frozen=True)
+class Claim:
+    """``test`` answers for a state predictor; ``condition_test``, where there is one, under ``condition``."""
+
+    key: str
+    claim: str
+    place: str
+    how: str
+    test: Test
+    about_state: bool = False
+    condition: str = ""
+    condition_test: Test | None = None
+
+    def judge(self, evidence: Evidence) -> Judged:
+        """The verdict of one fidelity; experiments that it has not flown leave it open."""
+        try:
+            holds, said = self.test(evidence, "state")
+        except KeyError as missing:
+            return Judged(verdict="not flown", evidence=f"no {missing.args[0]}")
+        if holds:
+            return Judged(verdict="holds", evidence=said)
+        other = self.condition_test or (self.test if self.about_state else None)
+        condition = self.condition or (PRINTED_MATRICES if self.about_state else "")
+        if other:
+            try:
+                holds, also = other(evidence, STATE_AS_PRINTED)
+            except KeyError:
+                holds, also = False, ""
+            if also and also != said:
+                said = f"{said}; under the condition: {also}"
+            if holds:
+                return Judged(verdict="under a condition", evidence=said, condition=condition)
+        return Judged(verdict="does not hold", evidence=said)
+
+
+def _percent(new: float, old: float) -> float:
+    return 100.0 * (new / old - 1.0)
+
+
+def _stability(name: str, wanted: bool) -> Test:
+    def test(e: Evidence, state: str) -> Answer:
+        experiment = name.format(state=state)
+        stable = e.stable(experiment)
+        return stable == wanted, f"{experiment} {'stable' if stable else 'unstable'}, RMSE {e.rmse(experiment):.3g}"
+
+    return test
+
+
+def _below(what: str, lower: str, higher: str, by: float = 0.0) -> Test:
+    """``lower`` is at least ``by`` percent below ``higher``."""
+
+    def test(e: Evidence, state: str) -> Answer:
+        a, b = lower.format(state=state), higher.format(state=state)
+        x, y = float(getattr(e.metrics[a], what)), float(getattr(e.metrics[b], what))
+        said = f"{a} {what} {x:.4g}, {b} {y:.4g} ({_percent(x, y):+.1f} %)"
+        if not e.stable(a):
+            return False, f"{said}, {a} unstable"
+        return (x < y * (1.0 - 0.01 * by) or not e.stable(b)), said
+
+    return test
+
+
+def _grows(what: str, new: str, old: str, most: float, least: float = -100.0) -> Test:
+    """``new`` is above ``old`` by ``least`` to ``most`` percent."""
+
+    def test(e: Evidence, state: str) -> Answer:
+        a, b = new.format(state=state), old.format(state=state)
+        if not e.stable(a):
+            return most == np.inf, f"{a} unstable"
+        x, y = float(getattr(e.metrics[a], what)), float(getattr(e.metrics[b], what))
+        growth = _percent(x, y)
+        return least <= growth <= most, f"{what} {y:.4g} -> {x:.4g} ({growth:+.1f} %)"
+
+    return test
+
+
+def _all(*tests: Test) -> Test:
+    def test(e: Evidence, state: str) -> Answer:
+        answers = [each(e, state) for each in tests]
+        return all(holds for holds, _ in answers), "; ".join(said for _, said in answers)
+
+    return test
+
+
+def _similar_tracking(e: Evidence, state: str) -> Answer:
+    found = {c: e.metrics[f"step-5.{c}"] for c in ("baseline", "smith", state)}
+    rmse = [m.rmse for m in found.values()]
+    spread = _percent(max(rmse), min(rmse))
+    return spread < SIMILAR, ", ".join(f"{c} {m.rmse:.4f}" for c, m in found.items()) + f" rad, spread {spread:.1f} %"
+
+
+def _no_overshoot(e: Evidence, state: str) -> Answer:
+    found = {c: e.metrics[f"step-5.{c}"].overshoot_percent or 0.0 for c in ("baseline", "smith", state)}
+    return max(found.values()) < DISTINCT, ", ".join(f"{c} {v:.1f} %" for c, v in found.items())
+
+
+def _same_time_constant(e: Evidence, state: str) -> Answer:
+    found = {c: e.metrics[f"step-5.{c}"].time_constant_s or np.inf for c in ("baseline", "smith", state)}
+    spread = _percent(max(found.values()), min(found.values()))
+    return spread < SIMILAR, ", ".join(f"{c} {v:.4f} s" for c, v in found.items()) + f", spread {spread:.1f} %"
+
+
+def _less_oscillation(e: Evidence, state: str) -> Answer:
+    found = {c: e.metrics[f"step-5.{c}"].overshoot_percent or 0.0 for c in ("baseline", "smith", state)}
+    said = "overshoot " + ", ".join(f"{c} {v:.2f} %" for c, v in found.items())
+    return found[state] <= found["smith"] < found["baseline"], said
+
+
+def _tracking_is_consistent(e: Evidence, state: str) -> Answer:
+    a, tau = np.radians(numbers.value("step.amplitude")), numbers.value("step.time_constant")
+    least = float(a * np.sqrt(3.0 * tau / numbers.value("step.record")))
+    printed = numbers.value("step-5.baseline.rmse")
+    said = f"an exponential of 0.1161 s on 15 deg either way has {least:.4f} rad over 2 s, printed {printed:.4f} rad"
+    return abs(_percent(printed, least)) < SIMILAR, said
+
+
+def _half_amplitude(e: Evidence, state: str) -> Answer:
+    """The loop is linear: at half the amplitude, 15 deg from peak to peak, every error is half as large."""
+    names = ["step-5.baseline", "step-5.smith", f"step-5.{state}", "step-10.smith", f"step-10.{state}", "step-25.smith"]
+    pairs = [(0.5 * e.rmse(n), numbers.value(n.replace(STATE_AS_PRINTED, "state") + ".rmse")) for n in names]
+    worst = max((abs(_percent(ours, paper)) for ours, paper in pairs), default=np.inf)
+    said = ", ".join(f"{n} {ours:.4f} ({paper:.4f})" for n, (ours, paper) in zip(names, pairs, strict=True))
+    return worst < SIMILAR, f"{said}, worst {worst:.1f} %"
+
+
+def _more_phase(e: Evidence, state: str) -> Answer:
+    found = {c: e.margins[c].phase_margin or 0.0 for c in ("baseline", state, "smith")}
+    said = ", ".join(f"{c} {v:.1f} deg" for c, v in found.items())
+    return found["baseline"] < found[state] and found["baseline"] < found["smith"], said
+
+
+def _smith_has_most_phase(e: Evidence, state: str) -> Answer:
+    a, b = e.margins["smith"].phase_margin or 0.0, e.margins[state].phase_margin or 0.0
+    return a > b, f"smith {a:.1f} deg, {state} {b:.1f} deg"
+
+
+def _cutoff_order(e: Evidence, state: str) -> Answer:
+    found = {c: e.margins[c].cutoff or 0.0 for c in ("baseline", state, "smith")}
+    said = ", ".join(f"{c} {v:.2f} Hz" for c, v in found.items())
+    return found["baseline"] > found[state] * 1.005 and found[state] > found["smith"] * 1.005, said
+
+
+def _gain_margin_order(e: Evidence, state: str) -> Answer:
+    found = {c: e.margins[c].gain_margin or 0.0 for c in (state, "baseline", "smith")}
+    said = ", ".join(f"{c} {v:.2f} dB" for c, v in found.items())
+    return found[state] > found["baseline"] > found["smith"], said
+
+
+def _state_deviates(e: Evidence, state: str) -> Answer:
+    base, smith, other = e.gain_at_8_hz["baseline"], e.gain_at_8_hz["smith"], e.gain_at_8_hz[state]
+    said = f"at 8 Hz against baseline: smith {smith - base:+.2f} dB, {state} {other - base:+.2f} dB"
+    return abs(other - base) > 1.0 > abs(smith - base), said
+
+
+def _hexjet_ratio(key: str) -> Test:
+    def test(e: Evidence, state: str) -> Answer:
+        a, b = e.metrics["hexjet-doublet-calibrated.baseline"], e.metrics["hexjet-doublet-calibrated.smith"]
+        ours = hexjet_ratios(a.overshoot_percent, b.overshoot_percent, a.settling_s, b.settling_s)[key]
+        paper = numbers.value(key)
+        said = (
+            f"{ours:.1f} % (paper {paper:g} %): overshoot {a.overshoot_percent or 0:.1f} -> "
+            f"{b.overshoot_percent or 0:.1f} %, settling {a.settling_s or np.inf:.2f} -> {b.settling_s or np.inf:.2f} s"
+        )
+        return a.stable and b.stable and abs(ours - paper) < 10.0, said
+
+    return test
+
+
+_UNSEEN_GROWTH = _all(
+    _grows("rmse", "disturbance-10-unseen.smith", "disturbance-5-unseen.smith", 6.0),
+    _grows("max", "disturbance-10-unseen.smith", "disturbance-5-unseen.smith", 6.0),
+)
+_SEEN_GROWTH = _all(
+    _grows("rmse", "disturbance-10.smith", "disturbance-5.smith", 6.0),
+    _grows("max", "disturbance-10.smith", "disturbance-5.smith", 6.0),
+)
+
+CLAIMS: list[Claim] = [
+    Claim("tracking-similar", "with 5 samples the three controllers track alike", numbers.TRACKING,
+          f"spread of the RMSE below {SIMILAR:g} %", _similar_tracking, about_state=True),
+    Claim("tracking-no-overshoot", "with 5 samples none overshoots distinctly", numbers.TRACKING,
+          f"overshoot below {DISTINCT:g} %", _no_overshoot, about_state=True),
+    Claim("tracking-same-speed", "a predictor does not make the attitude loop faster: one time constant for all",
+          numbers.TRACKING, f"spread of the 63 % time below {SIMILAR:g} %", _same_time_constant, about_state=True),
+    Claim("tracking-oscillation", "with 5 samples the baseline swings a little, Smith less, the state predictor not at all",
+          numbers.TRACKING, "order of the overshoot", _less_oscillation, about_state=True),
+    Claim("tracking-numbers", "15 deg, a time constant of 0.1161 s and an RMSE of 0.075 rad belong to one record",
+          numbers.TRACKING, "an exponential's error, and our runs", _tracking_is_consistent,
+          condition="holds if the doublet is 15 deg from peak to peak", condition_test=_half_amplitude),
+    Claim("baseline-10", "the baseline loses stability at 10 samples", numbers.TRACKING,
+          "step with 10 samples", _stability("step-10.baseline", False)),
+    Claim("baseline-5", "the baseline is stable at 5 samples", numbers.TRACKING,
+          "step with 5 samples", _stability("step-5.baseline", True)),
+    Claim("predictors-10", "both predictors stay stable at 10 samples", numbers.TRACKING, "step with 10 samples",
+          _all(_stability("step-10.smith", True), _stability("step-10.{state}", True)), about_state=True),
+    Claim("smith-25", "Smith's predictor stays stable at 25 samples", numbers.TRACKING, "step with 25 samples",
+          _stability("step-25.smith", True)),
+    Claim("smith-25-little", "Smith's tracking error grows by only 11 % from 5 to 25 samples", numbers.TRACKING,
+          f"growth of the RMSE below {LITTLE:g} %", _grows("rmse", "step-25.smith", "step-5.smith", LITTLE)),
+    Claim("state-25", "the state predictor fails at 25 samples", numbers.TRACKING, "step with 25 samples",
+          _stability("step-25.{state}", False), about_state=True),
+    Claim("phase-up", "predictors raise the phase margin", numbers.FREQUENCY, "margins of C G*, 5 samples",
+          _more_phase, about_state=True),
+    Claim("phase-smith", "Smith has a larger phase margin than the state predictor", numbers.FREQUENCY,
+          "margins of C G*, 5 samples", _smith_has_most_phase, about_state=True),
+    Claim("cutoff-order", "cut-off: baseline above state predictor above Smith", numbers.FREQUENCY,
+          "margins of C G*, 5 samples", _cutoff_order, about_state=True),
+    Claim("gain-margin-order", "gain margin: state predictor above baseline above Smith", numbers.FREQUENCY,
+          "margins of C G*, 5 samples", _gain_margin_order, about_state=True),
+    Claim("state-deviates", "above 5 Hz the state predictor's open loop leaves the other two", numbers.FREQUENCY,
+          "gain at 8 Hz, more than 1 dB away", _state_deviates, about_state=True),
+    Claim("disturbance-predictors-rmse", "with 5 samples both predictors have less RMSE than the baseline",
+          numbers.DISTURBANCE, "disturbance with 5 samples",
+          _all(_below("rmse", "disturbance-5.smith", "disturbance-5.baseline"),
+               _below("rmse", "disturbance-5.{state}", "disturbance-5.baseline")), about_state=True),
+    Claim("disturbance-predictors-max", "with 5 samples both predictors have a smaller largest error than the baseline",
+          numbers.DISTURBANCE, "disturbance with 5 samples",
+          _all(_below("max", "disturbance-5.smith", "disturbance-5.baseline"),
+               _below("max", "disturbance-5.{state}", "disturbance-5.baseline")), about_state=True),
+    Claim("disturbance-smith-5", "with 5 samples Smith rejects disturbances better than the state predictor",
+          numbers.DISTURBANCE, "RMSE and largest error",
+          _all(_below("rmse", "disturbance-5.smith", "disturbance-5.{state}"),
+               _below("max", "disturbance-5.smith", "disturbance-5.{state}")), about_state=True),
+    Claim("disturbance-smith-10", "with 10 samples Smith rejects disturbances better than the state predictor",
+          numbers.DISTURBANCE, "RMSE and largest error",
+          _all(_below("rmse", "disturbance-10.smith", "disturbance-10.{state}"),
+               _below("max", "disturbance-10.smith", "disturbance-10.{state}")), about_state=True),
+    Claim("disturbance-baseline-10", "with 10 samples the disturbed baseline is unstable", numbers.DISTURBANCE,
+          "disturbance with 10 samples", _stability("disturbance-10.baseline", False)),
+    Claim("disturbance-smith-growth", "from 5 to 10 samples Smith's errors grow by only 2.9 % and 0.2 %",
+          numbers.DISTURBANCE, "growth below 6 %, disturbance unknown to the predictor", _UNSEEN_GROWTH,
+          condition=SEEN, condition_test=_SEEN_GROWTH),
+    Claim("disturbance-state-growth", "from 5 to 10 samples the state predictor's errors grow much (41.3 % and 22.4 %)",
+          numbers.DISTURBANCE, "growth of RMSE above 20 % and of the largest error above 0",
+          _all(_grows("rmse", "disturbance-10.{state}", "disturbance-5.{state}", np.inf, 20.0),
+               _grows("max", "disturbance-10.{state}", "disturbance-5.{state}", np.inf, 0.0)), about_state=True),
+    Claim("payload-5", "with payload and 5 samples both predictors track as before", numbers.PAYLOAD,
+          f"stable, RMSE within {SIMILAR:g} %",
+          _all(_stability("step-5-payload.smith", True), _stability("step-5-payload.{state}", True),
+               _grows("rmse", "step-5-payload.smith", "step-5.smith", SIMILAR, -SIMILAR),
+               _grows("rmse", "step-5-payload.{state}", "step-5.{state}", SIMILAR, -SIMILAR)), about_state=True),
+    Claim("payload-10-smith", "with payload and 10 samples Smith still tracks", numbers.PAYLOAD,
+          f"stable, RMSE within {SIMILAR:g} %",
+          _all(_stability("step-10-payload.smith", True),
+               _grows("rmse", "step-10-payload.smith", "step-10.smith", SIMILAR, -SIMILAR))),
+    Claim("payload-10-state", "with payload and 10 samples the state predictor becomes unstable", numbers.PAYLOAD,
+          "step with payload and 10 samples", _stability("step-10-payload.{state}", False), about_state=True),
+    Claim("payload-smith-growth", "with payload Smith's disturbance errors grow by only 2.2 % and 8.7 %", numbers.PAYLOAD,
+          f"growth below {LITTLE:g} %",
+          _all(_grows("rmse", "disturbance-5-payload.smith", "disturbance-5.smith", LITTLE),
+               _grows("max", "disturbance-5-payload.smith", "disturbance-5.smith", LITTLE))),
+    Claim("payload-state-growth", "with payload the state predictor's disturbance errors grow more than Smith's",
+          numbers.PAYLOAD, "growth of RMSE against Smith's",
+          lambda e, state: _payload_growth(e, state), about_state=True),
+    Claim("hexjet-baseline", "the baseline cannot hold the Hex-Jet with 25 samples", numbers.FLIGHT,
+          "roll doublet at the gains of vehicle.toml", _stability("hexjet-doublet.baseline", False)),
+    Claim("hexjet-smith", "Smith's predictor holds the Hex-Jet with the same gains", numbers.FLIGHT,
+          "roll doublet at the gains of vehicle.toml", _stability("hexjet-doublet.smith", True)),
+    Claim("hexjet-overshoot", "on the Hex-Jet Smith has 42.6 % less overshoot", numbers.FLIGHT,
+          "roll doublet at calibrated gains, within 10 points", _hexjet_ratio("hexjet.less_overshoot")),
+    Claim("hexjet-settling", "on the Hex-Jet Smith settles 64.3 % faster", numbers.FLIGHT,
+          "roll doublet at calibrated gains, within 10 points", _hexjet_ratio("hexjet.faster_settling")),
+    Claim("hexjet-both", "the baseline that has an overshoot and a settling time is the one that failed to stabilise",
+          numbers.FLIGHT, "the baseline unstable at the gains that give both ratios",
+          _stability("hexjet-doublet-calibrated.baseline", False),
+          condition="holds for two different pairs of gains: those of vehicle.toml and the calibrated ones",
+          condition_test=_stability("hexjet-doublet.baseline", False)),
+]  # fmt: skip
+
+
+def _payload_growth(e: Evidence, state: str) -> Answer:
+    smith = _percent(e.rmse("disturbance-5-payload.smith"), e.rmse("disturbance-5.smith"))
+    other = _percent(e.rmse(f"disturbance-5-payload.{state}"), e.rmse(f"disturbance-5.{state}"))
+    return other > smith, f"smith {smith:+.1f} %, {state} {other:+.1f} %"
+
+
+def claim_rows(linear: Evidence, flight: Evidence | None = None) -> list[ClaimRow]:
+    """Every claim with its verdict in each fidelity."""
+    return [
+        ClaimRow(
+            key=c.key,
+            claim=c.claim,
+            place=c.place,
+            how=c.how,
+            linear=c.judge(linear),
+            flight=c.judge(flight) if flight else None,
+        )
+        for c in CLAIMS
+    ]
+
+
+class Condition(BaseModel):
+    """What would make printed numbers true, found by search, and what they then are."""
+
+    model_config = ConfigDict(frozen=True)
+
+    key: str
+    question: str
+    answer: str
+    values: dict[str, float]
+
+
+def conditions(calibration: Calibration) -> list[Condition]:
+    """The searches for what the printed model does not give."""
+    return [
+        _plant_error(calibration, "smith", "Smith"),
+        _plant_error(calibration, "state", "the state predictor, G_n(z) realised"),
+        _plant_error(calibration, STATE_AS_PRINTED, "the state predictor as printed"),
+        *_observer_range(calibration),
+    ]
+
+
+def _plant_error(calibration: Calibration, controller: str, called: str) -> Condition:
+    """Which gain and delay error of the model would give the printed margins of a predictor: 3 numbers, 2 unknowns."""
+    from scipy.optimize import minimize
+
+    loop = quadrotor_axis(calibration, controller, 5)
+    predictor = predictor_response(loop.controller, loop.model, loop.tuning)
+    paper = "smith" if controller == "smith" else "state"
+    printed = {name: numbers.value(f"frequency.{paper}.{name}") for name in ("cutoff", "phase_margin", "gain_margin")}
+
+    def at(gain: float, extra: float) -> Margins:
+        plant = Plant(loop.plant.model, gain=gain, extra_samples=extra)
+        return margins(open_loop(replace(loop, plant=plant), predictor), loop.step, low=0.3, points=400)
+
+    def cost(x: tuple[float, float]) -> float:
+        gain, extra = float(x[0]), float(x[1]) * 10.0
+        if not (0.3 < gain < 2.0 and 0.0 <= extra < 15.0):
+            return 1e3
+        found = at(gain, extra)
+        pairs = ((found.cutoff, "cutoff"), (found.phase_margin, "phase_margin"), (found.gain_margin, "gain_margin"))
+        return sum(((ours or 0.0) / printed[name] - 1.0) ** 2 for ours, name in pairs)
+
+    starts = [(g, h) for g in (0.6, 0.75, 0.9, 1.05) for h in (0.05, 0.35, 0.7)]
+    options = {"xatol": 1e-3, "fatol": 1e-5, "maxiter": 60}
+    best = minimize(cost, min(starts, key=cost), method="Nelder-Mead", options=options)
+    gain, extra = float(best.x[0]), float(best.x[1]) * 10.0
+    found = at(gain, extra)
+    met = best.fun < 3 * 0.1**2
+    said = (
+        f"a plant of {gain:.2f} times the modelled gain and {extra:.1f} samples more delay gives "
+        f"{found.cutoff or 0:.2f} Hz, {found.phase_margin or 0:.1f} deg, {found.gain_margin or 0:.2f} dB "
+        f"(paper {printed['cutoff']:g} Hz, {printed['phase_margin']:g} deg, {printed['gain_margin']:g} dB)"
+    )
+    return Condition(
+        key=f"margins.{controller}",
+        question=f"which model error would give the printed margins of {called}?",
+        answer=said if met else f"none of gain and delay does; closest, {said}",
+        values={"gain": gain, "extra_samples": extra, "residual": float(best.fun)},
+    )
+
+
+def _observer_range(calibration: Calibration) -> Iterator[Condition]:
+    """Where the double-integrator observer's bandwidth leaves the loop stable, with 5, 10 and 25 samples."""
+    bandwidths = np.geomspace(20.0, 2000.0, 41)
+    for controller, called in (("state", "G_n(z) realised"), (STATE_AS_PRINTED, "the matrices as printed")):
+        said, values = [], {}
+        for delay in (5, 10, 25):
+            stable = []
+            for bandwidth in bandwidths:
+                loop = quadrotor_axis(calibration.model_copy(update={"observer_rad_s": bandwidth}), controller, delay)
+                if not LoopMap(loop, 1000).unstable_poles(1.0, delay):
+                    stable.append(float(bandwidth))
+            values[f"stable_from_{delay}"] = stable[0] if stable else float("nan")
+            values[f"stable_to_{delay}"] = stable[-1] if stable else float("nan")
+            said.append(f"{delay} samples: {f'{stable[0]:.0f} to {stable[-1]:.0f} rad/s' if stable else 'nowhere'}")
+        yield Condition(
+            key=f"observer.{controller}",
+            question=f"at which observer bandwidths between 20 and 2000 rad/s is the state predictor stable, {called}?",
+            answer="; ".join(said),
+            values={key: value for key, value in values.items() if np.isfinite(value)},
+        )
+
+
+def gain_at(loop: Axis, frequency: float) -> float:
+    """Gain of ``C G*`` at a frequency (Hz), dB."""
+    z = np.exp(np.array([2j * np.pi * frequency * loop.step]))
+    return float(20.0 * np.log10(np.abs(open_loop(loop)(z)[0])))

@@ -1,0 +1,317 @@
+"""The loop of :mod:`cosim.paper.linear` as transfer functions: margins, unstable poles, sensitivity, and a sweep.
+
+``y`` measured rate, ``u`` command, ``y^`` predicted rate, ``P_y`` and ``P_u`` the predictor's two ways to it, ``G`` the
+plant, ``d`` the added delay, ``T`` the control step:
+
+    y^ = P_y y + P_u u,  y = G z^-d u,  G* = y^ / u = P_u + P_y G z^-d          (the paper's augmented plant)
+    C_e = p + i T / (1 - z^-1),  D = d s (1 - z^-1) / (T (1 - (1 - s) z^-1)),  C = C_e + D
+    closed: 1 + C G* + C_e K T/2 (z + 1)/(z - 1) G z^-d = 0                     (K the attitude gain)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import cos, inf, pi, prod
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from cosim.control.predictor import robustness_filter
+from cosim.errors import InputError
+from cosim.paper.linear import Axis, Plant, make_predictor, simulate
+from cosim.vehicle import PredictorTuning, RateModel
+
+Complex = NDArray[np.complex128]
+Array = NDArray[np.float64]
+Pair = tuple[Complex, Complex]
+Response = Callable[[Complex], Complex]
+
+_TAPS = 20_000
+_QUIET = 1e-13  # an impulse response that stays below this has ended
+
+
+class Margins(BaseModel):
+    """Of an open loop; None where there is no crossing.  Of several crossings, the one with the smallest margin."""
+
+    model_config = ConfigDict(frozen=True)
+
+    cutoff: float | None  # Hz, the first frequency at which the gain falls below 1
+    gain_margin: float | None  # dB
+    phase_margin: float | None  # deg
+
+
+def grid(step: float, points: int = 3000, lowest: float = 1e-4) -> Complex:
+    """The upper half of the unit circle, dense at low frequency; ``lowest`` in rad per sample."""
+    angles = np.union1d(np.geomspace(lowest, pi, points // 2), np.linspace(pi / points, pi, points // 2))
+    return np.exp(1j * angles)
+
+
+def model_response(model: RateModel, z: Complex) -> Complex:
+    """The identified response without its delay."""
+    zeros = prod((z - zero for zero in model.zeros), start=np.ones_like(z))
+    poles = prod((z - pole for pole in model.poles), start=np.ones_like(z))
+    return np.asarray(model.gain * zeros / poles)
+
+
+def delayed_response(model: RateModel, z: Complex) -> Complex:
+    """The identified response with its delay of ``n + f`` samples: mode by mode, the modified z-transform."""
+    n = int(model.delay_samples)
+    f = model.delay_samples - n
+    if not f:
+        return np.asarray(model_response(model, z) * z**-n)
+    total = np.zeros_like(z)
+    for i, pole in enumerate(model.poles):
+        others = model.poles[:i] + model.poles[i + 1 :]
+        residue = model.gain * prod(pole - zero for zero in model.zeros) / prod(pole - other for other in others)
+        share = 1.0 - f if pole == 1.0 else (pole ** (1.0 - f) - 1.0) / (pole - 1.0)
+        total += residue * (share + (1.0 - share) / z) / (z - pole)
+    return np.asarray(total * z**-n)
+
+
+def plant_response(plant: Plant, z: Complex, delay: int) -> Complex:
+    """Command to rate, added delay included."""
+    model = plant.model.model_copy(update={"delay_samples": plant.extra_samples})
+    return np.asarray(plant.gain * delayed_response(model, z) * z ** -float(delay))
+
+
+def predictor_response(controller: str, model: RateModel, tuning: PredictorTuning) -> Callable[[Complex], Pair]:
+    """``P_y`` and ``P_u`` as a function of z, both for samples taken at ``t_k``.
+
+    The state predictors have no closed form worth writing: they are finite sums over past commands and a fast
+    observer, so their impulse response ends and its transform is exact.
+    """
+    if controller == "baseline":
+        return lambda z: (np.ones_like(z), np.zeros_like(z))
+    if controller in ("smith", "filtered-smith"):
+        numerator, denominator = [1.0], [1.0]
+        if controller == "filtered-smith":
+            numerator, denominator = robustness_filter(model, tuning.filter_s)
+
+        def smith(z: Complex) -> Pair:
+            f = np.polyval(numerator, z) / np.polyval(denominator, z)
+            return f, model_response(model, z) - f * delayed_response(model, z)
+
+        return smith
+    of_rate = _impulse(controller, model, tuning, (1.0, 0.0))
+    of_command = _impulse(controller, model, tuning, (0.0, 1.0))
+    # the predictor is told the command of the step before: its first answer to it belongs to u / z
+    return lambda z: (_transform(of_rate, z), _transform(of_command, z) / z)
+
+
+def _impulse(controller: str, model: RateModel, tuning: PredictorTuning, unit: tuple[float, float]) -> Array:
+    predictor = make_predictor(controller, model, tuning)
+    values = [predictor.update(*unit)]
+    wait = int(model.delay_samples) + 2  # nothing may come before that
+    silent = 0
+    while silent <= wait:
+        values.append(predictor.update(0.0, 0.0))
+        silent = silent + 1 if abs(values[-1]) < _QUIET else 0
+        if len(values) > _TAPS:
+            raise InputError(f"{controller}: its impulse response does not end; it must be stable on its own")
+    return np.array(values)
+
+
+def _transform(taps: Array, z: Complex) -> Complex:
+    """``sum_k h_k z^-k``: by powers for a few points, by Horner's rule for many."""
+    inverse = 1.0 / z
+    if z.size < 8:
+        return np.asarray(inverse[:, None] ** np.arange(len(taps)) @ taps)
+    total = np.zeros_like(z)
+    for tap in taps[::-1]:
+        total = total * inverse + tap
+    return total
+
+
+def controllers_response(axis: Axis, z: Complex) -> tuple[Complex, Complex]:
+    """``C_e`` (set-point and feedback) and ``D`` (feedback alone) of the rate PID."""
+    gains, step = axis.gains, axis.step
+    share = step / (gains.d_filter_s + step)
+    difference = 1.0 - 1.0 / z
+    of_slope = gains.d * share * difference / (step * (1.0 - (1.0 - share) / z))
+    return np.asarray(gains.p + gains.i * step / difference), np.asarray(of_slope)
+
+
+def open_loop(axis: Axis) -> Response:
+    """``C G*`` of the rate loop: what the paper's Bode diagrams show."""
+
+    predictor = predictor_response(axis.controller, axis.model, axis.tuning)
+
+    def response(z: Complex) -> Complex:
+        of_rate, of_command = predictor(z)
+        error, slope = controllers_response(axis, z)
+        augmented = of_command + of_rate * plant_response(axis.plant, z, axis.delay_samples)
+        return np.asarray((error + slope) * augmented)
+
+    return response
+
+
+def margins(response: Response, step: float, low: float = 0.05, points: int = 4000) -> Margins:
+    """Margins of a sampled open loop from its response on the unit circle, from ``low`` Hz to half the sample rate."""
+    frequencies = np.geomspace(low, 0.5 / step * (1.0 - 1e-9), points)
+    values = response(np.exp(2j * pi * frequencies * step))
+
+    def at(frequency: float) -> complex:
+        return complex(response(np.exp(np.array([2j * pi * frequency * step])))[0])
+
+    gains, falls, phases = [], [], []
+    size = np.abs(values) - 1.0
+    for k in np.flatnonzero(np.sign(size[:-1]) != np.sign(size[1:])):
+        crossing = _bisect(lambda f: abs(at(f)) - 1.0, frequencies[k], frequencies[k + 1])
+        phases.append(_wrapped(float(np.degrees(np.angle(at(crossing)))) + 180.0))
+        if size[k] > 0.0:
+            falls.append(crossing)
+    turns = (np.sign(values.imag[:-1]) != np.sign(values.imag[1:])) & (values.real[:-1] < 0.0)
+    for k in np.flatnonzero(turns):
+        crossing = _bisect(lambda f: at(f).imag, frequencies[k], frequencies[k + 1])
+        gains.append(-20.0 * float(np.log10(abs(at(crossing)))))
+    return Margins(
+        cutoff=falls[0] if falls else None,
+        gain_margin=min(gains, key=abs, default=None),
+        phase_margin=min(phases, key=abs, default=None),
+    )
+
+
+def _bisect(function: Callable[[float], float], low: float, high: float) -> float:
+    sign = function(low)
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        if (function(middle) > 0.0) == (sign > 0.0):
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def _wrapped(degrees: float) -> float:
+    return (degrees + 180.0) % 360.0 - 180.0
+
+
+class Sweep(BaseModel):
+    """A measured open loop."""
+
+    model_config = ConfigDict(frozen=True)
+
+    frequency: list[float]  # Hz
+    gain: list[float]  # dB
+    phase: list[float]  # deg, unwrapped
+    augmented_gain: list[float]  # dB, of y^/u alone
+    augmented_phase: list[float]  # deg
+    margins: Margins
+
+
+def sweep(axis: Axis, period: float = 8.0, low: float = 0.25, high: float = 20.0, amplitude: float = 1e-3) -> Sweep:
+    """Measure ``C G*`` in the closed rate loop with sines added to the command, as the paper does.
+
+    All multiples of ``1 / period`` from ``low`` to ``high`` Hz at once, with Schroeder's phases; the second period is
+    evaluated.  With ``w`` added before the predictor's tap, ``G* = y^ / (u + w)`` and ``C G* = -u / (u + w)``.
+    Raises InputError where the loop is not stable: it cannot be swept closed.
+    """
+    loop = replace(axis, attitude_gain=0.0, noise=0.0, command_limit=inf, rate_limit=inf, knows_disturbance=True)
+    if unstable_poles(loop):
+        raise InputError(f"{axis.controller}: the rate loop is unstable, lower its gain or its delay before a sweep")
+    n = round(period / axis.step)
+    bins = range(round(low * period), round(high * period) + 1)
+    phases = [-pi * i * i / len(bins) for i in range(len(bins))]
+    wave = [
+        amplitude * sum(cos(2.0 * pi * (b * k % n) / n + phase) for b, phase in zip(bins, phases, strict=True))
+        for k in range(n)
+    ]
+    record = simulate(loop, 3 * n, disturbance=lambda k: wave[k % n])
+
+    def spectrum(values: Array) -> Complex:
+        return np.asarray(np.fft.rfft(values[2 * n :])[bins.start : bins.stop])
+
+    u, w = spectrum(np.array(record.command)), spectrum(np.array(record.disturbance))
+    augmented = spectrum(np.array(record.predicted)) / (u + w)
+    measured = -u / (u + w)
+    frequency = np.array(bins) / period
+    gain, phase = _bode(measured)
+    augmented_gain, augmented_phase = _bode(augmented)
+    return Sweep(
+        frequency=frequency.tolist(),
+        gain=gain.tolist(),
+        phase=phase.tolist(),
+        augmented_gain=augmented_gain.tolist(),
+        augmented_phase=augmented_phase.tolist(),
+        margins=_margins_of_points(frequency, gain, phase),
+    )
+
+
+def _bode(values: Complex) -> tuple[Array, Array]:
+    phase = np.degrees(np.unwrap(np.angle(values)))
+    return 20.0 * np.log10(np.abs(values)), phase - 360.0 * np.round(phase[0] / 360.0)
+
+
+def _margins_of_points(frequency: Array, gain: Array, phase: Array) -> Margins:
+    """Margins between measured points: gain and phase are straight lines over the logarithm of the frequency."""
+    x = np.log(frequency)
+
+    def crossings(values: Array, level: float) -> list[tuple[float, int]]:
+        above = values > level
+        found = []
+        for k in np.flatnonzero(above[:-1] != above[1:]):
+            share = (level - values[k]) / (values[k + 1] - values[k])
+            found.append((float(x[k] + share * (x[k + 1] - x[k])), int(k)))
+        return found
+
+    cuts = crossings(gain, 0.0)
+    turns = [at for level in (-180.0, -540.0, -900.0) for at, _ in crossings(phase, level)]
+    return Margins(
+        cutoff=next((float(np.exp(at)) for at, k in cuts if gain[k] > 0.0), None),
+        gain_margin=min((-float(np.interp(at, x, gain)) for at in turns), key=abs, default=None),
+        phase_margin=min((_wrapped(float(np.interp(at, x, phase)) + 180.0) for at, _ in cuts), key=abs, default=None),
+    )
+
+
+class LoopMap:
+    """One loop with its predictor's response kept, for many plants: unstable poles and peak sensitivity."""
+
+    def __init__(self, axis: Axis, points: int = 3000, known: tuple[Complex, Complex, Complex] | None = None) -> None:
+        """``known``: points of the upper half circle with ``P_y`` and ``P_u`` there, where they have been found before."""
+        self._axis = axis
+        z = known[0] if known else grid(axis.step, points)
+        of_rate, of_command = known[1:] if known else predictor_response(axis.controller, axis.model, axis.tuning)(z)
+        error, slope = controllers_response(axis, z)
+        angle = 0.5 * axis.step * (z + 1.0) / (z - 1.0)
+        self._z = z
+        self._inner = 1.0 + (error + slope) * of_command
+        self._outer = (error + slope) * of_rate + error * axis.attitude_gain * angle
+        self._model = axis.plant.gain * model_response(axis.plant.model, z)
+        integrators = (1 if axis.gains.i else 0) + (1 if axis.attitude_gain else 0)
+        self._clear = (1.0 - 1.0 / z) ** integrators
+
+    def plant(self, gain: float, delay: int) -> Complex:
+        """Command to rate for ``gain`` times the plant's own and ``delay`` samples in all."""
+        return np.asarray(gain * self._model * self._z ** -float(delay))
+
+    def characteristic(self, gain: float, delay: int) -> Complex:
+        """``1 + C G* + C_e K I G z^-d`` with that plant."""
+        return np.asarray(self._inner + self._outer * self.plant(gain, delay))
+
+    def unstable_poles(self, gain: float, delay: int) -> int:
+        """Closed-loop poles outside the unit circle.
+
+        All blocks are stable on their own, but for integrators at 1 that are multiplied away: what remains is analytic
+        outside the circle and goes to 1 at infinity, so its turns about 0 along the circle count its zeros there.
+        """
+        turn = np.unwrap(np.angle(self._clear * self.characteristic(gain, delay)))
+        return -round(float(turn[-1] - turn[0]) / pi)
+
+    def peak_sensitivity(self, gain: float, delay: int) -> float:
+        """``M_s = max |1 / (1 + L)|``, ``L`` broken at the plant's input with the predictor inside the controller."""
+        return float(np.max(np.abs(self._inner / self.characteristic(gain, delay))))
+
+
+def unstable_poles(axis: Axis) -> int:
+    """Closed-loop poles of a loop outside the unit circle, attitude loop included where it has a gain.
+
+    Raises InputError for an unmodelled delay that is not whole.
+    """
+    extra = axis.plant.extra_samples
+    if extra != int(extra):
+        raise InputError(f"unstable poles: an extra delay of {extra:g} samples must be whole")
+    return LoopMap(axis).unstable_poles(1.0, axis.delay_samples + int(extra))
+
+
