@@ -90,6 +90,7 @@ class Airframe:
         self._fdm = fdm
         self._run = fdm.run
         self._fresh = True
+        self._sideways = False
         self._bind()
         self._set("atmosphere/randomseed", self._seed)
         self._set("simulation/integrator/rate/rotational", _RECTANGULAR_EULER)
@@ -105,6 +106,7 @@ class Airframe:
         self._set_twist = [node(f"external_reactions/twist/{axis}").set_double_value for axis in "lmn"]
         for name in [*names, "external_reactions/push"]:
             node(f"{name}/magnitude").set_double_value(1.0)
+            node(f"{name}/y").set_double_value(0.0)
         node("external_reactions/twist/magnitude-lbsft").set_double_value(1.0)
         contacts = [node(f"contact/unit[{unit}]/WOW").get_double_value for unit in range(len(self._vehicle.contacts))]
         self._legs = [
@@ -189,8 +191,11 @@ class Airframe:
     def _apply_forces(self, forces: Sequence[Vector3]) -> None:
         for (set_x, set_y, set_z), (x, y, z) in zip(self._set_jet, forces, strict=True):
             set_x(x / POUND_FORCE)
-            set_y(y / POUND_FORCE)
             set_z(z / POUND_FORCE)
+            if y or self._sideways:
+                # jets tilt about y, so most vehicles never get here
+                self._sideways = True
+                set_y(y / POUND_FORCE)
 
     def _apply(self, disturbance: Disturbance) -> None:
         """Hand over what differs from the step before."""
@@ -247,15 +252,11 @@ class Airframe:
         cr, sr = cos(0.5 * roll), sin(0.5 * roll)
         cp, sp = cos(0.5 * pitch), sin(0.5 * pitch)
         cy, sy = cos(0.5 * yaw), sin(0.5 * yaw)
+        cc, ss, sc, cs = cr * cp, sr * sp, sr * cp, cr * sp
         return State(
             (north * FOOT, east * FOOT, self._datum - up * FOOT),
             (vn * FOOT, ve * FOOT, vd * FOOT),
-            (
-                cr * cp * cy + sr * sp * sy,
-                sr * cp * cy - cr * sp * sy,
-                cr * sp * cy + sr * cp * sy,
-                cr * cp * sy - sr * sp * cy,
-            ),
+            (cc * cy + ss * sy, sc * cy - cs * sy, cs * cy + sc * sy, cc * sy - ss * cy),
             (roll, pitch, yaw if yaw < 3.141592653589793 else yaw - 6.283185307179586),
             (p, q, r),
             (ax * FOOT, ay * FOOT, az * FOOT),

@@ -147,7 +147,7 @@ class Simulation:
             x, y, z = disturbance.torque_output
             roll, pitch, yaw = roll + x, pitch + y, yaw + z
             self.rate.tell(disturbance.torque_seen)
-        return (self.added_delay.update(roll), pitch, yaw)
+        return (self.added_delay.update(roll), pitch, yaw) if self.scenario.added_delay_samples else (roll, pitch, yaw)
 
     def _tilt(self, command: tuple[float, float]) -> tuple[float, float]:
         if not self.servos:
@@ -275,10 +275,12 @@ def throttle_map(engine: EngineSpec) -> Callable[[float], float]:
     if any(b <= a for a, b in pairwise(thrusts)):
         raise InputError(f"engine {engine.name}: its thrust at rest does not grow with the throttle")
 
+    slopes = [(v - u) / (b - a) for (u, v), (a, b) in zip(pairwise(throttles), pairwise(thrusts), strict=True)]
+    inner = thrusts[1:-1]
+
     def throttle(thrust: float) -> float:
-        i = min(max(bisect_left(thrusts, thrust), 1), len(thrusts) - 1)
-        slope = (throttles[i] - throttles[i - 1]) / (thrusts[i] - thrusts[i - 1])
-        return throttles[i - 1] + slope * (thrust - thrusts[i - 1])
+        i = bisect_left(inner, thrust)
+        return throttles[i] + slopes[i] * (thrust - thrusts[i])
 
     return throttle
 

@@ -18,7 +18,10 @@ class AltitudeController:
     """
 
     def __init__(self, gains: AltitudeGains, mass: float, throttle_for: Callable[[float], float], step: float) -> None:
-        self._gains = gains
+        self._position = gains.position_1_s
+        self._up, self._down = gains.climb_limit_m_s, -gains.descent_limit_m_s
+        self._velocity = gains.velocity_1_s
+        self._limit = gains.integral_limit_m_s2
         self._mass = mass
         self._throttle_for = throttle_for
         self._i = gains.integral_1_s2 * step
@@ -32,14 +35,16 @@ class AltitudeController:
         """Collective: the mean throttle."""
         if command.collective is not None:
             return command.collective
-        gains = self._gains
-        climb = gains.position_1_s * (command.altitude - measured.altitude)
-        climb = max(-gains.descent_limit_m_s, min(gains.climb_limit_m_s, climb))
+        climb = self._position * (command.altitude - measured.altitude)
+        climb = self._up if climb > self._up else (self._down if climb < self._down else climb)
         error = climb + measured.velocity[2]
         if refused.collective * error <= 0.0:
-            limit = gains.integral_limit_m_s2
-            self._integral = max(-limit, min(limit, self._integral + self._i * error))
+            limit = self._limit
+            integral = self._integral + self._i * error
+            self._integral = limit if integral > limit else (-limit if integral < -limit else integral)
         _, x, y, _ = measured.attitude
-        upright = max(_LEAST_UPRIGHT, 1.0 - 2.0 * (x * x + y * y))
-        acceleration = GRAVITY + gains.velocity_1_s * error + self._integral
+        upright = 1.0 - 2.0 * (x * x + y * y)
+        if upright < _LEAST_UPRIGHT:
+            upright = _LEAST_UPRIGHT
+        acceleration = GRAVITY + self._velocity * error + self._integral
         return self._throttle_for(self._mass * acceleration / upright)

@@ -124,15 +124,20 @@ class SmithPredictor:
 
     def __init__(self, model: RateModel) -> None:
         self._now = rate_model(model)
+        # over whole samples the late output is the early one, kept
+        self._line = DelayLine(int(model.delay_samples)) if model.delay_samples == int(model.delay_samples) else None
         self._then = DelayedModel(model)
 
     def reset(self) -> None:
-        """Both models at rest."""
+        """Models and delay line at rest."""
         self._now.reset()
         self._then.reset()
+        if self._line:
+            self._line.reset()
 
     def update(self, measured: float, applied: float) -> float:
-        return measured + (self._now.update(applied) - self._then.update(applied))
+        now = self._now.update(applied)
+        return measured + (now - (self._line.update(now) if self._line else self._then.update(applied)))
 
 
 class FilteredSmithPredictor:

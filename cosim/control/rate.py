@@ -50,7 +50,6 @@ class RateAxis:
         self._command = self._p * error + self._integral - self._d * self._slope
         return self._command
 
-
     def tell(self, added: float) -> None:
         """The predictor reads the command behind a place where ``added`` came to it."""
         self._command += added

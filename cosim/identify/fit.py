@@ -136,7 +136,10 @@ def fit(response: FrequencyResponse, lags: int, label: str, hold: Mapping[str, f
     weight = counts(response)
     use = weight > 0.0
     if int(use.sum()) < len(known):
-        raise InputError(f"only {int(use.sum())} points of the response count, too few for {len(known)} parameters")
+        raise InputError(
+            f"only {int(use.sum())} points of the response count, too few for {len(known)} parameters; "
+            "widen the band or sweep longer"
+        )
     problem = _Problem(response.hertz[use], response.value[use], np.sqrt(weight[use]), response.step, lags, hold)
     return problem.solve(label)
 

@@ -47,7 +47,7 @@ class FrequencyResponse:
 
     hertz: Array
     value: Complex
-    coherence: Array  # share of the output's power that the command explains, 0 to 1
+    coherence: Array  # share of the power of command and output that the sweep explains, the lesser one, 0 to 1
     spread: Array  # standard deviation of ``value`` over its magnitude
     step: float  # s
 
@@ -73,7 +73,8 @@ def estimate(
     """The response between ``low`` and ``high`` Hz.
 
     With a first ``model`` (a function of Hz) what is estimated is the ratio of the response to it, which is flat: that
-    takes away the last of the parabola's error.  Raises InputError if the record is too short for ``low``.
+    takes away the last of the parabola's error.  The coherence is the lesser of those of the injected signal with command
+    and with output: what the loop's own noise moves does not count.  Raises InputError if the record is too short for ``low``.
     """
     count = len(record.output)
     seconds = count * record.step
@@ -119,15 +120,29 @@ def _local(offset: Array, injected: Complex, command: Complex, output: Complex) 
     basis = np.vander(offset / np.abs(offset).max(), 3, increasing=True)
     regressors, instruments = command[:, None] * basis, injected[:, None] * basis
     gram = instruments.conj().T @ regressors
-    power = float(np.sum(np.abs(output) ** 2))
     try:
         inverse = np.linalg.inv(gram)
     except np.linalg.LinAlgError:
         return complex("nan"), 0.0, float("inf")
     solution = inverse @ (instruments.conj().T @ output)
-    noise = float(np.sum(np.abs(output - regressors @ solution) ** 2)) / (len(output) - 3)
+    noise = _left(output, regressors, solution)
     variance = noise * np.real((inverse @ (instruments.conj().T @ instruments) @ inverse.conj().T)[0, 0])
     value = complex(solution[0])
-    if power == 0.0 or value == 0.0:
+    if value == 0.0:
         return value, 0.0, float("inf")
-    return value, max(0.0, 1.0 - noise * len(output) / power), float(np.sqrt(variance)) / abs(value)
+    coherence = min(_explained(output, instruments), _explained(command, instruments))
+    return value, coherence, float(np.sqrt(variance)) / abs(value)
+
+
+def _explained(signal: Complex, instruments: Complex) -> float:
+    """Share of a signal's power that follows the injected one by a parabola in frequency."""
+    power = float(np.mean(np.abs(signal) ** 2))
+    if power == 0.0:
+        return 0.0
+    solution = np.linalg.lstsq(instruments, signal, rcond=None)[0]
+    return max(0.0, 1.0 - _left(signal, instruments, solution) / power)
+
+
+def _left(signal: Complex, regressors: Complex, solution: Complex) -> float:
+    """Power per bin that three complex unknowns leave."""
+    return float(np.sum(np.abs(signal - regressors @ solution) ** 2)) / (len(signal) - 3)

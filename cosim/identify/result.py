@@ -17,6 +17,7 @@ from cosim.vehicle import RateModel
 
 KGF = 9.80665  # N
 BEYOND = (0.7, 1.2)  # the chirp runs from this times the lowest to this times the highest frequency of the band
+LONGEST_SWEEP_S = 3600.0
 USABLE = 0.5  # share of the points that must have coherence
 
 
@@ -134,6 +135,8 @@ def check_band(low: float, high: float, duration: float | None, step: float) -> 
         raise InputError(f"--to-hz {high:g}: must be below {nyquist:g} Hz, half the sample rate")
     if not 0.0 < low < high:
         raise InputError(f"--from-hz {low:g}, --to-hz {high:g}: the band must go from a lower to a higher frequency")
+    if duration is not None and not duration <= LONGEST_SWEEP_S:
+        raise InputError(f"--duration {duration:g}: must be at most {LONGEST_SWEEP_S:g} s")
     if duration is not None and duration < shortest_record(low):
         raise InputError(
             f"--duration {duration:g}: too short for {low:g} Hz; it takes {shortest_record(low):.3g} s, "

@@ -10,15 +10,14 @@ from dataclasses import replace
 from math import exp, inf, log, pi
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from cosim.paper import numbers
 from cosim.paper.calibration import Calibration
 from cosim.paper.experiments import hexjet_axis, quadrotor_axis
 from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, simulate
-from cosim.paper.loops import LoopMap, controllers_response, grid, predictor_response
-from cosim.vehicle import RateModel
+from cosim.paper.loops import Complex, LoopMap, controllers_response, grid, predictor_response
+from cosim.vehicle import PredictorTuning, RateModel
 
 QUADROTOR = ("baseline", "smith", "filtered-smith", "state", STATE_AS_PRINTED, "state-model", "state-disturbance")
 HEXJET = ("baseline", "smith", "filtered-smith", "state", "state-model", "state-disturbance")
@@ -157,13 +156,13 @@ def constant_disturbance(calibration: Calibration, disturbance: float = 0.01) ->
 def smith_offset(calibration: Calibration, disturbance: float = 0.01) -> float:
     """The classic Smith predictor's roll offset in closed form, rad, before the slow pole lets go.
 
-    Prediction error ``e = K h T d``, ``K`` the plant's gain as an integrator (rad/s^2 per command).  At rest ``y = 0``,
-    so ``y^ = e`` and the integral wants ``r = y^``: ``-K_att phi = e``.
+    At rest the command is ``-d``, which leaves ``y^ = -K h T d`` while ``y = 0``, ``K`` the plant's gain as an integrator
+    (rad/s^2 per command); the integral wants ``r = y^``, so ``K_att phi = K h T d``.
     """
     axis = hexjet_axis(calibration, "smith", "vehicle", noisy=False)
     model = axis.model
     k = integrating_gain(model)
-    return -k * model.delay_samples * model.sample_time_s * disturbance / axis.attitude_gain
+    return k * model.delay_samples * model.sample_time_s * disturbance / axis.attitude_gain
 
 
 def integrating_gain(model: RateModel) -> float:
@@ -220,6 +219,7 @@ class Reach(Record):
     p: float | None
     d: float | None
     attitude_gain: float | None
+    tuning: PredictorTuning | None
     overshoot_percent: float | None
     noise_gain: float | None  # command per rad/s
 
@@ -268,8 +268,8 @@ def _discretised(gain: float, slow: float, lags: list[float], step: float, sourc
 def turbojet(calibration: Calibration) -> list[Reach]:
     """Which bandwidth each controller reaches, with the engines as flown and with the true turbojet.
 
-    A search over rate gain, derivative in time constants of the engine, and attitude gain; no integral, which costs
-    every controller the same.
+    A search over rate gain, derivative in time constants of the engine, attitude gain, and what the predictor is tuned
+    with; no integral, which costs every controller the same.
     """
     truth, model = turbojet_plant()
     flown = numbers.roll_model()
@@ -282,55 +282,91 @@ def turbojet(calibration: Calibration) -> list[Reach]:
     return found
 
 
+def _tunings(axis: Axis) -> list[PredictorTuning]:
+    """The predictor's own knob at a third, once and three times what ``vehicle.toml`` says; one for those without."""
+    if axis.controller in ("baseline", "smith"):
+        return [axis.tuning]
+    t = axis.tuning
+    return [
+        PredictorTuning(
+            filter_s=t.filter_s / factor,
+            observer_rad_s=t.observer_rad_s * factor,
+            model_observer_rad_s=t.model_observer_rad_s * factor,
+            disturbance_observer_rad_s=t.disturbance_observer_rad_s * factor,
+        )
+        for factor in (1.0 / 3.0, 1.0, 3.0)
+    ]
+
+
 def _reach(engine: str, axis: Axis, lag: float) -> Reach:
+    """A coarse grid for each tuning, then ever finer ones around the best point."""
     z = grid(axis.step, 500, lowest=1e-3)
-    of_rate, of_command = predictor_response(axis.controller, axis.model, axis.tuning)(z)
-    best: tuple[float, Axis] | None = None
-    scale = lag / integrating_gain(axis.model)
-    for shape in (0.0, 0.25, 0.5, 0.75, 1.0, 1.5):
-        for p in np.geomspace(0.05, 30.0, 22):
-            for gain in np.geomspace(0.1, 8.0, 22):
-                # p in units of what gives the rate loop the lag's bandwidth
-                rate_gain = float(p * scale / lag)
-                gains = axis.gains.model_copy(update={"p": rate_gain, "i": 0.0, "d": shape * lag * rate_gain})
-                trial = replace(axis, gains=gains, attitude_gain=float(gain))
-                bandwidth = _bandwidth(trial, z, of_rate, of_command, best[0] if best else 0.0)
+    # p in units of the gain that makes the rate loop as fast as the lag
+    unit = 1.0 / integrating_gain(axis.model) / lag
+
+    def made(tuned: Axis, p: float, d: float, gain: float) -> Axis:
+        gains = axis.gains.model_copy(update={"p": p * unit, "i": 0.0, "d": d * lag * p * unit})
+        return replace(tuned, gains=gains, attitude_gain=gain)
+
+    best, at = 0.0, (1.0, 0.0, 1.0)
+    chosen: Axis | None = None
+    for tuning in _tunings(axis):
+        tuned = replace(axis, tuning=tuning)
+        known = (z, *predictor_response(tuned.controller, tuned.model, tuning)(z))
+        points = [
+            (float(p), d, float(gain))
+            for d in (0.0, 0.5, 1.0)
+            for p in np.geomspace(0.05, 30.0, 14)
+            for gain in np.geomspace(0.1, 8.0, 14)
+        ]
+        for width in (0.0, 1.25, 1.1, 1.03):
+            if width:  # around the best so far, if this tuning holds it
+                if chosen is None or chosen.tuning != tuning:
+                    break
+                factors = (1.0 / width, 1.0, width)
+                p, d, gain = at
+                shapes = {max(0.0, d + shift * (width - 1.0)) for shift in (-0.5, 0.0, 0.5)}
+                points = [(p * a, shape, gain * b) for shape in sorted(shapes) for a in factors for b in factors]
+            for point in points:
+                trial = made(tuned, *point)
+                bandwidth = _bandwidth(trial, known, best)
                 if bandwidth is not None:
-                    best = (bandwidth, trial)
-    if best is None:
+                    best, at, chosen = bandwidth, point, trial
+    if chosen is None:
         return Reach(
             engine=engine, controller=axis.controller, bandwidth=None, sensitivity=None, p=None, d=None,
-            attitude_gain=None, overshoot_percent=None, noise_gain=None,
+            attitude_gain=None, tuning=None, overshoot_percent=None, noise_gain=None,
         )  # fmt: skip
-    bandwidth, chosen = best
     record = simulate(replace(chosen, command_limit=inf), round(12.0 / chosen.step), setpoint=lambda k: 0.01)
     return Reach(
         engine=engine,
         controller=chosen.controller,
-        bandwidth=bandwidth,
+        bandwidth=best,
         sensitivity=LoopMap(chosen).peak_sensitivity(1.0, chosen.delay_samples),
         p=chosen.gains.p,
         d=chosen.gains.d,
         attitude_gain=chosen.attitude_gain,
+        tuning=chosen.tuning,
         overshoot_percent=max(0.0, 100.0 * (max(record.angle) / 0.01 - 1.0)),
         noise_gain=noise_gain(chosen),
     )
 
 
-def _bandwidth(
-    axis: Axis, z: NDArray[np.complex128], of_rate: NDArray[np.complex128], of_command: NDArray[np.complex128], beat: float
-) -> float | None:
+def _bandwidth(axis: Axis, known: tuple[Complex, Complex, Complex], beat: float) -> float | None:
     """-3 dB of roll over set-point, Hz, if it is more than ``beat``, the loop stable and its peak sensitivity small."""
-    loop = LoopMap(axis, 0, (z, of_rate, of_command))
+    z = known[0]
+    loop = LoopMap(axis, known=known)
     error, _ = controllers_response(axis, z)
-    plant = loop.plant(1.0, axis.delay_samples)
-    angle = 0.5 * axis.step * (z + 1.0) / (z - 1.0) * plant
+    angle = 0.5 * axis.step * (z + 1.0) / (z - 1.0) * loop.plant(1.0, axis.delay_samples)
     closed = np.abs(axis.attitude_gain * error * angle / loop.characteristic(1.0, axis.delay_samples))
-    below = np.flatnonzero(closed < 10.0 ** (-3.0 / 20.0))
+    level = 10.0 ** (-3.0 / 20.0)
+    below = np.flatnonzero(closed < level)
     if not below.size or below[0] == 0:
         return None
-    bandwidth = float(np.angle(z[below[0]]) / (2.0 * pi * axis.step))
+    k = below[0]
+    share = (closed[k - 1] - level) / (closed[k - 1] - closed[k])
+    turn = float(np.angle(z[k - 1]) + share * (np.angle(z[k]) - np.angle(z[k - 1])))
+    bandwidth = turn / (2.0 * pi * axis.step)
     if bandwidth <= beat or loop.peak_sensitivity(1.0, axis.delay_samples) > ROBUST:
         return None
     return None if loop.unstable_poles(1.0, axis.delay_samples) else bandwidth
-

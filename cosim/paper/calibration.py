@@ -100,7 +100,9 @@ def _time_constant(trial: Calibration) -> dict[str, float]:
     from cosim.paper.experiments import Experiment, linear
 
     run = linear(trial, noisy=False)
-    times = [run(Experiment("step", controller, 5)).metrics.time_constant_s or 1.0 for controller in ("baseline", "smith")]
+    times = [
+        run(Experiment("step", controller, 5)).metrics.time_constant_s or 1.0 for controller in ("baseline", "smith")
+    ]
     return {"step.time_constant": sum(times) / len(times)}
 
 
@@ -154,7 +156,11 @@ STAGES: list[tuple[str, dict[str, tuple[float, float]], Model_, dict[str, float]
         "rate gains",
         {"p": (0.02, 0.12), "i": (0.0, 1.0), "d": (0.0, 0.002)},
         _margins,
-        {"frequency.baseline.cutoff": 0.1, "frequency.baseline.phase_margin": 2.3, "frequency.baseline.gain_margin": 1.0},
+        {
+            "frequency.baseline.cutoff": 0.1,
+            "frequency.baseline.phase_margin": 2.3,
+            "frequency.baseline.gain_margin": 1.0,
+        },
     ),
     (
         "attitude gain and length of the disturbance",

@@ -235,9 +235,7 @@ def result(
     wanted, is_angle, is_rate = np.array(setpoint), np.array(angle), np.array(rate)
     rows = round(experiment.record / step)
     error = (is_rate if experiment.kind == "disturbance" else wanted - is_angle)[:rows]
-    settles = len(is_rate) >= round(experiment.run / step) and not swings(
-        is_rate, step, experiment.start + 2.0 * each
-    )
+    settles = len(is_rate) >= round(experiment.run / step) and not swings(is_rate, step, experiment.start + 2.0 * each)
     edges = [round((experiment.start + n * each) / step) for n in range(3)]
     commanded = experiment.kind != "disturbance" and len(error) == rows
     overshoots, times = _steps(wanted[:rows], is_angle[:rows], edges, step) if commanded else ([], [])

@@ -133,13 +133,12 @@ def controllers_response(axis: Axis, z: Complex) -> tuple[Complex, Complex]:
     return np.asarray(gains.p + gains.i * step / difference), np.asarray(of_slope)
 
 
-def open_loop(axis: Axis) -> Response:
-    """``C G*`` of the rate loop: what the paper's Bode diagrams show."""
-
-    predictor = predictor_response(axis.controller, axis.model, axis.tuning)
+def open_loop(axis: Axis, predictor: Callable[[Complex], Pair] | None = None) -> Response:
+    """``C G*`` of the rate loop: what the paper's Bode diagrams show; ``predictor``: its response, if found before."""
+    of_predictor = predictor or predictor_response(axis.controller, axis.model, axis.tuning)
 
     def response(z: Complex) -> Complex:
-        of_rate, of_command = predictor(z)
+        of_rate, of_command = of_predictor(z)
         error, slope = controllers_response(axis, z)
         augmented = of_command + of_rate * plant_response(axis.plant, z, axis.delay_samples)
         return np.asarray((error + slope) * augmented)
@@ -313,5 +312,3 @@ def unstable_poles(axis: Axis) -> int:
     if extra != int(extra):
         raise InputError(f"unstable poles: an extra delay of {extra:g} samples must be whole")
     return LoopMap(axis).unstable_poles(1.0, axis.delay_samples + int(extra))
-
-
