@@ -272,6 +272,33 @@ def export(folder: Path, target: str) -> int:
     return DONE
 
 
+@cli.command(epilog=_example("hexjet bench --memory-minutes 5"))
+@click.option("--steps", type=click.IntRange(min=250), default=5000, show_default=True, help="Steps of a flight.")
+@click.option("--rounds", type=click.IntRange(min=1), default=9, show_default=True, help="Repetitions.")
+@click.option("--starts", type=click.IntRange(min=1), default=5, show_default=True, help="Processes started.")
+@click.option("--full", is_flag=True, help="Fly an hour for the memory too: two minutes or more.")
+@click.option("--memory-minutes", type=click.FloatRange(min=0.1), metavar="MINUTES", help="A shorter flight for it.")
+@click.option(
+    "--dir", "folder", type=click.Path(exists=True, file_okay=False), metavar="DIR", help="Where flights are recorded."
+)
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+def bench(
+    steps: int, rounds: int, starts: int, full: bool, memory_minutes: float | None, folder: str | None, as_json: bool
+) -> int:
+    """Measure what a flight costs on this machine, in microseconds and in JSBSim runs; nothing is judged."""
+    from cosim.bench import Plan, measure
+    from cosim.bench.show import print_result, progress
+
+    plan = Plan(steps, rounds, starts, 60.0 if full and memory_minutes is None else memory_minutes, folder)
+    with progress(quiet=as_json) as tell:
+        result = measure(plan, tell)
+    if as_json:
+        click.echo(json.dumps(result.to_dict(), allow_nan=False))
+    else:
+        print_result(result)
+    return DONE
+
+
 def main(arguments: list[str] | None = None) -> None:
     """The command ``hexjet``: exits with 0, 1 (the flight failed) or 2 (wrong input, one line)."""
     try:

@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-import benchmarks.__main__ as command
 from cosim.bench import Plan, Result, blocks, measure, speed
 from cosim.bench.blocks import Block, Replay
 from cosim.bench.long_flight import fly_long, resident_and_peak
 from cosim.bench.show import print_result
 from cosim.bench.timing import Clocked, Cost, Job, Pair, interleave
+from cosim.cli import cli
 from cosim.errors import FlightError
 from cosim.simulation import build
 
@@ -139,8 +139,8 @@ def test_options_make_the_plan(
         plans.append(plan)
         return measured
 
-    monkeypatch.setattr(command, "measure", note)
-    answer = CliRunner().invoke(command.main, [*arguments, "--json"])
+    monkeypatch.setattr("cosim.bench.measure", note)
+    answer = CliRunner().invoke(cli, ["bench", *arguments, "--json"])
     assert answer.exit_code == 0, answer.output
     assert plans == [plan]
     assert json.loads(answer.stdout) == json.loads(json.dumps(measured.to_dict()))

@@ -71,7 +71,10 @@ def identify_axis(
     own = flight.engine.delay if axis == "roll" else None  # pitch and yaw turn the jets, they do not throttle them
     fits = _fits(response, lags, hold, None if own is None else own / base.step_s)
     if fits[0].misfit > POOR:
-        notes.append(f"the chosen form does not fit: {100 * fits[0].misfit:.0f} % off; try --lags {lags + 1}")
+        notes.append(
+            f"the chosen form is {100 * fits[0].misfit:.0f} % off the response; "
+            "more --amplitude, another band or another --lags may help"
+        )
     return Identification(
         kind="axis",
         subject=base.aircraft,

@@ -156,8 +156,8 @@ def constant_disturbance(calibration: Calibration, disturbance: float = 0.01) ->
 def smith_offset(calibration: Calibration, disturbance: float = 0.01) -> float:
     """The classic Smith predictor's roll offset in closed form, rad, before the slow pole lets go.
 
-    At rest the command is ``-d``, which leaves ``y^ = -K h T d`` while ``y = 0``, ``K`` the plant's gain as an integrator
-    (rad/s^2 per command); the integral wants ``r = y^``, so ``K_att phi = K h T d``.
+    At rest the command is ``-d``, which leaves ``y^ = -K h T d`` while ``y = 0``, ``K`` the plant's gain as an
+    integrator (rad/s^2 per command); the integral wants ``r = y^``, so ``K_att phi = K h T d``.
     """
     axis = hexjet_axis(calibration, "smith", "vehicle", noisy=False)
     model = axis.model

@@ -73,7 +73,7 @@ START = Calibration(
     hexjet_attitude_gain_1_s=3.5,
 )
 
-Model_ = Callable[[Calibration], dict[str, float]]
+Answers = Callable[[Calibration], dict[str, float]]
 
 
 def load(path: Path = FILE) -> Frozen:
@@ -110,7 +110,7 @@ def _disturbance(trial: Calibration, names: Iterable[tuple[str, str, bool]]) -> 
     from cosim.paper.experiments import Experiment, linear
 
     run = linear(trial, noisy=False)
-    found = {}
+    found: dict[str, float] = {}
     for printed, controller, payload in names:
         metrics = run(Experiment("disturbance", controller, 5, payload=payload)).metrics
         found |= {f"{printed}.rmse": metrics.rmse, f"{printed}.max": metrics.max}
@@ -151,7 +151,7 @@ def _payload(trial: Calibration) -> dict[str, float]:
 
 # stage, unknowns with their bounds and scale of search, and the numbers that are used with the scale of their residual
 # (chosen by us: 2 % of the cut-off, 10 % of the phase margin; the gain margin lies where the sweep is weakest)
-STAGES: list[tuple[str, dict[str, tuple[float, float]], Model_, dict[str, float]]] = [
+STAGES: list[tuple[str, dict[str, tuple[float, float]], Answers, dict[str, float]]] = [
     (
         "rate gains",
         {"p": (0.02, 0.12), "i": (0.0, 1.0), "d": (0.0, 0.002)},

@@ -45,7 +45,7 @@ class Margins(BaseModel):
 def grid(step: float, points: int = 3000, lowest: float = 1e-4) -> Complex:
     """The upper half of the unit circle, dense at low frequency; ``lowest`` in rad per sample."""
     angles = np.union1d(np.geomspace(lowest, pi, points // 2), np.linspace(pi / points, pi, points // 2))
-    return np.exp(1j * angles)
+    return np.asarray(np.exp(1j * angles))
 
 
 def model_response(model: RateModel, z: Complex) -> Complex:
@@ -268,7 +268,7 @@ class LoopMap:
     """One loop with its predictor's response kept, for many plants: unstable poles and peak sensitivity."""
 
     def __init__(self, axis: Axis, points: int = 3000, known: tuple[Complex, Complex, Complex] | None = None) -> None:
-        """``known``: points of the upper half circle with ``P_y`` and ``P_u`` there, where they have been found before."""
+        """``known``: points of the upper half circle with ``P_y`` and ``P_u`` there, if found before."""
         self._axis = axis
         z = known[0] if known else grid(axis.step, points)
         of_rate, of_command = known[1:] if known else predictor_response(axis.controller, axis.model, axis.tuning)(z)

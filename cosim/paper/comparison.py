@@ -1,0 +1,333 @@
+"""The paper beside ours: rows, claims and the series of its figures, from one or two fidelities.
+
+:func:`linear_part` is everything that the linear plant has to say; the six-degree-of-freedom runs join as a second
+:class:`cosim.paper.claims.Evidence`.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import log
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from cosim.paper import beyond, numbers
+from cosim.paper.calibration import Frozen, hexjet_ratios, load
+from cosim.paper.claims import ClaimRow, Condition, Evidence, claim_rows, conditions, gain_at
+from cosim.paper.experiments import COMPARED, Experiment, Metrics, Result, experiments, linear, quadrotor_axis
+from cosim.paper.linear import STATE_AS_PRINTED
+from cosim.paper.loops import Margins, Sweep, margins, open_loop, sweep
+
+Origin = Literal["calibrated", "predicted", "given", "derived"]
+TITLES = {
+    "baseline": "baseline",
+    "smith": "Smith predictor",
+    "state": "state predictor, G_n(z) realised",
+    STATE_AS_PRINTED: "state predictor, matrices as printed",
+}
+FREQUENCY_DELAY = 5
+
+
+class Row(BaseModel):
+    """One quantity: the paper's number and ours.
+
+    ``origin``: the number was used to calibrate, is predicted, is an input of the experiments, or is derived from
+    other printed numbers alone.  A deviation is ours over the paper's, less one, in percent.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    key: str
+    quantity: str
+    unit: str
+    place: str
+    paper: float
+    linear: float | None
+    flight: float | None
+    origin: Origin
+    note: str = ""
+
+    @property
+    def linear_deviation(self) -> float | None:
+        return _deviation(self.linear, self.paper)
+
+    @property
+    def flight_deviation(self) -> float | None:
+        return _deviation(self.flight, self.paper)
+
+
+@dataclass(frozen=True)
+class LinearPart:
+    """What the linear plant says."""
+
+    frozen: Frozen
+    results: dict[str, Result]
+    evidence: Evidence
+    sweeps: dict[str, Sweep]  # measured in the loop
+    conditions: list[Condition]
+    maps: list[beyond.RobustnessMap]
+    delays: dict[tuple[str, str], list[beyond.DelayPoint]]
+    offsets: list[beyond.Offset]
+    smith_offset: float  # rad, closed form
+    noise: dict[tuple[str, str], float | None]
+    turbojet: list[beyond.Reach]
+
+
+def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
+    """Run all of it from the frozen calibration; ``say`` hears the name of each part as it begins."""
+    frozen = load()
+    calibration = frozen.parameters
+    say("experiments on the linear plant")
+    run = linear(calibration)
+    results = {e.name: run(e) for e in experiments()}
+    say("frequency response")
+    loops = {name: quadrotor_axis(calibration, name, FREQUENCY_DELAY) for name in COMPARED}
+    sweeps = {name: sweep(loop) for name, loop in loops.items()}
+    evidence = Evidence(
+        metrics={name: result.metrics for name, result in results.items()},
+        margins={name: margins(open_loop(loop), loop.step) for name, loop in loops.items()},
+        gain_at_1_hz={name: gain_at(loop, 1.0) for name, loop in loops.items()},
+        gain_at_8_hz={name: gain_at(loop, 8.0) for name, loop in loops.items()},
+    )
+    say("what would make it true")
+    found = conditions(calibration)
+    say("robustness maps")
+    maps = beyond.robustness_maps(calibration)
+    say("delay sweep")
+    delays = beyond.delay_sweep(calibration)
+    say("constant disturbance and noise")
+    offsets = beyond.constant_disturbance(calibration)
+    noise = beyond.noise_gains(calibration)
+    say("true turbojet")
+    return LinearPart(
+        frozen=frozen,
+        results=results,
+        evidence=evidence,
+        sweeps=sweeps,
+        conditions=found,
+        maps=maps,
+        delays=delays,
+        offsets=offsets,
+        smith_offset=beyond.smith_offset(calibration),
+        noise=noise,
+        turbojet=beyond.turbojet(calibration),
+    )
+
+
+def claims(part: LinearPart, flight: Evidence | None = None) -> list[ClaimRow]:
+    """Every claim with its verdict in each fidelity."""
+    return claim_rows(part.evidence, flight)
+
+
+_READ: dict[str, Callable[[Metrics], float | None]] = {
+    "rmse": lambda m: m.rmse if m.stable else None,
+    "max": lambda m: m.max if m.stable else None,
+}
+_DERIVED: dict[str, Callable[[], float]] = {
+    "turbojet.time_constant": lambda: -numbers.value("hexjet.step") / log(numbers.value("turbojet.pole")),
+    "edf.time_constant": lambda: -numbers.value("hexjet.step") / log(numbers.value("edf.pole")),
+    "turbojet.delay": lambda: numbers.value("hexjet.delay") * numbers.value("hexjet.step"),
+    "hexjet.thrust": lambda: 6.0 * numbers.value("edf.gain") / (1.0 - numbers.value("edf.pole")),
+    "quadrotor.payload_percent": lambda: 100.0 * numbers.value("quadrotor.payload") / numbers.value("quadrotor.mass"),
+}
+_GIVEN = ("hexjet.", "quadrotor.", "turbojet.", "edf.", "roll.", "step.", "disturbance.amplitude")
+_NOTES = {
+    "frequency.dc_gain": "ours at 1 Hz: with an integral the gain has no end towards 0 Hz",
+    "hexjet-doublet.smith.rmse": "length of doublet and record not printed; ours is the scenario's",
+    "hexjet-doublet.smith.max": "length of the doublet not printed; see the conditions",
+    "step.time_constant": "63.2 % of the first step, mean of baseline and Smith",
+    "hexjet.thrust": "six times the EDF's gain at rest",
+}
+
+
+def comparison_rows(
+    part: LinearPart, flight: Evidence | None = None, extra: Mapping[str, float] | None = None
+) -> list[Row]:
+    """Every printed number beside ours; ``extra`` are six-degree-of-freedom values by key that no evidence holds."""
+    used = {each.key for each in part.frozen.used}
+    rows = []
+    for printed in numbers.PRINTED.values():
+        for variant in _variants(printed.key):
+            rows.append(_row(printed, variant, part.evidence, flight, extra or {}, used))
+    return rows
+
+
+def _variants(key: str) -> list[str]:
+    """A number of the paper's state predictor is compared twice."""
+    return [key, key.replace(".state.", f".{STATE_AS_PRINTED}.")] if ".state." in key else [key]
+
+
+def _row(
+    printed: numbers.Printed,
+    key: str,
+    evidence: Evidence,
+    flight: Evidence | None,
+    extra: Mapping[str, float],
+    used: set[str],
+) -> Row:
+    ours = _ours(key, evidence)
+    flown = extra.get(key, _ours(key, flight) if flight else None)
+    origin: Origin = "predicted"
+    # the state predictor's numbers were used with the matrices as printed
+    if printed.key in used and (".state." not in printed.key or key != printed.key):
+        origin = "calibrated"
+    elif printed.key in _DERIVED:
+        origin, ours = "derived", _DERIVED[printed.key]()
+    elif ours is None and printed.key.startswith(_GIVEN):
+        origin = "given"
+    note = _NOTES.get(printed.key, "")
+    if ".state." in printed.key:
+        note = TITLES["state" if key == printed.key else STATE_AS_PRINTED]
+    return Row(
+        key=key,
+        quantity=printed.meaning,
+        unit=printed.unit,
+        place=printed.place,
+        paper=printed.value,
+        linear=ours,
+        flight=flown,
+        origin=origin,
+        note=note,
+    )
+
+
+def _ours(key: str, evidence: Evidence) -> float | None:
+    """The value of a printed key in one fidelity, None where that fidelity has none."""
+    metrics = evidence.metrics
+    head, _, last = key.rpartition(".")
+    if key.startswith("frequency."):
+        if key == "frequency.dc_gain":
+            return evidence.gain_at_1_hz.get("baseline")
+        found = evidence.margins.get(head.removeprefix("frequency."))
+        return getattr(found, last) if found else None
+    if head in metrics and last in _READ:
+        return _READ[last](metrics[head])
+    if key == "step.time_constant":
+        times = [metrics[f"step-5.{c}"].time_constant_s for c in ("baseline", "smith") if f"step-5.{c}" in metrics]
+        known = [t for t in times if t is not None]
+        return sum(known) / 2.0 if len(known) == 2 else None
+    if key == "step-25.smith.increase" and {"step-25.smith", "step-5.smith"} <= metrics.keys():
+        return 100.0 * (metrics["step-25.smith"].rmse / metrics["step-5.smith"].rmse - 1.0)
+    if key in ("hexjet.less_overshoot", "hexjet.faster_settling"):
+        names = [f"hexjet-doublet-calibrated.{c}" for c in ("baseline", "smith")]
+        if all(name in metrics for name in names):
+            a, b = (metrics[name] for name in names)
+            return hexjet_ratios(a.overshoot_percent, b.overshoot_percent, a.settling_s, b.settling_s)[key]
+    return None
+
+
+def _deviation(ours: float | None, paper: float) -> float | None:
+    return None if ours is None else 100.0 * (ours / paper - 1.0)
+
+
+def write_csv(rows: list[Row], path: Path) -> None:
+    """``comparison.csv``: one line a quantity, six significant digits."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file, lineterminator="\n")
+        out.writerow(
+            ["key", "quantity", "unit", "place", "paper", "linear", "linear_deviation_percent", "flight",
+             "flight_deviation_percent", "origin", "note"]
+        )  # fmt: skip
+        for row in rows:
+            values = (row.paper, row.linear, row.linear_deviation, row.flight, row.flight_deviation)
+            out.writerow([row.key, row.quantity, row.unit, row.place, *map(_text, values), row.origin, row.note])
+
+
+def _text(value: float | None) -> str:
+    return "" if value is None else f"{value:.6g}"
+
+
+# --- the paper's figures, redrawn -------------------------------------------------------------------------------------
+
+
+class Line(BaseModel):
+    """One line of a figure."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    x: list[float]
+    y: list[float]
+
+
+class Figure(BaseModel):
+    """A figure of the paper from our data, with its axes."""
+
+    model_config = ConfigDict(frozen=True)
+
+    key: str
+    title: str
+    x_title: str
+    y_title: str
+    x_log: bool
+    lines: list[Line]
+
+
+def figures(results: Mapping[str, Result], sweeps: Mapping[str, Sweep]) -> list[Figure]:
+    """The paper's figures that hold data, from the results of any fidelity; experiments it has not flown are left out.
+
+    The two Bode diagrams show the computed or measured points of ``sweeps``.
+    """
+    made = [
+        _angles(f"step-{n}", f"Step response, {n} samples of added delay", results, [f"step-{n}.{c}" for c in COMPARED])
+        for n in (5, 10, 25)
+    ]
+    for controller in ("smith", "state", STATE_AS_PRINTED):
+        for n in (5, 10):
+            names = [f"step-{n}.{controller}", f"step-{n}-payload.{controller}"]
+            title = f"With and without payload, {TITLES[controller]}, {n} samples"
+            made.append(_angles(f"payload-{controller}-{n}", title, results, names))
+    for condition, title in (("", "gains of vehicle.toml"), ("-calibrated", "calibrated gains")):
+        names = [f"hexjet-doublet{condition}.{c}" for c in ("baseline", "smith")]
+        made.append(_angles(f"hexjet-doublet{condition}", f"Hex-Jet roll doublet, {title}", results, names))
+    for key, title, unit in (("gain", "Open loop C G*, gain", "dB"), ("phase", "Open loop C G*, phase", "deg")):
+        made.append(
+            Figure(
+                key=f"bode-{key}",
+                title=f"{title}, 5 samples of added delay",
+                x_title="frequency [Hz]",
+                y_title=f"{key} [{unit}]",
+                x_log=True,
+                lines=[Line(name=TITLES[c], x=s.frequency, y=getattr(s, key)) for c, s in sweeps.items()],
+            )
+        )
+    return [figure for figure in made if figure.lines]
+
+
+def _angles(key: str, title: str, results: Mapping[str, Result], names: list[str]) -> Figure:
+    present = [results[name] for name in names if name in results]
+    lines = [_line(_called(r.experiment), r.time, r.angle) for r in present]
+    if present:
+        lines.insert(0, _line("set-point", present[0].time, present[0].setpoint))
+    return Figure(key=key, title=title, x_title="time [s]", y_title="roll [deg]", x_log=False, lines=lines)
+
+
+def _called(experiment: Experiment) -> str:
+    return TITLES.get(experiment.controller, experiment.controller) + (", payload" if experiment.payload else "")
+
+
+def _line(name: str, time: list[float], angle: list[float]) -> Line:
+    return Line(name=name, x=[round(t, 6) for t in time], y=np.degrees(angle).tolist())
+
+
+def as_data(part: LinearPart, rows: list[Row], judged: list[ClaimRow]) -> dict[str, Any]:
+    """All of it as plain data: what a JSON file or a template takes."""
+    dumped = [row.model_dump() | {"linear_deviation": row.linear_deviation} for row in rows]
+    return {
+        "calibration": part.frozen.model_dump(),
+        "comparison": dumped,
+        "claims": [row.model_dump() for row in judged],
+        "conditions": [each.model_dump() for each in part.conditions],
+        "measured_margins": {name: s.margins.model_dump() for name, s in part.sweeps.items()},
+        "robustness": [each.model_dump() for each in part.maps],
+        "delay_sweep": {f"{v}.{c}": [p.model_dump() for p in points] for (v, c), points in part.delays.items()},
+        "offsets": [each.model_dump() for each in part.offsets],
+        "smith_offset_rad": part.smith_offset,
+        "noise_gain": {f"{v}.{c}": value for (v, c), value in part.noise.items()},
+        "turbojet": [each.model_dump() for each in part.turbojet],
+    }
