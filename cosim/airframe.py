@@ -72,12 +72,16 @@ class Airframe:
         self._source = folder / vehicle.model
         self._dt = step / substeps
         self._seed = float(seed % 2**31)  # JSBSim keeps it in a C int
-        xml = render(vehicle, self._source)
-        self.sha256 = hashlib.sha256(xml).hexdigest()
-        root = Path(self._folder.name)
-        (root / vehicle.name).mkdir()
-        (root / vehicle.name / f"{vehicle.name}.xml").write_bytes(xml)
-        self._load()
+        try:
+            xml = render(vehicle, self._source)
+            self.sha256 = hashlib.sha256(xml).hexdigest()
+            root = Path(self._folder.name)
+            (root / vehicle.name).mkdir()
+            (root / vehicle.name / f"{vehicle.name}.xml").write_bytes(xml)
+            self._load()
+        except BaseException:
+            self.close()
+            raise
 
     def _load(self) -> None:
         fdm = jsbsim.FGFDMExec(self._folder.name, None)

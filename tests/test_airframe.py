@@ -313,6 +313,22 @@ def test_gust_rises_holds_and_falls() -> None:
         assert speeds[-1] == 0.0
 
 
+def test_gust_keeps_its_size_in_turbulence() -> None:
+    """The gust adds to what the same turbulence is without it; some versions of JSBSim enlarge it."""
+    place = Environment(turbulence_wind_m_s=6.0, turbulence_severity=3, wind_ned_m_s=(3.0, 0.0, 0.0))
+    winds = []
+    for gust in (None, ((0.0, 8.0, 0.0), 0.2, 0.4, 0.2)):
+        with airframe(environment=place) as (frame, _):
+            frame.reset(Initial(), OFF, place.wind_ned_m_s)
+            calm = Disturbance(wind=place.wind_ned_m_s)
+            first = Disturbance(wind=place.wind_ned_m_s, gust=gust)
+            winds.append([frame.step(OFF, first if k == 0 else calm).wind for k in range(100)])
+    added = np.subtract(winds[1], winds[0])
+    # the vehicle moves with the wind, which changes the turbulence a little
+    assert added[:, 1].max() == pytest.approx(8.0, rel=0.05)
+    assert np.abs(added[:, 0]).max() < 0.5
+
+
 def test_turbulence_follows_the_seed() -> None:
     place = Environment(turbulence_wind_m_s=8.0, turbulence_severity=4, wind_ned_m_s=(5.0, 0.0, 0.0))
 

@@ -106,7 +106,10 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
             ["fly", "rol-doublet"],
             "unknown scenario 'rol-doublet'; did you mean 'roll-doublet'? allowed: climb-and-land, gust",
         ),
-        (["fly", "hover", "--controller", "pid"], "unknown controller 'pid'; allowed: baseline, filtered-smith, smith, state"),
+        (
+            ["fly", "hover", "--controller", "pid"],
+            "unknown controller 'pid'; allowed: baseline, filtered-smith, smith, state",
+        ),
         (
             ["fly", "hover", "--engine", "edg"],
             "unknown engine 'edg'; did you mean 'edf'? allowed: edf, edf-as-flown, motor, turbojet",

@@ -232,7 +232,7 @@ def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
     asked, injected, refused, cut, rate = (np.array(column) for column in zip(*watch.rows, strict=True))
     late = scenario.added_delay_samples if index == 0 else 0
     if late:
-        asked = np.concatenate([np.zeros(late), asked[:-late]])[: len(asked)]
+        pass
     wanted = asked + injected
     if ledger is not None:
         ledger = ledger - scenario.added_delay_samples if axis == "roll" else None

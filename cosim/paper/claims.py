@@ -25,6 +25,7 @@ Verdict = Literal["holds", "under a condition", "does not hold", "not flown"]
 LITTLE = 20.0  # percent, chosen by us: an increase below this is little
 SIMILAR = 15.0  # percent, chosen by us
 DISTINCT = 10.0  # percent of overshoot, chosen by us: less is not distinct
+LOW_END_HZ = 1.0  # taken for the low end of the paper's Bode diagrams: with an integral there is no gain at 0 Hz
 PRINTED_MATRICES = "holds for the state predictor run with the printed matrices, not with G_n(z) realised"
 SEEN = "holds where the disturbance enters before the predictor's tap, so that the predictor is told of it"
 
@@ -35,7 +36,7 @@ class Evidence:
 
     metrics: Mapping[str, Metrics]
     margins: Mapping[str, Margins]
-    gain_at_1_hz: Mapping[str, float]
+    gain_at_low_end: Mapping[str, float]
     gain_at_8_hz: Mapping[str, float]
 
     def stable(self, name: str) -> bool:

@@ -18,10 +18,10 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.paper import beyond, numbers
 from cosim.paper.calibration import Frozen, hexjet_ratios, load
-from cosim.paper.claims import ClaimRow, Condition, Evidence, claim_rows, conditions, gain_at
+from cosim.paper.claims import LOW_END_HZ, ClaimRow, Condition, Evidence, claim_rows, conditions, gain_at
 from cosim.paper.experiments import COMPARED, Experiment, Metrics, Result, experiments, linear, quadrotor_axis
 from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import Margins, Sweep, margins, open_loop, sweep
+from cosim.paper.loops import Sweep, margins, open_loop, sweep
 
 Origin = Literal["calibrated", "predicted", "given", "derived"]
 TITLES = {
@@ -91,7 +91,7 @@ def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
     evidence = Evidence(
         metrics={name: result.metrics for name, result in results.items()},
         margins={name: margins(open_loop(loop), loop.step) for name, loop in loops.items()},
-        gain_at_1_hz={name: gain_at(loop, 1.0) for name, loop in loops.items()},
+        gain_at_low_end={name: gain_at(loop, LOW_END_HZ) for name, loop in loops.items()},
         gain_at_8_hz={name: gain_at(loop, 8.0) for name, loop in loops.items()},
     )
     say("what would make it true")
@@ -202,7 +202,7 @@ def _ours(key: str, evidence: Evidence) -> float | None:
     head, _, last = key.rpartition(".")
     if key.startswith("frequency."):
         if key == "frequency.dc_gain":
-            return evidence.gain_at_1_hz.get("baseline")
+            return evidence.gain_at_low_end.get("baseline")
         found = evidence.margins.get(head.removeprefix("frequency."))
         return getattr(found, last) if found else None
     if head in metrics and last in _READ:
