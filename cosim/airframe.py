@@ -74,7 +74,8 @@ class Airframe:
         self._seed = float(seed % 2**31)  # JSBSim keeps it in a C int
         try:
             xml = render(vehicle, self._source)
-            self.sha256 = hashlib.sha256(xml).hexdigest()
+            self.sha256 = hashlib.sha256(xml).hexdigest()  # of the model with the vehicle's numbers in it
+            self.file_sha256 = hashlib.sha256(self._source.read_bytes()).hexdigest()
             root = Path(self._folder.name)
             (root / vehicle.name).mkdir()
             (root / vehicle.name / f"{vehicle.name}.xml").write_bytes(xml)

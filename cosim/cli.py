@@ -64,13 +64,13 @@ def fly(
     Leaves a folder with summary, resolved scenario, log and report.  Status 0: flown as planned; 1: the flight failed
     or did not come to what the scenario expects; 2: wrong input.
     """
-    from cosim.console import flight_progress, print_run
+    from cosim.console import flight_progress, output_to_stderr, print_run
     from cosim.flight import fly as fly_scenario
     from cosim.flight import new_folder
 
     flown = load_scenario(scenario, controller, engine, seed, settings, model)
     folder = out if out is not None else new_folder(Path("runs"), f"{flown.name}-{flown.controller}")
-    with flight_progress(flown, quiet=as_json) as observers:
+    with output_to_stderr(as_json), flight_progress(flown, quiet=as_json) as observers:
         run = fly_scenario(flown, folder, observers=observers, realtime_factor=1.0 if realtime else None)
     if as_json:
         click.echo(json.dumps(run.summary.model_dump(mode="json"), allow_nan=False))

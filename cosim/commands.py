@@ -33,14 +33,16 @@ class Commander:
 
     Before and between them the vehicle is asked to stay level, at its initial heading and height.  Any command of a
     body rate replaces the attitude loop for the whole flight (the other rates are 0); a command of the collective
-    replaces the altitude hold.
+    replaces the altitude hold from its own start on.
     """
 
     def __init__(self, scenario: Scenario, height: float) -> None:
         self._waves: list[tuple[int, Waveform]] = []
+        collective: list[int] = []
         for index, entry in enumerate(scenario.command):
             where = f"command.{index}"
             start = scenario.count(entry.start_s, f"{where}.start_s")
+            before = len(self._waves)
             if isinstance(entry, TableCommand):
                 self._waves += _table(entry, scenario, start, where)
             elif isinstance(entry, SticksCommand):
@@ -49,10 +51,13 @@ class Commander:
                 signal = SIGNALS.index(entry.signal)
                 wave = _shape(entry, scenario, start, where)
                 self._waves.append((signal, _scaled(wave, radians(1.0)) if signal in _IN_DEGREES else wave))
+            if any(signal == _COLLECTIVE for signal, _ in self._waves[before:]):
+                collective.append(start)
         self.signals = frozenset(SIGNALS[signal] for signal, _ in self._waves)
         commanded = {signal for signal, _ in self._waves}
         self._rate_mode = bool(commanded & {_P, _Q, _R})
-        self._collective_mode = _COLLECTIVE in commanded
+        # the height is held until the first command of the collective begins
+        self._collective_from = min(collective, default=None)
         self._base = [0.0] * len(SIGNALS)
         self._base[_YAW] = radians(scenario.initial.attitude_deg[2])
         self._base[_ALTITUDE] = height
@@ -66,13 +71,14 @@ class Commander:
         values = self._base.copy()
         for signal, wave in self._waves:
             values[signal] += wave(k)
-        if values != self._last_values:
+        begun = self._collective_from is not None and k >= self._collective_from
+        if values != self._last_values or begun != (self._last.collective is not None):
             self._last_values = values
             self._last = Command(
                 (values[_ROLL], values[_PITCH], values[_YAW]),
                 values[_ALTITUDE],
                 (values[_P], values[_Q], values[_R]) if self._rate_mode else None,
-                values[_COLLECTIVE] if self._collective_mode else None,
+                values[_COLLECTIVE] if begun else None,
             )
         return self._last
 
@@ -175,7 +181,7 @@ def _sticks(entry: SticksCommand, scenario: Scenario, start: int, where: str) ->
     tilt = radians(entry.tilt_deg)
     none = [0.0] * len(times)
     position = {name: _interpolated(times, columns.get(name, none), "linear", step, start) for name in STICKS}
-    end = start + int(times[-1] / step) + 1
+    end = min(start + int(min(times[-1], scenario.duration_s) / step) + 1, scenario.steps)
     return [
         (_ROLL, _scaled(position["roll"], tilt)),
         # stick forward is positive and asks for nose down
@@ -200,9 +206,9 @@ def read_columns(path: Path, allowed: Sequence[str], where: str) -> tuple[list[f
     do not grow, no rows.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{where}: {path}: {getattr(error, 'strerror', None) or error}") from error
     header = [cell.strip() for cell in rows[0]] if rows else []
     if not header or header[0] != "time_s":

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cosim.errors import InputError
 
@@ -17,6 +17,19 @@ class Model(BaseModel):
     """A frozen table of a TOML file: unknown keys, NaN and infinities are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_numbers(cls, data: Any) -> Any:
+        """``"2"`` and ``true`` are no numbers, alone or in a list, though Python would take them."""
+        for name, value in data.items() if isinstance(data, dict) else ():
+            field = cls.model_fields.get(name)
+            wanted = repr(field.annotation) if field else ""
+            if ("float" in wanted or "int" in wanted) and "str" not in wanted and "bool" not in wanted:
+                for each in value if isinstance(value, list) else [value]:
+                    if isinstance(each, (str, bool)):
+                        raise ValueError(f"{name} = {each!r}: must be a number")
+        return data
 
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -38,6 +51,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise InputError(f"{path}: not valid TOML: nested too deep") from error
 
 
 def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:
@@ -124,7 +139,7 @@ def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> N
 def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
     complaints = error.errors()
     first = complaints[0]
-    key = ".".join(str(part) for part in first["loc"])
+    key = ".".join(_path(first["loc"]))
     kind, value = first["type"], first["input"]
     rest = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
     if kind == "extra_forbidden":
@@ -135,6 +150,19 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
     shown = "" if isinstance(value, (dict, list)) else f" = {value!r}"
     return f"{key}{shown}: {message}{rest}" if key else f"{message}{rest}"
+
+
+def _path(location: tuple[int | str, ...]) -> list[str]:
+    """The keys as the file has them: pydantic names the kind of a list's entry behind its number."""
+    return [
+        str(part)
+        for before, part in zip((None, *location), location, strict=False)
+        if not (isinstance(before, int) and isinstance(part, str) and _is_kind(location, part))
+    ]
+
+
+def _is_kind(location: tuple[int | str, ...], part: str) -> bool:
+    return location[0] in ("command", "disturbance") and location.index(part) == 2
 
 
 def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:

@@ -49,6 +49,26 @@ def flight_progress(scenario: Scenario, quiet: bool) -> Iterator[Sequence[Observ
         yield (Watch(),)
 
 
+@contextmanager
+def output_to_stderr(active: bool) -> Iterator[None]:
+    """While a flight must leave standard output alone, send what an FMU or a library prints there to standard error."""
+    if not active:
+        yield
+        return
+    import ctypes
+    import os
+
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        yield
+    finally:
+        ctypes.CDLL(None).fflush(None)  # what C code has printed but not yet written
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
 def print_run(run: Run) -> None:
     """Outcome, metrics, what was expected and not met, and where the report is."""
     summary = run.summary
@@ -116,7 +136,7 @@ def print_identification(found: Identification, paths: dict[str, Path]) -> None:
     console.print(
         f"{found.subject}: [bold]{found.channel}[/bold], {sweep.from_hz:.3g} to {sweep.to_hz:.3g} Hz in "
         f"{sweep.duration_s:g} s, amplitude {sweep.amplitude:.3g}; {len(response.hertz)} points, "
-        f"coherence {response.coherence.min():.3f} or more",
+        f"coherence at least {response.coherence.min():.4f}",
         highlight=False,
     )
     table = Table(box=box.SIMPLE_HEAD)

@@ -7,7 +7,11 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from cosim.errors import FlightError
+from cosim.config import nearest
+from cosim.control.choice import PREDICTORS
+from cosim.engine import engine_names
+from cosim.errors import FlightError, InputError
+from cosim.metrics import metric_names
 from cosim.run import DelayRow, Recording, Run, Setup, begin_run, now, versions
 from cosim.scenario import Expectation, Scenario, SticksCommand, TableCommand
 from cosim.simulation import Ending, Observer, Simulation, build
@@ -29,6 +33,7 @@ def fly(
 
     Raises InputError if the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
     """
+    check_expected(scenario)
     with build(scenario) as simulation:
         recording = record(simulation, None if out is None else Path(out))
         begin = time.perf_counter()
@@ -61,11 +66,13 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path]]:
             table["file"] = name
         commands.append(table)
     engine = simulation.engine
+    if not engine.library:
+        files[engine.path.name] = engine.path
     data = scenario.model_dump(mode="json", exclude_none=True) | {
         "command": commands,
-        "engine": engine.name if engine.library else str(engine.path.resolve()),
+        "engine": engine.name if engine.library else engine.path.name,
         "engine_parameters": dict(engine.parameters),
-        "vehicle": simulation.vehicle.model_dump(mode="json"),
+        "vehicle": simulation.vehicle.model_dump(mode="json", exclude_none=True),
     }
     return Scenario.from_table(data, scenario.folder, f"scenario {scenario.name}"), files
 
@@ -89,10 +96,26 @@ def _setup(simulation: Simulation) -> Setup:
         expectation=expectation(scenario),
         versions=versions(),
         sha256={
-            simulation.vehicle.model: simulation.airframe.sha256,
+            simulation.vehicle.model: simulation.airframe.file_sha256,
+            f"{simulation.vehicle.model} as flown": simulation.airframe.sha256,
             engine.path.name: engine.sha256,
         },
     )
+
+
+def check_expected(scenario: Scenario) -> None:
+    """Refuse expectations that nothing could meet: of an unknown controller, engine or metric (InputError)."""
+    for index, entry in enumerate(scenario.expect):
+        where = f"scenario {scenario.name}: expect.{index}"
+        known = (("controller", [entry.controller], list(PREDICTORS)), ("metrics", list(entry.metrics), metric_names()))
+        for key, names, allowed in known:
+            for name in names:
+                if name not in allowed:
+                    raise InputError(f"{where}.{key}: unknown {name!r}; {nearest(name, allowed)}")
+        if not entry.engine.lower().endswith(".fmu"):
+            plain = entry.engine.removesuffix("-fmi2")
+            if plain not in engine_names():
+                raise InputError(f"{where}.engine: unknown {entry.engine!r}; {nearest(plain, engine_names())}")
 
 
 def expectation(scenario: Scenario) -> Expectation | None:

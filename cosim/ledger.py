@@ -40,7 +40,12 @@ def delay_ledger(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> li
             "delay added to the roll output", "added_delay_samples", "transport", float(scenario.added_delay_samples)
         ),
         LedgerRow("transport delay", f"engine {engine.name}", "transport", _ratio(engine.delay, scenario.step_s)),
-        LedgerRow("spool lag 1/(1 - a)", f"engine {engine.name}", "lag", _lag(engine, scenario.step_s)),
+        LedgerRow(
+            "spool lag, 1/(1 - a) at one internal step a control step",
+            f"engine {engine.name}",
+            "lag",
+            _lag(engine, scenario.step_s),
+        ),
         LedgerRow("thrust of the step's end acts over all of it", "engines, then airframe", "exchange", -1.0),
         LedgerRow("force acts one JSBSim run late", "JSBSim", "transport", 1.0 / scenario.substeps),
         LedgerRow("gyro low-pass a/(1 - a)", "sensors.gyro.filter_s", "lag", pole / (1.0 - pole)),
@@ -59,7 +64,15 @@ def _ratio(seconds: float | None, step: float) -> float | None:
 
 
 def _lag(engine: EngineSpec, step: float) -> float | None:
-    """Control steps: the pole is the engine's own, at its internal step."""
-    if engine.pole is None or engine.internal_step is None:
+    """What the engine's lag adds to its transport delay and takes back from the exchange, control steps.
+
+    With ``m`` internal steps of pole ``a`` in a control step and a delay of ``d`` of them, ``q = d // m``: engine and
+    exchange together delay by ``q + a^(m (q + 1) - d) / (1 - a^m)`` control steps; for ``m = 1`` this is
+    ``d + 1 / (1 - a) - 1``.
+    """
+    if engine.pole is None or engine.internal_step is None or engine.delay_samples is None:
         return None
-    return engine.internal_step / step / (1.0 - engine.pole)
+    m = round(step / engine.internal_step)
+    q = engine.delay_samples // m
+    both = q + engine.pole ** (m * (q + 1) - engine.delay_samples) / (1.0 - engine.pole**m)
+    return both + 1.0 - engine.delay_samples / m

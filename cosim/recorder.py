@@ -89,7 +89,7 @@ class Recorder:
         none = _NO_JETS[len(throttle)]
         force, moment, torque_disturbance, _, payload, _, output, _ = out
         if output is not ZERO3:
-            torque_disturbance = tuple(map(add, torque_disturbance, output))  # type: ignore[assignment]
+            torque_disturbance = tuple(map(add, torque_disturbance, output))
         self._pack(
             self._buffer,
             self._offset,
@@ -183,7 +183,7 @@ class StreamSink:
         self.path = path
         self._schema = _schema(note)
         try:
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND)
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o666)
         except OSError as error:
             raise InputError(f"{path}: {one_line(error)}") from error
         _lock(self._file)

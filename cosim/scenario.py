@@ -36,6 +36,9 @@ SIGNALS = (
     "rate_r_deg_s",
     "collective",
 )
+Seconds = Annotated[float, Field(ge=0.0, le=1e6)]
+Duration = Annotated[float, Field(gt=0.0, le=1e6)]
+Amplitude = Annotated[float, Field(ge=-1e6, le=1e6)]
 Signal = Literal[
     "roll_deg", "pitch_deg", "yaw_deg", "altitude_m", "rate_p_deg_s", "rate_q_deg_s", "rate_r_deg_s", "collective"
 ]
@@ -47,8 +50,8 @@ class StepCommand(Model):
 
     kind: Literal["step"]
     signal: Signal
-    start_s: NotNegative
-    amplitude: float
+    start_s: Seconds
+    amplitude: Amplitude
 
 
 class DoubletCommand(Model):
@@ -56,9 +59,9 @@ class DoubletCommand(Model):
 
     kind: Literal["doublet"]
     signal: Signal
-    start_s: NotNegative
-    amplitude: float
-    width_s: Positive
+    start_s: Seconds
+    amplitude: Amplitude
+    width_s: Duration
 
 
 class RampCommand(Model):
@@ -66,9 +69,9 @@ class RampCommand(Model):
 
     kind: Literal["ramp"]
     signal: Signal
-    start_s: NotNegative
-    amplitude: float
-    duration_s: Positive
+    start_s: Seconds
+    amplitude: Amplitude
+    duration_s: Duration
 
 
 class SweepCommand(Model):
@@ -76,11 +79,11 @@ class SweepCommand(Model):
 
     kind: Literal["sweep"]
     signal: Signal
-    start_s: NotNegative
-    amplitude: float
+    start_s: Seconds
+    amplitude: Amplitude
     from_hz: Positive
     to_hz: Positive
-    duration_s: Positive
+    duration_s: Duration
 
 
 class TableCommand(Model):
@@ -88,7 +91,7 @@ class TableCommand(Model):
 
     kind: Literal["table"]
     file: str
-    start_s: NotNegative = 0.0
+    start_s: Seconds = 0.0
     interpolate: Literal["hold", "linear"] = "linear"
 
 
@@ -100,7 +103,7 @@ class SticksCommand(Model):
 
     kind: Literal["sticks"]
     file: str
-    start_s: NotNegative = 0.0
+    start_s: Seconds = 0.0
     tilt_deg: Positive = 20.0
     yaw_rate_deg_s: Positive = 45.0
     climb_m_s: Positive = 1.0
@@ -116,8 +119,8 @@ class ForceDisturbance(Model):
     """A constant force at the centre of gravity of the vehicle as built, body frame."""
 
     kind: Literal["force"]
-    start_s: NotNegative
-    duration_s: Positive
+    start_s: Seconds
+    duration_s: Duration
     force_n: Vector
 
 
@@ -125,24 +128,24 @@ class MomentDisturbance(Model):
     """A constant moment, body frame."""
 
     kind: Literal["moment"]
-    start_s: NotNegative
-    duration_s: Positive
+    start_s: Seconds
+    duration_s: Duration
     moment_n_m: Vector
 
 
 class TorqueCommandDisturbance(Model):
     """Added to the rate controller's output on one axis, without the controller's knowledge.
 
-    The unit is that output's: throttle on roll, rad of tilt on pitch and yaw.  It enters at the ``actuators``, or at the
-    ``controller``: before the added delay, and if ``seen`` before the place where a predictor reads the command.
+    The unit is that output's: throttle on roll, rad of tilt on pitch and yaw.  It enters at the ``actuators``, or at
+    the ``controller``: before the added delay, and if ``seen`` before the place where a predictor reads the command.
     """
 
     kind: Literal["torque_command"]
     axis: Axis
     shape: Literal["step", "doublet", "sweep"] = "step"
-    start_s: NotNegative
-    duration_s: Positive  # of the whole step, doublet or sweep
-    amplitude: float
+    start_s: Seconds
+    duration_s: Duration  # of the whole step, doublet or sweep
+    amplitude: Amplitude
     from_hz: Positive = 0.3
     to_hz: Positive = 4.0
     at: Literal["actuators", "controller"] = "actuators"
@@ -159,8 +162,8 @@ class PayloadDisturbance(Model):
     """A point mass fixed to the vehicle from ``start_s`` on, for ``duration_s`` or to the end."""
 
     kind: Literal["payload"]
-    start_s: NotNegative
-    duration_s: Positive | None = None
+    start_s: Seconds
+    duration_s: Duration | None = None
     mass_kg: Positive
     offset_m: Vector
 
@@ -169,8 +172,8 @@ class WindDisturbance(Model):
     """A change of the steady wind (where the air moves to), NED."""
 
     kind: Literal["wind"]
-    start_s: NotNegative
-    duration_s: Positive | None = None
+    start_s: Seconds
+    duration_s: Duration | None = None
     velocity_ned_m_s: Vector
 
 
@@ -178,11 +181,11 @@ class GustDisturbance(Model):
     """JSBSim's one-minus-cosine gust: rises over ``rise_s``, holds, and falls."""
 
     kind: Literal["gust"]
-    start_s: NotNegative
+    start_s: Seconds
     velocity_ned_m_s: Vector
-    rise_s: Positive
-    hold_s: NotNegative
-    fall_s: Positive
+    rise_s: Duration
+    hold_s: Seconds
+    fall_s: Duration
 
 
 DisturbanceEntry = Annotated[
@@ -200,7 +203,7 @@ class Initial(Model):
     """Where the flight begins."""
 
     on_ground: bool = False
-    altitude_m: NotNegative = 30.0  # above the ground; not used on the ground
+    altitude_m: Annotated[float, Field(ge=0.0, le=20000.0)] = 30.0  # above the ground; not used on the ground
     attitude_deg: Vector = (0.0, 0.0, 0.0)
     velocity_ned_m_s: Vector = (0.0, 0.0, 0.0)
     rate_deg_s: Vector = (0.0, 0.0, 0.0)
@@ -246,7 +249,7 @@ class Scenario(Model):
     aircraft: str = "hexjet"
     engine: str = "edf-as-flown"
     controller: str = "smith"
-    duration_s: Positive
+    duration_s: Duration
     step_s: Annotated[float, Field(gt=0.0, le=0.1)] = 0.004
     substeps: Annotated[int, Field(ge=1, le=100)] = 4
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1

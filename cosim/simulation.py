@@ -22,7 +22,7 @@ from cosim.control.predictor import DelayLine, NoPredictor, Predictor
 from cosim.control.rate import RateController
 from cosim.disturbances import Disturber
 from cosim.engine import EngineBank, EngineSpec, load_engine
-from cosim.errors import FlightError, InputError
+from cosim.errors import EngineError, FlightError, InputError
 from cosim.ledger import LedgerRow, delay_ledger
 from cosim.scenario import Scenario
 from cosim.sensors import SensorSuite
@@ -179,16 +179,23 @@ class Simulation:
         for _ in range(self.scenario.steps - self.k):
             try:
                 sample = self.step()
-            except FlightError as error:
+            except EngineError as error:
                 return Ending("failed", str(error))
+            except FlightError as error:
+                return Ending("failed", f"{error} at step {self.k} ({self.k * self.dt:.3f} s)")
             for look in observe:
                 look(sample)
             ending = judge.look(self.state, self.k * self.dt)
             if ending:
+                # the log ends with the state that ended the flight, beside what acted until then
+                last = sample._replace(k=self.k, time=self.k * self.dt, state=self.state, measured=self.measured)
+                for look in observe:
+                    look(last)
                 return ending
             if pace:
                 pace.wait(self.k)
-        return Ending("completed", f"flew {self.k} steps")
+        late = f", {pace.missed} of them late" if pace and pace.missed else ""
+        return Ending("completed", f"flew {self.k} steps{late}")
 
     def close(self) -> None:
         """Free the engines and the airframe; may be called twice."""
@@ -338,11 +345,13 @@ def _control(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> Contro
 
 def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[Predictor]:
     """One predictor per axis: the controller's where the vehicle has an identified model for this engine, else none."""
+    if scenario.controller == "baseline":
+        return [NoPredictor() for _ in AXES]
     models = vehicle.identified.get(engine.family, {})
-    if scenario.controller != "baseline" and not models:
+    if not models:
         raise InputError(
             f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "
-            f"{engine.name!r}; there are models for: {', '.join(sorted(vehicle.identified))} "
+            f"{engine.family!r}; there are models for: {', '.join(sorted(vehicle.identified))} "
             "(or fly --controller baseline)"
         )
     found: list[Predictor] = []

@@ -185,7 +185,7 @@ class Limits(Model):
 class Vehicle(Model):
     """Everything that ``aircraft/<name>/vehicle.toml`` says."""
 
-    name: str
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
     title: str
     model: str  # the JSBSim model's file, beside vehicle.toml
     mass_kg: Positive

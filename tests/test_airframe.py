@@ -329,6 +329,22 @@ def test_gust_keeps_its_size_in_turbulence() -> None:
     assert np.abs(added[:, 0]).max() < 0.5
 
 
+def test_turbulence_has_the_size_that_the_standard_states() -> None:
+    """MIL-F-8785C below 300 m: the vertical gusts' deviation is a tenth of the mean wind at 6 m.
+
+    At 30 m in 10 m/s the gusts last about 3 s: 100 of them in 5 minutes, so that 25 % is three standard errors.
+    """
+    mean_wind = 8.0
+    place = Environment(turbulence_wind_m_s=mean_wind, turbulence_severity=3, wind_ned_m_s=(10.0, 0.0, 0.0))
+    with airframe(NO_AERO, environment=place, substeps=1) as (frame, vehicle):
+        weight = vehicle.mass_kg * normal_gravity(place.latitude_deg, 30.0)
+        forces = thrust(vehicle, [weight / 6] * 6, 0.0, 0.0)
+        frame.reset(Initial(altitude_m=30.0), forces, place.wind_ned_m_s)
+        steady = Disturbance(wind=place.wind_ned_m_s)
+        down = [frame.step(forces, steady).wind[2] for _ in range(75_000)]
+    assert np.std(down) == pytest.approx(0.1 * mean_wind, rel=0.25)
+
+
 def test_turbulence_follows_the_seed() -> None:
     place = Environment(turbulence_wind_m_s=8.0, turbulence_severity=4, wind_ned_m_s=(5.0, 0.0, 0.0))
 

@@ -59,7 +59,7 @@ def test_json_is_one_object_and_nothing_else(hexjet) -> None:  # type: ignore[no
         "realtime_factor", "step_us", "metrics", "versions", "sha256",
     }  # fmt: skip
     assert wanted <= set(summary)
-    assert set(summary["sha256"]) == {"hexjet.xml", "edf.fmu"}
+    assert set(summary["sha256"]) == {"hexjet.xml", "hexjet.xml as flown", "edf.fmu"}
     assert set(summary["metrics"]["roll"]) >= {
         "rmse_rad", "max_abs_error_rad", "overshoot_percent", "settling_time_s", "rate_rmse_rad_s",
     }  # fmt: skip
@@ -80,6 +80,22 @@ def test_a_resolved_scenario_flies_again_to_the_same_bits(hexjet, tmp_path: Path
     assert hexjet("fly", "moved/scenario.toml", "--out", "second").status == 0
     assert (tmp_path / "moved/flight.parquet").read_bytes() == (tmp_path / "second/flight.parquet").read_bytes()
     assert (tmp_path / "moved/scenario.toml").read_bytes() == (tmp_path / "second/scenario.toml").read_bytes()
+
+
+def test_the_quadrotor_leaves_a_run_too(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    settings = [f"--set={text}" for text in ("aircraft=quadrotor", "engine=motor", "step_s=0.0025", "duration_s=1.0")]
+    assert hexjet("fly", "hover", *settings, "--out", "quad").status == 0
+    assert hexjet("fly", "quad/scenario.toml", "--out", "again").status == 0
+    assert (tmp_path / "quad/flight.parquet").read_bytes() == (tmp_path / "again/flight.parquet").read_bytes()
+
+
+def test_an_engine_of_ones_own_travels_with_the_run(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    shutil.copy(data_folder("fmus") / "edf.fmu", tmp_path / "own.fmu")
+    fly = ["fly", "hover", "--engine", "own.fmu", "--controller", "baseline", *SHORT]
+    assert hexjet(*fly, "--out", "first").status == 0
+    (tmp_path / "own.fmu").unlink()
+    assert hexjet("fly", "first/scenario.toml", "--out", "second").status == 0
+    assert (tmp_path / "first/flight.parquet").read_bytes() == (tmp_path / "second/flight.parquet").read_bytes()
 
 
 def test_a_lost_vehicle_is_status_1_with_log_and_report(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
@@ -121,6 +137,10 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
             ["fly", "hover", "--set", "step_s=0.005"],
             "step 0.005 s is not a whole multiple of the engine's internal step 0.004 s",
         ),
+        (["fly", "hover", "--set", "duration_s=1e308"], "duration_s = 1e+308"),
+        (["fly", "hover", "--set", "duration_s='2'"], "duration_s = '2': must be a number"),
+        (["fly", "hover", "--set", "duration_s=true"], "duration_s = True: must be a number"),
+        (["fly", "hover", "--set", "vehicle.name='a/b'"], "name = 'a/b'"),
         (["fly", "hover", "--seed", "-1"], "seed = -1"),
         (["fly", "hover", "--seed", "x"], "'x' is not a valid integer"),
         (["fly", "hover", "--engine", "turbojet"], "needs an identified model of hexjet with engine 'turbojet'"),
@@ -142,6 +162,30 @@ def test_wrong_input_is_one_line_and_status_2(hexjet, arguments: list[str], mess
     assert done.err.count("\n") == 1
     assert done.err.startswith("hexjet: ")
     assert message in done.err
+
+
+@pytest.mark.parametrize(
+    ("expect", "message"),
+    [
+        ("controller = 'pid'\nengine = 'edf'", "expect.0.controller: unknown 'pid'"),
+        ("controller = 'smith'\nengine = 'edg'", "expect.0.engine: unknown 'edg'; did you mean 'edf'?"),
+        (
+            "controller = 'smith'\nengine = 'edf'\nmetrics = { 'roll.rms' = { max = 1 } }",
+            "expect.0.metrics: unknown 'roll.rms'; did you mean 'roll.rmse_rad'?",
+        ),
+    ],
+)
+def test_expectations_that_nothing_could_meet_are_refused_before_the_flight(
+    hexjet,
+    tmp_path: Path,
+    expect: str,
+    message: str,  # type: ignore[no-untyped-def]
+) -> None:
+    (tmp_path / "x.toml").write_text(f"name = 'x'\nduration_s = 1.0\n[[expect]]\n{expect}\n")
+    done = hexjet("fly", "x.toml")
+    assert (done.status, done.err.count("\n")) == (2, 1)
+    assert message in done.err
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_folder_with_a_run_is_not_written_over(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

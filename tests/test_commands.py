@@ -45,7 +45,7 @@ def test_ramp_and_step() -> None:
     commander = Commander(scenario(command=[ramp, step]), 1.0)
     heights = [commander.at(k).altitude for k in range(25)]
     assert heights == pytest.approx([1.0] * 10 + [1.0 + 0.2 * n for n in range(10)] + [3.0] * 5)
-    assert [commander.at(k).collective for k in range(4)] == [0.0, 0.0, 0.4, 0.4]
+    assert [commander.at(k).collective for k in range(4)] == [None, None, 0.4, 0.4]
 
 
 def test_commands_add_up() -> None:

@@ -185,6 +185,21 @@ def test_smith_without_delay_is_the_baseline_bit_for_bit() -> None:
     assert closed_loop(SmithPredictor(with_delay(ROLL, 0)), 0, 1500) == closed_loop(NoPredictor(), 0, 1500)
 
 
+def test_smith_predicts_from_the_command_that_was_applied() -> None:
+    """A command that saturates: the fed-back rate is the delay-free plant's under what was applied, not what was asked."""
+    samples, most = 25, 0.01
+    plant, free = Plant(samples), rate_model(ROLL)
+    block = axis(0.02, 0.02, predictor=SmithPredictor(with_delay(ROLL, samples)))
+    rate = refused = last = 0.0
+    for _ in range(600):
+        command = block.update(1.0, rate, refused)
+        assert block.predicted == pytest.approx(free.update(last), abs=1e-12)
+        last = max(-most, min(most, command))
+        refused = command - last
+        rate = plant.update(last)
+    assert block.predicted > 0.5
+
+
 def loop_poles(model_delay: int, plant_delay: int, p: float, i: float, gain: float) -> np.ndarray:
     """Closed-loop poles with PI and a Smith predictor whose delay or gain is wrong.
 

@@ -82,7 +82,7 @@ def test_a_classic_smith_predictor_leans_under_a_constant_moment() -> None:
         ),
         (
             "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'step'\nsignal = 'roll_deg'\nstart_s = 0\namplitude = 1\nwidth_s = 2",
-            r"unknown key 'command\.0\.step\.width_s'; .*allowed: amplitude, kind, signal, start_s",
+            r"unknown key 'command\.0\.width_s'; .*allowed: amplitude, kind, signal, start_s",
         ),
         (
             "name = 'x'\nduration_s = 1\n[[expect]]\ncontroller = 'smith'\nengine = 'edf'\noutcome = ['landed']",

@@ -13,7 +13,7 @@ from cosim.flight import fly
 from cosim.ledger import total_samples
 from cosim.run import Run
 from cosim.scenario import Scenario
-from cosim.signals import Sample
+from cosim.signals import Refused, Sample
 from cosim.simulation import build
 
 STEP = 0.004
@@ -46,20 +46,19 @@ def measured_delay(flown: Scenario) -> tuple[float, float]:
     with a phase of -90 deg at every frequency, the trapezoidal rule, has gone half a step at the step itself.  K is
     known from the engine's thrust, the lever and the inertia.
     """
-    amplitude, start = 1e-4, 50
+    amplitude, start, step = 1e-4, 50, flown.step_s
     gains = {"p": 0.0, "i": 0.0, "d": 0.0}
+    push = {
+        "kind": "torque_command",
+        "axis": "roll",
+        "start_s": start * step,
+        "duration_s": 1000 * step,
+        "amplitude": amplitude,
+    }
     flown = flown.replace(
         controller="baseline",
-        duration_s=2.4,
-        disturbance=[
-            {
-                "kind": "torque_command",
-                "axis": "roll",
-                "start_s": start * STEP,
-                "duration_s": 9.0,
-                "amplitude": amplitude,
-            }
-        ],
+        duration_s=(start + 600) * step,
+        disturbance=[push],
         vehicle={"aero": {"damping_n_m_s": [0.0, 0.0, 0.0]}, "control": {"rate": {"roll": gains}}},
     )
     rows = Rows()
@@ -67,12 +66,12 @@ def measured_delay(flown: Scenario) -> tuple[float, float]:
         simulation.run([rows])
         vehicle, engine = simulation.vehicle, simulation.engine
         stated = total_samples(simulation.ledger)
+        hover = simulation.allocator.hover
     lever = sum(abs(jet.position_m[1]) for jet in vehicle.jets)
-    hover = simulation.allocator.hover
     slope = engine.thrust_at(hover + amplitude) - engine.thrust_at(hover)
     gain = lever * slope / vehicle.inertia_kg_m2[0]
     last = rows.samples[-1]
-    grown = (last.measured.rate[0] - rows.samples[start].measured.rate[0]) / (gain * STEP)
+    grown = (last.measured.rate[0] - rows.samples[start].measured.rate[0]) / (gain * step)
     assert stated is not None
     return last.k - start + 0.5 - grown, stated
 
@@ -87,6 +86,10 @@ def measured_delay(flown: Scenario) -> tuple[float, float]:
         {"vehicle": GYRO_LATENCY},
         {"vehicle": {"sensors": {"gyro": {"filter_s": 0.0}}}},
         {"engine_parameters": {"delay_samples": 60.0}},
+        # two and three internal steps of the engine in a control step
+        {"step_s": 0.008, "controller": "baseline"},
+        {"step_s": 0.012, "controller": "baseline"},
+        {"step_s": 0.012, "controller": "baseline", "engine_parameters": {"delay_samples": 7.0}},
     ],
     ids=str,
 )
@@ -188,6 +191,98 @@ def test_roll_doublet_as_the_paper_reports_it() -> None:
     both = min(len(smith.log), len(baseline.log))
     np.testing.assert_array_equal(smith.log["roll_setpoint_rad"][:both], baseline.log["roll_setpoint_rad"][:both])
     np.testing.assert_array_equal(smith.log["roll_rad"][:26], baseline.log["roll_rad"][:26])
+
+
+@pytest.mark.parametrize(("p", "settles"), [(0.015, True), (0.0175, False), (0.02, False)])
+def test_without_a_predictor_the_oscillation_dies_out_only_at_a_lower_gain(p: float, settles: bool) -> None:
+    """What aircraft/hexjet/README.md says of the chosen gain, over a minute and without noise."""
+    flown = Scenario.load("roll-doublet").replace(
+        controller="baseline",
+        duration_s=60.0,
+        sensor_noise=False,
+        expect=[],
+        vehicle={"control": {"rate": {"roll": {"p": p}}}},
+    )
+    run = fly(flown)
+    swing = run.metrics["roll"].oscillation_rad
+    assert swing is not None
+    if settles:
+        assert swing < 0.002
+    else:
+        assert swing > 0.1
+
+
+# --- wiring between the blocks --------------------------------------------------------------------------------------
+
+
+def test_the_controllers_see_the_sensors_and_the_refusals() -> None:
+    """Attitude, rate and altitude loops get the measurement of the step and what allocation refused in the one before."""
+    asked = scenario(
+        duration_s=6.0,
+        sensor_noise=True,
+        command=[
+            {"kind": "step", "signal": "altitude_m", "start_s": 1.0, "amplitude": 40.0},
+            {"kind": "doublet", "signal": "roll_deg", "start_s": 2.0, "amplitude": 60.0, "width_s": 0.6},
+        ],
+        vehicle={
+            "control": {
+                "altitude": {"climb_limit_m_s": 30.0},
+                "allocation": {"throttle_max": 0.55},
+                "rate": {"roll": {"p": 0.2}},
+            },
+            "limits": {"tilt_deg": 180.0, "rate_deg_s": 1e5},
+        },
+    )
+    seen: list[tuple[object, ...]] = []
+    rows = Rows()
+    with build(asked) as simulation:
+        attitude, rate, altitude = simulation.attitude.update, simulation.rate.update, simulation.altitude.update
+
+        def look_attitude(command, measured):  # type: ignore[no-untyped-def]
+            seen.append(("attitude", measured))
+            return attitude(command, measured)
+
+        def look_rate(setpoint, measured, refused):  # type: ignore[no-untyped-def]
+            seen.append(("rate", measured, refused))
+            return rate(setpoint, measured, refused)
+
+        def look_altitude(command, measured, refused):  # type: ignore[no-untyped-def]
+            seen.append(("altitude", measured, refused))
+            return altitude(command, measured, refused)
+
+        simulation.attitude.update = look_attitude  # type: ignore[method-assign]
+        simulation.rate.update = look_rate  # type: ignore[method-assign]
+        simulation.altitude.update = look_altitude  # type: ignore[method-assign]
+        simulation.run([rows])
+    before = Refused()
+    refused_roll = refused_collective = 0
+    for k, sample in enumerate(rows.samples[: len(seen) // 3]):
+        assert seen[3 * k] == ("attitude", sample.measured)
+        assert seen[3 * k + 1] == ("rate", sample.measured.rate, before)
+        assert seen[3 * k + 2] == ("altitude", sample.measured, before)
+        before = sample.actuation.refused
+        refused_roll += before.roll != 0.0
+        refused_collective += before.collective != 0.0
+    assert refused_roll > 10
+    assert refused_collective > 10
+
+
+def test_a_biased_attitude_sensor_tilts_the_vehicle() -> None:
+    """It stands at minus the bias: what it flies by is what it measures."""
+    bias = {"sensors": {"attitude": {"bias_rad": [0.05, 0.0, 0.0], "noise_rad": 0.0}}}
+    run = fly(scenario(duration_s=12.0, sensor_noise=True, vehicle=bias))
+    assert run.log["roll_rad"][-250:].mean() == pytest.approx(-0.05, abs=0.005)
+
+
+def test_a_crash_is_the_last_row_of_its_log() -> None:
+    cut = {"kind": "step", "signal": "collective", "start_s": 0.4, "amplitude": 0.06}
+    run = fly(scenario(initial={"altitude_m": 2.0}, command=[cut]))
+    assert run.outcome == "crashed"
+    assert run.log["on_ground"][-1] == 1.0
+    assert run.log["on_ground"][:-1].max() == 0.0
+    assert run.summary.touchdown_m_s == pytest.approx(float(run.reason.split(" m/s")[0].split()[-1]), abs=0.06)
+    # the height was held until the collective was commanded
+    assert run.log["altitude_m"][:100].min() > 1.95
 
 
 # --- runs ----------------------------------------------------------------------------------------------------------
@@ -298,11 +393,12 @@ def test_what_does_not_fit_is_refused_in_one_line(changes: dict[str, object], me
 def test_a_controller_without_a_model_of_the_engine_says_which_there_are() -> None:
     flown = scenario()
     with build(flown) as simulation:
-        vehicle, engine = simulation.vehicle, replace(simulation.engine, name="own", library=False)
+        vehicle, engine = simulation.vehicle, replace(simulation.engine, library=False)
     from cosim.simulation import predictors
 
     with pytest.raises(
-        InputError, match=r"needs an identified model of hexjet with engine 'own'; there are models for: edf"
+        InputError,
+        match=r"needs an identified model of hexjet with engine 'edf-as-flown\.fmu'; there are models for: edf",
     ):
         predictors(flown, vehicle, engine)
     assert len(predictors(flown.replace(controller="baseline"), vehicle, engine)) == 3

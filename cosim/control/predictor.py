@@ -165,12 +165,14 @@ class FilteredSmithPredictor:
         self._before = 0.0
 
     def update(self, measured: float, applied: float) -> float:
-        difference = measured - self._then.update(applied)
+        then = self._then.update(applied)
+        difference = measured - then
         filtered = self._through * difference
         if self._rest:
             filtered += self._rest.update(self._before)
         self._before = difference
-        return self._now.update(applied) + filtered
+        # written as Smith's answer and what the filter changes of it, so that F = 1 is Smith's bit for bit
+        return measured + (self._now.update(applied) - then) + (filtered - difference)
 
 
 def robustness_filter(model: RateModel, time_constant: float) -> tuple[list[float], list[float]]:

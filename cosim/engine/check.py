@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.engine import _bank
-from cosim.engine.archive import Archive, Variable, unpack, validate
+from cosim.engine.archive import DAMAGE, Archive, Variable, unpack, validate
 from cosim.engine.response import Hold, Response, ResponseError, settle, static_curve, step_response, window_for
 from cosim.engine.slave import Slave, SlaveError
 from cosim.engine.spec import find_archive, need_whole_steps
@@ -126,8 +126,10 @@ def check_fmu(path_or_name: str, step: float | None = None) -> CheckReport:
         outputs=_described(archive.outputs),
         parameters=_described(archive.parameters),
     )
-    report.problems += validate(archive.path)
     report.problems += _checksums(archive.path)
+    if report.problems:
+        return report
+    report.problems += validate(archive.path)
     report.notes += _notes(archive)
     with unpack(archive) as folder:
         trial = _Trial(archive, Path(folder), step)
@@ -135,7 +137,8 @@ def check_fmu(path_or_name: str, step: float | None = None) -> CheckReport:
             try:
                 part(trial, report)
             except (SlaveError, ResponseError) as error:
-                report.problems.append(str(error))
+                if str(error) not in report.problems:
+                    report.problems.append(str(error))
     return report
 
 
@@ -147,7 +150,7 @@ def _checksums(path: Path) -> list[str]:
     try:
         with zipfile.ZipFile(path) as fmu:
             damaged = fmu.testzip()
-    except (OSError, zipfile.BadZipFile) as error:
+    except DAMAGE as error:
         raise InputError(f"{path}: {error}") from error
     return [f"{damaged} fails its checksum"] if damaged else []
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,9 @@ import numpy as np
 from cosim.config import parse_setting, set_path
 from cosim.engine import EngineSpec
 from cosim.errors import InputError
-from cosim.identify.engine import CYCLES
 from cosim.identify.fit import Fit, fit
 from cosim.identify.response import Array, FrequencyResponse, Record, estimate
-from cosim.identify.result import Identification, Sweep, check_band, need_coherence
+from cosim.identify.result import Identification, Sweep, check_band, need_coherence, suitable_duration
 from cosim.ledger import total_samples
 from cosim.scenario import Scenario
 from cosim.signals import AXES, Sample
@@ -63,7 +61,7 @@ def identify_axis(
     base = _scenario(axis, aircraft, engine, controller, substeps, seed, settings)
     low, high = FROM_HZ if from_hz is None else from_hz, TO_HZ if to_hz is None else to_hz
     check_band(low, high, duration, base.step_s)
-    seconds = float(ceil(CYCLES / low)) if duration is None else duration
+    seconds = suitable_duration(low) if duration is None else duration
     size = AMPLITUDE if amplitude is None else amplitude
     flight = _sweep(base, axis, Sweep(low, high, size, seconds), automatic=amplitude is None)
     sweep, family = flight.sweep, flight.engine.family
@@ -193,7 +191,7 @@ def _sweep(base: Scenario, axis: str, sweep: Sweep, automatic: bool) -> _Flight:
         how = smaller.ending.reason if lost else "it swings between its limits"
         raise InputError(
             f"{where}: the loop is not stable ({how}, swept with {smaller.sweep.amplitude:g}); choose another "
-            f"--controller or less gain, e.g. --set vehicle.control.rate.{axis}.p=VALUE"
+            f"--controller or less gain: --set vehicle.control.rate.{axis}.p=..., vehicle.control.attitude.gain_1_s=..."
         )
     if automatic:
         return smaller
@@ -232,7 +230,7 @@ def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
     asked, injected, refused, cut, rate = (np.array(column) for column in zip(*watch.rows, strict=True))
     late = scenario.added_delay_samples if index == 0 else 0
     if late:
-        pass
+        asked = np.concatenate([np.zeros(late), asked[:-late]])[: len(asked)]
     wanted = asked + injected
     if ledger is not None:
         ledger = ledger - scenario.added_delay_samples if axis == "roll" else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import ceil, log
+from math import log
 
 import numpy as np
 
@@ -12,12 +12,11 @@ from cosim.engine import EngineBank, EngineSpec, load_engine
 from cosim.errors import EngineError, InputError
 from cosim.identify.fit import WHOLE, Fit, fit
 from cosim.identify.response import Array, FrequencyResponse, Record, estimate
-from cosim.identify.result import Identification, Sweep, check_band, need_coherence
+from cosim.identify.result import Identification, Sweep, check_band, need_coherence, suitable_duration
 
 LEAD_STEPS = 10
 STILL = 1e-9  # of the thrust's swing: what is left of the sweep when the record ends
 LONGEST_S = 60.0  # that the thrust gets to come to rest
-CYCLES = 20.0  # of the lowest frequency, in a sweep of automatic duration
 DECADES = (0.1, 10.0)  # the automatic band, around the corner frequency
 
 
@@ -49,7 +48,7 @@ def identify_engine(
     try:
         low, high = _band(engine, throttle, size, step, from_hz, to_hz)
         check_band(low, high, duration, step)
-        sweep = Sweep(low, high, size, ceil(CYCLES / low) if duration is None else duration)
+        sweep = Sweep(low, high, size, suitable_duration(low) if duration is None else duration)
         record = _fly(engine, throttle, sweep, step)
     except EngineError as error:
         raise InputError(f"sweep of {engine.name}: {error}") from error

@@ -1,7 +1,9 @@
-"""The figure of an identification: magnitude, phase and coherence over frequency, measured, fitted and stated."""
+"""The figure of an identification: measured, fitted and stated, how far off, and the coherence."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,8 +16,9 @@ Figure = dict[str, Any]
 
 _POINTS = 300
 _COLOURS = (BLUE, GREEN, MAGENTA)
-_DOMAINS = ((0.62, 1.0), (0.24, 0.58), (0.0, 0.18))
-_TITLES = ("Magnitude [dB]", "Phase [deg]", "Coherence")
+_DOMAINS = ((0.76, 1.0), (0.5, 0.73), (0.32, 0.47), (0.14, 0.29), (0.0, 0.11))
+_TITLES = ("Magnitude [dB]", "Phase [deg]", "Off by [dB]", "Off by [deg]", "Coherence")
+_COHERENCE = 4
 
 
 def response_figure(found: Identification) -> Figure:
@@ -23,35 +26,39 @@ def response_figure(found: Identification) -> Figure:
     response = found.response
     hertz = np.geomspace(response.hertz[0], response.hertz[-1], _POINTS)
     data = _curve("measured", ORANGE, "markers", response.hertz, response.magnitude_db, response.phase_deg)
-    data.append(_trace("coherence", GREY, "lines+markers", response.hertz, response.coherence, 2))
+    data.append(_trace("coherence", GREY, "lines+markers", response.hertz, response.coherence, _COHERENCE))
     for number, fit in enumerate(found.fits):
-        value = fit.model.response(hertz)
-        data += _model_curve(fit.label, _COLOURS[number % len(_COLOURS)], hertz, value, found, "solid")
+        data += _model_curves(fit.label, _COLOURS[number % len(_COLOURS)], fit.model.response, hertz, found, "solid")
     if found.reference is not None:
-        data += _model_curve("stated model", GREY, hertz, rate_response(found.reference, hertz), found, "dash")
+        data += _model_curves("stated model", GREY, partial(rate_response, found.reference), hertz, found, "dash")
     layout: Figure = {
-        "height": 620,
+        "height": 860,
         "margin": {"l": 64, "r": 12, "t": 40, "b": 44},
         "hovermode": "x unified",
         "hoversubplots": "axis",
         "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
-        "xaxis": {"type": "log", "title": {"text": "frequency [Hz]"}, "anchor": "y3", "hoverformat": ".3~g"},
+        "xaxis": {"type": "log", "title": {"text": "frequency [Hz]"}, "anchor": "y5", "hoverformat": ".3~g"},
     }
     for number, (domain, title) in enumerate(zip(_DOMAINS, _TITLES, strict=True)):
         axis: Figure = {"domain": list(domain), "anchor": "x", "title": {"text": title}}
-        if number == 2:
+        if number == _COHERENCE:
             axis["range"] = [0.0, 1.05]
         layout["yaxis" if number == 0 else f"yaxis{number + 1}"] = axis
     return {"data": data, "layout": layout}
 
 
-def _model_curve(
-    label: str, colour: str, hertz: Array, value: Complex, found: Identification, dash: str
+def _model_curves(
+    label: str, colour: str, model: Callable[[Array], Complex], hertz: Array, found: Identification, dash: str
 ) -> list[Figure]:
-    """A model's curve, its phase on the same turn of the circle as the measured one."""
+    """A model's curve, its phase on the same turn of the circle as the measured one, and model over measured."""
+    value = model(hertz)
     phase = np.degrees(np.unwrap(np.angle(value)))
     turns = np.round((found.response.phase_deg[0] - phase[0]) / 360.0)
     curves = _curve(label, colour, "lines", hertz, 20.0 * np.log10(np.abs(value)), phase + 360.0 * turns)
+    at = found.response.hertz
+    ratio = model(at) / found.response.value
+    curves.append(_trace(label, colour, "lines", at, 20.0 * np.log10(np.abs(ratio)), 2))
+    curves.append(_trace(label, colour, "lines", at, np.degrees(np.angle(ratio)), 3))
     for trace in curves:
         trace["line"]["dash"] = dash
     return curves

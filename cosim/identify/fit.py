@@ -18,6 +18,7 @@ from cosim.identify.response import Array, Complex, FrequencyResponse
 from cosim.vehicle import RateModel
 
 LONGEST_DELAY_S = 10.0
+UNAMBIGUOUS = 0.75  # of the delay after which the phases of the two closest points repeat
 _EXP = 300.0  # whose exponential still is a number
 WHOLE = 0.05  # samples: nearer than this to a whole number, a delay may be taken as whole
 LEAST_COHERENCE = 0.6  # below it a point does not count (Tischler and Remple's bound)
@@ -159,8 +160,10 @@ class _Problem:
         self.free = [i for i, name in enumerate(self.names) if name not in hold]
         self.sign = 1.0
         fastest = 0.5 / step
+        # the phases of points a frequency apart repeat after a delay of one over it: longer ones look like shorter ones
+        longest = min(LONGEST_DELAY_S, UNAMBIGUOUS / float(np.diff(hertz).min())) / step
         self.low = np.array([-60.0, 0.0, *[log(1e-3 * step)] * lags, 0.0])
-        self.high = np.array([60.0, 20.0 * fastest, *[log(1e3)] * lags, LONGEST_DELAY_S / step])
+        self.high = np.array([60.0, 20.0 * fastest, *[log(1e3)] * lags, longest])
         self.full = np.zeros(len(self.names))
         for name, held in hold.items():
             i = self.names.index(name)

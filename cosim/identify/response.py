@@ -73,8 +73,9 @@ def estimate(
     """The response between ``low`` and ``high`` Hz.
 
     With a first ``model`` (a function of Hz) what is estimated is the ratio of the response to it, which is flat: that
-    takes away the last of the parabola's error.  The coherence is the lesser of those of the injected signal with command
-    and with output: what the loop's own noise moves does not count.  Raises InputError if the record is too short for ``low``.
+    takes away the last of the parabola's error.  The coherence is the lesser of those of the injected signal with
+    command and with output: what the loop's own noise moves does not count.
+    Raises InputError if the record is too short for ``low``.
     """
     count = len(record.output)
     seconds = count * record.step
@@ -139,7 +140,7 @@ def _explained(signal: Complex, instruments: Complex) -> float:
     power = float(np.mean(np.abs(signal) ** 2))
     if power == 0.0:
         return 0.0
-    solution = np.linalg.lstsq(instruments, signal, rcond=None)[0]
+    solution = np.asarray(np.linalg.lstsq(instruments, signal, rcond=None)[0], np.complex128)
     return max(0.0, 1.0 - _left(signal, instruments, solution) / power)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from cosim.vehicle import RateModel
 KGF = 9.80665  # N
 BEYOND = (0.7, 1.2)  # the chirp runs from this times the lowest to this times the highest frequency of the band
 LONGEST_SWEEP_S = 3600.0
+CYCLES = 20.0  # of the lowest frequency, in a sweep of automatic duration
 USABLE = 0.5  # share of the points that must have coherence
 
 
@@ -135,6 +137,8 @@ def check_band(low: float, high: float, duration: float | None, step: float) -> 
         raise InputError(f"--to-hz {high:g}: must be below {nyquist:g} Hz, half the sample rate")
     if not 0.0 < low < high:
         raise InputError(f"--from-hz {low:g}, --to-hz {high:g}: the band must go from a lower to a higher frequency")
+    if shortest_record(low) > LONGEST_SWEEP_S:
+        raise InputError(f"--from-hz {low:g}: must be at least {shortest_record(1.0) / LONGEST_SWEEP_S:.2g}")
     if duration is not None and not duration <= LONGEST_SWEEP_S:
         raise InputError(f"--duration {duration:g}: must be at most {LONGEST_SWEEP_S:g} s")
     if duration is not None and duration < shortest_record(low):
@@ -144,6 +148,11 @@ def check_band(low: float, high: float, duration: float | None, step: float) -> 
             if duration > 0.0
             else f"--duration {duration:g}: must be above 0"
         )
+
+
+def suitable_duration(low: float) -> float:
+    """Whole seconds for a sweep from ``low`` Hz."""
+    return min(float(ceil(CYCLES / low)), LONGEST_SWEEP_S)
 
 
 def need_coherence(response: FrequencyResponse, what: str, amplitude: float) -> list[str]:
@@ -254,7 +263,7 @@ def _with_bounds(fit: Fit, name: str, scale: float, invert: bool) -> str:
     low, high = fit.bounds[name]
     ends = (scale * (1.0 / end if invert and end else end) for end in (low, high))
     half = max(abs(end - scale * (1.0 / value if invert and value else value)) for end in ends)
-    return f"{shown(value)} ±{half:.1g}"
+    return f"{shown(value)} ±{float(f'{half:.1g}'):g}"
 
 
 def low_frequency_delay(fit: Fit) -> float:

@@ -16,7 +16,7 @@ from cosim.paper import numbers
 from cosim.paper.calibration import Calibration
 from cosim.paper.experiments import hexjet_axis, quadrotor_axis
 from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, simulate
-from cosim.paper.loops import Complex, LoopMap, controllers_response, grid, predictor_response
+from cosim.paper.loops import Complex, LoopMap, controllers_response, grid, model_response, predictor_response
 from cosim.vehicle import PredictorTuning, RateModel
 
 QUADROTOR = ("baseline", "smith", "filtered-smith", "state", STATE_AS_PRINTED, "state-model", "state-disturbance")
@@ -236,8 +236,9 @@ def turbojet_plant() -> tuple[RateModel, RateModel]:
     }
     edf, jet = (-step / log(numbers.value(f"{name}.pole")) for name in ("edf", "turbojet"))
     rest = -step / log(numbers.value("roll.pole_fast")) - edf
-    gain = integrating_gain(numbers.roll_model()) * thrust["turbojet"] / thrust["edf"]
     slow = -log(numbers.value("roll.pole_slow")) / step
+    at_rest = model_response(numbers.roll_model(), np.ones(1, dtype=np.complex128))[0].real
+    gain = float(at_rest) * slow * thrust["turbojet"] / thrust["edf"]
     truth = _discretised(gain, slow, [jet, rest], step, "true turbojet and gyro filter")
     model = _discretised(gain, slow, [jet + rest], step, "true turbojet, one lag")
     return truth, model

@@ -18,8 +18,9 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.paper import beyond, numbers
 from cosim.paper.calibration import Frozen, hexjet_ratios, load
-from cosim.paper.claims import LOW_END_HZ, ClaimRow, Condition, Evidence, claim_rows, conditions, gain_at
-from cosim.paper.experiments import COMPARED, Experiment, Metrics, Result, experiments, linear, quadrotor_axis
+from cosim.paper.claims import LOW_END_HZ, ClaimRow, Condition, Evidence, conditions, gain_at
+from cosim.paper.experiments import COMPARED, Experiment, Metrics, Result, experiments, quadrotor_axis
+from cosim.paper.experiments import linear as on_linear_plant
 from cosim.paper.linear import STATE_AS_PRINTED
 from cosim.paper.loops import Sweep, margins, open_loop, sweep
 
@@ -83,7 +84,7 @@ def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
     frozen = load()
     calibration = frozen.parameters
     say("experiments on the linear plant")
-    run = linear(calibration)
+    run = on_linear_plant(calibration)
     results = {e.name: run(e) for e in experiments()}
     say("frequency response")
     loops = {name: quadrotor_axis(calibration, name, FREQUENCY_DELAY) for name in COMPARED}
@@ -119,11 +120,6 @@ def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
     )
 
 
-def claims(part: LinearPart, flight: Evidence | None = None) -> list[ClaimRow]:
-    """Every claim with its verdict in each fidelity."""
-    return claim_rows(part.evidence, flight)
-
-
 _READ: dict[str, Callable[[Metrics], float | None]] = {
     "rmse": lambda m: m.rmse if m.stable else None,
     "max": lambda m: m.max if m.stable else None,
@@ -146,14 +142,14 @@ _NOTES = {
 
 
 def comparison_rows(
-    part: LinearPart, flight: Evidence | None = None, extra: Mapping[str, float] | None = None
+    frozen: Frozen, linear: Evidence, flight: Evidence | None = None, extra: Mapping[str, float] | None = None
 ) -> list[Row]:
     """Every printed number beside ours; ``extra`` are six-degree-of-freedom values by key that no evidence holds."""
-    used = {each.key for each in part.frozen.used}
+    used = {each.key for each in frozen.used}
     rows = []
     for printed in numbers.PRINTED.values():
         for variant in _variants(printed.key):
-            rows.append(_row(printed, variant, part.evidence, flight, extra or {}, used))
+            rows.append(_row(printed, variant, linear, flight, extra or {}, used))
     return rows
 
 

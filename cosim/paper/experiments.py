@@ -104,6 +104,7 @@ class Metrics(BaseModel):
     overshoot_percent: float | None = None  # the largest of the doublet's three steps
     settling_s: float | None = None  # to 5 % of the step, the longest of the three; None if one does not settle
     time_constant_s: float | None = None  # first edge to 63.2 % of the first step
+    late_rmse: float | None = None  # rad, of the same answer 20 samples later: what a longer delay costs at least
 
 
 @dataclass(frozen=True)
@@ -200,13 +201,13 @@ def hexjet_axis(calibration: Calibration, controller: str, gains: Gains, noisy: 
     )
 
 
-def linear(calibration: Calibration, noisy: bool = True) -> Fidelity:
-    """The fidelity of the linear plant."""
+def linear(calibration: Calibration, noisy: bool = True, whole: bool = True) -> Fidelity:
+    """The fidelity of the linear plant; ``whole`` False runs the record alone and cannot tell what is stable."""
 
     def run(experiment: Experiment) -> Result:
         loop = axis(experiment, calibration, noisy)
         signal = experiment.signal(calibration)
-        steps = round(experiment.run / experiment.step)
+        steps = round((experiment.run if whole else experiment.record) / experiment.step)
         disturbed = experiment.kind == "disturbance"
         record = simulate(
             loop,
@@ -248,6 +249,7 @@ def result(
             overshoot_percent=max(overshoots) if overshoots else None,
             settling_s=max((t for t in times if t is not None), default=None) if None not in times else None,
             time_constant_s=_rise(is_angle, edges[0], edges[1], step) if commanded else None,
+            late_rmse=_late(wanted[:rows], is_angle[:rows]) if commanded else None,
         ),
         time=[k * step for k in range(len(error))],
         setpoint=wanted[:rows].tolist(),
@@ -274,6 +276,11 @@ def _steps(wanted: Array, angle: Array, edges: list[int], step: float) -> tuple[
         overshoots.append(overshoot(error, size) or 0.0)
         times.append(settling_time(error, size, step))
     return overshoots, times
+
+
+def _late(wanted: Array, angle: Array, samples: int = 20) -> float:
+    late = np.concatenate([np.full(samples, angle[0]), angle[:-samples]])
+    return float(np.sqrt(np.mean(np.square(wanted - late))))
 
 
 def _rise(angle: Array, first: int, end: int, step: float) -> float | None:

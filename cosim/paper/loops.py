@@ -238,6 +238,19 @@ def sweep(axis: Axis, period: float = 8.0, low: float = 0.25, high: float = 20.0
     )
 
 
+def measured_sweep(hertz: Array, response: Complex) -> Sweep:
+    """Points of an open loop ``C G*`` that were measured elsewhere, in flight for one; ``hertz`` rises."""
+    gain, phase = _bode(response)
+    return Sweep(
+        frequency=hertz.tolist(),
+        gain=gain.tolist(),
+        phase=phase.tolist(),
+        augmented_gain=[],
+        augmented_phase=[],
+        margins=_margins_of_points(hertz, gain, phase),
+    )
+
+
 def _bode(values: Complex) -> tuple[Array, Array]:
     phase = np.degrees(np.unwrap(np.angle(values)))
     return 20.0 * np.log10(np.abs(values)), phase - 360.0 * np.round(phase[0] / 360.0)

@@ -1,0 +1,408 @@
+"""The figures of the paper's report: what the paper draws, from both fidelities side by side, and what it does not.
+
+Plain dicts of Plotly's figure schema, as in :mod:`cosim.figures`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import log10
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.figures import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED
+from cosim.paper.beyond import ROBUST, RobustnessMap
+from cosim.paper.comparison import TITLES
+from cosim.paper.experiments import COMPARED, Result
+from cosim.paper.linear import STATE_AS_PRINTED
+from cosim.paper.loops import Sweep
+
+if TYPE_CHECKING:
+    from cosim.paper.reproduce import Reproduction
+
+Figure = dict[str, Any]
+
+COLOURS = {
+    "baseline": ORANGE,
+    "smith": BLUE,
+    "filtered-smith": "#1098ad",
+    "state": GREEN,
+    STATE_AS_PRINTED: MAGENTA,
+    "state-model": "#7048e8",
+    "state-disturbance": "#a0522d",
+}
+NAMES = TITLES | {
+    "filtered-smith": "filtered Smith",
+    "state-model": "state predictor, model-based observer",
+    "state-disturbance": "state predictor with disturbance estimate",
+}
+FIDELITIES = ("linear plant", "six degrees of freedom")
+WORST = 4.0  # peak sensitivity at which the colours of the maps end
+_SENSITIVITY = [[0.0, "#fff9db"], [0.25, "#8ce99a"], [0.55, "#1098ad"], [1.0, "#364fc7"]]
+_UNSTABLE = "#c9a0a0"
+
+
+class Curve(NamedTuple):
+    """One line of a panel."""
+
+    name: str
+    x: Sequence[float] | NDArray[np.float64]
+    y: Sequence[float | None] | NDArray[np.float64]
+    colour: str
+    dash: str = "solid"
+    width: float = 1.8
+    mode: str = "lines"
+
+
+class Panel(NamedTuple):
+    """One pair of axes; ranges as Plotly wants them, None for all that is drawn."""
+
+    title: str
+    x_title: str
+    y_title: str
+    curves: Sequence[Curve]
+    x_range: tuple[float, float] | None = None
+    y_range: tuple[float, float] | None = None
+    x_log: bool = False
+    y_log: bool = False
+
+
+def paper_figures(found: Reproduction) -> dict[str, Figure]:
+    """Every figure of the page, by the name of its place."""
+    part = found.linear
+    both = (part.results, found.flown)
+    made = {f"step-{n}": panels([_pair(both, f"step-{n}", COMPARED, "angle", 30.0)]) for n in (5, 10, 25)}
+    made |= {
+        f"disturbance-{n}": panels([_pair(both, f"disturbance-{n}", COMPARED, "rate", 9.0)]) for n in (5, 10)
+    }
+    made["bode"] = bode(part.sweeps, found.flown_sweeps)
+    made |= {f"payload-{n}": _payload(both, n) for n in (5, 10)}
+    made["disturbance-payload"] = panels(
+        [_pair(both, "disturbance-5-payload", ("smith", "state", STATE_AS_PRINTED), "rate", 9.0)]
+    )
+    for name in ("hexjet-doublet", "hexjet-doublet-calibrated"):
+        made[name] = panels([_pair(both, name, ("baseline", "smith"), "angle", 30.0)])
+    made["manual"] = manual(found)
+    for vehicle in ("quadrotor", "hexjet"):
+        made[f"robustness-{vehicle}"] = robustness([each for each in part.maps if each.vehicle == vehicle])
+    made["delay"] = delays(found)
+    made["offset"] = offsets(found)
+    made["turbojet"] = turbojet(found)
+    return made
+
+
+# --- the paper's ----------------------------------------------------------------------------------------------------------
+
+
+def _pair(
+    both: Sequence[Mapping[str, Result]], experiment: str, controllers: Sequence[str], what: str, limit: float
+) -> list[Panel]:
+    """One experiment in both fidelities with one scale, which ends where an unstable loop would spoil it."""
+    found = []
+    for results, title in zip(both, FIDELITIES, strict=True):
+        present = {c: results[f"{experiment}.{c}"] for c in controllers if f"{experiment}.{c}" in results}
+        curves = [_curve(result, what, NAMES[c], COLOURS[c]) for c, result in present.items()]
+        if present and what == "angle":
+            first = next(iter(present.values()))
+            curves.insert(0, Curve("set-point", first.time, np.degrees(first.setpoint), GREY, "dash", 1.3))
+        found.append((title, curves))
+    return [Panel(title, "time [s]", _unit(what), curves, y_range=(-limit, limit)) for title, curves in found]
+
+
+def _unit(what: str) -> str:
+    return "roll [deg]" if what == "angle" else "roll rate [rad/s]"
+
+
+def _curve(result: Result, what: str, name: str, colour: str, dash: str = "solid") -> Curve:
+    values = np.degrees(result.angle) if what == "angle" else np.array(result.rate)
+    return Curve(name, result.time, values, colour, dash)
+
+
+def _payload(both: Sequence[Mapping[str, Result]], delay: int) -> Figure:
+    """A row for each predictor: without and with payload."""
+    rows = []
+    for controller in ("smith", "state", STATE_AS_PRINTED):
+        row = []
+        for results, title in zip(both, FIDELITIES, strict=True):
+            bare, loaded = (results.get(f"step-{delay}{load}.{controller}") for load in ("", "-payload"))
+            curves = []
+            if bare and loaded:
+                curves = [
+                    Curve("set-point", bare.time, np.degrees(bare.setpoint), GREY, "dash", 1.3),
+                    _curve(bare, "angle", NAMES[controller], COLOURS[controller]),
+                    _curve(loaded, "angle", "with payload", RED, "dot"),
+                ]
+            row.append(Panel(title, "time [s]", _unit("angle"), curves, y_range=(-30.0, 30.0)))
+        rows.append(row)
+    return panels(rows, each=200)
+
+
+def bode(linear: Mapping[str, Sweep], flown: Mapping[str, Sweep]) -> Figure:
+    """Gain and phase of the measured open loops."""
+    rows = []
+    for what, title, limits in (("gain", "gain of C G* [dB]", (-18.0, 24.0)), ("phase", "phase [deg]", (-400.0, 0.0))):
+        row = []
+        for sweeps, name in zip((linear, flown), FIDELITIES, strict=True):
+            curves = [Curve(NAMES[c], s.frequency, getattr(s, what), COLOURS[c]) for c, s in sweeps.items()]
+            level = 0.0 if what == "gain" else -180.0
+            curves.append(Curve("0 dB, -180 deg", [0.5, 20.0], [level, level], GREY, "dot", 1.2))
+            ends = (log10(0.5), log10(20.0))
+            row.append(Panel(name, "frequency [Hz]", title, curves, x_range=ends, y_range=limits, x_log=True))
+        rows.append(row)
+    return panels(rows)
+
+
+def manual(found: Reproduction) -> Figure:
+    """The flown sticks: angles and rates of the three axes."""
+    flight = found.manual
+    rows = []
+    for axis in flight.angle:
+        time = flight.time
+        rows.append(
+            [
+                Panel("angle", "time [s]", f"{axis} [deg]", _tracked(time, flight.angle[axis])),
+                Panel("rate", "time [s]", f"{axis} rate [deg/s]", _tracked(time, flight.rate[axis])),
+            ]
+        )
+    return panels(rows, each=180)
+
+
+def _tracked(time: Sequence[float], pair: tuple[Sequence[float], Sequence[float]]) -> list[Curve]:
+    wanted, flown = pair
+    return [
+        Curve("flown", time, np.degrees(flown), BLUE, width=1.5),
+        Curve("set-point", time, np.degrees(wanted), GREY, "dash", 1.3),
+    ]
+
+
+# --- past the paper -------------------------------------------------------------------------------------------------------
+
+
+def robustness(maps: Sequence[RobustnessMap], columns: int = 3) -> Figure:
+    """Peak sensitivity over delay error x gain error; one colour for unstable, a line at the careful designer's limit."""
+    rows = -(-len(maps) // columns)
+    figure: Figure = {"data": [], "layout": _layout(rows * 265 + 60)}
+    layout = figure["layout"] | {"hovermode": "closest", "showlegend": False, "annotations": []}
+    for number, each in enumerate(maps):
+        row, column = divmod(number, columns)
+        x, y = _name("x", number), _name("y", number)
+        layout[_name("xaxis", number)] = {
+            "domain": _share(column, columns, 0.05, from_top=False),
+            "anchor": y,
+            "title": {"text": "delay error [samples]", "standoff": 4},
+        }
+        height = _share(row, rows, 0.3 / rows, from_top=True)
+        layout[_name("yaxis", number)] = {
+            "domain": height,
+            "anchor": x,
+            "type": "log",
+            "tickvals": [0.25, 0.5, 1, 2, 4],
+            **({"title": {"text": "gain error [times]"}} if column == 0 else {}),
+        }
+        layout["annotations"].append(
+            _heading(f"{NAMES[each.controller]}: {100.0 * each.stable_share:.0f} % stable", x, y)
+        )
+        figure["data"] += _map_traces(each, x, y, number == 0)
+    figure["layout"] = layout
+    return figure
+
+
+def _map_traces(each: RobustnessMap, x: str, y: str, with_scale: bool) -> list[Figure]:
+    common = {"x": each.delay_errors, "y": each.gains, "xaxis": x, "yaxis": y}
+    says = "delay %{x:+d} samples, gain x %{y:.3g}: "
+    unstable = [[1 if cell is None else None for cell in row] for row in each.sensitivity]
+    rounded = [[None if cell is None else round(cell, 4) for cell in row] for row in each.sensitivity]
+    return [
+        common
+        | {
+            "type": "heatmap",
+            "z": rounded,
+            "zmin": 1.0,
+            "zmax": WORST,
+            "colorscale": _SENSITIVITY,
+            "showscale": with_scale,
+            "colorbar": {"title": {"text": "M_s"}, "thickness": 12, "len": 0.6, "y": 0.5},
+            "hoverongaps": False,
+            "hovertemplate": says + "M_s %{z:.2f}<extra></extra>",
+        },
+        common
+        | {
+            "type": "heatmap",
+            "z": unstable,
+            "colorscale": [[0.0, _UNSTABLE], [1.0, _UNSTABLE]],
+            "showscale": False,
+            "hoverongaps": False,
+            "hovertemplate": says + "unstable<extra></extra>",
+        },
+        common
+        | {
+            "type": "contour",
+            "z": rounded,
+            "contours": {"coloring": "none", "start": ROBUST, "end": ROBUST, "size": 1.0},
+            "line": {"color": "#000", "width": 1.4},
+            "showscale": False,
+            "hoverinfo": "skip",
+        },
+        {
+            "type": "scatter",
+            "x": [0],
+            "y": [1.0],
+            "xaxis": x,
+            "yaxis": y,
+            "mode": "markers",
+            "marker": {"symbol": "x-thin", "size": 11, "line": {"width": 2, "color": "#000"}},
+            "hovertemplate": "as modelled<extra></extra>",
+        },
+    ]
+
+
+def delays(found: Reproduction) -> Figure:
+    """Tracking error and peak sensitivity over the delay, gains unchanged; a line ends where its loop is unstable."""
+    rows = []
+    for what, title, limits in (("rmse", "RMSE [deg]", None), ("sensitivity", "peak sensitivity", (0.0, 8.0))):
+        row = []
+        for vehicle in ("quadrotor", "hexjet"):
+            curves = []
+            for (of, controller), points in found.linear.delays.items():
+                if of == vehicle:
+                    values = [getattr(point, what) for point in points]
+                    if what == "rmse":
+                        values = [None if value is None else float(np.degrees(value)) for value in values]
+                    x = [point.delay for point in points]
+                    curves.append(Curve(NAMES[controller], x, values, COLOURS[controller], mode="lines+markers"))
+            row.append(Panel(vehicle, "delay [samples]", title, curves, y_range=limits))
+        rows.append(row)
+    return panels(rows)
+
+
+def offsets(found: Reproduction) -> Figure:
+    """Roll after the onset of a constant disturbance: on the linear plant and in flight."""
+    known, flown = (
+        [
+            Curve(NAMES[each.controller], each.time, np.degrees(angle), COLOURS[each.controller])
+            for each, angle in pairs
+        ]
+        for pairs in (
+            [(each, each.angle) for each in found.linear.offsets],
+            [(each, each.roll) for each in found.offsets],
+        )
+    )
+    titles = ("linear plant: constant roll command", "six degrees of freedom: half a kilogram 1 cm to the right")
+    return panels(
+        [[Panel(title, "time [s]", "roll [deg]", c) for title, c in zip(titles, (known, flown), strict=True)]], each=300
+    )
+
+
+def turbojet(found: Reproduction) -> Figure:
+    """The attitude bandwidth that each controller reaches with either engine."""
+    reaches = found.linear.turbojet
+    layout = _layout(330) | {"hovermode": "closest", "barmode": "group"}
+    layout["yaxis"] = {"title": {"text": "attitude bandwidth [Hz]"}, "rangemode": "tozero"}
+    layout["xaxis"] = {"tickangle": 0}
+    data = []
+    for engine, colour in (("edf-as-flown", ORANGE), ("turbojet", BLUE)):
+        mine = [reach for reach in reaches if reach.engine == engine]
+        data.append(
+            {
+                "type": "bar",
+                "name": engine,
+                "x": [NAMES[reach.controller].replace(", ", ",<br>").replace(" with ", "<br>with ") for reach in mine],
+                "y": [reach.bandwidth for reach in mine],
+                "marker": {"color": colour},
+                "hovertemplate": "%{x}: %{y:.3f} Hz<extra></extra>",
+            }
+        )
+    return {"data": data, "layout": layout}
+
+
+# --- pieces ---------------------------------------------------------------------------------------------------------------
+
+
+def panels(rows: Sequence[Sequence[Panel]], each: int = 250) -> Figure:
+    """Panels in rows and columns with one legend; a panel without curves says that it was not flown."""
+    layout = _layout(len(rows) * each + 90) | {"annotations": []}
+    data: list[Figure] = []
+    shown: set[str] = set()
+    columns = len(rows[0])
+    for row, across in enumerate(rows):
+        for column, panel in enumerate(across):
+            number = row * columns + column
+            x, y = _name("x", number), _name("y", number)
+            last = row == len(rows) - 1
+            layout[_name("xaxis", number)] = {
+                "domain": _share(column, columns, 0.08, from_top=False),
+                "anchor": y,
+                "type": "log" if panel.x_log else "linear",
+                **({"title": {"text": panel.x_title}} if last else {"showticklabels": False}),
+                **({"matches": "x"} if number else {}),
+                **({"range": list(panel.x_range)} if panel.x_range else {}),
+                **({"tickvals": [0.5, 1, 2, 5, 10, 20]} if panel.x_log else {}),
+            }
+            layout[_name("yaxis", number)] = {
+                "domain": _share(row, len(rows), 0.07, from_top=True),
+                "anchor": x,
+                "title": {"text": panel.y_title},
+                **({"range": list(panel.y_range)} if panel.y_range else {}),
+            }
+            if row == 0:
+                layout["annotations"].append(_heading(panel.title, x, y))
+            if not panel.curves:
+                layout["annotations"].append(_heading("not flown", x, y) | {"y": 0.5, "x": 0.5, "xanchor": "center"})
+                data.append({"type": "scatter", "x": [None], "y": [None], "xaxis": x, "yaxis": y, "showlegend": False})
+            for curve in panel.curves:
+                data.append(_trace(curve, x, y) | {"showlegend": curve.name not in shown})
+                shown.add(curve.name)
+    return {"data": data, "layout": layout}
+
+
+def _trace(curve: Curve, x: str, y: str) -> Figure:
+    return {
+        "type": "scatter",
+        "mode": curve.mode,
+        "name": curve.name,
+        "legendgroup": curve.name,
+        "x": _numbers(curve.x),
+        "y": _numbers(curve.y),
+        "xaxis": x,
+        "yaxis": y,
+        "line": {"color": curve.colour, "dash": curve.dash, "width": curve.width},
+        "marker": {"size": 4},
+        "hovertemplate": f"{curve.name}: %{{y:.4~g}}<extra></extra>",
+    }
+
+
+def _numbers(values: Sequence[float | None] | NDArray[np.float64]) -> Any:
+    """A compact array; gaps and what is beyond single precision (of a loop that ran away) are left out of the line."""
+    array = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    return np.where(np.abs(array) < 1e9, array, np.nan).astype(np.float32)
+
+
+def _layout(height: int) -> Figure:
+    return {
+        "height": height,
+        "margin": {"l": 60, "r": 12, "t": 66, "b": 44},
+        "hovermode": "x unified",
+        "legend": {"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom", "yref": "container", "traceorder": "normal"},
+    }
+
+
+def _name(letter: str, number: int) -> str:
+    """Plotly's name of the n-th axis, counted from 0: x, x2, x3."""
+    return letter if number == 0 else f"{letter}{number + 1}"
+
+
+def _share(position: int, count: int, gap: float, *, from_top: bool) -> list[float]:
+    size = (1.0 - gap * (count - 1)) / count
+    low = (count - 1 - position if from_top else position) * (size + gap)
+    return [round(low, 6), round(low + size, 6)]
+
+
+def _heading(text: str, x: str, y: str) -> Figure:
+    """Above the upper left corner of the panel with these axes."""
+    return {
+        "text": f"<b>{text}</b>",
+        "showarrow": False,
+        **{"x": 0.0, "y": 1.0, "xref": f"{x} domain", "yref": f"{y} domain", "xanchor": "left", "yanchor": "bottom"},
+    }

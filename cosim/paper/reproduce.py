@@ -1,0 +1,292 @@
+"""``hexjet paper``: every experiment in both fidelities, the comparison, the claims, and the report.
+
+The work is cut into parts that do not depend on one another; each is kept in ``parts/`` when it is done, under a name
+that changes with whatever it was made from, so that a second call goes on where the first one ended.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.errors import InputError
+from cosim.flight import fly
+from cosim.paper import calibration
+from cosim.paper.claims import LOW_END_HZ, ClaimRow, Evidence, claim_rows
+from cosim.paper.comparison import LinearPart, Row, as_data, comparison_rows, linear_part, write_csv
+from cosim.paper.experiments import CONTROLLERS, Experiment, Result, experiments, quadrotor_axis
+from cosim.paper.flight import flight, scenario
+from cosim.paper.linear import STATE_AS_PRINTED
+from cosim.paper.loops import Sweep, controllers_response, measured_sweep
+from cosim.paths import data_folder
+from cosim.recorder import Log, replacing
+from cosim.run import versions
+from cosim.scenario import Scenario
+
+FLOWN_LOOPS = ("baseline", "smith", "state")
+OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))
+COMPARISON, REPORT, DATA = "comparison.csv", "report.html", "comparison.json"
+WORKERS = 2
+
+Say = Callable[[str, int, int], None]  # what is done, how much of it, of how much
+
+
+@dataclass(frozen=True)
+class Offset:
+    """A flight with half a kilogram 1 cm to the right of the centre of gravity: roll over time."""
+
+    controller: str
+    time: list[float]  # s after the load came on board
+    roll: list[float]  # rad
+    late: float  # rad, mean over the last second
+
+
+Tracked = dict[str, tuple[list[float], list[float]]]  # by axis: set-point and what was flown
+
+
+@dataclass(frozen=True)
+class Manual:
+    """The Hex-Jet's manual flight."""
+
+    numbers: dict[str, float]  # by the printed numbers' keys
+    time: list[float]  # s
+    angle: Tracked  # rad
+    rate: Tracked  # rad/s, as the gyro gives them
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Everything that the report shows."""
+
+    linear: LinearPart
+    flown: dict[str, Result]
+    flown_evidence: Evidence
+    flown_sweeps: dict[str, Sweep]
+    offsets: list[Offset]
+    manual: Manual
+    extra: dict[str, float]
+    rows: list[Row]
+    claims: list[ClaimRow]
+
+
+def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int = WORKERS) -> Reproduction:
+    """Run or take up every part, and write ``comparison.csv``, ``comparison.json`` and ``report.html`` to ``folder``.
+
+    Raises InputError if the folder cannot be written to.
+    """
+    from cosim.report import paper_report
+
+    tasks = _tasks()
+    parts = _run(tasks, folder / "parts", say, workers)
+    found = _put_together(parts)
+    write_csv(found.rows, folder / COMPARISON)
+    with replacing(folder / DATA) as temporary:
+        data = as_data(found.linear, found.rows, found.claims)
+        temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    paper_report(found, folder / REPORT)
+    return found
+
+
+# --- the parts ----------------------------------------------------------------------------------------------------------
+
+
+def _tasks() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
+    """Every part by name: a function that can be sent to another process, and its arguments.  Longest first."""
+    tasks: dict[str, tuple[Callable[..., Any], tuple[Any, ...]]] = {"linear": (linear_part, ())}
+    for controller in FLOWN_LOOPS:
+        tasks[f"loop.{controller}"] = (fly_sweep, (controller,))
+    tasks["identification"] = (identify, ())
+    for experiment in sorted(flown_experiments(), key=lambda e: -e.run):
+        tasks[experiment.name] = (fly_experiment, (experiment,))
+    tasks["manual"] = (fly_manual, ())
+    for controller in OFFSET_CONTROLLERS:
+        tasks[f"offset.{controller}"] = (fly_offset, (controller,))
+    return tasks
+
+
+def flown_experiments() -> list[Experiment]:
+    """The experiments that six degrees of freedom fly: all but those with the matrices as printed, which do not fly."""
+    return [e for e in experiments() if e.controller != STATE_AS_PRINTED]
+
+
+def fly_experiment(experiment: Experiment) -> Result:
+    """One experiment in six degrees of freedom."""
+    return flight(calibration.load().parameters)(experiment)
+
+
+def fly_sweep(controller: str) -> Sweep:
+    """Open loop C G* of the quadrotor with 5 samples, measured in flight.
+
+    A chirp is added to the rate controller's output; ``G* = y^ / u`` is the ratio of the Fourier transforms of the
+    predicted rate and the command with the chirp in it (the record begins and ends at rest), ``C`` is known.
+    """
+    frozen = calibration.load().parameters
+    experiment = Experiment("step", controller, 5)
+    chirp = {
+        "kind": "torque_command",
+        "axis": "roll",
+        "shape": "sweep",
+        "start_s": 1.0,
+        "duration_s": 30.0,
+        "amplitude": 0.004,
+        "from_hz": 0.5,
+        "to_hz": 25.0,
+        "at": "controller",
+        "seen": True,
+    }
+    flown = scenario(experiment, frozen, noisy=False).replace(duration_s=35.0, command=[], disturbance=[chirp])
+    log = fly(flown).log
+    command = log["torque_roll"] + log["disturbance_torque_roll"]
+    hertz = np.geomspace(0.8, 15.0, 160)
+    kernel = np.exp(-2j * np.pi * hertz[:, None] * log["time_s"])
+    axis = quadrotor_axis(frozen, controller, 5, noisy=False)
+    of_error, of_slope = controllers_response(axis, np.exp(2j * np.pi * hertz * axis.step))
+    response = (of_error + of_slope) * (kernel @ log["rate_p_predicted_rad_s"]) / (kernel @ command)
+    return measured_sweep(hertz, response)
+
+
+def fly_manual() -> Manual:
+    """The Hex-Jet's manual flight: tracking on three axes, and every tenth sample for the figure."""
+    run = fly(Scenario.load("manual"))
+    found: dict[str, float] = {}
+    angle, rate = {}, {}
+    for (axis, each), letter in zip(run.metrics.items(), "pqr", strict=True):
+        assert each.rmse_rad is not None
+        assert each.rate_rmse_rad_s is not None
+        found[f"hexjet-manual.{axis}.rmse"] = each.rmse_rad
+        found[f"hexjet-manual.{axis}.rate_rmse"] = each.rate_rmse_rad_s
+        angle[axis] = _thin(run.log, f"{axis}_setpoint_rad", f"{axis}_rad")
+        rate[axis] = _thin(run.log, f"rate_{letter}_setpoint_rad_s", f"rate_{letter}_measured_rad_s")
+    return Manual(found, run.log["time_s"][::10].tolist(), angle, rate)
+
+
+def _thin(log: Log, *names: str) -> tuple[list[float], list[float]]:
+    wanted, flown = (log[name][::10].tolist() for name in names)
+    return wanted, flown
+
+
+def fly_offset(controller: str) -> Offset:
+    """Half a kilogram 1 cm to the right, from 1 s on, for 25 s."""
+    load = {"kind": "payload", "start_s": 1.0, "mass_kg": 0.5, "offset_m": [0.0, 0.01, 0.0]}
+    hover = Scenario.load("hover")
+    log = fly(
+        hover.replace(controller=controller, disturbance=[load], duration_s=26.0, sensor_noise=False, expect=[])
+    ).log
+    time, roll = log["time_s"], log["roll_rad"]
+    tenth = round(0.1 / hover.step_s)
+    start = round(1.0 / hover.step_s)
+    last = roll[-round(1.0 / hover.step_s) :]
+    return Offset(
+        controller,
+        [round(float(t) - 1.0, 6) for t in time[start::tenth]],
+        [float(angle) for angle in roll[start::tenth]],
+        float(np.mean(last)),
+    )
+
+
+def identify() -> dict[str, float]:
+    """The paper's identified models, as this program's own identification finds them on FMUs and in flight."""
+    from cosim.identify import identify_axis, identify_engine
+
+    found: dict[str, float] = {}
+    for engine in ("turbojet", "edf"):
+        model = identify_engine(engine).model
+        found[f"{engine}.gain"] = model.gain / 9.80665
+        found[f"{engine}.pole"] = model.poles[0]
+        found[f"{engine}.time_constant"] = -model.sample_time_s / float(np.log(model.poles[0]))
+        if engine == "turbojet":
+            found["turbojet.delay"] = model.delay_samples * model.sample_time_s
+    roll = identify_axis("roll").model
+    found["roll.pole_slow"], found["roll.pole_fast"] = max(roll.poles), min(roll.poles)
+    found["hexjet.delay"] = roll.delay_samples
+    return found
+
+
+# --- running and keeping them ---------------------------------------------------------------------------------------------
+
+
+def _run(
+    tasks: Mapping[str, tuple[Callable[..., Any], tuple[Any, ...]]], folder: Path, say: Say, workers: int
+) -> dict[str, Any]:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror or error}") from error
+    made_from = _fingerprint()
+    files = {name: folder / f"{name}-{made_from}.pickle" for name in tasks}
+    parts = {name: part for name, file in files.items() if (part := _taken_up(file)) is not None}
+    say("parts", len(parts), len(tasks))
+    with ProcessPoolExecutor(workers) as pool:
+        waiting: dict[Future[Any], str] = {
+            pool.submit(function, *arguments): name
+            for name, (function, arguments) in tasks.items()
+            if name not in parts
+        }
+        try:
+            for future in as_completed(waiting):
+                name = waiting[future]
+                parts[name] = future.result()
+                with replacing(files[name]) as temporary:
+                    temporary.write_bytes(pickle.dumps(parts[name]))
+                say(name, len(parts), len(tasks))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return parts
+
+
+def _taken_up(file: Path) -> Any:
+    """A part of an earlier call; None if there is none or it cannot be read."""
+    try:
+        return pickle.loads(file.read_bytes())
+    except Exception:
+        return None
+
+
+def _fingerprint() -> str:
+    """Of all that the parts are made from: this package, the vehicles, engines and scenarios, the libraries."""
+    digest = hashlib.sha256(json.dumps(versions(), sort_keys=True).encode())
+    package = Path(__file__).resolve().parents[1]
+    sources = [*package.rglob("*.py"), *package.rglob("*.toml")]
+    for folder, pattern in (("aircraft", "*/*.*ml"), ("engines", "**/*.[ct]*"), ("scenarios", "*.*")):
+        sources += data_folder(folder).glob(pattern)
+    for file in sorted(set(sources)):
+        digest.update(file.name.encode())
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _put_together(parts: Mapping[str, Any]) -> Reproduction:
+    part: LinearPart = parts["linear"]
+    flown: dict[str, Result] = {e.name: parts[e.name] for e in flown_experiments()}
+    sweeps: dict[str, Sweep] = {controller: parts[f"loop.{controller}"] for controller in FLOWN_LOOPS}
+    evidence = Evidence(
+        metrics={name: result.metrics for name, result in flown.items()},
+        margins={name: sweep.margins for name, sweep in sweeps.items()},
+        gain_at_low_end={name: _gain_at(sweep, LOW_END_HZ) for name, sweep in sweeps.items()},
+        gain_at_8_hz={name: _gain_at(sweep, 8.0) for name, sweep in sweeps.items()},
+    )
+    extra: dict[str, float] = {**parts["manual"].numbers, **parts["identification"]}
+    return Reproduction(
+        linear=part,
+        flown=flown,
+        flown_evidence=evidence,
+        flown_sweeps=sweeps,
+        offsets=[parts[f"offset.{controller}"] for controller in OFFSET_CONTROLLERS],
+        manual=parts["manual"],
+        extra=extra,
+        rows=comparison_rows(part.frozen, part.evidence, evidence, extra),
+        claims=claim_rows(part.evidence, evidence),
+    )
+
+
+def _gain_at(sweep: Sweep, hertz: float) -> float:
+    return float(np.interp(np.log(hertz), np.log(sweep.frequency), sweep.gain))
