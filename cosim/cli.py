@@ -259,6 +259,34 @@ def report(folder: Path) -> int:
     return DONE
 
 
+@cli.command(epilog=_example("hexjet paper --out runs/paper"))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    default=Path("runs/paper"),
+    show_default=True,
+    help="Where the result goes; parts that are there already are taken up.",
+)
+@click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
+@click.option("as_json", "--json", is_flag=True, help="Print the comparison as one JSON object and nothing else.")
+def paper(out: Path, workers: int, as_json: bool) -> int:
+    """Reproduce the paper: every experiment on the linear plant and in six degrees of freedom, number by number.
+
+    Leaves comparison.csv, comparison.json and report.html in DIR.  An interrupted call goes on where it ended.
+    """
+    from cosim.console import part_progress, print_paper
+    from cosim.paper.reproduce import DATA, REPORT, reproduce
+
+    with part_progress("paper", quiet=as_json) as say:
+        found = reproduce(out, say, workers)
+    if as_json:
+        click.echo(json.dumps(json.loads((out / DATA).read_text(encoding="utf-8")), allow_nan=False))
+    else:
+        print_paper(found, out / REPORT)
+    return DONE
+
+
 @cli.command(epilog=_example("hexjet export runs/roll-doublet-smith-001 --to ulog"))
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @click.option("target", "--to", type=click.Choice(["ulog", "csv"]), required=True, help="The format.")

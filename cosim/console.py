@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from cosim.engine import CheckReport
     from cosim.identify import Identification
+    from cosim.paper.reproduce import Reproduction
     from cosim.run import Run
     from cosim.scenario import Scenario
     from cosim.signals import Sample
@@ -67,6 +68,21 @@ def output_to_stderr(active: bool) -> Iterator[None]:
         ctypes.CDLL(None).fflush(None)  # what C code has printed but not yet written
         os.dup2(kept, 1)
         os.close(kept)
+
+
+@contextmanager
+def part_progress(title: str, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+    """A function that is told the part that is done, how many are, and of how many; shown on a terminal."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda part, done, of: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(title, total=None)
+        yield lambda part, done, of: progress.update(task, description=part, completed=done, total=of)
 
 
 def print_run(run: Run) -> None:
@@ -162,6 +178,35 @@ def print_identification(found: Identification, paths: dict[str, Path]) -> None:
     for name in ("model", "report"):
         if name in paths:
             console.print(f"{name}: {paths[name]}", highlight=False, soft_wrap=True)
+
+
+def print_paper(found: Reproduction, report: Path) -> None:
+    """Claims and numbers of the paper beside ours, how many claims follow, and where the report is."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.paper.page import compared, tally
+
+    console = _console()
+    table = Table(box=box.SIMPLE_HEAD)
+    for title in ("quantity", "unit", "paper", "linear", "", "flight", "", "origin"):
+        table.add_column(title, justify="left" if title in ("quantity", "unit", "origin") else "right")
+    for row in compared(found.rows):
+        name = f"{row.quantity} ({row.note})" if ".state" in row.key else row.quantity
+        linear = _cell(row.linear, "{:.4g}"), _cell(row.linear_deviation, "{:+.1f} %")
+        flight = _cell(row.flight, "{:.4g}"), _cell(row.flight_deviation, "{:+.1f} %")
+        table.add_row(name, row.unit, f"{row.paper:.4g}", *linear, *flight, row.origin)
+    console.print(table)
+    table = Table(box=box.SIMPLE_HEAD)
+    for title in ("claim", "linear plant", "six degrees of freedom"):
+        table.add_column(title)
+    for claim in found.claims:
+        table.add_row(claim.claim, claim.linear.verdict, claim.flight.verdict if claim.flight else "-")
+    console.print(table)
+    for fidelity, counts in tally(found.claims).items():
+        said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count)
+        console.print(f"{fidelity}: of {len(found.claims)} claims {said}", highlight=False)
+    console.print(f"report: {report}", highlight=False, soft_wrap=True)
 
 
 def _speed(factor: float | None) -> str:

@@ -26,6 +26,7 @@ from cosim.signals import AXES
 
 if TYPE_CHECKING:
     from cosim.identify import Identification
+    from cosim.paper.reproduce import Reproduction
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 
@@ -102,6 +103,14 @@ def identification_report(found: Identification, path: Path) -> None:
         equation="\n       ".join(equations(found)),
         source=found.source,
     )
+
+
+def paper_report(found: Reproduction, path: Path) -> None:
+    """Write the page of the paper's reproduction.  Raises FlightError if the file cannot be written."""
+    from cosim.paper.figures import paper_figures
+    from cosim.paper.page import page_values
+
+    _render("paper.html", path, paper_figures(found), **page_values(found))
 
 
 # ---- words and tables

@@ -74,9 +74,7 @@ def paper_figures(found: Reproduction) -> dict[str, Figure]:
     part = found.linear
     both = (part.results, found.flown)
     made = {f"step-{n}": panels([_pair(both, f"step-{n}", COMPARED, "angle", 30.0)]) for n in (5, 10, 25)}
-    made |= {
-        f"disturbance-{n}": panels([_pair(both, f"disturbance-{n}", COMPARED, "rate", 9.0)]) for n in (5, 10)
-    }
+    made |= {f"disturbance-{n}": panels([_pair(both, f"disturbance-{n}", COMPARED, "rate", 9.0)]) for n in (5, 10)}
     made["bode"] = bode(part.sweeps, found.flown_sweeps)
     made |= {f"payload-{n}": _payload(both, n) for n in (5, 10)}
     made["disturbance-payload"] = panels(
@@ -93,7 +91,7 @@ def paper_figures(found: Reproduction) -> dict[str, Figure]:
     return made
 
 
-# --- the paper's ----------------------------------------------------------------------------------------------------------
+# --- the paper's ----------------------------------------------------------------------------------------------------
 
 
 def _pair(
@@ -105,8 +103,8 @@ def _pair(
         present = {c: results[f"{experiment}.{c}"] for c in controllers if f"{experiment}.{c}" in results}
         curves = [_curve(result, what, NAMES[c], COLOURS[c]) for c, result in present.items()]
         if present and what == "angle":
-            first = next(iter(present.values()))
-            curves.insert(0, Curve("set-point", first.time, np.degrees(first.setpoint), GREY, "dash", 1.3))
+            longest = max(present.values(), key=lambda result: len(result.time))  # a lost flight ends early
+            curves.insert(0, Curve("set-point", longest.time, np.degrees(longest.setpoint), GREY, "dash", 1.3))
         found.append((title, curves))
     return [Panel(title, "time [s]", _unit(what), curves, y_range=(-limit, limit)) for title, curves in found]
 
@@ -177,11 +175,11 @@ def _tracked(time: Sequence[float], pair: tuple[Sequence[float], Sequence[float]
     ]
 
 
-# --- past the paper -------------------------------------------------------------------------------------------------------
+# --- past the paper -------------------------------------------------------------------------------------------------
 
 
 def robustness(maps: Sequence[RobustnessMap], columns: int = 3) -> Figure:
-    """Peak sensitivity over delay error x gain error; one colour for unstable, a line at the careful designer's limit."""
+    """Peak sensitivity over delay error x gain error; one colour for unstable, a line at the designer's limit."""
     rows = -(-len(maps) // columns)
     figure: Figure = {"data": [], "layout": _layout(rows * 265 + 60)}
     layout = figure["layout"] | {"hovermode": "closest", "showlegend": False, "annotations": []}
@@ -280,10 +278,7 @@ def delays(found: Reproduction) -> Figure:
 def offsets(found: Reproduction) -> Figure:
     """Roll after the onset of a constant disturbance: on the linear plant and in flight."""
     known, flown = (
-        [
-            Curve(NAMES[each.controller], each.time, np.degrees(angle), COLOURS[each.controller])
-            for each, angle in pairs
-        ]
+        [Curve(NAMES[each.controller], each.time, np.degrees(angle), COLOURS[each.controller]) for each, angle in pairs]
         for pairs in (
             [(each, each.angle) for each in found.linear.offsets],
             [(each, each.roll) for each in found.offsets],
@@ -317,7 +312,7 @@ def turbojet(found: Reproduction) -> Figure:
     return {"data": data, "layout": layout}
 
 
-# --- pieces ---------------------------------------------------------------------------------------------------------------
+# --- pieces ---------------------------------------------------------------------------------------------------------
 
 
 def panels(rows: Sequence[Sequence[Panel]], each: int = 250) -> Figure:
@@ -384,7 +379,14 @@ def _layout(height: int) -> Figure:
         "height": height,
         "margin": {"l": 60, "r": 12, "t": 66, "b": 44},
         "hovermode": "x unified",
-        "legend": {"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom", "yref": "container", "traceorder": "normal"},
+        "legend": {
+            "orientation": "h",
+            "x": 0,
+            "y": 1,
+            "yanchor": "bottom",
+            "yref": "container",
+            "traceorder": "normal",
+        },
     }
 
 

@@ -11,6 +11,11 @@ from typing import NamedTuple
 
 from cosim.vehicle import RateModel
 
+SOURCE = (
+    "J. Liang, H. Zheng, Y. Zhang, Y. Gao, W. Dong, X. Lyu, “Predictor-Based Time Delay Control of A Hex-Jet "
+    "Unmanned Aerial Vehicle”, accepted January 2025."
+)
+
 
 class Printed(NamedTuple):
     """One printed number."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from cosim.errors import InputError
 from cosim.flight import fly
-from cosim.paper import calibration
+from cosim.paper import calibration, numbers
 from cosim.paper.claims import LOW_END_HZ, ClaimRow, Evidence, claim_rows
 from cosim.paper.comparison import LinearPart, Row, as_data, comparison_rows, linear_part, write_csv
 from cosim.paper.experiments import CONTROLLERS, Experiment, Result, experiments, quadrotor_axis
@@ -84,6 +84,7 @@ def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int
     """
     from cosim.report import paper_report
 
+    _check_writable(folder)
     tasks = _tasks()
     parts = _run(tasks, folder / "parts", say, workers)
     found = _put_together(parts)
@@ -95,7 +96,7 @@ def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int
     return found
 
 
-# --- the parts ----------------------------------------------------------------------------------------------------------
+# --- the parts ------------------------------------------------------------------------------------------------------
 
 
 def _tasks() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
@@ -195,6 +196,7 @@ def fly_offset(controller: str) -> Offset:
 def identify() -> dict[str, float]:
     """The paper's identified models, as this program's own identification finds them on FMUs and in flight."""
     from cosim.identify import identify_axis, identify_engine
+    from cosim.identify.fit import fit
 
     found: dict[str, float] = {}
     for engine in ("turbojet", "edf"):
@@ -204,22 +206,22 @@ def identify() -> dict[str, float]:
         found[f"{engine}.time_constant"] = -model.sample_time_s / float(np.log(model.poles[0]))
         if engine == "turbojet":
             found["turbojet.delay"] = model.delay_samples * model.sample_time_s
-    roll = identify_axis("roll").model
-    found["roll.pole_slow"], found["roll.pole_fast"] = max(roll.poles), min(roll.poles)
-    found["hexjet.delay"] = roll.delay_samples
+    # one lag stands for the engine's and the gyro filter's: the paper's split of lag and delay is one of many, so the
+    # lag is found behind the paper's delay and the delay beside the paper's lag
+    delay, step = numbers.value("hexjet.delay"), numbers.value("hexjet.step")
+    roll = identify_axis("roll", hold={"delay_samples": delay})
+    found["roll.pole_slow"], found["roll.pole_fast"] = max(roll.model.poles), min(roll.model.poles)
+    lag = -step / float(np.log(numbers.value("roll.pole_fast")))
+    found["hexjet.delay"] = fit(roll.response, 1, "the paper's lag", {"lag_s": lag}).model.delay_samples
     return found
 
 
-# --- running and keeping them ---------------------------------------------------------------------------------------------
+# --- running and keeping them ---------------------------------------------------------------------------------------
 
 
 def _run(
     tasks: Mapping[str, tuple[Callable[..., Any], tuple[Any, ...]]], folder: Path, say: Say, workers: int
 ) -> dict[str, Any]:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: {error.strerror or error}") from error
     made_from = _fingerprint()
     files = {name: folder / f"{name}-{made_from}.pickle" for name in tasks}
     parts = {name: part for name, file in files.items() if (part := _taken_up(file)) is not None}
@@ -241,6 +243,17 @@ def _run(
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return parts
+
+
+def _check_writable(folder: Path) -> None:
+    """Before minutes of work: ``folder`` can be made and takes a file."""
+    try:
+        (folder / "parts").mkdir(parents=True, exist_ok=True)
+        with replacing(folder / "parts" / "test") as temporary:
+            temporary.touch()
+        (folder / "parts" / "test").unlink()
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written to: {error.strerror or error}") from error
 
 
 def _taken_up(file: Path) -> Any:

@@ -1,0 +1,108 @@
+"""What the paper's report says beside its figures: counts, tables, and the lines of the terminal."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from math import degrees
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from cosim.paper import numbers
+from cosim.paper.beyond import ROBUST
+from cosim.paper.claims import ClaimRow
+from cosim.paper.comparison import Row
+from cosim.paper.figures import FIDELITIES, NAMES
+from cosim.run import versions
+
+if TYPE_CHECKING:
+    from cosim.paper.reproduce import Reproduction
+
+VERDICTS = ("holds", "under a condition", "does not hold", "not flown")
+
+
+def page_values(found: Reproduction) -> dict[str, Any]:
+    """What the template asks for."""
+    from cosim.paper.reproduce import COMPARISON, DATA
+
+    part = found.linear
+    predicted = [row for row in found.rows if row.origin == "predicted" and (row.linear or row.flight) is not None]
+    return {
+        "source": numbers.SOURCE,
+        "claims": found.claims,
+        "tally": [(fidelity, counts) for fidelity, counts in tally(found.claims).items()],
+        "rows": found.rows,
+        "used_count": len(part.frozen.used),
+        "predicted_count": len(predicted),
+        "typical": {
+            "linear": _typical(row.linear_deviation for row in predicted),
+            "flight": _typical(row.flight_deviation for row in predicted),
+        },
+        "margins": margin_rows(found),
+        "frozen": part.frozen,
+        "conditions": part.conditions,
+        "robust": ROBUST,
+        "smith_offset_deg": degrees(part.smith_offset),
+        "offsets": offset_rows(found),
+        "noise": [
+            (name, part.noise.get(("quadrotor", key)), part.noise.get(("hexjet", key))) for key, name in NAMES.items()
+        ],
+        "turbojet": [reach for reach in part.turbojet if reach.engine == "turbojet"],
+        "names": NAMES,
+        "files": {"comparison": COMPARISON, "data": DATA},
+        "versions": versions(),
+    }
+
+
+def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
+    """How many claims came to each verdict, by fidelity."""
+    rows = list(claims)
+    found: dict[str, dict[str, int]] = {}
+    by_fidelity: list[list[Judged | None]] = [[row.linear for row in rows], [row.flight for row in rows]]
+    for fidelity, judged in zip(FIDELITIES, by_fidelity, strict=True):
+        counts = Counter(each.verdict if each else "not flown" for each in judged)
+        found[fidelity] = {verdict: counts[verdict] for verdict in VERDICTS}
+    return found
+
+
+def margin_rows(found: Reproduction) -> list[dict[str, Any]]:
+    """Margins of every controller: computed, measured on the linear plant, measured in flight."""
+    sources = (
+        ("computed", found.linear.evidence.margins),
+        ("measured, linear plant", {name: sweep.margins for name, sweep in found.linear.sweeps.items()}),
+        ("measured in flight", {name: sweep.margins for name, sweep in found.flown_sweeps.items()}),
+    )
+    return [
+        {"name": NAMES[controller], "source": source, "margins": margins[controller]}
+        for controller in found.linear.evidence.margins
+        for source, margins in sources
+        if controller in margins
+    ]
+
+
+def offset_rows(found: Reproduction) -> list[dict[str, Any]]:
+    """Roll under a constant disturbance, degrees, by controller."""
+    known = {each.controller: each for each in found.linear.offsets}
+    flown = {each.controller: each.late for each in found.offsets}
+    rows = []
+    for controller in [name for name in NAMES if name in known or name in flown]:
+        linear = known.get(controller)
+        values: list[float | None] = [linear.peak, linear.early, linear.late] if linear else [None] * 3
+        values.append(flown.get(controller))
+        rows.append(
+            {
+                "name": NAMES[controller],
+                "values_deg": [None if value is None else degrees(value) for value in values],
+            }
+        )
+    return rows
+
+
+def compared(rows: Iterable[Row]) -> list[Row]:
+    """Without the inputs, which are the same by construction."""
+    return [row for row in rows if row.origin != "given" or row.flight is not None]
+
+
+def _typical(deviations: Iterable[float | None]) -> float:
+    """Half of the deviations are smaller than this, percent."""
+    return median(abs(each) for each in deviations if each is not None)
