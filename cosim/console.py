@@ -204,8 +204,8 @@ def print_paper(found: Reproduction, report: Path) -> None:
         table.add_row(claim.claim, claim.linear.verdict, claim.flight.verdict if claim.flight else "-")
     console.print(table)
     for fidelity, counts in tally(found.claims).items():
-        said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count)
-        console.print(f"{fidelity}: of {len(found.claims)} claims {said}", highlight=False)
+        said = ", ".join(f"{verdict}: {count}" for verdict, count in counts.items() if count)
+        console.print(f"{len(found.claims)} claims, {fidelity}: {said}", highlight=False)
     console.print(f"report: {report}", highlight=False, soft_wrap=True)
 
 

@@ -495,6 +495,7 @@ def test_the_turbojet_s_plant_is_the_continuous_one() -> None:
     assert np.poly(truth.poles) == pytest.approx(bottom, abs=1e-9)
     # four digits of 433.1
     assert truth.gain * np.poly(truth.zeros) == pytest.approx(np.trim_zeros(np.round(top, 15), "f"), rel=1e-3)
+    assert log(model.poles[1]) == pytest.approx(-0.004 / (jet + rest), rel=1e-9)  # one lag, the sum of both
     for each in (truth, model):
         at_rest = each.gain * np.prod(1.0 - np.array(each.zeros)) / np.prod(1.0 - np.array(each.poles))
         assert at_rest * slow == pytest.approx(gain, rel=1e-3)

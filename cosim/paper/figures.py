@@ -38,6 +38,12 @@ NAMES = TITLES | {
     "state-model": "state predictor, model-based observer",
     "state-disturbance": "state predictor with disturbance estimate",
 }
+SHORT = NAMES | {
+    "state": "state predictor, G_n(z)",
+    STATE_AS_PRINTED: "state predictor, as printed",
+    "state-model": "state, model-based observer",
+    "state-disturbance": "state, disturbance estimate",
+}
 FIDELITIES = ("linear plant", "six degrees of freedom")
 WORST = 4.0  # peak sensitivity at which the colours of the maps end
 _SENSITIVITY = [[0.0, "#fff9db"], [0.25, "#8ce99a"], [0.55, "#1098ad"], [1.0, "#364fc7"]]
@@ -200,7 +206,7 @@ def robustness(maps: Sequence[RobustnessMap], columns: int = 3) -> Figure:
             **({"title": {"text": "gain error [times]"}} if column == 0 else {}),
         }
         layout["annotations"].append(
-            _heading(f"{NAMES[each.controller]}: {100.0 * each.stable_share:.0f} % stable", x, y)
+            _heading(f"{SHORT[each.controller]}: {100.0 * each.stable_share:.0f} % stable", x, y)
         )
         figure["data"] += _map_traces(each, x, y, number == 0)
     figure["layout"] = layout
@@ -270,7 +276,9 @@ def delays(found: Reproduction) -> Figure:
                         values = [None if value is None else float(np.degrees(value)) for value in values]
                     x = [point.delay for point in points]
                     curves.append(Curve(NAMES[controller], x, values, COLOURS[controller], mode="lines+markers"))
-            row.append(Panel(vehicle, "delay [samples]", title, curves, y_range=limits))
+            row.append(
+                Panel({"hexjet": "Hex-Jet"}.get(vehicle, vehicle), "delay [samples]", title, curves, y_range=limits)
+            )
         rows.append(row)
     return panels(rows)
 
@@ -303,7 +311,7 @@ def turbojet(found: Reproduction) -> Figure:
             {
                 "type": "bar",
                 "name": engine,
-                "x": [NAMES[reach.controller].replace(", ", ",<br>").replace(" with ", "<br>with ") for reach in mine],
+                "x": [SHORT[reach.controller].replace(", ", ",<br>") for reach in mine],
                 "y": [reach.bandwidth for reach in mine],
                 "marker": {"color": colour},
                 "hovertemplate": "%{x}: %{y:.3f} Hz<extra></extra>",
@@ -379,14 +387,8 @@ def _layout(height: int) -> Figure:
         "height": height,
         "margin": {"l": 60, "r": 12, "t": 66, "b": 44},
         "hovermode": "x unified",
-        "legend": {
-            "orientation": "h",
-            "x": 0,
-            "y": 1,
-            "yanchor": "bottom",
-            "yref": "container",
-            "traceorder": "normal",
-        },
+        # above the panels' headings
+        "legend": {"orientation": "h", "x": 0, "y": 1.0 + 22.0 / (height - 110), "yanchor": "bottom"},
     }
 
 

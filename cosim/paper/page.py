@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.paper import numbers
 from cosim.paper.beyond import ROBUST
-from cosim.paper.claims import ClaimRow
+from cosim.paper.claims import ClaimRow, Judged
 from cosim.paper.comparison import Row
 from cosim.paper.figures import FIDELITIES, NAMES
 from cosim.run import versions
@@ -60,7 +60,7 @@ def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
     found: dict[str, dict[str, int]] = {}
     by_fidelity: list[list[Judged | None]] = [[row.linear for row in rows], [row.flight for row in rows]]
     for fidelity, judged in zip(FIDELITIES, by_fidelity, strict=True):
-        counts = Counter(each.verdict if each else "not flown" for each in judged)
+        counts: Counter[str] = Counter(each.verdict if each else "not flown" for each in judged)
         found[fidelity] = {verdict: counts[verdict] for verdict in VERDICTS}
     return found
 

@@ -9,15 +9,18 @@ from __future__ import annotations
 import hashlib
 import json
 import pickle
+import signal
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.errors import InputError
+from cosim.errors import FlightError, InputError
 from cosim.flight import fly
 from cosim.paper import calibration, numbers
 from cosim.paper.claims import LOW_END_HZ, ClaimRow, Evidence, claim_rows
@@ -226,23 +229,34 @@ def _run(
     files = {name: folder / f"{name}-{made_from}.pickle" for name in tasks}
     parts = {name: part for name, file in files.items() if (part := _taken_up(file)) is not None}
     say("parts", len(parts), len(tasks))
-    with ProcessPoolExecutor(workers) as pool:
-        waiting: dict[Future[Any], str] = {
-            pool.submit(function, *arguments): name
-            for name, (function, arguments) in tasks.items()
-            if name not in parts
-        }
+    before = set(active_children())
+    # started afresh, not forked: the progress display has a thread
+    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_end_quietly) as pool:
         try:
+            waiting: dict[Future[Any], str] = {
+                pool.submit(function, *arguments): name
+                for name, (function, arguments) in tasks.items()
+                if name not in parts
+            }
             for future in as_completed(waiting):
                 name = waiting[future]
                 parts[name] = future.result()
                 with replacing(files[name]) as temporary:
                     temporary.write_bytes(pickle.dumps(parts[name]))
                 say(name, len(parts), len(tasks))
+        except BrokenProcessPool as error:
+            raise FlightError("a process was killed from outside; what was finished is kept, call again") from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            for child in set(active_children()) - before:
+                child.terminate()
             raise
     return parts
+
+
+def _end_quietly() -> None:
+    """In a worker: Ctrl-C is answered by the process that waits, not by a traceback of each."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _check_writable(folder: Path) -> None:

@@ -1,0 +1,365 @@
+"""``hexjet paper``: parts that are kept, the same files on every call, and the paper's main claims in flight."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import pickle
+import re
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.cli import main
+from cosim.errors import InputError
+from cosim.paper import calibration, reproduce
+from cosim.paper.beyond import DelayPoint, Offset, Reach, RobustnessMap
+from cosim.paper.claims import Condition, Evidence, claim_rows, gain_at
+from cosim.paper.comparison import LinearPart, comparison_rows
+from cosim.paper.experiments import COMPARED, Result, experiments, linear, quadrotor_axis
+from cosim.paper.figures import panels, paper_figures
+from cosim.paper.loops import margins, measured_sweep, open_loop, sweep
+from cosim.paper.page import page_values, tally
+from cosim.paper.reproduce import Manual, Reproduction
+from cosim.report import figure_json, paper_report
+
+FROZEN = calibration.load()
+
+
+def quiet(part: str, done: int, of: int) -> None:
+    """Progress that nobody watches."""
+
+
+# --- parts that are kept ----------------------------------------------------------------------------------------------
+
+
+def leave_mark(folder: str, name: str) -> str:
+    """A cheap part: it leaves a line each time it is run."""
+    with open(Path(folder) / name, "a") as file:
+        file.write("run\n")
+    return f"result of {name}"
+
+
+def wait_for(folder: str, name: str) -> str:
+    """A part that never ends unless a file lets it."""
+    while not (Path(folder) / "go").exists():
+        time.sleep(0.01)
+    return leave_mark(folder, name)
+
+
+def fail() -> None:
+    raise InputError("this part fails")
+
+
+def times_run(folder: Path, name: str) -> int:
+    path = folder / name
+    return path.read_text().count("run") if path.exists() else 0
+
+
+def cheap(folder: Path, names: str) -> dict[str, Any]:
+    return {name: (leave_mark, (str(folder), name)) for name in names}
+
+
+def test_parts_are_run_once_and_then_taken_up(tmp_path: Path) -> None:
+    said: list[tuple[str, int, int]] = []
+    tasks = cheap(tmp_path, "abc")
+    (tmp_path / "parts").mkdir()
+    first = reproduce._run(tasks, tmp_path / "parts", lambda *each: said.append(each), 2)
+    assert first == {name: f"result of {name}" for name in "abc"}
+    assert said[0] == ("parts", 0, 3)
+    assert [each[1] for each in said] == [0, 1, 2, 3]
+    assert reproduce._run(tasks, tmp_path / "parts", quiet, 2) == first
+    assert [times_run(tmp_path, name) for name in "abc"] == [1, 1, 1]
+
+
+def test_a_damaged_part_is_run_again(tmp_path: Path) -> None:
+    tasks = cheap(tmp_path, "ab")
+    parts = tmp_path / "parts"
+    parts.mkdir()
+    reproduce._run(tasks, parts, quiet, 1)
+    (file,) = parts.glob("a-*.pickle")
+    file.write_bytes(file.read_bytes()[:-3])
+    assert reproduce._run(tasks, parts, quiet, 1)["a"] == "result of a"
+    assert [times_run(tmp_path, name) for name in "ab"] == [2, 1]
+
+
+def test_parts_of_other_sources_are_not_taken_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tasks = cheap(tmp_path, "a")
+    (tmp_path / "parts").mkdir()
+    for made_from in ("one", "two"):
+        monkeypatch.setattr(reproduce, "_fingerprint", lambda made_from=made_from: made_from)
+        reproduce._run(tasks, tmp_path / "parts", quiet, 1)
+    assert times_run(tmp_path, "a") == 2
+
+
+def test_what_was_finished_before_a_failure_stays(tmp_path: Path) -> None:
+    parts = tmp_path / "parts"
+    parts.mkdir()
+    with pytest.raises(InputError, match="this part fails"):
+        reproduce._run(cheap(tmp_path, "a") | {"b": (fail, ())}, parts, quiet, 1)
+    assert [pickle.loads(file.read_bytes()) for file in parts.glob("a-*.pickle")] == ["result of a"]
+
+
+KILLED = """
+import sys
+sys.path.insert(0, {tests!r})
+from pathlib import Path
+from test_reproduce import cheap, quiet, reproduce, wait_for
+folder = Path({folder!r})
+if __name__ == "__main__":
+    tasks = cheap(folder, "abc") | {{"late": (wait_for, (str(folder), "late"))}}
+    print(reproduce._run(tasks, folder / "parts", quiet, 2)["late"])
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=["killed", "ctrl-c"])
+def test_after_an_interruption_finished_parts_are_not_repeated(tmp_path: Path, how: signal.Signals) -> None:
+    (tmp_path / "parts").mkdir()
+    script = tmp_path / "script.py"
+    script.write_text(KILLED.format(tests=str(Path(__file__).parent), folder=str(tmp_path)))
+    command = [sys.executable, str(script)]
+    first = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    end = time.monotonic() + 30.0
+    while len(list((tmp_path / "parts").glob("[abc]-*.pickle"))) < 3:
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    os.killpg(first.pid, how)
+    assert first.wait(10.0) != 0
+    (tmp_path / "go").touch()
+    again = subprocess.run(command, capture_output=True, text=True, timeout=30.0, check=True)
+    assert again.stdout == "result of late\n"
+    assert [times_run(tmp_path, name) for name in ("a", "b", "c", "late")] == [1, 1, 1, 1]
+
+
+# --- the result -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def found() -> Reproduction:
+    """A reproduction put together from the linear plant alone, which stands in for the flights: seconds, not minutes."""
+    run = linear(FROZEN.parameters)
+    results = {e.name: run(e) for e in experiments()}
+    loops = {c: quadrotor_axis(FROZEN.parameters, c, 5) for c in COMPARED}
+    sweeps = {c: sweep(loop) for c, loop in loops.items()}
+    evidence = Evidence(
+        metrics={name: r.metrics for name, r in results.items()},
+        margins={c: margins(open_loop(loop), loop.step) for c, loop in loops.items()},
+        gain_at_low_end={c: gain_at(loop, 1.0) for c, loop in loops.items()},
+        gain_at_8_hz={c: gain_at(loop, 8.0) for c, loop in loops.items()},
+    )
+    part = LinearPart(
+        frozen=FROZEN,
+        results=results,
+        evidence=evidence,
+        sweeps=sweeps,
+        conditions=[Condition(key="k", question="is 1 < 2 & 3?", answer="<b>yes</b>", values={})],
+        maps=[
+            RobustnessMap(
+                vehicle=vehicle, controller="smith", nominal_delay=10, delay_errors=[-1, 0], gains=[0.5, 1.0],
+                sensitivity=[[1.2, 1.5], [2.0, None]],
+            )
+            for vehicle in ("quadrotor", "hexjet")
+        ],
+        delays={
+            (vehicle, "smith"): [
+                DelayPoint(delay=0, stable=True, sensitivity=1.5, rmse=0.1),
+                DelayPoint(delay=3, stable=False, sensitivity=None, rmse=None),
+            ]
+            for vehicle in ("quadrotor", "hexjet")
+        },
+        offsets=[Offset(controller="smith", peak=0.3, early=0.1, late=0.02, time=[0.0, 0.1], angle=[0.0, 0.1])],
+        smith_offset=0.1,
+        noise={("quadrotor", "smith"): 0.05, ("hexjet", "baseline"): None},
+        turbojet=[
+            Reach(
+                engine=engine, controller="baseline", bandwidth=None, sensitivity=None, p=None, d=None,
+                attitude_gain=None, tuning=None, overshoot_percent=None, noise_gain=None,
+            )
+            for engine in ("edf-as-flown", "turbojet")
+        ],
+    )  # fmt: skip
+    flown = {e.name: results[e.name] for e in reproduce.flown_experiments()}
+    tracked = {axis: ([0.0, 0.1], [0.0, 0.05]) for axis in ("roll", "pitch", "yaw")}
+    extra = {"hexjet-manual.roll.rmse": 0.05}
+    return Reproduction(
+        linear=part,
+        flown=flown,
+        flown_evidence=evidence,
+        flown_sweeps={c: sweeps[c] for c in reproduce.FLOWN_LOOPS},
+        offsets=[reproduce.Offset("smith", [0.0, 0.1], [0.0, 0.05], 0.018)],
+        manual=Manual(extra, [0.0, 0.1], tracked, tracked),
+        extra=extra,
+        rows=comparison_rows(FROZEN, evidence, evidence, extra),
+        claims=claim_rows(evidence, evidence),
+    )
+
+
+def test_the_page_is_whole_stands_alone_and_is_the_same_each_time(found: Reproduction, tmp_path: Path) -> None:
+    for name in ("a.html", "b.html"):
+        paper_report(found, tmp_path / name)
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert (tmp_path / "b.html").read_text(encoding="utf-8") == page
+    asked = set(re.findall(r'data-figure="([^"]+)"', page))
+    given = set(re.findall(r'id="figure-([^"]+)"', page))
+    assert asked == given == set(paper_figures(found))
+    without_plotly = re.sub(r"(?s)<script>.*?</script>", "", page)
+    assert not re.search(r"""(?:src|href)=["'](?!#)""", without_plotly)  # links within the page alone
+    for row in found.claims:
+        assert f'id="claim-{row.key}"' in page
+    assert "&lt;b&gt;yes&lt;/b&gt;" in page  # text stays text
+    assert "nan" not in without_plotly.split("<script")[0]
+
+
+def test_every_figure_can_be_written_and_says_which_axes_it_uses(found: Reproduction) -> None:
+    for name, figure in paper_figures(found).items():
+        json.loads(figure_json(figure))
+        for trace in figure["data"]:
+            for letter in "xy":
+                axis = trace.get(f"{letter}axis", letter)
+                assert f"{letter}axis{axis[1:]}" in figure["layout"], (name, axis)
+    made = paper_figures(found)["step-10"]
+    shown = [trace["name"] for trace in made["data"] if trace["showlegend"]]
+    assert len(shown) == len(set(shown)) == 1 + len(COMPARED)
+    # the linear plant's panel shows the record itself, in degrees
+    (baseline,) = [t for t in made["data"] if t["name"] == "baseline" and t["xaxis"] == "x"]
+    angle = np.degrees(found.linear.results["step-10.baseline"].angle)
+    np.testing.assert_allclose(baseline["y"], angle, rtol=1e-6, atol=1e-6)  # single precision
+
+
+def test_a_panel_without_curves_says_so(found: Reproduction) -> None:
+    made = paper_figures(found)["payload-10"]
+    said = [note["text"] for note in made["layout"]["annotations"]]
+    assert said.count("<b>not flown</b>") == 1  # the matrices as printed in flight
+    assert panels([[]])["data"] == []
+
+
+def test_unstable_cells_are_marked_and_no_others(found: Reproduction) -> None:
+    data = paper_figures(found)["robustness-hexjet"]["data"]
+    sensitivity, unstable = data[0]["z"], data[1]["z"]
+    assert sensitivity == [[1.2, 1.5], [2.0, None]]
+    assert unstable == [[None, None], [None, 1]]
+
+
+def test_counts_are_those_of_the_rows(found: Reproduction) -> None:
+    for fidelity, counts in tally(found.claims).items():
+        assert sum(counts.values()) == len(found.claims), fidelity
+    assert tally(found.claims)["linear plant"]["holds"] == sum(row.linear.verdict == "holds" for row in found.claims)
+    without = [row.model_copy(update={"flight": None}) for row in found.claims]
+    assert tally(without)["six degrees of freedom"]["not flown"] == len(without)
+    values = page_values(found)
+    assert values["used_count"] == len(FROZEN.used)
+
+
+def test_measured_points_have_the_margins_of_the_computed_loop() -> None:
+    """Exact points of a known loop, 160 of them: only the straight lines between them are off."""
+    loop = quadrotor_axis(FROZEN.parameters, "baseline", 5)
+    hertz = np.geomspace(0.8, 15.0, 160)
+    ours = measured_sweep(hertz, open_loop(loop)(np.exp(2j * np.pi * hertz * loop.step))).margins
+    exact = margins(open_loop(loop), loop.step)
+    assert ours.cutoff == pytest.approx(exact.cutoff, rel=1e-3)
+    assert ours.phase_margin == pytest.approx(exact.phase_margin, abs=0.05)
+    assert ours.gain_margin == pytest.approx(exact.gain_margin, abs=0.02)
+
+
+def test_files_terminal_and_json_tell_the_same(
+    found: Reproduction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(reproduce, "_tasks", dict)
+    monkeypatch.setattr(reproduce, "_put_together", lambda parts: found)
+    with pytest.raises(SystemExit) as ended:
+        main(["paper", "--out", str(tmp_path / "a")])
+    assert ended.value.code == 0
+    out, err = capsys.readouterr()
+    assert err == ""  # no progress in a pipe
+    counts = tally(found.claims)["six degrees of freedom"]
+    assert f"{len(found.claims)} claims, six degrees of freedom: holds: {counts['holds']}" in out
+    assert f"report: {tmp_path / 'a' / 'report.html'}" in out
+    with pytest.raises(SystemExit):
+        main(["paper", "--out", str(tmp_path / "b"), "--json"])
+    data = json.loads(capsys.readouterr().out)
+    assert [row["key"] for row in data["claims"]] == [row.key for row in found.claims]
+    with (tmp_path / "a" / "comparison.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [line["key"] for line in lines] == [row["key"] for row in data["comparison"]]
+    for name in ("comparison.csv", "comparison.json", "report.html"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_a_folder_that_cannot_be_written_to_is_told_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(reproduce, "_tasks", lambda: pytest.fail("it began to work"))
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit) as ended:
+        main(["paper", "--out", str(tmp_path / "file")])
+    assert ended.value.code == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert f"--out {tmp_path / 'file'}: cannot be written to" in message
+
+
+# --- in flight --------------------------------------------------------------------------------------------------------
+
+HELD = (
+    "baseline-5", "baseline-10", "smith-25", "disturbance-baseline-10", "payload-10-smith", "payload-smith-growth",
+    "hexjet-baseline", "hexjet-smith", "hexjet-overshoot", "hexjet-settling",
+)  # fmt: skip
+NEEDED = [
+    e
+    for e in reproduce.flown_experiments()
+    if (e.kind == "hexjet-doublet" and e.controller != "filtered-smith")
+    or (e.controller in ("baseline", "smith") and e.kind == "step" and not e.payload)
+    or e.name in ("step-10-payload.smith", "disturbance-10.baseline")
+    or e.name in ("disturbance-5.smith", "disturbance-5-payload.smith")
+]
+
+
+@pytest.fixture(scope="module")
+def flights() -> dict[str, Result]:
+    with ProcessPoolExecutor(2) as pool:
+        return {result.experiment.name: result for result in pool.map(reproduce.fly_experiment, NEEDED)}
+
+
+@pytest.mark.parametrize("key", HELD)
+def test_the_claims_about_baseline_and_smith_hold_in_both(
+    key: str, found: Reproduction, flights: dict[str, Result]
+) -> None:
+    flown = replace(found.linear.evidence, metrics={name: result.metrics for name, result in flights.items()})
+    (row,) = [row for row in claim_rows(found.linear.evidence, flown) if row.key == key]
+    assert row.flight is not None
+    assert (row.linear.verdict, row.flight.verdict) == ("holds", "holds"), row
+
+
+def test_smiths_error_grows_with_the_delay_by_no_more_than_the_wait(
+    found: Reproduction, flights: dict[str, Result]
+) -> None:
+    """Some 20 %, twice the printed 11 %, at the printed amplitude; 20 samples of waiting alone cost that much."""
+    for metrics in (found.linear.evidence.metrics, {name: each.metrics for name, each in flights.items()}):
+        five, late = metrics["step-5.smith"], metrics["step-25.smith"]
+        assert five.late_rmse is not None
+        assert five.rmse < late.rmse < five.late_rmse
+        assert late.rmse < 1.25 * five.rmse
+
+
+def test_an_open_loop_measured_in_flight_is_the_linear_one(found: Reproduction) -> None:
+    """The quadrotor's motor and airframe follow G_n(z) within 1 dB and 8 deg, which is 0.5 Hz of the cut-off."""
+    flown = reproduce.fly_sweep("smith").margins
+    exact = found.linear.evidence.margins["smith"]
+    assert flown.cutoff == pytest.approx(exact.cutoff, abs=0.5)
+    assert flown.phase_margin == pytest.approx(exact.phase_margin, abs=8.0)
+    assert flown.gain_margin == pytest.approx(exact.gain_margin, abs=1.0)
+
+
+def test_the_classic_smith_holds_an_angle_under_a_load_and_the_filtered_one_does_not() -> None:
+    classic, filtered = (reproduce.fly_offset(name).late for name in ("smith", "filtered-smith"))
+    assert classic > np.radians(0.5)
+    assert abs(filtered) < np.radians(0.01)  # without noise: what has not died out after 24 s
