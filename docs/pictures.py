@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 
 from cosim import Scenario, fly
+from cosim.paper.beyond import ROBUST
+from cosim.paper.experiments import COMPARED
+from cosim.paper.figures import COLOURS, NAMES, SHORT
+from cosim.paper.reproduce import Reproduction, reproduce
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 FOLDER = Path(__file__).parent / "pictures"
+PAPER = Path(__file__).parents[1] / "runs" / "paper"
 ORANGE, BLUE, GREY = "#e8891c", "#2a78d6", "#8a939b"
 
 
@@ -37,6 +46,71 @@ def roll_doublet() -> None:
     figure.savefig(FOLDER / "roll-doublet.png", dpi=110, metadata={"Software": None})
 
 
+def paper_steps(found: Reproduction) -> None:
+    """The three delays in both fidelities."""
+    figure, axes = plt.subplots(2, 3, figsize=(11, 5), sharex=True, sharey=True, constrained_layout=True)
+    fidelities = (("linear plant", found.linear.results), ("six degrees of freedom", found.flown))
+    for row, (fidelity, results) in zip(axes, fidelities, strict=True):
+        for panel, delay in zip(row, (5, 10, 25), strict=True):
+            smith = results[f"step-{delay}.smith"]
+            panel.plot(smith.time, np.degrees(smith.setpoint), "--", color=GREY, lw=1)
+            for controller in COMPARED:
+                if result := results.get(f"step-{delay}.{controller}"):
+                    panel.plot(result.time, np.degrees(result.angle), color=COLOURS[controller], lw=1.4)
+            panel.set_title(f"{delay} samples, {fidelity}", loc="left", fontsize=9)
+            panel.set(xlim=(0, 2), ylim=(-30, 30))
+        row[0].set_ylabel("roll [deg]")
+    for panel in axes[1]:
+        panel.set_xlabel("time [s]")
+    handles = [Line2D([], [], color=COLOURS[c], label=NAMES[c]) for c in COMPARED]
+    figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    _save(figure, axes.flat, "paper-steps.png")
+
+
+def paper_robustness(found: Reproduction) -> None:
+    """The Hex-Jet's maps."""
+    maps = [each for each in found.linear.maps if each.vehicle == "hexjet"]
+    figure, axes = plt.subplots(2, 3, figsize=(11, 5.6), sharex=True, sharey=True, constrained_layout=True)
+    colours = mpl.colormaps["viridis_r"].with_extremes(bad="#c9a0a0")
+    for panel, each in zip(axes.flat, maps, strict=True):
+        cells = np.array(each.sensitivity, dtype=float)  # None becomes nan
+        mesh = panel.pcolormesh(each.delay_errors, each.gains, cells, cmap=colours, vmin=1, vmax=4, shading="nearest")
+        panel.contour(each.delay_errors, each.gains, cells, levels=[ROBUST], colors="k", linewidths=1.2)
+        panel.plot(0, 1, "kx", ms=8, mew=2)
+        panel.set(yscale="log", yticks=[0.25, 0.5, 1, 2, 4], yticklabels=["1/4", "1/2", "1", "2", "4"])
+        panel.minorticks_off()
+        panel.set_title(f"{SHORT[each.controller]}: {100 * each.stable_share:.0f} % stable", loc="left", fontsize=9)
+    for panel in axes[1]:
+        panel.set_xlabel("delay error [samples]")
+    for panel in axes[:, 0]:
+        panel.set_ylabel("gain error [times]")
+    figure.colorbar(mesh, ax=axes, label="peak sensitivity", extend="max", shrink=0.7)
+    _save(figure, axes.flat, "paper-robustness.png")
+
+
+def paper_offset(found: Reproduction) -> None:
+    """Half a kilogram 1 cm off centre, flown."""
+    figure, axes = plt.subplots(figsize=(8, 3.4), constrained_layout=True)
+    for each in found.offsets:
+        dash = "--" if each.controller == "state-disturbance" else "-"  # lies on the filtered Smith's
+        colour, name = COLOURS[each.controller], NAMES[each.controller]
+        axes.plot(each.time, np.degrees(each.roll), dash, color=colour, label=name)
+    axes.set(xlabel="time after the load came on board [s]", ylabel="roll [deg]", xlim=(0, 25))
+    axes.legend(fontsize=8, frameon=False)
+    _save(figure, [axes], "paper-offset.png")
+
+
+def _save(figure: Figure, all_axes: Iterable[Axes], name: str) -> None:
+    for axes in all_axes:
+        axes.grid(alpha=0.3)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(FOLDER / name, dpi=90, metadata={"Software": None})
+
+
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
     roll_doublet()
+    reproduction = reproduce(PAPER)
+    paper_steps(reproduction)
+    paper_robustness(reproduction)
+    paper_offset(reproduction)

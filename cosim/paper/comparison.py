@@ -138,6 +138,13 @@ _NOTES = {
     "hexjet-doublet.smith.max": "length of the doublet not printed; see the conditions",
     "step.time_constant": "63.2 % of the first step, mean of baseline and Smith",
     "hexjet.thrust": "six times the EDF's gain at rest",
+    "hexjet.delay": "identified on the roll axis beside the paper's lag",
+    "roll.pole_fast": "identified on the roll axis behind 25 samples of delay",
+    "roll.pole_slow": "identified on the roll axis behind 25 samples of delay",
+    **{
+        f"step-{delay}.{controller}.rmse": "half of ours is near it: see the claim about the doublet's amplitude"
+        for delay, controller in ((5, "baseline"), (5, "smith"), (10, "smith"), (25, "smith"))
+    },
 }
 
 
@@ -313,7 +320,10 @@ def _line(name: str, time: list[float], angle: list[float]) -> Line:
 
 def as_data(part: LinearPart, rows: list[Row], judged: list[ClaimRow]) -> dict[str, Any]:
     """All of it as plain data: what a JSON file or a template takes."""
-    dumped = [row.model_dump() | {"linear_deviation": row.linear_deviation} for row in rows]
+    dumped = [
+        row.model_dump() | {"linear_deviation": row.linear_deviation, "flight_deviation": row.flight_deviation}
+        for row in rows
+    ]
     return {
         "calibration": part.frozen.model_dump(),
         "comparison": dumped,

@@ -304,6 +304,7 @@ def turbojet(found: Reproduction) -> Figure:
     layout = _layout(330) | {"hovermode": "closest", "barmode": "group"}
     layout["yaxis"] = {"title": {"text": "attitude bandwidth [Hz]"}, "rangemode": "tozero"}
     layout["xaxis"] = {"tickangle": 0}
+    layout["margin"]["b"] = 64  # two lines
     data = []
     for engine, colour in (("edf-as-flown", ORANGE), ("turbojet", BLUE)):
         mine = [reach for reach in reaches if reach.engine == engine]

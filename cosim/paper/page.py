@@ -31,7 +31,8 @@ def page_values(found: Reproduction) -> dict[str, Any]:
         "source": numbers.SOURCE,
         "claims": found.claims,
         "tally": [(fidelity, counts) for fidelity, counts in tally(found.claims).items()],
-        "rows": found.rows,
+        "rows": compared(found.rows),
+        "inputs": [row for row in found.rows if row not in compared(found.rows)],
         "used_count": len(part.frozen.used),
         "predicted_count": len(predicted),
         "typical": {

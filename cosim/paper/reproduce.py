@@ -13,7 +13,7 @@ import signal
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
@@ -93,10 +93,19 @@ def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int
     found = _put_together(parts)
     write_csv(found.rows, folder / COMPARISON)
     with replacing(folder / DATA) as temporary:
-        data = as_data(found.linear, found.rows, found.claims)
+        data = as_data(found.linear, found.rows, found.claims) | {"flight": _flight_data(found)}
         temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     paper_report(found, folder / REPORT)
     return found
+
+
+def _flight_data(found: Reproduction) -> dict[str, Any]:
+    """What the flights add to the data of the linear plant."""
+    return {
+        "metrics": {name: result.metrics.model_dump() for name, result in found.flown.items()},
+        "measured_margins": {name: sweep.margins.model_dump() for name, sweep in found.flown_sweeps.items()},
+        "offsets": [asdict(each) for each in found.offsets],
+    }
 
 
 # --- the parts ------------------------------------------------------------------------------------------------------
@@ -251,6 +260,8 @@ def _run(
             for child in set(active_children()) - before:
                 child.terminate()
             raise
+    for old in set(folder.glob("*.pickle")) - set(files.values()):
+        old.unlink()  # of other sources: nothing will take it up
     return parts
 
 
