@@ -48,7 +48,11 @@ def page_values(found: Reproduction) -> dict[str, Any]:
         "noise": [
             (name, part.noise.get(("quadrotor", key)), part.noise.get(("hexjet", key))) for key, name in NAMES.items()
         ],
-        "turbojet": [reach for reach in part.turbojet if reach.engine == "turbojet"],
+        "turbojet": [
+            (reach, {each.controller: each for each in found.turbojet}.get(reach.controller))
+            for reach in part.turbojet
+            if reach.engine == "turbojet"
+        ],
         "names": NAMES,
         "files": {"comparison": COMPARISON, "data": DATA},
         "versions": versions(),

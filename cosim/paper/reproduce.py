@@ -23,6 +23,7 @@ import numpy as np
 from cosim.errors import FlightError, InputError
 from cosim.flight import fly
 from cosim.paper import calibration, numbers
+from cosim.paper.beyond import Reach, turbojet_plant
 from cosim.paper.claims import LOW_END_HZ, ClaimRow, Evidence, claim_rows
 from cosim.paper.comparison import LinearPart, Row, as_data, comparison_rows, linear_part, write_csv
 from cosim.paper.experiments import CONTROLLERS, Experiment, Result, experiments, quadrotor_axis
@@ -33,10 +34,12 @@ from cosim.paths import data_folder
 from cosim.recorder import Log, replacing
 from cosim.run import versions
 from cosim.scenario import Scenario
+from cosim.vehicle import load_vehicle
 
 FLOWN_LOOPS = ("baseline", "smith", "state")
 OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))
 COMPARISON, REPORT, DATA = "comparison.csv", "report.html", "comparison.json"
+SCENARIOS = "scenarios"
 WORKERS = 2
 
 Say = Callable[[str, int, int], None]  # what is done, how much of it, of how much
@@ -66,6 +69,17 @@ class Manual:
 
 
 @dataclass(frozen=True)
+class TurbojetFlight:
+    """The Hex-Jet on true turbojets, flown through its roll doublet at the gains that the linear search found."""
+
+    controller: str
+    outcome: str
+    overshoot_percent: float | None
+    settling_s: float | None
+    rmse: float | None  # rad
+
+
+@dataclass(frozen=True)
 class Reproduction:
     """Everything that the report shows."""
 
@@ -74,6 +88,7 @@ class Reproduction:
     flown_evidence: Evidence
     flown_sweeps: dict[str, Sweep]
     offsets: list[Offset]
+    turbojet: list[TurbojetFlight]
     manual: Manual
     extra: dict[str, float]
     rows: list[Row]
@@ -90,6 +105,8 @@ def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int
     _check_writable(folder)
     tasks = _tasks()
     parts = _run(tasks, folder / "parts", say, workers)
+    parts |= _run(_turbojet_tasks(parts), folder / "parts", say, workers)
+    write_scenarios(folder / SCENARIOS)
     found = _put_together(parts)
     write_csv(found.rows, folder / COMPARISON)
     with replacing(folder / DATA) as temporary:
@@ -105,6 +122,7 @@ def _flight_data(found: Reproduction) -> dict[str, Any]:
         "metrics": {name: result.metrics.model_dump() for name, result in found.flown.items()},
         "measured_margins": {name: sweep.margins.model_dump() for name, sweep in found.flown_sweeps.items()},
         "offsets": [asdict(each) for each in found.offsets],
+        "turbojet": [asdict(each) for each in found.turbojet],
     }
 
 
@@ -128,6 +146,46 @@ def _tasks() -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
 def flown_experiments() -> list[Experiment]:
     """The experiments that six degrees of freedom fly: all but those with the matrices as printed, which do not fly."""
     return [e for e in experiments() if e.controller != STATE_AS_PRINTED]
+
+
+def _turbojet_tasks(parts: Mapping[str, Any]) -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
+    """What can be flown only when the linear plant has said at which gains."""
+    linear: LinearPart | None = parts.get("linear")
+    return {
+        f"turbojet.{reach.controller}": (fly_turbojet, (reach,))
+        for reach in (linear.turbojet if linear else [])
+        if reach.engine == "turbojet" and reach.tuning is not None
+    }
+
+
+def fly_turbojet(reach: Reach) -> TurbojetFlight:
+    """The roll doublet on true turbojets at the gains of ``reach``, with noise, the predictor given their model."""
+    assert reach.tuning is not None
+    _, believed = turbojet_plant()
+    gains = load_vehicle("hexjet")[0].control.attitude.gain_1_s
+    control = {
+        "rate": {"roll": {"p": reach.p, "i": 0.0, "d": reach.d}},
+        "attitude": {"gain_1_s": [reach.attitude_gain, *gains[1:]]},
+        "predictor": reach.tuning.model_dump(),
+    }
+    vehicle = {"identified": {"turbojet": {"roll": believed.model_dump()}}, "control": control}
+    doublet = Scenario.load("roll-doublet")
+    run = fly(doublet.replace(controller=reach.controller, engine="turbojet", expect=[], vehicle=vehicle))
+    roll = run.metrics["roll"]
+    return TurbojetFlight(reach.controller, run.outcome, roll.overshoot_percent, roll.settling_time_s, roll.rmse_rad)
+
+
+def write_scenarios(folder: Path) -> None:
+    """Every flown experiment as a scenario file, to be flown and changed on its own: ``hexjet fly FILE``."""
+    import tomli_w
+
+    folder.mkdir(parents=True, exist_ok=True)
+    frozen = calibration.load().parameters
+    for experiment in flown_experiments():
+        made = scenario(experiment, frozen)
+        text = tomli_w.dumps(made.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
+        with replacing(folder / f"{experiment.name}.toml") as temporary:
+            temporary.write_text(text, encoding="utf-8")
 
 
 def fly_experiment(experiment: Experiment) -> Result:
@@ -261,8 +319,9 @@ def _run(
                 child.terminate()
             raise
     for old in set(folder.glob("*.pickle")) - set(files.values()):
-        old.unlink()  # of other sources: nothing will take it up
-    return parts
+        if old.name.rsplit("-", 1)[0] in tasks:
+            old.unlink()  # of other sources: nothing will take it up
+    return {name: parts[name] for name in tasks}
 
 
 def _end_quietly() -> None:
@@ -319,6 +378,7 @@ def _put_together(parts: Mapping[str, Any]) -> Reproduction:
         flown_evidence=evidence,
         flown_sweeps=sweeps,
         offsets=[parts[f"offset.{controller}"] for controller in OFFSET_CONTROLLERS],
+        turbojet=[part for name, part in parts.items() if name.startswith("turbojet.")],
         manual=parts["manual"],
         extra=extra,
         rows=comparison_rows(part.frozen, part.evidence, evidence, extra),
