@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.figures import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED
+from cosim.paper import numbers
 from cosim.paper.beyond import ROBUST, RobustnessMap
 from cosim.paper.comparison import TITLES
 from cosim.paper.experiments import COMPARED, Result
 from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import Sweep
+from cosim.paper.loops import Sweep, model_response
 
 if TYPE_CHECKING:
     from cosim.paper.reproduce import Reproduction
@@ -81,6 +82,7 @@ def paper_figures(found: Reproduction) -> dict[str, Figure]:
     both = (part.results, found.flown)
     made = {f"step-{n}": panels([_pair(both, f"step-{n}", COMPARED, "angle", 30.0)]) for n in (5, 10, 25)}
     made |= {f"disturbance-{n}": panels([_pair(both, f"disturbance-{n}", COMPARED, "rate", 9.0)]) for n in (5, 10)}
+    made["identification"] = identification(found)
     made["bode"] = bode(part.sweeps, found.flown_sweeps)
     made |= {f"payload-{n}": _payload(both, n) for n in (5, 10)}
     made["disturbance-payload"] = panels(
@@ -141,6 +143,37 @@ def _payload(both: Sequence[Mapping[str, Result]], delay: int) -> Figure:
             row.append(Panel(title, "time [s]", _unit("angle"), curves, y_range=(-30.0, 30.0)))
         rows.append(row)
     return panels(rows, each=200)
+
+
+def identification(found: Reproduction) -> Figure:
+    """Turbojet, EDF and the Hex-Jet's roll rate: swept on our FMUs and in flight, against the printed models."""
+    value = numbers.value
+    step, delay = value("hexjet.step"), value("hexjet.delay")
+    hertz = np.geomspace(0.1, 10.0, 200)
+    z = np.exp(2j * np.pi * hertz * step)
+    late = z**-delay
+    printed = {
+        "turbojet": value("turbojet.gain") / (z - value("turbojet.pole")) * late,
+        "edf": value("edf.gain") / (z - value("edf.pole")),
+        "roll": model_response(numbers.roll_model(), z) * late,
+    }
+    titles = {"turbojet": "turbojet, kgf", "edf": "EDF, kgf", "roll": "Hex-Jet roll, rad/s"}
+    ends = (log10(0.1), log10(10.0))
+    rows: list[list[Panel]] = []
+    for what, label in (("gain", "gain [dB]"), ("phase", "phase [deg]")):
+        row = []
+        for name, response in printed.items():
+            curve = 20.0 * np.log10(np.abs(response)) if what == "gain" else np.degrees(np.unwrap(np.angle(response)))
+            curves = [Curve("printed", hertz.tolist(), curve, GREY)]
+            measured = found.responses.get(name)
+            if measured:
+                points = np.array(getattr(measured, what))
+                if what == "phase":  # on the printed model's turn of the circle
+                    points += 360.0 * np.round((np.interp(measured.hertz[0], hertz, curve) - points[0]) / 360.0)
+                curves.append(Curve("ours, swept", measured.hertz, points, BLUE, mode="markers"))
+            row.append(Panel(titles[name], "frequency [Hz]", label, curves, x_range=ends, x_log=True))
+        rows.append(row)
+    return panels(rows)
 
 
 def bode(linear: Mapping[str, Sweep], flown: Mapping[str, Sweep]) -> Figure:

@@ -13,10 +13,10 @@ import signal
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from multiprocessing import active_children, get_context
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,6 +35,9 @@ from cosim.recorder import Log, replacing
 from cosim.run import versions
 from cosim.scenario import Scenario
 from cosim.vehicle import load_vehicle
+
+if TYPE_CHECKING:
+    from cosim.identify import FrequencyResponse
 
 FLOWN_LOOPS = ("baseline", "smith", "state")
 OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))
@@ -80,6 +83,23 @@ class TurbojetFlight:
 
 
 @dataclass(frozen=True)
+class Response:
+    """A measured frequency response of the identification, thrust in kgf, rate in rad/s, per unit command."""
+
+    hertz: list[float]
+    gain: list[float]  # dB
+    phase: list[float]  # deg
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What the identification found: numbers by the printed ones' keys, and the responses they were fitted to."""
+
+    numbers: dict[str, float]
+    responses: dict[str, Response]  # turbojet, edf, roll
+
+
+@dataclass(frozen=True)
 class Reproduction:
     """Everything that the report shows."""
 
@@ -93,6 +113,7 @@ class Reproduction:
     extra: dict[str, float]
     rows: list[Row]
     claims: list[ClaimRow]
+    responses: dict[str, Response] = field(default_factory=dict)
 
 
 def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int = WORKERS) -> Reproduction:
@@ -263,14 +284,17 @@ def fly_offset(controller: str) -> Offset:
     )
 
 
-def identify() -> dict[str, float]:
+def identify() -> Identified:
     """The paper's identified models, as this program's own identification finds them on FMUs and in flight."""
     from cosim.identify import identify_axis, identify_engine
     from cosim.identify.fit import fit
 
     found: dict[str, float] = {}
+    responses = {}
     for engine in ("turbojet", "edf"):
-        model = identify_engine(engine).model
+        identified = identify_engine(engine)
+        model = identified.model
+        responses[engine] = _response(identified.response, 9.80665)
         found[f"{engine}.gain"] = model.gain / 9.80665
         found[f"{engine}.pole"] = model.poles[0]
         found[f"{engine}.time_constant"] = -model.sample_time_s / float(np.log(model.poles[0]))
@@ -283,7 +307,13 @@ def identify() -> dict[str, float]:
     found["roll.pole_slow"], found["roll.pole_fast"] = max(roll.model.poles), min(roll.model.poles)
     lag = -step / float(np.log(numbers.value("roll.pole_fast")))
     found["hexjet.delay"] = fit(roll.response, 1, "the paper's lag", {"lag_s": lag}).model.delay_samples
-    return found
+    responses["roll"] = _response(roll.response, 1.0)
+    return Identified(found, responses)
+
+
+def _response(measured: FrequencyResponse, unit: float) -> Response:
+    gain = measured.magnitude_db - 20.0 * np.log10(unit)
+    return Response(measured.hertz.tolist(), gain.tolist(), measured.phase_deg.tolist())
 
 
 # --- running and keeping them ---------------------------------------------------------------------------------------
@@ -371,7 +401,7 @@ def _put_together(parts: Mapping[str, Any]) -> Reproduction:
         gain_at_low_end={name: _gain_at(sweep, LOW_END_HZ) for name, sweep in sweeps.items()},
         gain_at_8_hz={name: _gain_at(sweep, 8.0) for name, sweep in sweeps.items()},
     )
-    extra: dict[str, float] = {**parts["manual"].numbers, **parts["identification"]}
+    extra: dict[str, float] = {**parts["manual"].numbers, **parts["identification"].numbers}
     return Reproduction(
         linear=part,
         flown=flown,
@@ -383,6 +413,7 @@ def _put_together(parts: Mapping[str, Any]) -> Reproduction:
         extra=extra,
         rows=comparison_rows(part.frozen, part.evidence, evidence, extra),
         claims=claim_rows(part.evidence, evidence),
+        responses=parts["identification"].responses,
     )
 
 
