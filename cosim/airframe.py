@@ -12,7 +12,7 @@ import os
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
-from math import cos, radians, sin
+from math import radians
 from pathlib import Path
 
 os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner to standard output otherwise
@@ -20,6 +20,7 @@ os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner to standard
 import jsbsim
 
 from cosim.errors import FlightError, InputError
+from cosim.frames import from_euler
 from cosim.scenario import Environment, Initial
 from cosim.signals import ZERO3, Disturbance, State, Vector3
 from cosim.vehicle import Vehicle
@@ -254,14 +255,10 @@ class Airframe:
         if not self._still:
             wn, we, wd = [get() for get in self._get_wind]
             wind = (wn * FOOT, we * FOOT, wd * FOOT)
-        cr, sr = cos(0.5 * roll), sin(0.5 * roll)
-        cp, sp = cos(0.5 * pitch), sin(0.5 * pitch)
-        cy, sy = cos(0.5 * yaw), sin(0.5 * yaw)
-        cc, ss, sc, cs = cr * cp, sr * sp, sr * cp, cr * sp
         return State(
             (north * FOOT, east * FOOT, self._datum - up * FOOT),
             (vn * FOOT, ve * FOOT, vd * FOOT),
-            (cc * cy + ss * sy, sc * cy - cs * sy, cs * cy + sc * sy, cc * sy - ss * cy),
+            from_euler(roll, pitch, yaw),
             (roll, pitch, yaw if yaw < 3.141592653589793 else yaw - 6.283185307179586),
             (p, q, r),
             (ax * FOOT, ay * FOOT, az * FOOT),
@@ -285,10 +282,6 @@ class Airframe:
         cg = [get(f"inertia/cg-{axis}-in") * INCH for axis in "xyz"]
         inertia = [get(f"inertia/i{axis}{axis}-slugs_ft2") * SLUG_FT2 for axis in "xyz"]
         return get("inertia/mass-slugs") * SLUG, (-cg[0], cg[1], -cg[2]), (inertia[0], inertia[1], inertia[2])
-
-    def gravity(self) -> float:
-        """Acceleration of gravity where the vehicle is, m/s^2."""
-        return float(self._fdm.get_property_value("accelerations/gravity-ft_sec2")) * FOOT
 
     def inertial_rate(self) -> Vector3:
         """Body rates against inertial space, rad/s."""

@@ -53,7 +53,6 @@ class Commander:
                 self._waves.append((signal, _scaled(wave, radians(1.0)) if signal in _IN_DEGREES else wave))
             if any(signal == _COLLECTIVE for signal, _ in self._waves[before:]):
                 collective.append(start)
-        self.signals = frozenset(SIGNALS[signal] for signal, _ in self._waves)
         commanded = {signal for signal, _ in self._waves}
         self._rate_mode = bool(commanded & {_P, _Q, _R})
         # the height is held until the first command of the collective begins

@@ -17,12 +17,8 @@ def from_euler(roll: float, pitch: float, yaw: float) -> Quaternion:
     cr, sr = cos(0.5 * roll), sin(0.5 * roll)
     cp, sp = cos(0.5 * pitch), sin(0.5 * pitch)
     cy, sy = cos(0.5 * yaw), sin(0.5 * yaw)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
+    cc, ss, sc, cs = cr * cp, sr * sp, sr * cp, cr * sp
+    return (cc * cy + ss * sy, sc * cy - cs * sy, cs * cy + sc * sy, cc * sy - ss * cy)
 
 
 def to_euler(q: Quaternion) -> Vector3:

@@ -7,7 +7,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import cos, degrees, radians, sin
+from math import cos, degrees, radians
 from operator import mul
 from typing import Literal, Protocol
 
@@ -23,6 +23,7 @@ from cosim.control.rate import RateController
 from cosim.disturbances import Disturber
 from cosim.engine import EngineBank, EngineSpec, load_engine
 from cosim.errors import EngineError, FlightError, InputError
+from cosim.frames import jet_axis
 from cosim.ledger import LedgerRow, delay_ledger
 from cosim.scenario import Scenario
 from cosim.sensors import SensorSuite
@@ -160,9 +161,10 @@ class Simulation:
         return sum(map(mul, self._reactions, thrust)) if self._reacting else 0.0
 
     def _jet_forces(self, thrust: Sequence[float], tilt: tuple[float, float]) -> list[Vector3]:
-        """Each jet's thrust along its own tilted axis: N, body, as :func:`cosim.frames.jet_axis` has it."""
+        """Each jet's thrust along its own tilted axis: N, body."""
         left, right = tilt
-        left_x, left_z, right_x, right_z = sin(left), -cos(left), sin(right), -cos(right)
+        left_x, _, left_z = jet_axis(left)
+        right_x, _, right_z = jet_axis(right)
         return [
             (t * left_x, 0.0, t * left_z) if on_left else (t * right_x, 0.0, t * right_z)
             for t, on_left in zip(thrust, self._left, strict=True)

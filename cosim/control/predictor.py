@@ -125,19 +125,18 @@ class SmithPredictor:
     def __init__(self, model: RateModel) -> None:
         self._now = rate_model(model)
         # over whole samples the late output is the early one, kept
-        self._line = DelayLine(int(model.delay_samples)) if model.delay_samples == int(model.delay_samples) else None
-        self._then = DelayedModel(model)
+        self._whole = model.delay_samples == int(model.delay_samples)
+        self._then: DelayLine | DelayedModel
+        self._then = DelayLine(int(model.delay_samples)) if self._whole else DelayedModel(model)
 
     def reset(self) -> None:
-        """Models and delay line at rest."""
+        """Model and delay at rest."""
         self._now.reset()
         self._then.reset()
-        if self._line:
-            self._line.reset()
 
     def update(self, measured: float, applied: float) -> float:
         now = self._now.update(applied)
-        return measured + (now - (self._line.update(now) if self._line else self._then.update(applied)))
+        return measured + (now - self._then.update(now if self._whole else applied))
 
 
 class FilteredSmithPredictor:
