@@ -13,6 +13,8 @@ LOCKED := .venv/locked
 BUILT := .venv/built
 SOURCES := setup.py pyproject.toml cosim/engine/build.py $(wildcard cosim/engine/*.c cosim/engine/*.h) \
 	$(shell find engines -type f 2>/dev/null)
+# half a gigabyte for MAVProxy's maps and three-dimensional views; the tests run it without
+NOT_NEEDED := opencv-python vtk shapely quantized-mesh-tile
 # what the set-up leaves outside .venv; if any of it was deleted, it is made again
 MISSING := $(if $(and $(wildcard fmus/*.fmu),$(wildcard cosim/engine/_bank.*.so)),,missing)
 
@@ -39,11 +41,13 @@ fmus: setup ## build the engines' FMUs anew
 
 pictures: setup ## draw the documentation's pictures anew, from flights
 	@$(BIN)/python docs/pictures.py
+	@$(BIN)/python docs/engine_pictures.py
 
 lock: ## resolve pyproject.toml into requirements.lock; newer releases: make lock ARGS=--upgrade
 	@$(call check_python)
 	@test -x build/lock/bin/uv || { $(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install --quiet uv; }
-	@build/lock/bin/uv pip compile --quiet --universal --python-version 3.11 --all-extras --generate-hashes \
+	@build/lock/bin/uv pip compile --quiet --universal --python-version 3.11 --extra dev --generate-hashes \
+		$(foreach package,$(NOT_NEEDED),--no-emit-package $(package)) \
 		--no-emit-index-url --custom-compile-command "make lock" --output-file requirements.lock $(ARGS) pyproject.toml
 
 clean: ## remove .venv, builds and caches; flights in runs/ stay
@@ -62,7 +66,7 @@ $(LOCKED): requirements.lock
 	@$(call check_compiler)
 	@test -x $(BIN)/python || { echo "set-up: .venv with $$($(PYTHON) --version)"; $(PYTHON) -m venv .venv; }
 	@echo "set-up: packages from requirements.lock"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps --requirement requirements.lock
 	@touch $@
 
 $(BUILT): $(LOCKED) $(SOURCES) $(MISSING)

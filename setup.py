@@ -1,4 +1,4 @@
-"""What pyproject.toml cannot say: the C extension, the FMUs, and the data that travels inside the package."""
+"""What pyproject.toml cannot say: the C extension, the FMUs, the MAVLink messages, the data inside the package."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import shutil
 import sys
 import sysconfig
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from setuptools import Command, Extension, setup
 from setuptools.command.build import build
@@ -19,26 +19,41 @@ DATA = ("aircraft", "engines", "scenarios")  # in the clone at the top, in the i
 NOT_DATA = shutil.ignore_patterns("__pycache__", "*.pyc", ".*")
 
 
+def by_path(name: str, path: Path) -> Any:
+    """One module of the package, without the package: the build's environment lacks what ``import cosim`` may need."""
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look themselves up there
+    spec.loader.exec_module(module)
+    return module
+
+
 def build_fmus(engines: Path, fmus: Path) -> None:
     """Build every engine's FMUs with the package's own builder.
 
-    It is loaded by path: the build's environment holds setuptools and FMPy, and not what ``import cosim`` may need.
     Raises CompileError, which setuptools shows as one line.
     """
-    spec = importlib.util.spec_from_file_location("engine_build", ROOT / "cosim" / "engine" / "build.py")
-    assert spec is not None
-    assert spec.loader is not None
-    builder = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = builder  # its dataclasses look themselves up there
-    spec.loader.exec_module(builder)
+    builder = by_path("engine_build", ROOT / "cosim" / "engine" / "build.py")
     try:
         builder.build_all(engines=engines, fmus=fmus)
     except builder.BuildError as error:
         raise CompileError(str(error)) from error
 
 
+def build_messages(package: Path) -> Path:
+    """Make the module of MAVLink messages in ``package``.  Raises CompileError."""
+    maker = by_path("mavlink_generate", ROOT / "cosim" / "mavlink" / "generate.py")
+    try:
+        made: Path = maker.generate(package / "mavlink")
+    except maker.GenerateError as error:
+        raise CompileError(str(error)) from error
+    return made
+
+
 class BuildData(Command):
-    """The data and the FMUs, into the package; an editable install has its data in the clone and needs the FMUs only.
+    """Data, FMUs and messages, into the package; an editable install has its data in the clone and needs the rest only.
 
     A command of its own, because setuptools goes on with an editable install when a changed ``build_py`` fails.
     """
@@ -55,19 +70,24 @@ class BuildData(Command):
     def run(self) -> None:
         if self.editable_mode:
             build_fmus(ROOT / "engines", ROOT / "fmus")
+            build_messages(ROOT / "cosim")
             return
         data = self._data_folder()
         shutil.rmtree(data, ignore_errors=True)  # an earlier build may have left what is no longer in the clone
         for name in DATA:
             shutil.copytree(ROOT / name, data / name, ignore=NOT_DATA)
         build_fmus(data / "engines", data / "fmus")
+        build_messages(data.parent)
 
     def get_source_files(self) -> list[str]:
         """None to add: MANIFEST.in names the folders."""
         return []
 
     def get_outputs(self) -> list[str]:
-        return [] if self.editable_mode else [str(path) for path in self._data_folder().rglob("*") if path.is_file()]
+        if self.editable_mode:
+            return []
+        data = [path for path in self._data_folder().rglob("*") if path.is_file()]
+        return [str(path) for path in (*data, self._data_folder().parent / "mavlink" / "_messages.py")]
 
     def get_output_mapping(self) -> dict[str, str]:
         """No file here is a link to one in the clone."""

@@ -55,18 +55,30 @@ _STATE = (
     "position/h-agl-ft",
 )
 _WIND = ("atmosphere/total-wind-north-fps", "atmosphere/total-wind-east-fps", "atmosphere/total-wind-down-fps")
+_POUND_SQUARE_FOOT = POUND_FORCE / FOOT**2  # Pa
+_RANKINE = 5.0 / 9.0  # K, exact
+_MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the spools, body; a property of our own in the model
 
 
 class Airframe:
     """JSBSim flying one vehicle.
 
-    ``step`` and ``substeps``: control step [s] and JSBSim runs in it.  Raises InputError if the model does not load.
+    ``step`` and ``substeps``: control step [s] and JSBSim runs in it.  ``spools``: spinning rotors are modelled;
+    without them the model is the file's own.  Raises InputError if the model does not load.
     """
 
     def __init__(
-        self, vehicle: Vehicle, folder: Path, environment: Environment, step: float, substeps: int, seed: int
+        self,
+        vehicle: Vehicle,
+        folder: Path,
+        environment: Environment,
+        step: float,
+        substeps: int,
+        seed: int,
+        spools: bool = False,
     ) -> None:
         self.substeps = substeps
+        self._spools = spools
         self._vehicle = vehicle
         self._environment = environment
         self._folder = tempfile.TemporaryDirectory(prefix="hexjet-airframe-")
@@ -74,7 +86,7 @@ class Airframe:
         self._dt = step / substeps
         self._seed = float(seed % 2**31)  # JSBSim keeps it in a C int
         try:
-            xml = render(vehicle, self._source)
+            xml = render(vehicle, self._source, spools)
             self.sha256 = hashlib.sha256(xml).hexdigest()  # of the model with the vehicle's numbers in it
             self.file_sha256 = hashlib.sha256(self._source.read_bytes()).hexdigest()
             root = Path(self._folder.name)
@@ -124,6 +136,10 @@ class Airframe:
         self._set_wind = [node(f"atmosphere/wind-{axis}-fps").set_double_value for axis in ("north", "east", "down")]
         self._set_payload = node("inertia/pointmass-weight-lbs").set_double_value
         self._set_payload_place = [node(f"inertia/pointmass-location-{axis}-inches").set_double_value for axis in "XYZ"]
+        self._set_momentum = [node(_MOMENTUM.format(axis)).set_double_value for axis in "xyz"] if self._spools else []
+        self._get_air = [node(name).get_double_value for name in ("atmosphere/P-psf", "atmosphere/T-R")]
+        if self._vehicle.fuel:
+            self._set_burnt = node(f"inertia/pointmass-weight-lbs[{self._last_point_mass()}]").set_double_value
 
     def _node(self, name: str) -> jsbsim.FGPropertyNode:
         # JSBSim silently creates a property that is written but does not exist, so every name is resolved first
@@ -132,17 +148,27 @@ class Airframe:
             raise InputError(f"{self._vehicle.model}: this JSBSim model has no property {name}")
         return found
 
+    def _last_point_mass(self) -> int:
+        """The index of the point mass that :func:`render` adds for the burnt fuel."""
+        weights = self._fdm.query_property_catalog("inertia/pointmass-weight-lbs").splitlines()
+        return len(weights) - 1
+
     def _set(self, name: str, value: float) -> None:
         self._node(name).set_double_value(value)
 
-    def reset(self, initial: Initial, forces: Sequence[Vector3], wind: Vector3) -> State:
-        """Put the vehicle at its initial state with ``forces`` (N, body, one per jet) already acting."""
+    def reset(
+        self, initial: Initial, forces: Sequence[Vector3], wind: Vector3, momentum: Vector3 | None = None
+    ) -> State:
+        """Put the vehicle at its initial state with ``forces`` (N, body, one per jet) already acting.
+
+        ``momentum``: of the spools, as for :meth:`set_momentum`.
+        """
         if not self._fresh:
             # JSBSim's own reset leaves traces in the initial state; a new one is the same to the last bit
             self._load()
         self._fresh = False
         place = self._environment
-        height = standing_height(self._vehicle) if initial.on_ground else initial.altitude_m
+        height = start_height(self._vehicle, initial)
         settings = {
             "ic/lat-geod-deg": place.latitude_deg,
             "ic/long-gc-deg": place.longitude_deg,
@@ -158,13 +184,16 @@ class Airframe:
         for name, value in settings.items():
             self._set(name, value)
         self._disturbance = Disturbance()
-        self._reaction = 0.0
-        self._mass = self._get_mass() * SLUG
+        self._moment = ZERO3
+        self._burnt = 0.0
+        self._full = self._mass = self._get_mass() * SLUG
         self._set("atmosphere/turb-type", 4.0 if place.turbulence_severity else 0.0)  # 4: MIL-F-8785C, Tustin form
         self._set("atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps", place.turbulence_wind_m_s / FOOT)
         self._set("atmosphere/turbulence/milspec/severity", float(place.turbulence_severity))
         self._apply_forces(forces)
         self._apply(Disturbance(wind=wind))
+        if momentum:
+            self.set_momentum(momentum)
         if not self._fdm.run_ic():
             raise FlightError("JSBSim could not start from the initial state")
         self._still = not (place.turbulence_severity or any(wind))
@@ -172,18 +201,19 @@ class Airframe:
         self._datum = self._get_state[_STATE.index("position/from-start-neu-u-ft")]() * FOOT - height
         return self._read()
 
-    def step(self, forces: Sequence[Vector3], disturbance: Disturbance, reaction: float = 0.0) -> State:
+    def step(self, forces: Sequence[Vector3], disturbance: Disturbance, moment: Vector3 = ZERO3) -> State:
         """Advance one control step with ``forces`` (N, body, at each jet's station) and ``disturbance`` held.
 
-        ``reaction``: yaw moment of the rotors on the frame, N m.
+        ``moment``: of the rotors on the frame, N m, body, without the gyroscopic part (see :meth:`set_momentum`).
         Raises FlightError when JSBSim stops or the state is no longer finite.
         """
         self._apply_forces(forces)
         if disturbance is not self._disturbance:
             self._apply(disturbance)
-        if reaction != self._reaction:
-            self._reaction = reaction
-            self._set_twist[2]((disturbance.moment[2] + reaction) / POUND_FOOT)
+        if moment is not self._moment:
+            self._moment = moment
+            for write, outside, inside in zip(self._set_twist, disturbance.moment, moment, strict=True):
+                write((outside + inside) / POUND_FOOT)
         run = self._run
         for _ in range(self.substeps):
             if not run():
@@ -208,9 +238,8 @@ class Airframe:
         old = self._disturbance
         for write, newton in zip(self._set_push, disturbance.force, strict=True):
             write(newton / POUND_FORCE)
-        x, y, z = disturbance.moment
-        for write, moment in zip(self._set_twist, (x, y, z + self._reaction), strict=True):
-            write(moment / POUND_FOOT)
+        for write, outside, inside in zip(self._set_twist, disturbance.moment, self._moment, strict=True):
+            write((outside + inside) / POUND_FOOT)
         for write, speed in zip(self._set_wind, disturbance.wind, strict=True):
             write(speed / FOOT)
         if any(disturbance.wind) or disturbance.gust:
@@ -226,7 +255,32 @@ class Airframe:
         self._set_payload(mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
         for write, place in zip(self._set_payload_place, _structural((x, y, z)), strict=True):
             write(place)
-        self._mass = sum((self._vehicle.mass_kg, mass))
+        self._full = sum((self._vehicle.mass_kg, mass))
+        self._mass = self._full - self._burnt
+
+    def set_momentum(self, momentum: Vector3) -> None:
+        """Hold the spools' angular momentum (kg m^2/s, body, against the airframe) from the next run on.
+
+        At every run JSBSim then adds the gyroscopic moment ``momentum x omega``, with the inertial body rates omega at
+        the middle of the coming run, extrapolated from the last one's acceleration.  This makes the method of Adams and
+        Bashforth of second order out of JSBSim's rectangular rule, which would feed energy into a nutation.
+        """
+        for write, value in zip(self._set_momentum, momentum, strict=True):
+            write(value / SLUG_FT2)
+
+    def burn(self, mass: float) -> None:
+        """From the next run on the vehicle lacks ``mass`` [kg] of fuel: mass, centre of gravity and inertia follow.
+
+        The fuel is a point mass in its tank, and what is burnt a negative one beside the vehicle as built.
+        """
+        self._set_burnt(-mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
+        self._burnt = mass
+        self._mass = self._full - mass
+
+    def air(self) -> tuple[float, float]:
+        """Static pressure [Pa] and temperature [K] of the air where the vehicle is."""
+        pressure, temperature = self._get_air
+        return pressure() * _POUND_SQUARE_FOOT, temperature() * _RANKINE
 
     def _start_gust(self, velocity: Vector3, rise: float, hold: float, fall: float) -> None:
         gust = "atmosphere/cosine-gust"
@@ -307,14 +361,21 @@ def standing_height(vehicle: Vehicle) -> float:
     return lowest - sink
 
 
+def start_height(vehicle: Vehicle, initial: Initial) -> float:
+    """Height of the centre of gravity above the ground (m) at the start of a flight."""
+    return standing_height(vehicle) if initial.on_ground else initial.altitude_m
+
+
 def _structural(body: Vector3) -> tuple[float, float, float]:
     """A body-frame place (m, FRD) in JSBSim's structural frame: inches, x aft, y right, z up."""
     x, y, z = body
     return (-x / INCH, y / INCH, -z / INCH)
 
 
-def render(vehicle: Vehicle, model: Path) -> bytes:
+def render(vehicle: Vehicle, model: Path, spools: bool = False) -> bytes:
     """The JSBSim model with the vehicle's numbers written over the ones in the file, in JSBSim's own units.
+
+    A vehicle with a tank gets a point mass for the fuel that is burnt, and with ``spools`` a gyroscopic moment.
 
     Raises InputError if the file cannot be read or lacks an element.
     """
@@ -345,6 +406,7 @@ def render(vehicle: Vehicle, model: Path) -> bytes:
     write("mass_balance/emptywt", vehicle.mass_kg / SLUG * JSBSIM_POUNDS_PER_SLUG, "LBS")
     for axis, inertia in zip(("ixx", "iyy", "izz"), vehicle.inertia_kg_m2, strict=True):
         write(f"mass_balance/{axis}", inertia / SLUG_FT2, "SLUG*FT2")
+    write("metrics/wingspan", vehicle.aero.span_m, "M")
     place("metrics/location[@name='AERORP']", vehicle.aero.centre_m)
     for number, jet in enumerate(vehicle.jets, 1):
         place(f"external_reactions/force[@name='jet{number}']/location", jet.position_m)
@@ -368,4 +430,34 @@ def render(vehicle: Vehicle, model: Path) -> bytes:
         if name not in constants:
             raise InputError(f"{model}: the model has no constant {name}")
         constants[name].set("value", repr(value))
+    if vehicle.fuel:
+        burnt = ET.SubElement(find("mass_balance"), "pointmass", name="burnt fuel")
+        ET.SubElement(burnt, "weight", unit="LBS").text = "0"
+        at = ET.SubElement(burnt, "location", unit="IN")
+        for axis, inches in zip("xyz", _structural(vehicle.fuel.position_m), strict=True):
+            ET.SubElement(at, axis).text = repr(inches + 0.0)
+    if spools:
+        for axis in "xyz":
+            ET.SubElement(find("flight_control"), "property", value="0").text = _MOMENTUM.format(axis)
+        for axis, turn in zip(("ROLL", "PITCH", "YAW"), ("xyz", "yzx", "zxy"), strict=True):
+            find(f"aerodynamics/axis[@name='{axis}']").append(_gyroscopic(*turn))
     return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _gyroscopic(axis: str, second: str, third: str) -> ET.Element:
+    """JSBSim's function for one component of ``H x omega``: ``H_second omega_third - H_third omega_second``."""
+
+    def product(momentum: str, rate: str) -> str:
+        letter = "pqr"["xyz".index(rate)]
+        # omega at the middle of the coming run: omega + omega' dt / 2, with omega' of the run before
+        return (
+            f"<product><property>{_MOMENTUM.format(momentum)}</property><sum>"
+            f"<property>velocities/{letter}i-rad_sec</property>"
+            f"<product><value>0.5</value><property>simulation/dt</property>"
+            f"<property>accelerations/{letter}idot-rad_sec2</property></product></sum></product>"
+        )
+
+    return ET.fromstring(
+        f'<function name="rotors/gyroscopic-moment-{axis}-lbf_ft">'
+        f"<difference>{product(second, third)}{product(third, second)}</difference></function>"
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,16 @@ from cosim.errors import FlightError, InputError
 
 DONE, FLIGHT_FAILED, WRONG_INPUT = 0, 1, 2
 KINDS = ("scenarios", "engines", "aircraft", "controllers")
+
+
+class _Number(click.FloatRange):
+    """A finite number; click lets NaN through any range."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number = float(super().convert(value, param, ctx))
+        if not isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
 
 
 def _example(text: str) -> str:
@@ -27,8 +38,24 @@ def cli() -> None:
 
 @cli.command(epilog=_example("hexjet fly roll-doublet --controller baseline --set vehicle.mass_kg=6.0"))
 @click.argument("scenario")
-@click.option("--controller", metavar="NAME", help="Overrides the scenario's; see: hexjet list controllers.")
-@click.option("--engine", metavar="NAME|FILE.fmu", help="Overrides the scenario's; see: hexjet list engines.")
+@click.option(
+    "--controller",
+    metavar="NAME|FILE.toml",
+    help="Overrides the scenario's; see: hexjet list controllers. Or a file that hexjet design wrote, with all gains.",
+)
+@click.option(
+    "--aircraft",
+    metavar="NAME",
+    help="Overrides the scenario's, with the engine that it is made for; see: hexjet list aircraft.",
+)
+@click.option(
+    "engines",
+    "--engine",
+    metavar="[N=]NAME|FILE",
+    multiple=True,
+    help="Overrides the scenario's: a name (see: hexjet list engines), an .fmu or a .toml that maps one; with N= "
+    "the one at station N alone.",
+)
 @click.option(
     "settings",
     "--set",
@@ -46,17 +73,35 @@ def cli() -> None:
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="The run's folder.  [default: a new one in runs/]"
 )
 @click.option("--seed", type=int, help="Overrides the scenario's seed.")
-@click.option("--realtime", is_flag=True, help="Pace the flight in real time.")
+@click.option("--unchecked-engine", is_flag=True, help="Fly an FMU that hexjet fmu check finds unfit, or has not seen.")
+@click.option("--realtime", is_flag=True, help="Pace the flight in real time; the same as --rtf 1.")
+@click.option(
+    "--rtf",
+    type=_Number(min=0.0),
+    metavar="X",
+    help="Pace the flight at X times real time; 0 is as fast as it goes.  [default: 0, or 1 with --mavlink]",
+)
+@click.option(
+    "links",
+    "--mavlink",
+    metavar="URL",
+    multiple=True,
+    help="Let a ground station watch, e.g. udpout:127.0.0.1:14550; see: hexjet gcs --help.",
+)
 @click.option("as_json", "--json", is_flag=True, help="Print the run's summary as one JSON object and nothing else.")
 def fly(
     scenario: str,
     controller: str | None,
-    engine: str | None,
+    aircraft: str | None,
+    engines: tuple[str, ...],
     settings: tuple[str, ...],
     model: Path | None,
     out: Path | None,
     seed: int | None,
+    unchecked_engine: bool,
     realtime: bool,
+    rtf: float | None,
+    links: tuple[str, ...],
     as_json: bool,
 ) -> int:
     """Fly SCENARIO: a name in scenarios/ or the path of a TOML file.
@@ -67,11 +112,30 @@ def fly(
     from cosim.console import flight_progress, output_to_stderr, print_run
     from cosim.flight import fly as fly_scenario
     from cosim.flight import new_folder
+    from cosim.run import finish_killed
 
-    flown = load_scenario(scenario, controller, engine, seed, settings, model)
+    if realtime and rtf is not None:
+        raise InputError("--realtime and --rtf: give one of them")
+    factor = (rtf or None) if rtf is not None else 1.0 if realtime or links else None
+    finish_killed(Path(scenario))
+    flown = load_scenario(scenario, controller, engines, seed, settings, model, aircraft)
+    if unchecked_engine:
+        flown = flown.replace(engine_unchecked=True)
+    if controller is not None and controller.lower().endswith(".toml"):
+        from cosim.design.file import differences
+
+        for text in differences(flown, Path(controller)):
+            click.echo(f"hexjet: warning: {controller}: {text}", err=True)
     folder = out if out is not None else new_folder(Path("runs"), f"{flown.name}-{flown.controller}")
     with output_to_stderr(as_json), flight_progress(flown, quiet=as_json) as observers:
-        run = fly_scenario(flown, folder, observers=observers, realtime_factor=1.0 if realtime else None)
+        if links:
+            from cosim.links import Links
+
+            with Links(links) as opened:
+                watch = opened.onlookers()
+                run = fly_scenario(flown, folder, observers=observers, realtime_factor=factor, watch=watch)
+        else:
+            run = fly_scenario(flown, folder, observers=observers, realtime_factor=factor)
     if as_json:
         click.echo(json.dumps(run.summary.model_dump(mode="json"), allow_nan=False))
     else:
@@ -82,31 +146,165 @@ def fly(
 def load_scenario(
     name: str,
     controller: str | None,
-    engine: str | None,
+    engines: tuple[str, ...],
     seed: int | None,
     settings: tuple[str, ...],
     model: Path | None = None,
+    aircraft: str | None = None,
 ) -> Any:
     """The scenario with the command line's choices written over it."""
     from cosim.scenario import Scenario
 
-    scenario = Scenario.load(name, list(settings))
+    designed = Path(controller) if controller is not None and controller.lower().endswith(".toml") else None
+    if designed is not None:
+        from cosim.design.file import with_controller
+
+        scenario, controller = with_controller(name, designed, settings, aircraft), None
+    else:
+        scenario = Scenario.load(name, list(settings))
     changes: dict[str, Any] = {}
+    if aircraft is not None:
+        from cosim.vehicle import load_vehicle
+
+        changes |= {"aircraft": aircraft, "engine": load_vehicle(aircraft)[0].engine or scenario.engine}
     if controller is not None:
         changes["controller"] = controller
-    if engine is not None:
-        # a file on the command line is meant from here, one in the scenario from the scenario's folder
-        is_file = engine.lower().endswith(".fmu") or "/" in engine
-        changes["engine"] = str(Path(engine).absolute()) if is_file else engine
+    chosen = engine_choices(engines)
+    if "engine" in chosen and scenario.stations:
+        scenario = scenario.model_copy(update={"stations": {}, "expect": []})  # one for all
+    changes |= chosen
     if seed is not None:
         changes["seed"] = seed
     if model is not None:
         from cosim.vehicle import read_models
 
         changes["vehicle"] = {"identified": read_models(model)}
-    if settings or model is not None:
+    if settings or model is not None or designed is not None or "stations" in chosen:
         changes["expect"] = []
     return scenario.replace(**changes) if changes else scenario
+
+
+def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
+    """``NAME`` or ``N=NAME`` texts as changes of a scenario.  Raises InputError if one is named twice."""
+    from cosim.scenario import is_file
+
+    changes: dict[str, Any] = {}
+    for text in texts:
+        number, equals, name = text.partition("=")
+        station = number.strip() if equals and number.strip().isdigit() else None
+        engine = (name if station else text).strip()
+        # a file on the command line is meant from here, one in the scenario from the scenario's folder
+        engine = str(Path(engine).absolute()) if is_file(engine) else engine
+        held = changes if station is None else changes.setdefault("stations", {}).setdefault(station, {})
+        if "engine" in held:
+            raise InputError(
+                f"--engine {text}: there is already another for {f'station {station}' if station else 'all'}"
+            )
+        held["engine"] = engine
+    return changes
+
+
+@cli.command(epilog=_example("hexjet gcs --engine edf-as-flown --place 22.35,113.59 --web"))
+@click.option(
+    "--scenario", default="hover", metavar="NAME", help="Whose wind, place and faults.  [default: a calm day]"
+)
+@click.option(
+    "--aircraft", metavar="NAME", help="Overrides the scenario's, with its engine; see: hexjet list aircraft."
+)
+@click.option("engines", "--engine", metavar="[N=]NAME|FILE", multiple=True, help="As in hexjet fly.")
+@click.option("--controller", metavar="NAME", help="See: hexjet list controllers.")
+@click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
+@click.option("--seed", type=int, help="Overrides the scenario's seed.")
+@click.option("--unchecked-engine", is_flag=True, help="As in hexjet fly.")
+@click.option("--place", metavar="LAT,LON", help="Where it stands, in degrees.")
+@click.option(
+    "links",
+    "--mavlink",
+    metavar="URL",
+    multiple=True,
+    help="udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or serial:DEVICE[:BAUD].  "
+    "[default: udpout to 127.0.0.1, ports 14550 and 14540]",
+)
+@click.option("--public", is_flag=True, help="Let udpin and tcpin listen to the network and not to this machine alone.")
+@click.option(
+    "--sign-key", type=click.Path(path_type=Path), metavar="FILE", help="Sign, and refuse what is not signed with it."
+)
+@click.option(
+    "--personality",
+    type=click.Choice(["px4", "ardupilot", "generic"]),
+    default="px4",
+    show_default=True,
+    help="What the ground station takes it for.",
+)
+@click.option(
+    "--params",
+    "parameters",
+    type=click.Path(path_type=Path),
+    metavar="FILE.toml",
+    help="Where parameters are kept; none: nowhere.  [default: one file a vehicle in the folder for settings]",
+)
+@click.option("--rtf", type=_Number(min=0.0), default=1.0, show_default=True, metavar="X", help="As in fly.")
+@click.option("--duration", type=_Number(min=0.0, min_open=True), metavar="S", help="[default: until Ctrl-C]")
+@click.option(
+    "--web", type=click.IntRange(0, 65535), is_flag=False, flag_value=8765, metavar="[PORT]", help="Serve a page too."
+)
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object at the end and nothing else.")
+def gcs(
+    scenario: str,
+    aircraft: str | None,
+    engines: tuple[str, ...],
+    controller: str | None,
+    settings: tuple[str, ...],
+    seed: int | None,
+    unchecked_engine: bool,
+    place: str | None,
+    links: tuple[str, ...],
+    public: bool,
+    sign_key: Path | None,
+    personality: Any,
+    parameters: Path | None,
+    rtf: float,
+    duration: float | None,
+    web: int | None,
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """A vehicle on the ground that waits for a ground station: QGroundControl, MAVProxy, MAVSDK.
+
+    Every flight leaves a run's folder, with telemetry.tlog and with requests.jsonl: hexjet fly on its scenario.toml
+    repeats it without a ground station.  Status 1: the last flight failed.
+    """
+    from cosim.console import live_line, output_to_stderr, print_gcs
+    from cosim.gcs import Session, place_at, stopped_by_signals, vehicle_key
+    from cosim.links import Links
+    from cosim.pilot_store import default_file
+
+    flown = load_scenario(scenario, controller, engines, seed, settings, None, aircraft)
+    changes: dict[str, Any] = {"name": "gcs" if scenario == "hover" else flown.name}
+    if unchecked_engine:
+        changes["engine_unchecked"] = True
+    if place is not None:
+        changes["environment"] = place_at(place)
+    flown = flown.replace(**changes)
+    kept = None if str(parameters) == "none" else parameters or default_file(vehicle_key(flown))
+    with output_to_stderr(as_json), Links(links, public, sign_key, personality, web) as opened:
+        session = Session(
+            flown,
+            opened.exchange,
+            factor=rtf or None,
+            out=out,
+            parameters=kept,
+            duration=duration,
+            begun=opened.begin,
+            over=opened.end,
+        )
+        print_gcs(session, opened, to_stderr=as_json)
+        with stopped_by_signals(session), live_line(opened, quiet=as_json):
+            runs = session.run()
+    if as_json:
+        click.echo(json.dumps({"runs": [run.summary.model_dump(mode="json") for run in runs]}, allow_nan=False))
+    return DONE if runs[-1].outcome == "completed" else FLIGHT_FAILED
 
 
 @cli.command("list", epilog=_example("hexjet list engines"))
@@ -141,20 +339,41 @@ def fmu_build(engines: tuple[str, ...]) -> int:
     return DONE
 
 
-@fmu.command("check", epilog=_example("hexjet fmu check turbojet"))
-@click.argument("engine", metavar="NAME|FILE.fmu")
-@click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
-def fmu_check(engine: str, as_json: bool) -> int:
-    """Tell whether an FMU is fit to be an engine: validate it, run it through its throttle, measure its response."""
-    from cosim.console import print_check
-    from cosim.engine import check_fmu
+@fmu.command("check", epilog=_example("hexjet fmu check their.fmu --step 0.004"))
+@click.argument("engine", metavar="NAME|FILE.fmu|MAPPING.toml")
+@click.option(
+    "--step",
+    type=_Number(min=0.0, min_open=True),
+    metavar="S",
+    help="Control step.  [default: 0.004, or the library engine's]",
+)
+@click.option("settings", "--set", metavar="PARAMETER=VALUE", multiple=True, help="Set a parameter of the engine.")
+@click.option(
+    "--time-limit", type=_Number(min=1.0), default=120.0, show_default=True, metavar="S", help="For all of it."
+)
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+def fmu_check(
+    engine: str, step: float | None, settings: tuple[str, ...], time_limit: float, out: Path | None, as_json: bool
+) -> int:
+    """Tell whether an FMU is fit to be an engine, and how it answers its throttle.
 
-    report = check_fmu(engine)
+    The FMU is run in a process of its own: if it crashes, hangs or eats memory, that is told and nothing else happens.
+    Leaves check.json and a page with its static curve and step responses.  Status 0: fit; 1: unfit; 2: not usable.
+    """
+    from cosim.config import parse_numbers
+    from cosim.console import print_check
+    from cosim.engine import check_fmu, limits_of
+    from cosim.flight import new_folder
+    from cosim.report import write_check
+
+    found = check_fmu(engine, step, parse_numbers(settings, "--set"), limits_of(time_limit))
+    page = write_check(found, out if out is not None else new_folder(Path("runs"), f"check-{Path(engine).stem}"))
     if as_json:
-        click.echo(json.dumps(report.to_dict(), allow_nan=False))
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
     else:
-        print_check(report)
-    return DONE if report.ok else FLIGHT_FAILED
+        print_check(found, page)
+    return DONE if found.ok else FLIGHT_FAILED
 
 
 @cli.group()
@@ -165,10 +384,10 @@ def identify() -> None:
 def _sweep_options(command: Any) -> Any:
     for option in reversed(
         [
-            click.option("--from-hz", type=float, metavar="HZ", help="Lowest frequency of the response."),
-            click.option("--to-hz", type=float, metavar="HZ", help="Highest frequency of the response."),
-            click.option("--amplitude", type=float, metavar="A", help="Of the sweep, in the unit of the command."),
-            click.option("--duration", type=float, metavar="S", help="Of the sweep."),
+            click.option("--from-hz", type=_Number(), metavar="HZ", help="Lowest frequency of the response."),
+            click.option("--to-hz", type=_Number(), metavar="HZ", help="Highest frequency of the response."),
+            click.option("--amplitude", type=_Number(), metavar="A", help="Of the sweep, in the unit of the command."),
+            click.option("--duration", type=_Number(), metavar="S", help="Of the sweep."),
             click.option("holds", "--hold", metavar="NAME=VALUE", multiple=True, help="Keep a parameter of the model."),
             click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]"),
             click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else."),
@@ -180,8 +399,8 @@ def _sweep_options(command: Any) -> Any:
 
 @identify.command("engine", epilog=_example("hexjet identify engine turbojet --set delay_samples=40"))
 @click.argument("name", metavar="NAME|FILE.fmu")
-@click.option("--throttle", type=float, default=0.5, show_default=True, help="Around which it is swept.")
-@click.option("--step", type=float, default=0.004, show_default=True, metavar="S", help="Sample time.")
+@click.option("--throttle", type=_Number(), default=0.5, show_default=True, help="Around which it is swept.")
+@click.option("--step", type=_Number(), default=0.004, show_default=True, metavar="S", help="Sample time.")
 @click.option("--lags", type=click.IntRange(0, 2), default=0, show_default=True, help="Lags beside the first pole.")
 @click.option("settings", "--set", metavar="PARAMETER=VALUE", multiple=True, help="Set a parameter of the engine.")
 @_sweep_options
@@ -245,6 +464,108 @@ for _axis in ("roll", "pitch", "yaw"):
     _axis_command(_axis)
 
 
+@cli.command(epilog=_example("hexjet design --engine turbojet --out turbojet.toml"))
+@click.option("--engine", required=True, metavar="NAME|FILE", help="A name, an .fmu or a .toml that maps one.")
+@click.option("--aircraft", default="hexjet", show_default=True, help="See: hexjet list aircraft.")
+@click.option(
+    "--controller",
+    default="auto",
+    show_default=True,
+    metavar="NAME",
+    help="One of the predictors, or the best of them.",
+)
+@click.option("--model", type=click.Path(path_type=Path), metavar="FILE.toml", help="As hexjet identify writes it.")
+@click.option(
+    "--amplitude",
+    type=_Number(min=0.0, min_open=True, max=0.5),
+    metavar="A",
+    help="Of the engine's sweep, in throttle; more where the flight will reach its limits.  [default: 0.005]",
+)
+@click.option(
+    "--max-sensitivity", type=_Number(min=1.05, max=10.0), default=1.7, show_default=True, help="Peak of |S|."
+)
+@click.option(
+    "--delay-tolerance",
+    type=_Number(0.0, 1.0),
+    default=0.3,
+    show_default=True,
+    help="Of the delay, both ways.",
+)
+@click.option(
+    "--gain-tolerance", type=_Number(0.0, 0.95), default=0.3, show_default=True, help="Of the gain, both ways."
+)
+@click.option(
+    "--min-bandwidth",
+    type=_Number(min=0.0),
+    default=0.16,
+    show_default=True,
+    metavar="HZ",
+    help="Of roll and pitch.",
+)
+@click.option(
+    "--noise-share",
+    type=_Number(min=0.0, min_open=True, max=1.0),
+    default=0.0833,
+    show_default=True,
+    help="One standard deviation of sensor noise in a command, as a share of its room.",
+)
+@click.option("--lead/--no-lead", default=True, help="Try a lead against the engine's lag.  [default: --lead]")
+@click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly, over a plain hover.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="FILE.toml", help="[default: a new folder in runs/]")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+def design(
+    engine: str,
+    aircraft: str,
+    controller: str,
+    model: Path | None,
+    amplitude: float | None,
+    max_sensitivity: float,
+    delay_tolerance: float,
+    gain_tolerance: float,
+    min_bandwidth: float,
+    noise_share: float,
+    lead: bool,
+    settings: tuple[str, ...],
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """Design a controller for an engine on an aircraft: predictor, its model, and the gains of all axes.
+
+    Writes a controller file for hexjet fly --controller, and a page beside it.  Status 1: no design keeps the
+    requirements, and what would allow one.
+    """
+    from cosim.console import part_progress, print_design
+    from cosim.design.make import design as make
+    from cosim.design.result import to_dict, write
+    from cosim.design.tune import Requirements
+
+    need = Requirements(
+        max_sensitivity=max_sensitivity,
+        delay_tolerance=delay_tolerance,
+        gain_tolerance=gain_tolerance,
+        min_bandwidth_hz=min_bandwidth,
+        noise_share=noise_share,
+    )
+    with part_progress("design", quiet=as_json) as tell:
+        found = make(
+            engine,
+            aircraft,
+            controller=controller,
+            need=need,
+            settings=settings,
+            model=model,
+            amplitude=amplitude,
+            lead=lead,
+            say=lambda text: tell(text, 0, 1),
+        )
+    paths = write(found, out)
+    if as_json:
+        click.echo(json.dumps(to_dict(found, paths), allow_nan=False))
+    else:
+        print_design(found, paths)
+    return DONE if found.ok else FLIGHT_FAILED
+
+
 @cli.command(epilog=_example("hexjet report runs/roll-doublet-smith-001"))
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 def report(folder: Path) -> int:
@@ -287,6 +608,45 @@ def paper(out: Path, workers: int, as_json: bool) -> int:
     return DONE
 
 
+@cli.command(epilog=_example("hexjet faults --kind flame-out --kind thrust"))
+@click.option("--aircraft", default="hexjet", show_default=True, help="See: hexjet list aircraft.")
+@click.option("--engine", metavar="NAME|FILE", help="See: hexjet list engines.  [default: the aircraft's own]")
+@click.option(
+    "controllers", "--controller", metavar="NAME", multiple=True, help="[default: four, where they have a model]"
+)
+@click.option("kinds", "--kind", metavar="NAME", multiple=True, help="Only faults that begin so.  [default: all]")
+@click.option("--limits", is_flag=True, help="Also: how much thrust may be lost, and how late it may be noticed.")
+@click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+def faults(
+    aircraft: str,
+    engine: str | None,
+    controllers: tuple[str, ...],
+    kinds: tuple[str, ...],
+    limits: bool,
+    workers: int,
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """Fly every single fault, from hover and from a roll of 10 deg, and tell which the vehicle survives.
+
+    Leaves survival.csv and survival.html in DIR.
+    """
+    from cosim.console import part_progress, print_survival
+    from cosim.flight import new_folder
+    from cosim.survival import survival, write
+
+    with part_progress("faults", quiet=as_json) as say:
+        found = survival(aircraft, engine, controllers, kinds, workers, say, limits)
+    paths = write(found, out if out is not None else new_folder(Path("runs"), f"faults-{aircraft}"))
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+    else:
+        print_survival(found, paths["report"])
+    return DONE
+
+
 @cli.command(epilog=_example("hexjet export runs/roll-doublet-smith-001 --to ulog"))
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @click.option("target", "--to", type=click.Choice(["ulog", "csv"]), required=True, help="The format.")
@@ -305,7 +665,7 @@ def export(folder: Path, target: str) -> int:
 @click.option("--rounds", type=click.IntRange(min=1), default=9, show_default=True, help="Repetitions.")
 @click.option("--starts", type=click.IntRange(min=1), default=5, show_default=True, help="Processes started.")
 @click.option("--full", is_flag=True, help="Fly an hour for the memory too: two minutes or more.")
-@click.option("--memory-minutes", type=click.FloatRange(min=0.1), metavar="MINUTES", help="A shorter flight for it.")
+@click.option("--memory-minutes", type=_Number(min=0.1), metavar="MINUTES", help="A shorter flight for it.")
 @click.option(
     "--dir", "folder", type=click.Path(exists=True, file_okay=False), metavar="DIR", help="Where flights are recorded."
 )

@@ -31,6 +31,7 @@ def _each(names: tuple[str, ...], pattern: str, unit: str, frame: str, meaning: 
 _XYZ = ("x", "y", "z")
 _NED = ("north", "east", "down")
 _SERVOS = ("left", "right")
+_SENSORS = ("gyro", "attitude", "gnss", "barometer")
 _ALL_JETS = tuple(str(jet) for jet in range(1, JETS + 1))
 _EULER = "body to NED"
 _OUTPUT_UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
@@ -78,6 +79,15 @@ COLUMNS: tuple[Column, ...] = (
     ],
     Column("payload_kg", "kg", "", "mass of the payload"),
     *_each(_XYZ, "payload_{}_m", "m", "body", "place of the payload along {}, from the centre of gravity as built"),
+    *_each(_ALL_JETS, "spool_speed_{}_rad_s", "rad/s", "", "rotor speed of engine {}; NaN where it does not say"),
+    *_each(_ALL_JETS, "exhaust_temperature_{}_K", "K", "", "exhaust temperature {}; NaN where the engine does not say"),
+    *_each(_ALL_JETS, "fuel_flow_{}_kg_s", "kg/s", "", "fuel that engine {} burns; NaN where it does not say"),
+    Column("fuel_kg", "kg", "", "fuel on board; NaN without a tank"),
+    *_each(_XYZ, "spool_moment_{}_N_m", "N m", "body", "moment of the rotors' spin about {}; NaN where not modelled"),
+    *_each(_ALL_JETS, "health_{}", "1", "", "share of its command that jet {} gives, as the monitor believes"),
+    *_each(_ALL_JETS, "fault_jet_{}", "0/1", "", "a fault acts on jet {}"),
+    *_each(_SERVOS, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo"),
+    *_each(_SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}"),
 )
 
 NAMES: tuple[str, ...] = tuple(column.name for column in COLUMNS)

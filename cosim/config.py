@@ -75,12 +75,25 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """``base`` with the leaves of ``over`` written over it; neither is changed."""
+    """``base`` with the leaves of ``over`` written over it; neither is changed.
+
+    A table whose keys are all places in a list, counted from 0, is written over those entries of it.
+    """
     merged = dict(base)
     for key, value in over.items():
         old = merged.get(key)
-        merged[key] = merge(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+        if isinstance(value, Mapping) and isinstance(old, Mapping):
+            merged[key] = merge(old, value)
+        elif isinstance(value, Mapping) and isinstance(old, list) and _places(value, old):
+            entries = {str(place): entry for place, entry in enumerate(old)}
+            merged[key] = list(merge(entries, value).values())
+        else:
+            merged[key] = value
     return merged
+
+
+def _places(over: Mapping[str, Any], entries: list[Any]) -> bool:
+    return bool(over) and all(key in map(str, range(len(entries))) for key in over)
 
 
 def parse_setting(text: str) -> tuple[list[str], Any]:
@@ -147,6 +160,14 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
         return f"unknown key {key!r}; {nearest(name, _keys_beside(model, first['loc']))}{rest}"
     if kind == "missing":
         return f"{key} is missing{rest}"
+    if kind == "union_tag_not_found":
+        return f"{key}.kind is missing{rest}"
+    if kind == "union_tag_invalid":
+        context = first["ctx"]
+        kinds = context["expected_tags"].replace("'", "").split(", ")
+        return f"{key}.kind = {context['tag']!r}: {nearest(context['tag'], kinds)}{rest}"
+    if kind == "too_short":
+        return f"{key}: needs at least {first['ctx']['min_length']}{rest}"
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
     shown = "" if isinstance(value, (dict, list)) else f" = {value!r}"
     return f"{key}{shown}: {message}{rest}" if key else f"{message}{rest}"
@@ -162,7 +183,7 @@ def _path(location: tuple[int | str, ...]) -> list[str]:
 
 
 def _is_kind(location: tuple[int | str, ...], part: str) -> bool:
-    return location[0] in ("command", "disturbance") and location.index(part) == 2
+    return location[0] in ("command", "disturbance", "fault") and location.index(part) == 2
 
 
 def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:

@@ -10,13 +10,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from cosim.design.make import Design
     from cosim.engine import CheckReport
+    from cosim.gcs import Session
     from cosim.identify import Identification
+    from cosim.links import Links
     from cosim.paper.reproduce import Reproduction
     from cosim.run import Run
     from cosim.scenario import Scenario
     from cosim.signals import Sample
     from cosim.simulation import Observer
+    from cosim.survival import Survival
 
 _PIPE_WIDTH = 120
 _COLUMNS = (
@@ -130,13 +134,14 @@ def print_catalogue(found: dict[str, list[dict[str, Any]]]) -> None:
             console.print(f"  {entry['name']:{width}}  {entry['title']}", highlight=False, soft_wrap=True)
 
 
-def print_check(report: CheckReport) -> None:
-    """The findings, one to a line, problems last."""
+def print_check(report: CheckReport, page: Path) -> None:
+    """The findings, one to a line, problems last, and where the page is."""
     console = _console()
     for label, value in report.lines():
-        console.print(f"{label:22} {value}", highlight=False, soft_wrap=True)
+        console.print(f"{label:22} {value}", highlight=False, soft_wrap=True, markup=False)
     for problem in report.problems:
-        console.print(f"problem: {problem}", highlight=False, soft_wrap=True)
+        console.print(f"problem: {problem}", highlight=False, soft_wrap=True, markup=False)
+    console.print(f"report: {page}", highlight=False, soft_wrap=True)
     console.print("fit to fly" if report.ok else "not fit to fly", style="bold")
 
 
@@ -180,6 +185,28 @@ def print_identification(found: Identification, paths: dict[str, Path]) -> None:
             console.print(f"{name}: {paths[name]}", highlight=False, soft_wrap=True)
 
 
+def print_design(found: Design, paths: dict[str, Path]) -> None:
+    """The model, shipped and designed margins, what limits the design or why there is none, and the files."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.design.result import COLUMNS, rows, summary_lines
+
+    console = _console()
+    console.print(f"{found.vehicle.name} with engine [bold]{found.engine.name}[/bold]", highlight=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
+    for k in shown:
+        table.add_column(COLUMNS[k], justify="left" if k < 2 else "right", no_wrap=True)
+    for row in rows(found):
+        table.add_row(*(row[k] for k in shown))
+    console.print(table)
+    for line in summary_lines(found):
+        console.print(line, highlight=False, markup=False)
+    for name, path in paths.items():
+        console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
+
+
 def print_paper(found: Reproduction, report: Path) -> None:
     """Claims and numbers of the paper beside ours, how many claims follow, and where the report is."""
     from rich import box
@@ -207,6 +234,125 @@ def print_paper(found: Reproduction, report: Path) -> None:
         said = ", ".join(f"{verdict}: {count}" for verdict, count in counts.items() if count)
         console.print(f"{len(found.claims)} claims, {fidelity}: {said}", highlight=False)
     console.print(f"report: {report}", highlight=False, soft_wrap=True)
+
+
+def print_survival(found: Survival, report: Path) -> None:
+    """How many places of each fault are held, by controller, what explains it, and where the report is."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.survival import summary
+
+    console = _console()
+    controllers, rows = summary(found)
+    table = Table(box=box.SIMPLE_HEAD)
+    for title in ("fault", "from", *controllers, "detected, s"):
+        table.add_column(title, justify="left" if title in ("fault", "from") else "right")
+    for kind, start, cells in rows:
+        times = [time for cell in cells if cell.detected_s for time in cell.detected_s]
+        shown = [f"{cell.held}/{cell.flown}  {cell.lean_deg:3.0f} deg {cell.lost_m:4.1f} m" for cell in cells]
+        table.add_row(kind, start, *shown, f"{min(times):.3f} to {max(times):.3f}" if times else "-")
+    console.print(table)
+    console.print(
+        "held at so many of the places where it can happen; the largest lean and the most height lost there",
+        highlight=False,
+    )
+    if found.moments is not None:
+        one = found.moments
+        console.print(
+            f"a jet lost in hover: {one.moment:.3g} N m about roll, {one.acceleration:.3g} rad/s^2; "
+            f"{one.late:.3g} s until the others answer: {one.rate:.2g} rad/s, {one.angle:.2g} rad by then",
+            highlight=False,
+        )
+    for limit in found.limits:
+        held, airborne = (" ".join(f"{value:g}" for value in each) or "-" for each in (limit.held, limit.airborne))
+        lost = "nowhere" if limit.lost_at is None else f"at {limit.lost_at:g}"
+        console.print(
+            f"{limit.quantity}, {limit.start}, {limit.controller}: held at {held}; airborne at {airborne}; lost {lost}",
+            highlight=False,
+            soft_wrap=True,
+        )
+    table = Table(box=box.SIMPLE_HEAD)
+    for title in ("lost jets", "thrust over weight", "roll authority", "yaw balanced"):
+        table.add_column(title, justify="left" if title == "lost jets" else "right")
+    for each in found.attainable:
+        roll = "cannot hover" if each.roll is None else f"{100.0 * each.roll:.0f} %"
+        lost = ", ".join(map(str, each.lost)) or "none"
+        table.add_row(lost, f"{each.thrust:.2f}", roll, "yes" if each.yaw else "no")
+    console.print(table)
+    console.print(f"report: {report}", highlight=False, soft_wrap=True)
+
+
+def print_gcs(session: Session, links: Links, to_stderr: bool) -> None:
+    """Where to connect, what flies, and where it is recorded."""
+    from rich.console import Console
+
+    console = Console(stderr=True) if to_stderr else _console()
+    scenario, place = session.scenario, session.scenario.environment
+    rows = [
+        ("vehicle", f"{scenario.aircraft}, engine {scenario.engine}, controller {scenario.controller}"),
+        ("place", f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, {place.ground_m:g} m above the sea"),
+        *[("MAVLink", _where(url)) for url in links.urls],
+        *([("page", links.page)] if links.page else []),
+        ("parameters", f"{session.parameters or 'not kept'}"),
+        ("run", str(session.facts.folder)),
+        ("pace", "as fast as it goes" if session.factor is None else f"{session.factor:g} x real time"),
+    ]
+    for label, value in rows:
+        console.print(f"{label:11} {value}", highlight=False, soft_wrap=True, markup=False)
+    console.print("ready; Ctrl-C ends it", highlight=False)
+
+
+def _where(url: str) -> str:
+    kind, _, place = url.partition(":")
+    port = place.rpartition(":")[2]
+    known = {"14550": " (QGroundControl and MAVProxy listen there)", "14540": " (MAVSDK listens there)"}
+    if kind == "udpout":
+        return f"sends to udp {place}{known.get(port, '')}"
+    return {"udpin": f"listens at udp {place}", "tcpin": f"listens at tcp {place}"}.get(kind, f"{kind} {place}")
+
+
+@contextmanager
+def live_line(links: Links, quiet: bool) -> Iterator[None]:
+    """A line about the flight, twice a second, on a terminal; from a thread, because a terminal may be slow."""
+    if quiet or not sys.stderr.isatty():
+        yield
+        return
+    import threading
+
+    over = threading.Event()
+
+    def show() -> None:
+        told = 0
+        while not over.wait(0.5):
+            for message in links.exchange.messages:
+                if message.number > told:
+                    told = message.number
+                    print(f"\r\x1b[K{message.severity.name.lower()}: {message.text}", file=sys.stderr)
+            print(f"\r\x1b[K{_state(links)}", end="", file=sys.stderr, flush=True)
+
+    thread = threading.Thread(target=show, name="live line", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(timeout=1.0)
+        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def _state(links: Links) -> str:
+    snapshot = links.exchange.snapshot
+    if snapshot is None:
+        return ""
+    status, pace = snapshot.status, snapshot.pace
+    state = "armed" if status.armed else "disarmed"
+    speed = "" if pace.reached is None else f"  {pace.reached:.2f} x"
+    missed = f"  deadlines missed {pace.missed} of {pace.steps}" if pace.factor else ""
+    return (
+        f"{snapshot.time:8.1f} s  {status.mode.value} {state}  {snapshot.measured.altitude:6.1f} m"
+        f"  stations {links.heard}{speed}{missed}"
+    )
 
 
 def _speed(factor: float | None) -> str:

@@ -255,6 +255,13 @@ TOPICS: dict[str, list[Field]] = {
         _column("float", "setpoint_m", "altitude_setpoint_m"),
     ],
     "hexjet_thrust": [_columns("float", "newton", *(f"thrust_{jet}_N" for jet in range(1, JETS + 1)))],
+    "hexjet_engine": [  # NaN where an engine does not say
+        _columns("float", "spool_speed_rad_s", *(f"spool_speed_{jet}_rad_s" for jet in range(1, JETS + 1))),
+        _columns("float", "exhaust_temperature_k", *(f"exhaust_temperature_{jet}_K" for jet in range(1, JETS + 1))),
+        _columns("float", "fuel_flow_kg_s", *(f"fuel_flow_{jet}_kg_s" for jet in range(1, JETS + 1))),
+        _column("float", "fuel_kg", "fuel_kg"),
+        _columns("float", "spool_moment_n_m", *(f"spool_moment_{axis}_N_m" for axis in _XYZ)),
+    ],
     "hexjet_rate_predicted": [_columns("float", "xyz", *_rates("_predicted"))],
     "hexjet_tilt": [
         _columns("float", "actual_rad", "tilt_left_rad", "tilt_right_rad"),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cosim.columns import RATES
 from cosim.recorder import Log
 from cosim.run import Run, Summary
-from cosim.signals import AXES
+from cosim.signals import AXES, JETS
 
 Array = NDArray[np.float64]
 Figure = dict[str, Any]
@@ -154,6 +154,15 @@ _UPSETS = (
 )
 
 
+ENGINES = (  # a panel is left out where no engine says anything
+    ("Spool speed", "rpm", "spool_speed_{}_rad_s", 30.0 / pi),
+    ("Exhaust temperature", "K", "exhaust_temperature_{}_K", 1.0),
+    ("Fuel flow", "g/s", "fuel_flow_{}_kg_s", 1e3),
+)
+SPOOLS = Panel("Moment of the spools", "N m", _vector("spool_moment_{}_N_m", ("x", "y", "z")))
+TANK = Panel("Fuel on board", "kg", [Trace("fuel_kg", "fuel", BLUE)])
+
+
 def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
     """The figures of one run, by the name of their place on the page."""
     reader = Reader(log, summary.step_s)
@@ -170,7 +179,22 @@ def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
     outside = [panel for panel in OUTSIDE if any(reader.moves(trace.column) for trace in panel.traces)]
     if outside:
         figures["outside"] = stacked(reader, outside)
+    inside = engine_panels(reader)
+    if inside:
+        figures["engines"] = stacked(reader, inside)
     return figures
+
+
+def engine_panels(reader: Reader) -> list[Panel]:
+    """What the engines report beside their thrust, their spools' moment and the tank, as far as there is any of it."""
+    panels = []
+    for title, unit, pattern, scale in ENGINES:
+        jets = range(1, JETS + 1)
+        traces = [Trace(pattern.format(jet), f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in jets]
+        known = [trace for trace in traces if reader.known(trace.column)]
+        if known:
+            panels.append(Panel(title, unit, known, scale))
+    return panels + [panel for panel in (SPOOLS, TANK) if reader.known(panel.traces[0].column)]
 
 
 def comparison_figures(runs: Sequence[Run], labels: Sequence[str]) -> dict[str, Figure]:
@@ -208,6 +232,10 @@ class Reader:
     def moves(self, column: str) -> bool:
         """Whether a column is ever anything but 0."""
         return bool(np.any(np.abs(self.log[column]) > 0.0))
+
+    def known(self, column: str) -> bool:
+        """Whether a column is there and ever a number."""
+        return column in self.log.columns and bool(np.any(np.isfinite(self.log[column])))
 
     def upsets(self) -> list[Figure]:
         """Shades over the times at which something disturbs the vehicle, wind apart."""
@@ -278,7 +306,7 @@ def thrust_figure(reader: Reader, summary: Summary) -> Figure:
 
     All six have one scale.
     """
-    curve = np.array(summary.engine_curve, dtype=float).reshape(-1, 2)
+    curves = [np.array(curve, dtype=float).reshape(-1, 2) for curve in thrust_curves(summary)]
     rows = jet_rows(summary.jets_m)
     count = sum(len(row) for row in rows)
     layout = _layout(len(rows) * PANEL_PX + 100)
@@ -289,6 +317,7 @@ def thrust_figure(reader: Reader, summary: Summary) -> Figure:
     for number, (row, side, jet) in enumerate((r, s, jet) for r, pair in enumerate(rows) for s, jet in enumerate(pair)):
         panel = Panel(f"Jet {jet}", "N", [])
         axes = {"xaxis": _axis("x", side), "yaxis": _axis("y", number)}
+        curve = curves[jet - 1]
         if len(curve):
             at_rest = np.interp(reader.log[f"throttle_{jet}"], curve[:, 0], curve[:, 1])
             data.append(_values(reader, at_rest, panel, _asked("", "commanded")) | axes)
@@ -308,6 +337,12 @@ def thrust_figure(reader: Reader, summary: Summary) -> Figure:
             **({"matches": "x"} if side else {}),
         }
     return {"data": _named_once(data), "layout": layout}
+
+
+def thrust_curves(summary: Summary) -> list[list[tuple[float, float]]]:
+    """Throttle and thrust at rest of the engine at each station, empty where it is not known."""
+    own = [list(station.curve) for station in summary.stations]
+    return [curve or summary.engine_curve for curve in own + [[]] * (JETS - len(own))]
 
 
 def jet_rows(jets_m: Sequence[Sequence[float]]) -> tuple[tuple[int, int], ...]:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from hashlib import sha256
 from pathlib import Path
 
-from cosim.config import nearest
+from cosim.config import nearest, read_toml
 from cosim.control.choice import PREDICTORS
-from cosim.engine import engine_names
+from cosim.engine import EngineSpec, engine_names
 from cosim.errors import FlightError, InputError
 from cosim.metrics import metric_names
-from cosim.run import DelayRow, Recording, Run, Setup, begin_run, now, versions
-from cosim.scenario import Expectation, Scenario, SticksCommand, TableCommand
+from cosim.pace import Pace
+from cosim.piloted import with_autopilot
+from cosim.replay import REQUESTS, Replay, read_requests
+from cosim.run import DelayRow, Recording, Run, Setup, StationEngine, begin_run, now, versions
+from cosim.scenario import Expectation, Scenario, SticksCommand, TableCommand, is_file
 from cosim.simulation import Ending, Observer, Simulation, build
+from cosim.vehicle import aircraft_names
 
 
 def fly(
@@ -24,38 +29,61 @@ def fly(
     observers: Sequence[Observer] = (),
     realtime_factor: float | None = None,
     report: bool = True,
+    watch: Callable[[Simulation, Pace, Path | None, float | None], Observer] | None = None,
 ) -> Run:
     """Fly a scenario to its end, record every step, and give back the finished run.
 
     ``out`` is the run's folder, made if need be; without it the log stays in memory.  ``observers`` see every step.
-    ``realtime_factor`` paces the flight (1.0 is real time).  A crash, a divergence or a failing engine is an outcome,
-    not an exception.
+    ``realtime_factor`` paces the flight (1.0 is real time).  ``watch`` makes a further observer of the flight when it
+    is built.  A crash, a divergence or a failing engine is an outcome, not an exception.
 
     Raises InputError if the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
     """
     check_expected(scenario)
     with build(scenario) as simulation:
-        recording = record(simulation, None if out is None else Path(out))
+        replay = None
+        if scenario.requests is not None:
+            replay = Replay(with_autopilot(simulation), read_requests(scenario.folder / scenario.requests))
+        folder = None if out is None else Path(out)
+        recording = record(simulation, folder)
+        pace = Pace(simulation.dt, realtime_factor)
+        watching = [*observers, *([watch(simulation, pace, folder, realtime_factor)] if watch else [])]
         begin = time.perf_counter()
         try:
-            ending = simulation.run([recording, *observers], realtime_factor)
+            ending = simulation.run([recording, *watching], pace if realtime_factor or watch else None, replay)
         except FlightError as error:  # the log cannot be written: the disk is full, say
             ending = Ending("failed", str(error))
         except KeyboardInterrupt:
             ending = Ending("failed", f"interrupted at {simulation.k * simulation.dt:.3f} s")
-        return recording.finish(ending.outcome, ending.reason, time.perf_counter() - begin, report)
+        wall = time.perf_counter() - begin
+        reason = ending.reason
+        if replay is not None and replay.otherwise:
+            reason += f"; {len(replay.otherwise)} requests were answered otherwise, the first: {replay.otherwise[0]}"
+        if simulation.scenario is not scenario and replay is None:  # faults came by command
+            recording.restate(resolve(simulation)[0])
+        return recording.finish(ending.outcome, reason, wall, report, pace.report if realtime_factor else None)
 
 
-def record(simulation: Simulation, folder: Path | None) -> Recording:
-    """Begin the recording of a flight, in ``folder`` or in memory.  Raises InputError if the folder is not usable."""
+def record(
+    simulation: Simulation,
+    folder: Path | None,
+    contents: Mapping[str, Path | bytes] | None = None,
+    background: bool = False,
+) -> Recording:
+    """Begin the recording of a flight, in ``folder`` or in memory; ``contents`` are those of files of the scenario.
+
+    ``background``: a thread writes the rows.  Raises InputError if the folder is not usable.
+    """
     resolved, files = resolve(simulation)
-    return begin_run(_setup(simulation), resolved, folder, files)
+    return begin_run(_setup(simulation), resolved, folder, files | dict(contents or {}), background)
 
 
-def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path]]:
-    """The scenario as it flies, with every number of vehicle and engine in it, and the files to copy beside it."""
+def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
+    """The scenario as it flies, with every number of vehicle and engines in it, and the files to go beside it."""
     scenario = simulation.scenario
-    files: dict[str, Path] = {}
+    files: dict[str, Path | bytes] = {}
+    if scenario.requests is not None:
+        files[REQUESTS] = scenario.folder / scenario.requests
     commands = []
     for index, entry in enumerate(scenario.command):
         table = entry.model_dump(mode="json", exclude_none=True)
@@ -66,15 +94,57 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path]]:
             table["file"] = name
         commands.append(table)
     engine = simulation.engine
-    if not engine.library:
-        files[engine.path.name] = engine.path
+    names = engine_files([engine, *simulation.stations], files)
     data = scenario.model_dump(mode="json", exclude_none=True) | {
         "command": commands,
-        "engine": engine.name if engine.library else engine.path.name,
+        "engine": names[id(engine)],
         "engine_parameters": dict(engine.parameters),
+        "stations": {
+            str(number): {"engine": names[id(each)], "parameters": dict(each.parameters)}
+            for number, each in enumerate(simulation.stations, 1)
+            if each is not engine
+        },
         "vehicle": simulation.vehicle.model_dump(mode="json", exclude_none=True),
     }
+    if scenario.requests is not None:
+        data["requests"] = REQUESTS
     return Scenario.from_table(data, scenario.folder, f"scenario {scenario.name}"), files
+
+
+def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) -> dict[int, str]:
+    """What each spec (by its id) is called beside a resolved scenario; foreign ones add their files to ``files``.
+
+    A mapping file goes along with its archive and names that archive there.
+    """
+    copied: dict[Path, str] = {}
+
+    def copy(source: Path, content: Path | bytes) -> str:
+        place = source.resolve()
+        if place not in copied:
+            # files of one name from several folders
+            count = sum(name == source.name for name in files)
+            copied[place] = f"{len(copied)}-{source.name}" if count else source.name
+            files[copied[place]] = content
+        return copied[place]
+
+    names = {}
+    for spec in specs:
+        if spec.library:
+            names[id(spec)] = spec.name
+            continue
+        archive = copy(spec.path, spec.path)
+        names[id(spec)] = archive if spec.mapping is None else copy(spec.mapping, _mapping(spec.mapping, archive))
+    return names
+
+
+def _mapping(path: Path, archive: str) -> Path | bytes:
+    """A mapping file as it is, or, if it names its archive otherwise, written anew."""
+    stated = read_toml(path)
+    if stated["fmu"] == archive:
+        return path
+    import tomli_w
+
+    return tomli_w.dumps(stated | {"fmu": archive}).encode()
 
 
 def _setup(simulation: Simulation) -> Setup:
@@ -91,6 +161,7 @@ def _setup(simulation: Simulation) -> Setup:
         planned_s=scenario.duration_s,
         started=now(),
         engine_curve=list(zip(engine.curve.throttle, engine.curve.thrust, strict=True)),
+        stations=[_station(each, engine) for each in simulation.stations],
         jets_m=[jet.position_m for jet in simulation.vehicle.jets],
         delay_ledger=[DelayRow(**asdict(row)) for row in simulation.ledger],
         expectation=expectation(scenario),
@@ -98,30 +169,53 @@ def _setup(simulation: Simulation) -> Setup:
         sha256={
             simulation.vehicle.model: simulation.airframe.file_sha256,
             f"{simulation.vehicle.model} as flown": simulation.airframe.sha256,
-            engine.path.name: engine.sha256,
+            **_engine_hashes([engine, *simulation.stations]),
         },
     )
+
+
+def _station(spec: EngineSpec, reference: EngineSpec) -> StationEngine:
+    curve = () if spec is reference else tuple(zip(spec.curve.throttle, spec.curve.thrust, strict=True))
+    return StationEngine(engine=spec.name, sha256=spec.sha256, curve=curve)
+
+
+def _engine_hashes(specs: Sequence[EngineSpec]) -> dict[str, str]:
+    """Of every archive and every mapping file, by name; what is not the same under one name, by path."""
+    found: dict[str, str] = {}
+    for spec in specs:
+        files = {spec.path: spec.sha256}
+        if spec.mapping is not None:
+            files[spec.mapping] = sha256(spec.mapping.read_bytes()).hexdigest()
+        for path, value in files.items():
+            name = path.name if found.get(path.name, value) == value else str(path)
+            found[name] = value
+    return found
 
 
 def check_expected(scenario: Scenario) -> None:
     """Refuse expectations that nothing could meet: of an unknown controller, engine or metric (InputError)."""
     for index, entry in enumerate(scenario.expect):
         where = f"scenario {scenario.name}: expect.{index}"
-        known = (("controller", [entry.controller], list(PREDICTORS)), ("metrics", list(entry.metrics), metric_names()))
+        known = (
+            ("controller", [entry.controller], list(PREDICTORS)),
+            ("aircraft", [entry.aircraft], aircraft_names()),
+            ("metrics", list(entry.metrics), metric_names()),
+        )
         for key, names, allowed in known:
             for name in names:
                 if name not in allowed:
                     raise InputError(f"{where}.{key}: unknown {name!r}; {nearest(name, allowed)}")
-        if not entry.engine.lower().endswith(".fmu"):
+        if not is_file(entry.engine):
             plain = entry.engine.removesuffix("-fmi2")
             if plain not in engine_names():
                 raise InputError(f"{where}.engine: unknown {entry.engine!r}; {nearest(plain, engine_names())}")
 
 
 def expectation(scenario: Scenario) -> Expectation | None:
-    """What the scenario expects of its controller with its engine, if it says so."""
+    """What the scenario expects of its controller with its engine on its aircraft, if it says so."""
+    flown = (scenario.controller, scenario.engine, scenario.aircraft)
     for entry in scenario.expect:
-        if entry.controller == scenario.controller and entry.engine == scenario.engine:
+        if (entry.controller, entry.engine, entry.aircraft) == flown:
             return entry
     return None
 

@@ -25,8 +25,11 @@ from cosim.run import LOG, REPORT, SCENARIO, Run, Summary
 from cosim.signals import AXES
 
 if TYPE_CHECKING:
+    from cosim.design.make import Design
+    from cosim.engine import CheckReport
     from cosim.identify import Identification
     from cosim.paper.reproduce import Reproduction
+    from cosim.survival import Survival
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 
@@ -105,12 +108,56 @@ def identification_report(found: Identification, path: Path) -> None:
     )
 
 
+def design_report(found: Design, path: Path) -> None:
+    """Write the page of a control design.  Raises FlightError if the file cannot be written."""
+    from cosim.design.figures import design_figures
+    from cosim.design.result import COLUMNS, rows, summary_lines
+
+    _render(
+        "design.html",
+        path,
+        design_figures(found),
+        found=found,
+        lines=summary_lines(found),
+        columns=COLUMNS,
+        rows=rows(found),
+        axes=list(found.axes),
+    )
+
+
+def survival_report(found: Survival, path: Path) -> None:
+    """Write the page of a survival table.  Raises FlightError if the file cannot be written."""
+    from cosim.survival import STARTS, summary
+
+    controllers, table = summary(found)
+    _render("survival.html", path, {}, found=found, controllers=controllers, table=table, starts=STARTS)
+
+
 def paper_report(found: Reproduction, path: Path) -> None:
     """Write the page of the paper's reproduction.  Raises FlightError if the file cannot be written."""
     from cosim.paper.figures import paper_figures
     from cosim.paper.page import page_values
 
     _render("paper.html", path, paper_figures(found), **page_values(found))
+
+
+def write_check(found: CheckReport, folder: Path) -> Path:
+    """Write ``check.json`` and the page of a checked engine, and return the page's path.
+
+    Raises FlightError if a file cannot be written.
+    """
+    from cosim.engine.figure import check_figures
+    from cosim.engine.response import NO_CHANGE
+
+    path, data = folder / REPORT, folder / "check.json"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with replacing(data) as temporary:
+            temporary.write_text(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise FlightError(f"{data}: {one_line(error)}") from error
+    _render("check.html", path, check_figures(found), report=found, still=f"{NO_CHANGE:.0e}")
+    return path
 
 
 # ---- words and tables

@@ -21,7 +21,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from cosim.config import Vector
 from cosim.errors import FlightError, InputError
 from cosim.metrics import AltitudeMetrics, AxisMetrics, Metrics, Record, check_expectations, flatten, flight_metrics
+from cosim.pace import PaceReport
 from cosim.recorder import (
+    BackgroundSink,
     Log,
     MemorySink,
     ParquetLog,
@@ -58,6 +60,14 @@ class DelayRow(Record):
     samples: float | None  # None where its owner does not say
 
 
+class StationEngine(Record):
+    """The engine at one station; ``curve`` as ``Setup.engine_curve``, empty if it is that one."""
+
+    engine: str
+    sha256: str  # of its archive
+    curve: tuple[tuple[float, float], ...] = ()
+
+
 class Setup(BaseModel):
     """What is known of a run before its first step."""
 
@@ -74,11 +84,22 @@ class Setup(BaseModel):
     planned_s: float  # how long the flight is meant to be
     started: str = ""  # UTC, ISO 8601
     engine_curve: list[tuple[float, float]] = []  # throttle, thrust of one engine at rest [N]
+    stations: list[StationEngine] = []  # jets 1 to 6
     jets_m: list[Vector] = []  # engine stations, body
     delay_ledger: list[DelayRow] = []
     expectation: Expectation | None = None  # what this controller with this engine must come to
     versions: dict[str, str] = {}
     sha256: dict[str, str] = {}  # of the aircraft model and of every FMU
+
+
+class Pacing(Record):
+    """How well a paced flight kept in step with the clock."""
+
+    factor: float | None  # asked for; None: as fast as it goes
+    missed_deadlines: int  # steps that were not done when the next one was due
+    worst_s: float  # how late the latest of them was
+    stalls: int  # after which the schedule was moved, rather than caught up with
+    lost_s: float  # by which it was moved, in all
 
 
 class Summary(Setup):
@@ -91,6 +112,7 @@ class Summary(Setup):
     wall_s: float | None = None  # spent on the steps; None if the process did not live to say so
     realtime_factor: float | None = None
     step_us: float | None = None
+    pacing: Pacing | None = None  # None: nothing was paced
     metrics: dict[str, AxisMetrics]
     altitude: AltitudeMetrics
     touchdown_m_s: float | None = None
@@ -136,17 +158,40 @@ class Run:
 class Recording:
     """A run that is being flown: an observer, and at the end :meth:`finish`."""
 
-    def __init__(self, setup: Setup, scenario: Scenario, sink: MemorySink | StreamSink) -> None:
+    def __init__(
+        self, setup: Setup, scenario: Scenario, sink: MemorySink | StreamSink, background: bool = False
+    ) -> None:
         self._setup = setup
         self._scenario = scenario
         self._sink = sink
-        self._recorder = Recorder(setup.step_s, sink)
+        self._behind = BackgroundSink(sink) if background else None
+        self._recorder = Recorder(setup.step_s, self._behind or sink)
 
     def observe(self, sample: Sample) -> None:
         """Record one control step.  Raises FlightError if the log cannot be written."""
         self._recorder.observe(sample)
 
-    def finish(self, outcome: Outcome, reason: str, wall_s: float | None = None, report: bool = True) -> Run:
+    def restate(self, scenario: Scenario) -> None:
+        """The scenario as it was flown in the end, with what came by command.  Raises FlightError."""
+        self._scenario = scenario
+        if isinstance(self._sink, StreamSink):
+            _write(self._sink.path.with_name(SCENARIO), _toml(scenario))
+
+    def shorten(self, steps: int) -> None:
+        """A flight without a planned end is over: its scenario flies as many steps as it did.  Raises FlightError."""
+        if steps:
+            duration = steps * self._setup.step_s
+            self._setup = self._setup.model_copy(update={"planned_s": duration})
+            self.restate(self._scenario.replace(duration_s=duration))
+
+    def finish(
+        self,
+        outcome: Outcome,
+        reason: str,
+        wall_s: float | None = None,
+        report: bool = True,
+        pace: PaceReport | None = None,
+    ) -> Run:
         """Put the run's files into place; ``wall_s`` is the time spent on the steps.
 
         A log that could not be written to its end makes the run ``failed``.  Raises FlightError if the files cannot be
@@ -155,15 +200,17 @@ class Recording:
         if isinstance(self._sink, MemorySink):
             self._recorder.flush()
             log = self._sink.log()
-            return Run(summarize(self._setup, log, outcome, reason, wall_s), log, None, self._scenario)
+            return Run(summarize(self._setup, log, outcome, reason, wall_s, pace), log, None, self._scenario)
         try:
             self._recorder.flush()
+            if self._behind is not None:
+                self._behind.settle()
             self._sink.end()
         except FlightError as error:
             outcome, reason = "failed", str(error)
         folder = self._sink.path.parent
         try:
-            summary, log = _settle(folder, self._setup, outcome, reason, wall_s)
+            summary, log = _settle(folder, self._setup, outcome, reason, wall_s, pace)
         finally:
             self._sink.close()
         self._sink.path.unlink()
@@ -176,12 +223,17 @@ class Recording:
 
 
 def begin_run(
-    setup: Setup, scenario: Scenario, folder: Path | None = None, files: Mapping[str, Path] | None = None
+    setup: Setup,
+    scenario: Scenario,
+    folder: Path | None = None,
+    files: Mapping[str, Path | bytes] | None = None,
+    background: bool = False,
 ) -> Recording:
     """Begin a run, in ``folder`` or in memory.
 
-    ``scenario`` is resolved: what is written to ``scenario.toml`` flies as it is.  ``files`` are copied beside it under
-    their keys.  Raises InputError if the folder already holds a run or cannot be written to.
+    ``scenario`` is resolved: what is written to ``scenario.toml`` flies as it is.  ``files``, or contents, are put
+    beside it under their keys.  ``background``: a thread writes the rows.  Raises InputError if the folder already
+    holds a run or cannot be written to.
     """
     if folder is None:
         return Recording(setup, scenario, MemorySink())
@@ -193,13 +245,13 @@ def begin_run(
     sink = StreamSink(folder / STREAM, setup.model_dump_json())
     try:
         for name, source in (files or {}).items():
-            _write(folder / name, source.read_bytes())
+            _write(folder / name, source if isinstance(source, bytes) else source.read_bytes())
         _write(folder / SCENARIO, _toml(scenario))
     except (OSError, FlightError) as error:
         sink.close()
         sink.path.unlink(missing_ok=True)
         raise InputError(str(error)) from error
-    return Recording(setup, scenario, sink)
+    return Recording(setup, scenario, sink, background)
 
 
 def open_run(folder: Path | str) -> Run:
@@ -225,7 +277,18 @@ def open_run(folder: Path | str) -> Run:
     return Run(summary, ParquetLog(folder / LOG), folder)
 
 
-def summarize(setup: Setup, log: Log, outcome: Outcome, reason: str, wall_s: float | None) -> Summary:
+def finish_killed(scenario: Path) -> None:
+    """Finish the run that a scenario file belongs to if that run was killed, so that its scenario ends where it did.
+
+    Raises InputError while the run is being flown.
+    """
+    if scenario.name == SCENARIO and (scenario.parent / STREAM).is_file():
+        _recover(scenario.parent)
+
+
+def summarize(
+    setup: Setup, log: Log, outcome: Outcome, reason: str, wall_s: float | None, pace: PaceReport | None = None
+) -> Summary:
     """The summary of a flight from its log."""
     metrics = flight_metrics(log, setup.step_s)
     steps = len(log)
@@ -240,6 +303,15 @@ def summarize(setup: Setup, log: Log, outcome: Outcome, reason: str, wall_s: flo
         wall_s=wall_s,
         realtime_factor=duration / wall_s if wall_s else None,
         step_us=1e6 * wall_s / steps if wall_s is not None and steps else None,
+        pacing=None
+        if pace is None
+        else Pacing(
+            factor=pace.factor,
+            missed_deadlines=pace.missed,
+            worst_s=pace.worst,
+            stalls=pace.stalls,
+            lost_s=pace.lost,
+        ),
         metrics=metrics.axes,
         altitude=metrics.altitude,
         touchdown_m_s=metrics.touchdown_m_s,
@@ -274,13 +346,18 @@ def _complaints(expectation: Expectation | None, outcome: Outcome, flat: Mapping
 
 
 def _settle(
-    folder: Path, setup: Setup, outcome: Outcome, reason: str, wall_s: float | None
+    folder: Path,
+    setup: Setup,
+    outcome: Outcome,
+    reason: str,
+    wall_s: float | None,
+    pace: PaceReport | None = None,
 ) -> tuple[Summary, ParquetLog]:
     """Make Parquet and summary of a stream, and leave the stream."""
     try:
         stream_to_parquet(folder / STREAM, folder / LOG)
         log = ParquetLog(folder / LOG)
-        summary = summarize(setup, log, outcome, reason, wall_s)
+        summary = summarize(setup, log, outcome, reason, wall_s, pace)
         _write(folder / SUMMARY, _json(summary).encode())
     except FlightError as error:
         raise FlightError(
@@ -301,13 +378,23 @@ def _recover(folder: Path) -> None:
                 setup = Setup.model_validate_json(note)
             except ValidationError as error:
                 raise InputError(f"{stream}: not a stream of this program") from error
-            _settle(folder, setup, "failed", "interrupted", None)
+            summary, log = _settle(folder, setup, "failed", "interrupted", None)
+            _shorten(folder, summary, len(log))
         elif not (folder / LOG).is_file():
             stream_to_parquet(stream, folder / LOG)
         stream.unlink()
 
 
-def _refuse_if_used(folder: Path, files: Mapping[str, Path]) -> None:
+def _shorten(folder: Path, summary: Summary, steps: int) -> None:
+    """Let the scenario of a flight that had no planned end, being flown by request, end where its log ends."""
+    scenario = Scenario.load(folder / SCENARIO)
+    if scenario.requests is not None and steps:
+        flown = {"planned_s": steps * scenario.step_s}
+        _write(folder / SCENARIO, _toml(scenario.replace(duration_s=flown["planned_s"])))
+        _write(folder / SUMMARY, _json(summary.model_copy(update=flown)).encode())
+
+
+def _refuse_if_used(folder: Path, files: Mapping[str, Path | bytes]) -> None:
     for name in files:
         if name in RUN_FILES or Path(name).name != name:
             raise InputError(f"scenario: a file named {name!r} cannot be copied into a run's folder")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
 from cosim.config import (
     Model,
@@ -25,6 +25,7 @@ from cosim.config import (
 )
 from cosim.errors import InputError
 from cosim.paths import data_folder
+from cosim.signals import JETS
 
 SIGNALS = (
     "roll_deg",
@@ -199,6 +200,120 @@ DisturbanceEntry = Annotated[
 ]
 
 
+def _as_list(jet: Any) -> Any:
+    return jet if isinstance(jet, list) else [jet]
+
+
+def _once_each(jets: list[int]) -> list[int]:
+    if len(set(jets)) != len(jets):
+        raise ValueError("name a jet once")
+    return jets
+
+
+JetNumber = Annotated[int, Field(ge=1, le=JETS)]
+Jets = Annotated[list[JetNumber], Field(min_length=1), BeforeValidator(_as_list), AfterValidator(_once_each)]
+
+
+class FlameOut(Model):
+    """The engine goes out, and is lit again at the end."""
+
+    kind: Literal["flame_out"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    jet: Jets
+
+
+class StuckThrottle(Model):
+    """The engine stays at the throttle it has at the start, or at ``throttle``."""
+
+    kind: Literal["stuck_throttle"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    jet: Jets
+    throttle: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+
+
+class ThrustLoss(Model):
+    """``share`` of the thrust is missing."""
+
+    kind: Literal["thrust_loss"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    jet: Jets
+    share: Annotated[float, Field(gt=0.0, le=1.0)]
+
+
+class SlowSpool(Model):
+    """A further first-order lag before the engine."""
+
+    kind: Literal["slow_spool"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    jet: Jets
+    lag_s: Annotated[float, Field(gt=0.0, le=100.0)]
+
+
+class DelayGrowth(Model):
+    """A further delay before the engine; at its end the commands on their way are lost."""
+
+    kind: Literal["delay_growth"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    jet: Jets
+    delay_s: Annotated[float, Field(gt=0.0, le=10.0)]
+
+
+class ServoJam(Model):
+    """A tilt servo stays where it stands, or runs to ``angle_deg`` and stays there."""
+
+    kind: Literal["servo_jam"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    servo: Literal["left", "right"]
+    angle_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None
+
+
+class SensorBias(Model):
+    """Added to what a sensor gives out: rad/s (gyro), rad about the body axes (attitude), m (gnss, NED; barometer)."""
+
+    kind: Literal["sensor_bias"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    sensor: Literal["gyro", "attitude", "gnss", "barometer"]
+    bias: list[float] = [0.0, 0.0, 0.0]  # one number for the barometer, else three
+    velocity_bias: Vector = (0.0, 0.0, 0.0)  # m/s, NED, of the gnss alone
+
+    @model_validator(mode="after")
+    def _fits_the_sensor(self) -> SensorBias:
+        wanted = 1 if self.sensor == "barometer" else 3
+        if len(self.bias) != wanted:
+            raise ValueError(f"bias: the {self.sensor} needs a list of {wanted}")
+        if any(self.velocity_bias) and self.sensor != "gnss":
+            raise ValueError("velocity_bias: only the gnss measures a velocity")
+        if not any((*self.bias, *self.velocity_bias)):
+            raise ValueError("bias: give one that is not 0")
+        return self
+
+    @property
+    def vector(self) -> Vector:
+        """``bias``, the barometer's in its first place."""
+        x, y, z = (*self.bias, 0.0, 0.0)[:3]
+        return (x, y, z)
+
+
+class SensorDropout(Model):
+    """A sensor repeats the last it gave before the start."""
+
+    kind: Literal["sensor_dropout"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    sensor: Literal["gyro", "attitude", "gnss", "barometer"]
+
+
+Fault = FlameOut | StuckThrottle | ThrustLoss | SlowSpool | DelayGrowth | ServoJam | SensorBias | SensorDropout
+FaultEntry = Annotated[Fault, Field(discriminator="kind")]
+
+
 class Initial(Model):
     """Where the flight begins."""
 
@@ -232,12 +347,26 @@ class Range(Model):
 
 
 class Expectation(Model):
-    """What a flight with this controller and engine must come to."""
+    """What a flight with this controller, engine and aircraft must come to."""
 
     controller: str
     engine: str
+    aircraft: str = ""  # not stated: the one that the scenario states
     outcome: list[Literal["completed", "crashed", "diverged", "failed"]] = ["completed"]
     metrics: dict[str, Range] = {}  # "roll.overshoot_percent" -> range
+
+
+class Station(Model):
+    """What stands at one engine station instead of the scenario's engine, or that engine with other parameters."""
+
+    engine: str | None = None  # None: the scenario's
+    parameters: dict[str, float] = {}  # over the scenario's engine_parameters if the engine is the scenario's
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Station:
+        if self.engine is None and not self.parameters:
+            raise ValueError("give engine, parameters or both")
+        return self
 
 
 class Scenario(Model):
@@ -259,16 +388,43 @@ class Scenario(Model):
     environment: Environment = Environment()
     command: list[CommandEntry] = []
     disturbance: list[DisturbanceEntry] = []
+    fault: list[FaultEntry] = []
+    monitor: bool | None = None  # engines are watched and planned around; None: where an engine is to fail
     engine_parameters: dict[str, float] = {}
+    engine_unchecked: bool = False  # engines that are not of the library fly without having been tried before
+    stations: dict[Literal["1", "2", "3", "4", "5", "6"], Station] = {}  # by the number of the jet
+    requests: str | None = None  # a file of what is asked of the autopilot, which flies then
     vehicle: dict[str, Any] = {}
     expect: list[Expectation] = []
 
     _folder: Path = PrivateAttr(default_factory=Path)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _expected_of_its_own_aircraft(cls, data: Any) -> Any:
+        """Said before anything is written over the scenario: it is not expected of another aircraft."""
+        if not isinstance(data, dict) or not isinstance(data.get("expect"), list):
+            return data
+        own = {"aircraft": data.get("aircraft", "hexjet")}
+        return data | {"expect": [own | entry if isinstance(entry, dict) else entry for entry in data["expect"]]}
+
+    @model_validator(mode="after")
+    def _one_flies(self) -> Scenario:
+        if self.requests is not None and self.command:
+            raise ValueError("requests: the autopilot flies then, there can be no command")
+        return self
+
     @property
     def folder(self) -> Path:
         """What relative file names in the scenario start from."""
         return self._folder
+
+    @property
+    def monitored(self) -> bool:
+        """Whether the engine monitor runs."""
+        if self.monitor is not None:
+            return self.monitor
+        return any(not isinstance(fault, (ServoJam, SensorBias, SensorDropout)) for fault in self.fault)
 
     @property
     def steps(self) -> int:
@@ -311,6 +467,11 @@ class Scenario(Model):
         """A copy with ``changes`` merged into it: tables are merged, everything else is replaced."""
         data = merge(self.model_dump(exclude_none=True), changes)
         return self.from_table(data, self.folder, f"scenario {self.name}")
+
+
+def is_file(engine: str) -> bool:
+    """Whether an engine is given by a file: an FMU, or a mapping file that names one."""
+    return engine.lower().endswith((".fmu", ".toml")) or "/" in engine
 
 
 def scenario_names() -> list[str]:

@@ -7,6 +7,7 @@ else is in SI units.  A quaternion is ``(w, x, y, z)`` and turns body vectors in
 
 from __future__ import annotations
 
+from math import nan
 from typing import NamedTuple
 
 Vector3 = tuple[float, float, float]
@@ -14,7 +15,11 @@ Quaternion = tuple[float, float, float, float]
 PerJet = tuple[float, ...]  # jets 1 to 6
 
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
+UNKNOWN3: Vector3 = (nan, nan, nan)
 JETS = 6  # at most; the log has as many columns
+ALL_WELL: PerJet = (1.0,) * JETS  # of engines that nobody watches, or that do as they are told
+# jets 1 to 6; left and right servo; gyro, attitude, GNSS, barometer
+NO_FAULTS: tuple[float, ...] = (0.0,) * (JETS + 2 + 4)
 AXES = ("roll", "pitch", "yaw")
 
 
@@ -83,6 +88,31 @@ class Actuation(NamedTuple):
     refused: Refused
 
 
+class Ambient(NamedTuple):
+    """The air around the engines during one step."""
+
+    pressure: float  # Pa, static
+    temperature: float  # K, static
+    air_speed: PerJet  # m/s, into each intake: of the vehicle through the air, along the jet's thrust
+
+
+class EngineOutput(NamedTuple):
+    """What the engines deliver and report at the end of one step; NaN where an engine does not say."""
+
+    thrust: PerJet  # N, along each jet
+    spool_speed: PerJet  # rad/s
+    exhaust_temperature: PerJet  # K
+    fuel_flow: PerJet  # kg/s
+
+
+class JetHealth(NamedTuple):
+    """What can still be had of one jet; thrusts as a share of the range of a healthy one, full over no throttle."""
+
+    gain: float = 1.0  # thrust delivered per thrust commanded; 0: it does not follow its command
+    fixed: float = 0.0  # thrust it delivers whatever the command
+    command: float = 0.0  # what it is told where it does not follow
+
+
 class Sample(NamedTuple):
     """One row of the log: everything that was on the wires during step ``k``.
 
@@ -100,5 +130,14 @@ class Sample(NamedTuple):
     collective: float  # mean throttle asked for
     actuation: Actuation
     tilt: tuple[float, float]  # rad, where the servos stand
-    thrust: PerJet  # N, delivered
+    engines: EngineOutput  # delivered and reported
     disturbance: Disturbance
+    fuel: float = nan  # kg on board at t_k; NaN without a tank
+    spool_moment: Vector3 = UNKNOWN3  # N m, body, of the spinning rotors on the airframe; NaN where not modelled
+    faults: tuple[float, ...] = NO_FAULTS  # 1 where a fault acts
+    health: PerJet = ALL_WELL  # share of its command that each jet gives, as the monitor believes
+
+    @property
+    def thrust(self) -> PerJet:
+        """N, delivered."""
+        return self.engines.thrust

@@ -2,36 +2,58 @@
 
 from __future__ import annotations
 
-import time
-from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from math import cos, degrees, radians
+from math import cos, degrees, nan, radians
 from operator import mul
 from typing import Literal, Protocol
 
-from cosim.airframe import Airframe, standing_height
+from cosim.airflow import Airstreams
+from cosim.airframe import Airframe, start_height
+from cosim.atmosphere import standard_air
 from cosim.commands import Commander
 from cosim.config import nearest
 from cosim.control.allocation import Allocator, RotorAllocator, TiltAllocator
 from cosim.control.altitude import GRAVITY, AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.choice import PREDICTORS
+from cosim.control.lead import Lead
+from cosim.control.monitor import EngineMonitor
 from cosim.control.predictor import DelayLine, NoPredictor, Predictor
 from cosim.control.rate import RateController
+from cosim.control.thrust import StaticCurve, ThrustMap
 from cosim.disturbances import Disturber
-from cosim.engine import EngineBank, EngineSpec, load_engine
+from cosim.engine import Air, EngineBank, EngineSpec, load_engine
 from cosim.errors import EngineError, FlightError, InputError
-from cosim.frames import jet_axis
+from cosim.faults import SERVOS, Engines, Faults, Sensing, Servo
+from cosim.frames import conjugate, cross, jet_axis, rotate
+from cosim.fuel import Tank
 from cosim.ledger import LedgerRow, delay_ledger
-from cosim.scenario import Scenario
+from cosim.pace import Pace
+from cosim.pilot.modes import EngineState, Report
+from cosim.reference import engine_reference
+from cosim.scenario import Fault, Scenario, Station, is_file
 from cosim.sensors import SensorSuite
 from cosim.servo import TiltServo
-from cosim.signals import AXES, ZERO3, Disturbance, Refused, Sample, State, Vector3
+from cosim.shutoff import Shutoff
+from cosim.signals import (
+    ALL_WELL,
+    AXES,
+    UNKNOWN3,
+    ZERO3,
+    Ambient,
+    Command,
+    Disturbance,
+    EngineOutput,
+    Measured,
+    PerJet,
+    Refused,
+    Sample,
+    State,
+    Vector3,
+)
+from cosim.spools import Spools
 from cosim.vehicle import Limits, Vehicle, load_vehicle
-
-_SERVOS = ("left", "right")
 
 Outcome = Literal["completed", "crashed", "diverged", "failed"]
 
@@ -40,6 +62,19 @@ class Resettable(Protocol):
     """A block that can start again."""
 
     def reset(self) -> None: ...
+
+
+class Pilot(Protocol):
+    """Flies in place of the scenario's commands; see :mod:`cosim.piloted`."""
+
+    @property
+    def engines(self) -> EngineState:
+        """What the engines do with the command of the last update."""
+
+    def reset(self, measured: Measured) -> None: ...
+
+    def update(self, k: int, measured: Measured, report: Report) -> Command:
+        """The command of step ``k``."""
 
 
 class Observer(Protocol):
@@ -57,6 +92,9 @@ class Ending:
     reason: str
 
 
+Between = Callable[[int], Ending | None]  # gets the number of the step to come
+
+
 class Simulation:
     """One flight: all blocks, wired by :func:`build`, and the instant they stand at."""
 
@@ -64,64 +102,125 @@ class Simulation:
         self,
         scenario: Scenario,
         vehicle: Vehicle,
-        engine: EngineSpec,
+        specs: Sequence[EngineSpec],
         airframe: Airframe,
         engines: EngineBank,
+        spools: Spools,
         control: Control,
         ledger: list[LedgerRow],
     ) -> None:
         self.scenario = scenario
         self.vehicle = vehicle
-        self.engine = engine
+        self.engine, *self.stations = specs  # the scenario's engine, and the one at each station
         self.ledger = ledger
         self.dt = scenario.step_s
         self.airframe = airframe
-        self.engines = engines
+        self.engines: Engines = engines
+        self.shutoff = Shutoff(engines, len(vehicle.jets))
         self.attitude = control.attitude
         self.altitude = control.altitude
         self.rate = control.rate
         self.allocator = control.allocator
+        self.thrust_map = control.thrust_map
         self.added_delay = DelayLine(scenario.added_delay_samples)
-        self.servos = [TiltServo(vehicle.servo, self.dt) for _ in _SERVOS] if vehicle.servo else []
-        self.sensors = SensorSuite(vehicle.sensors, self.dt, scenario.seed, scenario.sensor_noise)
+        servos = [TiltServo(vehicle.servo, self.dt) for _ in SERVOS] if vehicle.servo else []
+        self.servos: Sequence[Servo] = servos
+        self.sensors: Sensing = SensorSuite(vehicle.sensors, self.dt, scenario.seed, scenario.sensor_noise)
+        self.monitor = control.monitor
+        self.faults = Faults(
+            scenario,
+            engines,
+            servos,
+            self.sensors,
+            len(vehicle.jets),
+            lambda jet: engine_reference(self.stations[jet], self.dt).lag,
+            lambda: self.shutoff.off,
+        )
+        self._stated = scenario
         self._left = tuple(jet.servo == "left" for jet in vehicle.jets)
+        self._intakes = tuple(zip(self._left, [jet.position_m for jet in vehicle.jets], strict=True))
         self._reactions = tuple(jet.reaction_m for jet in vehicle.jets)
         self._reacting = any(self._reactions)
-        self._height = standing_height(vehicle) if scenario.initial.on_ground else scenario.initial.altitude_m
+        self.spools = spools if spools.any else None
+        self.tank = Tank(vehicle.fuel.mass_kg, self.dt) if vehicle.fuel else None
+        self.streams = Airstreams(vehicle.airflow, vehicle.jets) if vehicle.airflow else None
+        self._height = start_height(vehicle, scenario.initial)
         self.commander = Commander(scenario, self._height)
+        self.pilot: Pilot | None = None
         self.disturber = Disturber(scenario)
         self.judge = Judge(vehicle.limits)
         self.reset()
 
     def reset(self) -> None:
-        """Back to ``t = 0``: everything at rest, the engines settled at the throttle that holds the vehicle up."""
+        """Back to ``t = 0``: everything at rest, the engines settled at the throttle that holds the vehicle up.
+
+        Faults that were given by command are forgotten.
+        """
         self.k = 0
         self.refused = Refused()
+        self.scenario = self._stated
+        self.faults.reset(self.scenario.fault)
+        self._use_faulty()
+        self.allocator.reset()
         blocks: list[Resettable] = [self.attitude, self.altitude, self.rate, self.added_delay, *self.servos]
         for block in blocks:
             block.reset()
         limits = self.vehicle.control.allocation
-        throttle = limits.throttle_min if self.scenario.initial.on_ground else self.allocator.hover
-        thrust = self.engines.reset(throttle)
-        self.judge.reset(self.scenario.initial.on_ground)
-        self.state = self.airframe.reset(
-            self.scenario.initial, self._jet_forces(thrust, (0.0, 0.0)), self.disturber.at(0).wind
-        )
+        share = limits.throttle_min if self.scenario.initial.on_ground else self.allocator.hover
+        initial, wind = self.scenario.initial, self.disturber.at(0).wind
+        self._standing = (0.0, 0.0)  # the servos
+        ambient = None
+        if self.engines.wants_ambient:
+            # the air at the start is known once the airframe stands there, the thrust only in that air
+            ambient = self._ambient(self.airframe.reset(initial, [ZERO3] * len(self._left), wind))
+        throttle = self.thrust_map.throttle((share,) * len(self._left))
+        delivered = self.engines.reset(throttle, ambient)
+        if self.monitor is not None:
+            self.monitor.reset(throttle)
+        self.shutoff.reset()
+        momentum = None
+        if self.spools:
+            self.spools.reset(delivered.spool_speed)
+            momentum = self.spools.momentum
+        if self.tank:
+            self.tank.reset()
+        self.judge.reset(initial.on_ground)
+        self.state = self.airframe.reset(initial, self._jet_forces(delivered.thrust, (0.0, 0.0)), wind, momentum)
         self.measured = self.sensors.reset(self.state)
+        self._collective = 0.0
+        self._stopped = False
+        if self.pilot is not None:
+            self.pilot.reset(self.measured)
 
     def step(self) -> Sample:
         """One control step over ``[t_k, t_k+1)``, every input held; see docs/design.md."""
         k, state, measured = self.k, self.state, self.measured
-        command = self.commander.at(k)
+        if k >= self.faults.next:
+            self._change_faults(k)
+        pilot = self.pilot
+        command = self.commander.at(k) if pilot is None else self._ask(pilot, k)
         disturbance = self.disturber.at(k)
         rate_setpoint = self.attitude.update(command, measured)
         torque = self.rate.update(rate_setpoint, measured.rate, self.refused)
-        collective = self.altitude.update(command, measured, self.refused)
+        burnt = self.tank.burnt if self.tank else 0.0
+        collective = self.altitude.update(command, measured, self.refused, burnt)
+        if pilot is not None and pilot.engines is not EngineState.FLY:
+            torque, collective = self._stand()
         late = self._delayed(torque, disturbance)
         actuation = self.allocator.allocate(collective, late, disturbance.torque_command)
-        thrust = self.engines.step(k, actuation.throttle)
-        tilt = self._tilt(actuation.tilt)
-        self.state = self.airframe.step(self._jet_forces(thrust, tilt), disturbance, self._reaction(thrust))
+        self._collective = collective - actuation.refused.collective
+        if not self.thrust_map.identity:
+            actuation = actuation._replace(throttle=self.thrust_map.throttle(actuation.throttle))
+        engines = self._drive(k, actuation.throttle, state)
+        health = self._watch(actuation.throttle, engines) if self.monitor is not None else ALL_WELL
+        tilt = self._standing = self._tilt(actuation.tilt)
+        moment, spool_moment = self._rotor_moment(engines, tilt, state)
+        fuel = self._burn(engines.fuel_flow) if self.tank else nan
+        forces = self._jet_forces(engines.thrust, tilt)
+        if self.streams:
+            forces, (x, y, z) = self.streams.act(forces, engines.thrust, tilt, state)
+            moment = (moment[0] + x, moment[1] + y, moment[2] + z)
+        self.state = self.airframe.step(forces, disturbance, moment)
         self.measured = self.sensors.sample(self.state)
         self.refused = actuation.refused
         self.k = k + 1
@@ -137,9 +236,68 @@ class Simulation:
             collective,
             actuation,
             tilt,
-            thrust,
+            engines,
             disturbance,
+            fuel,
+            spool_moment,
+            self.faults.flags,
+            health,
         )
+
+    def _ask(self, pilot: Pilot, k: int) -> Command:
+        """The pilot's command for step ``k``, and the engines off or on as it says."""
+        lost: tuple[int, ...] = ()
+        if self.monitor is not None and self.monitor.gains != ALL_WELL[: len(self._left)]:
+            lost = tuple(jet for jet, gain in enumerate(self.monitor.gains, 1) if gain < 1.0)
+        tank, fuel = self.tank, self.vehicle.fuel
+        remaining = tank.left / fuel.mass_kg if tank and fuel else None
+        command = pilot.update(k, self.measured, Report(self.state.on_ground, self._collective, lost, remaining))
+        stopped = pilot.engines is EngineState.OFF
+        if stopped and not self._stopped:
+            self.shutoff.all_off()
+        elif self._stopped and not stopped and not (tank and tank.empty):
+            # an engine that has a fault of its own stays what the fault makes of it
+            for jet in range(len(self._left)):
+                if not self.faults.flags[jet]:
+                    self.shutoff.set(jet, True)
+        self._stopped = stopped
+        return command
+
+    def _stand(self) -> tuple[Vector3, float]:
+        """Least throttle and no torque, with loops that remember nothing when they are needed again."""
+        for block in (self.attitude, self.rate, self.altitude):
+            block.reset()
+        return ZERO3, 0.0
+
+    def inject(self, fault: Fault) -> None:
+        """Let ``fault`` begin at the next step, whatever its ``start_s``.
+
+        :attr:`scenario` states it from there on, so that the flight can be flown again.  Whether engines are watched
+        was settled before the flight: see ``monitor`` of the scenario.  Raises InputError as for a scenario's fault.
+        """
+        self._state_faults(self.faults.inject(fault, self.k))
+
+    def clear_faults(self) -> None:
+        """Let every fault that acts end at the next step; those still to come stay."""
+        self._state_faults(self.faults.clear(self.k))
+
+    def _state_faults(self, faults: Sequence[Fault]) -> None:
+        stated = [fault.model_dump(mode="json", exclude_none=True) for fault in faults]
+        self.scenario = self.scenario.replace(fault=stated, monitor=self.monitor is not None)
+
+    def _change_faults(self, k: int) -> None:
+        self.faults.change(k, self.measured)
+        self._use_faulty()
+
+    def _use_faulty(self) -> None:
+        self.engines, self.servos, self.sensors = self.faults.engines, self.faults.servos, self.faults.sensors
+
+    def _watch(self, throttle: PerJet, engines: EngineOutput) -> PerJet:
+        """Let the monitor look at the engines, and allocate around those it has given up from the next step on."""
+        assert self.monitor is not None
+        if self.monitor.update(throttle, engines):
+            self.allocator.replan(self.monitor.health)
+        return self.monitor.gains
 
     def _delayed(self, torque: Vector3, disturbance: Disturbance) -> Vector3:
         """The rate controller's output with what is added to it there, roll after the added delay."""
@@ -150,15 +308,56 @@ class Simulation:
             self.rate.tell(disturbance.torque_seen)
         return (self.added_delay.update(roll), pitch, yaw) if self.scenario.added_delay_samples else (roll, pitch, yaw)
 
+    def _drive(self, k: int, throttle: PerJet, state: State) -> EngineOutput:
+        """The engines over step ``k``, in the air at its beginning."""
+        ambient = self._ambient(state) if self.engines.wants_ambient else None
+        return self.shutoff.delivered(self.engines.step(k, self.shutoff.throttle(throttle), ambient))
+
     def _tilt(self, command: tuple[float, float]) -> tuple[float, float]:
         if not self.servos:
             return (0.0, 0.0)
         left, right = self.servos
         return (left.update(command[0]), right.update(command[1]))
 
-    def _reaction(self, thrust: Sequence[float]) -> float:
-        """Yaw moment of the rotors on the frame, N m."""
-        return sum(map(mul, self._reactions, thrust)) if self._reacting else 0.0
+    def _ambient(self, state: State) -> Ambient:
+        """The air at the engines: the vehicle's, and what blows into each intake along its jet.
+
+        The intake moves with the vehicle's velocity and its rates; wind, gust and turbulence are those at the vehicle.
+        """
+        vx, vy, vz = state.velocity
+        # JSBSim knows of no wind before its first run
+        wx, wy, wz = state.wind if self.k else self.disturber.at(0).wind
+        u, v, w = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
+        banks = []
+        for tilt in self._standing:
+            x, y, z = axis = jet_axis(tilt)
+            banks.append((u * x + v * y + w * z, cross(axis, state.rate)))
+        left, right = banks
+        speeds = []
+        for on_left, (x, y, z) in self._intakes:
+            # (velocity + rate x place) . axis = velocity . axis + place . (axis x rate)
+            along, (by_x, by_y, by_z) = left if on_left else right
+            speeds.append(along + by_x * x + by_y * y + by_z * z)
+        return Ambient(*self.airframe.air(), tuple(speeds))
+
+    def _rotor_moment(self, engines: EngineOutput, tilt: tuple[float, float], state: State) -> tuple[Vector3, Vector3]:
+        """Moment of the rotors on the frame, N m: what the airframe is to be given, and all that is the spools'."""
+        reaction = sum(map(mul, self._reactions, engines.thrust)) if self._reacting else 0.0
+        if self.spools is None:
+            return ((0.0, 0.0, reaction) if self._reacting else ZERO3), UNKNOWN3
+        x, y, z = change = self.spools.update(engines.spool_speed, tilt)
+        self.airframe.set_momentum(self.spools.momentum)
+        return (x, y, z + reaction), self.spools.moment(change, state.rate)
+
+    def _burn(self, flows: PerJet) -> float:
+        """Burn a step's fuel, and shut all engines off when there is none left; kg on board at the step's beginning."""
+        assert self.tank is not None
+        left = self.tank.left
+        if self.tank.burn(flows):
+            self.airframe.burn(self.tank.burnt)
+            if self.tank.empty:
+                self.shutoff.all_off()
+        return left
 
     def _jet_forces(self, thrust: Sequence[float], tilt: tuple[float, float]) -> list[Vector3]:
         """Each jet's thrust along its own tilted axis: N, body."""
@@ -170,15 +369,23 @@ class Simulation:
             for t, on_left in zip(thrust, self._left, strict=True)
         ]
 
-    def run(self, observers: Iterable[Observer] = (), realtime_factor: float | None = None) -> Ending:
+    def run(
+        self, observers: Iterable[Observer] = (), pace: Pace | None = None, between: Between | None = None
+    ) -> Ending:
         """Fly to the end of the scenario, or to where the flight is over.
 
-        ``realtime_factor`` paces the flight against an absolute clock; None flies as fast as it goes.
+        Without a ``pace`` it flies as fast as it goes.  ``between`` is called before every step: there the pilot is
+        asked things, and the flight ended.
         """
         observe = [observer.observe for observer in observers]
         judge = self.judge
-        pace = Pace(self.dt, realtime_factor) if realtime_factor else None
+        if pace:
+            pace.start(self.k)
         for _ in range(self.scenario.steps - self.k):
+            if between:
+                asked = between(self.k)
+                if asked:
+                    return asked
             try:
                 sample = self.step()
             except EngineError as error:
@@ -209,23 +416,6 @@ class Simulation:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-class Pace:
-    """Absolute pacing: step ``k`` ends no sooner than ``k dt / factor`` after the start."""
-
-    def __init__(self, step: float, factor: float) -> None:
-        self._step = step / factor
-        self._start = time.perf_counter()
-        self.missed = 0
-
-    def wait(self, k: int) -> None:
-        """Sleep until step ``k`` is due; count it as missed if that is past by more than a step."""
-        left = self._start + k * self._step - time.perf_counter()
-        if left > 0.0:
-            time.sleep(left)
-        elif left < -self._step:
-            self.missed += 1
 
 
 class Judge:
@@ -273,25 +463,8 @@ class Control:
     altitude: AltitudeController
     rate: RateController
     allocator: Allocator
-
-
-def throttle_map(engine: EngineSpec) -> Callable[[float], float]:
-    """Thrust of one engine at rest [N] to throttle: its measured static curve, inverted, linear between points.
-
-    Raises InputError if the thrust does not grow with the throttle.
-    """
-    throttles, thrusts = engine.curve.throttle, engine.curve.thrust
-    if any(b <= a for a, b in pairwise(thrusts)):
-        raise InputError(f"engine {engine.name}: its thrust at rest does not grow with the throttle")
-
-    slopes = [(v - u) / (b - a) for (u, v), (a, b) in zip(pairwise(throttles), pairwise(thrusts), strict=True)]
-    inner = thrusts[1:-1]
-
-    def throttle(thrust: float) -> float:
-        i = bisect_left(inner, thrust)
-        return throttles[i] + slopes[i] * (thrust - thrusts[i])
-
-    return throttle
+    thrust_map: ThrustMap
+    monitor: EngineMonitor | None
 
 
 def build(scenario: Scenario) -> Simulation:
@@ -303,45 +476,121 @@ def build(scenario: Scenario) -> Simulation:
         raise InputError(f"unknown controller {scenario.controller!r}; {nearest(scenario.controller, PREDICTORS)}")
     scenario.count(scenario.duration_s, "duration_s")
     vehicle, folder = load_vehicle(scenario.aircraft, scenario.vehicle, f"scenario {scenario.name}: vehicle")
-    engine = load_engine(_engine_from(scenario), scenario.engine_parameters, scenario.step_s)
-    control = _control(scenario, vehicle, engine)
-    airframe = Airframe(vehicle, folder, scenario.environment, scenario.step_s, scenario.substeps, scenario.seed)
+    engine, *stations = specs = _engines(scenario, vehicle)
+    spools = Spools(vehicle.jets, stations, scenario.step_s)
+    control = _control(scenario, vehicle, engine, stations)
+    airframe = Airframe(
+        vehicle, folder, scenario.environment, scenario.step_s, scenario.substeps, scenario.seed, spools.any
+    )
+    engines: EngineBank | None = None
     try:
-        engines = EngineBank(engine, len(vehicle.jets), scenario.step_s)
-        return Simulation(
-            scenario, vehicle, engine, airframe, engines, control, delay_ledger(scenario, vehicle, engine)
-        )
+        engines = EngineBank(stations, len(vehicle.jets), scenario.step_s)
+        ledger = delay_ledger(scenario, vehicle, stations)
+        return Simulation(scenario, vehicle, specs, airframe, engines, spools, control, ledger)
     except BaseException:
+        if engines is not None:
+            engines.close()
         airframe.close()
         raise
 
 
-def _engine_from(scenario: Scenario) -> str:
-    """The engine's name, or its file seen from the scenario's folder."""
-    engine = scenario.engine
-    return str(scenario.folder / engine) if engine.lower().endswith(".fmu") or "/" in engine else engine
+def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
+    """The scenario's engine, then the one at each station; each engine with its parameters is measured once.
+
+    They are measured in the still air at the height where the flight starts.
+    """
+    jets = len(vehicle.jets)
+    air = Air(*standard_air(scenario.environment.ground_m + start_height(vehicle, scenario.initial)), 0.0)
+    for number in scenario.stations:
+        if int(number) > jets:
+            where = f"scenario {scenario.name}: stations.{number}"
+            raise InputError(f"{where}: {scenario.aircraft} has stations 1 to {jets}")
+    known: dict[tuple[str, frozenset[tuple[str, float]]], EngineSpec] = {}
+
+    def load(engine: str, parameters: dict[str, float]) -> EngineSpec:
+        key = engine, frozenset(parameters.items())
+        if key not in known:
+            # a file is seen from the scenario's folder
+            source = str(scenario.folder / engine) if is_file(engine) else engine
+            unchecked = scenario.engine_unchecked
+            known[key] = load_engine(source, parameters, scenario.step_s, unchecked=unchecked, air=air)
+        return known[key]
+
+    def at(station: Station) -> EngineSpec:
+        if station.engine is None:
+            return load(scenario.engine, {**scenario.engine_parameters, **station.parameters})
+        return load(station.engine, station.parameters)
+
+    engine = load(scenario.engine, scenario.engine_parameters)
+    stations = [scenario.stations.get(str(number)) for number in range(1, jets + 1)]  # type: ignore[call-overload]
+    return [engine, *(engine if station is None else at(station) for station in stations)]
 
 
-def _control(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> Control:
+def _control(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, stations: Sequence[EngineSpec]) -> Control:
     step = scenario.step_s
     gains = vehicle.control
-    single = throttle_map(engine)
+    curves = {id(each): StaticCurve(each.name, *each.curve) for each in (engine, *stations)}
+    thrust_map = ThrustMap(curves[id(engine)], [curves[id(each)] for each in stations])
     jets = len(vehicle.jets)
-    hover = single(vehicle.mass_kg * GRAVITY / jets)
+    hover = thrust_map.share(vehicle.mass_kg * GRAVITY / jets)
     if not gains.allocation.throttle_min < hover < gains.allocation.throttle_max:
         raise InputError(
             f"engine {engine.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at throttle {hover:.2f}, "
             f"outside {gains.allocation.throttle_min:g} to {gains.allocation.throttle_max:g}"
         )
+    _need_lift(vehicle, stations)
     return Control(
         AttitudeController(gains.attitude),
-        AltitudeController(gains.altitude, vehicle.mass_kg, lambda total: single(total / jets), step),
-        RateController(
-            (gains.rate.roll, gains.rate.pitch, gains.rate.yaw), predictors(scenario, vehicle, engine), step
+        AltitudeController(
+            gains.altitude,
+            vehicle.mass_kg,
+            lambda total: thrust_map.share(total / jets),
+            step,
+            _lead(vehicle, "altitude", step),
         ),
-        TiltAllocator(vehicle.jets, gains.allocation, vehicle.servo.range_rad, hover)
+        RateController(
+            (gains.rate.roll, gains.rate.pitch, gains.rate.yaw),
+            predictors(scenario, vehicle, engine),
+            step,
+            [_lead(vehicle, axis, step) for axis in AXES],
+        ),
+        TiltAllocator(vehicle.jets, gains.allocation, vehicle.servo.range_rad, hover, thrust_map.idle)
         if vehicle.servo
         else RotorAllocator(vehicle.jets, gains.allocation, hover),
+        thrust_map,
+        _monitor(scenario, vehicle, stations) if scenario.monitored else None,
+    )
+
+
+def _lead(vehicle: Vehicle, command: str, step: float) -> Lead | None:
+    stated = getattr(vehicle.control.lead, command, None)
+    return Lead(stated, step) if stated else None
+
+
+def _need_lift(vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
+    """Refuse stations whose engines cannot carry the vehicle together, whatever the scenario's engine could."""
+    weight, most = vehicle.mass_kg * GRAVITY, sum(each.curve.thrust[-1] for each in stations)
+    if most <= weight:
+        raise InputError(
+            f"stations: the engines give at most {most:.1f} N together; {vehicle.name} ({vehicle.mass_kg:g} kg) "
+            f"weighs {weight:.1f} N"
+        )
+
+
+def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> EngineMonitor:
+    settings, limits = vehicle.control.monitor, vehicle.control.allocation
+    if settings is None:
+        raise InputError(
+            f"scenario {scenario.name}: {vehicle.name} has no [control.monitor] to watch its engines with; "
+            "state it, or set monitor = false"
+        )
+    known = {key: engine_reference(spec, scenario.step_s) for key, spec in {id(s): s for s in stations}.items()}
+    return EngineMonitor(
+        settings,
+        [known[id(spec)] for spec in stations],
+        vehicle.mass_kg * GRAVITY / len(stations),
+        (limits.throttle_min, limits.throttle_max),
+        scenario.step_s,
     )
 
 

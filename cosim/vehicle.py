@@ -8,11 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from cosim.config import Model, NotNegative, Positive, Vector, merge, nearest, read_toml, validate
 from cosim.errors import InputError
 from cosim.paths import data_folder, names_in
+from cosim.scaling import scaled
 
 Axis3 = tuple[NotNegative, NotNegative, NotNegative]
 Samples = Annotated[int, Field(ge=0, le=1000)]
@@ -24,6 +25,7 @@ class Jet(Model):
     position_m: Vector  # body, from the centre of gravity of the vehicle as built
     servo: Literal["left", "right"] | None = None
     reaction_m: float = 0.0  # yaw moment on the frame per thrust, positive turns the nose right
+    spin: Literal[-1, 0, 1] = 0  # sense of the rotor about the thrust, right-handed; 0: its spin is not modelled
 
 
 class Servo(Model):
@@ -34,9 +36,27 @@ class Servo(Model):
     range_rad: Positive  # either way from straight up
 
 
+class Fuel(Model):
+    """What is in the tank at the start: a part of ``Vehicle.mass_kg``, all of it at one place."""
+
+    mass_kg: Positive
+    position_m: Vector  # body
+
+
+class Airflow(Model):
+    """The air that one engine swallows: ``kg_s (thrust / at_thrust_n)^exponent``, and where on its axis it does so."""
+
+    kg_s: Positive
+    at_thrust_n: Positive
+    exponent: NotNegative
+    intake_m: float  # from the station along the thrust
+    exhaust_m: float  # the same for where it leaves
+
+
 class Aero(Model):
     """Body drag, one drag area per axis, and linear damping of the rates."""
 
+    span_m: Positive  # what JSBSim's turbulence model takes for the wing span: how coarse gusts must be to turn it
     drag_area_m2: Axis3  # Cd times reference area along x, y, z
     centre_m: Vector  # where the drag acts, body
     damping_n_m_s: Axis3  # moment per rate about x, y, z
@@ -118,6 +138,23 @@ class RateControl(Model):
     yaw: RateGains
 
 
+class EngineLead(Model):
+    """Lags of an engine and what a lead on its command makes of them; see :mod:`cosim.control.lead`."""
+
+    natural_rad_s: Positive  # two poles of the engine; or, without a damping, one lag of 1 / this
+    damping: Positive | None = None
+    pole_rad_s: Positive  # each of them is moved to minus this
+
+
+class Leads(Model):
+    """A lead for each command that engines answer to; false is none, also where the aircraft states one."""
+
+    roll: EngineLead | Literal[False] | None = None
+    pitch: EngineLead | Literal[False] | None = None
+    yaw: EngineLead | Literal[False] | None = None
+    altitude: EngineLead | Literal[False] | None = None
+
+
 class AltitudeGains(Model):
     """Height: P to climb rate, PI to vertical acceleration, with the hover throttle fed forward."""
 
@@ -149,29 +186,99 @@ class PredictorTuning(Model):
     disturbance_observer_rad_s: Positive  # state-disturbance: observer poles
 
 
+class PositionGains(Model):
+    """Velocity and position control above the attitude loop, and the filter that estimates both from the GNSS."""
+
+    position_1_s: Positive
+    velocity_1_s: Positive
+    catch_up_m_s: Positive  # most speed asked for because of a position error
+    lean_rad: Annotated[float, Field(gt=0.0, lt=1.2)]  # most lean asked for
+    acceleration_noise_m_s15: Positive  # white, of what the attitude does not explain: m/s^2 per root Hz
+    disturbance_walk_m_s25: Positive  # of its slow part (wind on the body): m/s^2 per root s
+
+
+class PilotSettings(Model):
+    """What the autopilot flies with before anybody tells it otherwise."""
+
+    speed_m_s: Positive
+    acceleration_m_s2: Positive
+    jerk_m_s3: Positive
+    climb_m_s: Positive
+    descent_m_s: Positive
+    land_m_s: Positive
+    yaw_rate_rad_s: Positive
+    stick_lean_rad: Annotated[float, Field(gt=0.0, lt=1.2)]
+    takeoff_height_m: Positive
+    return_height_m: Positive
+    spool_s: Positive  # from idle to hover thrust before take-off
+    endurance_s: NotNegative = 0.0  # hover on a full battery; 0: not known, nothing is estimated
+
+
+class MonitorSettings(Model):
+    """When the engine monitor calls an engine faulty."""
+
+    threshold: Positive  # of a jet's thrust in hover, beyond what a healthy engine may do
+    confirm_s: Positive  # for so long without a break
+    stuck_s: Positive  # the same before an engine that does not follow its command is called stuck
+    lag_factor: Annotated[float, Field(ge=1.0)]  # a healthy lag is the nominal one within this factor
+    delay_spread_s: NotNegative  # a healthy delay is the nominal one within this
+
+
 class Control(Model):
     attitude: AttitudeGains
     rate: RateControl
     altitude: AltitudeGains
     allocation: AllocationLimits
     predictor: PredictorTuning
+    lead: Leads | None = None
+    monitor: MonitorSettings | None = None
+    position: PositionGains | None = None
+    pilot: PilotSettings | None = None
+
+
+def _with_pairs(real: list[float], pairs: list[tuple[float, float]]) -> list[float] | list[complex]:
+    if not pairs:
+        return real
+    return [*map(complex, real), *(complex(re, sign * im) for re, im in pairs for sign in (1.0, -1.0))]
 
 
 class RateModel(Model):
-    """An identified rate response: gain * prod(z - zeros) / prod(z - poles) * z^-delay, command to rad/s."""
+    """An identified rate response: gain * prod(z - zeros) / prod(z - poles) * z^-delay, command to rad/s.
+
+    Poles and zeros that are not real come in pairs, of which the one with the positive imaginary part is stated.
+    """
 
     gain: float
     zeros: list[float]
-    poles: Annotated[list[Annotated[float, Field(gt=-1.0, le=1.0)]], Field(min_length=1)]
+    poles: list[Annotated[float, Field(gt=-1.0, le=1.0)]]
+    zero_pairs: list[tuple[float, Positive]] = Field(default_factory=list)  # real and imaginary part
+    pole_pairs: list[tuple[float, Positive]] = Field(default_factory=list)
     delay_samples: Annotated[float, Field(ge=0.0, le=1000.0)]  # need not be whole
     sample_time_s: Positive
     source: str
 
     @model_validator(mode="after")
     def _strictly_proper(self) -> RateModel:
-        if len(self.zeros) >= len(self.poles):
+        if len(self.all_zeros) >= len(self.all_poles):
             raise ValueError("a predictor needs a strictly proper model: fewer zeros than poles")
+        if any(re * re + im * im > 1.0 for re, im in self.pole_pairs):
+            raise ValueError("pole_pairs: must lie within the unit circle")
         return self
+
+    @property
+    def all_poles(self) -> list[float] | list[complex]:
+        """The real ones first, then both of each pair."""
+        return _with_pairs(self.poles, self.pole_pairs)
+
+    @property
+    def all_zeros(self) -> list[float] | list[complex]:
+        """The same of the zeros."""
+        return _with_pairs(self.zeros, self.zero_pairs)
+
+    @model_serializer(mode="wrap")
+    def _without_empty_pairs(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        return {key: value for key, value in stated.items() if not key.endswith("_pairs") or value}
 
 
 class Limits(Model):
@@ -188,11 +295,14 @@ class Vehicle(Model):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
     title: str
     model: str  # the JSBSim model's file, beside vehicle.toml
+    engine: str | None = None  # what it is made for, and flies with where only the aircraft is named
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]
     jets: Annotated[list[Jet], Field(min_length=4, max_length=6)]
     contacts: Annotated[list[Contact], Field(min_length=1)]
     servo: Servo | None = None
+    fuel: Fuel | None = None
+    airflow: Airflow | None = None  # None: no intake drag
     aero: Aero
     sensors: Sensors
     control: Control
@@ -214,6 +324,32 @@ class Vehicle(Model):
                 f"inertia_kg_m2 {list(self.inertia_kg_m2)}: no body has one moment above the sum of the others"
             )
         return self
+
+    @model_validator(mode="after")
+    def _exists_without_fuel(self) -> Vehicle:
+        if self.fuel is None:
+            return self
+        whole, fuel, place = self.mass_kg, self.fuel.mass_kg, self.fuel.position_m
+        if fuel >= whole:
+            raise ValueError(f"fuel.mass_kg {fuel:g} is a part of mass_kg {whole:g} and must be below it")
+        # about the empty vehicle's own centre of gravity, by the theorem of parallel axes
+        squares = [x * x for x in place]
+        shift = fuel * whole / (whole - fuel)
+        empty = [moment - shift * (sum(squares) - own) for moment, own in zip(self.inertia_kg_m2, squares, strict=True)]
+        a, b, c = sorted(empty)
+        if a <= 0.0 or a + b < c:
+            raise ValueError(
+                f"fuel: {fuel:g} kg at {list(place)} leave an empty vehicle with the moments of inertia "
+                f"{[round(moment, 6) for moment in empty]} kg m^2, which no body has"
+            )
+        return self
+
+
+class Scaled(Model):
+    """The table ``scaled``: everything that the file does not state is another aircraft's, at this mass."""
+
+    base: str
+    mass_kg: Positive
 
 
 class ModelFile(Model):
@@ -242,8 +378,29 @@ def load_vehicle(name: str, overrides: dict[str, Any] | None = None, where: str 
         raise InputError(f"unknown aircraft {name!r}; {nearest(name, aircraft_names())}")
     folder = data_folder("aircraft") / name
     path = folder / "vehicle.toml"
-    stated = read_toml(path)
+    stated = _stated(path)
     vehicle = validate(Vehicle, stated, str(path))
     if overrides:
         vehicle = validate(Vehicle, merge(stated, overrides), where)
     return vehicle, folder
+
+
+def _stated(path: Path) -> dict[str, Any]:
+    """What a ``vehicle.toml`` states, over what it takes from the aircraft that it is a scaled copy of."""
+    stated = read_toml(path)
+    if "scaled" not in stated:
+        return stated
+    where = f"{path}: scaled"
+    table = stated.pop("scaled")
+    if not isinstance(table, dict):
+        raise InputError(f"{where} = {table!r}: must be a table with base and mass_kg")
+    law = validate(Scaled, table, where)
+    folder = data_folder("aircraft") / law.base
+    if law.base not in aircraft_names():
+        raise InputError(f"{where}.base: unknown aircraft {law.base!r}; {nearest(law.base, aircraft_names())}")
+    base = read_toml(folder / "vehicle.toml")
+    if "scaled" in base:
+        raise InputError(f"{where}.base: {law.base} is a scaled copy itself; name the aircraft that it is made from")
+    original = validate(Vehicle, base, str(folder / "vehicle.toml")).model_dump(mode="json", exclude_none=True)
+    shared = {"model": f"../{law.base}/{original['model']}", "engine": None}
+    return merge(scaled(original, law.mass_kg) | shared, stated)

@@ -59,6 +59,7 @@ class Driven:
         self.description = fmpy.read_model_description(str(path))
         self.fmi = 2 if self.description.fmiVersion == "2.0" else 3
         self.reference = {v.name: v.valueReference for v in self.description.modelVariables}
+        self.integers = {v.name for v in self.description.modelVariables if v.type in ("Integer", "Int32")}
         self.messages: list[str] = []
         if not (folder / "modelDescription.xml").exists():
             fmpy.extract(str(path), str(folder))
@@ -90,7 +91,7 @@ class Driven:
         return callbacks
 
     def set(self, name: str, value: float) -> None:
-        if name == "delay_samples":
+        if name in self.integers:
             (self.fmu.setInteger if self.fmi == 2 else self.fmu.setInt32)([self.reference[name]], [int(value)])
         else:
             (self.fmu.setReal if self.fmi == 2 else self.fmu.setFloat64)([self.reference[name]], [value])
@@ -163,6 +164,7 @@ FAULTS = {
     "get": 9,
     "set": 10,
     "warning": 11,
+    "pending": 12,
 }
 
 _FAULTY_TOML = """
@@ -249,6 +251,7 @@ fmi2Status fmi2DoStep(fmi2Component s, fmi2Real t, fmi2Real h, fmi2Boolean no)
     case 6: return fmi2Fatal;
     case 7: return fmi2Discard;
     case 11: return fmi2Warning;
+    case 12: return fmi2Pending;
     }
     return status;
 }

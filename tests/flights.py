@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import cos, exp, pi, sin, sqrt
+from math import cos, exp, nan, pi, sin, sqrt
 from random import Random
 from typing import Any
 
 from cosim.frames import from_euler
 from cosim.run import DelayRow, Setup
 from cosim.scenario import Expectation, Range, Scenario
-from cosim.signals import Actuation, Command, Disturbance, Measured, Refused, Sample, State
+from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measured, Refused, Sample, State
 
 STEP = 0.004
+SILENT = (nan,) * 6  # engines that report nothing but their thrust
 
 
 def second_order(t: float, zeta: float, omega: float) -> tuple[float, float]:
@@ -73,7 +74,7 @@ def samples(steps: int, zeta: float = 0.4, omega: float = 9.0, seed: int = 1, gr
             0.45,
             Actuation(throttle, (0.02 * sin(2 * t), 0.02 * sin(2 * t)), Refused(0.0, 0.0, 0.0, 0.0)),  # type: ignore[arg-type]
             (0.018 * sin(2 * t - 0.2), 0.018 * sin(2 * t - 0.2)),
-            thrust,  # type: ignore[arg-type]
+            EngineOutput(thrust, SILENT, SILENT, SILENT),
             Disturbance(moment=(0.3, 0.0, 0.0)) if 6.0 < t < 7.0 else Disturbance(),
         )
 

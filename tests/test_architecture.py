@@ -21,10 +21,12 @@ HOMES = {
     "pymavlink": ["mavlink/"],
     "plotly": ["report.py"],
     "pyarrow": ["recorder.py"],
+    "control": ["design/"],
+    "websockets": ["web/"],
 }
 
 # Blocks get values and return values: no files, clocks, environment or global randomness.
-BLOCKS = ["control/", "sensors.py", "servo.py", "frames.py", "signals.py"]
+BLOCKS = ["control/", "pilot/", "sensors.py", "servo.py", "frames.py", "signals.py"]
 OUTSIDE_WORLD = {
     "builtins", "ctypes", "datetime", "fileinput", "glob", "importlib", "io", "logging", "os", "pathlib", "random",
     "secrets", "shutil", "socket", "subprocess", "sys", "tempfile", "threading", "time", "tomllib", "uuid",
@@ -40,7 +42,10 @@ C_FILES_CLOCKS_AND_CHANCE = (
 )
 
 # What a user would wait for, although a flight does not need it before its first step.
-HEAVY = ["scipy", "plotly", "pyarrow", "jinja2", "matplotlib", "control", "pymavlink", "pyulog", "hypothesis", "fmpy"]
+HEAVY = [
+    "scipy", "plotly", "pyarrow", "jinja2", "matplotlib", "control", "pymavlink", "pyulog", "hypothesis", "fmpy",
+    "websockets",
+]  # fmt: skip
 
 
 def modules() -> list[Path]:
@@ -159,7 +164,15 @@ def test_the_simulation_knows_no_output() -> None:
 
 
 def test_the_product_imports_no_test_tools() -> None:
-    assert not importers("control", "hypothesis", "pytest", "psutil", "pyulog", "matplotlib")
+    assert not importers("hypothesis", "pytest", "psutil", "pyulog", "matplotlib", "playwright")
+
+
+def test_python_control_waits_for_a_design() -> None:
+    """Not even the package that needs it takes its second or two before it does."""
+    script = "import sys, cosim.design.make; print('control' in sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert answer.stdout.split() == ["False"]
+    assert importers("control")
 
 
 @pytest.mark.parametrize("module", ["cosim", "cosim.cli", "cosim.flight"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from cosim.bench import Plan, Result, blocks, measure, speed
+from cosim.bench import Plan, Result, blocks, measure, peers, speed
 from cosim.bench.blocks import Block, Replay
 from cosim.bench.long_flight import fly_long, resident_and_peak
 from cosim.bench.show import print_result
@@ -56,7 +57,7 @@ def replayed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Block]]:
 
 def test_one_json_object_with_every_part(result: dict[str, Any]) -> None:
     assert set(result) == {
-        "machine", "versions", "plan", "speed", "breakdown", "startup", "memory", "targets", "wall_s"
+        "machine", "versions", "plan", "speed", "breakdown", "peers", "startup", "memory", "targets", "wall_s"
     }  # fmt: skip
     assert result["plan"] == {"steps": 250, "rounds": 2, "starts": 1, "memory_minutes": 0.1}
     assert result["machine"]["cpu"]
@@ -70,7 +71,7 @@ def test_a_step_costs_something_in_every_way(result: dict[str, Any], substeps: i
         speed.BARE, speed.ENGINES, speed.FLOWN, speed.RECORDED, speed.OUTSIDE_FLOWN, speed.OUTSIDE
     }  # fmt: skip
     for name in (speed.BARE, speed.ENGINES, speed.FLOWN, speed.RECORDED):
-        for clock in ("wall_us", "cpu_us", "units", "units_wall"):
+        for clock in ("wall_us", "cpu_us", "units", "units_wall", "units_process"):
             spread = costs[name][clock]
             assert 0.0 < spread["least"] <= spread["low"] <= spread["median"] <= spread["high"], (name, clock)
 
@@ -90,6 +91,50 @@ def test_the_breakdown_adds_up(result: dict[str, Any]) -> None:
     assert set(found["in_flight"]) == flying
     parts = [part["units"] for part in found["in_flight"].values()] + [found["alone"][blocks.DISK]["units"]["median"]]
     assert sum(parts) + found["rest_units"] == pytest.approx(found["outside"]["units"]["median"])
+
+
+def test_every_engine_that_is_there_is_timed(result: dict[str, Any]) -> None:
+    """Ours and FMPy's wrappers always; the others if they are installed, else they are named with the reason."""
+    found = result["peers"]
+    assert {"ours", "FMPy's wrappers"} <= set(found["costs"]) == set(found["versions"])
+    assert set(found["costs"]) | set(found["missing"]) == {"ours", "FMPy's wrappers", "ecos", "libcosim"}
+    assert not set(found["costs"]) & set(found["missing"])
+    for costs in found["costs"].values():
+        for cost in costs.values():
+            assert 0.0 < cost["units_process"]["least"] <= cost["units_process"]["median"]
+    for costs in (found["costs"][name] for name in found["costs"] if name != "ours"):
+        assert set(costs) == {peers.EXCHANGE, peers.ALONE}
+
+
+def test_six_engines_are_asked_to_cost_at_most_one_and_a_half_runs(measured: Result) -> None:
+    rows = [row for row in measured.headlines() if row[0].startswith(speed.ENGINES)]
+    assert [most for _, _, most, _ in rows] == [1.5] * len(speed.SUBSTEPS)
+    expected = [measured.speed[runs][speed.ENGINES].units.median for runs in speed.SUBSTEPS]
+    assert [value for _, value, _, _ in rows] == expected
+
+
+def test_all_engines_answer_alike_to_the_last_bit() -> None:
+    """The same FMU, inputs and step: what is compared in time is the same work."""
+    wanted: list[tuple[float, ...]] = []
+    for peer in peers.find_peers()[0]:
+        with ExitStack() as stack:
+            exchange = peer.open(stack).exchange
+            answers = [tuple(exchange(k, throttles)) for k, throttles in enumerate(peers.inputs(100))]
+        wanted = wanted or answers
+        assert answers == wanted, peer.name
+    assert min(wanted[-1]) > 0.0
+    assert len(set(wanted[-1])) == len(wanted[-1])  # each has its own throttle
+
+
+def test_an_engine_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str) -> object:
+        raise ModuleNotFoundError(f"No module named {name!r}")
+
+    monkeypatch.setattr(peers, "import_module", absent)
+    found, missing = peers.find_peers()
+    assert [peer.name for peer in found] == ["ours", "FMPy's wrappers"]
+    assert missing["ecos"] == "No module named 'ecospy'; it comes with: pip install ecospy"
+    assert missing["libcosim"].endswith("pip install libcosimpy")
 
 
 def test_the_way_to_the_first_step(result: dict[str, Any]) -> None:
@@ -116,8 +161,11 @@ def test_tables_for_people(measured: Result, capsys: pytest.CaptureFixture[str])
     told = capsys.readouterr().out
     for words in (speed.OUTSIDE, blocks.SENSORS, "to the first step", "at most", "[quartiles]", "min flown"):
         assert words in told
-    print_result(replace(measured, memory=None))
-    assert "min flown" not in capsys.readouterr().out
+    assert "FMPy's wrappers" in told
+    print_result(replace(measured, memory=None, peers=replace(measured.peers, missing={"other": "why not"})))
+    told = capsys.readouterr().out
+    assert "min flown" not in told
+    assert "other not measured: why not" in told
 
 
 @pytest.mark.parametrize(
@@ -159,7 +207,8 @@ def test_a_block_alone_does_what_it_did_in_flight(replayed: list[Block], name: s
     assert block.answered is not None
     assert len(block.inputs) == STEPS
     for _ in range(2):
-        assert block.replay() == list(block.answered)
+        # as text, which has every digit: what an engine does not say is NaN
+        assert list(map(repr, block.replay())) == list(map(repr, block.answered))
 
 
 def test_every_block_can_be_timed_again(replayed: list[Block]) -> None:
@@ -173,7 +222,7 @@ def test_the_engines_are_six_instances() -> None:
         simulation.engines.reset(0.4)
         # one throttle is moved: one thrust moves, later than the engine's delay
         for k in range(100):
-            thrust = simulation.engines.step(k, (0.4, 0.4, 0.5, 0.4, 0.4, 0.4))
+            thrust = simulation.engines.step(k, (0.4, 0.4, 0.5, 0.4, 0.4, 0.4)).thrust
         assert len(set(thrust[:2] + thrust[3:])) == 1
         assert thrust[2] > thrust[0]
 
@@ -213,9 +262,12 @@ def test_jobs_stand_between_their_units() -> None:
 
 def test_ratios_are_of_the_same_round() -> None:
     """A machine twice as slow in the second round changes the microseconds and not the units."""
-    pairs = [Pair(Clocked(12e-6, 10e-6), Clocked(2e-6, 2e-6)), Pair(Clocked(24e-6, 20e-6), Clocked(4e-6, 4e-6))]
+    pairs = [
+        Pair(Clocked(12e-6, 10e-6, 14e-6), Clocked(2e-6, 2e-6, 2e-6)),
+        Pair(Clocked(24e-6, 20e-6, 28e-6), Clocked(4e-6, 4e-6, 4e-6)),
+    ]
     cost = Cost.of(pairs, less=4)
-    for spread, value in ((cost.units, 1.0), (cost.units_wall, 2.0)):
+    for spread, value in ((cost.units, 1.0), (cost.units_wall, 2.0), (cost.units_process, 3.0)):
         assert [spread.median, spread.low, spread.high, spread.least] == pytest.approx(4 * [value])
     assert cost.cpu_us.median == pytest.approx(3.0)  # of 10 - 4 * 2 and 20 - 4 * 4
     assert cost.cpu_us.least == pytest.approx(2.0)

@@ -368,6 +368,12 @@ def test_altitude_integral_stops_when_the_collective_is_refused() -> None:
     assert block.update(command, measured(frames.IDENTITY, 10.0), Refused()) > before
 
 
+def test_burnt_fuel_need_not_be_carried() -> None:
+    block, command = altitude(), Command((0.0, 0.0, 0.0), 10.0)
+    ours = block.update(command, measured(frames.IDENTITY, 10.0), Refused(), burnt=2.0)
+    assert ours == pytest.approx((5.0 - 2.0) * GRAVITY / 100)
+
+
 def test_commanded_collective_replaces_the_hold() -> None:
     assert (
         altitude().update(Command((0.0, 0.0, 0.0), 5.0, collective=0.33), measured(frames.IDENTITY), Refused()) == 0.33

@@ -167,7 +167,9 @@ print(json.dumps([len(paths), "cosim" in sys.modules, "pydantic" in sys.modules]
 
 
 def test_an_unknown_engine(engines: Path, tmp_path: Path) -> None:
-    with pytest.raises(BuildError, match="unknown engine 'rocket'; allowed: edf, edf-as-flown, motor, turbojet"):
+    with pytest.raises(
+        BuildError, match="unknown engine 'rocket'; allowed: edf, edf-as-flown, motor, p220, turbine-100, "
+    ):
         build_all(engines, tmp_path, ["rocket"])
     with pytest.raises(InputError, match="unknown engine 'rocket'"):
         build_engines(["rocket"])
@@ -238,6 +240,22 @@ def replaced(old: str, new: str) -> Callable[[str], str]:
             "variables.throttle.causality = 'in': allowed: input, output,",
         ),
         (replaced('unit = "N"', 'unit = "lbf"'), "variables.thrust.unit = 'lbf': allowed: 1, N, K, "),
+        (replaced('unit = "N"', 'unit = "kg"'), "variables.thrust.unit = 'kg': the port thrust is in N"),
+        (replaced("[ledger]", "[rotor]\nmass = 1\n[ledger]"), "unknown key rotor.mass; allowed: inertia_kg_m2"),
+        (
+            replaced("[ledger]", "[rotor]\ninertia_kg_m2 = -1e-4\n[ledger]"),
+            "rotor.inertia_kg_m2 = -0.0001: must not be below 0",
+        ),
+        (
+            replaced('thrust = "thrust"', 'thrust = "thrust"\nnozzle = "thrust"'),
+            "unknown key ports.nozzle; allowed: air_speed, ambient_pressure, ambient_temperature, exhaust_temperature, ",
+        ),
+        (
+            replaced('thrust = "thrust"', 'thrust = "thrust"\nrun = "thrust"'),
+            "run = 'thrust': must name an input (allowed: throttle)",
+        ),
+        (replaced("max = 0.999999", "max = 0.0"), "variables.pole: min = 0 is not below max = 0"),
+        (replaced("start = 0.8748", "start = 1.5"), "variables.pole.start = 1.5 is outside min and max"),
         (replaced("start = 0.2554", ""), "variables.gain: inputs and parameters have a start, outputs have none"),
         (replaced("min = 0\n", ""), "variables.delay_samples: an integer needs min and max"),
         (
@@ -364,5 +382,5 @@ def test_an_engine_of_another_kind_is_a_new_folder(engines: Path, tmp_path: Path
             spec.curve.thrust, [2e-8 * (20000.0 + 80000.0 * u) ** 2 for u in spec.curve.throttle], rtol=1e-8
         )
         with EngineBank(spec, 6, STEP) as bank:
-            assert bank.reset(0.5) == pytest.approx([2e-8 * 60000.0**2] * 6, rel=1e-8)
+            assert bank.reset(0.5).thrust == pytest.approx([2e-8 * 60000.0**2] * 6, rel=1e-8)
         assert check_fmu(str(mine)).ok

@@ -15,7 +15,7 @@ from cosim.errors import InputError
 from cosim.export import TOPICS, export_csv, export_ulog, quaternions
 from cosim.frames import from_euler, to_euler
 from cosim.run import LOG, Run, begin_run
-from cosim.signals import Command
+from cosim.signals import Command, EngineOutput
 
 STEPS = 700
 
@@ -29,6 +29,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
             sample = sample._replace(command=Command((0.1, 0.0, 0.0), 30.0, rate=(0.1, 0.2, 0.3), collective=0.4))
         elif sample.k < 200:
             sample = sample._replace(command=Command((0.1, 0.0, 0.0), 30.0, collective=0.4))
+        if sample.k > 50:  # the engines have something to say
+            said = [tuple(at + jet + 0.1 * sample.k for jet in range(6)) for at in (4000.0, 700.0, 3.0)]
+            sample = sample._replace(
+                engines=EngineOutput(sample.thrust, *said),
+                fuel=9.0 - 0.01 * sample.k,
+                spool_moment=(0.1, -0.2, sample.time),
+            )
         recording.observe(sample)
     return recording.finish("diverged", "leaned past 90 deg", report=False)
 
@@ -121,6 +128,11 @@ def test_the_other_topics(run: Run, ulog: ULog) -> None:
         "vehicle_land_detected": {"landed": log["on_ground"]},
         "wind": {"windspeed_north": log["wind_north_m_s"], "windspeed_east": log["wind_east_m_s"]},
         "hexjet_thrust": {f"newton[{i}]": log[f"thrust_{i + 1}_N"] for i in range(6)},
+        "hexjet_engine": {f"spool_speed_rad_s[{i}]": log[f"spool_speed_{i + 1}_rad_s"] for i in range(6)}
+        | {f"exhaust_temperature_k[{i}]": log[f"exhaust_temperature_{i + 1}_K"] for i in range(6)}
+        | {f"fuel_flow_kg_s[{i}]": log[f"fuel_flow_{i + 1}_kg_s"] for i in range(6)}
+        | {f"spool_moment_n_m[{i}]": log[f"spool_moment_{x}_N_m"] for i, x in enumerate("xyz")}
+        | {"fuel_kg": log["fuel_kg"]},
         "hexjet_rate_predicted": {"xyz[0]": log["rate_p_predicted_rad_s"]},
         "hexjet_tilt": {"actual_rad[1]": log["tilt_right_rad"], "command_rad[0]": log["tilt_left_command_rad"]},
         "hexjet_control": {

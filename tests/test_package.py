@@ -97,7 +97,10 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     data = {f"cosim/data/{name}" for folder in DATA for name in source_files(folder)}
     code = {path.relative_to(ROOT).as_posix() for path in (ROOT / "cosim").rglob("*.py")}
     templates = {
-        path.relative_to(ROOT).as_posix() for path in (ROOT / "cosim" / "templates").rglob("*") if path.is_file()
+        path.relative_to(ROOT).as_posix()
+        for folder in ("templates", "web/static")
+        for path in (ROOT / "cosim" / folder).rglob("*")
+        if path.is_file()
     }
     assert templates
     assert (fmus | data | code | templates | {"cosim/py.typed"}) - names == set()

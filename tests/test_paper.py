@@ -11,6 +11,7 @@ import control
 import numpy as np
 import pytest
 
+from cosim.design.loop import margins
 from cosim.errors import InputError
 from cosim.paper import beyond, calibration, numbers
 from cosim.paper.calibration import STAGES, Frozen, hexjet_ratios, load
@@ -29,7 +30,7 @@ from cosim.paper.experiments import (
     swings,
 )
 from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, make_predictor, simulate
-from cosim.paper.loops import LoopMap, margins, open_loop, sweep, unstable_poles
+from cosim.paper.loops import LoopMap, open_loop, sweep, unstable_poles
 from cosim.vehicle import RateGains
 
 FROZEN = load()

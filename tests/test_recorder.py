@@ -25,7 +25,7 @@ from cosim.errors import FlightError, InputError
 from cosim.frames import to_euler
 from cosim.recorder import MemorySink, ParquetLog, Recorder, StreamSink, euler_angles, stream_to_parquet
 from cosim.run import LOG, RUN_FILES, SCENARIO, STREAM, SUMMARY, Run, begin_run, open_run
-from cosim.signals import Actuation, Command, Disturbance, Measured, Refused, Sample, State
+from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measured, Refused, Sample, State
 
 BLOCK = 250  # rows in one second of flight
 TESTS = Path(__file__).parent
@@ -66,7 +66,12 @@ def numbered() -> tuple[Sample, dict[str, float]]:
             Refused(roll=54.0, pitch=55.0, yaw=56.0, collective=57.0),
         ),
         tilt=(58.0, 59.0),
-        thrust=(60.0, 61.0, 62.0, 63.0, 64.0, 65.0),
+        engines=EngineOutput(
+            thrust=(60.0, 61.0, 62.0, 63.0, 64.0, 65.0),
+            spool_speed=(79.0, 80.0, 81.0, 82.0, 83.0, 84.0),
+            exhaust_temperature=(85.0, 86.0, 87.0, 88.0, 89.0, 90.0),
+            fuel_flow=(91.0, 92.0, 93.0, 94.0, 95.0, 96.0),
+        ),
         disturbance=Disturbance(
             force=(66.0, 67.0, 68.0),
             moment=(69.0, 70.0, 71.0),
@@ -74,6 +79,10 @@ def numbered() -> tuple[Sample, dict[str, float]]:
             wind=(-1.0, -1.0, -1.0),
             payload=(75.0, 76.0, 77.0, 78.0),
         ),
+        fuel=97.0,
+        spool_moment=(98.0, 99.0, 100.0),
+        faults=tuple(float(value) for value in range(107, 119)),
+        health=(101.0, 102.0, 103.0, 104.0, 105.0, 106.0),
     )
     row = {
         "time_s": 1,
@@ -103,6 +112,15 @@ def numbered() -> tuple[Sample, dict[str, float]]:
         **{"disturbance_moment_x_N_m": 69, "disturbance_moment_y_N_m": 70, "disturbance_moment_z_N_m": 71},
         **{"disturbance_torque_roll": 72, "disturbance_torque_pitch": 73, "disturbance_torque_yaw": 74},
         **{"payload_kg": 75, "payload_x_m": 76, "payload_y_m": 77, "payload_z_m": 78},
+        **{f"spool_speed_{jet}_rad_s": 78 + jet for jet in range(1, 7)},
+        **{f"exhaust_temperature_{jet}_K": 84 + jet for jet in range(1, 7)},
+        **{f"fuel_flow_{jet}_kg_s": 90 + jet for jet in range(1, 7)},
+        "fuel_kg": 97,
+        **{"spool_moment_x_N_m": 98, "spool_moment_y_N_m": 99, "spool_moment_z_N_m": 100},
+        **{f"health_{jet}": 100 + jet for jet in range(1, 7)},
+        **{f"fault_jet_{jet}": 106 + jet for jet in range(1, 7)},
+        **{"fault_servo_left": 113, "fault_servo_right": 114},
+        **{"fault_gyro": 115, "fault_attitude": 116, "fault_gnss": 117, "fault_barometer": 118},
     }
     return sample, {name: float(value) for name, value in row.items()}
 
@@ -539,8 +557,8 @@ from cosim.errors import FlightError
 from cosim.run import begin_run
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 recording = begin_run(setup(), scenario(), Path({folder!r}))
-# no file may grow past 400 kB, as on a disk that fills: a second of flight is 166 kB
-resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, resource.RLIM_INFINITY))
+# no file may grow past 600 kB, as on a disk that fills: a second of flight is 210 kB
+resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, resource.RLIM_INFINITY))
 try:
     for sample in samples(2000):
         recording.observe(sample)
@@ -591,7 +609,7 @@ def test_a_log_that_fails_to_the_end_makes_the_run_failed(tmp_path: Path, monkey
 
 def test_an_unreadable_value_survives(tmp_path: Path) -> None:
     sample, _ = numbered()
-    odd = sample._replace(thrust=(nan, float("inf"), -0.0, 5e-324, 1e308, -1.0))
+    odd = sample._replace(engines=sample.engines._replace(thrust=(nan, float("inf"), -0.0, 5e-324, 1e308, -1.0)))
     recording = begin_run(setup(), scenario(), tmp_path / "run")
     recording.observe(odd)
     run = recording.finish("failed", "engine 1", report=False)

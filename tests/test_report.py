@@ -291,7 +291,8 @@ def test_values_that_are_no_numbers_are_gaps(tmp_path: Path) -> None:
     def spoil(sample: Sample) -> Sample:
         if sample.k < 100:
             return sample._replace(command=Command((0.0, 0.0, 0.0), 30.0, rate=(0.0, 0.0, 0.0), collective=0.4))
-        return sample._replace(thrust=(nan, float("inf"), 1.0, 1.0, 1.0, 1.0)) if sample.k > 200 else sample
+        odd = sample.engines._replace(thrust=(nan, float("inf"), 1.0, 1.0, 1.0, 1.0))
+        return sample._replace(engines=odd) if sample.k > 200 else sample
 
     run = flown(300, "failed", "engine 1", change=spoil)
     page = page_of(run, tmp_path)

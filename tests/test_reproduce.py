@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from cosim.cli import main
+from cosim.design.loop import margins
 from cosim.errors import InputError
 from cosim.flight import fly
 from cosim.paper import calibration, reproduce
@@ -28,7 +29,7 @@ from cosim.paper.claims import Condition, Evidence, claim_rows, gain_at
 from cosim.paper.comparison import LinearPart, comparison_rows
 from cosim.paper.experiments import COMPARED, Result, experiments, linear, quadrotor_axis
 from cosim.paper.figures import panels, paper_figures
-from cosim.paper.loops import margins, measured_sweep, open_loop, sweep
+from cosim.paper.loops import measured_sweep, open_loop, sweep
 from cosim.paper.page import page_values, tally
 from cosim.paper.reproduce import Manual, Reproduction
 from cosim.report import figure_json, paper_report

@@ -75,7 +75,10 @@ def test_a_classic_smith_predictor_leans_under_a_constant_moment() -> None:
             "name = 'x'\nduration_s = 1\n[initial]\nheight_m = 3",
             r"unknown key 'initial\.height_m'; .*allowed: altitude_m",
         ),
-        ("name = 'x'\nduration_s = 1\n[[command]]\nkind = 'stp'", r"command\.0.*'step', 'doublet', 'ramp'"),
+        (
+            "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'stp'",
+            r"command\.0\.kind = 'stp': did you mean 'step'\? allowed: doublet, ramp, step, ",
+        ),
         (
             "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'step'\nsignal = 'rol_deg'\nstart_s = 0\namplitude = 1",
             r"command\.0.*signal = 'rol_deg': .*'roll_deg'",

@@ -186,7 +186,7 @@ class Replay:
                 partial(engines.reset, simulation.allocator.hover),
                 engines.step,
                 [(s.k, s.actuation.throttle) for s in samples],
-                [s.thrust for s in samples],
+                [s.engines for s in samples],
             ),
             Block(SERVOS, reset_servos, servos, [s.actuation.tilt for s in samples], [s.tilt for s in samples]),
             Block(FORCES, _nothing, jet_forces, [(s.thrust, s.tilt) for s in samples]),

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from cosim.bench.blocks import Breakdown
+from cosim.bench.peers import ALONE, EXCHANGE, Peers
 from cosim.bench.process import Memory, Startup
 from cosim.bench.speed import BARE
 from cosim.bench.suite import Result
@@ -64,6 +65,9 @@ def print_result(result: Result) -> None:
     for substeps, costs in result.speed.items():
         console.print(_costs(f"one control step, JSBSim runs in it: {substeps}", costs))
     console.print(_blocks(result.breakdown))
+    console.print(_peers(result.peers))
+    for name, reason in result.peers.missing.items():
+        console.print(f"{name} not measured: {reason}", style="yellow", highlight=False, markup=False)
     console.print(_startup(result.startup))
     if result.memory:
         console.print(_memory(result.memory))
@@ -104,6 +108,20 @@ def _blocks(breakdown: Breakdown) -> Table:
     rest = breakdown.rest_units
     table.add_row("rest: loop, records", "", "", f"{rest:.2f}", f"{100.0 * rest / whole:.0f}", end_section=True)
     table.add_row("all, recorded to disk", "", f"{breakdown.outside.cpu_us.median:.2f}", f"{whole:.2f}", "100")
+    return table
+
+
+def _peers(peers: Peers) -> Table:
+    """Units of all threads' processor time: some of them step in threads of their own."""
+    title = f"six instances of {peers.fmu}, {peers.steps} steps; units of all threads together"
+    table = _table(title, "us wall", "units")
+    for name, costs in peers.costs.items():
+        for what in (EXCHANGE, ALONE):
+            if what in costs:
+                cost = costs[what]
+                table.add_row(
+                    f"{name} {peers.versions[name]}: {what}", _spread(cost.wall_us, 2), _spread(cost.units_process, 2)
+                )
     return table
 
 

@@ -13,13 +13,15 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from cosim.bench.blocks import Breakdown, measure_blocks
+from cosim.bench.peers import Peers, measure_peers
 from cosim.bench.process import Memory, Startup, measure_memory, measure_startup
-from cosim.bench.speed import OUTSIDE, RECORDED, measure_speed
+from cosim.bench.speed import ENGINES, OUTSIDE, RECORDED, measure_speed
 from cosim.bench.timing import Cost
 from cosim.run import versions
 
 # What the project asks of itself, on any machine.
 OUTSIDE_UNITS = 8.0  # of one JSBSim run, a control step
+ENGINE_UNITS = 1.5  # the same for six engine FMUs
 FIRST_STEP_S = 1.5
 PEAK_MB = 300.0
 
@@ -58,6 +60,7 @@ class Result:
     plan: Plan
     speed: dict[int, dict[str, Cost]]
     breakdown: Breakdown
+    peers: Peers
     startup: Startup
     memory: Memory | None
     wall_s: float
@@ -66,13 +69,22 @@ class Result:
         """As it goes into JSON."""
         data = asdict(self)
         del data["plan"]["folder"]
-        targets = {"outside_units": OUTSIDE_UNITS, "first_step_s": FIRST_STEP_S, "peak_mb": PEAK_MB}
+        targets = {
+            "outside_units": OUTSIDE_UNITS,
+            "engine_units": ENGINE_UNITS,
+            "first_step_s": FIRST_STEP_S,
+            "peak_mb": PEAK_MB,
+        }
         return data | {"speed": {str(runs): costs for runs, costs in data["speed"].items()}, "targets": targets}
 
     def headlines(self) -> list[tuple[str, float, float, str]]:
         """What is asked for: name, measured, at most, unit."""
         rows = [
             (f"outside JSBSim, {runs} runs a step", costs[OUTSIDE].units.median, OUTSIDE_UNITS, "JSBSim runs")
+            for runs, costs in self.speed.items()
+        ]
+        rows += [
+            (f"{ENGINES}, {runs} runs a step", costs[ENGINES].units.median, ENGINE_UNITS, "JSBSim runs")
             for runs, costs in self.speed.items()
         ]
         rows.append(("from command to first step", self.startup.first_step_s.median, FIRST_STEP_S, "s"))
@@ -90,6 +102,8 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
         speed = measure_speed(plan.steps, plan.rounds, folder / "speed", counter("step", plan.rounds))
         (folder / "blocks").mkdir()
         breakdown = measure_blocks(plan.steps, plan.rounds, folder / "blocks", counter("blocks", plan.rounds))
+        (folder / "peers").mkdir()
+        peers = measure_peers(plan.steps, plan.rounds, folder / "peers", counter("engines", plan.rounds))
         startup = measure_startup(plan.starts, folder, counter("first step", plan.starts + 1))
         memory = None
         if plan.memory_minutes is not None:
@@ -102,6 +116,7 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
         plan=plan,
         speed=speed,
         breakdown=breakdown,
+        peers=peers,
         startup=startup,
         memory=memory,
         wall_s=time.perf_counter() - begin,

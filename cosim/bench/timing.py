@@ -14,10 +14,14 @@ Action = Callable[[], object]
 
 
 class Clocked(NamedTuple):
-    """Seconds a step: by the clock on the wall, and of this thread on a processor, which leaves other processes out."""
+    """Seconds a step: by the clock on the wall, and on a processor, which leaves other processes out.
+
+    ``cpu`` is of this thread, ``process`` of all threads that the job may have.
+    """
 
     wall: float
     cpu: float
+    process: float
 
 
 class Pair(NamedTuple):
@@ -60,6 +64,8 @@ class Spread:
 class Cost:
     """What one step costs: microseconds, and units of the same round, in processor time and in wall time.
 
+    ``units`` is of this thread, ``units_process`` of all threads against the unit's one.
+
     No ratio of the least step to the least unit: a short job finds a quiet moment sooner than a long one.
     """
 
@@ -67,6 +73,7 @@ class Cost:
     cpu_us: Spread
     units: Spread
     units_wall: Spread
+    units_process: Spread
 
     @classmethod
     def of(cls, pairs: Sequence[Pair], less: int = 0) -> Cost:
@@ -76,6 +83,7 @@ class Cost:
             cpu_us=Spread.of([1e6 * (step.cpu - less * unit.cpu) for step, unit in pairs]),
             units=Spread.of([step.cpu / unit.cpu - less for step, unit in pairs]),
             units_wall=Spread.of([step.wall / unit.wall - less for step, unit in pairs]),
+            units_process=Spread.of([step.process / unit.process - less for step, unit in pairs]),
         )
 
 
@@ -83,10 +91,10 @@ def clock(job: Job) -> Clocked:
     """Prepare a job and time it."""
     action = job.prepare()
     gc.collect()  # what the preparation leaves behind is not the job's to clear away
-    wall, cpu = time.perf_counter(), time.thread_time()
+    wall, process, cpu = time.perf_counter(), time.process_time(), time.thread_time()
     action()
-    cpu, wall = time.thread_time() - cpu, time.perf_counter() - wall
-    return Clocked(wall / job.steps, cpu / job.steps)
+    cpu, process, wall = time.thread_time() - cpu, time.process_time() - process, time.perf_counter() - wall
+    return Clocked(wall / job.steps, cpu / job.steps, process / job.steps)
 
 
 def interleave(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int) -> Iterator[tuple[Job, Pair]]:
@@ -96,4 +104,5 @@ def interleave(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int) -> It
             before = clock(units[job.substeps])
             step = clock(job)
             after = clock(units[job.substeps])
-            yield job, Pair(step, Clocked(0.5 * (before.wall + after.wall), 0.5 * (before.cpu + after.cpu)))
+            wall, cpu, process = (0.5 * (a + b) for a, b in zip(before, after, strict=True))
+            yield job, Pair(step, Clocked(wall, cpu, process))

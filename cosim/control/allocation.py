@@ -4,18 +4,24 @@ On tilting banks roll is differential throttle between the banks, pitch is both 
 apart.  What does not fit is refused and reported, in this order: roll is kept before collective (attitude before
 height), pitch before yaw; a roll command beyond half the throttle range, or tilts beyond the servos' range, are cut.
 On a multirotor all three are differential throttle, and roll and pitch are kept before yaw, yaw before collective.
+
+Told of an engine that is lost, weak or stuck, the allocation of tilting banks is planned anew (:mod:`.replan`): the
+same commands then give the same force and moments as with all engines, as far as the engines that are left can.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
 from typing import Protocol
 
+from cosim.control.replan import Plan, plan
 from cosim.errors import InputError
-from cosim.signals import AXES, ZERO3, Actuation, Refused, Vector3
+from cosim.signals import AXES, ZERO3, Actuation, JetHealth, Refused, Vector3
 from cosim.vehicle import AllocationLimits, Jet
 
 _LEAST_SHARE = 0.25  # of hover thrust, below which tilts are not enlarged further
+_FLAT = 1e-9  # of throttle per collective: does not follow it
 
 
 class Allocator(Protocol):
@@ -25,16 +31,27 @@ class Allocator(Protocol):
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation: ...
 
+    def replan(self, health: Sequence[JetHealth]) -> bool:
+        """From the next step on allocate for engines in this health; False, and all as before, if that cannot be."""
+
+    def reset(self) -> None:
+        """All engines are healthy."""
+
 
 class TiltAllocator:
     """Throttles and tilts of a vehicle with two banks of jets.
 
     ``hover`` is the throttle at which the vehicle hovers: tilt commands are stated at hover thrust and are enlarged
-    or reduced in inverse proportion to the collective, so that their moment stays the same.
+    or reduced in inverse proportion to the collective, so that their moment stays the same.  ``idle`` is the thrust of
+    a jet without throttle, over what full throttle adds to it.
     Raises InputError where the banks leave no lever for roll or pitch.
     """
 
-    def __init__(self, jets: Sequence[Jet], limits: AllocationLimits, tilt_range: float, hover: float) -> None:
+    def __init__(
+        self, jets: Sequence[Jet], limits: AllocationLimits, tilt_range: float, hover: float, idle: float = 0.0
+    ) -> None:
+        self._jets, self._limits, self._idle = jets, limits, idle
+        self._plan: Plan | None = None
         self._low, self._high = limits.throttle_min, limits.throttle_max
         self._range = tilt_range
         self.hover = hover
@@ -51,6 +68,18 @@ class TiltAllocator:
             )
         # a forward tilt pushes forward at z: nose up where the jets stand below the centre of gravity
         self._pitch_sign = 1.0 if lever > 0.0 else -1.0
+        self._lever = lever
+        self._hover_thrust = hover + idle
+
+    def reset(self) -> None:
+        self._plan = None
+
+    def replan(self, health: Sequence[JetHealth]) -> bool:
+        found = plan(self._jets, self._limits, self.hover, self._idle, health)
+        if found is None:
+            return False
+        self._plan = found
+        return True
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
         """``collective`` in throttle; ``torque`` roll in throttle, pitch and yaw in rad of tilt at hover thrust.
@@ -61,6 +90,8 @@ class TiltAllocator:
         roll, pitch, yaw = torque
         if added is not ZERO3:
             roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
+        if self._plan is not None:
+            return self._as_planned(self._plan, collective, roll, pitch, yaw)
         low, high = self._low, self._high
         half = 0.5 * (high - low)
         r = half if roll > half else (-half if roll < -half else roll)
@@ -69,7 +100,7 @@ class TiltAllocator:
         c = least if collective < least else (most if collective > most else collective)
         left, right = c + r, c - r
 
-        share = c / self.hover
+        share = (c + self._idle) / self._hover_thrust
         if share < _LEAST_SHARE:
             share = _LEAST_SHARE
         # what fits is refused exactly nothing, not a rounding error: the integrals stop on any refusal
@@ -92,12 +123,57 @@ class TiltAllocator:
             Refused(roll - r, refused_pitch, refused_yaw, collective - c),
         )
 
+    def _as_planned(self, plan: Plan, collective: float, roll: float, pitch: float, yaw: float) -> Actuation:
+        """With engines lost: the same order of what is kept, the throttles from the plan's weights."""
+        low, high = self._low, self._high
+        least_roll, most_roll = plan.roll_range
+        r = least_roll if roll < least_roll else (most_roll if roll > most_roll else roll)
+        at_roll = [trim + r * per_roll for trim, per_roll in zip(plan.trim, plan.roll, strict=True)]
+        least, most = -inf, inf
+        for base, slope in zip(at_roll, plan.up, strict=True):
+            if slope > _FLAT:
+                least, most = max(least, (low - base) / slope), min(most, (high - base) / slope)
+            elif slope < -_FLAT:
+                least, most = max(least, (high - base) / slope), min(most, (low - base) / slope)
+        up = collective - plan.centre
+        # rounding may leave the two apart by nothing
+        above = least if up < least else (most if up > most else up)
+        c = collective if above == up else plan.centre + above
+        throttle = tuple(
+            [
+                min(high, max(low, base + above * slope)) if free else base
+                for base, slope, free in zip(at_roll, plan.up, plan.free, strict=True)
+            ]
+        )
+
+        share = max(_LEAST_SHARE, (c + self._idle) / self._hover_thrust)
+        constant, per_up, per_roll = plan.pitch
+        # what the throttles leave of pitch is tilted away
+        balance = -(constant + above * per_up + r * per_roll) / (self._lever * max(_LEAST_SHARE, self._idle + c))
+        wanted = self._pitch_sign * pitch / share + balance
+        p = _within(self._range, wanted)
+        y = _within(self._range - abs(p), yaw / share)
+        return Actuation(
+            throttle,
+            (p + y, p - y),
+            Refused(
+                roll - r,
+                0.0 if p == wanted else self._pitch_sign * (wanted - p) * share,
+                0.0 if y == yaw / share else yaw - y * share,
+                collective - c,
+            ),
+        )
+
 
 class RotorAllocator:
     """Throttles of a multirotor whose rotors point straight up.
 
     Torque commands are in throttle: a unit of roll adds one to the rotors on the left and takes one from those on
     the right; pitch does so front and rear, yaw by the sense of rotation.  ``hover``: the throttle of hover.
+
+    It does not plan around a lost rotor: without one of four there is no level hover at all, and without it and the
+    opposite one (both turn the same way) there is one only while the vehicle spins, which this cascade does not fly
+    (:func:`cosim.control.replan.attainable` computes both).
     Raises InputError where the rotors give no moment about an axis.
     """
 
@@ -111,6 +187,12 @@ class RotorAllocator:
             signs = [sign[index] for sign in self._signs]
             if not (max(signs) > 0.0 > min(signs)):
                 raise InputError(f"vehicle.jets: the rotors give no {axis} moment both ways")
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def replan(self, health: Sequence[JetHealth]) -> bool:
+        return False
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
         """All four commands in throttle; ``added`` as for :class:`TiltAllocator`."""
@@ -133,6 +215,10 @@ class RotorAllocator:
             (0.0, 0.0),
             Refused(roll - r, pitch - p, yaw - y, collective - c),
         )
+
+
+def _within(limit: float, value: float) -> float:
+    return limit if value > limit else (-limit if value < -limit else value)
 
 
 def _sign(value: float) -> float:

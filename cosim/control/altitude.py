@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from cosim.control.blend import Fade
+from cosim.control.lead import Lead
 from cosim.signals import Command, Measured, Refused
 from cosim.vehicle import AltitudeGains
 
@@ -14,28 +16,54 @@ _LEAST_UPRIGHT = 0.5  # thrust is not raised further for a lean beyond 60 degree
 class AltitudeController:
     """P from height to climb rate, PI from climb rate to vertical acceleration, then thrust against gravity and lean.
 
-    ``mass`` kg; ``throttle_for(thrust)`` is the collective that gives a total thrust [N] at rest.
+    ``mass`` kg, tank full; ``throttle_for(thrust)`` is the collective that gives a total thrust [N] at rest; a ``lead``
+    stands behind it.
     """
 
-    def __init__(self, gains: AltitudeGains, mass: float, throttle_for: Callable[[float], float], step: float) -> None:
+    def __init__(
+        self,
+        gains: AltitudeGains,
+        mass: float,
+        throttle_for: Callable[[float], float],
+        step: float,
+        lead: Lead | None = None,
+    ) -> None:
+        self._step = step
+        self._lead = lead
+        self._set(gains)
+        self._mass = mass
+        self._throttle_for = throttle_for
+        self.reset()
+
+    def _set(self, gains: AltitudeGains) -> None:
+        self._gains = gains
         self._position = gains.position_1_s
         self._up, self._down = gains.climb_limit_m_s, -gains.descent_limit_m_s
         self._velocity = gains.velocity_1_s
         self._limit = gains.integral_limit_m_s2
-        self._mass = mass
-        self._throttle_for = throttle_for
-        self._i = gains.integral_1_s2 * step
-        self.reset()
+        self._i = gains.integral_1_s2 * self._step
 
     def reset(self) -> None:
         """No integral."""
         self._integral = 0.0
+        self._started = False
+        self._left: AltitudeGains | None = None
+        self._fade: Fade | None = None
 
-    def update(self, command: Command, measured: Measured, refused: Refused) -> float:
-        """Collective: the mean throttle."""
+    def retune(self, gains: AltitudeGains) -> None:
+        """Other gains from the next update on, without a bump: the difference in acceleration fades."""
+        if self._left is None:
+            self._left = self._gains
+        self._set(gains)
+        self._fade = self._fade or Fade(self._step)
+
+    def update(self, command: Command, measured: Measured, refused: Refused, burnt: float = 0.0) -> float:
+        """Collective: the mean throttle.  ``burnt``: fuel [kg] that the engines' own reports add up to."""
         if command.collective is not None:
+            self._started = False
             return command.collective
-        climb = self._position * (command.altitude - measured.altitude)
+        off = command.altitude - measured.altitude
+        climb = self._position * off
         climb = self._up if climb > self._up else (self._down if climb < self._down else climb)
         error = climb + measured.velocity[2]
         if refused.collective * error <= 0.0:
@@ -47,4 +75,27 @@ class AltitudeController:
         if upright < _LEAST_UPRIGHT:
             upright = _LEAST_UPRIGHT
         acceleration = GRAVITY + self._velocity * error + self._integral
-        return self._throttle_for(self._mass * acceleration / upright)
+        if self._fade is not None:
+            acceleration += self._faded(self._fade, off, measured.velocity[2], acceleration)
+        throttle = self._throttle_for((self._mass - burnt) * acceleration / upright)
+        return throttle if self._lead is None else self._led(self._lead, throttle, refused.collective)
+
+    def _led(self, lead: Lead, throttle: float, refused: float) -> float:
+        """Behind the lead, which finds the engines settled when height control begins."""
+        if not self._started:
+            lead.settle(throttle)
+            refused = 0.0
+        self._started = True
+        return lead.update(throttle, refused)
+
+    def _faded(self, fade: Fade, off: float, sink: float, new: float) -> float:
+        """What is left of the old law's answer minus the ``new`` one's; the integral is common to both."""
+        left = fade.update()
+        if self._left is None:
+            return left
+        old = self._left
+        self._left = None
+        climb = max(-old.descent_limit_m_s, min(old.climb_limit_m_s, old.position_1_s * off))
+        difference = GRAVITY + old.velocity_1_s * (climb + sink) + self._integral + left - new
+        fade.begin(difference)
+        return difference

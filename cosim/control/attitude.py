@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cosim.control.blend import Fade
 from cosim.frames import from_euler
 from cosim.signals import Command, Measured, Vector3
 from cosim.vehicle import AttitudeGains
@@ -19,9 +20,19 @@ class AttitudeController:
         self._limit = gains.rate_limit_rad_s
         self._euler: Vector3 = (0.0, 0.0, 0.0)
         self._setpoint = from_euler(0.0, 0.0, 0.0)
+        self.reset()
 
     def reset(self) -> None:
-        """Nothing is remembered between steps but the last set-point's quaternion."""
+        """Nothing is remembered between steps but the last set-point's quaternion, and a change of gains."""
+        self._left: tuple[Vector3, Vector3] | None = None
+        self._fades: tuple[Fade, ...] = ()
+
+    def retune(self, gains: AttitudeGains, step: float) -> None:
+        """Other gains from the next update on, without a bump: the difference fades; ``step`` s between updates."""
+        if self._left is None:
+            self._left = (self._gain, self._limit)
+        self._gain, self._limit = gains.gain_1_s, gains.rate_limit_rad_s
+        self._fades = self._fades or (Fade(step), Fade(step), Fade(step))
 
     def update(self, command: Command, measured: Measured) -> Vector3:
         """Body rate set-point, rad/s."""
@@ -35,11 +46,26 @@ class AttitudeController:
         double = 2.0 if aw * bw + ax * bx + ay * by + az * bz >= 0.0 else -2.0
         kx, ky, kz = self._gain
         lx, ly, lz = self._limit
-        p = kx * double * (aw * bx - ax * bw - ay * bz + az * by)
-        q = ky * double * (aw * by + ax * bz - ay * bw - az * bx)
-        r = kz * double * (aw * bz - ax * by + ay * bx - az * bw)
-        return (
+        ex = double * (aw * bx - ax * bw - ay * bz + az * by)
+        ey = double * (aw * by + ax * bz - ay * bw - az * bx)
+        ez = double * (aw * bz - ax * by + ay * bx - az * bw)
+        p, q, r = kx * ex, ky * ey, kz * ez
+        answer = (
             lx if p > lx else (-lx if p < -lx else p),
             ly if q > ly else (-ly if q < -ly else q),
             lz if r > lz else (-lz if r < -lz else r),
         )
+        return self._faded((ex, ey, ez), answer) if self._fades else answer
+
+    def _faded(self, error: Vector3, new: Vector3) -> Vector3:
+        """The new law's answer and what is left of its difference to the old one's."""
+        x, y, z = (fade.update() for fade in self._fades)
+        if self._left is None:
+            return (new[0] + x, new[1] + y, new[2] + z)
+        gain, limit = self._left
+        self._left = None
+        left = zip(gain, limit, error, (x, y, z), strict=True)
+        old = [max(-most, min(most, k * e)) + rest for k, most, e, rest in left]
+        for fade, before, after in zip(self._fades, old, new, strict=True):
+            fade.begin(before - after)
+        return (old[0], old[1], old[2])

@@ -29,10 +29,12 @@ def _state(model: RateModel, tuning: PredictorTuning) -> Predictor:
 
 def _model_observer(disturbance: bool) -> Make:
     def make(model: RateModel, tuning: PredictorTuning) -> Predictor:
-        from cosim.control.state_predictor import ModelObserver, StateModel, StatePredictor
+        from cosim.control.state_predictor import ModalPredictor, ModelObserver, StateModel, StatePredictor
 
-        state = StateModel(model)
         bandwidth = tuning.disturbance_observer_rad_s if disturbance else tuning.model_observer_rad_s
+        if len(model.poles) != 2 or model.pole_pairs or model.zero_pairs:
+            return ModalPredictor(model, bandwidth, disturbance)
+        state = StateModel(model)
         return StatePredictor(model, ModelObserver(state, bandwidth, disturbance), state)
 
     return make

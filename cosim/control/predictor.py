@@ -13,6 +13,8 @@ from typing import Protocol
 from cosim.errors import InputError
 from cosim.vehicle import RateModel
 
+Inside = tuple[float, float, float]  # a model's rate without its delay, and with it [rad/s]; the delay [samples]
+
 
 class Predictor(Protocol):
     """A block with one output: the rate to feed back, rad/s."""
@@ -86,7 +88,8 @@ class DiscreteModel:
 
 def rate_model(model: RateModel) -> DiscreteModel:
     """The identified response without its delay."""
-    return DiscreteModel([model.gain * c for c in polynomial(model.zeros)], polynomial(model.poles))
+    over, under = polynomial(model.zeros, model.zero_pairs), polynomial(model.poles, model.pole_pairs)
+    return DiscreteModel([model.gain * c for c in over], under)
 
 
 class DelayedModel:
@@ -128,15 +131,20 @@ class SmithPredictor:
         self._whole = model.delay_samples == int(model.delay_samples)
         self._then: DelayLine | DelayedModel
         self._then = DelayLine(int(model.delay_samples)) if self._whole else DelayedModel(model)
+        self._delay = model.delay_samples
+        self.inside: Inside = (0.0, 0.0, self._delay)
 
     def reset(self) -> None:
         """Model and delay at rest."""
         self._now.reset()
         self._then.reset()
+        self.inside = (0.0, 0.0, self._delay)
 
     def update(self, measured: float, applied: float) -> float:
         now = self._now.update(applied)
-        return measured + (now - self._then.update(now if self._whole else applied))
+        then = self._then.update(now if self._whole else applied)
+        self.inside = (now, then, self._delay)
+        return measured + (now - then)
 
 
 class FilteredSmithPredictor:
@@ -153,6 +161,8 @@ class FilteredSmithPredictor:
         self._through = numerator[0]
         rest = [b - self._through * a for b, a in zip(numerator[1:], denominator[1:], strict=True)]
         self._rest = DiscreteModel(rest, denominator) if rest else None
+        self._delay = model.delay_samples
+        self.inside: Inside = (0.0, 0.0, self._delay)
         self.reset()
 
     def reset(self) -> None:
@@ -162,6 +172,7 @@ class FilteredSmithPredictor:
         if self._rest:
             self._rest.reset()
         self._before = 0.0
+        self.inside = (0.0, 0.0, self._delay)
 
     def update(self, measured: float, applied: float) -> float:
         then = self._then.update(applied)
@@ -171,7 +182,9 @@ class FilteredSmithPredictor:
             filtered += self._rest.update(self._before)
         self._before = difference
         # written as Smith's answer and what the filter changes of it, so that F = 1 is Smith's bit for bit
-        return measured + (self._now.update(applied) - then) + (filtered - difference)
+        now = self._now.update(applied)
+        self.inside = (now, then, self._delay)
+        return measured + (now - then) + (filtered - difference)
 
 
 def robustness_filter(model: RateModel, time_constant: float) -> tuple[list[float], list[float]]:
@@ -195,6 +208,8 @@ def robustness_filter(model: RateModel, time_constant: float) -> tuple[list[floa
 
 def _fractional(model: RateModel, fraction: float) -> DiscreteModel:
     poles = model.poles
+    if model.pole_pairs or model.zero_pairs:
+        raise InputError("identified model: with pairs of poles or zeros its delay must be a whole number of samples")
     if min(poles) <= 0.0 or len(set(poles)) != len(poles):
         raise InputError(
             f"identified model: a delay of {model.delay_samples:g} samples needs poles above 0 and all different, "
@@ -213,12 +228,18 @@ def _fractional(model: RateModel, fraction: float) -> DiscreteModel:
     return DiscreteModel(numerator, polynomial([0.0, *poles]))
 
 
-def polynomial(roots: Sequence[float]) -> list[float]:
-    """Coefficients, highest power first, of ``prod (z - root)``."""
+def polynomial(roots: Sequence[float], pairs: Sequence[tuple[float, float]] = ()) -> list[float]:
+    """Coefficients, highest power first, of ``prod (z - root)``; ``pairs`` of roots by real and imaginary part."""
     coefficients = [1.0]
     for root in roots:
         shifted = [*coefficients, 0.0]
         for i, c in enumerate(coefficients):
             shifted[i + 1] -= root * c
+        coefficients = shifted
+    for re, im in pairs:
+        shifted = [*coefficients, 0.0, 0.0]
+        for i, c in enumerate(coefficients):
+            shifted[i + 1] -= 2.0 * re * c
+            shifted[i + 2] += (re * re + im * im) * c
         coefficients = shifted
     return coefficients

@@ -2,21 +2,43 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
+from math import nan
+from typing import NamedTuple
 
-from cosim.control.predictor import Predictor
+from cosim.control.blend import Fade
+from cosim.control.lead import Lead
+from cosim.control.predictor import Inside, Predictor
 from cosim.signals import Refused, Vector3
 from cosim.vehicle import RateGains
+
+_NOTHING: Inside = (nan, nan, nan)
+
+
+class _Law(NamedTuple):
+    """Gains (per step) and predictor of a law that is being left."""
+
+    p: float
+    i: float
+    d: float
+    limit: float
+    share: float
+    predictor: Predictor
+
+    def integrate(self, integral: float, error: float, stop: bool) -> float:
+        return integral if stop else max(-self.limit, min(self.limit, integral + self.i * error))
 
 
 class RateAxis:
     """PID on one axis.
 
     ``u = p (r - y) + i integral(r - y) - d y'``, with ``y`` from the predictor and ``y'`` through a first-order
-    filter.  The integral stops where allocation refused a command of the error's sign, and is limited.
+    filter.  The integral stops where allocation refused a command of the error's sign, and is limited.  With a lead the
+    command is the lead's answer to ``u``, and the predictor reads that.
     """
 
-    def __init__(self, gains: RateGains, predictor: Predictor, step: float) -> None:
+    def __init__(self, gains: RateGains, predictor: Predictor, step: float, lead: Lead | None = None) -> None:
         self._p = gains.p
         self._i = gains.i * step
         self._d = gains.d
@@ -24,6 +46,8 @@ class RateAxis:
         self._share = step / (gains.d_filter_s + step)
         self._step = step
         self._predictor = predictor
+        self._lead = lead
+        self._past: deque[tuple[float, float]] | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -34,9 +58,19 @@ class RateAxis:
         self._slope = 0.0
         self._command = 0.0
         self._started = False
+        self._fade: Fade | None = None
+        self._left: _Law | None = None
+        if self._lead is not None:
+            self._lead.settle(0.0)
+        if self._past is not None:
+            self._past.clear()
 
     def update(self, setpoint: float, measured: float, refused: float) -> float:
         """The command of this step; ``refused`` is what allocation could not give of the one before."""
+        if self._past is not None:
+            self._past.append((measured, self._command - refused))
+        if self._left is not None:
+            return self._change(self._left, setpoint, measured, refused)
         rate = self._predictor.update(measured, self._command - refused)
         error = setpoint - rate
         if refused * error <= 0.0:
@@ -48,19 +82,83 @@ class RateAxis:
         self._started = True
         self.predicted = rate
         self._command = self._p * error + self._integral - self._d * self._slope
+        if self._fade is not None:
+            self._command += self._fade.update()
+        if self._lead is not None:
+            self._command = self._lead.update(self._command, refused)
+        return self._command
+
+    def remember(self, samples: int) -> None:
+        """Keep this many steps, so that a predictor that comes in flight can catch up with them."""
+        self._past = deque(maxlen=samples)
+
+    def retune(self, gains: RateGains, predictor: Predictor | None = None) -> None:
+        """Other gains, and another predictor where one is given, from the next update on, without a bump.
+
+        The next command is still the old law's; the difference to the new law's fades from then on.
+        """
+        if self._left is None:
+            self._left = _Law(self._p, self._i, self._d, self._limit, self._share, self._predictor)
+        step = self._step
+        self._p, self._i, self._d = gains.p, gains.i * step, gains.d
+        self._limit = gains.integral_limit
+        self._share = step / (gains.d_filter_s + step)
+        if predictor is not None:
+            predictor.reset()
+            for measured, applied in self._past or ():
+                predictor.update(measured, applied)
+            self._predictor = predictor
+
+    def _change(self, old: _Law, setpoint: float, measured: float, refused: float) -> float:
+        """The step of a change: both laws answer, the old one is heard."""
+        self._left = None
+        applied = self._command - refused
+        # catching up has already told the new predictor of the steps before this one
+        before = old.predictor.update(measured, applied)
+        swapped = self._predictor is not old.predictor
+        rate = self._predictor.update(measured, applied) if swapped else before
+        stop = refused * (setpoint - before) > 0.0
+        integral = old.integrate(self._integral, setpoint - before, stop)
+        slope = self._slope
+        if self._started:
+            slope += old.share * ((before - self.predicted) / self._step - slope)
+        command = old.p * (setpoint - before) + integral - old.d * slope
+        if self._fade is not None:
+            command += self._fade.update()
+        # where the predictor changes the predicted rate jumps, which its slope must not see
+        self._slope = slope
+        self._integral = max(-self._limit, min(self._limit, integral))
+        self.predicted = rate
+        self._started = True
+        self._fade = Fade(self._step)
+        self._fade.begin(command - (self._p * (setpoint - rate) + self._integral - self._d * slope))
+        self._command = command if self._lead is None else self._lead.update(command, refused)
         return self._command
 
     def tell(self, added: float) -> None:
         """The predictor reads the command behind a place where ``added`` came to it."""
         self._command += added
 
+    @property
+    def inside(self) -> Inside:
+        """What is to be seen of the predictor's model; NaN where there is none."""
+        found: Inside = getattr(self._predictor, "inside", _NOTHING)
+        return found
+
 
 class RateController:
     """Three axes: rate set-point and measured rate (rad/s, body) to torque commands."""
 
-    def __init__(self, gains: Sequence[RateGains], predictors: Sequence[Predictor], step: float) -> None:
+    def __init__(
+        self,
+        gains: Sequence[RateGains],
+        predictors: Sequence[Predictor],
+        step: float,
+        leads: Sequence[Lead | None] = (None, None, None),
+    ) -> None:
         self._roll, self._pitch, self._yaw = (
-            RateAxis(gain, predictor, step) for gain, predictor in zip(gains, predictors, strict=True)
+            RateAxis(gain, predictor, step, lead)
+            for gain, predictor, lead in zip(gains, predictors, leads, strict=True)
         )
 
     def reset(self) -> None:
@@ -76,10 +174,26 @@ class RateController:
             self._yaw.update(setpoint[2], measured[2], refused.yaw),
         )
 
+    def remember(self, samples: int) -> None:
+        """As :meth:`RateAxis.remember`, on all axes."""
+        for axis in (self._roll, self._pitch, self._yaw):
+            axis.remember(samples)
+
+    def retune(self, gains: Sequence[RateGains], predictors: Sequence[Predictor] | None = None) -> None:
+        """As :meth:`RateAxis.retune`, on all axes."""
+        new = predictors or (None, None, None)
+        for axis, gain, predictor in zip((self._roll, self._pitch, self._yaw), gains, new, strict=True):
+            axis.retune(gain, predictor)
+
     def tell(self, added: Vector3) -> None:
         """The predictors read the commands behind a place where ``added`` came to them."""
         for axis, value in zip((self._roll, self._pitch, self._yaw), added, strict=True):
             axis.tell(value)
+
+    @property
+    def inside(self) -> tuple[Inside, Inside, Inside]:
+        """As :attr:`RateAxis.inside`, of all axes."""
+        return (self._roll.inside, self._pitch.inside, self._yaw.inside)
 
     @property
     def predicted(self) -> Vector3:

@@ -6,12 +6,15 @@ coordinates ``x = (rate, its slope)`` of a second-order model.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import exp, nan, prod
 from operator import mul
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.control.predictor import Inside
 from cosim.errors import InputError
 from cosim.vehicle import RateModel
 
@@ -154,6 +157,7 @@ class StatePredictor:
         weights = [0.0, float(row @ gamma), *(float((np.linalg.matrix_power(A, n - 1 - j) @ B)[0]) for j in range(n))]
         self._weights = weights
         self._of_disturbance = sum(weights)
+        self.inside: Inside = (nan, nan, model.delay_samples)  # its model has no output of its own
         self.reset()
 
     def reset(self) -> None:
@@ -173,6 +177,122 @@ class StatePredictor:
         of_x, of_v = self._of_state
         on_its_way: float = sum(map(mul, self._weights, sent))
         return of_x * x + of_v * v + on_its_way + self._of_disturbance * disturbance
+
+
+class Modes:
+    """An identified response of any order as a sum of modes: ``x_i' = p_i x_i + u``, ``rate = sum c_i x_i``.
+
+    A command given ``n + f`` samples ago reaches mode ``i`` for the last ``share_i`` of its step and the one before it
+    until then, ``share = (p^(1-f) - 1) / (p - 1)`` (the modified z-transform).
+    Raises InputError for a pole outside (0, 1].
+    """
+
+    def __init__(self, model: RateModel) -> None:
+        if not all(pole > 0.0 for pole in model.poles):
+            raise InputError(
+                f"identified model: a state predictor needs poles above 0 and at most 1, not {model.poles}"
+            )
+        self.poles = _apart(model.all_poles)
+        self.delay = model.delay_samples
+        self.whole = int(model.delay_samples)
+        f = self.delay - self.whole
+        self.residues = [
+            model.gain
+            * prod(pole - zero for zero in model.all_zeros)
+            / prod(pole - other for other in self.poles if other != pole)
+            for pole in self.poles
+        ]
+        self.shares = [1.0 - f if p == 1.0 else (p ** (1.0 - f) - 1.0) / (p - 1.0) for p in self.poles]
+
+    def ahead(self) -> list[complex]:
+        """What each mode's state now is worth in the rate when the delay has gone by."""
+        return [c * p**self.delay for c, p in zip(self.residues, self.poles, strict=True)]
+
+    def gathered(self) -> float:
+        """What a command of 1 that lasts adds to the rate over the delay."""
+        total: complex = 0.0
+        for c, p in zip(self.residues, self.poles, strict=True):
+            total += c * (self.delay if p == 1.0 else (p**self.delay - 1.0) / (p - 1.0))
+        return total.real
+
+
+def modal_observer(modes: Modes, bandwidth: float, step: float, disturbance: bool) -> tuple[Matrix, Matrix]:
+    """Transition ``F`` (the input disturbance as its last state) and the gain of a correction at the same instant.
+
+    All poles of the observer at ``exp(-bandwidth T)``, by Ackermann's formula.
+    """
+    order = len(modes.poles)
+    n = order + 1 if disturbance else order
+    F = np.eye(n, dtype=complex if any(isinstance(p, complex) for p in modes.poles) else float)
+    F[:order, :order] = np.diag(modes.poles)
+    if disturbance:
+        F[:order, order] = 1.0
+    c = np.zeros(n, F.dtype)
+    c[:order] = modes.residues
+    observability = np.array([c @ np.linalg.matrix_power(F, i) for i in range(n)])
+    wanted = np.linalg.matrix_power(F - exp(-bandwidth * step) * np.eye(n), n)
+    return F, np.asarray(np.linalg.solve(F, wanted @ np.linalg.solve(observability, np.eye(n)[:, -1])))
+
+
+class ModalPredictor:
+    """Ours: what :class:`StatePredictor` with :class:`ModelObserver` does, for a model of any order.
+
+    An engine with a slow spool, the airframe and the gyro's filter make three poles or more; a model of two would
+    have to call one of them delay.
+    """
+
+    def __init__(self, model: RateModel, bandwidth: float, disturbance: bool) -> None:
+        modes = Modes(model)
+        _, gain = modal_observer(modes, bandwidth, model.sample_time_s, disturbance)
+        self._poles = modes.poles
+        self._residues = modes.residues
+        self._shares = modes.shares
+        self._with_disturbance = disturbance
+        self._gain = gain.tolist()
+        self._ahead = modes.ahead()
+        self._gathered = modes.gathered()
+        n, f = modes.whole, modes.delay - modes.whole
+        # oldest first: for the observer alone, over the fraction, then one a step
+        over_fraction = [f if p == 1.0 else (p**f - 1.0) / (p - 1.0) for p in modes.poles]
+        pairs = list(zip(modes.residues, modes.poles, strict=True))
+        self._weights = [
+            0.0,
+            sum(c * p**n * part for (c, p), part in zip(pairs, over_fraction, strict=True)).real,
+            *(sum(c * p ** (n - 1 - j) for c, p in pairs).real for j in range(n)),
+        ]
+        self.inside: Inside = (nan, nan, model.delay_samples)
+        self.reset()
+
+    def reset(self) -> None:
+        """At rest, nothing on its way."""
+        self._x: list[complex] = [0.0] * len(self._poles)
+        self._d = 0.0
+        self._sent = [0.0] * len(self._weights)
+
+    def update(self, measured: float, applied: float) -> float:
+        sent = self._sent
+        sent.append(applied)
+        del sent[0]
+        before, now, d = sent[0], sent[1], self._d
+        x = [
+            p * x + d + s * now + (1.0 - s) * before for p, x, s in zip(self._poles, self._x, self._shares, strict=True)
+        ]
+        error = measured - sum(map(mul, self._residues, x)).real
+        self._x = x = [value + gain * error for value, gain in zip(x, self._gain, strict=False)]
+        if self._with_disturbance:
+            self._d = d = d + self._gain[-1].real * error
+        predicted: float = sum(map(mul, self._ahead, x)).real + sum(map(mul, self._weights, sent)) + self._gathered * d
+        return predicted
+
+
+def _apart(poles: Sequence[complex]) -> list[complex]:
+    """The poles with equal ones moved apart by a little: modes need them different."""
+    found: list[complex] = []
+    for pole in poles:
+        while any(abs(pole - other) <= 1e-7 * abs(pole) for other in found):
+            pole *= 1.0 - 1e-5
+        found.append(pole)
+    return found
 
 
 def _exponential(l1: float, l2: float, t: float) -> Matrix:

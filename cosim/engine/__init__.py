@@ -4,15 +4,18 @@ The only package that imports FMPy, and only where it is needed, because that im
 """
 
 from cosim.engine.bank import EngineBank
-from cosim.engine.check import CheckReport, check_fmu
+from cosim.engine.check import CheckReport, check_fmu, limits_of
+from cosim.engine.ports import Air
 from cosim.engine.spec import EngineSpec, build_engines, engine_names, load_engine
 
 __all__ = [
+    "Air",
     "CheckReport",
     "EngineBank",
     "EngineSpec",
     "build_engines",
     "check_fmu",
     "engine_names",
+    "limits_of",
     "load_engine",
 ]

@@ -1,7 +1,7 @@
-/* The loop over the engines: set throttle, do step, get thrust, for all of them in one call from Python.
+/* The loop over the engines: set inputs, do step, get outputs, for all of them in one call from Python.
  *
  * FMPy loads and instantiates the FMUs; what arrives here are instances and function addresses.  Nothing here reads
- * files or formats messages: a failure is raised as FailureError(index, what, status), and Python says it in words.
+ * files or formats messages: a failure is raised as FailureError(index, what, status, port), and Python says it in words.
  *
  * Keeps to Python's limited API, so that one build serves every Python from 3.11 on.
  */
@@ -20,71 +20,225 @@
 typedef int (*Set2)(void *, const unsigned int[], size_t, const double[]);
 typedef int (*Get2)(void *, const unsigned int[], size_t, double[]);
 typedef int (*Step2)(void *, double, double, int);
-typedef int (*Set3)(void *, const uint32_t[], size_t, const double[], size_t);
-typedef int (*Get3)(void *, const uint32_t[], size_t, double[], size_t);
+typedef int (*Set64)(void *, const uint32_t[], size_t, const double[], size_t);
+typedef int (*Get64)(void *, const uint32_t[], size_t, double[], size_t);
+typedef int (*Set32)(void *, const uint32_t[], size_t, const float[], size_t);
+typedef int (*Get32)(void *, const uint32_t[], size_t, float[], size_t);
 typedef int (*Step3)(void *, double, double, bool, bool *, bool *, bool *, double *);
+typedef int (*Mode3)(void *);
+typedef int (*Update3)(void *, bool *, bool *, bool *, bool *, bool *, double *);
 
 enum { OK = 0, WARNING = 1, DISCARD = 2 };
+
+/* The ports, in the order of cosim.engine.ports.INPUTS and OUTPUTS. */
+enum { THROTTLE, PRESSURE, TEMPERATURE, AIR_SPEED, INPUTS };
+enum { THRUST, OUTPUTS = 4 };
+
+static const char *const INPUT_NAMES[INPUTS] = {"throttle", "ambient_pressure", "ambient_temperature", "air_speed"};
+static const char *const OUTPUT_NAMES[OUTPUTS] = {"thrust", "spool_speed", "exhaust_temperature", "fuel_flow"};
+
+enum { BLOCKS = 2, MOST_PARTS = 10000 };
+
+/* One call that sets or gets variables of one type; an array counts as one reference and several values. */
+typedef struct {
+    uintptr_t call; /* function; 0: nothing to do */
+    bool narrow;    /* Float32 */
+    size_t references, values;
+    size_t first_references, first_values; /* the part that is set in every step: the throttle */
+    uint32_t *reference;
+    double *value;
+    float *narrow_value;
+} Block;
+
+/* Where a port is among the values, and what it is there: value = scale * port + offset for inputs, limited to
+ * low..high; port = scale * value + offset for outputs. */
+typedef struct {
+    int block; /* -1: the engine has no such port */
+    size_t index;
+    double scale, offset, low, high;
+} Place;
 
 typedef struct {
     int fmi; /* 2 or 3 */
     void *instance;
-    uintptr_t set, step, get; /* functions */
-    uint32_t throttle, thrust; /* value references */
-    long long steps;           /* communication steps done, warming up included: FMU time = steps * step */
+    uintptr_t step;                      /* function */
+    uintptr_t enter, update, leave;      /* functions of FMI 3.0's event mode; 0 if it is not used */
+    bool has_ambient;
+    Block set[BLOCKS], get[BLOCKS];
+    Place input[INPUTS], output[OUTPUTS];
+    double port[INPUTS]; /* what the inputs were last set to */
+    long long steps;     /* communication steps done, warming up included: FMU time = steps * step */
 } Engine;
 
 /* What went wrong; NULL is nothing. */
 typedef struct {
     const char *what;
     int status;
+    const char *port;
 } Fault;
 
-static const Fault NO_FAULT = {NULL, OK};
+static const Fault NO_FAULT = {NULL, OK, ""};
+#define FAULT(what, status) ((Fault){what, status, ""})
 
-static Fault advance2(Engine *e, double time, double step, double throttle, double *thrust)
+static int set_block(const Engine *e, const Block *b, bool all)
 {
-    int status = ((Set2)e->set)(e->instance, &e->throttle, 1, &throttle);
-    if (status > WARNING)
-        return (Fault){"set", status};
-    status = ((Step2)e->step)(e->instance, time, step, 1);
-    if (status > WARNING)
-        return (Fault){"step", status};
-    status = ((Get2)e->get)(e->instance, &e->thrust, 1, thrust);
-    return status > WARNING ? (Fault){"get", status} : NO_FAULT;
+    const size_t references = all ? b->references : b->first_references;
+    const size_t values = all ? b->values : b->first_values;
+    if (!references)
+        return OK;
+    if (e->fmi == 2)
+        return ((Set2)b->call)(e->instance, b->reference, references, b->value);
+    if (!b->narrow)
+        return ((Set64)b->call)(e->instance, b->reference, references, b->value, values);
+    for (size_t i = 0; i < values; i++)
+        b->narrow_value[i] = (float)b->value[i];
+    return ((Set32)b->call)(e->instance, b->reference, references, b->narrow_value, values);
 }
 
-static Fault advance3(Engine *e, double time, double step, double throttle, double *thrust)
+static int get_block(const Engine *e, const Block *b)
 {
-    int status = ((Set3)e->set)(e->instance, &e->throttle, 1, &throttle, 1);
-    if (status > WARNING)
-        return (Fault){"set", status};
-    bool event = false, terminate = false, early = false;
-    double reached = time + step;
-    status = ((Step3)e->step)(e->instance, time, step, true, &event, &terminate, &early, &reached);
-    if (status > WARNING)
-        return (Fault){"step", status};
-    if (terminate)
-        return (Fault){"terminate", status};
-    if (early)
-        return (Fault){"early", status};
-    if (event)
-        return (Fault){"event", status};
-    status = ((Get3)e->get)(e->instance, &e->thrust, 1, thrust, 1);
-    return status > WARNING ? (Fault){"get", status} : NO_FAULT;
+    if (!b->references)
+        return OK;
+    if (e->fmi == 2)
+        return ((Get2)b->call)(e->instance, b->reference, b->references, b->value);
+    if (!b->narrow)
+        return ((Get64)b->call)(e->instance, b->reference, b->references, b->value, b->values);
+    const int status = ((Get32)b->call)(e->instance, b->reference, b->references, b->narrow_value, b->values);
+    for (size_t i = 0; i < b->values; i++)
+        b->value[i] = (double)b->narrow_value[i];
+    return status;
 }
 
-static Fault advance(Engine *e, double step, double throttle, double *thrust)
+static void place_input(Engine *e, int port, double wanted)
+{
+    const Place *p = &e->input[port];
+    e->port[port] = wanted;
+    if (p->block < 0)
+        return;
+    double value = p->scale * wanted;
+    if (p->offset != 0.0) /* adding 0 would lose the sign of -0 */
+        value += p->offset;
+    if (value < p->low)
+        value = p->low;
+    if (value > p->high)
+        value = p->high;
+    e->set[p->block].value[p->index] = value;
+}
+
+/* Set the throttle, and the ambient where it is given (pressure, temperature, air speed) and has changed. */
+static Fault set_inputs(Engine *e, double throttle, const double *ambient)
 {
     if (!isfinite(throttle))
-        return (Fault){"throttle", OK};
+        return (Fault){"input", OK, INPUT_NAMES[THROTTLE]};
+    place_input(e, THROTTLE, throttle);
+    bool changed = false;
+    for (int i = PRESSURE; ambient && e->has_ambient && i < INPUTS; i++) {
+        const double wanted = ambient[i - PRESSURE];
+        if (wanted == e->port[i] || e->input[i].block < 0)
+            continue;
+        if (!isfinite(wanted))
+            return (Fault){"input", OK, INPUT_NAMES[i]};
+        place_input(e, i, wanted);
+        changed = true;
+    }
+    for (int i = 0; i < BLOCKS; i++) {
+        const int status = set_block(e, &e->set[i], changed);
+        if (status > WARNING)
+            return FAULT("set", status);
+    }
+    return NO_FAULT;
+}
+
+static Fault get_outputs(const Engine *e, double ports[OUTPUTS])
+{
+    for (int i = 0; i < BLOCKS; i++) {
+        const int status = get_block(e, &e->get[i]);
+        if (status > WARNING)
+            return FAULT("get", status);
+    }
+    for (int i = THRUST; i < OUTPUTS; i++) {
+        const Place *p = &e->output[i];
+        if (p->block < 0)
+            continue;
+        double value = p->scale * e->get[p->block].value[p->index];
+        if (p->offset != 0.0)
+            value += p->offset;
+        if (!isfinite(value))
+            return (Fault){"nan", OK, OUTPUT_NAMES[i]};
+        ports[i] = value;
+    }
+    return NO_FAULT;
+}
+
+/* FMI 3.0: from step mode through event mode and back. */
+static Fault handle_events(const Engine *e)
+{
+    if (!e->update)
+        return FAULT("event", OK);
+    int status = ((Mode3)e->enter)(e->instance);
+    if (status > WARNING)
+        return FAULT("enter", status);
+    bool again = true;
+    for (int i = 0; again; i++) {
+        bool terminate = false, nominals = false, states = false, timed = false;
+        double next = 0.0;
+        again = false;
+        if (i == MOST_PARTS)
+            return FAULT("endless", OK);
+        status = ((Update3)e->update)(e->instance, &again, &terminate, &nominals, &states, &timed, &next);
+        if (status > WARNING)
+            return FAULT("update", status);
+        if (terminate)
+            return FAULT("terminate", OK);
+    }
+    status = ((Mode3)e->leave)(e->instance);
+    return status > WARNING ? FAULT("leave", status) : NO_FAULT;
+}
+
+/* One communication step, in as many parts as an FMU that returns early makes of it. */
+static Fault step3(const Engine *e, double time, double step)
+{
+    const double end = time + step, close = 1e-9 * step;
+    double now = time, length = step;
+    for (int i = 0; i < MOST_PARTS; i++) {
+        bool event = false, terminate = false, early = false;
+        double reached = now + length;
+        const int status =
+            ((Step3)e->step)(e->instance, now, length, true, &event, &terminate, &early, &reached);
+        if (status > WARNING)
+            return FAULT("step", status);
+        if (terminate)
+            return FAULT("terminate", status);
+        if (event) {
+            const Fault fault = handle_events(e);
+            if (fault.what)
+                return fault;
+        }
+        if (!early || reached >= end - close)
+            return NO_FAULT;
+        if (!(reached >= now) || (reached == now && !event))
+            return FAULT("early", status);
+        now = reached;
+        length = end - now;
+    }
+    return FAULT("parts", OK);
+}
+
+static Fault advance(Engine *e, double step, double throttle, const double *ambient, double ports[OUTPUTS])
+{
+    Fault fault = set_inputs(e, throttle, ambient);
+    if (fault.what)
+        return fault;
     const double time = (double)e->steps * step;
-    const Fault fault =
-        e->fmi == 2 ? advance2(e, time, step, throttle, thrust) : advance3(e, time, step, throttle, thrust);
+    if (e->fmi == 2) {
+        const int status = ((Step2)e->step)(e->instance, time, step, 1);
+        if (status > WARNING)
+            fault = FAULT("step", status);
+    } else {
+        fault = step3(e, time, step);
+    }
     e->steps++;
-    if (!fault.what && !isfinite(*thrust))
-        return (Fault){"nan", OK};
-    return fault;
+    return fault.what ? fault : get_outputs(e, ports);
 }
 
 #define SLOT(function) ((void *)(uintptr_t)(function)) /* Python keeps functions as void pointers */
@@ -172,6 +326,8 @@ typedef struct {
     long long next; /* the flight step that comes next; -1 after a failure */
     Py_ssize_t count;
     Engine *engines;
+    PyObject *record;           /* the type of what step returns: a tuple of as many tuples as there are outputs */
+    PyObject *silent[OUTPUTS];  /* NaN for every engine, where no engine has the output; else NULL */
 } Bank;
 
 static PyObject *failure_type; /* one module state per process is all that FMUs allow for */
@@ -179,7 +335,7 @@ static PyObject *failure_type; /* one module state per process is all that FMUs 
 static PyObject *fail(Bank *self, Py_ssize_t index, Fault fault)
 {
     self->next = -1;
-    PyObject *arguments = Py_BuildValue("(nsi)", index, fault.what, fault.status);
+    PyObject *arguments = Py_BuildValue("(nsis)", index, fault.what, fault.status, fault.port);
     if (arguments) {
         PyErr_SetObject(failure_type, arguments);
         Py_DECREF(arguments);
@@ -187,66 +343,187 @@ static PyObject *fail(Bank *self, Py_ssize_t index, Fault fault)
     return NULL;
 }
 
+/* (function, narrow, (reference, ...), (value, ...), first references, first values) */
+static bool read_block(PyObject *row, Block *b)
+{
+    PyObject *references, *values;
+    unsigned long long call;
+    int narrow;
+    Py_ssize_t first_references, first_values;
+    if (!PyTuple_Check(row)) {
+        PyErr_SetString(PyExc_TypeError, "a block is a tuple");
+        return false;
+    }
+    if (!PyArg_ParseTuple(row, "KpO!O!nn", &call, &narrow, &PyTuple_Type, &references, &PyTuple_Type, &values,
+                          &first_references, &first_values))
+        return false;
+    const Py_ssize_t n = PyTuple_Size(references), m = PyTuple_Size(values);
+    if (!call || m < n || first_references < 0 || first_references > n || first_values < first_references ||
+        first_values > m) {
+        PyErr_SetString(PyExc_ValueError, "a block needs a function and at least as many values as references");
+        return false;
+    }
+    b->reference = PyMem_Calloc((size_t)n + 1, sizeof(uint32_t));
+    b->value = PyMem_Calloc((size_t)m + 1, sizeof(double));
+    b->narrow_value = PyMem_Calloc((size_t)m + 1, sizeof(float));
+    if (!b->reference || !b->value || !b->narrow_value) {
+        PyErr_NoMemory();
+        return false;
+    }
+    b->call = (uintptr_t)call;
+    b->narrow = narrow;
+    b->references = (size_t)n;
+    b->values = (size_t)m;
+    b->first_references = (size_t)first_references;
+    b->first_values = (size_t)first_values;
+    for (Py_ssize_t i = 0; i < n; i++)
+        b->reference[i] = (uint32_t)PyLong_AsUnsignedLong(PyTuple_GetItem(references, i));
+    for (Py_ssize_t i = 0; i < m; i++)
+        b->value[i] = PyFloat_AsDouble(PyTuple_GetItem(values, i));
+    return !PyErr_Occurred();
+}
+
+/* None, or (block, index, scale, offset, low, high) */
+static bool read_place(PyObject *row, const Block blocks[BLOCKS], Place *p)
+{
+    p->block = -1;
+    if (row == Py_None)
+        return true;
+    Py_ssize_t index;
+    if (!PyTuple_Check(row) ||
+        !PyArg_ParseTuple(row, "indddd", &p->block, &index, &p->scale, &p->offset, &p->low, &p->high)) {
+        if (!PyErr_Occurred())
+            PyErr_SetString(PyExc_TypeError, "a place is None or a tuple");
+        return false;
+    }
+    p->index = (size_t)index;
+    if (p->block < 0 || p->block >= BLOCKS || index < 0 || p->index >= blocks[p->block].values) {
+        PyErr_SetString(PyExc_ValueError, "a place is outside its block");
+        return false;
+    }
+    return true;
+}
+
+/* (fmi, instance, step, (enter, update, leave), steps done, set blocks, get blocks, inputs, outputs, port values) */
 static bool read_engine(PyObject *row, Engine *e)
 {
-    unsigned long long instance, set, step, get;
-    unsigned int throttle, thrust;
-    long long steps;
-    PyObject *tuple = PySequence_Tuple(row);
-    const bool good = tuple && PyArg_ParseTuple(tuple, "iKKKKIIL", &e->fmi, &instance, &set, &step, &get, &throttle, &thrust,
-                                             &steps);
-    Py_XDECREF(tuple);
-    if (!good)
+    unsigned long long instance, step, enter, update, leave;
+    PyObject *sets, *gets, *inputs, *outputs;
+    if (!PyTuple_Check(row)) {
+        PyErr_SetString(PyExc_TypeError, "an engine is a tuple");
         return false;
-    if ((e->fmi != 2 && e->fmi != 3) || !instance || !set || !step || !get) {
-        PyErr_SetString(PyExc_ValueError, "an engine is (2 or 3, instance, set, step, get, throttle, thrust, steps)");
+    }
+    if (!PyArg_ParseTuple(row, "iKK(KKK)LO!O!O!O!(dddd)", &e->fmi, &instance, &step, &enter, &update, &leave, &e->steps,
+                          &PyTuple_Type, &sets, &PyTuple_Type, &gets, &PyTuple_Type, &inputs, &PyTuple_Type, &outputs,
+                          &e->port[THROTTLE], &e->port[PRESSURE], &e->port[TEMPERATURE], &e->port[AIR_SPEED]))
+        return false;
+    if ((e->fmi != 2 && e->fmi != 3) || !instance || !step || PyTuple_Size(sets) > BLOCKS ||
+        PyTuple_Size(gets) > BLOCKS || PyTuple_Size(inputs) != INPUTS || PyTuple_Size(outputs) != OUTPUTS) {
+        PyErr_SetString(PyExc_ValueError, "an engine needs FMI 2 or 3, an instance, a function and all its ports");
         return false;
     }
     e->instance = (void *)(uintptr_t)instance;
-    e->set = (uintptr_t)set;
     e->step = (uintptr_t)step;
-    e->get = (uintptr_t)get;
-    e->throttle = throttle;
-    e->thrust = thrust;
-    e->steps = steps;
+    e->enter = (uintptr_t)enter;
+    e->update = (uintptr_t)update;
+    e->leave = (uintptr_t)leave;
+    bool good = true;
+    for (Py_ssize_t i = 0; good && i < PyTuple_Size(sets); i++)
+        good = read_block(PyTuple_GetItem(sets, i), &e->set[i]);
+    for (Py_ssize_t i = 0; good && i < PyTuple_Size(gets); i++)
+        good = read_block(PyTuple_GetItem(gets, i), &e->get[i]);
+    for (int i = 0; good && i < INPUTS; i++)
+        good = read_place(PyTuple_GetItem(inputs, i), e->set, &e->input[i]);
+    for (int i = 0; good && i < OUTPUTS; i++)
+        good = read_place(PyTuple_GetItem(outputs, i), e->get, &e->output[i]);
+    for (int i = PRESSURE; good && i < INPUTS; i++)
+        e->has_ambient = e->has_ambient || e->input[i].block >= 0;
+    if (good && (e->input[THROTTLE].block < 0 || e->output[THRUST].block < 0)) {
+        PyErr_SetString(PyExc_ValueError, "an engine needs a throttle and a thrust");
+        good = false;
+    }
+    return good;
+}
+
+static void free_engines(Engine *engines, Py_ssize_t count)
+{
+    for (Py_ssize_t i = 0; engines && i < count; i++)
+        for (int j = 0; j < 2 * BLOCKS; j++) {
+            Block *b = j < BLOCKS ? &engines[i].set[j] : &engines[i].get[j - BLOCKS];
+            PyMem_Free(b->reference);
+            PyMem_Free(b->value);
+            PyMem_Free(b->narrow_value);
+        }
+    PyMem_Free(engines);
+}
+
+static void bank_clear(Bank *self)
+{
+    free_engines(self->engines, self->count);
+    self->engines = NULL;
+    self->count = 0;
+    Py_CLEAR(self->record);
+    for (int i = 0; i < OUTPUTS; i++)
+        Py_CLEAR(self->silent[i]);
+}
+
+/* The shared tuples of NaN for what no engine reports. */
+static bool make_silent(Bank *self)
+{
+    for (int i = 0; i < OUTPUTS; i++) {
+        bool reported = false;
+        for (Py_ssize_t j = 0; j < self->count; j++)
+            reported = reported || self->engines[j].output[i].block >= 0;
+        if (reported)
+            continue;
+        self->silent[i] = PyTuple_New(self->count);
+        for (Py_ssize_t j = 0; self->silent[i] && j < self->count; j++)
+            if (PyTuple_SetItem(self->silent[i], j, PyFloat_FromDouble(NAN)) < 0)
+                return false;
+        if (!self->silent[i])
+            return false;
+    }
     return true;
 }
 
 static int bank_init(Bank *self, PyObject *args, PyObject *kwargs)
 {
     (void)kwargs;
-    PyObject *rows;
+    PyObject *given, *record = (PyObject *)&PyTuple_Type;
     double step;
-    if (!PyArg_ParseTuple(args, "Od", &rows, &step))
+    if (!PyArg_ParseTuple(args, "Od|O!", &given, &step, &PyType_Type, &record))
         return -1;
-    const Py_ssize_t count = PySequence_Size(rows);
-    if (count < 0)
+    if (!PyType_IsSubtype((PyTypeObject *)record, &PyTuple_Type)) {
+        PyErr_SetString(PyExc_TypeError, "the record must be a kind of tuple");
         return -1;
-    Engine *engines = PyMem_Calloc((size_t)count + 1, sizeof(Engine));
-    if (!engines) {
+    }
+    PyObject *rows = PySequence_Tuple(given);
+    if (!rows)
+        return -1;
+    bank_clear(self);
+    const Py_ssize_t count = PyTuple_Size(rows);
+    self->engines = PyMem_Calloc((size_t)count + 1, sizeof(Engine));
+    bool good = self->engines != NULL;
+    if (!good)
         PyErr_NoMemory();
-        return -1;
-    }
-    for (Py_ssize_t i = 0; i < count; i++) {
-        PyObject *row = PySequence_GetItem(rows, i);
-        const bool good = row && read_engine(row, &engines[i]);
-        Py_XDECREF(row);
-        if (!good) {
-            PyMem_Free(engines);
-            return -1;
-        }
-    }
-    PyMem_Free(self->engines);
-    self->engines = engines;
-    self->count = count;
+    self->count = good ? count : 0;
     self->step = step;
     self->next = 0;
-    return 0;
+    Py_INCREF(record);
+    self->record = record;
+    for (Py_ssize_t i = 0; good && i < count; i++)
+        good = read_engine(PyTuple_GetItem(rows, i), &self->engines[i]);
+    Py_DECREF(rows);
+    if (!good) {
+        bank_clear(self);
+        return -1;
+    }
+    return make_silent(self) ? 0 : -1;
 }
 
 static void bank_dealloc(PyObject *self)
 {
-    PyMem_Free(((Bank *)self)->engines);
+    bank_clear((Bank *)self);
     plain_dealloc(self);
 }
 
@@ -263,9 +540,9 @@ static PyObject *bank_hold(Bank *self, PyObject *args)
     }
     PyObject *list = PyList_New(count);
     for (Py_ssize_t i = 0; list && i < count; i++) {
-        double thrust = NAN;
-        const Fault fault = advance(&self->engines[index], self->step, throttle, &thrust);
-        PyObject *item = fault.what ? fail(self, index, fault) : PyFloat_FromDouble(thrust);
+        double ports[OUTPUTS] = {NAN, NAN, NAN, NAN};
+        const Fault fault = advance(&self->engines[index], self->step, throttle, NULL, ports);
+        PyObject *item = fault.what ? fail(self, index, fault) : PyFloat_FromDouble(ports[THRUST]);
         if (!item || PyList_SetItem(list, i, item) < 0) {
             Py_DECREF(list);
             return NULL;
@@ -274,44 +551,140 @@ static PyObject *bank_hold(Bank *self, PyObject *args)
     return list;
 }
 
-/* step(k, throttles) -> (thrust, ...) */
+/* One empty tuple an output that some engine has, and the shared one for the others. */
+static PyObject *new_output(const Bank *self)
+{
+    PyObject *output = PyTuple_New(OUTPUTS);
+    for (int i = 0; output && i < OUTPUTS; i++) {
+        PyObject *each = self->silent[i];
+        if (each)
+            Py_INCREF(each);
+        else
+            each = PyTuple_New(self->count);
+        if (!each || PyTuple_SetItem(output, i, each) < 0) {
+            Py_DECREF(output);
+            return NULL;
+        }
+    }
+    return output;
+}
+
+static bool put_output(const Bank *self, PyObject *output, Py_ssize_t index, const double ports[OUTPUTS])
+{
+    for (int i = 0; i < OUTPUTS; i++) {
+        if (self->silent[i])
+            continue;
+        PyObject *item = PyFloat_FromDouble(ports[i]);
+        if (!item || PyTuple_SetItem(PyTuple_GetItem(output, i), index, item) < 0)
+            return false;
+    }
+    return true;
+}
+
+/* The output as the record that was asked for; takes the reference to ``output``. */
+static PyObject *as_record(const Bank *self, PyObject *output)
+{
+    /* tuple's own constructor, because a named tuple's is a Python function */
+    const newfunc make = (newfunc)(uintptr_t)PyType_GetSlot(&PyTuple_Type, Py_tp_new);
+    PyObject *arguments = PyTuple_New(1);
+    if (!arguments) {
+        Py_DECREF(output);
+        return NULL;
+    }
+    PyTuple_SetItem(arguments, 0, output);
+    PyObject *record = make((PyTypeObject *)self->record, arguments, NULL);
+    Py_DECREF(arguments);
+    return record;
+}
+
+/* outputs() -> record */
+static PyObject *bank_outputs(Bank *self, PyObject *unused)
+{
+    (void)unused;
+    PyObject *output = new_output(self);
+    for (Py_ssize_t i = 0; output && i < self->count; i++) {
+        double ports[OUTPUTS] = {NAN, NAN, NAN, NAN};
+        const Fault fault = get_outputs(&self->engines[i], ports);
+        if (fault.what)
+            fail(self, i, fault);
+        if (fault.what || !put_output(self, output, i, ports)) {
+            Py_DECREF(output);
+            return NULL;
+        }
+    }
+    return output ? as_record(self, output) : NULL;
+}
+
+static bool read_air(PyObject *ambient, Py_ssize_t count, double *pressure, double *temperature, PyObject **speeds)
+{
+    if (!PyTuple_Check(ambient) || PyTuple_Size(ambient) != 3 || !PyTuple_Check(PyTuple_GetItem(ambient, 2)) ||
+        PyTuple_Size(PyTuple_GetItem(ambient, 2)) != count) {
+        PyErr_Format(PyExc_TypeError, "step: the ambient is pressure, temperature and %zd air speeds, or None", count);
+        return false;
+    }
+    *pressure = PyFloat_AsDouble(PyTuple_GetItem(ambient, 0));
+    *temperature = PyFloat_AsDouble(PyTuple_GetItem(ambient, 1));
+    *speeds = PyTuple_GetItem(ambient, 2);
+    return !PyErr_Occurred();
+}
+
+/* step(k, throttles, ambient) -> record */
 static PyObject *bank_step(Bank *self, PyObject *const *args, Py_ssize_t nargs)
 {
-    if (nargs != 2 || !PyTuple_Check(args[1]) || PyTuple_Size(args[1]) != self->count)
-        return PyErr_Format(PyExc_TypeError, "step: needs k and a tuple of %zd throttles", self->count);
+    if (nargs != 3 || !PyTuple_Check(args[1]) || PyTuple_Size(args[1]) != self->count)
+        return PyErr_Format(PyExc_TypeError, "step: needs k, a tuple of %zd throttles and the ambient", self->count);
     const long long k = PyLong_AsLongLong(args[0]);
     if (k == -1 && PyErr_Occurred())
         return NULL;
     if (k != self->next || k < 0)
         return PyErr_Format(PyExc_ValueError, self->next < 0 ? "step %lld after a failure" : "step %lld, but %lld is next", k,
                             self->next);
-    PyObject *thrusts = PyTuple_New(self->count);
-    for (Py_ssize_t i = 0; thrusts && i < self->count; i++) {
-        double thrust = NAN;
+    double air[INPUTS - 1] = {0.0};
+    PyObject *speeds = NULL;
+    if (args[2] != Py_None && !read_air(args[2], self->count, &air[0], &air[1], &speeds))
+        return NULL;
+    PyObject *output = new_output(self);
+    for (Py_ssize_t i = 0; output && i < self->count; i++) {
+        double ports[OUTPUTS] = {NAN, NAN, NAN, NAN};
         const double throttle = PyFloat_AsDouble(PyTuple_GetItem(args[1], i));
-        if (throttle == -1.0 && PyErr_Occurred()) {
-            Py_DECREF(thrusts);
+        if (speeds)
+            air[2] = PyFloat_AsDouble(PyTuple_GetItem(speeds, i));
+        if ((throttle == -1.0 || air[2] == -1.0) && PyErr_Occurred()) {
+            Py_DECREF(output);
             return NULL;
         }
-        const Fault fault = advance(&self->engines[i], self->step, throttle, &thrust);
-        PyObject *item = fault.what ? fail(self, i, fault) : PyFloat_FromDouble(thrust);
-        if (!item || PyTuple_SetItem(thrusts, i, item) < 0) {
-            Py_DECREF(thrusts);
+        const Fault fault = advance(&self->engines[i], self->step, throttle, speeds ? air : NULL, ports);
+        if (fault.what)
+            fail(self, i, fault);
+        if (fault.what || !put_output(self, output, i, ports)) {
+            Py_DECREF(output);
             return NULL;
         }
     }
+    if (!output)
+        return NULL;
     self->next++;
-    return thrusts;
+    return as_record(self, output);
+}
+
+static PyObject *bank_stop(Bank *self, PyObject *unused)
+{
+    (void)unused;
+    self->next = -1;
+    Py_RETURN_NONE;
 }
 
 static PyMethodDef bank_methods[] = {
     {"hold", (PyCFunction)bank_hold, METH_VARARGS, "hold(index, throttle, count): step one engine, return its thrusts [N]."},
-    {"step", (PyCFunction)(void (*)(void))bank_step, METH_FASTCALL, "step(k, throttles): flight step k of all engines."},
+    {"outputs", (PyCFunction)bank_outputs, METH_NOARGS, "outputs(): what the engines report now."},
+    {"step", (PyCFunction)(void (*)(void))bank_step, METH_FASTCALL,
+     "step(k, throttles, ambient): flight step k of all engines."},
+    {"stop", (PyCFunction)bank_stop, METH_NOARGS, "stop(): an engine failed outside; no step may follow."},
     {NULL, NULL, 0, NULL},
 };
 
 static PyType_Slot bank_slots[] = {
-    {Py_tp_doc, "Bank(engines, step): engines are (fmi, instance, set, step, get, throttle, thrust, steps done)."},
+    {Py_tp_doc, "Bank(engines, step, record): engines are as cosim.engine.slave.Slave.row() makes them."},
     {Py_tp_new, SLOT(PyType_GenericNew)},
     {Py_tp_init, SLOT(bank_init)},
     {Py_tp_dealloc, SLOT(bank_dealloc)},

@@ -9,10 +9,12 @@ from types import TracebackType
 
 from cosim.engine import _bank
 from cosim.engine.archive import unpack
+from cosim.engine.ports import AMBIENT, Air
 from cosim.engine.response import ResponseError, settle
 from cosim.engine.slave import Slave, SlaveError
 from cosim.engine.spec import EngineSpec
 from cosim.errors import EngineError
+from cosim.signals import Ambient, EngineOutput, PerJet
 
 
 class EngineBank:
@@ -28,7 +30,8 @@ class EngineBank:
         self._step = step
         self._slaves: list[Slave] = []
         self._folders: dict[tuple[str, int], TemporaryDirectory[str]] = {}
-        self._native = _bank.Bank([], step)
+        self.wants_ambient = any(each.has(port) for each in self._specs for port in AMBIENT)
+        self._native = _bank.Bank((), step, EngineOutput)
         self._used = False
         try:
             self._instantiate()
@@ -46,15 +49,20 @@ class EngineBank:
                 self._slaves.append(Slave(spec.archive, Path(self._folders[key].name), f"engine {index + 1}"))
             except SlaveError as error:
                 raise EngineError(f"{self._label(index)}: {error}") from error
-        self._native = _bank.Bank([slave.row() for slave in self._slaves], self._step)
+        self._hand_over()
+
+    def _hand_over(self) -> None:
+        self._native = _bank.Bank(tuple(slave.row() for slave in self._slaves), self._step, EngineOutput)
 
     def _label(self, index: int) -> str:
         return f"engine {index + 1} ({self._specs[index].path.name})"
 
-    def reset(self, throttle: float) -> tuple[float, ...]:
-        """Bring every engine to equilibrium at ``throttle``, ready for flight step 0, and return the thrusts [N].
+    def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
+        """Bring every engine to equilibrium at the throttle, one for all or one each, ready for flight step 0.
 
-        An engine without a start parameter is run there; its own time then is ahead of flight time by that run.
+        Without ``ambient`` each stands in the air it was measured in.  An engine without a start parameter is
+        run there; its own time then is ahead of flight time by that run.
+
         Raises EngineError if an FMU refuses or does not settle.
         """
         if self._used:
@@ -62,46 +70,73 @@ class EngineBank:
             self._close_slaves()
             self._instantiate()
         self._used = True
-        return tuple(self._start(index, throttle) for index in range(len(self._specs)))
+        count = len(self._specs)
+        throttles = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * count
+        airs = [each.air for each in self._specs]
+        if ambient:
+            airs = [Air(ambient.pressure, ambient.temperature, speed) for speed in ambient.air_speed]
+        if len(throttles) != count or len(airs) != count:
+            raise ValueError(f"{count} engines need as many throttles and air speeds")
+        for index, (held, air) in enumerate(zip(throttles, airs, strict=True)):
+            self._initialize(index, held, air)
+        self._hand_over()
+        for index, held in enumerate(throttles):
+            if self._specs[index].start is None:
+                self._run_up(index, held)
+        try:
+            return self._native.outputs()
+        except _bank.FailureError as failure:
+            raise self._failed(failure, "at the start") from failure
 
-    def _start(self, index: int, throttle: float) -> float:
-        thrust = self._initialize(index, throttle)
-        return thrust if self._specs[index].start is not None else self._run_up(index, throttle)
-
-    def _initialize(self, index: int, throttle: float) -> float:
+    def _initialize(self, index: int, throttle: float, air: Air) -> None:
         spec = self._specs[index]
         settings = list(spec.settings)
         if spec.start is not None:
-            settings.append((spec.archive.parameter(spec.start), throttle))
+            port = spec.archive.ports["start"]
+            settings.append((port.variable, port.value(throttle)))
         try:
-            return self._slaves[index].initialize(settings, throttle)
+            self._slaves[index].initialize(settings, throttle, air)
         except SlaveError as error:
             raise EngineError(f"{self._label(index)}: {error}") from error
 
-    def _run_up(self, index: int, throttle: float) -> float:
+    def _run_up(self, index: int, throttle: float) -> None:
         def hold(held: float, steps: int) -> list[float]:
             return self._native.hold(index, held, steps)
 
         try:
-            return settle(hold, throttle, self._specs[index].window, self._step)
+            settle(hold, throttle, self._specs[index].window, self._step, self._specs[index].quiet)
         except _bank.FailureError as failure:
-            what = self._slaves[index].explain(failure, "before the flight")
-            raise EngineError(f"{self._label(index)}: {what}") from failure
+            raise self._failed(failure, "before the flight") from failure
         except ResponseError as error:
             raise EngineError(f"{self._label(index)}: {error}") from error
 
-    def step(self, k: int, throttle: tuple[float, ...]) -> tuple[float, ...]:
-        """Advance all engines over flight step ``k`` with the throttles held; returns the thrusts [N] at its end.
+    def _failed(self, failure: _bank.FailureError, moment: str) -> EngineError:
+        index = failure.args[0]
+        return EngineError(f"{self._label(index)}: {self._slaves[index].explain(failure, moment)}")
 
-        Raises EngineError that names engine, step and time if an FMU fails or gives a thrust that is not finite;
+    def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
+        """Advance all engines over flight step ``k``, inputs held, and return what they report at its end.
+
+        The ambient reaches the engines that have the ports; without one it is left as it is.
+
+        Raises EngineError that names engine, step and time if an FMU fails or gives a value that is not finite;
         ValueError if ``k`` is not the next step.
         """
         try:
-            return self._native.step(k, throttle)
+            return self._native.step(k, throttle, ambient)
         except _bank.FailureError as failure:
-            index = failure.args[0]
-            what = self._slaves[index].explain(failure, f"at step {k} ({k * self._step:g} s)")
-            raise EngineError(f"{self._label(index)}: {what}") from failure
+            raise self._failed(failure, f"at step {k} ({k * self._step:g} s)") from failure
+
+    def set_run(self, index: int, on: bool) -> bool:
+        """Shut one engine off, or on again, before the next step; False if it has no port for that.
+
+        Raises EngineError if the FMU refuses.
+        """
+        try:
+            return self._slaves[index].set_run(on)
+        except SlaveError as error:
+            self._native.stop()
+            raise EngineError(f"{self._label(index)}: {error}") from error
 
     def close(self) -> None:
         """Terminate and free the engines and remove their files.  May be called again."""
@@ -111,7 +146,7 @@ class EngineBank:
         self._folders.clear()
 
     def _close_slaves(self) -> None:
-        self._native = _bank.Bank([], self._step)  # nothing may step what is being freed
+        self._native = _bank.Bank((), self._step, EngineOutput)  # nothing may step what is being freed
         while self._slaves:
             self._slaves.pop().close()
 

@@ -19,6 +19,7 @@ import uuid
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -34,12 +35,17 @@ UNITS: dict[str, dict[str, float]] = {
     "Pa": {"kg": 1, "m": -1, "s": -2},
     "kg": {"kg": 1},
     "kg/s": {"kg": 1, "s": -1},
+    "kg/s2": {"kg": 1, "s": -2},
     "kg/m3": {"kg": 1, "m": -3},
+    "kg.m2": {"kg": 1, "m": 2},
     "m": {"m": 1},
+    "m2": {"m": 2},
     "m/s": {"m": 1, "s": -1},
     "rad/s": {"rad": 1, "s": -1},
     "rpm": {"rad": 1, "s": -1, "factor": 0.10471975511965977},
     "s": {"s": 1},
+    "1/s": {"s": -1},
+    "N.m": {"kg": 1, "m": 2, "s": -2},
     "W": {"kg": 1, "m": 2, "s": -3},
 }
 
@@ -48,7 +54,21 @@ ADAPTER = ("engine.h", "slave.h", "slave.c")
 
 # No fused multiply-add, so that every build computes the same bits.
 C_FLAGS = "" if sys.platform == "win32" else "-ffp-contract=off"
-PORTS = {"throttle", "thrust", "start"}
+
+# What the co-simulation calls a variable -> what it must be, and the unit it must have.
+PORTS = {
+    "throttle": ("input", "1"),
+    "run": ("input", "1"),
+    "ambient_pressure": ("input", "Pa"),
+    "ambient_temperature": ("input", "K"),
+    "air_speed": ("input", "m/s"),
+    "thrust": ("output", "N"),
+    "spool_speed": ("output", "rpm"),
+    "exhaust_temperature": ("output", "K"),
+    "fuel_flow": ("output", "kg/s"),
+    "start": ("parameter", "1"),
+}
+NEEDED_PORTS = {"throttle", "thrust"}
 LEDGER = {"pole", "delay"}
 
 
@@ -75,8 +95,9 @@ class Variable:
 class Engine:
     """An ``engine.toml``.
 
-    ``ports`` maps what the co-simulation calls a variable (throttle, thrust, start) to its name; ``ledger`` does so
-    for the parameters of ``G(z) = gain / (z - pole) z^-delay`` that a delay ledger needs.
+    ``ports`` maps what the co-simulation calls a variable (a key of ``PORTS``) to its name; ``ledger`` does so
+    for the parameters of ``G(z) = gain / (z - pole) z^-delay`` that a delay ledger needs: a nonlinear engine names its
+    delay alone.  ``rotor_inertia`` is that of everything that turns, about the jet's axis; 0 where it is not stated.
     """
 
     name: str
@@ -87,6 +108,7 @@ class Engine:
     internal_step: float  # s
     ports: Mapping[str, str]
     ledger: Mapping[str, str]
+    rotor_inertia: float  # kg m^2
     variables: tuple[Variable, ...]
 
     @property
@@ -130,27 +152,42 @@ def _engine(folder: Path, data: dict[str, Any]) -> Engine:
         raise _WrongError(
             f"the folder's name {name!r} must be lower-case words joined by '-', not ending in {FMI2_SUFFIX}"
         )
-    wanted = {"title", "description", "sources", "internal_step_s", "ports", "ledger", "variables"}
-    _keys("", data, wanted, wanted - {"ledger"})
+    wanted = {"title", "description", "sources", "internal_step_s", "ports", "variables"}
+    _keys("", data, wanted | {"ledger", "rotor"}, wanted)
     step = _number("internal_step_s", data["internal_step_s"])
     if not step > 0.0:
         raise _WrongError(f"internal_step_s = {step}: must be above 0")
     variables = tuple(_variable(key, i, table) for i, (key, table) in enumerate(data["variables"].items(), start=1))
-    by_name = {variable.name: variable for variable in variables}
-    ports, ledger = data["ports"], data.get("ledger", {})
-    _keys("ports", ports, PORTS, {"throttle", "thrust"})
+    ports, ledger, rotor = data["ports"], data.get("ledger", {}), data.get("rotor", {})
+    _keys("ports", ports, set(PORTS), NEEDED_PORTS)
     _keys("ledger", ledger, LEDGER, set())
-    kinds = {"throttle": "input", "thrust": "output"}
-    for port, variable in [*ports.items(), *ledger.items()]:
-        kind = kinds.get(port, "parameter")
-        if variable not in by_name or by_name[variable].causality != kind:
-            allowed = ", ".join(v.name for v in variables if v.causality == kind) or "none is stated"
-            raise _WrongError(f"{port} = {variable!r}: must name an {kind} (allowed: {allowed})".replace("an p", "a p"))
+    _keys("rotor", rotor, {"inertia_kg_m2"}, set())
+    for port, variable in ports.items():
+        _need_variable(variables, port, variable, *PORTS[port])
+    for entry, variable in ledger.items():
+        _need_variable(variables, entry, variable, "parameter")
+    inertia = _number("rotor.inertia_kg_m2", rotor.get("inertia_kg_m2", 0.0))
+    if inertia < 0.0:
+        raise _WrongError(f"rotor.inertia_kg_m2 = {inertia}: must not be below 0")
     sources = tuple((folder / source).resolve() for source in data["sources"])
     for source in sources:
         if not source.is_file():
             raise _WrongError(f"sources: there is no file {source}")
-    return Engine(name, folder, data["title"], data["description"], sources, step, ports, ledger, variables)
+    return Engine(name, folder, data["title"], data["description"], sources, step, ports, ledger, inertia, variables)
+
+
+def _need_variable(
+    variables: Iterable[Variable], where: str, name: str, causality: str, unit: str | None = None
+) -> None:
+    """Refuse a port or ledger entry that names no variable of its kind, or one in another unit."""
+    kind = [v for v in variables if v.causality == causality]
+    found = next((v for v in kind if v.name == name), None)
+    if found is None:
+        article = "a" if causality == "parameter" else "an"
+        allowed = ", ".join(v.name for v in kind) or "none is stated"
+        raise _WrongError(f"{where} = {name!r}: must name {article} {causality} (allowed: {allowed})")
+    if unit is not None and found.unit != unit:
+        raise _WrongError(f"variables.{name}.unit = {found.unit!r}: the port {where} is in {unit}")
 
 
 def _variable(name: str, reference: int, table: dict[str, Any]) -> Variable:
@@ -177,6 +214,10 @@ def _variable(name: str, reference: int, table: dict[str, Any]) -> Variable:
         raise _WrongError(f"{where}: inputs and parameters have a start, outputs have none")
     if kind == "integer" and (low is None or high is None):
         raise _WrongError(f"{where}: an integer needs min and max")
+    if low is not None and high is not None and not low < high:
+        raise _WrongError(f"{where}: min = {low:g} is not below max = {high:g}")
+    if start is not None and not (-inf if low is None else low) <= start <= (inf if high is None else high):
+        raise _WrongError(f"{where}.start = {start:g} is outside min and max")
     return Variable(name, reference, causality, kind == "integer", unit, low, high, start, table["description"])
 
 
@@ -517,6 +558,9 @@ def _cmake_options() -> dict[str, str]:
     if compiler and sys.platform != "win32":
         # FMPy's CMake project enables C++ too; nothing is compiled with it, so no such compiler is asked for
         options |= {"CMAKE_CXX_COMPILER:STRING": compiler, "CMAKE_CXX_COMPILER_FORCED:BOOL": "TRUE"}
+    if sys.platform != "win32":
+        # or only an importer that has the library of mathematics itself, as Python has, could load the FMU
+        options["CMAKE_C_STANDARD_LIBRARIES:STRING"] = "-lm"
     return options
 
 

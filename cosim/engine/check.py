@@ -1,25 +1,44 @@
-"""``hexjet fmu check``: is this FMU a sound engine, and how does it answer its throttle?"""
+"""``hexjet fmu check``: is this FMU a sound engine, and how does it answer its throttle?
+
+The archive is read here, where nothing of it is executed; the FMU is run in a process of its own
+(``cosim.engine.probe``), part by part (``cosim.engine.trial``).  A flight asks the same of an engine that is not of the
+library before it loads it.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
+import sys
+import tempfile
 import time
 import zipfile
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cosim.engine import _bank
-from cosim.engine.archive import DAMAGE, Archive, Variable, unpack, validate
-from cosim.engine.response import Hold, Response, ResponseError, settle, static_curve, step_response, window_for
-from cosim.engine.slave import Slave, SlaveError
-from cosim.engine.spec import find_archive, need_whole_steps
+from cosim.engine.archive import Archive, unpack
+from cosim.engine.container import DAMAGE
+from cosim.engine.ports import KINDS, STANDARD_AIR, Air, Port, Variable, plain
+from cosim.engine.probe import Apart, Limits, run_apart
+from cosim.engine.response import NO_CHANGE, Curve, Response
+from cosim.engine.spec import EngineSource, Measured, find_source, need_whole_steps, resolve_parameters
 from cosim.errors import InputError
 
-DEFAULT_STEP_S = 0.004
-TRIAL_STEPS = 500
-SAVED_AT = 37
-TIMED_STEPS = 20_000
+DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
+LIMITS = Limits()
+# A trial makes some 100,000 steps: an FMU that prints a line in each would fill a log with megabytes in every minute.
+MOST_PRINTED = 2**20  # bytes
+
+PARTS = (
+    "validate", "load", "start", "run", "repeat", "measure", "respond", "together", "reset", "restore", "serialize",
+    "time", "grow",
+)  # fmt: skip
+NEEDED = ("load", "start", "run", "measure")  # without these there is nothing to judge by
+DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
 
 
 @dataclass
@@ -34,20 +53,32 @@ class CheckReport:
     fmi_version: str
     sha256: str
     step: float
+    ports: list[dict[str, Any]]
     inputs: list[dict[str, Any]]
     outputs: list[dict[str, Any]]
     parameters: list[dict[str, Any]]
+    features: list[str] = field(default_factory=list)  # of FMI, that it uses or offers
     throttle: list[float] | None = None  # of the static curve
     thrust: list[float] | None = None
     delay_samples_up: int | None = None  # communication steps
     delay_samples_down: int | None = None
+    tenth_up: float | None = None  # from the throttle's move to 10 % of the change: delay, lag and slow start together
+    tenth_down: float | None = None
     rise_time_up: float | None = None  # 10 to 90 %
     rise_time_down: float | None = None
+    course_up: list[float] | None = None  # thrust after the throttle was opened, every ``course_step_up`` s
+    course_down: list[float] | None = None
+    course_step_up: float | None = None
+    course_step_down: float | None = None
     deterministic: bool | None = None
+    processes_agree: bool | None = None  # two processes, bit for bit
+    independent: bool | None = None  # six at once
     reset_restores_start: bool | None = None
     state_restores: bool | None = None  # None also if the FMU does not claim it
     serialized_state_restores: bool | None = None
     microseconds_per_step: float | None = None
+    bytes_per_instance: float | None = None  # resident, without the library itself
+    bytes_per_step: float | None = None  # that are not given back
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -65,31 +96,64 @@ class CheckReport:
         rows = [
             ("file", self.path),
             ("model", f"{self.name}, FMI {self.fmi_version}, sha256 {self.sha256[:12]}"),
-            *(("input", _variable_text(v)) for v in self.inputs),
-            *(("output", _variable_text(v)) for v in self.outputs),
-            *(("parameter", _variable_text(v)) for v in self.parameters),
+            *((each["port"].replace("_", " "), _port_text(each)) for each in self.ports),
+            *(("input", _variable_text(v)) for v in self._unused(self.inputs)),
+            *(("output", _variable_text(v)) for v in self._unused(self.outputs)),
+            *(("parameter", _variable_text(v)) for v in self._unused(self.parameters)),
+            ("FMI features", ", ".join(self.features) or "not found"),
             ("step", f"{self.step:g} s"),
+            *self.response_lines(),
+            *self.verdict_lines(),
         ]
+        return [*rows, *(("note", note) for note in self.notes)]
+
+    def _unused(self, variables: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+        used = {each["name"] for each in self.ports}
+        return [v for v in variables if v["name"] not in used]
+
+    def response_lines(self) -> list[tuple[str, str]]:
+        """Static thrust, delay and rise time."""
+        rows = []
         if self.throttle is not None and self.thrust is not None:
             shown = range(0, len(self.throttle), len(self.throttle) // 5)
             points = (f"{self.throttle[k]:g}: {round(self.thrust[k], 3) + 0.0:g}" for k in shown)
             rows.append(("static thrust [N]", ", ".join(points)))
-        for way, delay, rise in (
-            ("up", self.delay_samples_up, self.rise_time_up),
-            ("down", self.delay_samples_down, self.rise_time_down),
-        ):
+        for way in ("up", "down"):
+            delay, tenth, rise = (getattr(self, f"{what}_{way}") for what in ("delay_samples", "tenth", "rise_time"))
             if delay is not None and rise is not None:
-                text = f"delay {delay} samples ({delay * self.step:g} s), then 10 to 90 % in {rise:.4g} s"
+                first = "" if tenth is None else f", 10 % after {tenth:.4g} s"
+                text = f"delay {delay} samples ({delay * self.step:g} s){first}, then 10 to 90 % in {rise:.4g} s"
                 rows.append((f"throttle {way}", text))
-        rows += [
+        return rows
+
+    def verdict_lines(self) -> list[tuple[str, str]]:
+        """What was tried and came out good or bad, and what a step and an instance cost."""
+        rows = [
             ("runs repeat", _verdict(self.deterministic)),
+            ("two processes agree", _verdict(self.processes_agree)),
+            ("six at once", _verdict(self.independent)),
             ("reset", _verdict(self.reset_restores_start)),
             ("saved state", _verdict(self.state_restores)),
             ("serialized state", _verdict(self.serialized_state_restores)),
         ]
         if self.microseconds_per_step is not None:
             rows.append(("one step takes", f"{self.microseconds_per_step:.2f} us"))
-        return [*rows, *(("note", note) for note in self.notes)]
+        if self.bytes_per_instance is not None:
+            rows.append(("one instance takes", f"{self.bytes_per_instance / 1024.0:.0f} kB"))
+        if self.bytes_per_step is not None:
+            rows.append(("a step leaves behind", f"{self.bytes_per_step:.0f} bytes"))
+        return rows
+
+
+def _port_text(port: dict[str, Any]) -> str:
+    unit = f" [{port['unit']}]" if port["unit"] else ""
+    if port["from"] is not None:
+        what = f", {port['from']:g} to {port['to']:g} are 0 to 1"
+    elif (port["scale"], port["offset"]) != (1.0, 0.0):
+        what = f", 1 is {port['scale'] + port['offset']:g} {port['si']}, 0 is {port['offset']:g}"
+    else:
+        what = ""
+    return f"{port['name']}{unit}{what}, found {port['found']}"
 
 
 def _variable_text(v: dict[str, Any]) -> str:
@@ -108,42 +172,180 @@ def _verdict(found: bool | None) -> str:
     return {True: "good", False: "bad", None: "not tried"}[found]
 
 
-def check_fmu(path_or_name: str, step: float | None = None) -> CheckReport:
-    """Check an FMU by path or by its name in the library, at its own step size unless ``step`` [s] is given.
+# ---- the check
 
-    Raises InputError if the file cannot be loaded as an engine at all: one line that says why.
+
+def limits_of(seconds: float) -> Limits:
+    """Limits for a check that may take so long; a single call to the FMU may take all of it, if that is less."""
+    return replace(LIMITS, seconds=seconds, silence=min(LIMITS.silence, seconds))
+
+
+def check_fmu(
+    name_or_path: str,
+    step: float | None = None,
+    parameters: Mapping[str, float] | None = None,
+    limits: Limits | None = None,
+) -> CheckReport:
+    """Check an FMU by path, by mapping file, or by its name in the library.
+
+    ``step`` [s] is the control step it would be flown with: unless given, that of the Hex-Jet, for an engine of the
+    library its own.  Whatever the FMU does, it does in another process.
+
+    Raises InputError if the file cannot be used as an engine at all: one line that says why.
     """
-    archive, engine = find_archive(path_or_name)
-    step = step or archive.internal_step or archive.preferred_step or DEFAULT_STEP_S
-    need_whole_steps(archive, engine, step)
+    return _check(name_or_path, step, parameters or {}, limits or LIMITS)[0]
+
+
+def _check(
+    name_or_path: str,
+    step: float | None,
+    parameters: Mapping[str, float],
+    limits: Limits,
+    parts: Sequence[str] = PARTS,
+    air: Air = STANDARD_AIR,
+) -> tuple[CheckReport, Measured | None]:
+    source = find_source(name_or_path)
+    archive = source.archive
+    step = step or (source.engine.internal_step if source.engine else DEFAULT_STEP_S)
+    need_whole_steps(archive, source.engine, step)
+    start = archive.ports["start"].variable.name if "start" in archive.ports else None
+    resolve_parameters(archive, {**source.mapping.parameters, **parameters}, start)
+    unpack(archive).cleanup()
     report = CheckReport(
-        path=str(archive.path),
+        path=str(source.path),
         name=archive.model,
         fmi_version=archive.version,
         sha256=archive.sha256,
         step=step,
+        ports=[_described_port(name, port, source) for name, port in archive.ports.items()],
         inputs=_described(archive.inputs),
         outputs=_described(archive.outputs),
         parameters=_described(archive.parameters),
+        problems=_checksums(archive.path),
+        notes=_notes(archive),
     )
-    report.problems += _checksums(archive.path)
     if report.problems:
-        return report
-    report.problems += validate(archive.path)
-    report.notes += _notes(archive)
-    with unpack(archive) as folder:
-        trial = _Trial(archive, Path(folder), step)
-        for part in (_respond, _repeat, _reset, _restore, _serialize, _time):
-            try:
-                part(trial, report)
-            except (SlaveError, ResponseError) as error:
-                if str(error) not in report.problems:
-                    report.problems.append(str(error))
-    return report
+        return report, None
+    # the child runs in a folder of its own
+    name = name_or_path if source.engine else str(Path(name_or_path).absolute())
+    task = {"name": name, "parameters": dict(parameters), "step": step, "air": list(air)}
+    return report, _Trying(task, limits, report).all(parts)
+
+
+class _Trying:
+    """The parts of a trial in one child after another, as long as there is something left to try."""
+
+    def __init__(self, task: Mapping[str, Any], limits: Limits, report: CheckReport) -> None:
+        self._task, self._limits, self._report = task, limits, report
+        self._end = time.monotonic() + limits.seconds
+        self._printed = 0
+        self._found: dict[str, Any] = {}
+
+    def all(self, parts: Sequence[str]) -> Measured | None:
+        """Fill in the report, and return what a flight would measure again."""
+        while parts:
+            apart = self._run(parts)
+            begun = [message["part"] for message in apart.messages if "part" in message]
+            over = any(message.get("over") for message in apart.messages)
+            last = begun[-1] if begun else parts[0]
+            if over or not apart.crashed or last in NEEDED:
+                break
+            parts = parts[parts.index(last) + 1 :]  # a crash in one part need not hide what the others have to say
+        measured = self._fill()
+        if "digest" in self._found and self._end > time.monotonic() and not self._report.problems:
+            self._again()
+        if self._printed > MOST_PRINTED:
+            self._add([f"prints too much: {self._printed / 2**20:.0f} MB while it was tried"])
+        elif self._printed:
+            self._report.notes.append(
+                f"prints to standard output or standard error ({self._printed} bytes in the trial)"
+            )
+        return measured
+
+    def _run(self, parts: Sequence[str]) -> Apart:
+        limits = replace(self._limits, seconds=max(0.1, self._end - time.monotonic()))
+        apart = run_apart({**self._task, "parts": list(parts)}, limits)
+        for message in apart.messages:
+            self._found |= message.get("found", {})
+            self._add(message.get("problems", []))
+        if apart.end is not None:
+            self._add([apart.end])
+        if apart.left_behind:
+            self._add(["leaves processes behind"])
+        self._printed += apart.printed
+        return apart
+
+    def _again(self) -> None:
+        """The same run in another process: addresses, process number and time of day are not the same there."""
+        digest = self._found.pop("digest")
+        if self._run(["run"]).end is None:
+            self._report.processes_agree = self._found.get("digest") == digest
+            if not self._report.processes_agree:
+                self._add(["two processes with the same throttle differ"])
+
+    def _add(self, problems: Iterable[str]) -> None:
+        for problem in problems:
+            if problem not in self._report.problems:
+                self._report.problems.append(problem)
+
+    def _fill(self) -> Measured | None:
+        found, report = self._found, self._report
+        for each in fields(CheckReport):
+            if each.name in found and each.name != "notes":
+                setattr(report, each.name, found[each.name])
+        report.notes.extend(found.get("notes", []))
+        for way in ("up", "down"):
+            if way in found:
+                response = Response(**found[way])
+                setattr(report, f"delay_samples_{way}", response.delay)
+                setattr(report, f"rise_time_{way}", response.rise)
+        if "measured" not in found:
+            return None
+        measured = _measured(found["measured"])
+        if measured.quiet > NO_CHANGE:
+            report.notes.append(
+                f"its thrust trembles at rest; it is taken to stand still to {measured.quiet:g} of itself"
+            )
+        return measured
+
+
+def _measured(data: Mapping[str, Any]) -> Measured:
+    curve = Curve(tuple(data["throttle"]), tuple(data["thrust"]))
+    return Measured(curve, Response(**data["response"]), data["start"], float(data["quiet"]))
 
 
 def _described(variables: Iterable[Variable]) -> list[dict[str, Any]]:
-    return [{key: value for key, value in asdict(v).items() if key != "reference"} for v in variables]
+    return [{key: getattr(v, key) for key in DESCRIBED} for v in variables]
+
+
+def _described_port(name: str, port: Port, source: EngineSource) -> dict[str, Any]:
+    v = port.variable
+    stated = source.engine.ports if source.engine else source.mapping.ports.model_dump(exclude_none=True)
+    if name in stated:
+        found = "in engine.toml" if source.engine else "in the mapping file"
+    elif plain(v.name) == plain(name):
+        found = "by its name"
+    elif any(plain(text) in KINDS[name].names for text in (v.name, v.name.rpartition(".")[2])):
+        found = "by a usual name"
+    else:
+        found = "by its unit" if name == "thrust" else "as the only one"
+    ranged = KINDS[name].causality == "input" and name in ("throttle",)
+    return {
+        "port": name,
+        "name": v.name,
+        "unit": v.unit if name in ("throttle", "run", "start") else _unit(name, source) or v.unit,
+        "from": port.value(0.0) if ranged else None,
+        "to": port.value(1.0) if ranged else None,
+        "scale": port.scale,
+        "offset": port.offset,
+        "si": KINDS[name].quantity.si,
+        "found": found,
+    }
+
+
+def _unit(name: str, source: EngineSource) -> str | None:
+    stated = None if source.engine else getattr(source.mapping.units, name, None)
+    return str(stated) if stated else None
 
 
 def _checksums(path: Path) -> list[str]:
@@ -156,12 +358,7 @@ def _checksums(path: Path) -> list[str]:
 
 
 def _notes(archive: Archive) -> list[str]:
-    notes = []
-    for variable, unit in ((archive.throttle, "1"), (archive.thrust, "N")):
-        if variable.unit is None:
-            notes.append(f"{variable.name} states no unit; it is taken to be in {unit}")
-    if archive.throttle.min is None or archive.throttle.max is None:
-        notes.append(f"{archive.throttle.name} states no range; it is taken to run from 0 to 1")
+    notes = list(archive.port_notes)
     if not archive.saves_state:
         notes.append("cannot save its state")
     if archive.once_per_process:
@@ -169,123 +366,90 @@ def _notes(archive: Archive) -> list[str]:
     return notes
 
 
-class _Trial:
-    """Fresh instances of one archive, and what it takes to step them."""
-
-    def __init__(self, archive: Archive, folder: Path, step: float) -> None:
-        self.archive, self.folder, self.step = archive, folder, step
-
-    def run(self, use: Callable[[Slave, Hold], None]) -> None:
-        """Hand a fresh, initialized instance to ``use`` and free it afterwards.
-
-        Raises SlaveError if the FMU returns an error.
-        """
-        slave = Slave(self.archive, self.folder, "checked")
-        try:
-            slave.initialize((), 0.0)
-            use(slave, self.hold(slave))
-        except _bank.FailureError as failure:
-            raise SlaveError(slave.explain(failure, "while it was stepped")) from failure
-        finally:
-            slave.close()
-
-    def hold(self, slave: Slave, done: int = 0) -> Hold:
-        """Stepping of an instance that has ``done`` steps behind it."""
-        native = _bank.Bank([slave.row(done)], self.step)
-        return lambda throttle, steps: native.hold(0, throttle, steps)
+# ---- before a flight
 
 
-def _zigzag(hold: Hold, begin: int = 0, end: int = TRIAL_STEPS) -> list[float]:
-    """Thrusts under a throttle that keeps changing within 0..1."""
-    return [hold((k * 7 % 20) / 19, 1)[0] for k in range(begin, end)]
+def measure_apart(name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR) -> Measured:
+    """Static curve and response of an FMU that is not of the library, tried and measured in another process.
+
+    An FMU that was found fit is remembered by its contents and by what it was asked, and not tried again: in another
+    ``air`` than the standard one at sea level it is only measured.
+    Raises InputError if it is unfit: one line with the first problem.
+    """
+    source = find_source(name_or_path)
+    place = _memory(source, parameters, step, air)
+    known = _recall(place)
+    if known is not None:
+        return known
+    parts: Sequence[str] = PARTS
+    if air != STANDARD_AIR:
+        measure_apart(name_or_path, parameters, step)
+        parts = ("measure",)
+    report, measured = _check(name_or_path, step, parameters, LIMITS, parts, air)
+    if report.problems or measured is None:
+        more = f" (and {len(report.problems) - 1} more)" if len(report.problems) > 1 else ""
+        raise InputError(
+            f"{source.path}: is not fit to fly: {report.problems[0]}{more}; hexjet fmu check says all, "
+            "--unchecked-engine flies it all the same"
+        )
+    _remember(place, measured)
+    return measured
 
 
-def _respond(trial: _Trial, report: CheckReport) -> None:
-    def use(slave: Slave, hold: Hold) -> None:
-        at_rest = settle(hold, 0.0, max(1, round(1.0 / trial.step)), trial.step)
-        up = step_response(hold, at_rest, 1.0, trial.step)
-        report.delay_samples_up, report.rise_time_up = up.delay, up.rise
-        down: Response = step_response(hold, up.after, 0.0, trial.step)
-        report.delay_samples_down, report.rise_time_down = down.delay, down.rise
-        curve = static_curve(hold, window_for(max(up.delay, down.delay)), trial.step)
-        report.throttle, report.thrust = list(curve.throttle), list(curve.thrust)
-        if any(b <= a for a, b in zip(curve.thrust, curve.thrust[1:], strict=False)):
-            report.problems.append("thrust does not rise with the throttle all the way from 0 to 1")
-
-    trial.run(use)
-
-
-def _repeat(trial: _Trial, report: CheckReport) -> None:
-    runs: list[list[float]] = []
-
-    def use(slave: Slave, hold: Hold) -> None:
-        runs.append(_zigzag(hold))
-        if len(runs) < 2 and not trial.archive.once_per_process:
-            trial.run(use)  # the first instance still lives, as in a bank: they must not share anything
-
-    while len(runs) < 2:
-        trial.run(use)
-    report.deterministic = runs[0] == runs[1]
-    if not report.deterministic:
-        report.problems.append("two runs with the same throttle differ")
+def _memory(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> Path:
+    """Where it is remembered what was found about an engine; the name holds everything that it depends on."""
+    key = {
+        "archive": source.archive.sha256,
+        "mapping": source.mapping.model_dump(mode="json"),
+        "parameters": dict(sorted(parameters.items())),
+        "step": step,
+        "air": air,
+        "python": sys.version,
+        "code": _code(),
+    }
+    name = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
+    return _cache_folder() / "engines" / f"{name}.json"
 
 
-def _reset(trial: _Trial, report: CheckReport) -> None:
-    def use(slave: Slave, hold: Hold) -> None:
-        first = _zigzag(hold)
-        slave.call("reset")
-        slave.initialize((), 0.0)
-        report.reset_restores_start = _zigzag(trial.hold(slave)) == first
-        if not report.reset_restores_start:
-            report.problems.append("a run after a reset differs from the first")
-
-    trial.run(use)
+def _cache_folder() -> Path:
+    stated = os.environ.get("XDG_CACHE_HOME")
+    if stated and Path(stated).is_absolute():
+        return Path(stated) / "hexjet"
+    return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "hexjet"
 
 
-def _restore(trial: _Trial, report: CheckReport) -> None:
-    if not trial.archive.saves_state:
-        return
-
-    def use(slave: Slave, hold: Hold) -> None:
-        report.state_restores = _continues(trial, slave, hold, lambda state: state)
-        if not report.state_restores:
-            report.problems.append("a run from a restored state differs from the first")
-
-    trial.run(use)
+@cache
+def _code() -> str:
+    """What the modules of this package are, so that nothing is remembered from an older version of them."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.iterdir()):
+        if path.suffix in (".py", ".c"):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
-def _serialize(trial: _Trial, report: CheckReport) -> None:
-    if not trial.archive.serializes_state:
-        return
-
-    def through_bytes(slave: Slave, state: Any) -> Any:
-        return slave.call("deserializeFMUState", slave.call("serializeFMUState", state))
-
-    def use(slave: Slave, hold: Hold) -> None:
-        report.serialized_state_restores = _continues(trial, slave, hold, lambda state: through_bytes(slave, state))
-        if not report.serialized_state_restores:
-            report.problems.append("a run from a serialized state differs from the first")
-
-    trial.run(use)
+def _recall(place: Path) -> Measured | None:
+    """What is remembered, or None; a file that cannot be read or understood is as good as none."""
+    try:
+        found = _measured(json.loads(place.read_text(encoding="utf-8")))
+        sane = len(found.curve.throttle) == len(found.curve.thrust) > 1 and found.response.delay >= 0
+        return found if sane else None
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
 
 
-def _continues(trial: _Trial, slave: Slave, hold: Hold, copy: Callable[[Any], Any]) -> bool:
-    """Save the state in mid-run, run on, go back to it, or to what ``copy`` makes of it, and see the same again."""
-    _zigzag(hold, 0, SAVED_AT)
-    saved = slave.call("getFMUState")
-    first = _zigzag(hold, SAVED_AT)
-    copied = copy(saved)
-    slave.call("setFMUState", copied)
-    second = _zigzag(trial.hold(slave, SAVED_AT), SAVED_AT)
-    for state in {id(state): state for state in (saved, copied)}.values():
-        slave.call("freeFMUState", state)
-    return first == second
-
-
-def _time(trial: _Trial, report: CheckReport) -> None:
-    def use(slave: Slave, hold: Hold) -> None:
-        begin = time.perf_counter()
-        hold(0.5, TIMED_STEPS)
-        report.microseconds_per_step = (time.perf_counter() - begin) / TIMED_STEPS * 1e6
-
-    trial.run(use)
+def _remember(place: Path, measured: Measured) -> None:
+    data = {
+        **measured.curve._asdict(),
+        "response": measured.response._asdict(),
+        "start": measured.start,
+        "quiet": measured.quiet,
+    }
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=place.parent)
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            json.dump(data, stream)
+        os.replace(name, place)
+    except OSError:
+        pass  # it is tried again next time

@@ -13,13 +13,18 @@ from typing import NamedTuple
 Hold = Callable[[float, int], Sequence[float]]
 
 CURVE_POINTS = 21
-LONGEST_S = 60.0  # to settle
+LONGEST_S = 180.0  # to settle: a real turbojet, closed, creeps for 95 s until it stands still to NO_CHANGE
 LONGEST_DELAY_S = 10.0
 NO_CHANGE = 1e-10  # of the thrust, or of 1 N if that is more
+LITTLE_CHANGE = 1e-6  # the same, for an FMU whose own solver goes on trembling at rest: a usual tolerance of solvers
 
 
 class ResponseError(Exception):
     """The engine never settles, or never answers."""
+
+
+class RestlessError(ResponseError):
+    """The engine never settles."""
 
 
 class Response(NamedTuple):
@@ -38,21 +43,21 @@ class Curve(NamedTuple):
     thrust: tuple[float, ...]
 
 
-def settle(hold: Hold, throttle: float, window: int, step: float) -> float:
-    """Hold a throttle until the thrust has stood still for ``window`` steps, and return it [N].
+def settle(hold: Hold, throttle: float, window: int, step: float, quiet: float = NO_CHANGE) -> float:
+    """Hold a throttle until the thrust has stood still to ``quiet`` for ``window`` steps, and return it [N].
 
     ``window`` must be longer than the engine's delay.  Raises ResponseError after ``LONGEST_S`` of simulated time.
     """
     last = hold(throttle, window)[-1]
     for _ in range(max(1, math.ceil(LONGEST_S / step / window))):
         thrusts = hold(throttle, window)
-        if _still([last, *thrusts]):
+        if _still([last, *thrusts], quiet):
             return thrusts[-1]
         last = thrusts[-1]
-    raise ResponseError(f"thrust does not settle within {LONGEST_S:g} s at throttle {throttle:g}")
+    raise RestlessError(f"thrust does not settle within {LONGEST_S:g} s at throttle {throttle:g}")
 
 
-def step_response(hold: Hold, before: float, throttle: float, step: float) -> Response:
+def step_response(hold: Hold, before: float, throttle: float, step: float, quiet: float = NO_CHANGE) -> Response:
     """Step the throttle of an engine that stands at ``before`` newtons, and follow the thrust until it has settled.
 
     Raises ResponseError if it does not answer within ``LONGEST_DELAY_S`` or does not settle within ``LONGEST_S``.
@@ -63,17 +68,17 @@ def step_response(hold: Hold, before: float, throttle: float, step: float) -> Re
         if len(thrusts) * step > LONGEST_DELAY_S:
             raise ResponseError(f"thrust does not answer the throttle within {LONGEST_DELAY_S:g} s")
         thrusts += hold(throttle, 64)
-        moved = next((k for k, thrust in enumerate(thrusts) if not _still([before, thrust])), None)
+        moved = next((k for k, thrust in enumerate(thrusts) if not _still([before, thrust], quiet)), None)
     window = window_for(moved)
-    while len(thrusts) < moved + 2 * window or not _still(thrusts[-window:]):
+    while len(thrusts) < moved + 2 * window or not _still(thrusts[-window:], quiet):
         if len(thrusts) * step > LONGEST_S + LONGEST_DELAY_S:
-            raise ResponseError(f"thrust does not settle within {LONGEST_S:g} s at throttle {throttle:g}")
+            raise RestlessError(f"thrust does not settle within {LONGEST_S:g} s at throttle {throttle:g}")
         thrusts += hold(throttle, window)
     after = thrusts[-1]
-    if _still([before, after]):
+    if _still([before, after], quiet):
         raise ResponseError("thrust is the same at throttle 0 and 1")
     course = [before, *thrusts]
-    rise = (_crossing(course, 0.9, before, after) - _crossing(course, 0.1, before, after)) * step
+    rise = (crossing(course, 0.9, before, after) - crossing(course, 0.1, before, after)) * step
     return Response(moved, rise, before, after)
 
 
@@ -82,19 +87,19 @@ def window_for(delay: int) -> int:
     return 2 * delay + 50
 
 
-def static_curve(hold: Hold, window: int, step: float) -> Curve:
+def static_curve(hold: Hold, window: int, step: float, quiet: float = NO_CHANGE) -> Curve:
     """Steady thrust at evenly spaced throttles, measured from full throttle down."""
     throttles = [k / (CURVE_POINTS - 1) for k in range(CURVE_POINTS)]
-    thrusts = [settle(hold, throttle, window, step) for throttle in reversed(throttles)]
+    thrusts = [settle(hold, throttle, window, step, quiet) for throttle in reversed(throttles)]
     return Curve(tuple(throttles), tuple(reversed(thrusts)))
 
 
-def _still(thrusts: Sequence[float]) -> bool:
+def _still(thrusts: Sequence[float], quiet: float) -> bool:
     low, high = min(thrusts), max(thrusts)
-    return high - low <= NO_CHANGE * max(1.0, abs(low), abs(high))
+    return high - low <= quiet * max(1.0, abs(low), abs(high))
 
 
-def _crossing(course: Sequence[float], share: float, before: float, after: float) -> float:
+def crossing(course: Sequence[float], share: float, before: float, after: float) -> float:
     """Where, in steps, the course first reaches a share of the change, interpolated linearly between steps."""
     level = [(thrust - before) / (after - before) for thrust in course]
     k = next(k for k, x in enumerate(level) if x >= share)

@@ -3,37 +3,47 @@
 from __future__ import annotations
 
 import ctypes
+import importlib
 import math
 import os
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from cosim.engine import _bank
-from cosim.engine.archive import REALS, Archive, Variable, one_line
+from cosim.engine.archive import REALS, Archive
+from cosim.engine.container import one_line
+from cosim.engine.ports import INPUTS, OUTPUTS, STANDARD_AIR, Air, Variable
 
 STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
+DISCARD = 2
 FATAL = 4
+PENDING = 5
+LAST_SUCCESSFUL_TIME = 2  # of fmi2StatusKind
 
-FUNCTIONS = {
-    2: ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
-    3: ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
-}
+EVENT_FUNCTIONS = ("fmi3EnterEventMode", "fmi3UpdateDiscreteStates", "fmi3EnterStepMode")
+MOST_UPDATES = 10_000  # of discrete states, before it counts as endless
 
 # What failed, in the words of the C loop -> in ours.
 FAULTS = {
-    "set": "setting the throttle returned {status}",
+    "set": "setting its inputs returned {status}",
     "step": "doStep returned {status}",
-    "get": "getting the thrust returned {status}",
+    "get": "getting its outputs returned {status}",
     "terminate": "it asked to end the simulation",
-    "early": "it returned early from doStep",
-    "event": "it asked for event handling",
-    "nan": "thrust is not finite",
-    "throttle": "throttle is not finite",
+    "early": "it returned early from doStep and gets no further",
+    "parts": "it does not reach the end of the step",
+    "event": "it asked for event handling, for which it has no mode",
+    "enter": "entering event mode returned {status}",
+    "update": "updating its discrete states returned {status}",
+    "leave": "leaving event mode returned {status}",
+    "endless": "its events do not come to an end",
+    "nan": "{port} is not finite",
+    "input": "{port} is not finite",
 }
 
 Setting = tuple[Variable, float]
-Row = tuple[int, int, int, int, int, int, int, int]
 
 
 class SlaveError(Exception):
@@ -48,21 +58,25 @@ class Slave:
 
     def __init__(self, archive: Archive, folder: Path, name: str) -> None:
         self.archive = archive
+        self._resources = folder / "resources"
+        self._python = any(self._resources.rglob("*.py"))
         self.log = _bank.Log()
         self._stepping = False
         self._dead = False
+        self._inputs = _canonical(0.0, STANDARD_AIR)  # what they were set to
         self.fmu: Any = _load(archive, folder, name)
         try:
-            self._instantiate(folder)
+            with _modules_of_its_own(self._resources) if self._python else nullcontext():
+                self._instantiate()
         except BaseException:
             self.fmu.freeLibrary()
             self.fmu = None
             raise
 
-    def _instantiate(self, folder: Path) -> None:
+    def _instantiate(self) -> None:
         # FMPy's own instantiate() would print the FMU's messages; this way the C loop's log gets them
         fmu = self.fmu
-        name, token, resources = fmu.instanceName.encode(), self.archive.token.encode(), folder / "resources"
+        name, token, resources = fmu.instanceName.encode(), self.archive.token.encode(), self._resources
         if self.archive.fmi == 2:
             from fmpy.fmi2 import fmi2CoSimulation  # type: ignore[import-untyped]
 
@@ -86,8 +100,8 @@ class Slave:
                 resourcePath=f"{resources}{os.sep}".encode(),
                 visible=False,
                 loggingOn=True,
-                eventModeUsed=False,
-                earlyReturnAllowed=False,
+                eventModeUsed=self.archive.event_mode,
+                earlyReturnAllowed=self.archive.event_mode or self.archive.returns_early,
                 requiredIntermediateVariables=None,
                 nRequiredIntermediateVariables=0,
                 instanceEnvironment=self.log.address,
@@ -97,28 +111,67 @@ class Slave:
         if not fmu.component:
             raise SlaveError(self._with_log("cannot be instantiated"))
 
-    def initialize(self, settings: Sequence[Setting], throttle: float) -> float:
-        """Set parameters and throttle, leave initialization mode at time 0, and return the thrust [N] there.
+    def initialize(self, settings: Sequence[Setting], throttle: float, air: Air = STANDARD_AIR) -> float:
+        """Set parameters and inputs, leave initialization mode at time 0, and return the thrust [N] there.
 
         Raises SlaveError if the FMU returns an error on the way.
         """
-        reference = self.archive.throttle.reference
+        self._inputs = _canonical(throttle, air)
         if self.archive.fmi == 2:
             self.call("setupExperiment", startTime=0.0)
-        for variable, value in settings:
-            self._set(variable, value)
+        self._set(settings)
         self.call("enterInitializationMode")
-        self.call("setReal" if self.archive.fmi == 2 else "setFloat64", [reference], [throttle])
+        ports = self.archive.ports
+        wanted = self._inputs | {"run": 1.0}
+        self._set([(ports[name].variable, ports[name].value(x)) for name, x in wanted.items() if name in ports])
         self.call("exitInitializationMode")
         self._stepping = True
-        thrust = self.call("getReal" if self.archive.fmi == 2 else "getFloat64", [self.archive.thrust.reference])[0]
+        if self.archive.event_mode:
+            self._handle_events()
+        thrust = self.output("thrust")
         if not math.isfinite(thrust):
             raise SlaveError("thrust is not finite at the start")
-        return float(thrust)
+        return thrust
 
-    def _set(self, variable: Variable, value: float) -> None:
-        fitting = value if variable.type in REALS else bool(value) if variable.type == "Boolean" else int(value)
-        self.call(f"set{variable.type}", [variable.reference], [fitting])
+    def output(self, name: str) -> float:
+        """What the engine reports now on a port that it has, in SI units."""
+        port = self.archive.ports[name]
+        size = len(port.variable.starts)
+        more = {"nValues": size} if size > 1 else {}
+        values = self.call(f"get{port.variable.type}", [port.variable.reference], **more)
+        value = port.scale * float(values[port.variable.index])
+        return value + port.offset if port.offset else value
+
+    def set_run(self, on: bool) -> bool:
+        """Set the port ``run`` between two steps; False if the engine has none."""
+        port = self.archive.ports.get("run")
+        if port is None:
+            return False
+        self._set([(port.variable, port.value(float(on)))])
+        return True
+
+    def _set(self, settings: Sequence[Setting]) -> None:
+        """Set variables; the elements of an array that are not among them stay at their start values."""
+        arrays: dict[tuple[str, int], tuple[Variable, list[float]]] = {}
+        for variable, value in settings:
+            # FMI 2.0 counts its references anew for every type
+            _, values = arrays.setdefault((variable.type, variable.reference), (variable, list(variable.starts)))
+            values[variable.index] = value
+        for variable, values in arrays.values():
+            kind: type = float if variable.type in REALS else bool if variable.type == "Boolean" else int
+            self.call(f"set{variable.type}", [variable.reference], [kind(value) for value in values])
+
+    def _handle_events(self) -> None:
+        """From event mode to step mode."""
+        for _ in range(MOST_UPDATES):
+            again, terminate, *_ = self.call("updateDiscreteStates")
+            if terminate:
+                raise SlaveError(self._with_log("it asked to end the simulation at its start"))
+            if not again:
+                break
+        else:
+            raise SlaveError("its events at the start do not come to an end")
+        self.call("enterStepMode")
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> Any:
         """Call one of FMPy's wrappers.  Raises SlaveError if it returns worse than a warning."""
@@ -141,28 +194,115 @@ class Slave:
 
     def explain(self, failure: _bank.FailureError, moment: str) -> str:
         """What went wrong in the C loop and when, with what the FMU itself said about it."""
-        _, what, status = failure.args
+        _, what, status, port = failure.args
+        more = self._reached() if what == "step" and status == DISCARD and self.archive.fmi == 2 else ""
+        if what == "step" and status == PENDING:
+            more = ", which is for FMUs that step in the background; these are not supported"
         self.failed(status)
-        return self._with_log(f"{FAULTS[what].format(status=_status(status))} {moment}")
+        text = FAULTS[what].format(status=_status(status), port=port)
+        return self._with_log(f"{text} {moment}{more}")
 
-    def row(self, done: int = 0) -> Row:
+    def _reached(self) -> str:
+        """FMI 2.0: how far a step that was discarded has come, where the FMU says so."""
+        from fmpy.fmi2 import fmi2Real
+
+        value = fmi2Real(math.nan)
+        status = self.fmu.dll.fmi2GetRealStatus(self.fmu.component, LAST_SUCCESSFUL_TIME, ctypes.byref(value))
+        known = status <= 1 and math.isfinite(value.value)
+        return f"; it came as far as its own time {value.value:g} s" if known else ""
+
+    def row(self, done: int = 0) -> _bank.Row:
         """What the C loop needs to step this instance, which has ``done`` communication steps behind it."""
-        fmi, throttle, thrust = self.archive.fmi, self.archive.throttle.reference, self.archive.thrust.reference
-        names = FUNCTIONS[fmi]
-        setter, step, getter = (ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value or 0 for name in names)
-        return fmi, self.fmu.component, setter, step, getter, throttle, thrust, done
+        archive = self.archive
+        sets, inputs = self._blocks("set", INPUTS)
+        gets, outputs = self._blocks("get", OUTPUTS)
+        return (
+            archive.fmi,
+            self.fmu.component,
+            self._address(f"fmi{archive.fmi}DoStep"),
+            tuple(self._address(name) if archive.event_mode else 0 for name in EVENT_FUNCTIONS),
+            done,
+            sets,
+            gets,
+            inputs,
+            outputs,
+            tuple(self._inputs[name] for name in INPUTS),
+        )
+
+    def _address(self, name: str) -> int:
+        return ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value or 0
+
+    def _blocks(
+        self, way: Literal["set", "get"], names: Sequence[str]
+    ) -> tuple[tuple[_bank.Block, ...], tuple[_bank.Place | None, ...]]:
+        """One call for all ports of a type, that of the first port first, and where each port is among the values."""
+        ports = {name: self.archive.ports[name] for name in names if name in self.archive.ports}
+        types = list(dict.fromkeys(port.variable.type for port in ports.values()))
+        first = len(ports[names[0]].variable.starts)  # values of the throttle alone, which is set in every step
+        blocks: list[_bank.Block] = []
+        places: dict[str, _bank.Place] = {}
+        for number, kind in enumerate(types):
+            values: list[float] = []
+            begin: dict[int, int] = {}  # reference: its first value
+            for name, port in ports.items():
+                v = port.variable
+                if v.type != kind:
+                    continue
+                if v.reference not in begin:
+                    begin[v.reference] = len(values)
+                    values += v.starts
+                index = begin[v.reference] + v.index
+                if way == "set":
+                    values[index] = port.value(self._inputs[name])
+                    places[name] = number, index, port.gain, port.bias, port.low, port.high
+                else:
+                    places[name] = number, index, port.scale, port.offset, -math.inf, math.inf
+            function = self._address(f"fmi{self.archive.fmi}{way.capitalize()}{kind}")
+            alone = (1, first) if number == 0 else (0, 0)
+            blocks.append((function, kind == "Float32", tuple(begin), tuple(values), *alone))
+        return tuple(blocks), tuple(places.get(name) for name in names)
 
     def close(self) -> None:
         """Terminate and free the instance, and let go of the library."""
         if self.fmu is None:
             return
         fmu, self.fmu = self.fmu, None
+        if self._python:
+            _leave_path(self._resources)
         if self._dead:
             return  # after a fatal error nothing may be called any more, not even to free it
         version = self.archive.fmi
         if self._stepping:
             getattr(fmu.dll, f"fmi{version}Terminate")(fmu.component)
         fmu.freeInstance()
+
+
+@contextmanager
+def _modules_of_its_own(resources: Path) -> Iterator[None]:
+    """For an FMU that is written in Python and runs in this interpreter, as PythonFMU's do: its modules are its own.
+
+    It imports them by name from its resources, which it puts at the end of the path.  An FMU with a module of the same
+    name that was there before, also one that is long closed, would otherwise lend it its code without a word.
+    """
+    place = str(resources)
+    sys.path.insert(0, place)
+    importlib.invalidate_caches()
+    try:
+        yield
+    finally:
+        _leave_path(resources)
+        sys.path.append(place)  # for what it imports later
+        for name, module in list(sys.modules.items()):
+            if str(getattr(module, "__file__", None) or "").startswith(place + os.sep):
+                del sys.modules[name]  # the instance keeps what it has
+
+
+def _leave_path(resources: Path) -> None:
+    sys.path[:] = [place for place in sys.path if Path(place) != resources]
+
+
+def _canonical(throttle: float, air: Air) -> dict[str, float]:
+    return dict(zip(INPUTS, (throttle, *air), strict=True))
 
 
 def _load(archive: Archive, folder: Path, name: str) -> Any:

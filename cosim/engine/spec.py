@@ -4,19 +4,40 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from cosim.config import nearest
 from cosim.engine import _bank, build
-from cosim.engine.archive import INTEGERS, Archive, Variable, read_archive, unpack
-from cosim.engine.response import Curve, Response, ResponseError, settle, static_curve, step_response, window_for
+from cosim.engine.archive import INTEGERS, Archive, read_archive, unpack
+from cosim.engine.ports import (
+    AMBIENT,
+    STANDARD_AIR,
+    Air,
+    MappingFile,
+    Port,
+    PortMap,
+    Variable,
+    is_mapping,
+    read_mapping,
+)
+from cosim.engine.response import (
+    LITTLE_CHANGE,
+    NO_CHANGE,
+    Curve,
+    Response,
+    ResponseError,
+    RestlessError,
+    settle,
+    static_curve,
+    step_response,
+    window_for,
+)
 from cosim.engine.slave import Setting, Slave, SlaveError
 from cosim.errors import InputError
 from cosim.paths import data_folder
-
-START = "throttle_start"  # by convention, in an FMU that is not ours
 
 
 @dataclass(frozen=True)
@@ -39,21 +60,38 @@ class EngineSpec:
     pole: float | None
     delay_samples: int | None
     start: str | None  # the parameter that starts the engine in equilibrium at a throttle
+    rotor_inertia: float  # kg m^2, about the jet's axis; 0 where it is not known
+    stated_delay: float | None  # s, from a mapping file
+    mapping: Path | None  # the mapping file it was loaded by
     archive: Archive = field(repr=False)
     settings: tuple[Setting, ...] = field(repr=False)
     window: int = field(repr=False)  # communication steps, longer than the engine's delay
+    quiet: float = field(default=NO_CHANGE, repr=False)  # to what share of itself the thrust stands still at rest
+    air: Air = STANDARD_AIR  # in which the curve was measured
 
     @property
     def family(self) -> str:
         """What an identified model is filed under: the library's name in either FMI version, else the file's name.
 
-        With the file's suffix, so that somebody's ``edf.fmu`` is not taken for the library's ``edf``.
+        The file is the mapping file where there is one.  With its suffix, so that somebody's ``edf.fmu`` is not taken
+        for the library's ``edf``.
         """
-        return self.name.removesuffix(build.FMI2_SUFFIX) if self.library else self.path.name
+        return self.name.removesuffix(build.FMI2_SUFFIX) if self.library else (self.mapping or self.path).name
+
+    @property
+    def ports(self) -> Mapping[str, Port]:
+        """What the co-simulation calls a variable -> the variable and its conversion."""
+        return self.archive.ports
+
+    def has(self, port: str) -> bool:
+        """Whether the engine has a port, such as ``ambient_pressure``, ``run`` or ``fuel_flow``."""
+        return port in self.archive.ports
 
     @property
     def delay(self) -> float | None:
         """Transport delay [s]."""
+        if self.stated_delay is not None:
+            return self.stated_delay
         if self.delay_samples is None or self.internal_step is None:
             return None
         return self.delay_samples * self.internal_step
@@ -89,55 +127,108 @@ def build_engines(names: list[str] | None = None) -> list[Path]:
         raise InputError(str(error)) from error
 
 
-def load_engine(name_or_path: str, parameters: Mapping[str, float], step: float) -> EngineSpec:
+def load_engine(
+    name_or_path: str,
+    parameters: Mapping[str, float],
+    step: float,
+    *,
+    unchecked: bool = False,
+    measured: Measured | None = None,
+    air: Air = STANDARD_AIR,
+) -> EngineSpec:
     """Find, validate and measure an engine that will be stepped by ``step`` seconds.
 
-    The engine is an FMI 2.0 or 3.0 co-simulation FMU, by its name in the library or by path; by path it needs an input
-    ``throttle`` (0..1) and an output ``thrust`` [N].
+    The engine is an FMI 2.0 or 3.0 co-simulation FMU, by its name in the library, by path, or by the path of a mapping
+    file; see ``cosim.engine.ports`` for how its ports are found.
+
+    An engine that is not of the library is tried in another process before this one loads it, and refused if
+    ``hexjet fmu check`` finds it unfit; ``unchecked`` leaves that out.  What is ``measured`` already is taken as it is.
+
+    ``air``: in which it is measured, if it has a port for any of it; without one it is the same in every air.
 
     Raises InputError: one line that names the engine, what is wrong, and what is allowed.
     """
-    archive, engine = find_archive(name_or_path)
+    source = find_source(name_or_path)
+    archive, engine, mapping = source.archive, source.engine, source.mapping
     need_whole_steps(archive, engine, step)
-    start = _start_parameter(archive, engine)
-    resolved, settings = resolve_parameters(archive, parameters, start)
+    if not any(port in archive.ports for port in AMBIENT):
+        air = STANDARD_AIR
+    start = archive.ports["start"].variable.name if "start" in archive.ports else None
+    resolved, settings = resolve_parameters(archive, {**mapping.parameters, **parameters}, start)
     ledger = engine.ledger if engine else {}
     delay = resolved.get(ledger.get("delay", ""))
     try:
-        curve, response, start = _measure(archive, settings, start, step)
+        if measured is None and (engine or unchecked):
+            measured = measure(archive, settings, start, step, air=air)
+        elif measured is None:
+            from cosim.engine.check import measure_apart
+
+            measured = measure_apart(name_or_path, parameters, step, air)
     except (SlaveError, ResponseError) as error:
         raise InputError(f"{archive.path}: {error}") from error
     return EngineSpec(
-        name=name_or_path if engine else archive.path.stem,
-        title=engine.title if engine else archive.model,
+        name=name_or_path if engine else source.path.stem,
+        title=engine.title if engine else mapping.title or archive.model,
         library=engine is not None,
         path=archive.path,
         fmi=archive.version,
         sha256=archive.sha256,
         parameters=resolved,
-        curve=curve,
+        curve=measured.curve,
         internal_step=engine.internal_step if engine else archive.internal_step,
         pole=resolved.get(ledger.get("pole", "")),
         delay_samples=None if delay is None else round(delay),
-        start=start,
+        start=measured.start,
+        rotor_inertia=engine.rotor_inertia if engine else mapping.rotor.inertia_kg_m2,
+        stated_delay=mapping.ledger.delay_s,
+        mapping=source.path if is_mapping(source.path) else None,
         archive=archive,
         settings=settings,
-        window=window_for(response.delay),
+        window=window_for(measured.response.delay),
+        quiet=measured.quiet,
+        air=air,
     )
 
 
-def find_archive(name_or_path: str) -> tuple[Archive, build.Engine | None]:
-    """The archive of an engine by name or path, and its definition if it is one of the library.
+class Measured(NamedTuple):
+    """What stepping an engine tells about it."""
+
+    curve: Curve
+    response: Response  # to the throttle opened from 0 to 1
+    start: str | None  # the start parameter, if it does what it should
+    quiet: float  # to what share of itself the thrust stands still at rest
+
+
+@dataclass(frozen=True)
+class EngineSource:
+    """Where an engine comes from: the file that was named, its archive, and what is stated about it beside it."""
+
+    path: Path  # of the archive, or of the mapping file that speaks of it
+    archive: Archive
+    engine: build.Engine | None  # its definition, if it is one of the library
+    mapping: MappingFile
+
+
+def find_source(name_or_path: str) -> EngineSource:
+    """Find an engine by its name in the library, the path of its archive, or that of a mapping file.
 
     Raises InputError for an unknown name (lists the known ones) or a file that cannot be used.
     """
     path = Path(name_or_path)
+    if is_mapping(path):
+        mapping, fmu, ports = read_mapping(path)
+        try:
+            return EngineSource(path, read_archive(fmu, ports), None, mapping)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
     if path.suffix.lower() == ".fmu" or len(path.parts) > 1 or path.is_file():
-        return read_archive(path), None
+        return EngineSource(path, read_archive(path), None, MappingFile(fmu=path.name))
     name = name_or_path.removesuffix(build.FMI2_SUFFIX)
     if name not in engine_names():
         allowed = nearest(name, engine_names())
-        raise InputError(f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu file")
+        raise InputError(
+            f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu, or of a .toml that maps one"
+        )
     try:
         engine = build.read_engine(data_folder("engines") / name)
     except build.BuildError as error:
@@ -145,7 +236,8 @@ def find_archive(name_or_path: str) -> tuple[Archive, build.Engine | None]:
     path = build.archive_path(data_folder("fmus"), name, 2 if name_or_path != name else 3)
     if not path.is_file():
         raise InputError(f"engine {name_or_path}: {path} has not been built; run: hexjet fmu build")
-    return read_archive(path, engine.ports["throttle"], engine.ports["thrust"]), engine
+    stated = PortMap(ports=engine.ports, search=False)
+    return EngineSource(path, read_archive(path, stated), engine, MappingFile(fmu=path.name))
 
 
 def need_whole_steps(archive: Archive, engine: build.Engine | None, step: float) -> None:
@@ -158,12 +250,6 @@ def need_whole_steps(archive: Archive, engine: build.Engine | None, step: float)
         raise InputError(
             f"{archive.path}: step {step:g} s is not a whole multiple of the engine's internal step {internal:g} s"
         )
-
-
-def _start_parameter(archive: Archive, engine: build.Engine | None) -> str | None:
-    if engine:
-        return engine.ports.get("start")
-    return next((v.name for v in archive.parameters if v.name.lower() == START), None)
 
 
 def resolve_parameters(
@@ -199,46 +285,73 @@ def _need_value(archive: Archive, variable: Variable, value: float) -> None:
         raise InputError(f"{archive.path}: {variable.name} = {value:g}: must be {kind} from {low:g} to {high:g}")
 
 
+def measure(
+    archive: Archive,
+    settings: tuple[Setting, ...],
+    start: str | None,
+    step: float,
+    alive: Callable[[], object] = lambda: None,
+    air: Air = STANDARD_AIR,
+) -> Measured:
+    """Static curve and step response of an engine in ``air``, and its start parameter if that does what it should.
+
+    An engine that goes on trembling at rest is measured once more with more patience.  ``alive`` is called every now
+    and then while it lasts.
+    Raises SlaveError or ResponseError if it fails, never settles or never answers.
+    """
+    try:
+        return _measure(archive, settings, start, step, alive, NO_CHANGE, air)
+    except RestlessError:
+        return _measure(archive, settings, start, step, alive, LITTLE_CHANGE, air)
+
+
 def _measure(
-    archive: Archive, settings: tuple[Setting, ...], start: str | None, step: float
-) -> tuple[Curve, Response, str | None]:
-    """Static curve and step response of an engine, and its start parameter if that does what it should."""
+    archive: Archive,
+    settings: tuple[Setting, ...],
+    start: str | None,
+    step: float,
+    alive: Callable[[], object],
+    quiet: float,
+    air: Air,
+) -> Measured:
     with unpack(archive) as folder:
         slave = Slave(archive, Path(folder), "measured")
         try:
-            slave.initialize(settings, 0.0)
+            slave.initialize(settings, 0.0, air)
             native = _bank.Bank([slave.row()], step)
 
             def hold(throttle: float, steps: int) -> list[float]:
+                alive()
                 return native.hold(0, throttle, steps)
 
-            at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step)
-            response = step_response(hold, at_rest, 1.0, step)
-            curve = static_curve(hold, window_for(response.delay), step)
+            at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet)
+            response = step_response(hold, at_rest, 1.0, step, quiet)
+            curve = static_curve(hold, window_for(response.delay), step, quiet)
         except _bank.FailureError as failure:
             raise SlaveError(slave.explain(failure, "while its thrust was measured")) from failure
         finally:
             slave.close()
-        if start is not None and not _starts_level(archive, Path(folder), settings, start, step, curve, response):
+        if start is not None and not _starts_level(archive, Path(folder), settings, step, curve, response, air):
             start = None
-    return curve, response, start
+    return Measured(curve, response, start, quiet)
 
 
 def _starts_level(
     archive: Archive,
     folder: Path,
     settings: tuple[Setting, ...],
-    start: str,
     step: float,
     curve: Curve,
     response: Response,
+    air: Air,
 ) -> bool:
     """Whether the start parameter starts the engine on its static curve and keeps it there, tried at half throttle."""
     middle = len(curve.throttle) // 2
     throttle, thrust = curve.throttle[middle], curve.thrust[middle]
     slave = Slave(archive, folder, "started")
     try:
-        first = slave.initialize([*settings, (archive.parameter(start), throttle)], throttle)
+        port = archive.ports["start"]
+        first = slave.initialize([*settings, (port.variable, port.value(throttle))], throttle, air)
         rest = _bank.Bank([slave.row()], step).hold(0, throttle, window_for(response.delay))
     except SlaveError:
         return False

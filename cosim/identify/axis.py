@@ -16,7 +16,7 @@ from cosim.identify.fit import Fit, fit
 from cosim.identify.response import Array, FrequencyResponse, Record, estimate
 from cosim.identify.result import Identification, Sweep, check_band, need_coherence, suitable_duration
 from cosim.ledger import total_samples
-from cosim.scenario import Scenario
+from cosim.scenario import Scenario, is_file
 from cosim.signals import AXES, Sample
 from cosim.simulation import Ending, build
 from cosim.vehicle import Vehicle, load_vehicle
@@ -150,8 +150,7 @@ def _scenario(
     data: dict[str, Any] = {"name": f"identify-{axis}", "duration_s": 1.0, "aircraft": aircraft}
     given = {"controller": controller, "substeps": substeps, "seed": seed}
     if engine is not None:
-        is_file = engine.lower().endswith(".fmu") or "/" in engine
-        given["engine"] = str(Path(engine).absolute()) if is_file else engine
+        given["engine"] = str(Path(engine).absolute()) if is_file(engine) else engine
     data |= {key: value for key, value in given.items() if value is not None}
     for text in settings:
         key, value = parse_setting(text)

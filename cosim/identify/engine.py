@@ -35,7 +35,8 @@ def identify_engine(
 ) -> Identification:
     """Identify an engine by name or FMU file, around ``throttle``, as one pole (and ``lags`` more) with a delay.
 
-    The delay counts as whole where it is within 0.05 samples of it.  Raises InputError for an engine, a band or an
+    The delay counts as whole where it is within 0.05 samples of it.  An engine that breathes does so in the standard
+    atmosphere at sea level.  Raises InputError for an engine, a band or an
     amplitude that does not serve, or an FMU that fails on the way.
     """
     engine = load_engine(name, parameters or {}, step)
@@ -98,11 +99,11 @@ def _band(
 def _lag(engine: EngineSpec, throttle: float, size: float, step: float) -> float:
     """Seconds from 10 to 90 % of the answer to a step, over ln 9: the time constant if it were one lag."""
     with EngineBank(engine, 1, step) as bank:
-        before = bank.reset(throttle)[0]
+        before = bank.reset(throttle).thrust[0]
         course: list[float] = []
         window = engine.window
         while len(course) * step < LONGEST_S:
-            course += [bank.step(len(course) + i, (throttle + size,))[0] for i in range(window)]
+            course += [bank.step(len(course) + i, (throttle + size,)).thrust[0] for i in range(window)]
             swing = np.abs(np.array(course) - before).max()
             if swing > 0.0 and np.ptp(course[-window:]) <= 1e-6 * swing:
                 break
@@ -119,7 +120,7 @@ def _fly(engine: EngineSpec, throttle: float, sweep: Sweep, step: float) -> Reco
     length = round(sweep.duration_s / step)
     wave = chirp(step, LEAD_STEPS, length, sweep.amplitude, low, high)
     with EngineBank(engine, 1, step) as bank:
-        start = bank.reset(throttle)[0]
+        start = bank.reset(throttle).thrust[0]
         thrust = [start]
         command: list[float] = []
         end = LEAD_STEPS + length
@@ -128,7 +129,7 @@ def _fly(engine: EngineSpec, throttle: float, sweep: Sweep, step: float) -> Reco
         while True:
             k = len(command)
             command.append(wave(k))
-            thrust.append(bank.step(k, (throttle + command[-1],))[0])
+            thrust.append(bank.step(k, (throttle + command[-1],)).thrust[0])
             if k == end:
                 swing = float(np.ptp(thrust))
             if k > end and (k - end) % window == 0:

@@ -125,8 +125,8 @@ def fit_dict(fit: Fit, source: str, engine: bool) -> dict[str, Any]:
 def rate_response(model: RateModel, hertz: Array) -> Complex:
     """Of a stated discrete model, the fraction of a sample in its delay taken as pure phase."""
     z = np.exp(2j * np.pi * hertz * model.sample_time_s)
-    over = np.prod([z - zero for zero in model.zeros], axis=0) if model.zeros else np.ones(len(hertz))
-    under = np.prod([z - pole for pole in model.poles], axis=0)
+    over = np.prod([z - zero for zero in model.all_zeros], axis=0) if model.all_zeros else np.ones(len(hertz))
+    under = np.prod([z - pole for pole in model.all_poles], axis=0)
     return np.asarray(model.gain * over / under * z**-model.delay_samples)
 
 

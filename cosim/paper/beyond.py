@@ -12,11 +12,12 @@ from math import exp, inf, log, pi
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from cosim.design.loop import Complex, grid, model_response
 from cosim.paper import numbers
 from cosim.paper.calibration import Calibration
 from cosim.paper.experiments import hexjet_axis, quadrotor_axis
 from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, simulate
-from cosim.paper.loops import Complex, LoopMap, controllers_response, grid, model_response, predictor_response
+from cosim.paper.loops import LoopMap, controllers_response, predictor_response
 from cosim.vehicle import PredictorTuning, RateModel
 
 QUADROTOR = ("baseline", "smith", "filtered-smith", "state", STATE_AS_PRINTED, "state-model", "state-disturbance")

@@ -81,9 +81,10 @@ def load(path: Path = FILE) -> Frozen:
 
 
 def _margins(trial: Calibration) -> dict[str, float]:
+    from cosim.design.loop import margins
     from cosim.paper.claims import LOW_END_HZ, gain_at
     from cosim.paper.experiments import quadrotor_axis
-    from cosim.paper.loops import margins, open_loop
+    from cosim.paper.loops import open_loop
 
     loop = quadrotor_axis(trial, "baseline", 5)
     found = margins(open_loop(loop), loop.step, points=800)

@@ -14,11 +14,12 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from cosim.design.loop import Margins, margins
 from cosim.paper import numbers
 from cosim.paper.calibration import Calibration, hexjet_ratios
 from cosim.paper.experiments import Experiment, Metrics, hexjet_axis, linear, quadrotor_axis
 from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, simulate
-from cosim.paper.loops import LoopMap, Margins, margins, open_loop, predictor_response
+from cosim.paper.loops import LoopMap, open_loop, predictor_response
 
 Verdict = Literal["holds", "under a condition", "does not hold", "not flown"]
 

@@ -16,13 +16,14 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from cosim.design.loop import margins
 from cosim.paper import beyond, numbers
 from cosim.paper.calibration import Frozen, hexjet_ratios, load
 from cosim.paper.claims import LOW_END_HZ, ClaimRow, Condition, Evidence, conditions, gain_at
 from cosim.paper.experiments import COMPARED, Experiment, Metrics, Result, experiments, quadrotor_axis
 from cosim.paper.experiments import linear as on_linear_plant
 from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import Sweep, margins, open_loop, sweep
+from cosim.paper.loops import Sweep, open_loop, sweep
 
 Origin = Literal["calibrated", "predicted", "given", "derived"]
 TITLES = {

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.design.loop import model_response
 from cosim.figures import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED
 from cosim.paper import numbers
 from cosim.paper.beyond import ROBUST, RobustnessMap
 from cosim.paper.comparison import TITLES
 from cosim.paper.experiments import COMPARED, Result
 from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import Sweep, model_response
+from cosim.paper.loops import Sweep
 
 if TYPE_CHECKING:
     from cosim.paper.reproduce import Reproduction

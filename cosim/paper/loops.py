@@ -12,62 +12,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import cos, inf, pi, prod
+from math import cos, inf, pi
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from cosim.control.predictor import robustness_filter
+from cosim.design import loop as shared
+from cosim.design.loop import (
+    Array,
+    Complex,
+    Margins,
+    Pair,
+    Response,
+    delayed_response,
+    grid,
+    model_response,
+    pid_response,
+    wrapped,
+    zeros_outside,
+)
 from cosim.errors import InputError
 from cosim.paper.linear import Axis, Plant, make_predictor, simulate
 from cosim.vehicle import PredictorTuning, RateModel
-
-Complex = NDArray[np.complex128]
-Array = NDArray[np.float64]
-Pair = tuple[Complex, Complex]
-Response = Callable[[Complex], Complex]
-
-_TAPS = 20_000
-_QUIET = 1e-13  # an impulse response that stays below this has ended
-
-
-class Margins(BaseModel):
-    """Of an open loop; None where there is no crossing.  Of several crossings, the one with the smallest margin."""
-
-    model_config = ConfigDict(frozen=True)
-
-    cutoff: float | None  # Hz, the first frequency at which the gain falls below 1
-    gain_margin: float | None  # dB
-    phase_margin: float | None  # deg
-
-
-def grid(step: float, points: int = 3000, lowest: float = 1e-4) -> Complex:
-    """The upper half of the unit circle, dense at low frequency; ``lowest`` in rad per sample."""
-    angles = np.union1d(np.geomspace(lowest, pi, points // 2), np.linspace(pi / points, pi, points // 2))
-    return np.asarray(np.exp(1j * angles))
-
-
-def model_response(model: RateModel, z: Complex) -> Complex:
-    """The identified response without its delay."""
-    zeros = prod((z - zero for zero in model.zeros), start=np.ones_like(z))
-    poles = prod((z - pole for pole in model.poles), start=np.ones_like(z))
-    return np.asarray(model.gain * zeros / poles)
-
-
-def delayed_response(model: RateModel, z: Complex) -> Complex:
-    """The identified response with its delay of ``n + f`` samples: mode by mode, the modified z-transform."""
-    n = int(model.delay_samples)
-    f = model.delay_samples - n
-    if not f:
-        return np.asarray(model_response(model, z) * z**-n)
-    total = np.zeros_like(z)
-    for i, pole in enumerate(model.poles):
-        others = model.poles[:i] + model.poles[i + 1 :]
-        residue = model.gain * prod(pole - zero for zero in model.zeros) / prod(pole - other for other in others)
-        share = 1.0 - f if pole == 1.0 else (pole ** (1.0 - f) - 1.0) / (pole - 1.0)
-        total += residue * (share + (1.0 - share) / z) / (z - pole)
-    return np.asarray(total * z**-n)
 
 
 def plant_response(plant: Plant, z: Complex, delay: int) -> Complex:
@@ -77,60 +43,13 @@ def plant_response(plant: Plant, z: Complex, delay: int) -> Complex:
 
 
 def predictor_response(controller: str, model: RateModel, tuning: PredictorTuning) -> Callable[[Complex], Pair]:
-    """``P_y`` and ``P_u`` as a function of z, both for samples taken at ``t_k``.
-
-    The state predictors have no closed form worth writing: they are finite sums over past commands and a fast
-    observer, so their impulse response ends and its transform is exact.
-    """
-    if controller == "baseline":
-        return lambda z: (np.ones_like(z), np.zeros_like(z))
-    if controller in ("smith", "filtered-smith"):
-        numerator, denominator = [1.0], [1.0]
-        if controller == "filtered-smith":
-            numerator, denominator = robustness_filter(model, tuning.filter_s)
-
-        def smith(z: Complex) -> Pair:
-            f = np.polyval(numerator, z) / np.polyval(denominator, z)
-            return f, model_response(model, z) - f * delayed_response(model, z)
-
-        return smith
-    of_rate = _impulse(controller, model, tuning, (1.0, 0.0))
-    of_command = _impulse(controller, model, tuning, (0.0, 1.0))
-    # the predictor is told the command of the step before: its first answer to it belongs to u / z
-    return lambda z: (_transform(of_rate, z), _transform(of_command, z) / z)
+    """``P_y`` and ``P_u`` as a function of z, the paper's own state predictor with its printed matrices included."""
+    return shared.predictor_response(controller, model, tuning, make_predictor)
 
 
-def _impulse(controller: str, model: RateModel, tuning: PredictorTuning, unit: tuple[float, float]) -> Array:
-    predictor = make_predictor(controller, model, tuning)
-    values = [predictor.update(*unit)]
-    wait = int(model.delay_samples) + 2  # nothing may come before that
-    silent = 0
-    while silent <= wait:
-        values.append(predictor.update(0.0, 0.0))
-        silent = silent + 1 if abs(values[-1]) < _QUIET else 0
-        if len(values) > _TAPS:
-            raise InputError(f"{controller}: its impulse response does not end; it must be stable on its own")
-    return np.array(values)
-
-
-def _transform(taps: Array, z: Complex) -> Complex:
-    """``sum_k h_k z^-k``: by powers for a few points, by Horner's rule for many."""
-    inverse = 1.0 / z
-    if z.size < 8:
-        return np.asarray(inverse[:, None] ** np.arange(len(taps)) @ taps)
-    total = np.zeros_like(z)
-    for tap in taps[::-1]:
-        total = total * inverse + tap
-    return total
-
-
-def controllers_response(axis: Axis, z: Complex) -> tuple[Complex, Complex]:
+def controllers_response(axis: Axis, z: Complex) -> Pair:
     """``C_e`` (set-point and feedback) and ``D`` (feedback alone) of the rate PID."""
-    gains, step = axis.gains, axis.step
-    share = step / (gains.d_filter_s + step)
-    difference = 1.0 - 1.0 / z
-    of_slope = gains.d * share * difference / (step * (1.0 - (1.0 - share) / z))
-    return np.asarray(gains.p + gains.i * step / difference), np.asarray(of_slope)
+    return pid_response(axis.gains, axis.step, z)
 
 
 def open_loop(axis: Axis, predictor: Callable[[Complex], Pair] | None = None) -> Response:
@@ -144,47 +63,6 @@ def open_loop(axis: Axis, predictor: Callable[[Complex], Pair] | None = None) ->
         return np.asarray((error + slope) * augmented)
 
     return response
-
-
-def margins(response: Response, step: float, low: float = 0.05, points: int = 4000) -> Margins:
-    """Margins of a sampled open loop from its response on the unit circle, from ``low`` Hz to half the sample rate."""
-    frequencies = np.geomspace(low, 0.5 / step * (1.0 - 1e-9), points)
-    values = response(np.exp(2j * pi * frequencies * step))
-
-    def at(frequency: float) -> complex:
-        return complex(response(np.exp(np.array([2j * pi * frequency * step])))[0])
-
-    gains, falls, phases = [], [], []
-    size = np.abs(values) - 1.0
-    for k in np.flatnonzero(np.sign(size[:-1]) != np.sign(size[1:])):
-        crossing = _bisect(lambda f: abs(at(f)) - 1.0, frequencies[k], frequencies[k + 1])
-        phases.append(_wrapped(float(np.degrees(np.angle(at(crossing)))) + 180.0))
-        if size[k] > 0.0:
-            falls.append(crossing)
-    turns = (np.sign(values.imag[:-1]) != np.sign(values.imag[1:])) & (values.real[:-1] < 0.0)
-    for k in np.flatnonzero(turns):
-        crossing = _bisect(lambda f: at(f).imag, frequencies[k], frequencies[k + 1])
-        gains.append(-20.0 * float(np.log10(abs(at(crossing)))))
-    return Margins(
-        cutoff=falls[0] if falls else None,
-        gain_margin=min(gains, key=abs, default=None),
-        phase_margin=min(phases, key=abs, default=None),
-    )
-
-
-def _bisect(function: Callable[[float], float], low: float, high: float) -> float:
-    sign = function(low)
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        if (function(middle) > 0.0) == (sign > 0.0):
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
-
-
-def _wrapped(degrees: float) -> float:
-    return (degrees + 180.0) % 360.0 - 180.0
 
 
 class Sweep(BaseModel):
@@ -273,7 +151,7 @@ def _margins_of_points(frequency: Array, gain: Array, phase: Array) -> Margins:
     return Margins(
         cutoff=next((float(np.exp(at)) for at, k in cuts if gain[k] > 0.0), None),
         gain_margin=min((-float(np.interp(at, x, gain)) for at in turns), key=abs, default=None),
-        phase_margin=min((_wrapped(float(np.interp(at, x, phase)) + 180.0) for at, _ in cuts), key=abs, default=None),
+        phase_margin=min((wrapped(float(np.interp(at, x, phase)) + 180.0) for at, _ in cuts), key=abs, default=None),
     )
 
 
@@ -308,8 +186,7 @@ class LoopMap:
         All blocks are stable on their own, but for integrators at 1 that are multiplied away: what remains is analytic
         outside the circle and goes to 1 at infinity, so its turns about 0 along the circle count its zeros there.
         """
-        turn = np.unwrap(np.angle(self._clear * self.characteristic(gain, delay)))
-        return -round(float(turn[-1] - turn[0]) / pi)
+        return zeros_outside(self._clear * self.characteristic(gain, delay))
 
     def peak_sensitivity(self, gain: float, delay: int) -> float:
         """``M_s = max |1 / (1 + L)|``, ``L`` broken at the plant's input with the predictor inside the controller."""

@@ -1,0 +1,277 @@
+"""What a ground station gets of a session, and what it costs the flight: numbers only, nothing is judged.
+
+    python benchmarks/ground_station.py                  real time, two stations: deadlines, state to packet
+    python benchmarks/ground_station.py --flood          with a third that floods and a fourth that never reads
+    python benchmarks/ground_station.py --soak 3600      an hour of flight as fast as it goes: memory and queues
+
+Stations are processes of their own; clocks are comparable because all use the system's monotonic one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from cosim.exchange import Exchange
+from cosim.gcs import Session
+from cosim.links import Links
+from cosim.mavlink.dialect import mav
+from cosim.pilot import requests as rq
+from cosim.scenario import Scenario
+
+ATTITUDE = 30
+HEARTBEAT_EVERY = 1.0
+
+
+def _end() -> threading.Event:
+    """Set when who started this process closes its standard input; says that it is ready."""
+    end = threading.Event()
+
+    def wait() -> None:
+        sys.stdin.read()
+        end.set()
+
+    threading.Thread(target=wait, daemon=True).start()
+    print("ready", flush=True)
+    return end
+
+
+class Station:
+    """A ground station as far as the vehicle can tell: heartbeats, and everything read."""
+
+    def __init__(self, port: int) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.connect(("127.0.0.1", port))
+        self.mav = mav.MAVLink(None, srcSystem=255, srcComponent=190)
+        self._due = 0.0
+
+    def beat(self) -> None:
+        now = time.monotonic()
+        if now >= self._due:
+            self._due = now + HEARTBEAT_EVERY
+            self.send(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3))
+
+    def send(self, message: Any) -> None:
+        self.socket.send(message.pack(self.mav))
+
+
+def listen(port: int) -> None:
+    """Print when each ATTITUDE came, and the flight time [ms] in it."""
+    station, end = Station(port), _end()
+    found: dict[int, float] = {}  # the first time that each state came
+    station.socket.settimeout(0.1)
+    while not end.is_set():
+        station.beat()
+        try:
+            data = station.socket.recv(2048)
+        except OSError:
+            continue
+        if data[0] == 0xFD and data[7] == ATTITUDE and not data[8]:
+            found.setdefault(struct.unpack_from("<I", data, 10)[0], time.monotonic())
+    print(json.dumps([(came, ms) for ms, came in found.items()]))
+
+
+def flood(port: int) -> None:
+    """Commands, parameters and rubbish, ten thousand frames a second: no core of its own is needed for it."""
+    station, end = Station(port), _end()
+    station.socket.setblocking(False)
+    rubbish = os.urandom(200)
+    while not end.is_set():
+        station.beat()
+        for number in range(10):
+            try:
+                station.send(mav.MAVLink_command_long_message(1, 1, 178, 0, 1.0, 2.0 + 0.01 * number, 0, 0, 0, 0, 0))
+                station.send(mav.MAVLink_param_request_list_message(1, 1))
+                station.socket.send(rubbish)
+            except OSError:
+                pass
+        time.sleep(0.003)
+
+
+def silent(port: int) -> None:
+    """Says that it is there, and never reads."""
+    station, end = Station(port), _end()
+    while not end.is_set():
+        station.beat()
+        time.sleep(0.2)
+
+
+def realtime(seconds: float, others: bool, factor: float) -> dict[str, Any]:
+    published: dict[int, float] = {}
+    with Links(["udpin:127.0.0.1:0"]) as links, tempfile.TemporaryDirectory() as folder:
+        exchange = links.exchange
+
+        def note() -> None:
+            snapshot = exchange.snapshot
+            if snapshot is not None:
+                published[round(snapshot.time * 1000.0)] = snapshot.published
+
+        exchange.subscribe(note)
+        session = _session(links, Path(folder) / "run", factor)
+        kinds = ["listen", "listen", *(["flood", "silent"] if others else [])]
+        stations = [_spawn(kind, links.link.ports[0]) for kind in kinds]
+        marks: list[Any] = []
+
+        def measure() -> None:
+            for wait in (3.0, seconds):  # until everybody is connected and has all parameters
+                time.sleep(wait)
+                marks.append(exchange.snapshot)
+            session.stop("over")
+
+        threading.Thread(target=measure, daemon=True).start()
+        cpu = time.process_time()
+        (run,) = session.run()
+        cpu = time.process_time() - cpu
+        late: list[float] = []
+        for station in stations:
+            out = station.communicate("")[0]
+            late += [came - published[ms] for came, ms in json.loads(out or "[]") if ms in published]
+        first, last = (mark.pace for mark in marks)
+        missed, steps = last.missed - first.missed, last.steps - first.steps
+        late.sort()
+        return {
+            "seconds": seconds,
+            "steps": steps,
+            "hz": steps / (marks[1].published - marks[0].published),
+            "missed_deadlines": missed,
+            "missed_percent": 100.0 * missed / steps,
+            "worst_ms": 1e3 * last.worst,  # from the start on
+            "stalls": last.stalls - first.stalls,
+            "state_to_packet_ms": {
+                "median": 1e3 * median(late),
+                "99%": 1e3 * late[int(0.99 * len(late))],
+                "most": 1e3 * late[-1],
+                "packets": len(late),
+            },
+            "cpu_share": cpu / (run.summary.wall_s or 1.0),
+            "turned_away": exchange.turned_away,
+            "refused": dict(links.link.refused),
+            "failures": dict(links.link.failures),
+            "load_average": os.getloadavg()[0],
+        }
+
+
+def soak(seconds: float) -> dict[str, Any]:
+    """Up, to and fro, down, again and again, with two stations on the links."""
+    rows: list[dict[str, float]] = []
+    with Links(["udpin:127.0.0.1:0"]) as links, tempfile.TemporaryDirectory() as folder:
+        exchange = links.exchange
+        session = _session(links, Path(folder) / "run", None, seconds)
+        stations = [_spawn("listen", links.link.ports[0]) for _ in range(2)]
+        threading.Thread(target=_to_and_fro, args=(exchange,), daemon=True).start()
+
+        def watch() -> None:
+            due = 60.0
+            while True:
+                snapshot = exchange.snapshot
+                if snapshot is not None and snapshot.time >= due:
+                    due += max(60.0, seconds / 60.0)
+                    rows.append(
+                        {
+                            "time_s": snapshot.time,
+                            "memory_mb": _memory(),
+                            "waiting_requests": exchange.waiting,
+                            "waiting_bytes": sum(peer.waiting for peer in links.link.peers),
+                        }
+                    )
+                    print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
+                time.sleep(0.2)
+
+        threading.Thread(target=watch, daemon=True).start()
+        begin = time.perf_counter()
+        (run,) = session.run()
+        wall = time.perf_counter() - begin
+        for station in stations:
+            station.kill()
+            station.communicate()
+        return {
+            "outcome": run.outcome,
+            "flown_s": run.summary.duration_s,
+            "wall_s": wall,
+            "realtime_factor": run.summary.realtime_factor,
+            "requests": sum(1 for _ in open(Path(folder) / "run" / "requests.jsonl", encoding="utf-8")),
+            "rows": rows,
+            "failures": dict(links.link.failures),
+        }
+
+
+def _to_and_fro(exchange: Exchange) -> None:
+    place = 5.0
+    while True:
+        snapshot = exchange.snapshot
+        if snapshot is not None:
+            status = snapshot.status
+            if status.ready and not status.armed:
+                exchange.ask(rq.Arm(), sender="soak")
+                exchange.ask(rq.Takeoff(8.0), sender="soak")
+            elif status.armed and status.mode.value == "HOLD":
+                if int(snapshot.time) % 300 > 270:
+                    exchange.ask(rq.Land(), sender="soak")
+                else:
+                    place = -place
+                    exchange.ask(rq.Goto(place, 0.5 * place), sender="soak")
+                exchange.ask(rq.SetParameter("MPC_XY_VEL_MAX", 2.0 + 0.1 * (int(snapshot.time) % 20)), sender="soak")
+        time.sleep(0.5)
+
+
+def _session(links: Links, folder: Path, factor: float | None, duration: float | None = None) -> Session:
+    return Session(
+        Scenario.load("hover").replace(name="gcs"),
+        links.exchange,
+        factor=factor,
+        out=folder,
+        duration=duration,
+        report=False,
+        begun=links.begin,
+        over=links.end,
+    )
+
+
+def _spawn(kind: str, port: int) -> subprocess.Popen[str]:
+    station = subprocess.Popen(
+        [sys.executable, __file__, "--station", kind, "--port", str(port)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert station.stdout is not None
+    station.stdout.readline()  # ready
+    return station
+
+
+def _memory() -> float:
+    """Resident, MB."""
+    with open("/proc/self/statm", encoding="ascii") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=30.0, help="of wall time")
+    parser.add_argument("--rtf", type=float, default=1.0)
+    parser.add_argument("--flood", action="store_true")
+    parser.add_argument("--soak", type=float, help="seconds of flight")
+    parser.add_argument("--station", choices=["listen", "flood", "silent"], help=argparse.SUPPRESS)
+    parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.station:
+        {"listen": listen, "flood": flood, "silent": silent}[given.station](given.port)
+    elif given.soak:
+        print(json.dumps(soak(given.soak), indent=2))
+    else:
+        print(json.dumps(realtime(given.seconds, given.flood, given.rtf), indent=2))
+
+
+if __name__ == "__main__":
+    main()

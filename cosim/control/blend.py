@@ -1,0 +1,26 @@
+"""Changing a law in flight without a bump in what it commands."""
+
+from __future__ import annotations
+
+from math import exp
+
+TIME = 0.5  # s, over which the difference fades; chosen by us: slow against the rate loops, short for a pilot
+_GONE = 1e-9  # of a command of the order of 1: below it the difference is dropped
+
+
+class Fade:
+    """Old answer minus new answer at the step of the change, dying out exponentially."""
+
+    def __init__(self, step: float) -> None:
+        self._keep = exp(-step / TIME)
+        self._value = 0.0
+
+    def begin(self, difference: float) -> None:
+        """At the step of the change, instead of :meth:`update`."""
+        self._value = difference
+
+    def update(self) -> float:
+        """What is left of the difference, one step later."""
+        value = self._value * self._keep
+        self._value = value if value > _GONE or value < -_GONE else 0.0
+        return self._value

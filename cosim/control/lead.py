@@ -1,0 +1,66 @@
+"""Lead: a slow engine answered for, by asking at first for more than is wanted in the end.
+
+The lags of the engine are divided out and shorter ones put in their place, with gain 1 at rest:
+
+    C(s) = (a / w)^2 (s^2 + 2 zeta w s + w^2) / (s + a)^2,  of a single lag  (a / w) (s + w) / (s + a)
+    C(z) = C_0 prod(z - z_i) / (z - e^(-a T))^n,  z_i = e^(s_i T) at the roots s_i of what is divided out
+
+Poles and zeros are matched, ``z = e^(s T)``: the sampled engine has its poles at the same ``z_i``, so behind a hold
+they cancel exactly, and ``C(z) G(z)`` keeps nothing of them.  A predictor stands before the lead and reads what comes
+behind it.
+"""
+
+from __future__ import annotations
+
+from cmath import exp, sqrt
+
+from cosim.vehicle import EngineLead
+
+
+def lead_polynomials(lead: EngineLead, step: float) -> tuple[list[float], list[float]]:
+    """Numerator and denominator of ``C(z)``, highest power first, the denominator's first coefficient 1."""
+    w, zeta = lead.natural_rad_s, lead.damping
+    if zeta is None:
+        roots = [complex(-w)]
+    else:
+        turn = w * sqrt(complex(zeta * zeta - 1.0))
+        roots = [-zeta * w + turn, -zeta * w - turn]
+    over, under = [complex(1.0)], [complex(1.0)]
+    for root in roots:
+        over = _times(over, exp(root * step))
+        under = _times(under, exp(complex(-lead.pole_rad_s * step)))
+    gain = sum(under).real / sum(over).real
+    return [gain * x.real for x in over], [x.real for x in under]
+
+
+def _times(polynomial: list[complex], root: complex) -> list[complex]:
+    """``polynomial * (z - root)``."""
+    return [x - root * y for x, y in zip([*polynomial, 0.0], [0.0, *polynomial], strict=True)]
+
+
+class Lead:
+    """The lead on one command.
+
+    What allocation refused is taken back from its past, and with it what was wanted (``refused / C(inf)``): its state
+    is then that of an engine that got what was applied, so that it neither winds up nor asks for what is there already.
+    """
+
+    def __init__(self, lead: EngineLead, step: float) -> None:
+        over, under = lead_polynomials(lead, step)
+        # a single lag is the same with nothing two steps ago
+        self._most, self._b1, self._b2 = (*over, 0.0)[:3]
+        self._a1, self._a2 = (*under, 0.0)[1:3]
+        self.settle(0.0)
+
+    def settle(self, value: float) -> None:
+        """As if ``value`` had always been wanted."""
+        self._wanted, self._given = (value, value), (value, value)  # one and two steps ago
+
+    def update(self, wanted: float, refused: float) -> float:
+        """What to ask for; ``refused`` is what allocation could not give of the answer before."""
+        (v1, v2), (u1, u2) = self._wanted, self._given
+        if refused:
+            v1, u1 = v1 - refused / self._most, u1 - refused
+        u = self._most * wanted + self._b1 * v1 + self._b2 * v2 - self._a1 * u1 - self._a2 * u2
+        self._wanted, self._given = (wanted, v1), (u, u1)
+        return u

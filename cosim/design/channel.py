@@ -1,0 +1,270 @@
+"""A channel: everything between a command and what the controller measures of it, as it is flown.
+
+For roll: share of thrust ``u`` -> engine -> moment -> rate -> gyro.  In steps of ``T`` with ``m`` JSBSim runs each,
+
+    thrust   G_e(z) = b(z) / a(z) z^-d        the thrust of the step's end acts over the whole step
+    rate     K T (n z + b) / (z - p)              a force acts one run late;  K = moment per command / inertia
+    gyro     (1 - c) z / (z - c), then its latency
+    angle    T / 2 (z + 1) / (z - 1) of the rate, without the gyro
+
+``n, b, p`` are :attr:`Channel.turning`; without damping ``((m - 1) z + 1) / (m (z - 1))``.  The delay ledger lists the
+same elements.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import exp, inf, log
+
+import numpy as np
+
+from cosim.design.dynamics import Dynamics, lags
+from cosim.design.loop import Array, Complex, delayed_response
+from cosim.engine import EngineSpec
+from cosim.errors import InputError
+from cosim.scenario import Scenario
+from cosim.vehicle import RateModel, Sensors, Servo, Vehicle
+
+GRAVITY = 9.80665  # m/s^2, standard
+THRUST_AXES = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """What answers the command: its dynamics with gain 1 at rest."""
+
+    name: str
+    dynamics: Dynamics
+    model: RateModel  # the same, held and sampled
+
+    @classmethod
+    def of(cls, name: str, dynamics: Dynamics) -> Actuator:
+        """Sampled once."""
+        return cls(name, dynamics, dynamics.discrete(name))
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One axis, or the height, of a vehicle with its actuators."""
+
+    name: str  # "roll", "pitch", "yaw", "altitude"
+    unit: str  # of the command
+    actuator: Actuator
+    gain: float  # rad/s^2 per unit of the command at rest; for the height 1: the command is an acceleration
+    damping_1_s: float
+    step: float
+    substeps: int
+    room: float  # either way, that the command has at hover; of a servo, what it can follow without its rate limit
+    rate_filter_s: float = 0.0
+    rate_latency: int = 0
+    rate_hold: int = 1  # steps for which a measurement is kept
+    rate_noise: float = 0.0  # one standard deviation of the measured rate
+    angle_latency: int = 0
+    angle_noise: float = 0.0
+    added_delay: int = 0
+    identified: RateModel | None = None  # command to measured rate, taken as it is instead of the chain
+
+    @property
+    def gyro_pole(self) -> float:
+        """Of the gyro's low-pass."""
+        return exp(-self.step / self.rate_filter_s) if self.rate_filter_s > 0.0 else 0.0
+
+    @property
+    def turning(self) -> tuple[float, float, float]:
+        """What JSBSim's runs make of a moment: shares of this step's and of the one before, and the rate's pole.
+
+        ``m`` runs of ``h`` each move the rate by ``h (moment - damping rate)``, the first with the moment of the step
+        before: ``rate_k+1 = a^m rate_k + step (now moment_k + before moment_k-1)``, ``a = 1 - damping h``.
+        """
+        m = self.substeps
+        a = 1.0 - self.damping_1_s * self.step / m
+        return sum(a**run for run in range(m - 1)) / m, a ** (m - 1) / m, a**m
+
+    @property
+    def transport_samples(self) -> float:
+        """Pure delay from command to measured rate, without hold and lags: what a tolerance of the delay is of."""
+        if self.identified is not None:
+            return self.identified.delay_samples + self.added_delay
+        return self.actuator.model.delay_samples + self.added_delay + self.rate_latency + 1.0 / self.substeps
+
+    @property
+    def lag_s(self) -> float:
+        """Sum of the lags, the gyro's and a hold's included, s."""
+        if self.identified is not None:
+            return sum(-self.step / log(pole) for pole in self.identified.poles if 0.0 < pole < 0.998)
+        return self.actuator.dynamics.lag_s + self.rate_filter_s + 0.5 * (self.rate_hold - 1) * self.step
+
+    @property
+    def slowness_s(self) -> float:
+        """All delay at low frequency, s: half a step of hold, transport and lags."""
+        return (0.5 + self.transport_samples) * self.step + self.lag_s
+
+    def model(self, source: str) -> RateModel:
+        """Command to measured rate as a predictor reads it, exact where the delay is a whole number of samples.
+
+        A delay that the controller adds itself is not in it: the flight adds that to the predictor's model.
+        """
+        if self.identified is not None:
+            return self.identified
+        body, m = self.actuator.model, self.substeps
+        now, before, pole = self.turning
+        gain = body.gain * self.gain * self.step * (1.0 - self.gyro_pole) * (now if m > 1 else before)
+        zeros, poles = [*body.zeros], [*body.poles, pole]
+        if m > 1:
+            zeros.append(-before / now)
+        delay = body.delay_samples + self.rate_latency
+        if self.gyro_pole:
+            zeros.append(0.0)
+            poles.append(self.gyro_pole)
+        return RateModel(
+            gain=gain,
+            zeros=zeros,
+            zero_pairs=body.zero_pairs,
+            poles=sorted(poles, reverse=True),
+            pole_pairs=body.pole_pairs,
+            delay_samples=delay,
+            sample_time_s=self.step,
+            source=source,
+        )
+
+    def responses(self, z: Complex) -> tuple[Complex, Complex, Complex]:
+        """Command to measured rate, to measured angle, and to the angle itself."""
+        integral = 0.5 * self.step * (z + 1.0) / (z - 1.0)
+        late = z ** -float(self.added_delay)
+        if self.identified is not None:
+            rate = delayed_response(self.identified, z) * late
+            return rate, rate * integral * z**-self.angle_latency, rate * integral
+        now, before, pole = self.turning
+        body = (now * z + before) / (z - pole)
+        rate = self.gain * self.step * delayed_response(self.actuator.model, z) * body * late
+        return (
+            np.asarray(rate * self.measuring(z)),
+            np.asarray(rate * integral * z**-self.angle_latency),
+            np.asarray(rate * integral),
+        )
+
+    def measuring(self, z: Complex) -> Complex:
+        """Rate to measured rate: low-pass, latency, and the mean effect of a measurement that is kept for a while."""
+        pole, hold = self.gyro_pole, self.rate_hold
+        kept = (1.0 - z**-hold) / (hold * (1.0 - 1.0 / z)) if hold > 1 else 1.0
+        return np.asarray((1.0 - pole) * z / (z - pole) * z**-self.rate_latency * kept)
+
+    # ---- the same channel, changed
+
+    def with_delay(self, samples: float) -> Channel:
+        """With another transport delay of the actuator (of everything, where the response was given as a whole)."""
+        if self.identified is not None:
+            return replace(self, identified=self.identified.model_copy(update={"delay_samples": samples}))
+        dynamics = replace(self.actuator.dynamics, delay_samples=samples)
+        return replace(self, actuator=Actuator.of(self.actuator.name, dynamics))
+
+    def with_lags(self, factor: float) -> Channel:
+        """With the actuator slower by a factor; 0 takes its lags away, but for what a step does not show."""
+        if self.identified is not None:
+            raise InputError("a response given as a whole does not say which of its lags are the engine's")
+        return replace(self, actuator=Actuator.of(self.actuator.name, self.actuator.dynamics.slower(factor)))
+
+    @property
+    def actuator_delay(self) -> float:
+        """Samples that :meth:`with_delay` replaces."""
+        return (self.identified or self.actuator.model).delay_samples
+
+
+def servo_actuator(servo: Servo, step: float) -> Actuator:
+    """A tilt servo while its rate limit is not reached."""
+    return Actuator.of("tilt servo", lags([servo.lag_s], 0.0, step))
+
+
+def thrust_span(engine: EngineSpec) -> float:
+    """Thrust that a command of 1 (a share of the engine's range) adds at rest, N."""
+    return engine.curve.thrust[-1] - engine.curve.thrust[0]
+
+
+def hover_share(vehicle: Vehicle, engine: EngineSpec) -> float:
+    """Share of its range at which each engine carries its part of the weight."""
+    each = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
+    return (each - engine.curve.thrust[0]) / thrust_span(engine)
+
+
+def channels(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> dict[str, Channel]:
+    """Roll, pitch, yaw and altitude of a vehicle with engines of these dynamics, at hover."""
+    found = {axis: _axis(axis, scenario, vehicle, engine, dynamics) for axis in THRUST_AXES}
+    found["altitude"] = _altitude(scenario, vehicle, engine, dynamics)
+    return found
+
+
+def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
+    index = THRUST_AXES.index(axis)
+    inertia = vehicle.inertia_kg_m2[index]
+    span, jets = thrust_span(engine), vehicle.jets
+    each = vehicle.mass_kg * GRAVITY / len(jets)
+    thrusts = axis == "roll" or vehicle.servo is None
+    if vehicle.servo is None:
+        lever = sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[index]) for jet in jets)
+        moment = lever * span
+    elif axis == "roll":
+        moment = sum(abs(jet.position_m[1]) for jet in jets) * span
+    else:  # the thrust of hover, turned
+        moment = abs(sum(jet.position_m[2] if axis == "pitch" else abs(jet.position_m[1]) for jet in jets)) * each
+    room = _room(vehicle, engine) if thrusts else _servo_room(vehicle.servo)
+    return Channel(
+        axis,
+        "share" if thrusts else "rad",
+        dynamics if thrusts else servo_actuator(vehicle.servo, scenario.step_s),  # type: ignore[arg-type]
+        moment / inertia,
+        vehicle.aero.damping_n_m_s[index] / inertia,
+        scenario.step_s,
+        scenario.substeps,
+        room,
+        **_gyro(vehicle.sensors),  # type: ignore[arg-type]
+        added_delay=scenario.added_delay_samples if axis == "roll" else 0,
+    )
+
+
+def _gyro(sensors: Sensors) -> dict[str, float | int]:
+    gyro, attitude = sensors.gyro, sensors.attitude
+    return {
+        "rate_filter_s": gyro.filter_s,
+        "rate_latency": gyro.latency_samples,
+        "rate_noise": gyro.noise_rad_s,
+        "angle_latency": attitude.latency_samples,
+        "angle_noise": attitude.noise_rad,
+    }
+
+
+def _room(vehicle: Vehicle, engine: EngineSpec) -> float:
+    limits, share = vehicle.control.allocation, hover_share(vehicle, engine)
+    return min(share - limits.throttle_min, limits.throttle_max - share)
+
+
+def _servo_room(servo: Servo | None) -> float:
+    """A step of the command that neither range nor rate limit cuts: a lag sets out at step / lag."""
+    if servo is None:
+        return inf
+    return min(servo.range_rad, servo.rate_limit_rad_s * servo.lag_s) if servo.lag_s else servo.range_rad
+
+
+def _altitude(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
+    """Acceleration asked for, through all engines alike, to climb rate (GNSS) and height (barometer)."""
+    gnss, barometer = vehicle.sensors.gnss, vehicle.sensors.barometer
+    authority = len(vehicle.jets) * thrust_span(engine) / vehicle.mass_kg  # m/s^2 per unit of share
+    return Channel(
+        "altitude",
+        "m/s^2",
+        dynamics,
+        1.0,
+        0.0,
+        scenario.step_s,
+        scenario.substeps,
+        authority * _room(vehicle, engine),
+        rate_latency=gnss.latency_samples,
+        rate_hold=gnss.period_samples,
+        rate_noise=gnss.velocity_noise_m_s,
+        angle_latency=barometer.latency_samples,
+        angle_noise=barometer.noise_m,
+    )
+
+
+def angles(z: Complex) -> Array:
+    """rad per sample."""
+    return np.asarray(np.angle(z), np.float64)

@@ -1,0 +1,176 @@
+"""Linear dynamics of an engine around hover, where lags in a row do not describe it.
+
+A real turbojet's thrust is no chain of lags: the published model of the P220 has a pair of poles that swings a little,
+a spool with a speed governor has a zero as well.  So two poles, whatever their damping, a zero and a further lag are
+fitted to the swept response, and a delay of whole samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import exp, inf, log
+
+import numpy as np
+
+from cosim.design.loop import Array, Complex
+from cosim.identify.fit import counts
+from cosim.identify.response import FrequencyResponse
+from cosim.vehicle import RateModel
+
+FORMS: tuple[tuple[str, ...], ...] = ((), ("zero",), ("zero", "lag"))  # beside the two poles
+GOOD = 0.003  # misfit at which no larger form is tried
+SEARCHED = 5  # samples either side of the free delay
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """``prod (1 - s / zero) / prod (1 - s / pole)`` behind a hold, and a delay; gain 1 at rest."""
+
+    poles: tuple[complex, ...]  # rad/s
+    zeros: tuple[complex, ...]
+    delay_samples: float
+    step: float
+    misfit: float = 0.0  # root mean square of |ln(model / response)|
+
+    @property
+    def lag_s(self) -> float:
+        """Delay at low frequency without the transport delay, s."""
+        return float(sum((-1.0 / p).real for p in self.poles) - sum((-1.0 / z).real for z in self.zeros))
+
+    def slower(self, factor: float) -> Dynamics:
+        """As many times slower; with 0, lags that a step leaves nothing of."""
+        if factor == 0.0:
+            return lags([0.0], self.delay_samples, self.step)
+        return replace(self, poles=tuple(p / factor for p in self.poles), zeros=tuple(z / factor for z in self.zeros))
+
+    def words(self) -> str:
+        """The dynamics as a person reads them."""
+        said = [f"lag {-1e3 / p.real:.4g} ms" for p in self.poles if not p.imag]
+        said += [
+            f"two poles at {abs(p):.4g} rad/s with damping {-p.real / abs(p):.2f}" for p in self.poles if p.imag > 0.0
+        ]
+        said += [f"zero at {z.real:.4g} rad/s" for z in self.zeros]
+        return ", ".join(said)
+
+    def discrete(self, source: str) -> RateModel:
+        """Held and sampled."""
+        from scipy.signal import cont2discrete, zpk2ss
+
+        gain = np.prod([-p for p in self.poles]) / np.prod([-z for z in self.zeros] or [1.0])
+        ss = zpk2ss(list(self.zeros), list(self.poles), float(np.real(gain)))
+        A, B, C, _, _ = cont2discrete(ss, self.step)
+        under = np.real(np.poly(A))
+        over = np.real(np.poly(A - B @ C)) - under  # C adj(zI - A) B
+        over = over[1:]
+        zeros = np.roots(over)
+        return RateModel(
+            gain=float(over[0]),
+            zeros=sorted(float(z.real) for z in zeros if not z.imag),
+            zero_pairs=[(float(z.real), float(z.imag)) for z in zeros if z.imag > 0.0],
+            poles=sorted((exp(p.real * self.step) for p in self.poles if not p.imag), reverse=True),
+            pole_pairs=[
+                (float(np.exp(p * self.step).real), float(np.exp(p * self.step).imag))
+                for p in self.poles
+                if p.imag > 0.0
+            ],
+            delay_samples=self.delay_samples,
+            sample_time_s=self.step,
+            source=source,
+        )
+
+
+def lags(constants: Sequence[float], delay: float, step: float) -> Dynamics:
+    """Lags in a row; none is taken shorter than a fifth of a step, of which a step leaves 0.7 %."""
+    return Dynamics(tuple(complex(-1.0 / max(lag, 0.2 * step)) for lag in constants), (), delay, step)
+
+
+def fit_dynamics(response: FrequencyResponse, delay: float, lag: float) -> Dynamics:
+    """The smallest of the forms that follows an engine's response, or the closest.
+
+    ``delay`` [samples] and ``lag`` [s] are where the search begins.
+    """
+    best: Dynamics | None = None
+    for form in FORMS:
+        found = _fit(response, form, delay, lag)
+        if best is None or found.misfit < 0.7 * best.misfit:
+            best = found
+        if best.misfit <= GOOD:
+            break
+    assert best is not None
+    return best
+
+
+def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: float) -> Dynamics:
+    from scipy.optimize import least_squares
+
+    weight = np.sqrt(counts(response))
+    use = weight > 0.0
+    hertz, value, weight = response.hertz[use], response.value[use], weight[use]
+    omega = 2.0 * np.pi * hertz
+    # a hold is half a step late and a little weak; what it does at frequencies of an engine is no more than that
+    s = 1j * omega
+    hold = (1.0 - np.exp(-s * response.step)) / (s * response.step)
+
+    def parts(x: Array) -> tuple[tuple[complex, ...], tuple[complex, ...]]:
+        natural, damping = exp(x[1]), exp(x[2])
+        root = np.sqrt(complex(damping * damping - 1.0))
+        poles = [natural * (-damping + root), natural * (-damping - root)]
+        poles = [complex(p.real, p.imag if abs(p.imag) > 1e-9 * abs(p) else 0.0) for p in poles]
+        zeros = [complex(-exp(-x[4]))] if "zero" in form else []
+        if "lag" in form:
+            poles.append(complex(-exp(-x[5])))
+        return tuple(poles), tuple(zeros)
+
+    def error(x: Array) -> Complex:
+        poles, zeros = parts(x)
+        model = hold * exp(x[0]) * np.exp(-s * x[3] * response.step)
+        for p in poles:
+            model = model / (1.0 - s / p)
+        for z in zeros:
+            model = model * (1.0 - s / z)
+        return np.asarray(np.log(model / value))
+
+    def residuals(x: Array) -> Array:
+        off = error(x)
+        return np.concatenate([weight * off.real, weight * off.imag])
+
+    def fitted(start: Array, free: Sequence[int]) -> tuple[float, Array]:
+        """Cost and place of the least squares from ``start`` over the entries ``free``, the others held."""
+        free = list(free)
+
+        def put(part: Array) -> Array:
+            x = start.copy()
+            x[free] = part
+            return x
+
+        found = least_squares(lambda part: residuals(put(part)), start[free], bounds=(low[free], high[free]))
+        return float(found.cost), put(found.x)
+
+    low = np.array([-60.0, log(1e-3), log(0.05), 0.0, log(1e-4), log(1e-4)])
+    high = np.array([60.0, log(1e3), log(20.0), 1000.0, log(20.0), log(20.0)])
+    free = [0, 1, 2, 3, *([4] if "zero" in form else []), *([5] if "lag" in form else [])]
+    best: tuple[float, Array] = (inf, np.zeros(6))
+    gain = log(float(np.abs(value[0])))
+    for damping in (0.6, 1.5):
+        for zero in (0.1, 1.0):
+            start = np.array([gain, log(2.0 / lag), log(damping), delay, log(zero * lag), log(0.1 * lag)])
+            start = np.clip(start, low + 1e-6, high - 1e-6)
+            found = fitted(start, free)
+            if found[0] < best[0]:
+                best = found
+            if "zero" not in form:
+                break
+    # a delay is a whole number of samples: the whole one that leaves least
+    whole = sorted({max(0, round(best[1][3]) + k) for k in range(-SEARCHED, SEARCHED + 1)})
+    chosen: tuple[float, Array] = (inf, best[1])
+    others = [k for k in free if k != 3]
+    for samples in whole:
+        fixed = best[1].copy()
+        fixed[3] = samples
+        found = fitted(fixed, others)
+        if found[0] < chosen[0]:
+            chosen = found
+    poles, zeros = parts(chosen[1])
+    misfit = float(np.sqrt(np.mean(np.abs(error(chosen[1])) ** 2)))
+    return Dynamics(poles, zeros, float(chosen[1][3]), response.step, misfit)

@@ -1,0 +1,144 @@
+"""The figures of a design: open loop, Nyquist, sensitivity and time responses, shipped and designed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cosim.design.closed import Closed, Points, Tuning
+from cosim.design.loop import Array
+from cosim.design.make import AxisDesign, Design
+from cosim.figures import BLUE, GREY, ORANGE, RED
+
+Figure = dict[str, Any]
+
+POINTS = 1500
+EVEN, WINDOW = 75_000, 5_000.0  # points in time, and delays of the channel that they reach
+FAR = 3.0  # of Nyquist's plane
+TIMES = 25.0  # delays of the channel that are drawn in time
+
+
+def design_figures(found: Design) -> dict[str, Figure]:
+    """Plotly figures by name: ``bode_roll``, ``nyquist_roll``, ``sensitivity_roll``, ``step_roll``, ..."""
+    figures: dict[str, Figure] = {}
+    for axis, each in found.axes.items():
+        loops = _loops(each)
+        figures[f"bode_{axis}"] = _bode(loops)
+        figures[f"nyquist_{axis}"] = _nyquist(loops, found)
+        figures[f"sensitivity_{axis}"] = _sensitivity(loops, found)
+        figures[f"step_{axis}"] = _step(loops, each)
+    return figures
+
+
+def _loops(each: AxisDesign) -> list[tuple[str, str, Closed, bool]]:
+    # a load may take minutes to go; a response that outlasts its window would be folded back into it
+    points = Points(each.channel, close=POINTS, even=EVEN, slowness=WINDOW)
+    found = []
+    states: list[tuple[str, str, Tuning, bool]] = [("shipped", ORANGE, each.before.tuning, each.before.stable)]
+    if each.after is not None:
+        states.append(("designed", BLUE, each.after.tuning, each.after.stable))
+    for label, colour, tuning, stable in states:
+        found.append((f"{label}, {tuning.controller}", colour, Closed(points, tuning), stable))
+    return found
+
+
+def _hertz(loop: Closed) -> Array:
+    part = loop.points.closely
+    return np.asarray(loop.points.theta[part] / (2.0 * np.pi * loop.points.channel.step))
+
+
+def _trace(label: str, colour: str, x: Array, y: Array, panel: int = 0, **more: Any) -> Figure:
+    trace: Figure = {
+        "type": "scatter",
+        "mode": "lines",
+        "name": label,
+        "legendgroup": label,
+        "showlegend": panel == 0,
+        "line": {"color": colour, "width": 1.8},
+        "x": np.asarray(x, np.float64),
+        "y": np.asarray(y, np.float64),
+        "yaxis": "y" if panel == 0 else f"y{panel + 1}",
+    }
+    return trace | more
+
+
+def _layout(height: int, x: str, titles: list[str], log: bool) -> Figure:
+    layout: Figure = {
+        "height": height,
+        "margin": {"l": 64, "r": 12, "t": 36, "b": 44},
+        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
+        "xaxis": {"title": {"text": x}, "anchor": f"y{len(titles)}" if len(titles) > 1 else "y"},
+    }
+    if log:
+        layout["xaxis"]["type"] = "log"
+    share = 1.0 / len(titles)
+    for k, title in enumerate(titles):
+        top = 1.0 - k * share
+        layout["yaxis" if k == 0 else f"yaxis{k + 1}"] = {
+            "domain": [max(0.0, top - share + 0.05), top],
+            "anchor": "x",
+            "title": {"text": title},
+        }
+    return layout
+
+
+def _bode(loops: list[tuple[str, str, Closed, bool]]) -> Figure:
+    data = []
+    for label, colour, loop, _ in loops:
+        value = loop.open_loop[loop.points.closely]
+        hertz = _hertz(loop)
+        phase = np.degrees(np.unwrap(np.angle(value)))
+        phase -= 360.0 * np.round((phase[0] + 180.0) / 360.0)
+        data.append(_trace(label, colour, hertz, 20.0 * np.log10(np.abs(value))))
+        data.append(_trace(label, colour, hertz, phase, 1))
+    return {"data": data, "layout": _layout(460, "frequency [Hz]", ["|L| [dB]", "phase of L [deg]"], True)}
+
+
+def _nyquist(loops: list[tuple[str, str, Closed, bool]], found: Design) -> Figure:
+    turn = np.linspace(0.0, 2.0 * np.pi, 200)
+    radius = 1.0 / found.need.max_sensitivity
+    data = [_trace(f"|S| = {found.need.max_sensitivity:g}", RED, radius * np.cos(turn) - 1.0, radius * np.sin(turn))]
+    for label, colour, loop, _ in loops:
+        value = loop.open_loop[loop.points.closely]
+        near = np.where(np.abs(value) < 2.0 * FAR, value, np.nan)
+        keep = np.isfinite(near)
+        data.append(_trace(label, colour, value.real[keep], value.imag[keep]))
+    layout = _layout(460, "real part of L", ["imaginary part of L"], False)
+    layout["xaxis"]["range"] = [-FAR, 1.0]
+    layout["yaxis"] |= {"range": [-FAR / 2.0 - 0.5, FAR / 2.0 + 0.5], "scaleanchor": "x"}
+    return {"data": data, "layout": layout}
+
+
+def _sensitivity(loops: list[tuple[str, str, Closed, bool]], found: Design) -> Figure:
+    data = []
+    hertz = _hertz(loops[0][2])
+    limit = found.need.max_sensitivity
+    data.append(_trace("limit", RED, hertz[[0, -1]], np.array([limit, limit]), line={"color": RED, "dash": "dash"}))
+    for label, colour, loop, stable in loops:
+        if stable:
+            part = loop.points.closely
+            data.append(_trace(label, colour, hertz, np.abs(loop.inner / loop.characteristic)[part]))
+            data.append(_trace(label, colour, hertz, np.abs(loop.angle_response[part]), 1))
+    titles = ["|S|", "|angle / set-point|"]
+    layout = _layout(420, "frequency [Hz]", titles, True)
+    return {"data": data, "layout": layout}
+
+
+def _step(loops: list[tuple[str, str, Closed, bool]], each: AxisDesign) -> Figure:
+    data: list[Figure] = []
+    end = TIMES * each.channel.slowness_s
+    for label, colour, loop, stable in loops:
+        if not stable:
+            continue
+        error, load = loop.error_in_time, loop.load_in_time()
+        time = np.arange(len(error), dtype=np.float64) * loop.points.sample_s
+        keep = time <= end
+        if not data:
+            data.append(_trace("set-point", GREY, time[keep][[0, -1]], np.ones(2)))
+        data.append(_trace(label, colour, time[keep], 1.0 - error[keep]))
+        if loop.tuning.gains.i:
+            data.append(_trace(label, colour, time[keep], load[keep], 1))
+    unit = "m" if each.channel.name == "altitude" else "rad"
+    titles = ["after a step of 1", f"{unit} per {each.channel.unit} of load"]
+    return {"data": data, "layout": _layout(420, "time [s]", titles, False)}

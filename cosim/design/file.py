@@ -1,0 +1,225 @@
+"""The controller file: what a design came to, as ``hexjet fly --controller FILE.toml`` reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from cosim.config import Model, merge, nearest, parse_setting, read_toml, set_path, validate
+from cosim.control.choice import PREDICTORS
+from cosim.design.channel import Channel
+from cosim.design.make import Assessment, AxisDesign, Design
+from cosim.design.tune import Requirements
+from cosim.errors import FlightError, InputError
+from cosim.scenario import Scenario, find_scenario
+from cosim.vehicle import RateModel, load_vehicle
+
+
+class AxisRecord(Model):
+    """What a design says about one channel; for people, a flight does not read it."""
+
+    controller: str
+    peak_sensitivity: float
+    gain_margin_db: float | None = None
+    phase_margin_deg: float | None = None
+    delay_margin_s: float | None = None
+    bandwidth_hz: float
+    tolerated: float  # times the tolerances until instability
+
+
+class Purpose(Model):
+    """What a controller was designed for."""
+
+    aircraft: str
+    engine: str
+    family: str  # what the models are filed under
+    engine_sha256: str
+    engine_parameters: dict[str, float] = Field(default_factory=dict)  # that were not the engine's own
+    vehicle_changes: dict[str, Any] = Field(default_factory=dict)  # of the aircraft, the same way
+    step_s: float
+    substeps: int
+    added_delay_samples: int = 0
+    model: str  # where the model comes from
+    requirements: Requirements
+    axes: dict[str, AxisRecord]
+
+
+class ControllerFile(Model):
+    """The file as a whole."""
+
+    controller: str
+    vehicle: dict[str, Any]
+    design: Purpose
+
+
+def write_controller(found: Design, path: Path) -> None:
+    """Write the controller file of a design.
+
+    Raises FlightError if it cannot be written, InputError where no design was found.
+    """
+    import tomli_w
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(tomli_w.dumps(controller_table(found)), encoding="utf-8")
+    except OSError as error:
+        raise FlightError(f"{path}: {error.strerror or error}") from error
+
+
+def controller_table(found: Design) -> dict[str, Any]:
+    """The file's content.  Raises InputError for a design that was not found."""
+    if not found.ok:
+        raise InputError(f"no acceptable design: {found.reason}")
+    chosen = {axis: each.after for axis, each in found.axes.items() if each.after is not None}
+    roll, altitude = chosen["roll"].tuning, chosen["altitude"].tuning
+    axes = ("roll", "pitch", "yaw")
+    vehicle: dict[str, Any] = {
+        "control": {
+            "attitude": {"gain_1_s": [_rounded(chosen[axis].tuning.angle_gain) for axis in axes]},
+            "rate": {
+                axis: {key: _rounded(value) for key, value in chosen[axis].tuning.gains.model_dump().items()}
+                for axis in axes
+            },
+            "altitude": {
+                "position_1_s": _rounded(altitude.angle_gain),
+                "velocity_1_s": _rounded(altitude.gains.p),
+                "integral_1_s2": _rounded(altitude.gains.i),
+            },
+            "predictor": {key: _rounded(value) for key, value in roll.predictor.model_dump().items()},
+        }
+    }
+    leads = {axis: each.tuning.lead for axis, each in chosen.items()}
+    if any(leads.values()) or found.vehicle.control.lead is not None:
+        # false overrules a lead that the aircraft states
+        vehicle["control"]["lead"] = {
+            axis: {key: _rounded(value) for key, value in lead.model_dump(exclude_none=True).items()} if lead else False
+            for axis, lead in leads.items()
+        }
+    if roll.controller != "baseline":
+        vehicle["identified"] = {
+            found.engine.family: {
+                axis: _model(found.axes[axis].channel, chosen[axis], found.model_source).model_dump()
+                for axis in axes
+                if chosen[axis].controller != "baseline"
+            }
+        }
+    scenario, spec = found.scenario, found.engine
+    purpose = Purpose(
+        aircraft=found.vehicle.name,
+        engine=spec.name,
+        family=spec.family,
+        engine_sha256=spec.sha256,
+        engine_parameters=dict(scenario.engine_parameters),
+        vehicle_changes=dict(scenario.vehicle),
+        step_s=scenario.step_s,
+        substeps=scenario.substeps,
+        added_delay_samples=scenario.added_delay_samples,
+        model=found.model_source,
+        requirements=found.need,
+        axes={axis: _record(each) for axis, each in found.axes.items()},
+    )
+    return {
+        "controller": roll.controller,
+        "vehicle": vehicle,
+        "design": purpose.model_dump(mode="json", exclude_none=True),
+    }
+
+
+def _rounded(value: float) -> float:
+    """Six digits: more are not meant."""
+    return float(f"{value:.6g}")
+
+
+def _model(channel: Channel, chosen: Assessment, source: str) -> RateModel:
+    """Without the delay that the controller adds itself, of which the flight tells the predictor."""
+    own = chosen.tuning.model
+    return own.model_copy(update={"delay_samples": own.delay_samples - channel.added_delay, "source": source})
+
+
+def _record(each: AxisDesign) -> AxisRecord:
+    after = each.after
+    assert after is not None
+    assert after.margins is not None
+    return AxisRecord.model_validate(
+        {
+            "controller": after.controller,
+            "peak_sensitivity": after.peak_sensitivity,
+            "gain_margin_db": after.margins.gain_db,
+            "phase_margin_deg": after.margins.phase_deg,
+            "delay_margin_s": after.margins.delay_s,
+            "bandwidth_hz": after.bandwidth_hz,
+            "tolerated": after.tolerated,
+        }
+    )
+
+
+def read_controller(path: Path) -> ControllerFile:
+    """Read a controller file.  Raises InputError that names the file and what is wrong with it."""
+    found = validate(ControllerFile, read_toml(path), str(path))
+    if found.controller not in PREDICTORS:
+        raise InputError(f"{path}: controller = {found.controller!r}; {nearest(found.controller, PREDICTORS)}")
+    load_vehicle(found.design.aircraft, found.vehicle, f"{path}: vehicle")
+    return found
+
+
+def with_controller(
+    name: str | Path, path: Path, settings: Sequence[str] = (), aircraft: str | None = None
+) -> Scenario:
+    """A scenario, flown by ``aircraft`` if given, with a controller file over it, and settings over both.
+
+    Raises InputError for a file that was made for another aircraft or another control step.
+    """
+    file = read_controller(path)
+    source = find_scenario(name)
+    table = read_toml(source)
+    flown = aircraft or table.get("aircraft", Scenario.model_fields["aircraft"].default)
+    if flown != file.design.aircraft:
+        raise InputError(f"{path}: designed for aircraft {file.design.aircraft!r}, not for {flown!r}")
+    table = merge(table, {"aircraft": flown, "controller": file.controller, "vehicle": file.vehicle, "expect": []})
+    for text in settings:
+        key, value = parse_setting(text)
+        set_path(table, key, value, f"{source}: --set")
+    scenario = Scenario.from_table(table, source.parent, str(source))
+    if abs(scenario.step_s - file.design.step_s) > 1e-9:
+        raise InputError(
+            f"{path}: designed for steps of {file.design.step_s:g} s; {source.name} has step_s = {scenario.step_s:g}"
+        )
+    return scenario
+
+
+def differences(scenario: Scenario, path: Path) -> list[str]:
+    """In which ways a flight is not what its controller file was designed for."""
+    from cosim.engine import load_engine
+
+    made = read_controller(path).design
+    spec = load_engine(
+        str(scenario.engine), scenario.engine_parameters, scenario.step_s, unchecked=scenario.engine_unchecked
+    )
+    found = []
+    if spec.sha256 != made.engine_sha256:
+        found.append(f"designed for engine {made.engine} ({made.engine_sha256[:12]}), flown with {spec.name} "
+                     f"({spec.sha256[:12]})")  # fmt: skip
+    elif any(spec.parameters.get(key) != value for key, value in made.engine_parameters.items()) or any(
+        made.engine_parameters.get(key) != value for key, value in scenario.engine_parameters.items()
+    ):
+        found.append(
+            f"designed for engine parameters {made.engine_parameters or 'of its own'}, flown with "
+            f"{dict(scenario.engine_parameters) or 'its own'}"
+        )
+    if _airframe(scenario.vehicle) != _airframe(made.vehicle_changes):
+        found.append(
+            f"designed for {made.aircraft} with {_airframe(made.vehicle_changes) or 'no changes'}, flown with "
+            f"{_airframe(scenario.vehicle) or 'none'}"
+        )
+    for key in ("substeps", "added_delay_samples"):
+        if getattr(scenario, key) != getattr(made, key):
+            found.append(f"designed for {key} = {getattr(made, key)}, flown with {getattr(scenario, key)}")
+    return found
+
+
+def _airframe(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Changes of a vehicle that are not its controller."""
+    return {key: value for key, value in changes.items() if key not in ("control", "identified")}

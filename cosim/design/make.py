@@ -1,0 +1,461 @@
+"""The design: identify the engine, form the channels, tune every candidate, choose, and say what limits it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import ceil, floor, isfinite, pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.config import nearest, parse_setting, set_path
+from cosim.design.channel import Actuator, Channel, channels, hover_share
+from cosim.design.closed import CANDIDATES, Closed, Points, Tuning
+from cosim.design.dynamics import Dynamics, fit_dynamics, lags
+from cosim.design.tune import Found, Requirements, tune
+from cosim.engine import EngineSpec, load_engine
+from cosim.errors import InputError
+from cosim.identify import Identification, identify_engine
+from cosim.scenario import Scenario, is_file
+from cosim.vehicle import EngineLead, RateGains, RateModel, Vehicle, load_vehicle, read_models
+
+AXES = ("roll", "pitch", "yaw", "altitude")
+SWING = 0.005  # of the throttle, around hover: what an engine's limits on its acceleration do not see
+MISFIT = 0.005  # of one lag and a delay, above which more is fitted
+FINE = 4000  # points of the circle with which a design is checked
+GAINS = 7  # in the grid of the tolerance
+BISECTIONS = 5
+WORTH = 0.06  # of the objective: a more complex controller must answer 3 % faster to be chosen
+LEAD_WORTH = 0.19  # the same of a lead, 10 % faster: it works the throttle, and believes in the engine's lags
+TOGETHER = 5.0  # times the slowest pole: up to here a lead takes the second one with it
+WITH_LEAD = " + lead"
+LED = ("baseline", "state-model", "state-disturbance")  # tried with a lead where the choice is free
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Of the loop broken at the plant's input, attitude and rate loop closed; None where nothing is crossed."""
+
+    gain_db: float | None  # least factor up to instability
+    gain_down_db: float | None  # least factor down to it
+    phase_deg: float | None
+    delay_s: float | None
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """A tuning on a channel, measured."""
+
+    controller: str
+    tuning: Tuning
+    stable: bool
+    margins: Margins | None
+    peak_sensitivity: float | None
+    bandwidth_hz: float | None
+    tolerated: float | None  # times the tolerances until instability
+    noise: float | None  # of the command, one standard deviation, its unit
+    step_error: float | None  # integrated absolute error, rad s per rad (m s per m)
+    load_error: float | None  # rad s (m s) per unit of load at the plant's input
+    overshoot: float | None  # share of a step
+    step_peak: float | None  # command per unit of a step of the set-point
+
+
+@dataclass(frozen=True)
+class AxisDesign:
+    """One channel: what was, what was tried, what was chosen."""
+
+    channel: Channel
+    before: Assessment
+    candidates: Mapping[str, float]  # objective; infinite where the requirements cannot be kept
+    after: Assessment | None
+    limits: Mapping[str, float]  # bandwidth [Hz] without delay, without lag, without the bound on noise
+    checks: Mapping[str, bool]
+
+
+@dataclass(frozen=True)
+class Design:
+    """All channels of a vehicle with an engine."""
+
+    engine: EngineSpec
+    vehicle: Vehicle
+    scenario: Scenario
+    need: Requirements
+    identification: Identification | None  # of the engine; None where a model was given
+    model_source: str
+    axes: Mapping[str, AxisDesign]
+    reason: str  # why it is not acceptable; empty where it is
+    allowing: Mapping[str, float]  # what would allow one: "delay_s", "lag_factor"
+
+    @property
+    def ok(self) -> bool:
+        """Whether every requirement is kept."""
+        return not self.reason
+
+    @property
+    def controller(self) -> str:
+        """The chosen one; the best of what there is where none is acceptable."""
+        chosen = self.axes["roll"].after
+        return chosen.controller if chosen else "baseline"
+
+
+def design(
+    engine: str,
+    aircraft: str = "hexjet",
+    *,
+    controller: str = "auto",
+    need: Requirements | None = None,
+    settings: Sequence[str] = (),
+    model: Path | None = None,
+    amplitude: float | None = None,
+    lead: bool = True,
+    say: Say = lambda text: None,
+) -> Design:
+    """Design controller, predictor and gains of an aircraft for an engine.
+
+    ``engine`` a name or a file; ``controller`` one of the candidates, or "auto" for the best of them; ``settings``
+    ``KEY=VALUE`` over a scenario, such as ``engine_parameters.delay_samples=40``; ``model`` a file with the identified
+    response of an axis, taken instead of what engine and airframe make together.  ``amplitude`` of the sweep of the
+    engine, in throttle: larger for an engine whose limits the flight will reach.  The air is the standard atmosphere's
+    at sea level.
+
+    Raises InputError for an unknown name, a vehicle that the engines do not lift, or an engine that does not answer.
+    """
+    need = need or Requirements()
+    if controller != "auto" and controller not in CANDIDATES:
+        raise InputError(f"--controller {controller}: {nearest(controller, ('auto', *CANDIDATES))}")
+    scenario, vehicle = _scenario(engine, aircraft, settings)
+    unchecked = scenario.engine_unchecked
+    spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked)
+    share = hover_share(vehicle, spec)
+    limits = vehicle.control.allocation
+    if not limits.throttle_min < share < limits.throttle_max:
+        raise InputError(
+            f"engine {spec.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at {share:.2f} of its range, "
+            f"outside {limits.throttle_min:g} to {limits.throttle_max:g}: it cannot be controlled, whatever the gains"
+        )
+    say(f"identifying {spec.name}")
+    found = _identify(scenario, vehicle, spec, amplitude)
+    dynamics = Actuator.of(spec.name, _dynamics(found))
+    wanted = channels(scenario, vehicle, spec, dynamics)
+    given = read_models(model).get(spec.family, {}) if model else {}
+    if model and not given:
+        raise InputError(f"{model}: holds no model of {vehicle.name} with engine {spec.family!r}")
+    for axis, table in given.items():
+        wanted[axis] = replace(wanted[axis], identified=RateModel(**table))
+    source = f"{found.source}; with the airframe of {vehicle.name}"
+    names = CANDIDATES if controller == "auto" else (controller,)
+    axes = _axes(wanted, vehicle, scenario, spec, names, need, source, say, lead)
+    reason = _why_not(axes, need)
+    allowing = _allowing(axes["roll"], names, need, say, lead) if reason else {}
+    return Design(spec, vehicle, scenario, need, found, source, axes, reason, allowing)
+
+
+def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scenario, Vehicle]:
+    """Hover with this engine, at the sample time of the aircraft's own models."""
+    table: dict[str, Any] = {"name": "design", "duration_s": 1.0, "aircraft": aircraft}
+    table["engine"] = str(Path(engine).absolute()) if is_file(engine) else engine
+    for text in settings:
+        key, value = parse_setting(text)
+        set_path(table, key, value, "design: --set")
+    scenario = Scenario.from_table(table, Path(), "design")
+    if scenario.stations:
+        raise InputError("design: --set stations: a design is for one engine at all stations")
+    vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle, "design: vehicle")
+    steps = {model.sample_time_s for models in vehicle.identified.values() for model in models.values()}
+    if "step_s" not in table and len(steps) == 1:
+        scenario = scenario.replace(step_s=steps.pop())
+    return scenario, vehicle
+
+
+def _identify(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, amplitude: float | None) -> Identification:
+    """The engine's response around hover."""
+    throttle = throttle_for(spec, vehicle)
+    amplitude = min(SWING, 0.4 * min(throttle, 1.0 - throttle)) if amplitude is None else amplitude
+    return identify_engine(
+        scenario.engine, scenario.engine_parameters, step=scenario.step_s, throttle=throttle, amplitude=amplitude
+    )
+
+
+def _dynamics(found: Identification) -> Dynamics:
+    """One lag and a delay, as identified; where that does not follow the response, what does."""
+    model = found.chosen.model
+    if found.chosen.misfit <= MISFIT and model.rate > 0.0:
+        return replace(lags([1.0 / model.rate], model.delay_samples, model.step), misfit=found.chosen.misfit)
+    return fit_dynamics(found.response, model.delay_samples, 1.0 / max(model.rate, 0.01))
+
+
+def throttle_for(spec: EngineSpec, vehicle: Vehicle) -> float:
+    """The throttle at which each engine carries its part of the weight."""
+    curve = spec.curve
+    thrust = curve.thrust[0] + hover_share(vehicle, spec) * (curve.thrust[-1] - curve.thrust[0])
+    return float(np.interp(thrust, curve.thrust, curve.throttle))
+
+
+# ---- the axes
+
+
+def _axes(
+    wanted: Mapping[str, Channel],
+    vehicle: Vehicle,
+    scenario: Scenario,
+    spec: EngineSpec,
+    names: Sequence[str],
+    need: Requirements,
+    source: str,
+    say: Say,
+    lead: bool,
+) -> dict[str, AxisDesign]:
+    leads = {axis: engine_lead(wanted[axis]) if lead else None for axis in AXES}
+    predictor = vehicle.control.predictor
+    roll = _axis(wanted["roll"], vehicle, scenario, spec, names, need, source, predictor, say, leads["roll"])
+    chosen = roll.after.tuning if roll.after else None
+    found = {"roll": roll}
+    for axis in AXES[1:]:
+        channel = wanted[axis]
+        # jets that tilt give pitch and yaw by servo; rotors give them like roll, through the same predictor
+        predicted = chosen is not None and axis != "altitude" and vehicle.servo is None
+        names = (chosen.controller,) if predicted and chosen else ("baseline",)
+        predictor = chosen.predictor if chosen else vehicle.control.predictor
+        needed = need if axis == "pitch" else need.model_copy(update={"min_bandwidth_hz": 0.0})
+        found[axis] = _axis(
+            channel, vehicle, scenario, spec, names, needed, source, predictor, say, leads[axis], free=not predicted
+        )  # fmt: skip
+    return found
+
+
+def _axis(
+    channel: Channel,
+    vehicle: Vehicle,
+    scenario: Scenario,
+    spec: EngineSpec,
+    names: Sequence[str],
+    need: Requirements,
+    source: str,
+    predictor: Any,
+    say: Say,
+    lead: EngineLead | None,
+    free: bool = True,
+) -> AxisDesign:
+    fixed = shipped(channel, vehicle, spec)
+    before = assess(channel, fixed, need)
+    own = channel.model(source)
+    # the flight adds to the predictor's model the delay that the controller adds itself
+    believed = own.model_copy(update={"delay_samples": own.delay_samples + channel.added_delay})
+    start = replace(fixed, predictor=predictor)
+    tried: dict[str, Found] = {}
+    for with_lead in (None,) if lead is None else (None, lead):
+        for name in names:
+            if with_lead and len(names) > 1 and name not in LED:
+                continue
+            key = name + WITH_LEAD if with_lead else name
+            say(f"{channel.name}: {key}")
+            tried[key] = tune(channel, name, believed, start, need, free, with_lead)
+    best = _simplest({key: each.objective for key, each in tried.items()})
+    if not isfinite(tried[best].objective):
+        return AxisDesign(channel, before, {name: each.objective for name, each in tried.items()}, None, {}, {})
+    after = assess(channel, tried[best].tuning, need)
+    limits = {}
+    if channel.name == "roll":
+        say("what limits it")
+        limits = _limits(channel, after, need, lead)
+    return AxisDesign(
+        channel,
+        before,
+        {name: each.objective for name, each in tried.items()},
+        after,
+        limits,
+        tolerance_checks(channel, after.tuning, need),
+    )
+
+
+def _simplest(objectives: Mapping[str, float]) -> str:
+    """The first of the candidates, which are in the order of what they take, that is as good as the best.
+
+    Those with a lead only where it pays.
+    """
+    led = {name: value for name, value in objectives.items() if name.endswith(WITH_LEAD)}
+    plain = {name: value for name, value in objectives.items() if name not in led}
+    least = min(plain.values())
+    among = led if led and min(led.values()) < least - LEAD_WORTH else plain
+    enough = min(among.values()) + WORTH
+    return next(name for name, value in among.items() if value <= enough)
+
+
+def engine_lead(channel: Channel) -> EngineLead | None:
+    """A lead for the slowest lag of the engines, or for the slowest two poles; None where no engine answers.
+
+    Its own poles are where the engine's are, for the search to move.
+    """
+    if channel.identified is not None or channel.unit == "rad":
+        return None
+    slowest, *others = sorted(channel.actuator.dynamics.poles, key=abs)
+    w = abs(slowest)
+    if others and (slowest.imag or abs(others[0]) < TOGETHER * w):
+        natural = float(np.sqrt(w * abs(others[0])))
+        damping = float(-(slowest + others[0]).real / (2.0 * natural))
+        return EngineLead(natural_rad_s=natural, damping=damping, pole_rad_s=natural)
+    return EngineLead(natural_rad_s=w, pole_rad_s=w)
+
+
+def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
+    """The aircraft's own gains on a channel, with Smith's predictor where it states a model for the engine."""
+    control = vehicle.control
+    lead = getattr(control.lead, channel.name, None) or None
+    if channel.name == "altitude":
+        own = control.altitude
+        gains = RateGains(
+            p=own.velocity_1_s, i=own.integral_1_s2, d=0.0, d_filter_s=1.0, integral_limit=own.integral_limit_m_s2
+        )
+        return Tuning("baseline", own.position_1_s, gains, control.predictor, channel.model("none"), lead)
+    gains = getattr(control.rate, channel.name)
+    angle = control.attitude.gain_1_s[AXES.index(channel.name)]
+    model = vehicle.identified.get(spec.family, {}).get(channel.name)  # type: ignore[call-overload]
+    if model is None or abs(model.sample_time_s - channel.step) > 1e-9:
+        return Tuning("baseline", angle, gains, control.predictor, channel.model("none"), lead)
+    model = model.model_copy(update={"delay_samples": model.delay_samples + channel.added_delay})
+    return Tuning("smith", angle, gains, control.predictor, model, lead)
+
+
+def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
+    """Everything that is reported of a tuning, with more points than the search takes."""
+    closed = Closed(Points(channel, close=FINE), tuning)
+    if closed.unstable_poles:
+        return Assessment(tuning.controller, tuning, False, *[None] * 9)
+    error, load = closed.error_in_time, closed.load_in_time()
+    sample = closed.points.sample_s
+    settled = bool(tuning.gains.i) and not closed.load_left
+    return Assessment(
+        tuning.controller,
+        tuning,
+        True,
+        margins(closed),
+        closed.peak_sensitivity,
+        closed.bandwidth,
+        closed.tolerated(need.delay_samples(channel), need.gain_tolerance),
+        closed.noise,
+        float(np.abs(error).sum() * sample),
+        float(np.abs(load).sum() * sample) if settled else None,
+        closed.overshoot,
+        closed.step_peak,
+    )
+
+
+def margins(closed: Closed) -> Margins:
+    """Gain, phase and delay margins by python-control, from the loop's response."""
+    import control  # type: ignore[import-untyped]
+
+    part = closed.points.closely
+    loop = closed.open_loop[part]
+    omega = closed.points.theta[part] / closed.points.channel.step
+    keep = omega < pi / closed.points.channel.step * (1.0 - 1e-9)
+    size, phase = np.abs(loop[keep]), np.degrees(np.unwrap(np.angle(loop[keep])))
+    gain, turn, _, _, crossings, _ = control.stability_margins((size, phase, omega[keep]), returnall=True)
+    gain, turn, crossings = np.atleast_1d(gain), np.atleast_1d(turn), np.atleast_1d(crossings)
+    up, down = gain[gain > 1.0], gain[(gain < 1.0) & (gain > 0.0)]
+    delays = [np.radians(angle % 360.0) / at for angle, at in zip(turn, crossings, strict=True)]
+    return Margins(
+        gain_db=float(20.0 * np.log10(up.min())) if len(up) else None,
+        gain_down_db=float(20.0 * np.log10(down.max())) if len(down) else None,
+        phase_deg=float(min(turn, key=abs)) if len(turn) else None,
+        delay_s=float(min(delays)) if delays else None,
+    )
+
+
+def _limits(channel: Channel, after: Assessment, need: Requirements, lead: EngineLead | None) -> dict[str, float]:
+    """The bandwidth that the same controller would reach without one of its limits."""
+    free = need.model_copy(update={"min_bandwidth_hz": 0.0})
+    kept = lead if after.tuning.lead else None
+    cases: dict[str, tuple[Channel, Requirements]] = {"delay": (channel.with_delay(0.0), free)}
+    if channel.identified is None:
+        cases["lag"] = (channel.with_lags(0.0), free)
+    cases["noise and saturation"] = (channel, free.model_copy(update={"noise_share": 1e6, "step_rad": 0.0}))
+    found = {}
+    for what, (changed, needed) in cases.items():
+        led = None if what == "lag" else kept
+        tuned = tune(changed, after.controller, changed.model("without"), after.tuning, needed, lead=led)
+        if isfinite(tuned.objective):
+            found[what] = Closed(Points(changed, close=FINE), tuned.tuning).bandwidth
+    return found
+
+
+def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> dict[str, bool]:
+    """Stable at every whole sample of the delay's tolerance times a grid of gains; and with lags 30 % off."""
+    wide = need.delay_samples(channel)
+    own = channel.actuator_delay
+    delays = sorted({max(0.0, own - wide), own, own + wide, *_whole(own - wide, own + wide)})
+    gains = np.linspace(1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance, GAINS)
+    found = {}
+    found[f"gain {gains[0]:.2f} to {gains[-1]:.2f} times delay {delays[0]:g} to {delays[-1]:g} samples"] = all(
+        _stable(replace(channel.with_delay(delay), gain=channel.gain * gain), tuning)
+        for delay in delays
+        for gain in (gains if channel.identified is None else gains[GAINS // 2 : GAINS // 2 + 1])
+    )
+    if channel.identified is None:
+        found[f"lags of the {_what(channel)} 0.7 and 1.3 times"] = all(
+            _stable(channel.with_lags(factor), tuning) for factor in (0.7, 1.3)
+        )
+    return found
+
+
+def _what(channel: Channel) -> str:
+    return "tilt servo" if channel.unit == "rad" else "engine"
+
+
+def _whole(low: float, high: float) -> list[float]:
+    return [float(n) for n in range(max(0, ceil(low)), floor(high) + 1)]
+
+
+def _stable(channel: Channel, tuning: Tuning) -> bool:
+    return Closed(Points(channel, close=2000, even=2), tuning).unstable_poles == 0
+
+
+# ---- where there is none
+
+
+def _why_not(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
+    for axis, found in axes.items():
+        if found.after is None:
+            wanted = f", {need.min_bandwidth_hz:g} Hz included" if axis in ("roll", "pitch") else ""
+            return f"{axis}: no gains keep the requirements{wanted}"
+    return ""
+
+
+def _allowing(
+    roll: AxisDesign, names: Sequence[str], need: Requirements, say: Say, with_lead: bool
+) -> dict[str, float]:
+    """The longest delay, and the largest part of the lags, with which roll could keep the requirements."""
+    channel = roll.channel
+    if roll.after is not None:
+        return {}
+    tried = [name for name in names if name in ("baseline", "state-disturbance")] or list(names)
+    found = {}
+    whole = channel.actuator_delay
+
+    def works(changed: Channel) -> bool:
+        fixed = roll.before.tuning
+        lead, model = engine_lead(changed) if with_lead else None, changed.model("trial")
+        return any(isfinite(tune(changed, name, model, fixed, need, lead=lead).objective) for name in tried)
+
+    say("which delay would allow one")
+    if whole > 0.0 and (share := _largest(lambda part: works(channel.with_delay(round(part * whole))))) is not None:
+        found["delay_s"] = round(share * whole) * channel.step
+    if channel.identified is None:
+        say("which lag would allow one")
+        if (share := _largest(lambda part: works(channel.with_lags(part)))) is not None:
+            found["lag_factor"] = share
+    return found
+
+
+def _largest(works: Callable[[float], bool]) -> float | None:
+    """The largest part of 1 that works, by bisection; None if 0 does not."""
+    if not works(0.0):
+        return None
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if works(middle) else (low, middle)
+    return low

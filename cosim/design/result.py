@@ -1,0 +1,255 @@
+"""What a design came to: as JSON, as words and tables, as files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from math import degrees, exp, isfinite
+from pathlib import Path
+from typing import Any
+
+from cosim.design.file import controller_table, write_controller
+from cosim.design.make import WITH_LEAD, Assessment, AxisDesign, Design
+from cosim.vehicle import EngineLead
+
+PAGE = "design.html"
+NOTHING = 3.0  # %: less than this a search does not tell from its own error
+
+
+def write(found: Design, out: Path | None) -> dict[str, Path]:
+    """Write the controller file, where there is a design, and the page beside it; say which files there are.
+
+    Raises FlightError if a file cannot be written.
+    """
+    from cosim.flight import new_folder
+    from cosim.report import design_report
+
+    name = f"{found.vehicle.name}-{found.engine.name}"
+    file = out if out is not None else new_folder(Path("runs"), f"design-{name}") / "controller.toml"
+    paths = {}
+    file.parent.mkdir(parents=True, exist_ok=True)
+    if found.ok:
+        write_controller(found, file)
+        paths["controller"] = file
+    paths["report"] = file.with_suffix(".html") if out is not None else file.parent / PAGE
+    design_report(found, paths["report"])
+    return paths
+
+
+def to_dict(found: Design, paths: Mapping[str, Path] | None = None) -> dict[str, Any]:
+    """Everything but the curves, for JSON; None where something is not finite."""
+    identification = found.identification
+    return {
+        "ok": found.ok,
+        "reason": found.reason,
+        "allowing": dict(found.allowing),
+        "aircraft": found.vehicle.name,
+        "engine": found.engine.name,
+        "engine_sha256": found.engine.sha256,
+        "engine_parameters": dict(found.scenario.engine_parameters),
+        "controller": found.controller,
+        "requirements": found.need.model_dump(),
+        "model_source": found.model_source,
+        "identification": identification.to_dict() if identification else None,
+        "axes": {axis: _axis_dict(each) for axis, each in found.axes.items()},
+        "file": controller_table(found) if found.ok else None,
+        "paths": {name: str(path) for name, path in (paths or {}).items()},
+    }
+
+
+def _axis_dict(each: AxisDesign) -> dict[str, Any]:
+    channel = each.channel
+    return {
+        "command_unit": channel.unit,
+        "gain": channel.gain,
+        "actuator": channel.actuator.name,
+        "actuator_poles_rad_s": [[p.real, p.imag] for p in channel.actuator.dynamics.poles],
+        "actuator_zeros_rad_s": [[z.real, z.imag] for z in channel.actuator.dynamics.zeros],
+        "actuator_misfit": channel.actuator.dynamics.misfit,
+        "transport_delay_samples": channel.transport_samples,
+        "all_delay_s": channel.slowness_s,
+        "room": channel.room,
+        "before": _assessment_dict(each.before),
+        "after": _assessment_dict(each.after),
+        "candidates": {name: value if isfinite(value) else None for name, value in each.candidates.items()},
+        "bandwidth_without_hz": dict(each.limits),
+        "checks": dict(each.checks),
+    }
+
+
+def _assessment_dict(each: Assessment | None) -> dict[str, Any] | None:
+    if each is None:
+        return None
+    values = asdict(each)
+    tuning = each.tuning
+    values["tuning"] = {
+        "attitude_gain_1_s": tuning.angle_gain,
+        "rate": tuning.gains.model_dump(),
+        "predictor": tuning.predictor.model_dump(),
+        "model": tuning.model.model_dump(),
+        "lead": tuning.lead.model_dump() if tuning.lead else None,
+    }
+    return values
+
+
+# ---- words and tables
+
+
+def summary_lines(found: Design) -> list[str]:
+    """What a person has to know, a sentence each."""
+    lines = [*_model_lines(found)]
+    if not found.ok:
+        lines.append(f"no acceptable design: {found.reason}")
+        lines += _allowing_lines(found)
+        return lines
+    roll = found.axes["roll"]
+    assert roll.after is not None
+    lines.append(f"controller: {found.controller}; {_compared(roll)}")
+    lines += [
+        f"{axis}: {_lead_words(each.after.tuning.lead)}"
+        for axis, each in found.axes.items()
+        if each.after is not None and each.after.tuning.lead is not None
+    ]
+    lines += _limit_lines(roll)
+    lines.append(_reach(found))
+    for axis, each in found.axes.items():
+        lines += [f"{axis}: {'stable' if fine else 'NOT stable'} for {what}" for what, fine in each.checks.items()]
+    return lines
+
+
+def _model_lines(found: Design) -> list[str]:
+    lines = []
+    roll = found.axes["roll"].channel
+    if found.identification is not None:
+        dynamics = roll.actuator.dynamics
+        lines.append(
+            f"engine {found.engine.name}: {dynamics.words()}, delay {dynamics.delay_samples:.4g} samples "
+            f"({1e3 * dynamics.delay_samples * dynamics.step:.4g} ms); {found.identification.source}"
+        )
+        lines.append(
+            f"the model is within {100.0 * dynamics.misfit:.2g} % of the response (1 % is 1 % or 0.6 deg), coherence "
+            f"at least {found.identification.response.coherence.min():.4f}"
+        )
+        lines += [f"note: {note}" for note in found.identification.notes]
+    lines.append(
+        f"roll: {roll.gain:.4g} rad/s^2 per unit of share, all delay {1e3 * roll.slowness_s:.4g} ms "
+        f"at low frequency, {roll.room:.2f} of share to either side at hover"
+    )
+    return lines
+
+
+def _compared(roll: AxisDesign) -> str:
+    """The candidates by what they reach, the best as 100 %."""
+    best = min(roll.candidates.values())
+    parts = []
+    for name, value in sorted(roll.candidates.items(), key=lambda item: item[1]):
+        # the objective counts a bandwidth twice, in the answer to the set-point and in that to the load
+        parts.append(f"{name} {100.0 * exp(0.5 * (best - value)):.0f} %" if isfinite(value) else f"{name} none")
+    return "speed of response reached: " + ", ".join(parts)
+
+
+def _lead_words(lead: EngineLead) -> str:
+    """What a lead does, and what it asks for at first."""
+    w, a = lead.natural_rad_s, lead.pole_rad_s
+    if lead.damping is None:
+        moved, times = f"lag of {1e3 / w:.4g} ms to {1e3 / a:.4g} ms", a / w
+    else:
+        moved = f"poles of {w:.4g} rad/s and damping {lead.damping:.2f} to {a:.4g} rad/s"
+        times = (a / w) ** 2
+    return f"a lead moves the engine's {moved}; it asks at first for {times:.1f} times what it wants"
+
+
+def _limit_lines(roll: AxisDesign) -> list[str]:
+    after = roll.after
+    assert after is not None
+    assert after.bandwidth_hz is not None
+    lines = []
+    for what, value in roll.limits.items():
+        gain = 100.0 * (value / after.bandwidth_hz - 1.0)
+        more = f"{value:.2f} Hz ({gain:+.0f} %)" if gain > NOTHING else "no more"
+        lines.append(f"bandwidth {after.bandwidth_hz:.2f} Hz; without {what} {more}")
+    if roll.limits:
+        most = max(roll.limits, key=lambda name: roll.limits[name])
+        lines.append(f"what limits it most: {most}")
+    return lines
+
+
+def _reach(found: Design) -> str:
+    roll = found.axes["roll"]
+    after = roll.after
+    assert after is not None
+    assert after.step_peak is not None
+    rate = found.vehicle.control.attitude.rate_limit_rad_s[0] / after.tuning.angle_gain
+    return (
+        f"a roll step asks for the whole share from {degrees(roll.channel.room / after.step_peak):.0f} deg on, "
+        f"and for the limit of the rate from {degrees(rate):.0f} deg on"
+    )
+
+
+def _allowing_lines(found: Design) -> list[str]:
+    lines = []
+    if "delay_s" in found.allowing:
+        lines.append(f"with a delay of at most {1e3 * found.allowing['delay_s']:.4g} ms there would be one")
+    if "lag_factor" in found.allowing:
+        part = found.allowing["lag_factor"]
+        lines.append(
+            f"with an engine {1.0 / part:.2g} times as fast there would be one"
+            if part
+            else "without any lag of the engine there would be one"
+        )
+    if not found.allowing and found.axes["roll"].after is None:
+        lines.append("neither less delay nor less lag of the engine alone would allow one")
+    return lines
+
+
+COLUMNS = (
+    "",
+    "controller",
+    "attitude 1/s",
+    "P",
+    "I",
+    "D",
+    "peak |S|",
+    "gain dB",
+    "phase deg",
+    "delay ms",
+    "bandwidth Hz",
+    "overshoot %",
+    "tolerated",
+)
+
+
+def rows(found: Design) -> list[list[str]]:
+    """Before and after of every channel, as :data:`COLUMNS`."""
+    table = []
+    for axis, each in found.axes.items():
+        for when, state in (("shipped", each.before), ("designed", each.after)):
+            if state is not None:
+                table.append([f"{axis}, {when}", *_cells(state)])
+    return table
+
+
+def _cells(state: Assessment) -> list[str]:
+    gains = state.tuning.gains
+    first = [
+        state.controller + (WITH_LEAD if state.tuning.lead else ""),
+        f"{state.tuning.angle_gain:.3g}",
+        *(f"{value:.3g}" for value in (gains.p, gains.i, gains.d)),
+    ]
+    if not state.stable or state.margins is None:
+        return [*first, "unstable", *[""] * 6]
+    m = state.margins
+    return [
+        *first,
+        _number(state.peak_sensitivity, 2),
+        _number(m.gain_db, 1),
+        _number(m.phase_deg, 1),
+        _number(None if m.delay_s is None else 1e3 * m.delay_s, 0),
+        _number(state.bandwidth_hz, 2),
+        _number(None if state.overshoot is None else 100.0 * state.overshoot, 0),
+        _number(state.tolerated, 2),
+    ]
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,210 @@
+"""Search for the tuning of one channel: the best response that the requirements allow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, log
+
+import numpy as np
+
+from cosim.config import Model, NotNegative
+from cosim.design.channel import Channel
+from cosim.design.closed import TUNED, Closed, Points, Tuning
+from cosim.design.loop import Array
+from cosim.vehicle import EngineLead, RateModel
+
+NOISE_SHARE = 0.0833  # of the room of the command: three standard deviations of noise take a quarter of it
+STEP_RAD = 0.1745  # 10 deg, the size of the roll doublet
+STEP_M = 1.0
+MAX_OVERSHOOT = 0.2  # of a step: what a peak sensitivity alone does not keep where an engine swings by itself
+UNSTABLE = 1e3
+DEAR = 100.0  # what missing a requirement by 100 % costs in the objective, which is a logarithm
+SEED = 1  # the same design every time
+POPULATION = 6  # times the number of parameters
+GENERATIONS = 40
+ROUNDS = 200  # evaluations of a search
+FASTEST_LEAD = 10.0  # times the poles of the engine: more adds no phase, only noise; nor faster than two steps
+SPARE = 0.004  # by which the search stays inside the requirements, for what lies between its points
+
+
+class Requirements(Model):
+    """What a design must keep."""
+
+    max_sensitivity: float = 1.7
+    delay_tolerance: NotNegative = 0.3  # of the transport delay, at least one sample
+    gain_tolerance: NotNegative = 0.3
+    min_bandwidth_hz: NotNegative = 0.16  # of roll and pitch: 1 rad/s, within 5 % in 3 s, a side of the roll doublet
+    max_overshoot: float = MAX_OVERSHOOT
+    noise_share: float = NOISE_SHARE
+    step_rad: float = STEP_RAD  # an attitude step of this size must not saturate
+
+    def delay_samples(self, channel: Channel) -> float:
+        """The tolerance of the delay in samples."""
+        return max(1.0, self.delay_tolerance * channel.transport_samples) if self.delay_tolerance else 0.0
+
+
+@dataclass(frozen=True)
+class Found:
+    """The best tuning of a search; ``objective`` is infinite where nothing keeps the requirements."""
+
+    tuning: Tuning
+    objective: float
+    evaluations: int
+
+
+def objective(closed: Closed) -> float:
+    """``ln`` of the integrated absolute error of a step of the set-point, plus a third of that of a step of load.
+
+    The logarithm needs no units and no sizes of the steps.  At a bandwidth w the first goes with 1/w, the second with
+    1/w^3, so the third makes both count as bandwidth.
+    """
+    step, load = np.abs(closed.error_in_time).sum(), np.abs(closed.load_in_time()).sum()
+    return float(np.log(step) + np.log(load) / 3.0)
+
+
+def excess(closed: Closed, need: Requirements, spare: float = 0.0) -> float:
+    """By how much the requirements are missed, as a sum of relative parts; 0 where all are kept."""
+    channel = closed.points.channel
+    step = STEP_M if channel.name == "altitude" else need.step_rad
+    tolerated = closed.tolerated(need.delay_samples(channel), need.gain_tolerance)
+    parts = (
+        closed.peak_sensitivity / (need.max_sensitivity * (1.0 - spare)) - 1.0,
+        (1.0 + spare) - tolerated if need.delay_tolerance or need.gain_tolerance else 0.0,
+        closed.noise / (need.noise_share * channel.room * (1.0 - spare)) - 1.0,
+        closed.overshoot / (need.max_overshoot * (1.0 - spare)) - 1.0,
+        closed.step_peak * step / (channel.room * (1.0 - spare)) - 1.0,
+        1.0 + spare - closed.bandwidth / need.min_bandwidth_hz if need.min_bandwidth_hz else 0.0,
+    )
+    return sum(max(part, 0.0) for part in parts)
+
+
+def acceptable(closed: Closed, need: Requirements) -> bool:
+    """Stable, and within the requirements."""
+    return closed.unstable_poles == 0 and excess(closed, need) == 0.0
+
+
+class Box:
+    """What is searched: logarithms of ``K tau``, ``p k tau``, ``i / p tau``, ``d / (p tau)``, and the predictor's own.
+
+    ``tau`` is the channel's delay at low frequency and ``k`` its gain, so the same box fits every vehicle.  With a lead
+    its poles come last, over the engine's, and ``tau`` is what they leave.
+    """
+
+    def __init__(
+        self,
+        channel: Channel,
+        controller: str,
+        model: RateModel,
+        fixed: Tuning,
+        predictor: bool,
+        lead: EngineLead | None = None,
+    ) -> None:
+        self._channel, self._controller, self._model, self._fixed = channel, controller, model, fixed
+        self._lead = lead
+        tau = channel.slowness_s
+        ends = [(0.05, 3.0), (0.1, 6.0), (0.003, 1.0), (0.003, 3.0)]
+        if not predictor:
+            pass
+        elif controller == "filtered-smith":
+            ends.append((0.05, 5.0))
+        elif controller in TUNED:
+            ends.append((0.3, 30.0))
+        self._predicts = len(ends) > 4
+        if lead is not None:
+            most = 0.5 / channel.step / lead.natural_rad_s
+            ends.append((1.0, max(1.1, min(FASTEST_LEAD, most))))
+        if channel.name == "altitude":
+            ends[3] = (0.0, 0.0)  # its controller has no derivative
+        self._tau, self._size = tau, len(ends)
+        self.free = [k for k, (low, high) in enumerate(ends) if high > low]
+        self.low = np.array([log(ends[k][0]) for k in self.free])
+        self.high = np.array([log(ends[k][1]) for k in self.free])
+
+    def tuning(self, x: Array) -> Tuning:
+        """The tuning at a point of the box."""
+        value = np.zeros(self._size)
+        value[self.free] = np.exp(np.clip(x, self.low, self.high))
+        tau, lead = self._tau, self._lead
+        if lead is not None:
+            lead = lead.model_copy(update={"pole_rad_s": float(value[-1]) * lead.natural_rad_s})
+            # a zero of the engine may be worth more than what is left
+            tau = max(tau + lead_delay(lead), (0.5 + self._channel.transport_samples) * self._channel.step)
+            tau = max(tau, 1.0 / lead.pole_rad_s)
+        k, p, i, d = value[:4] * np.array([1.0 / tau, 1.0 / (self._channel.gain * tau), 1.0 / tau, tau])
+        predictor = self._fixed.predictor
+        if self._predicts:
+            own = float(value[4]) * (tau if self._controller == "filtered-smith" else 1.0 / tau)
+            predictor = predictor.model_copy(update={TUNED[self._controller]: own})
+        # a derivative is filtered at a tenth of what it leads by, as far as the step allows
+        smooth = max(self._channel.step, 0.1 * float(d)) if d else self._fixed.gains.d_filter_s
+        gains = self._fixed.gains.model_copy(
+            update={"p": float(p), "i": float(p * i), "d": float(p * d), "d_filter_s": smooth}
+        )
+        return Tuning(self._controller, float(k), gains, predictor, self._model, lead)
+
+
+def lead_delay(lead: EngineLead) -> float:
+    """Delay at low frequency that a lead adds, s: less than nothing."""
+    if lead.damping is None:
+        return 1.0 / lead.pole_rad_s - 1.0 / lead.natural_rad_s
+    return 2.0 / lead.pole_rad_s - 2.0 * lead.damping / lead.natural_rad_s
+
+
+def tune(
+    channel: Channel,
+    controller: str,
+    model: RateModel,
+    fixed: Tuning,
+    need: Requirements,
+    predictor: bool = True,
+    lead: EngineLead | None = None,
+) -> Found:
+    """The tuning with the least objective that keeps the requirements.
+
+    Deterministic: differential evolution from a Sobol sequence with a fixed seed, then Nelder and Mead's simplex, with
+    what is missed added to the objective.  ``fixed`` holds what is not searched: without ``predictor``, its tuning too.
+    With ``lead`` there is one, whose own poles are searched.
+    """
+    from scipy.optimize import differential_evolution, minimize
+
+    box = Box(channel, controller, model, fixed, predictor, lead)
+    points = Points(channel)
+    count = 0
+    inside: tuple[float, Array | None] = (inf, None)  # the best that kept everything
+
+    def cost(x: Array) -> float:
+        nonlocal count, inside
+        count += 1
+        closed = Closed(points, box.tuning(x))
+        if closed.unstable_poles:
+            return UNSTABLE + float(np.sum(x))  # downhill is less gain
+        out = float(np.sum(np.maximum(x - box.high, 0.0) + np.maximum(box.low - x, 0.0)))
+        value, missed = objective(closed), excess(closed, need, SPARE) + out
+        if not missed and value < inside[0]:
+            inside = (value, x.copy())
+        return value + DEAR * missed
+
+    searched = differential_evolution(
+        cost,
+        list(zip(box.low, box.high, strict=True)),
+        popsize=POPULATION,
+        maxiter=GENERATIONS,
+        init="sobol",
+        rng=np.random.default_rng(SEED),
+        polish=False,
+        tol=1e-4,
+    )
+    x, value = searched.x, float(searched.fun)
+    for size in (0.1, 0.03):  # a simplex that has shrunk on an edge starts again
+        simplex = np.vstack([x, x + size * np.eye(len(x))])
+        options = {"maxfev": ROUNDS, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
+        found = minimize(cost, x, method="Nelder-Mead", options=options)
+        if found.fun < value:
+            x, value = found.x, float(found.fun)
+    fine = Points(channel, close=4000)
+    for point in (x, inside[1]):
+        if point is not None:
+            closed = Closed(fine, box.tuning(point))
+            if acceptable(closed, need):
+                return Found(closed.tuning, objective(closed), count)
+    return Found(box.tuning(x), inf, count)

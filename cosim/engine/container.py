@@ -1,0 +1,178 @@
+"""The ``.fmu`` file as a zip of files: opened as if somebody meant harm, before anybody else reads it."""
+
+from __future__ import annotations
+
+import io
+import stat
+import zipfile
+import zlib
+from pathlib import Path, PurePosixPath
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)  # from zipfile, on bad archives
+DESCRIPTION = "modelDescription.xml"
+BUILD_DESCRIPTION = "sources/buildDescription.xml"
+
+# Chosen by us: an engine is a library of a few MB and perhaps a map of tables; a hundred times that is let through.
+MOST_PACKED = 512 * 2**20  # bytes of the archive
+MOST_UNPACKED = 1024 * 2**20  # bytes of all that is in it
+MOST_FILES = 10_000
+MOST_INFLATION = 100  # times the archive's own size; tables of numbers come to 10, zeros to 1000
+INFLATION_FROM = 16 * 2**20  # bytes unpacked, below which inflation does not matter
+MOST_XML = 16 * 2**20  # bytes
+DEEPEST_XML = 64  # elements inside each other; FMI needs less than ten
+LONGEST_NAME = 250  # bytes of a part of a path; file systems end at 255
+
+# What both readers of the description, expat and FMPy's libxml2, take for the same characters.
+ENCODINGS = {"utf-8", "us-ascii", "iso-8859-1"}
+METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # what FMI allows
+
+
+class UnusableError(Exception):
+    """Why an archive cannot be used; the caller knows its path."""
+
+
+def one_line(error: object) -> str:
+    """An error's text without line breaks and other control characters."""
+    return "".join(c if c.isprintable() else " " for c in " ".join(str(error).split()))
+
+
+def read_bytes(path: Path) -> bytes:
+    """The file's contents.  Raises UnusableError if it is missing, no ordinary file, or larger than ``MOST_PACKED``."""
+    try:
+        found = path.stat()
+        if stat.S_ISDIR(found.st_mode):
+            raise UnusableError("is a folder; an .fmu archive is needed")
+        if not stat.S_ISREG(found.st_mode):
+            raise UnusableError("is not an ordinary file; an .fmu archive is needed")
+        if found.st_size > MOST_PACKED:
+            raise UnusableError(f"is {_size(found.st_size)} large; an engine may have {_size(MOST_PACKED)}")
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise UnusableError("no such file") from error
+    except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
+        raise UnusableError(getattr(error, "strerror", None) or str(error)) from error
+
+
+def open_archive(data: bytes) -> tuple[list[str], bytes]:
+    """The names of the files in an archive and its model description, after everything in it was found harmless.
+
+    Raises UnusableError for what is no FMU, and for what could do harm when unpacked or parsed: paths that lead out of
+    the folder, links, names that stand twice, encryption, strange compression, sizes beyond the limits above, document
+    types and entities in XML.
+    """
+    if not data:
+        raise UnusableError("is empty")
+    if not data.startswith(b"PK"):
+        raise UnusableError("is not an FMU: not a zip archive")
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as fmu:
+            entries = fmu.infolist()
+            _need_harmless_sizes(entries, len(data))
+            _need_harmless_entries(entries)
+            names = [entry.filename for entry in entries]
+            if DESCRIPTION not in names:
+                raise UnusableError(f"is not an FMU: it has no {DESCRIPTION}")
+            for name in (DESCRIPTION, BUILD_DESCRIPTION):
+                if name in names:
+                    if fmu.getinfo(name).file_size > MOST_XML:
+                        raise UnusableError(f"{name} is larger than {_size(MOST_XML)}")
+                    _need_harmless_xml(name, fmu.read(name))
+            return names, fmu.read(DESCRIPTION)
+    except DAMAGE as error:
+        raise UnusableError(f"is damaged or truncated: {one_line(error)}") from error
+    except NotImplementedError as error:  # a version of the zip format that Python does not know
+        raise UnusableError(f"is a zip archive of a strange kind: {one_line(error)}") from error
+
+
+def parse(xml: bytes) -> ElementTree.Element:
+    """The root of a model description that ``open_archive`` returned.
+
+    Raises UnusableError if it is no model description.
+    """
+    root = ElementTree.fromstring(xml)
+    if root.tag != "fmiModelDescription":
+        raise UnusableError(f"{DESCRIPTION} describes a {one_line(root.tag)[:80]}, not an FMU")
+    return root
+
+
+def _size(count: int) -> str:
+    return f"{count / 2**20:.0f} MB" if count >= 2**20 else f"{count} bytes"
+
+
+def _need_harmless_sizes(entries: list[zipfile.ZipInfo], packed: int) -> None:
+    # zipfile reads no more of an entry than the size that is checked here
+    if len(entries) > MOST_FILES:
+        raise UnusableError(f"has {len(entries)} files inside; an engine may have {MOST_FILES}")
+    unpacked = sum(entry.file_size for entry in entries)
+    if unpacked > MOST_UNPACKED:
+        raise UnusableError(f"would unpack to {_size(unpacked)}; an engine may have {_size(MOST_UNPACKED)}")
+    if unpacked > max(INFLATION_FROM, MOST_INFLATION * packed):
+        raise UnusableError(
+            f"would unpack to {_size(unpacked)}, {unpacked / packed:.0f} times its size: a zip bomb "
+            f"(at most {MOST_INFLATION} times)"
+        )
+
+
+def _need_harmless_entries(entries: list[zipfile.ZipInfo]) -> None:
+    seen = set()
+    for entry in entries:
+        name = entry.filename
+        path = PurePosixPath(name)
+        shown = one_line(repr(name))[:120]
+        # zipfile cuts a name at a NUL; what stood behind it is in orig_filename
+        strange = "\\" in entry.orig_filename or ":" in name or "\0" in entry.orig_filename
+        if strange or path.is_absolute() or ".." in path.parts or not path.parts:
+            raise UnusableError(f"has an unsafe path inside: {shown}")
+        if max(len(part.encode(errors="replace")) for part in path.parts) > LONGEST_NAME:
+            raise UnusableError(f"has a name of more than {LONGEST_NAME} bytes inside")
+        if path in seen:
+            raise UnusableError(f"has {shown} inside more than once")
+        seen.add(path)
+        kind = stat.S_IFMT(entry.external_attr >> 16)
+        if kind == stat.S_IFLNK:
+            raise UnusableError(f"has a link inside: {shown}")
+        if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+            raise UnusableError(f"has a special file inside: {shown}")
+        if entry.flag_bits & 0x1:
+            raise UnusableError(f"is encrypted: {shown}")
+        if entry.compress_type not in METHODS:
+            method = entry.compress_type
+            raise UnusableError(
+                f"is packed by method {method}, which FMI does not know: {shown}; allowed: 0, 8 (deflate)"
+            )
+
+
+def _need_harmless_xml(name: str, xml: bytes) -> None:
+    """Refuse what FMI has no use for: document types, and with them every entity; deep nesting; odd encodings."""
+    depth = 0
+
+    def declaration(version: str, encoding: str | None, standalone: int) -> None:
+        if encoding is not None and encoding.lower() not in ENCODINGS:
+            raise UnusableError(f"{name} is in {one_line(encoding)}; allowed: {', '.join(sorted(ENCODINGS))}")
+
+    def doctype(*_: object) -> None:
+        raise UnusableError(f"{name} declares a document type or entities; FMI uses neither, and they can do harm")
+
+    def start(*_: object) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > DEEPEST_XML:
+            raise UnusableError(f"{name} nests elements more than {DEEPEST_XML} deep")
+
+    def end(*_: object) -> None:
+        nonlocal depth
+        depth -= 1
+
+    if xml.startswith((b"\xfe\xff", b"\xff\xfe")) or b"\0" in xml[:4]:
+        raise UnusableError(f"{name} is in UTF-16 or UTF-32; allowed: {', '.join(sorted(ENCODINGS))}")
+    parser = expat.ParserCreate()
+    parser.XmlDeclHandler = declaration
+    parser.StartDoctypeDeclHandler = doctype
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    try:
+        parser.Parse(xml, True)
+    except expat.ExpatError as error:
+        raise UnusableError(f"{name} is not valid XML: {error}") from error

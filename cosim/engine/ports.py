@@ -1,0 +1,510 @@
+"""What an engine's variables are called and measured in, and what the co-simulation calls them.
+
+A port is found by causality, name and unit, or stated in a mapping file::
+
+    fmu = "their.fmu"
+    [ports]
+    throttle = "PLA"          # an element of an array as "levers[1]"; "" leaves a port unconnected
+    thrust = "Fn"
+    [units]
+    thrust = "lbf"            # only where the FMU declares none or the wrong one
+    [range]
+    throttle = [20.0, 100.0]  # what 0 and 1 are, in the FMU's own unit
+    [parameters]
+    gain = 1.0
+    [rotor]
+    inertia_kg_m2 = 2.0e-4
+    [ledger]
+    delay_s = 0.1             # of the thrust behind the throttle, if known
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import inf, isfinite
+from pathlib import Path
+from typing import NamedTuple
+
+from pydantic import Field
+
+from cosim.config import Model, NotNegative, read_toml, validate
+from cosim.engine.units import (
+    ANGULAR_SPEED,
+    FORCE,
+    MASS_FLOW,
+    PRESSURE,
+    RATIO,
+    SPEED,
+    TEMPERATURE,
+    Quantity,
+    Unit,
+    UnitError,
+    by_name,
+    measures,
+    to_si,
+)
+from cosim.errors import InputError
+
+# In the order of the C loop.
+INPUTS = ("throttle", "ambient_pressure", "ambient_temperature", "air_speed")
+OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow")
+AMBIENT = INPUTS[1:]
+NEEDED = ("throttle", "thrust")
+
+REALS = ("Real", "Float64", "Float32")
+SWITCHES = (*REALS, "Boolean", "Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
+RANGE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]"
+NO_BOUND = 1e9  # tools write bounds such as 1e60 where there is none
+
+
+class Air(NamedTuple):
+    """The air around one engine."""
+
+    pressure: float  # Pa, static
+    temperature: float  # K, static
+    speed: float  # m/s, into the intake
+
+
+STANDARD_AIR = Air(101325.0, 288.15, 0.0)  # the standard atmosphere's at sea level, at rest
+
+
+class Kind(NamedTuple):
+    """What a port is, and what it is usually called.
+
+    Names are compared in lower case and without anything but letters and digits.  They are plain words and the symbols
+    of gas turbine performance programs: FN and N as in the glossary of GSP, Fnet, Nmech and Wf as in NASA's T-MATS, PLA
+    for the power lever's angle, thrust-lbs, n1 and fuel-flow-rate-pps as in JSBSim's properties.  Left out is what
+    means different things to different tools: ``P0`` and ``T0`` (static or total), ``FG`` (gross thrust, without ram
+    drag), ``T4`` and ``T5`` (on one side of the turbine or the other).
+    """
+
+    causality: str
+    quantity: Quantity
+    types: tuple[str, ...]
+    names: tuple[str, ...]
+    vague: tuple[str, ...] = ()  # names that count where no better one is found
+
+
+KINDS: Mapping[str, Kind] = {
+    "throttle": Kind(
+        "input",
+        RATIO,
+        REALS,
+        (
+            "throttle", "throttlecmd", "throttlecommand", "throttlecmdnorm", "throttleinput", "throttlelever",
+            "throttleposition", "throttlepos", "throttlesetting", "thr", "thrcmd", "thrustlever", "thrustleverangle",
+            "tla", "pla", "powerlever", "powerleverangle", "powersetting",
+        ),
+        ("lever", "command", "cmd", "control", "u"),
+    ),
+    "ambient_pressure": Kind(
+        "input",
+        PRESSURE,
+        REALS,
+        (
+            "ambientpressure", "pressureambient", "pambient", "pamb", "ps0", "staticpressure", "atmosphericpressure",
+            "patm", "pinf",
+        ),
+        ("pressure",),
+    ),
+    "ambient_temperature": Kind(
+        "input",
+        TEMPERATURE,
+        REALS,
+        (
+            "ambienttemperature", "temperatureambient", "ambienttemp", "tambient", "tamb", "ts0", "oat",
+            "outsideairtemperature", "statictemperature", "tinf",
+        ),
+        ("temperature",),
+    ),
+    "air_speed": Kind(
+        "input",
+        SPEED,
+        REALS,
+        (
+            "airspeed", "trueairspeed", "tas", "vtas", "flightspeed", "flightvelocity", "freestreamvelocity", "v0",
+            "vinf", "vair",
+        ),
+    ),
+    "run": Kind("input", RATIO, SWITCHES, ("run", "enginerun", "runcommand", "runcmd", "fuelon", "runswitch")),
+    "thrust": Kind(
+        "output",
+        FORCE,
+        REALS,
+        (
+            "thrust", "fn", "fnet", "netthrust", "thrustnet", "thrustforce", "jetthrust", "enginethrust",
+        ),
+        ("force", "f"),
+    ),
+    "spool_speed": Kind(
+        "output",
+        ANGULAR_SPEED,
+        REALS,
+        (
+            "spoolspeed", "rotorspeed", "shaftspeed", "rotationalspeed", "enginespeed", "nmech", "xn", "n1", "n2",
+            "rpm",
+        ),
+        ("n", "speed", "omega", "w"),
+    ),
+    "exhaust_temperature": Kind(
+        "output",
+        TEMPERATURE,
+        REALS,
+        ("exhausttemperature", "exhaustgastemperature", "exhausttemp", "egt"),
+    ),
+    "fuel_flow": Kind(
+        "output",
+        MASS_FLOW,
+        REALS,
+        (
+            "fuelflow", "fuelmassflow", "fuelflowrate", "fuelrate", "fuelconsumption", "wf", "wfuel", "mdotfuel",
+            "mdotf", "mfuel", "ff",
+        ),
+    ),
+    "start": Kind(
+        "parameter",
+        RATIO,
+        REALS,
+        ("throttlestart", "startthrottle", "initialthrottle", "throttleinitial", "throttleinit", "throttle0"),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One scalar variable of an FMU, or one element of an array; ``start`` is None where none is stated."""
+
+    name: str
+    type: str  # FMI's name of the type
+    reference: int
+    unit: str | None
+    min: float | None
+    max: float | None
+    start: float | None
+    description: str
+    causality: str = ""
+    variability: str = ""
+    base: Unit | None = None  # what the description says of the unit
+    index: int = 0  # in the array, counted from 0 in the order in which FMI passes it
+    starts: tuple[float, ...] = (0.0,)  # of the whole array, 0 where none is stated
+
+    @property
+    def is_array(self) -> bool:
+        """Whether setting it means setting other elements too."""
+        return len(self.starts) > 1
+
+
+@dataclass(frozen=True)
+class Port:
+    """A variable of an FMU as the co-simulation sees it: ``canonical = scale * value + offset``.
+
+    The other way round it is ``value = gain * canonical + bias``, limited to ``low .. high``: both ways are kept, so
+    that the ends of a range are met exactly.
+    """
+
+    variable: Variable
+    scale: float = 1.0
+    offset: float = 0.0
+    gain: float = 1.0
+    bias: float = 0.0
+    low: float = field(default=-inf, repr=False)
+    high: float = field(default=inf, repr=False)
+
+    def value(self, canonical: float) -> float:
+        """What the FMU is given, as the C loop computes it."""
+        value = self.gain * canonical
+        if self.bias != 0.0:
+            value += self.bias
+        return min(max(value, self.low), self.high)
+
+
+class _Ports(Model):
+    throttle: str | None = None
+    thrust: str | None = None
+    ambient_pressure: str | None = None
+    ambient_temperature: str | None = None
+    air_speed: str | None = None
+    run: str | None = None
+    spool_speed: str | None = None
+    exhaust_temperature: str | None = None
+    fuel_flow: str | None = None
+    start: str | None = None
+
+
+class _Units(Model):
+    throttle: str | None = None
+    thrust: str | None = None
+    ambient_pressure: str | None = None
+    ambient_temperature: str | None = None
+    air_speed: str | None = None
+    spool_speed: str | None = None
+    exhaust_temperature: str | None = None
+    fuel_flow: str | None = None
+
+
+class _Range(Model):
+    throttle: tuple[float, float] | None = None
+
+
+class _Rotor(Model):
+    inertia_kg_m2: NotNegative = 0.0
+
+
+class _Ledger(Model):
+    delay_s: NotNegative | None = None
+
+
+class MappingFile(Model):
+    """A mapping file, as its author wrote it."""
+
+    fmu: str = Field(min_length=1)
+    title: str = ""
+    ports: _Ports = _Ports()
+    units: _Units = _Units()
+    range: _Range = _Range()
+    parameters: dict[str, float] = Field(default_factory=dict)
+    rotor: _Rotor = _Rotor()
+    ledger: _Ledger = _Ledger()
+
+
+@dataclass(frozen=True)
+class PortMap:
+    """What is stated about an FMU's ports; everything else is found."""
+
+    ports: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    throttle_range: tuple[float, float] | None = None
+    search: bool = True  # look for the ports that are not stated
+
+
+def is_mapping(path: Path) -> bool:
+    """Whether a path looks like a mapping file."""
+    return path.suffix.lower() == ".toml"
+
+
+def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
+    """A mapping file, the archive it speaks of, and what it states about the ports.
+
+    Raises InputError: one line with file, key and what is allowed.
+    """
+    data = read_toml(path)
+    if "fmu" not in data:
+        raise InputError(f'{path}: has no key fmu; a mapping file names its archive: fmu = "their.fmu"')
+    file = validate(MappingFile, data, str(path))
+    limits = file.range.throttle
+    if limits and limits[0] == limits[1]:
+        raise InputError(f"{path}: range.throttle = {list(limits)}: what 0 and 1 are must differ")
+    for port, unit in _stated(file.units).items():
+        quantity = KINDS[port].quantity
+        if port != "throttle" and by_name(unit, quantity) is None:
+            raise InputError(f"{path}: units.{port} = {unit!r}: allowed: {', '.join(quantity.units)}")
+    return file, path.parent / file.fmu, PortMap(_stated(file.ports), _stated(file.units), limits)
+
+
+def _stated(table: Model) -> dict[str, str]:
+    return {name: value for name, value in table.model_dump().items() if value is not None}
+
+
+class PortError(ValueError):
+    """A port is missing, ambiguous or unfit: one line without the FMU's name, which the caller knows."""
+
+
+def find_ports(variables: Sequence[Variable], stated: PortMap) -> tuple[dict[str, Port], list[str]]:
+    """Every port that is stated or found, and notes on what was assumed or left out.
+
+    Raises PortError if a needed or stated port does not serve; what is optional and does not is left out with a note.
+    """
+    found: dict[str, Port] = {}
+    notes: list[str] = []
+    for name, kind in KINDS.items():
+        wanted = stated.ports.get(name)
+        insist = name in NEEDED or wanted or name in stated.units
+        if wanted == "" and name in NEEDED:
+            raise PortError(f"its {name} cannot be left unconnected")
+        if wanted == "" or (wanted is None and not stated.search):
+            continue
+        try:
+            variable = _named(name, kind, wanted, variables) if wanted else _search(name, kind, variables, found)
+            if variable is None and insist:
+                raise PortError(f"has no {kind.causality} that is known as its {name}; {_how(name)}")
+            if variable is not None:
+                found[name] = _connect(name, kind, variable, stated, found, notes)
+        except PortError as error:
+            if insist:
+                raise
+            notes.append(f"no {name}: {error}")
+    taken: dict[tuple[str, int, int], str] = {}
+    for name, port in found.items():
+        other = taken.setdefault((port.variable.type, port.variable.reference, port.variable.index), name)
+        if other != name:
+            raise PortError(f"its {port.variable.name} is both {other} and {name}; state one of them in [ports]")
+    return found, notes
+
+
+def plain(name: str) -> str:
+    """A name in lower case and without anything but letters and digits."""
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def without_unit(name: str, quantity: Quantity) -> tuple[str, str | None]:
+    """A name such as ``thrust_lbf`` or ``fuel-flow-kg_h`` as its stem and the unit behind it, None if there is none."""
+    words = re.split(r"[^A-Za-z0-9%]+", name)
+    for count in (3, 2, 1):
+        unit = "/".join(word for word in words[-count:] if word.lower() != "per")
+        if len(words) > count and unit and by_name(unit, quantity) is not None:
+            return "_".join(words[:-count]), unit
+    return name, None
+
+
+def _named(port: str, kind: Kind, wanted: str, variables: Sequence[Variable]) -> Variable:
+    """The variable that is stated for a port."""
+    fitting = [v for v in variables if v.causality == kind.causality]
+    hits = [v for v in fitting if v.name == wanted] or [v for v in fitting if v.name.lower() == wanted.lower()]
+    if not hits:
+        raise PortError(f"has no {kind.causality} called {wanted} for {port} ({_list(kind.causality, fitting)})")
+    if len(hits) > 1:
+        raise PortError(f"has several {kind.causality}s called {wanted} in other case; state the exact name")
+    if hits[0].type not in kind.types:
+        raise PortError(f"its {hits[0].name} is of type {hits[0].type}; it must be one of: {', '.join(kind.types)}")
+    return hits[0]
+
+
+def _search(port: str, kind: Kind, variables: Sequence[Variable], found: Mapping[str, Port]) -> Variable | None:
+    """The variable of a port by its usual names, and for a needed port by its unit alone.
+
+    None if there is none and none is needed.
+    """
+    taken = {each.variable.name for each in found.values()}
+    fitting = [v for v in variables if v.causality == kind.causality and v.name not in taken and not v.is_array]
+    usable = [v for v in fitting if v.type in kind.types and not _other_quantity(port, kind, v)]
+    for tier in _tiers(port, kind, usable):
+        if len(tier) == 1:
+            return tier[0]
+        if tier:
+            names = ", ".join(v.name for v in tier)
+            raise PortError(f"has several {kind.causality}s that may be its {port}: {names}; {_how(port)}")
+    if port not in NEEDED:
+        return None
+    unfit = [v for v in fitting if v not in usable and plain(v.name) in kind.names + kind.vague]
+    if unfit and unfit[0].type not in kind.types:
+        raise PortError(f"its {unfit[0].name} is of type {unfit[0].type}; it must be one of: {', '.join(kind.types)}")
+    if unfit:
+        raise _wrong_unit(port, unfit[0], _unit_complaint(unfit[0], kind))
+    listed = [v for v in variables if v.causality == kind.causality]
+    all_of_them = _list(kind.causality, listed)
+    raise PortError(f"has no {kind.causality} that is known as its {port} ({all_of_them}); {_how(port)}")
+
+
+def _tiers(port: str, kind: Kind, usable: Sequence[Variable]) -> Iterable[list[Variable]]:
+    """Candidates for a port, the surest first."""
+    yield [v for v in usable if plain(v.name) == plain(port)]
+    stems = [plain(without_unit(v.name.rpartition(".")[2], kind.quantity)[0]) for v in usable]
+    for names in (kind.names, kind.vague):
+        yield [v for v, stem in zip(usable, stems, strict=True) if stem in names or plain(v.name) in names]
+    if port == "thrust":
+        yield [v for v in usable if measures(v.unit, v.base, kind.quantity)]
+    if port == "throttle":
+        others = [name for each in KINDS.values() for name in each.names if each.causality == kind.causality]
+        left = [v for v, stem in zip(usable, stems, strict=True) if stem not in others]
+        yield left if len(left) == 1 else []
+
+
+def _other_quantity(port: str, kind: Kind, v: Variable) -> bool:
+    """Whether the declared unit rules a variable out."""
+    if v.unit is None or port in ("throttle", "run", "start"):
+        # a lever may be in degrees, in volts, in anything that has a range
+        return port == "throttle" and any(
+            measures(v.unit, v.base, other) for other in (PRESSURE, TEMPERATURE, SPEED, FORCE)
+        )
+    return not measures(v.unit, v.base, kind.quantity)
+
+
+def _unit_complaint(v: Variable, kind: Kind) -> str:
+    try:
+        to_si(v.unit or "", v.base, kind.quantity)
+    except UnitError as error:
+        return str(error)
+    return f"must be {kind.quantity.name}"
+
+
+def _wrong_unit(port: str, v: Variable, complaint: str) -> PortError:
+    return PortError(f"its {v.name} {complaint}; a mapping file states it: [units] {port} = ...")
+
+
+def _how(port: str) -> str:
+    return f'a mapping file states it: [ports] {port} = "..."'
+
+
+def _list(causality: str, variables: Sequence[Variable]) -> str:
+    names = [v.name for v in variables]
+    shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+    return f"{causality}s: {shown or 'none'}"
+
+
+def _connect(name: str, kind: Kind, v: Variable, stated: PortMap, found: Mapping[str, Port], notes: list[str]) -> Port:
+    """A port on a variable, with its conversion."""
+    if name == "throttle":
+        return _lever(v, stated, notes)
+    if name == "start":
+        own = _declared_range(v)
+        return _over_range(v, *own) if own else replace(found["throttle"], variable=v)
+    if name == "run":
+        if v.is_array:
+            raise PortError(f"its {v.name} is an element of an array; {name} must be a scalar")
+        return Port(v)
+    unit = stated.units.get(name, v.unit)
+    if unit is None:
+        unit = without_unit(v.name, kind.quantity)[1]
+        if unit is not None:
+            notes.append(f"{v.name} states no unit; it is taken to be in {unit}, as its name says")
+    if unit is None:
+        if name not in NEEDED:
+            raise PortError(f'{v.name} states no unit; a mapping file does: [units] {name} = "{kind.quantity.si}"')
+        notes.append(f"{v.name} states no unit; it is taken to be in {kind.quantity.si}")
+        return Port(v)
+    try:
+        factor, offset = to_si(unit, None if name in stated.units else v.base, kind.quantity)
+    except UnitError as error:
+        raise _wrong_unit(name, v, str(error)) from error
+    if name in stated.units and v.unit is not None and v.unit != unit:
+        notes.append(f"{v.name} is in {v.unit}, says the FMU; the mapping file says {unit}, and that counts")
+    if not (isfinite(factor) and factor != 0.0 and isfinite(offset)):
+        raise PortError(f"its {v.name} is in {unit}, which the FMU defines by {factor:g} and {offset:g}")
+    return Port(v, factor, offset, 1.0 / factor, -offset / factor if offset else 0.0)
+
+
+def _lever(v: Variable, stated: PortMap, notes: list[str]) -> Port:
+    """The throttle from 0 to 1, over the range that is stated, declared, or meant by the unit."""
+    limits = stated.throttle_range or _declared_range(v)
+    if limits is None:
+        limits = _range_of_unit(v, stated.units.get("throttle", v.unit))
+        notes.append(f"{v.name} states no range; it is taken to run from {limits[0]:g} to {limits[1]:g}")
+    return _over_range(v, *limits)
+
+
+def _declared_range(v: Variable) -> tuple[float, float] | None:
+    if v.min is None or v.max is None or max(abs(v.min), abs(v.max)) >= NO_BOUND:
+        return None
+    if not v.min < v.max:
+        raise PortError(f"its {v.name} runs from {v.min:g} to {v.max:g}, which is no range")
+    return v.min, v.max
+
+
+def _over_range(v: Variable, low: float, high: float) -> Port:
+    span = high - low
+    return Port(v, 1.0 / span, -low / span if low else 0.0, span, low, min(low, high), max(low, high))
+
+
+def _range_of_unit(v: Variable, unit: str | None) -> tuple[float, float]:
+    """What the unit alone says: a ratio from 0 to 1, a percentage to 100."""
+    if unit is None and plain(v.name).endswith(("pla", "tla", "angle")):
+        raise PortError(f"its {v.name} states neither range nor unit; {RANGE}")
+    base = v.base if unit == v.unit else None
+    if unit is not None and not measures(unit, base, RATIO):
+        raise PortError(f"its {v.name} is in {unit} and states no range; {RANGE}")
+    high = 1.0 if unit is None else 1.0 / to_si(unit, base, RATIO)[0]
+    if not 0.0 <= (v.start or 0.0) <= high:
+        raise PortError(f"its {v.name} states no range and starts at {v.start:g}, outside 0 to {high:g}; {RANGE}")
+    return 0.0, high

@@ -1,0 +1,202 @@
+"""Units of an FMU's variables: from what its description declares, or from a unit's name, to SI.
+
+A table of our own instead of a library of units: the description itself states almost every unit in SI base units, what
+remains is a few dozen names, and a library knows none of the quirks below (a revolution without ``rad``).
+"""
+
+from __future__ import annotations
+
+from math import isclose, pi
+from typing import NamedTuple
+
+Exponents = tuple[int, int, int, int, int, int, int, int]  # of kg, m, s, A, K, mol, cd, rad
+
+
+class Unit(NamedTuple):
+    """``SI value = factor * value + offset``; the exponents say of which SI base units."""
+
+    exponents: Exponents
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+class Quantity(NamedTuple):
+    """What a port is a measure of, and the units known by name."""
+
+    name: str
+    si: str
+    exponents: Exponents
+    units: dict[str, tuple[float, float]]  # name: factor, offset
+
+
+class UnitError(ValueError):
+    """A unit does not serve: one clause that goes behind the variable's name."""
+
+
+POUND_FORCE = 0.45359237 * 9.80665  # N: the international pound and the standard acceleration of gravity, both exact
+SQUARE_INCH = 0.0254**2  # m^2
+FOOT = 0.3048  # m
+POUND = 0.45359237  # kg
+TURN = 2.0 * pi  # rad
+
+
+def _named(**sizes: float) -> dict[str, tuple[float, float]]:
+    return {name: (factor, 0.0) for name, factor in sizes.items()}
+
+
+FORCE = Quantity(
+    "a force",
+    "N",
+    (1, 1, -2, 0, 0, 0, 0, 0),
+    _named(
+        N=1.0,
+        newton=1.0,
+        mN=1e-3,
+        daN=10.0,
+        kN=1e3,
+        MN=1e6,
+        lbf=POUND_FORCE,
+        lb_f=POUND_FORCE,
+        lbs=POUND_FORCE,
+        klbf=1e3 * POUND_FORCE,
+        kgf=9.80665,
+        kp=9.80665,
+        gf=9.80665e-3,
+    ),
+)
+PRESSURE = Quantity(
+    "a pressure",
+    "Pa",
+    (1, -1, -2, 0, 0, 0, 0, 0),
+    _named(
+        Pa=1.0,
+        pascal=1.0,
+        hPa=1e2,
+        kPa=1e3,
+        MPa=1e6,
+        mbar=1e2,
+        bar=1e5,
+        atm=101325.0,
+        psi=POUND_FORCE / SQUARE_INCH,
+        psia=POUND_FORCE / SQUARE_INCH,
+        inHg=3386.389,  # conventional, at 0 degC
+        mmHg=133.322387415,
+        Torr=101325.0 / 760.0,
+    )
+    | {"lbf/in2": (POUND_FORCE / SQUARE_INCH, 0.0), "N/m2": (1.0, 0.0)},
+)
+_CELSIUS = (1.0, 273.15)
+_FAHRENHEIT = (5.0 / 9.0, 273.15 - 32.0 * 5.0 / 9.0)
+TEMPERATURE = Quantity(
+    "a temperature",
+    "K",
+    (0, 0, 0, 0, 1, 0, 0, 0),
+    {
+        **_named(K=1.0, kelvin=1.0, degK=1.0, degR=5.0 / 9.0, R=5.0 / 9.0, Rankine=5.0 / 9.0),
+        **dict.fromkeys(("degC", "deg_C", "\u00b0C", "\u2103", "C", "celsius"), _CELSIUS),
+        **dict.fromkeys(("degF", "deg_F", "\u00b0F", "F", "fahrenheit"), _FAHRENHEIT),
+    },
+)
+SPEED = Quantity(
+    "a speed",
+    "m/s",
+    (0, 1, -1, 0, 0, 0, 0, 0),
+    {
+        **dict.fromkeys(("m/s", "m.s-1", "mps"), (1.0, 0.0)),
+        **dict.fromkeys(("km/h", "kph", "kmh"), (1.0 / 3.6, 0.0)),
+        **dict.fromkeys(("kn", "kt", "kts", "knot", "knots"), (1852.0 / 3600.0, 0.0)),
+        **dict.fromkeys(("ft/s", "fps"), (FOOT, 0.0)),
+        "ft/min": (FOOT / 60.0, 0.0),
+        **dict.fromkeys(("mph", "mi/h"), (5280.0 * FOOT / 3600.0, 0.0)),
+    },
+)
+ANGULAR_SPEED = Quantity(
+    "a speed of rotation",
+    "rad/s",
+    (0, 0, -1, 0, 0, 0, 0, 1),
+    {
+        **dict.fromkeys(("rad/s", "rad.s-1", "rad/sec"), (1.0, 0.0)),
+        **dict.fromkeys(("rpm", "rev/min", "r/min", "1/min", "min-1", "U/min", "r.min-1"), (TURN / 60.0, 0.0)),
+        "krpm": (1e3 * TURN / 60.0, 0.0),
+        **dict.fromkeys(("rps", "rev/s", "r/s", "Hz"), (TURN, 0.0)),
+        "deg/s": (pi / 180.0, 0.0),
+    },
+)
+MASS_FLOW = Quantity(
+    "a mass flow",
+    "kg/s",
+    (1, 0, -1, 0, 0, 0, 0, 0),
+    {
+        **dict.fromkeys(("kg/s", "kg.s-1"), (1.0, 0.0)),
+        "kg/min": (1.0 / 60.0, 0.0),
+        **dict.fromkeys(("kg/h", "kg/hr"), (1.0 / 3600.0, 0.0)),
+        "g/s": (1e-3, 0.0),
+        "g/min": (1e-3 / 60.0, 0.0),
+        **dict.fromkeys(("g/h", "g/hr"), (1e-3 / 3600.0, 0.0)),
+        **dict.fromkeys(("lb/s", "lbm/s", "pps"), (POUND, 0.0)),
+        "lb/min": (POUND / 60.0, 0.0),
+        **dict.fromkeys(("lb/h", "lb/hr", "lbm/h", "lbm/hr", "pph"), (POUND / 3600.0, 0.0)),
+    },
+)
+RATIO = Quantity(
+    "a ratio",
+    "1",
+    (0, 0, 0, 0, 0, 0, 0, 0),
+    {
+        **dict.fromkeys(("1", "-", "", "ratio"), (1.0, 0.0)),
+        **dict.fromkeys(("%", "percent", "pct", "perc"), (0.01, 0.0)),
+    },
+)
+QUANTITIES = (FORCE, PRESSURE, TEMPERATURE, SPEED, ANGULAR_SPEED, MASS_FLOW, RATIO)
+
+_PER_SECOND: Exponents = (0, 0, -1, 0, 0, 0, 0, 0)
+
+
+def by_name(name: str, quantity: Quantity) -> tuple[float, float] | None:
+    """Factor and offset of a unit known by name; the case counts only where it tells two units apart."""
+    if name in quantity.units:
+        return quantity.units[name]
+    close = {size for known, size in quantity.units.items() if known.lower() == name.strip().lower()}
+    return close.pop() if len(close) == 1 else None
+
+
+def measures(name: str | None, base: Unit | None, quantity: Quantity) -> bool:
+    """Whether a declared unit is one of this quantity."""
+    if name is None:
+        return False
+    if base is None:
+        return by_name(name, quantity) is not None
+    turns = quantity is ANGULAR_SPEED and base.exponents == _PER_SECOND and by_name(name, quantity) is not None
+    return turns or base.exponents == quantity.exponents
+
+
+def to_si(name: str, base: Unit | None, quantity: Quantity) -> tuple[float, float]:
+    """Factor and offset from a declared unit to SI.
+
+    A declared revolution (``1/s`` without ``rad``) goes by its name.  Raises UnitError if the unit is not one of this
+    quantity, is not known, or is declared as another than its name says: then one of the two is wrong.
+    """
+    known = by_name(name, quantity)
+    if base is None:
+        if known is None:
+            raise UnitError(f"is in {name}, which the FMU does not define; known: {', '.join(quantity.units)}")
+        return known
+    if quantity is ANGULAR_SPEED and base.exponents == _PER_SECOND and known is not None:
+        return known
+    if base.exponents != quantity.exponents and known is not None:
+        raise UnitError(f"is in {name}, which the FMU defines as something else than {quantity.name}")
+    if base.exponents != quantity.exponents:
+        raise UnitError(f"is in {name}; it must be {quantity.name}, such as {quantity.si}")
+    # a thousandth: what is left out of a conversion factor is less, a wrong unit is more
+    if known and not (
+        isclose(base.factor, known[0], rel_tol=1e-3) and isclose(base.offset, known[1], rel_tol=1e-3, abs_tol=0.1)
+    ):
+        raise UnitError(
+            f"is in {name}, which the FMU defines as {_size(base.factor, base.offset, quantity.si)} and which is "
+            f"{_size(*known, quantity.si)}"
+        )
+    return base.factor, base.offset
+
+
+def _size(factor: float, offset: float, si: str) -> str:
+    return f"{factor:g} {si}" + (f" above {offset:g} {si}" if offset else "")

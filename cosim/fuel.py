@@ -1,0 +1,39 @@
+"""The tank."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class Tank:
+    """Fuel on board: what the engines say they burn is taken out until nothing is left.
+
+    The flow at a step's end holds for all of the step, like the thrust.  An engine that says nothing burns nothing, and
+    none fills the tank.
+    """
+
+    def __init__(self, mass: float, step: float) -> None:
+        self._mass = mass
+        self._step = step
+        self.reset()
+
+    def reset(self) -> None:
+        """Full."""
+        self.burnt = 0.0  # kg
+
+    @property
+    def left(self) -> float:
+        """Fuel still on board, kg."""
+        return self._mass - self.burnt
+
+    @property
+    def empty(self) -> bool:
+        return self.burnt >= self._mass
+
+    def burn(self, flows: Sequence[float]) -> bool:
+        """Burn ``flows`` [kg/s], one per engine, for one step; whether anything was burnt."""
+        used = sum([flow for flow in flows if flow > 0.0]) * self._step  # NaN is not above 0
+        if not used or self.empty:
+            return False
+        self.burnt = min(self.burnt + used, self._mass)
+        return True

@@ -1,0 +1,96 @@
+"""Keeping a flight in step with the clock on the wall."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+# Chosen by us.  A stall shorter than this is caught up with by stepping without pause, so that flight time stays with
+# the clock; after a longer one the schedule moves instead: a ground station would see the vehicle race, and sticks and
+# set-points, which are a fifth of a second old then, would act at the wrong time.
+CATCH_UP = 0.1  # s of wall time
+_WINDOW = 1.0  # s of wall time over which the factor that is reached is measured
+
+
+class PaceReport(NamedTuple):
+    """How well the flight keeps in step."""
+
+    factor: float | None = None  # asked for, of real time; None: as fast as it goes
+    steps: int = 0
+    missed: int = 0  # steps that were not done when the next one was due
+    worst: float = 0.0  # s, how late the latest of them was
+    stalls: int = 0  # times that the schedule was moved
+    lost: float = 0.0  # s of wall time by which it was moved, in all
+    reached: float | None = None  # factor of the last second of wall time; None before that
+    load: float | None = None  # share of that second that was not slept
+
+
+class Pace:
+    """Absolute pacing: step ``k`` begins no sooner than ``k dt / factor`` after the start.
+
+    ``step``: dt [s].  ``factor``: of real time; None lets every step begin at once and only measures.  A deadline is
+    missed when a step is not done at the time at which the next one is due.  ``clock`` [s] and ``sleep`` are for tests.
+    """
+
+    def __init__(
+        self,
+        step: float,
+        factor: float | None,
+        clock: Callable[[], float] = time.perf_counter,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._factor = factor
+        self._dt = step
+        self._step = step / factor if factor else 0.0
+        self._clock, self._sleep = clock, sleep
+        self.start(0)
+
+    def start(self, k: int) -> None:
+        """Begin anew: step ``k`` is due now."""
+        self._origin = self._clock()
+        self._first = k
+        self._k = k
+        self._missed = self._stalls = 0
+        self._worst = self._lost = 0.0
+        self._marked = (self._origin, k)
+        self._slept = 0.0
+        self._reached: float | None = None
+        self._load: float | None = None
+
+    def wait(self, k: int) -> None:
+        """``k`` steps are done: sleep until the next one is due."""
+        self._k = k
+        now = self._clock()
+        began, before = self._marked
+        if now - began >= _WINDOW:
+            self._reached = (k - before) * self._dt / (now - began)
+            self._load = 1.0 - min(1.0, self._slept / (now - began))
+            self._marked, self._slept = (now, k), 0.0
+        if not self._step:
+            return
+        left = self._origin + (k - self._first) * self._step - now
+        if left > 0.0:
+            self._sleep(left)
+            self._slept += left
+            return
+        if left < 0.0:
+            self._missed += 1
+            self._worst = max(self._worst, -left)
+            if left < -CATCH_UP:
+                self._origin -= left
+                self._stalls += 1
+                self._lost -= left
+
+    @property
+    def missed(self) -> int:
+        """Deadlines missed since the start."""
+        return self._missed
+
+    @property
+    def report(self) -> PaceReport:
+        """How it went so far."""
+        steps = self._k - self._first
+        return PaceReport(
+            self._factor, steps, self._missed, self._worst, self._stalls, self._lost, self._reached, self._load
+        )

@@ -1,0 +1,390 @@
+"""Which single faults a vehicle survives, with which controller, and what decides it.
+
+Every fault is flown at every place where it can happen, from hover and from a commanded roll, with every controller
+that the vehicle has a model for.  A flight is judged by where it ends: *held* (level to a few degrees), *airborne*
+(neither crashed nor diverged, and no more than that) or *lost*.
+"""
+
+from __future__ import annotations
+
+import csv
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass, fields
+from math import degrees, nan
+from multiprocessing import active_children, get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+from cosim.control.altitude import GRAVITY
+from cosim.control.replan import Attainable, attainable_sets
+from cosim.errors import FlightError, InputError
+from cosim.metrics import wrap
+from cosim.scenario import Scenario
+from cosim.signals import AXES
+from cosim.vehicle import Vehicle, load_vehicle
+
+if TYPE_CHECKING:
+    from cosim.recorder import Log
+
+T = TypeVar("T")
+R = TypeVar("R")
+Verdict = Literal["held", "airborne", "lost"]
+Say = Callable[[str, int, int], None]
+
+CONTROLLERS = ("baseline", "smith", "filtered-smith", "state-disturbance")
+STARTS = ("hover", "roll")
+ROLL_DEG = 10.0
+HEIGHT_M = 30.0
+SETTLED_S = {"hover": 1.0, "roll": 3.0}  # before the fault: in the roll, a step at 0.5 s has settled by then
+AFTER_S = 6.0  # flown with the fault
+LOSS, CONFIRMATION = "thrust loss, share", "confirmation of a flame-out, s"
+SCANS: dict[str, list[float]] = {
+    LOSS: [k / 10 for k in range(1, 11)],
+    CONFIRMATION: [0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.16, 0.2, 0.3],
+}
+LEVEL_DEG = 5.0  # chosen by us: within this of what is asked, on every axis over the last second, the vehicle is held
+
+
+@dataclass(frozen=True)
+class Case:
+    """One fault at one place, as a scenario states it without its start; None is a flight without a fault."""
+
+    kind: str
+    place: str
+    fault: dict[str, Any] | None
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of one flight."""
+
+    kind: str
+    place: str
+    start: str
+    controller: str
+    verdict: Verdict
+    lean_deg: float  # largest, from upright, from the fault on
+    lost_m: float  # of height, from the fault on
+    detected_s: float | None  # from the fault to the monitor's first verdict
+    reason: str
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What one lost engine does before anything can be done about it, about roll."""
+
+    thrust: float  # N, of one jet in hover
+    moment: float  # N m
+    acceleration: float  # rad/s^2
+    late: float  # s, until the counter-moment acts: confirmation and the engines' delay
+    rate: float  # rad/s, by then, had the engine gone out at once
+    angle: float  # rad, by then
+
+
+@dataclass(frozen=True)
+class Limit:
+    """How far a quantity may grow, on a grid, before the vehicle is lost."""
+
+    quantity: str
+    start: str
+    controller: str
+    held: list[float]  # held level there
+    airborne: list[float]  # not lost there, and no more
+    lost_at: float | None  # the first point where it is lost; None: nowhere on the grid
+
+
+@dataclass(frozen=True)
+class Survival:
+    """The whole table, and what explains it."""
+
+    aircraft: str
+    engine: str
+    rows: list[Row]
+    attainable: list[Attainable]
+    moments: Moments | None  # of a vehicle whose engines have a known delay
+    limits: list[Limit]  # empty if they were not asked for
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "aircraft": self.aircraft,
+            "engine": self.engine,
+            "rows": [asdict(row) for row in self.rows],
+            "attainable": [each._asdict() for each in self.attainable],
+            "moments": None if self.moments is None else asdict(self.moments),
+            "limits": [asdict(limit) for limit in self.limits],
+        }
+
+
+def cases(vehicle: Vehicle) -> list[Case]:
+    """Every single fault at every place, its size chosen by us: large enough to matter, not hopeless."""
+    found = [Case("none", "", None)]
+    per_jet: list[tuple[str, dict[str, Any]]] = [
+        ("flame-out", {"kind": "flame_out"}),
+        ("stuck where it is", {"kind": "stuck_throttle"}),
+        ("stuck at 70 %", {"kind": "stuck_throttle", "throttle": 0.7}),
+        ("thrust loss 50 %", {"kind": "thrust_loss", "share": 0.5}),
+        ("slow spool, +0.3 s", {"kind": "slow_spool", "lag_s": 0.3}),
+        ("delay, +0.1 s", {"kind": "delay_growth", "delay_s": 0.1}),
+    ]
+    for title, fault in per_jet:
+        found += [Case(title, f"jet {jet}", fault | {"jet": jet}) for jet in range(1, len(vehicle.jets) + 1)]
+    if vehicle.servo is not None:
+        for title, angle in (("servo jam where it is", {}), ("servo jam at 5 deg", {"angle_deg": 5.0})):
+            found += [Case(title, side, {"kind": "servo_jam", "servo": side} | angle) for side in ("left", "right")]
+    biases: list[tuple[str, str, dict[str, Any]]] = [
+        ("gyro bias 3 deg/s", "gyro", {"bias": [0.0524, 0.0, 0.0]}),
+        ("attitude bias 3 deg", "attitude", {"bias": [0.0524, 0.0, 0.0]}),
+        ("barometer bias 1 m", "barometer", {"bias": [1.0]}),
+        ("gnss bias 0.5 m/s down", "gnss", {"velocity_bias": [0.0, 0.0, 0.5]}),
+    ]
+    found += [Case(title, sensor, {"kind": "sensor_bias", "sensor": sensor} | bias) for title, sensor, bias in biases]
+    sensors = [sensor for _, sensor, _ in biases]
+    return found + [Case("dropout", sensor, {"kind": "sensor_dropout", "sensor": sensor}) for sensor in sensors]
+
+
+def controllers_for(aircraft: str, engine: str, step: float) -> list[str]:
+    """Of the four compared, those that the vehicle has an identified model for with this engine."""
+    from cosim.engine import load_engine
+
+    vehicle, _ = load_vehicle(aircraft)
+    family = load_engine(engine, {}, step).family
+    return [name for name in CONTROLLERS if name == "baseline" or vehicle.identified.get(family)]
+
+
+def survival(
+    aircraft: str,
+    engine: str | None = None,
+    controllers: Sequence[str] = (),
+    kinds: Sequence[str] = (),
+    workers: int = 2,
+    say: Say = lambda what, done, of: None,
+    limits: bool = False,
+) -> Survival:
+    """Fly every case; ``kinds`` are the beginnings of those to be flown, all if there are none.
+
+    ``limits`` asks for more: how large a loss of thrust, and how long a confirmation of a flame-out, may be.
+    ``engine`` None is the one that the aircraft is made for; ``say`` is told what was flown, how many are, of how many.
+    Raises InputError for an unknown kind, aircraft, engine or controller.
+    """
+    from cosim.simulation import build
+
+    vehicle, _ = load_vehicle(aircraft)
+    engine = engine or vehicle.engine or Scenario.model_fields["engine"].default
+    step = _step(aircraft)
+    chosen = [case for case in cases(vehicle) if not kinds or case.kind.startswith(tuple(kinds))]
+    if not chosen:
+        names = ", ".join(dict.fromkeys(case.kind for case in cases(vehicle)))
+        raise InputError(f"no fault begins with {' or '.join(map(repr, kinds))}; there are: {names}")
+    controllers = controllers or controllers_for(aircraft, engine, step)
+    flights = [
+        (case, start, controller, scenario_of(case, start, controller, aircraft, engine, step))
+        for case in chosen
+        for start in STARTS
+        for controller in controllers
+    ]
+    with build(flights[0][3]) as simulation:
+        # wrong input is found here, before anything is spent on it
+        hover, idle = simulation.allocator.hover, simulation.thrust_map.idle
+        moments = _moments(vehicle, simulation.stations[0].delay)
+    rows: list[Row] = []
+    for row in _in_processes(_fly, flights, workers):
+        rows.append(row)
+        say(f"{row.kind}, {row.place}", len(rows), len(flights))
+    scans = [(name, start, each, aircraft, engine, step) for name in SCANS for start in STARTS for each in controllers]
+    found: list[Limit] = []
+    for limit in _in_processes(_scan, scans, workers) if limits else ():
+        found.append(limit)
+        say(limit.quantity, len(found), len(scans))
+    sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
+    return Survival(aircraft, engine, rows, sets, moments, found)
+
+
+def _step(aircraft: str) -> float:
+    """The control step that the aircraft's models are stated at, s."""
+    vehicle, _ = load_vehicle(aircraft)
+    steps = {model.sample_time_s for axes in vehicle.identified.values() for model in axes.values()}
+    return min(steps, default=0.004)
+
+
+def scenario_of(case: Case, start: str, controller: str, aircraft: str, engine: str, step: float) -> Scenario:
+    """The flight of one cell of the table."""
+    begin = SETTLED_S[start]
+    fault = [] if case.fault is None else [case.fault | {"start_s": begin}]
+    roll = {"kind": "step", "signal": "roll_deg", "start_s": 0.5, "amplitude": ROLL_DEG}
+    return Scenario.from_table(
+        {
+            "name": "survival",
+            "aircraft": aircraft,
+            "engine": engine,
+            "controller": controller,
+            "step_s": step,
+            "duration_s": begin + AFTER_S,
+            "initial": {"altitude_m": HEIGHT_M},
+            "command": [roll] if start == "roll" else [],
+            "fault": fault,
+        },
+        Path(),
+        "survival",
+    )
+
+
+def _in_processes(act: Callable[[T], R], tasks: Sequence[T], workers: int) -> Iterator[R]:
+    if workers == 1:
+        yield from map(act, tasks)
+        return
+    before = set(active_children())
+    # started afresh, not forked: the progress display has a thread
+    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_end_quietly) as pool:
+        try:
+            yield from pool.map(act, tasks, chunksize=2)
+        except BrokenProcessPool as error:
+            raise FlightError("a process was killed from outside; call again") from error
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in set(active_children()) - before:
+                child.terminate()
+            raise
+
+
+def _end_quietly() -> None:
+    """In a worker: Ctrl-C is answered by the process that waits."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _fly(flight: tuple[Case, str, str, Scenario]) -> Row:
+    from cosim.flight import fly
+
+    case, start, controller, scenario = flight
+    run = fly(scenario)
+    begin = scenario.count(SETTLED_S[start], "start_s")
+    lean, lost, detected = judge(run.log, begin)
+    return Row(
+        case.kind,
+        case.place,
+        start,
+        controller,
+        _verdict(run.outcome, run.log, scenario.step_s),
+        lean,
+        lost,
+        None if detected is None or case.fault is None else (detected - begin + 1) * scenario.step_s,
+        run.reason,
+    )
+
+
+def _scan(task: tuple[str, str, str, str, str, float]) -> Limit:
+    """Fly along a grid until the vehicle is lost; the fault is jet 1's."""
+    from cosim.flight import fly
+
+    quantity, start, controller, aircraft, engine, step = task
+    reached: dict[Verdict, list[float]] = {"held": [], "airborne": []}
+    for value in SCANS[quantity]:
+        kind = {"kind": "thrust_loss", "share": value} if quantity == LOSS else {"kind": "flame_out"}
+        flown = scenario_of(Case("", "", kind | {"jet": 1}), start, controller, aircraft, engine, step)
+        if quantity != LOSS:
+            flown = flown.replace(vehicle={"control": {"monitor": {"confirm_s": value}}})
+        run = fly(flown)
+        verdict = _verdict(run.outcome, run.log, step)
+        if verdict == "lost":
+            return Limit(quantity, start, controller, reached["held"], reached["airborne"], value)
+        reached[verdict].append(value)
+    return Limit(quantity, start, controller, reached["held"], reached["airborne"], None)
+
+
+def judge(log: Log, begin: int) -> tuple[float, float, int | None]:
+    """Largest lean [deg] and height lost [m] from row ``begin`` on, and the row of the monitor's first verdict."""
+    import numpy as np
+
+    roll, pitch, height = (log[name][begin:] for name in ("roll_rad", "pitch_rad", "altitude_m"))
+    if not roll.size:
+        return nan, nan, None
+    upright = np.cos(roll) * np.cos(pitch)
+    health = np.min([log[f"health_{jet}"] for jet in range(1, 5)] + [_known(log[f"health_{jet}"]) for jet in (5, 6)], 0)
+    ill = np.flatnonzero(health < 1.0)
+    lean = degrees(float(np.arccos(np.clip(upright.min(), -1.0, 1.0))))
+    return lean, max(0.0, float(height[0] - height.min())), int(ill[0]) if ill.size else None
+
+
+def _known(values: Any) -> Any:
+    """A column with 1 where a vehicle has no such jet."""
+    import numpy as np
+
+    return np.where(np.isnan(values), 1.0, values)
+
+
+def _verdict(outcome: str, log: Log, step: float) -> Verdict:
+    import numpy as np
+
+    if outcome != "completed":
+        return "lost"
+    rows = round(1.0 / step)
+    worst = max(
+        float(np.max(np.abs(wrap(log[f"{axis}_setpoint_rad"][-rows:] - log[f"{axis}_rad"][-rows:])))) for axis in AXES
+    )
+    return "held" if degrees(worst) <= LEVEL_DEG else "airborne"
+
+
+def _moments(vehicle: Vehicle, delay: float | None) -> Moments | None:
+    settings = vehicle.control.monitor
+    if delay is None or settings is None:
+        return None
+    thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
+    moment = thrust * max(abs(jet.position_m[1]) for jet in vehicle.jets)
+    acceleration = moment / vehicle.inertia_kg_m2[0]
+    late = settings.confirm_s + delay
+    return Moments(thrust, moment, acceleration, late, acceleration * late, 0.5 * acceleration * late**2)
+
+
+def write(found: Survival, folder: Path) -> dict[str, Path]:
+    """``survival.csv`` and ``survival.html`` in ``folder``.  Raises InputError if they cannot be written."""
+    from cosim.report import survival_report
+
+    paths = {"table": folder / "survival.csv", "report": folder / "survival.html"}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with open(paths["table"], "w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file)
+            names = [field.name for field in fields(Row)]
+            table.writerow(names)
+            table.writerows([getattr(row, name) for name in names] for row in found.rows)
+        survival_report(found, paths["report"])
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror or error}") from error
+    return paths
+
+
+@dataclass(frozen=True)
+class Cell:
+    """All places of one kind of fault from one start with one controller."""
+
+    held: int
+    airborne: int
+    flown: int
+    lean_deg: float  # the largest
+    lost_m: float
+    detected_s: tuple[float, float] | None  # first and last
+
+
+def summary(found: Survival) -> tuple[list[str], list[tuple[str, str, list[Cell]]]]:
+    """The controllers, and for each kind and start what became of all its places with each of them."""
+    controllers = list(dict.fromkeys(row.controller for row in found.rows))
+    table = []
+    for kind, start in dict.fromkeys((row.kind, row.start) for row in found.rows):
+        rows = [row for row in found.rows if (row.kind, row.start) == (kind, start)]
+        table.append((kind, start, [_cell([row for row in rows if row.controller == name]) for name in controllers]))
+    return controllers, table
+
+
+def _cell(rows: Sequence[Row]) -> Cell:
+    times = [row.detected_s for row in rows if row.detected_s is not None]
+    return Cell(
+        held=sum(row.verdict == "held" for row in rows),
+        airborne=sum(row.verdict == "airborne" for row in rows),
+        flown=len(rows),
+        lean_deg=max(row.lean_deg for row in rows),
+        lost_m=max(row.lost_m for row in rows),
+        detected_s=(min(times), max(times)) if times else None,
+    )

@@ -1,0 +1,217 @@
+"""Allocation around engines that are lost, weak or stuck, checked by r x F on the geometry of the aircraft."""
+
+from __future__ import annotations
+
+from math import cos, sin
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cosim.control.allocation import RotorAllocator, TiltAllocator
+from cosim.control.replan import attainable, attainable_sets, plan
+from cosim.signals import Actuation, JetHealth
+from cosim.vehicle import load_vehicle
+
+HEXJET = load_vehicle("hexjet")[0]
+QUADROTOR = load_vehicle("quadrotor")[0]
+JETS, LIMITS = HEXJET.jets, HEXJET.control.allocation
+HOVER = 0.4515
+LOST, WELL = JetHealth(gain=0.0), JetHealth()
+assert HEXJET.servo is not None
+RANGE = HEXJET.servo.range_rad
+
+
+def allocator(hover: float = HOVER, idle: float = 0.0) -> TiltAllocator:
+    return TiltAllocator(JETS, LIMITS, RANGE, hover, idle)
+
+
+def without(*lost: int) -> list[JetHealth]:
+    return [LOST if jet in lost else WELL for jet in range(1, 7)]
+
+
+def wrench(shares: list[float], tilt: tuple[float, float]) -> np.ndarray:
+    """Force and moment, body, in shares: the sum of every jet's thrust and of r x F."""
+    total = np.zeros(6)
+    for jet, thrust in zip(JETS, shares, strict=True):
+        angle = tilt[0] if jet.servo == "left" else tilt[1]
+        force = thrust * np.array([sin(angle), 0.0, -cos(angle)])
+        total += np.concatenate([force, np.cross(jet.position_m, force)])
+    return total
+
+
+def delivered(given: Actuation, health: list[JetHealth], idle: float) -> list[float]:
+    return [each.gain * (idle + u) + each.fixed for each, u in zip(health, given.throttle, strict=True)]
+
+
+def one_ill(draw: st.DrawFn) -> list[JetHealth]:
+    health = [WELL] * 6
+    ill = draw(
+        st.one_of(
+            st.just(LOST),
+            st.builds(lambda gain: JetHealth(gain=gain), st.floats(0.2, 0.99)),
+            st.builds(lambda fixed: JetHealth(0.0, fixed, fixed), st.floats(0.05, 0.9)),
+        )
+    )
+    health[draw(st.integers(0, 5))] = ill
+    return health
+
+
+ill_health = st.composite(one_ill)()
+commands = st.tuples(st.floats(0.0, 1.0), st.floats(-0.6, 0.6), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+
+
+@settings(max_examples=80, deadline=None)
+@given(ill_health, st.lists(commands, min_size=1, max_size=4), st.floats(0.35, 0.5), st.floats(0.0, 0.08))
+def test_what_is_achieved_is_what_healthy_jets_would_give(
+    health: list[JetHealth], asked: list[tuple[float, float, float, float]], hover: float, idle: float
+) -> None:
+    """Achieved, which is requested minus refused, and no throttle outside its limits."""
+    tool = allocator(hover, idle)
+    assert tool.replan(health)
+    for collective, roll, pitch, yaw in asked:
+        out = tool.allocate(collective, (roll, pitch, yaw))
+        for u, each in zip(out.throttle, health, strict=True):
+            assert LIMITS.throttle_min <= u <= LIMITS.throttle_max if each.gain > 0.0 else u == each.command
+        assert max(map(abs, out.tilt)) <= RANGE + 1e-12
+        c, r = collective - out.refused.collective, roll - out.refused.roll
+        ideal = [idle + c + (r if jet.servo == "left" else -r) for jet in JETS]
+        got, want = wrench(delivered(out, health, idle), out.tilt), wrench(ideal, out.tilt)
+        # with the banks tilted apart, one bank's pitch moment no longer cancels the other's to second order
+        apart = abs(cos(out.tilt[0]) - cos(out.tilt[1]))
+        assert got[[0, 1, 2, 3, 5]] == pytest.approx(want[[0, 1, 2, 3, 5]], abs=1e-9)
+        assert abs(got[4] - want[4]) <= 1e-9 + apart * 3 * 0.13
+
+
+@settings(max_examples=30, deadline=None)
+@given(ill_health, st.floats(0.4, 0.5), st.floats(-0.02, 0.02), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
+def test_small_commands_about_hover_are_refused_nothing(
+    health: list[JetHealth], collective: float, roll: float, pitch: float, yaw: float
+) -> None:
+    """Exactly nothing: the integrals stop on any refusal."""
+    tool = allocator(0.45)
+    assert tool.replan(health)
+    assert tool.allocate(collective, (roll, pitch, yaw)).refused == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_planning_for_healthy_engines_changes_nothing() -> None:
+    usual, planned = allocator(), allocator()
+    assert planned.replan([WELL] * 6)
+    for roll in (-0.1, 0.0, 0.05):
+        want, got = usual.allocate(0.5, (roll, 0.1, -0.05)), planned.allocate(0.5, (roll, 0.1, -0.05))
+        health = [WELL] * 6
+        assert wrench(delivered(got, health, 0.0), got.tilt) == pytest.approx(
+            wrench(delivered(want, health, 0.0), want.tilt), abs=1e-9
+        )
+        assert got.tilt == pytest.approx(want.tilt, abs=1e-12)
+
+
+def test_a_reset_forgets_the_plan() -> None:
+    tool = allocator()
+    before = tool.allocate(0.5, (0.05, 0.1, -0.05))
+    assert tool.replan(without(3))
+    assert tool.allocate(0.5, (0.05, 0.1, -0.05)) != before
+    tool.reset()
+    assert tool.allocate(0.5, (0.05, 0.1, -0.05)) == before
+
+
+def test_roll_is_kept_before_collective() -> None:
+    tool = allocator()
+    assert tool.replan(without(5))
+    # one bank of two jets: full thrust there and the least roll for it
+    out = tool.allocate(0.95, (0.2, 0.0, 0.0))
+    assert out.refused.roll == 0.0
+    assert out.refused.collective > 0.2
+
+
+def test_a_stuck_jet_is_balanced_by_the_others() -> None:
+    health = [WELL, WELL, JetHealth(0.0, 0.7, 0.7), WELL, WELL, WELL]
+    tool = allocator()
+    assert tool.replan(health)
+    out = tool.allocate(HOVER, (0.0, 0.0, 0.0))
+    assert out.throttle[2] == 0.7
+    assert wrench(delivered(out, health, 0.0), out.tilt) == pytest.approx([0, 0, -6 * HOVER, 0, 0, 0], abs=1e-9)
+
+
+def test_a_jet_that_runs_away_on_a_light_vehicle_leaves_room_for_less() -> None:
+    """0.875 of the 1.125 that its side gives in hover: the reserve for height is given up before the plan is."""
+    tool = allocator(hover=0.375)
+    assert tool.replan([JetHealth(0.0, 0.875, 0.875), *[WELL] * 5])
+    assert tool.allocate(0.375, (0.0, 0.0, 0.0)).refused == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_two_lost_on_one_side_keep_the_vehicle_level_and_cannot_hold_it() -> None:
+    """Jets 1 and 4: the middle one is all that is left on the right, so that twice its thrust is all there is."""
+    health = without(1, 4)
+    tool = allocator()
+    assert tool.replan(health)
+    out = tool.allocate(HOVER, (0.0, 0.0, 0.0))
+    assert out.refused.collective == pytest.approx(HOVER - 2.0 / 6.0, abs=1e-9)
+    assert wrench(delivered(out, health, 0.0), out.tilt)[3:] == pytest.approx([0, 0, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize("lost", [(1, 3), (2, 4), (1, 4, 5)])
+def test_what_has_no_balance_is_not_planned(lost: tuple[int, ...]) -> None:
+    tool = allocator()
+    before = tool.allocate(HOVER, (0.01, 0.0, 0.0))
+    assert not tool.replan(without(*lost))
+    assert tool.allocate(HOVER, (0.01, 0.0, 0.0)) == before
+
+
+def test_no_corner_of_the_plan_leaves_the_limits() -> None:
+    for lost in range(1, 7):
+        found = plan(JETS, LIMITS, HOVER, 0.0, without(lost))
+        assert found is not None
+        assert min(-found.roll_range[0], found.roll_range[1]) > 0.1
+        assert found.pitch == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("lost", "thrust"),
+    [
+        ((), 6.0),
+        # the two others on its side at full thrust, the other side the same
+        ((5,), 4.0),
+        # rear right is balanced by front left over rear left, which gives at least its least throttle
+        ((1,), 2 * (1.0 + 0.95)),
+        ((5, 6), 4.0),
+        ((1, 2), 4.0),
+        # front right and middle left gone: rear right has to be balanced by front left
+        ((1, 6), 3.0),
+        ((1, 4), 2.0),
+    ],
+)
+def test_attainable_thrust(lost: tuple[int, ...], thrust: float) -> None:
+    found = attainable(JETS, LIMITS, HOVER, 0.0, lost)
+    assert found.thrust == pytest.approx(thrust / (6 * HOVER), abs=1e-7)
+    assert (found.roll is None) == (thrust < 6 * HOVER)
+
+
+def test_the_roll_authority_is_that_of_the_best_of_many_commands() -> None:
+    """Random throttles that balance can reach it and not pass it."""
+    rng = np.random.default_rng(3)
+    left = [0, 1, 2, 3, 5]
+    rows = np.array([[1.0, jet.position_m[0]] for jet in JETS]).T[:, left]
+    best = attainable(JETS, LIMITS, HOVER, 0.0, (5,)).roll
+    assert best is not None
+    whole = 3 * 0.15 * (6 * HOVER / 6 - LIMITS.throttle_min) * 2
+    base, null = np.array([0.677, 0.4515, 0.4515, 0.677, 0.4515]), np.linalg.svd(rows)[2][2:].T
+    base = base + np.linalg.lstsq(rows, np.array([6 * HOVER, 0.0]) - rows @ base, rcond=None)[0]
+    tries = base + rng.uniform(-1.5, 1.5, (200_000, null.shape[1])) @ null.T
+    fits = tries[((tries >= LIMITS.throttle_min) & (tries <= LIMITS.throttle_max)).all(axis=1)]
+    rolls = -fits @ np.array([JETS[i].position_m[1] for i in left])
+    reached = min(rolls.max(), -rolls.min()) / whole
+    assert 0.85 * best < reached <= best + 1e-9
+
+
+def test_a_quadrotor_without_a_rotor_has_no_level_hover() -> None:
+    sets = {
+        (each.lost, each.yaw): each for each in attainable_sets(QUADROTOR.jets, QUADROTOR.control.allocation, 0.5, 0.0)
+    }
+    assert all(sets[(jet,), yaw].thrust < 0.2 for jet in range(1, 5) for yaw in (True, False))
+    # without the opposite one too it carries itself, and spins
+    assert sets[(1, 2), False].thrust == pytest.approx(1.0, abs=1e-7)
+    assert sets[(1, 2), True].thrust < 0.2
+    tool = RotorAllocator(QUADROTOR.jets, QUADROTOR.control.allocation, 0.5)
+    assert not tool.replan([LOST, WELL, WELL, WELL])

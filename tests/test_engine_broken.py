@@ -1,0 +1,342 @@
+"""Broken FMUs: each gets one clear line, and none ends or hangs the process that asks."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from broken_fmus import BROKEN, DESCRIPTION, UNFIT, UNUSABLE, XML, Broken, Kit, packed
+
+from cosim.cli import load_scenario, main
+from cosim.engine import EngineBank, build_engines, check, check_fmu, container, load_engine
+from cosim.engine.ports import STANDARD_AIR, Air
+from cosim.engine.probe import Limits
+from cosim.errors import InputError
+from cosim.paths import data_folder
+from cosim.simulation import build
+
+STEP = 0.004
+# a child needs half a second to start, and longer on a busy machine
+LIMITS = Limits(seconds=60.0, silence=3.0, megabytes=300.0)
+
+every_broken = pytest.mark.parametrize("broken", BROKEN, ids=[each.name for each in BROKEN])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def temporary(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder for temporary files that is empty in the end, however the FMUs ended."""
+    folder = tmp_path_factory.mktemp("temporary")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tempfile, "tempdir", str(folder))
+        patch.setenv("TMPDIR", str(folder))  # of the children
+        yield folder
+    assert list(folder.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def kit(tmp_path_factory: pytest.TempPathFactory) -> Kit:
+    return Kit(tmp_path_factory.mktemp("libraries"))
+
+
+@pytest.fixture(scope="module")
+def archives(kit: Kit, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("broken")
+    paths = {each.name: folder / f"{each.name}.fmu" for each in BROKEN}
+    for each in BROKEN:
+        paths[each.name].write_bytes(each.make(kit))
+    return paths
+
+
+Checked = Callable[[str], tuple[Any, Any]]
+
+
+@pytest.fixture(scope="module")
+def checked(request: pytest.FixtureRequest, archives: dict[str, Path]) -> Iterator[Checked]:
+    """The check of each path that is asked for, made once, four at a time: most of the time is spent waiting."""
+    found: dict[str, Future[tuple[Any, Any]]] = {}
+    parameters = [getattr(item, "callspec", None) for item in request.session.items]
+    wanted = {each.params["broken"].name for each in parameters if each and "broken" in each.params}
+    with ThreadPoolExecutor(4) as pool:
+        for path in [archives[each.name] for each in BROKEN if each.name in wanted]:
+            found[str(path)] = pool.submit(check._check, str(path), STEP, {}, LIMITS)
+        yield lambda path: found[path].result()
+        pool.shutdown(cancel_futures=True)
+
+
+@pytest.fixture(autouse=True)
+def _unharmed() -> Iterator[None]:
+    """Whatever an FMU does, this process is where and what it was."""
+    here, third = Path.cwd(), [1.0, 3.0]
+    yield
+    assert Path.cwd() == here
+    assert third[0] / third[1] == 1.0 / 3.0
+
+
+def lines_of(checked: Checked, path: Path) -> tuple[int, list[str]]:
+    try:
+        report, _ = checked(str(path))
+    except InputError as error:
+        return UNUSABLE, [str(error)]
+    return (0 if report.ok else UNFIT), report.problems
+
+
+def test_there_are_fifty_of_them() -> None:
+    names = {each.name for each in BROKEN}
+    assert len(names) == len(BROKEN) >= 50
+
+
+@every_broken
+def test_the_check_says_what_is_wrong(broken: Broken, archives: Mapping[str, Path], checked: Checked) -> None:
+    status, lines = lines_of(checked, archives[broken.name])
+    assert status == broken.status, lines
+    assert any(re.search(broken.words, line) for line in lines), lines
+    assert all(line.isprintable() for line in lines), lines
+
+
+@every_broken
+def test_a_flight_refuses_it(
+    broken: Broken, archives: Mapping[str, Path], checked: Checked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In one line, before anything of it was loaded here; the verdict is that of the check above, not made again."""
+    path = archives[broken.name]
+    monkeypatch.setattr(check, "_check", lambda name, *_: checked(name))
+    scenario = load_scenario("hover", None, (str(path),), None, ())
+    with pytest.raises(InputError) as refused:
+        build(scenario)
+    text = str(refused.value)
+    assert text.isprintable()
+    assert str(path) in text
+    _, lines = lines_of(checked, path)
+    assert lines[0].removeprefix(f"{path}: ") in text
+    assert str(path) not in Path("/proc/self/maps").read_text()
+
+
+@pytest.mark.parametrize("name", ["crash-later", "hang-init", "xml-bomb", "text-library"])
+def test_the_command_line_says_it_in_one_line(
+    name: str,
+    archives: Mapping[str, Path],
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    broken = next(each for each in BROKEN if each.name == name)
+    monkeypatch.setattr(check, "LIMITS", LIMITS)
+    with pytest.raises(SystemExit) as left:
+        main(["fly", "hover", "--engine", str(archives[name]), "--out", str(tmp_path / "flight")])
+    out, err = capfd.readouterr()
+    assert (left.value.code, out, err.count("\n")) == (2, "", 1)
+    assert re.search(broken.words, err)
+    assert not (tmp_path / "flight").exists()
+    with pytest.raises(SystemExit) as left:
+        main(["fmu", "check", str(archives[name]), "--json", "--time-limit", "3", "--out", str(tmp_path / "check")])
+    out, err = capfd.readouterr()
+    assert left.value.code == broken.status
+    said = err if broken.status == UNUSABLE else "\n".join(json.loads(out)["problems"])
+    assert (
+        re.search(broken.words.replace("no answer within", "(no answer within|was not done)"), said)
+        or "too long" in said
+    )
+    assert (tmp_path / "check" / "report.html").exists() == (broken.status == UNFIT)
+
+
+# ---- a sound one, and what is remembered of it
+
+
+@pytest.fixture
+def sound(kit: Kit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The same library without a fault; nothing is remembered of it."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    path = tmp_path / "sound.fmu"
+    path.write_bytes(packed(kit.contents()))
+    return path
+
+
+def test_without_a_fault_it_is_fit(sound: Path) -> None:
+    """So that what is said of the others is said of the fault."""
+    report = check_fmu(str(sound))
+    assert report.problems == []
+    assert report.thrust == pytest.approx([20.0 * k / 20 for k in range(21)], abs=1e-8)
+    assert report.delay_samples_up == report.delay_samples_down == 0
+
+
+def test_it_is_tried_once(sound: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    tried = []
+    run_apart = check.run_apart
+    monkeypatch.setattr(check, "run_apart", lambda *task: tried.append(1) or run_apart(*task))
+    first = load_engine(str(sound), {}, STEP)
+    count = len(tried)
+    assert count > 0
+    assert load_engine(str(sound), {}, STEP) == first
+    assert len(tried) == count
+    plain = load_engine(str(sound), {}, STEP, unchecked=True)  # measured here and now: the same, bit for bit
+    assert (plain.curve, plain.start, plain.window) == (first.curve, first.start, first.window)
+    assert len(tried) == count
+    load_engine(str(sound), {}, 2 * STEP)  # another question
+    assert len(tried) > count
+
+
+def test_in_another_air_it_is_only_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A height costs a measurement and not another trial; it is remembered by its air, and is that of the library."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    asked = []
+    run_apart = check.run_apart
+    monkeypatch.setattr(check, "run_apart", lambda task, limits: asked.append(task["parts"]) or run_apart(task, limits))
+    build_engines(["turbine-20"])
+    path = tmp_path / "foreign.fmu"
+    path.write_bytes((data_folder("fmus") / "turbine-20.fmu").read_bytes())
+    thin = Air(79495.2, 275.15, 0.0)
+    high = load_engine(str(path), {}, STEP, air=thin)
+    assert asked == [list(check.PARTS), ["run"], ["measure"]]  # the run once more in another process
+    low = load_engine(str(path), {}, STEP)
+    assert load_engine(str(path), {}, STEP, air=thin) == high
+    assert len(asked) == 3
+    assert high.curve == load_engine("turbine-20", {}, STEP, air=thin).curve
+    assert low.curve == load_engine("turbine-20", {}, STEP).curve
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"throttle": [0], "thrust": [1]}', "null", '{"throttle": 1}'])
+def test_a_broken_memory_is_no_memory(text: str, sound: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = check.find_source(str(sound))
+    place = check._memory(source, {}, STEP, STANDARD_AIR)
+    place.parent.mkdir(parents=True)
+    place.write_text(text)
+    assert check._recall(place) is None
+
+
+def test_a_memory_that_cannot_be_kept_is_done_without(sound: Path, tmp_path: Path) -> None:
+    (tmp_path / "cache").write_text("not a folder")
+    assert load_engine(str(sound), {}, STEP).thrust_at(1.0) == pytest.approx(20.0)
+
+
+def test_only_what_is_fit_is_remembered(kit: Kit, sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sound.write_bytes(packed(kit.contents("bad-reset")))
+    monkeypatch.setattr(check, "LIMITS", LIMITS)
+    for _ in range(2):
+        with pytest.raises(InputError, match=r"is not fit to fly: a run after a reset differs.*--unchecked-engine"):
+            load_engine(str(sound), {}, STEP)
+
+
+def test_what_is_unfit_flies_unchecked(kit: Kit, sound: Path, tmp_path: Path) -> None:
+    sound.write_bytes(packed(kit.contents("bad-reset")))
+    with pytest.raises(SystemExit) as left:
+        main(["fly", "hover", "--engine", str(sound), "--set", "duration_s=1", "--controller", "baseline",
+              "--unchecked-engine", "--out", str(tmp_path / "flight"), "--json"])  # fmt: skip
+    assert left.value.code == 0
+    assert "engine_unchecked = true" in (tmp_path / "flight" / "scenario.toml").read_text()
+
+
+def test_no_unit_is_newtons_with_a_note(kit: Kit, sound: Path) -> None:
+    contents = kit.contents()
+    sound.write_bytes(packed(contents | {XML: contents[XML].replace(b' unit="N"', b"")}))
+    report = check_fmu(str(sound))
+    assert (report.problems, report.notes) == ([], ["thrust states no unit; it is taken to be in N"])
+
+
+def test_an_engine_may_tremble_at_rest(kit: Kit, sound: Path) -> None:
+    """As a solver with a tolerance leaves it; its delay, longer than the usual window, is found behind the trembling."""
+    sound.write_bytes(packed(kit.contents("trembling")))
+    report = check_fmu(str(sound))
+    assert report.problems == []
+    assert report.notes == ["its thrust trembles at rest; it is taken to stand still to 1e-06 of itself"]
+    assert report.delay_samples_up == report.delay_samples_down == 100
+    assert report.thrust == pytest.approx([float(k) for k in range(21)], abs=1e-4)
+    spec = load_engine(str(sound), {}, STEP)
+    assert (spec.quiet, spec.window) == (1e-6, 250)
+    with EngineBank(spec, 2, STEP) as bank:
+        assert bank.reset(0.5).thrust == pytest.approx((10.0,) * 2, abs=1e-4)
+
+
+# ---- limits
+
+
+def test_a_slow_one_is_not_waited_for(kit: Kit, sound: Path) -> None:
+    """2 ms a step: it does answer, but would take minutes."""
+    sound.write_bytes(packed(kit.contents("slow")))
+    begin = time.monotonic()
+    report = check_fmu(str(sound), limits=Limits(seconds=4.0, silence=3.0))
+    assert time.monotonic() - begin < 6.0
+    (problem,) = report.problems
+    assert problem.startswith("takes too long: was not done within 4 s, and ended while it was stepped, ")
+
+
+def test_no_child_outlives_its_check(kit: Kit, sound: Path, temporary: Path) -> None:
+    sound.write_bytes(packed(kit.contents("spawn")))
+    assert check_fmu(str(sound), limits=LIMITS).problems == ["leaves processes behind"]
+    _wait_for(lambda: not [each for each in psutil.process_iter(["cwd", "status"]) if _is_of(each.info, temporary)])
+
+
+def _is_of(process: dict[str, Any], folder: Path) -> bool:
+    return process["status"] != "zombie" and str(folder) in (process["cwd"] or "")
+
+
+def test_a_killed_check_takes_its_child_along(kit: Kit, sound: Path, tmp_path: Path) -> None:
+    sound.write_bytes(packed(kit.contents("hang-step")))
+    script = f"from cosim.engine import check_fmu; check_fmu({str(sound)!r})"
+    parent = subprocess.Popen([sys.executable, "-c", script], env=os.environ | {"TMPDIR": str(tmp_path)})
+    try:
+        children = _wait_for(lambda: psutil.Process(parent.pid).children())
+        _wait_for(lambda: children[0].cpu_times().user > 0.7)  # beyond its start
+    finally:
+        parent.kill()
+        parent.wait()
+    assert _wait_for(lambda: not children[0].is_running() or children[0].status() == "zombie")
+
+
+def _wait_for(what: Callable[[], Any], seconds: float = 20.0) -> Any:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        found = what()
+        if found:
+            return found
+        time.sleep(0.02)
+    raise AssertionError("waited in vain")
+
+
+@pytest.mark.parametrize(
+    ("limit", "words"),
+    [
+        ("MOST_PACKED", "is .* large; an engine may have 100 bytes"),
+        ("MOST_UNPACKED", "would unpack to .*; an engine may have 100 bytes"),
+        ("MOST_FILES", "has 2 files inside; an engine may have 1"),
+        ("MOST_XML", f"{XML} is larger than 100 bytes"),
+        ("LONGEST_NAME", "has a name of more than 10 bytes inside"),
+        ("DEEPEST_XML", "nests elements more than 1 deep"),
+    ],
+)
+def test_limits_of_the_archive(limit: str, words: str, sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    value = {"MOST_FILES": 1, "LONGEST_NAME": 10, "DEEPEST_XML": 1}.get(limit, 100)
+    monkeypatch.setattr(container, limit, value)
+    with pytest.raises(InputError, match=words):
+        load_engine(str(sound), {}, STEP)
+
+
+@pytest.mark.parametrize("path", ["/dev/zero", "/dev/null"])
+def test_a_device_is_not_read(path: str, tmp_path: Path) -> None:
+    (tmp_path / "device.fmu").symlink_to(path)
+    with pytest.raises(InputError, match="is not an ordinary file"):
+        load_engine(str(tmp_path / "device.fmu"), {}, STEP)
+
+
+def test_latin_letters_are_read(kit: Kit, sound: Path) -> None:
+    """An older encoding, as some tools write it."""
+    contents = kit.contents()
+    text = DESCRIPTION[2].replace("{fault}", "").replace("UTF-8", "ISO-8859-1").replace('"broken" guid', '"é" guid')
+    sound.write_bytes(packed(contents | {XML: text.encode("latin-1")}))
+    assert check.find_source(str(sound)).archive.model == "é"
+
+
+def test_a_fit_one_flies(sound: Path) -> None:
+    with EngineBank(load_engine(str(sound), {}, STEP), 6, STEP) as bank:
+        bank.reset(0.5)
+        assert bank.step(0, (0.5,) * 6).thrust == pytest.approx((10.0,) * 6)

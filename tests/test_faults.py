@@ -1,0 +1,621 @@
+"""Faults act where they happen, exactly as stated; the monitor finds what an engine does not do, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import exp, log, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cosim import flight
+from cosim.control.monitor import EngineMonitor, EngineReference
+from cosim.engine import EngineBank, load_engine
+from cosim.errors import InputError
+from cosim.faults import NEVER, FaultyEngines, JammedServo
+from cosim.flight import fly
+from cosim.reference import engine_reference
+from cosim.run import Run
+from cosim.scenario import (
+    DelayGrowth,
+    FlameOut,
+    Scenario,
+    SensorBias,
+    SlowSpool,
+    StuckThrottle,
+    ThrustLoss,
+    scenario_names,
+)
+from cosim.servo import TiltServo
+from cosim.signals import EngineOutput, PerJet, Sample
+from cosim.simulation import Simulation, build
+from cosim.survival import Case, cases, judge, scenario_of, summary, survival, write
+from cosim.vehicle import MonitorSettings, load_vehicle
+
+STEP = 0.004
+HOVER = Scenario(name="short", duration_s=2.0, initial={"altitude_m": 30.0})
+FAULTY = [name for name in scenario_names() if name.startswith("fault-")]
+PLANNED_AROUND = ["fault-flame-out", "fault-relight", "fault-stuck-throttle", "fault-thrust-loss"]
+# of the full-scale ones, the wildest commands and the start from idle
+QUIET = [name for name in scenario_names() if name not in FAULTY and not name.startswith("full-scale-")]
+QUIET += ["full-scale-gust", "full-scale-climb-and-land"]
+HEALTH = [f"health_{jet}" for jet in range(1, 7)]
+
+
+class Bank:
+    """Engines that give 10 N per throttle at once and say so; ``ports`` lists those that can be shut off."""
+
+    wants_ambient = False
+
+    def __init__(self, ports: tuple[int, ...] = ()) -> None:
+        self.ports = ports
+        self.given: list[PerJet] = []
+        self.runs: list[tuple[int, bool]] = []
+
+    def reset(self, throttle: Any, ambient: Any = None) -> EngineOutput:
+        raise NotImplementedError
+
+    def step(self, k: int, throttle: PerJet, ambient: Any = None) -> EngineOutput:
+        self.given.append(throttle)
+        thrust = tuple(10.0 * u for u in throttle)
+        return EngineOutput(thrust, (100.0,) * 6, (900.0,) * 6, (1e-3,) * 6)
+
+    def set_run(self, index: int, on: bool) -> bool:
+        if index not in self.ports:
+            return False
+        self.runs.append((index, on))
+        return True
+
+    def close(self) -> None: ...
+
+
+def faulty(bank: Bank, lag: float = 0.05) -> FaultyEngines:
+    return FaultyEngines(bank, lambda jet: lag, frozenset, STEP)
+
+
+def ramp(engines: FaultyEngines, steps: int) -> list[EngineOutput]:
+    return [engines.step(k, (0.1 + 0.01 * k,) * 6) for k in range(steps)]
+
+
+# ---- engines
+
+
+def test_a_stuck_throttle_stays_at_its_first_command_or_where_told() -> None:
+    bank = Bank()
+    engines = faulty(bank)
+    engines.begin(StuckThrottle(kind="stuck_throttle", start_s=0.0, jet=[2]))
+    engines.begin(StuckThrottle(kind="stuck_throttle", start_s=0.0, jet=[5], throttle=0.8))
+    ramp(engines, 4)
+    assert [each[1] for each in bank.given] == [0.1] * 4
+    assert [each[4] for each in bank.given] == [0.8] * 4
+    assert [each[0] for each in bank.given] == pytest.approx([0.1, 0.11, 0.12, 0.13])
+
+
+def test_a_grown_delay_holds_the_first_command_until_late_ones_arrive() -> None:
+    bank = Bank()
+    engines = faulty(bank)
+    engines.begin(DelayGrowth(kind="delay_growth", start_s=0.0, jet=[1], delay_s=3 * STEP))
+    ramp(engines, 7)
+    assert [each[0] for each in bank.given] == pytest.approx([0.1, 0.1, 0.1, 0.1, 0.11, 0.12, 0.13])
+
+
+def test_a_slow_spool_is_a_first_order_lag() -> None:
+    bank = Bank()
+    engines = faulty(bank)
+    engines.begin(SlowSpool(kind="slow_spool", start_s=0.0, jet=[3], lag_s=0.02))
+    engines.step(0, (0.2,) * 6)
+    for k in range(1, 11):
+        engines.step(k, (0.7,) * 6)
+    assert bank.given[10][2] == pytest.approx(0.7 - 0.5 * exp(-10 * STEP / 0.02), abs=1e-12)
+
+
+def test_a_weak_engine_misses_a_share_of_its_thrust_and_the_root_of_it_in_speed() -> None:
+    engines = faulty(Bank())
+    loss = ThrustLoss(kind="thrust_loss", start_s=0.0, jet=[4], share=0.36)
+    engines.begin(loss)
+    output = engines.step(0, (0.5,) * 6)
+    assert output.thrust == pytest.approx((5.0, 5.0, 5.0, 3.2, 5.0, 5.0))
+    assert output.spool_speed[3] == pytest.approx(80.0)
+    engines.end(loss)
+    assert engines.step(1, (0.5,) * 6).thrust == (5.0,) * 6
+
+
+def test_a_flame_out_closes_the_throttle_and_dies_away_along_the_lag_and_comes_back() -> None:
+    bank = Bank()
+    engines = faulty(bank, lag=0.05)
+    out = FlameOut(kind="flame_out", start_s=0.0, jet=[1])
+    engines.begin(out)
+    for k in range(10):
+        output = engines.step(k, (0.5,) * 6)
+    assert bank.given[-1] == (0.0, 0.5, 0.5, 0.5, 0.5, 0.5)
+    assert output.thrust[0] == 0.0
+    assert output.fuel_flow[:2] == (0.0, 1e-3)
+    assert output.spool_speed[0] == pytest.approx(100.0 * sqrt(exp(-10 * STEP / 0.05)))
+    engines.end(out)
+    for k in range(10, 20):
+        output = engines.step(k, (0.5,) * 6)
+    left = 1.0 - exp(-10 * STEP / 0.05)
+    assert output.thrust[0] == pytest.approx(5.0 * (1.0 - exp(-10 * STEP / 0.05) * left))
+
+
+def test_an_engine_that_can_be_shut_off_is_left_to_its_own_equations() -> None:
+    bank = Bank(ports=(0, 1))
+    engines = faulty(bank)
+    out = FlameOut(kind="flame_out", start_s=0.0, jet=[1])
+    engines.begin(out)
+    assert engines.step(0, (0.5,) * 6).thrust == (5.0,) * 6
+    engines.end(out)
+    assert bank.runs == [(0, False), (0, True)]
+
+
+def test_an_engine_without_fuel_is_not_lit_again() -> None:
+    bank = Bank(ports=(0,))
+    engines = FaultyEngines(bank, lambda jet: 0.05, lambda: {0}, STEP)
+    out = FlameOut(kind="flame_out", start_s=0.0, jet=[1])
+    engines.begin(out)
+    engines.end(out)
+    assert bank.runs == [(0, False)]
+
+
+def test_an_engine_that_is_out_twice_is_lit_when_both_are_over() -> None:
+    bank = Bank(ports=(0,))
+    engines = faulty(bank)
+    first, second = (FlameOut(kind="flame_out", start_s=0.0, jet=[1]) for _ in range(2))
+    engines.begin(first)
+    engines.begin(second)
+    engines.end(first)
+    assert True not in [on for _, on in bank.runs]
+    engines.end(second)
+    assert bank.runs[-1] == (0, True)
+
+
+def test_a_servo_that_jams_twice_goes_on_with_the_second_jam() -> None:
+    """To 4 deg for 0.2 s, to -3 deg for as long after it began before the first was over, then free again."""
+    jam = {"kind": "servo_jam", "servo": "left"}
+    faults = [
+        {**jam, "start_s": 0.2, "duration_s": 0.2, "angle_deg": 4.0},
+        {**jam, "start_s": 0.3, "duration_s": 0.3, "angle_deg": -3.0},
+    ]
+    tilt = np.degrees(fly(HOVER.replace(duration_s=1.0, sensor_noise=False, fault=faults)).log["tilt_left_rad"])
+    assert tilt[99] == pytest.approx(4.0, abs=0.1)
+    assert tilt[149] == pytest.approx(-3.0, abs=0.1)
+    assert abs(tilt[249] + 3.0) > 0.1
+
+
+def test_in_flight_a_flame_out_decays_exactly_along_the_lag() -> None:
+    """Until the closed throttle has passed the engine's delay of 25 samples."""
+    fault = {"kind": "flame_out", "start_s": 0.4, "jet": 2}
+    run = fly(HOVER.replace(duration_s=0.6, sensor_noise=False, fault=[fault], monitor=False))
+    lag = load_engine("edf-as-flown", {}, STEP).lag
+    assert lag is not None
+    rows = np.arange(1, 26)
+    thrust = run.log["thrust_2_N"]
+    assert thrust[99 + rows] == pytest.approx(thrust[99] * np.exp(-rows * STEP / lag), rel=1e-3)
+    assert run.log["fault_jet_2"].tolist() == [0.0] * 100 + [1.0] * 50
+    assert not run.log["fault_jet_1"].any()
+
+
+def test_an_engine_with_a_run_port_goes_out_and_is_lit_again_by_its_own_equations() -> None:
+    """It winds down long after the fuel is gone, and takes half a minute to start."""
+    spec = load_engine("turbine-20", {}, STEP)
+    assert spec.has("run")
+    out = FlameOut(kind="flame_out", start_s=0.0, jet=[1])
+    with EngineBank(spec, 1, STEP) as bank:
+        engines = FaultyEngines(bank, lambda jet: 1.0, frozenset, STEP)
+        hover = engines.reset(0.5)
+        engines.begin(out)
+        course = [engines.step(k, (0.5,)) for k in range(500)]
+        assert course[50].thrust[0] < 0.25 * hover.thrust[0]
+        assert 0.2 < course[499].spool_speed[0] / hover.spool_speed[0] < 0.5
+        engines.end(out)
+        for k in range(500, 12000):
+            last = engines.step(k, (0.5,))
+    assert last.thrust[0] == pytest.approx(hover.thrust[0], rel=0.01)
+
+
+# ---- servos and sensors
+
+
+def test_a_jammed_servo_stays_or_runs_to_its_angle() -> None:
+    settings_ = load_vehicle("hexjet")[0].servo
+    assert settings_ is not None
+    servo = TiltServo(settings_, STEP)
+    servo.update(0.1)
+    stands = JammedServo(servo, None)
+    assert [stands.update(0.3) for _ in range(3)] == [servo.angle] * 3
+    runs = JammedServo(servo, 0.2)
+    free = TiltServo(settings_, STEP)
+    free.reset(servo.angle)
+    assert [runs.update(-0.3) for _ in range(5)] == [free.update(0.2) for _ in range(5)]
+
+
+def test_a_freed_servo_goes_on_from_where_it_was_jammed() -> None:
+    fault = {"kind": "servo_jam", "start_s": 0.4, "duration_s": 0.2, "servo": "right", "angle_deg": 3.0}
+    tilt = fly(HOVER.replace(duration_s=0.8, fault=[fault])).log["tilt_right_rad"]
+    assert tilt[149] == pytest.approx(np.radians(3.0), rel=1e-3)
+    assert 0.0 < tilt[149] - tilt[150] < 10.0 * STEP + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("fault", "columns", "difference"),
+    [
+        ({"sensor": "gyro", "bias": [0.1, 0.0, 0.0]}, ["rate_p_measured_rad_s"], 0.1),
+        ({"sensor": "barometer", "bias": [0.7]}, ["altitude_measured_m"], 0.7),
+        ({"sensor": "gnss", "bias": [2.0, 0.0, 0.0]}, ["north_measured_m"], 2.0),
+        ({"sensor": "gnss", "velocity_bias": [0.0, 0.3, 0.0]}, ["velocity_east_measured_m_s"], 0.3),
+        ({"sensor": "attitude", "bias": [0.05, 0.0, 0.0]}, ["roll_measured_rad"], 0.05),
+    ],
+)
+def test_a_bias_is_added_to_its_sensor_and_to_no_other(
+    fault: dict[str, Any], columns: list[str], difference: float
+) -> None:
+    """On the first sample the motion is still the same."""
+    run = fly(HOVER.replace(duration_s=0.4, fault=[{"kind": "sensor_bias", "start_s": 0.2, **fault}]))
+    plain = fly(HOVER.replace(duration_s=0.4))
+    row = 51
+    for name in run.log.columns:
+        if "measured" in name:
+            wanted = difference if name in columns else 0.0
+            # a rotation of the attitude turns the other angles by the product of two small ones
+            assert run.log[name][row] - plain.log[name][row] == pytest.approx(wanted, abs=1e-4 if wanted else 2e-5), (
+                name
+            )
+            assert run.log[name][row - 1] == plain.log[name][row - 1]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "column", "other"),
+    [
+        ("gyro", "rate_q_measured_rad_s", "altitude_measured_m"),
+        ("attitude", "pitch_measured_rad", "rate_q_measured_rad_s"),
+        ("gnss", "velocity_down_measured_m_s", "altitude_measured_m"),
+        ("barometer", "altitude_measured_m", "rate_q_measured_rad_s"),
+    ],
+)
+def test_a_dropout_repeats_the_last_value(sensor: str, column: str, other: str) -> None:
+    fault = {"kind": "sensor_dropout", "start_s": 0.2, "duration_s": 0.1, "sensor": sensor}
+    log = fly(HOVER.replace(duration_s=0.4, fault=[fault])).log
+    assert (log[column][50:76] == log[column][50]).all()
+    assert log[column][49] != log[column][50] or sensor == "gnss"
+    assert len(set(log[other][50:76])) == 26
+    assert log[f"fault_{sensor}"].sum() == 25
+
+
+# ---- a flight with them
+
+
+def same(one: Run, other: Run, *but: str) -> bool:
+    return all(np.array_equal(one.log[n], other.log[n], equal_nan=True) for n in one.log.columns if n not in but)
+
+
+def test_without_a_fault_the_blocks_are_the_bare_ones_and_the_log_is_the_same() -> None:
+    late = [
+        {"kind": "flame_out", "start_s": 5.0, "jet": 1},
+        {"kind": "sensor_dropout", "start_s": 5.0, "sensor": "gyro"},
+    ]
+    plain = fly(HOVER)
+    assert same(plain, fly(HOVER.replace(fault=late, monitor=False)))
+    assert same(plain, fly(HOVER.replace(monitor=True)))
+    with build(HOVER) as simulation:
+        assert simulation.monitor is None
+        assert simulation.faults.next == NEVER
+        assert simulation.engines is simulation.faults.engines
+        assert not isinstance(simulation.engines, FaultyEngines)
+
+
+class Commander:
+    """Injects and clears faults at given steps of the flight that is being built next."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, acts: dict[int, Callable[[Simulation], None]]) -> None:
+        self.acts = acts
+        self.simulation: Simulation | None = None
+
+        def keep(scenario: Scenario) -> Simulation:
+            self.simulation = build(scenario)
+            return self.simulation
+
+        monkeypatch.setattr(flight, "build", keep)
+
+    def observe(self, sample: Sample) -> None:
+        assert self.simulation is not None
+        if sample.k in self.acts:
+            self.acts[sample.k](self.simulation)
+
+
+def test_a_flight_with_faults_by_command_is_repeated_bit_for_bit_from_what_it_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commander = Commander(
+        monkeypatch,
+        {
+            100: lambda s: s.inject(FlameOut(kind="flame_out", start_s=9.0, jet=[2])),
+            150: lambda s: s.inject(
+                SensorBias(kind="sensor_bias", start_s=0.0, sensor="gyro", bias=[0.02, 0.0, 0.0], duration_s=0.4)
+            ),
+            180: lambda s: s.clear_faults(),
+            200: lambda s: s.inject(DelayGrowth(kind="delay_growth", start_s=0.0, jet=[1, 3], delay_s=0.02)),
+        },
+    )
+    first = fly(HOVER.replace(monitor=True), tmp_path / "first", observers=[commander], report=False)
+    monkeypatch.undo()
+    assert first.log["health_2"][-1] == 0.0
+    assert first.log["fault_jet_2"].sum() == 80
+    assert first.log["fault_gyro"].sum() == 30
+    again = Scenario.load(tmp_path / "first" / "scenario.toml")
+    assert [entry.start_s for entry in again.fault] == pytest.approx([101 * STEP, 151 * STEP, 201 * STEP])
+    second = fly(again, tmp_path / "second", report=False)
+    logs = [(tmp_path / name / "flight.parquet").read_bytes() for name in ("first", "second")]
+    assert logs[0] == logs[1]
+    assert second.outcome == first.outcome
+
+
+def test_a_reset_forgets_what_came_by_command() -> None:
+    with build(HOVER.replace(monitor=True, sensor_noise=False)) as simulation:
+        first = [simulation.step() for _ in range(60)]
+        simulation.reset()
+        simulation.inject(FlameOut(kind="flame_out", start_s=0.0, jet=[2]))
+        ill = [simulation.step() for _ in range(60)]
+        assert ill[-1].health[1] == 0.0
+        assert ill[-1].state != first[-1].state
+        simulation.reset()
+        assert simulation.scenario.fault == []
+        again = [simulation.step() for _ in range(60)]
+    assert [(s.state, s.measured, s.actuation, s.thrust, s.faults, s.health) for s in again] == [
+        (s.state, s.measured, s.actuation, s.thrust, s.faults, s.health) for s in first
+    ]
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ({"kind": "flame_out", "start_s": 1.0, "jet": 7}, r"fault\.0\.jet.*less than or equal to 6"),
+        ({"kind": "flame_out", "start_s": 1.0, "jet": [1, 1]}, r"fault\.0\.jet: name a jet once"),
+        (
+            {"kind": "flame_out", "start_s": 1.0, "jet": 1, "jets": 1},
+            r"unknown key 'fault\.0\.jets'; did you mean 'jet'\?",
+        ),
+        ({"kind": "thrust_loss", "start_s": 1.0, "jet": 1, "share": 1.5}, r"share = 1\.5: .*less than or equal to 1"),
+        (
+            {"kind": "flameout", "start_s": 1.0, "jet": 1},
+            r"fault\.0\.kind = 'flameout': did you mean 'flame_out'\? allowed: ",
+        ),
+        ({"start_s": 1.0, "jet": 1}, r"fault\.0\.kind is missing"),
+        ({"kind": "flame_out", "start_s": 1.0, "jet": []}, r"fault\.0\.jet: needs at least 1"),
+        ({"kind": "sensor_bias", "start_s": 1.0, "sensor": "gyro", "bias": [1.0]}, r"the gyro needs a list of 3"),
+        ({"kind": "sensor_bias", "start_s": 1.0, "sensor": "gyro"}, r"give one that is not 0"),
+        ({"kind": "servo_jam", "start_s": 1.0, "servo": "both"}, r"servo = 'both': .*'left' or 'right'"),
+    ],
+)
+def test_wrong_faults_are_refused_in_one_line(fault: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        HOVER.replace(fault=[fault])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"fault": [{"kind": "flame_out", "start_s": 0.001, "jet": 1}]},
+            r"fault\.0\.start_s = 0\.001 s is not a whole",
+        ),
+        (
+            {"fault": [{"kind": "delay_growth", "start_s": 1.0, "jet": 1, "delay_s": 0.001}]},
+            r"fault\.0\.delay_s = 0\.001 s is not a whole",
+        ),
+        (
+            {
+                "aircraft": "quadrotor",
+                "engine": "motor",
+                "step_s": 0.0025,
+                "fault": [{"kind": "servo_jam", "start_s": 1.0, "servo": "left"}],
+            },
+            r"fault\.0\.servo: quadrotor has no tilt servos",
+        ),
+        (
+            {
+                "aircraft": "quadrotor",
+                "engine": "motor",
+                "step_s": 0.0025,
+                "fault": [{"kind": "flame_out", "start_s": 1.0, "jet": 5}],
+            },
+            r"fault\.0\.jet = 5: quadrotor has jets 1 to 4",
+        ),
+    ],
+)
+def test_faults_of_what_the_vehicle_has_not_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        build(HOVER.replace(controller="baseline", **changes))
+
+
+@pytest.mark.parametrize("name", FAULTY)
+def test_a_fault_scenario_is_not_met_without_its_fault(name: str) -> None:
+    run = fly(Scenario.load(name).replace(fault=[]))
+    assert run.summary.complaints
+
+
+@pytest.mark.parametrize("name", PLANNED_AROUND)
+def test_without_planning_around_it_the_vehicle_is_lost(name: str) -> None:
+    run = fly(Scenario.load(name).replace(monitor=False))
+    assert run.outcome == "diverged"
+    assert run.summary.complaints
+
+
+# ---- the monitor
+
+
+REFERENCE = EngineReference((0.0, 1.0), (0.0, 20.0), None, 0.03, 0.1, 0.03, 0.03)
+SETTINGS = MonitorSettings(threshold=0.2, confirm_s=0.02, stuck_s=0.1, lag_factor=3.0, delay_spread_s=0.012)
+NAN = (float("nan"),)
+
+
+def watch(monitor: EngineMonitor, throttle: float, thrust: float) -> bool:
+    return monitor.update((throttle,), EngineOutput((thrust,), NAN, NAN, NAN))
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.floats(-1.0, 1.0),
+    st.integers(22, 28),
+    st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(1, 60)), min_size=1, max_size=12),
+)
+def test_no_engine_within_the_tolerances_is_ever_suspected(
+    stretch: float, delay: int, course: list[tuple[float, int]]
+) -> None:
+    """A lag anywhere within a factor of three and a delay within three samples, whatever is commanded."""
+    lag = 0.03 * 3.0**stretch
+    monitor = EngineMonitor(SETTINGS, [REFERENCE], 1e-3, (0.05, 1.0), STEP)  # no threshold to speak of
+    monitor.reset([0.5])
+    thrust, line = 10.0, [0.5] * delay
+    for throttle, steps in course:
+        for _ in range(steps):
+            line.append(throttle)
+            thrust += (1.0 - exp(-STEP / lag)) * (20.0 * line.pop(0) - thrust)
+            assert not watch(monitor, throttle, thrust)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 0.6])
+def test_a_loss_of_thrust_is_found_in_time_and_in_size(share: float) -> None:
+    monitor = EngineMonitor(SETTINGS, [REFERENCE], 9.0, (0.05, 1.0), STEP)
+    monitor.reset([0.45])
+    # along a lag of 30 ms towards the share: outside once a fifth of hover is missing, then 5 steps
+    towards = 9.0 * share
+    k, found = 0, False
+    while not found:
+        k += 1
+        found = watch(monitor, 0.45, towards + (9.0 - towards) * exp(-k * STEP / 0.03))
+    outside = 0.03 * log(1.0 / (1.0 - 0.2 / (1.0 - share)))
+    assert k == int(outside / STEP) + 5
+    assert monitor.gains[0] == pytest.approx(share, abs=1e-9)
+    assert monitor.health[0].fixed == 0.0
+
+
+def test_a_weak_engine_may_get_well_and_a_lost_one_not() -> None:
+    monitor = EngineMonitor(SETTINGS, [REFERENCE], 9.0, (0.05, 1.0), STEP)
+    for level, gains in ((0.5, (0.5,)), (1.0, (1.0,)), (0.0, (0.0,)), (0.15, (0.0,))):
+        for _ in range(100):
+            watch(monitor, 0.45, 9.0 * level) if gains else None
+        if level == 0.5:
+            monitor.reset([0.45])
+            for _ in range(100):
+                watch(monitor, 0.45, 4.5)
+        assert monitor.gains == pytest.approx(gains)
+
+
+def test_a_stuck_engine_is_found_when_its_command_has_moved() -> None:
+    monitor = EngineMonitor(SETTINGS, [REFERENCE], 9.0, (0.05, 1.0), STEP)
+    monitor.reset([0.45])
+    for _ in range(200):
+        assert not watch(monitor, 0.45, 9.0)
+    k = next(k for k in range(1, 200) if watch(monitor, 0.65, 9.0))
+    # not before the delay and the time it takes to call it stuck; the widest lag and delay on top
+    assert 0.1 + 0.1 <= k * STEP <= 0.1 + 0.1 + 0.012 + 0.09
+    assert monitor.health[0] == (0.0, pytest.approx(0.45), pytest.approx(0.45))
+
+
+def test_an_engine_that_runs_away_is_taken_for_stuck_where_it_heads_for() -> None:
+    monitor = EngineMonitor(SETTINGS, [REFERENCE], 9.0, (0.05, 1.0), STEP)
+    monitor.reset([0.45])
+    k = next(k for k in range(1, 200) if watch(monitor, 0.45, 16.0 - 7.0 * exp(-k * STEP / 0.03)))
+    assert k * STEP <= 0.04
+    assert monitor.health[0] == (0.0, pytest.approx(0.8), pytest.approx(0.8))
+
+
+def test_a_speed_reading_stands_for_thrust() -> None:
+    """Thrust with the square of the speed, as the reference has it at its points."""
+    points = [k / 20 for k in range(21)]
+    reference = EngineReference(
+        points, [20.0 * u for u in points], [1000.0 * sqrt(u) for u in points], 0.1, 0.0, 0.1, 0.1
+    )
+    assert reference.thrust_of(float("nan"), 1000.0 * sqrt(0.45)) == pytest.approx(9.0)
+    assert reference.thrust_of(5.0, float("nan")) == 5.0
+
+
+@pytest.mark.parametrize("jet", range(1, 7))
+def test_a_flame_out_in_flight_is_found_within_28_ms(jet: int) -> None:
+    fault = {"kind": "flame_out", "start_s": 0.4, "jet": jet}
+    log = fly(HOVER.replace(duration_s=0.5, fault=[fault])).log
+    health = np.array([log[name] for name in HEALTH])
+    first = int(np.flatnonzero(health.min(axis=0) < 1.0)[0])
+    assert 0.02 <= (first + 1 - 100) * STEP <= 0.028
+    assert [row[-1] for row in health] == [0.0 if number == jet else 1.0 for number in range(1, 7)]
+
+
+@pytest.mark.parametrize("name", QUIET)
+def test_no_false_alarm_in_any_scenario_without_a_fault(name: str) -> None:
+    """Doublets, sticks, gusts in turbulence, take-off and landing, with sensor noise."""
+    log = fly(Scenario.load(name).replace(monitor=True)).log
+    assert all((log[health] == 1.0).all() for health in HEALTH)
+
+
+@pytest.mark.parametrize("engine", ["edf", "turbojet", "turbine-20"])
+def test_no_false_alarm_from_a_flight_that_swings_out_of_control(engine: str) -> None:
+    """The wildest commands there are: the baseline on engines that are too slow for its gains."""
+    log = fly(Scenario.load("roll-doublet").replace(engine=engine, controller="baseline", monitor=True)).log
+    assert all((log[health] == 1.0).all() for health in HEALTH)
+
+
+def test_the_reference_of_an_engine_is_its_own() -> None:
+    spec = load_engine("turbojet", {}, STEP)
+    stated = engine_reference(spec, STEP)
+    assert stated.lag == spec.lag == stated.shortest == stated.longest
+    assert stated.delay == pytest.approx(0.1)
+    measured = engine_reference(load_engine("turbine-20", {}, STEP), STEP)
+    assert measured.shortest <= measured.lag <= measured.longest
+    assert measured.speed is not None
+    assert list(measured.speed) == sorted(measured.speed)
+
+
+def test_a_vehicle_without_a_monitor_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle, folder = load_vehicle("hexjet")
+    bare = vehicle.model_copy(update={"control": vehicle.control.model_copy(update={"monitor": None})})
+    monkeypatch.setattr("cosim.simulation.load_vehicle", lambda *_: (bare, folder))
+    with pytest.raises(InputError, match=r"hexjet has no \[control\.monitor\]"):
+        build(HOVER.replace(monitor=True))
+
+
+# ---- the table
+
+
+def test_the_table_has_every_fault_at_every_place() -> None:
+    found = cases(load_vehicle("hexjet")[0])
+    kinds = {case.fault["kind"] for case in found if case.fault}
+    assert kinds == {
+        "flame_out", "stuck_throttle", "thrust_loss", "slow_spool", "delay_growth",
+        "servo_jam", "sensor_bias", "sensor_dropout",
+    }  # fmt: skip
+    assert [case.place for case in found if case.kind == "flame-out"] == [f"jet {jet}" for jet in range(1, 7)]
+    assert not [case for case in cases(load_vehicle("quadrotor")[0]) if "servo" in case.kind or case.place == "jet 5"]
+    for case in found:
+        scenario_of(case, "roll", "smith", "hexjet", "edf-as-flown", STEP)  # is a scenario
+
+
+def test_the_judge_reads_lean_height_and_detection() -> None:
+    case = Case("flame-out", "jet 1", {"kind": "flame_out", "jet": 1})
+    run = fly(scenario_of(case, "hover", "smith", "hexjet", "edf-as-flown", STEP))
+    lean, lost, detected = judge(run.log, 250)
+    assert lean == pytest.approx(np.degrees(np.abs(run.log["roll_rad"]).max()), abs=2.0)
+    assert lost == pytest.approx(run.log["altitude_m"][250] - run.log["altitude_m"][250:].min())
+    assert detected == 255
+
+
+def test_a_small_table(tmp_path: Path) -> None:
+    found = survival("hexjet", "edf-as-flown", ("baseline", "smith"), ("none", "gyro bias"), workers=1)
+    verdicts = {(row.kind, row.start, row.controller): row.verdict for row in found.rows}
+    assert verdicts["none", "hover", "smith"] == verdicts["gyro bias 3 deg/s", "roll", "smith"] == "held"
+    # what the doublet's own scenario says of the baseline
+    assert verdicts["none", "roll", "baseline"] == "lost"
+    controllers, table = summary(found)
+    assert controllers == ["baseline", "smith"]
+    assert next((kind, start, cells[1].held) for kind, start, cells in table) == ("none", "hover", 1)
+    paths = write(found, tmp_path / "table")
+    assert len(paths["table"].read_text().splitlines()) == 1 + len(found.rows)
+    assert "gyro bias 3 deg/s" in paths["report"].read_text()
+    assert found.moments is not None
+    assert found.moments.moment == pytest.approx(5.525 * 9.80665 / 6 * 0.15)
+    with pytest.raises(InputError, match="no fault begins with 'flat'"):
+        survival("hexjet", kinds=("flat",))

@@ -1,0 +1,305 @@
+"""``hexjet gcs`` as a process, flown over MAVLink on the loopback interface."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.mavlink.dialect import mav
+from cosim.run import open_run
+
+HEXJET = [sys.executable, "-c", "from cosim.cli import main; main()"]
+PATIENCE = 60.0  # s of wall time; the vehicle flies several times as fast
+TAKEOFF, LAND, ARM, REPOSITION, REBOOT = 22, 21, 400, 192, 246
+ACCEPTED, REJECTED = 0, 1
+
+
+class Station:
+    """A ground station with one thought at a time."""
+
+    def __init__(self, port: int, system: int = 255) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.settimeout(0.05)
+        self.socket.connect(("127.0.0.1", port))
+        self.mav = mav.MAVLink(None, srcSystem=system, srcComponent=190)
+        self.mav.robust_parsing = True
+        self.last: dict[str, Any] = {}
+        self.texts: list[str] = []
+        self.count = 0
+        self._beat = 0.0
+
+    def send(self, message: Any) -> None:
+        self.socket.send(message.pack(self.mav))
+
+    def read(self) -> list[Any]:
+        now = time.monotonic()
+        if now - self._beat > 0.2:  # of flight time it is more
+            self._beat = now
+            self.send(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3))
+        try:
+            found = self.mav.parse_buffer(self.socket.recv(4096)) or []
+        except TimeoutError:
+            return []
+        for message in found:
+            self.last[message.get_type()] = message
+            self.count += 1
+            if message.get_type() == "STATUSTEXT":
+                self.texts.append(message.text if isinstance(message.text, str) else message.text.decode())
+        return list(found)
+
+    def until(self, true: Callable[[Station], bool]) -> None:
+        end = time.monotonic() + PATIENCE
+        while not true(self):
+            assert time.monotonic() < end, (self.texts, {k: str(v)[:200] for k, v in self.last.items()})
+            self.read()
+
+    def command(self, number: int, *p: float) -> int:
+        self.send(mav.MAVLink_command_long_message(1, 1, number, 0, *p, *[nan] * (7 - len(p))))
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            for message in self.read():
+                if message.get_type() == "COMMAND_ACK" and message.command == number:
+                    return int(message.result)
+        raise AssertionError(f"no answer to {number}")
+
+    @property
+    def armed(self) -> bool:
+        return "HEARTBEAT" in self.last and bool(self.last["HEARTBEAT"].base_mode & 128)
+
+    @property
+    def height(self) -> float:
+        return (
+            float(self.last["GLOBAL_POSITION_INT"].relative_alt) / 1000.0 if "GLOBAL_POSITION_INT" in self.last else 0.0
+        )
+
+    def ready(self) -> bool:
+        return "SYS_STATUS" in self.last and bool(self.last["SYS_STATUS"].onboard_control_sensors_health & 1 << 28)
+
+    def take_off(self) -> None:
+        self.until(Station.ready)
+        assert self.command(ARM, 1.0) == ACCEPTED
+        assert self.command(TAKEOFF) == ACCEPTED
+        self.until(lambda s: s.height > 9.0)
+
+    def land(self) -> None:
+        assert self.command(LAND) == ACCEPTED
+        self.until(lambda s: not s.armed)
+
+
+@pytest.fixture
+def station_at() -> Iterator[Callable[..., Station]]:
+    """Makes ground stations, and closes them."""
+    made: list[Station] = []
+
+    def make(port: int, system: int = 255) -> Station:
+        made.append(Station(port, system))
+        return made[-1]
+
+    yield make
+    for station in made:
+        station.socket.close()
+
+
+@pytest.fixture
+def vehicle(tmp_path: Path) -> Iterator[Callable[..., tuple[subprocess.Popen[str], int]]]:
+    """Starts a vehicle at ten times real time, and gives the process and its port."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> tuple[subprocess.Popen[str], int]:
+        process = subprocess.Popen(
+            [
+                *HEXJET,
+                "gcs",
+                "--mavlink",
+                "udpin:127.0.0.1:0",
+                "--params",
+                "none",
+                "--rtf",
+                "10",
+                "--out",
+                str(tmp_path / "run"),
+                *arguments,
+            ],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            cwd=tmp_path,
+        )
+        started.append(process)
+        assert process.stdout is not None
+        said = ""
+        for line in process.stdout:
+            said += line
+            found = re.search(r"listens at udp 127\.0\.0\.1:(\d+)", line)
+            if found:
+                return process, int(found[1])
+        raise AssertionError(said)
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def test_a_flight_over_mavlink_and_its_replay(vehicle: Any, station_at: Any, tmp_path: Path) -> None:
+    process, port = vehicle()
+    station = station_at(port)
+    station.take_off()
+    home = station.last["HOME_POSITION"] if "HOME_POSITION" in station.last else station.last["GLOBAL_POSITION_INT"]
+    lat, lon = (
+        home.latitude if hasattr(home, "latitude") else home.lat,
+        home.longitude if hasattr(home, "longitude") else home.lon,
+    )
+    # 10 m north, at the height where it is
+    station.send(mav.MAVLink_command_int_message(1, 1, 6, REPOSITION, 0, 0, -1.0, 1.0, 0.0, nan, lat + 898, lon, 10.0))
+    station.until(lambda s: abs(s.last["GLOBAL_POSITION_INT"].lat - lat - 898) < 90)
+    station.land()
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(PATIENCE) == 0
+    run = open_run(tmp_path / "run")
+    assert (run.outcome, run.reason) == ("completed", "stopped by SIGTERM")
+    asked = [json.loads(line) for line in (tmp_path / "run" / "requests.jsonl").read_text().splitlines()]
+    assert {"Arm", "Takeoff", "Goto", "Land"} <= {line["request"] for line in asked}
+    assert all(re.fullmatch(r"udpin:127\.0\.0\.1:\d+ 255/190|mavlink", line["sender"]) for line in asked)
+    done = subprocess.run(
+        [*HEXJET, "fly", "run/scenario.toml", "--out", "again"], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    again = open_run(tmp_path / "again")
+    assert [c for c in run.log.columns if not np.array_equal(run.log[c], again.log[c], equal_nan=True)] == []
+
+
+def test_the_telemetry_log_holds_what_went_out_and_what_came_in(vehicle: Any, station_at: Any, tmp_path: Path) -> None:
+    process, port = vehicle()
+    station = station_at(port)
+    station.until(Station.ready)
+    process.send_signal(signal.SIGTERM)
+    process.wait(PATIENCE)
+    data = (tmp_path / "run" / "telemetry.tlog").read_bytes()
+    parser, at, types, stamps = mav.MAVLink(None), 0, [], []
+    while at < len(data):
+        stamps.append(struct.unpack_from(">Q", data, at)[0])
+        length = 12 + data[at + 9] + (13 if data[at + 10] & 1 else 0)
+        (message,) = parser.parse_buffer(data[at + 8 : at + 8 + length])
+        types.append((message.get_srcSystem(), message.get_type()))
+        at += 8 + length
+    assert {(1, "HEARTBEAT"), (1, "ATTITUDE"), (255, "HEARTBEAT")} <= set(types)
+    assert stamps == sorted(stamps)
+    assert abs(stamps[-1] / 1e6 - time.time()) < PATIENCE
+
+
+def test_a_reboot_begins_a_new_flight_in_a_new_folder(vehicle: Any, station_at: Any, tmp_path: Path) -> None:
+    process, port = vehicle()
+    station = station_at(port)
+    station.take_off()
+    assert station.command(REBOOT, 1.0) != ACCEPTED  # it flies
+    station.land()
+    result = station.command(REBOOT, 1.0)
+    if result == 3:
+        pytest.fail("MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN is not supported")
+    assert result == ACCEPTED
+    station.until(lambda s: (tmp_path / "run-2" / "telemetry.tlog").exists())
+    station.until(lambda s: s.last["SYSTEM_TIME"].time_boot_ms < 60_000)
+    station.take_off()
+    station.land()
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(PATIENCE) == 0
+    assert [open_run(tmp_path / name).outcome for name in ("run", "run-2")] == ["completed", "completed"]
+
+
+def test_several_stations_are_served_whatever_one_of_them_does(vehicle: Any, station_at: Any) -> None:
+    """One is silent after its first words, one floods; the third flies."""
+    process, port = vehicle()
+    silent, loud, station = (station_at(port, system) for system in (253, 254, 255))
+    silent.read()
+    loud.socket.setblocking(False)
+
+    def shout(_: Any = None) -> bool:
+        for _ in range(200):
+            try:
+                loud.send(mav.MAVLink_param_request_list_message(1, 1))
+                loud.socket.send(b"\xfd" * 300)
+            except BlockingIOError:
+                break
+        return False
+
+    station.until(lambda s: shout() or s.ready())
+    assert station.command(ARM, 1.0) == ACCEPTED
+    shout()
+    assert station.command(TAKEOFF) == ACCEPTED
+    station.until(lambda s: shout() or s.height > 9.0)
+    station.land()
+    assert process.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--mavlink", "carrier-pigeon:1"], "link 'carrier-pigeon:1'"),
+        (["--mavlink", "udpin:0.0.0.0:14555"], "open to the network"),
+        (["--personality", "none"], "--personality"),
+        (["--sign-key", "no-such-key"], "no-such-key"),
+        (["--place", "somewhere"], "--place somewhere"),
+        (["--engine", "steam"], "steam"),
+        (["--aircraft", "zeppelin"], "zeppelin"),
+        (["--duration", "0.0011"], "duration_s"),
+        (["--rtf", "-1"], "--rtf"),
+    ],
+)
+def test_wrong_input_is_told_in_one_line(tmp_path: Path, arguments: list[str], said: str) -> None:
+    if "--mavlink" not in arguments:
+        arguments = ["--mavlink", "udpin:127.0.0.1:0", *arguments]
+    done = subprocess.run([*HEXJET, "gcs", *arguments], capture_output=True, text=True, cwd=tmp_path, timeout=PATIENCE)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    assert said in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_port_in_use_is_told(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        url = f"udpin:127.0.0.1:{other.getsockname()[1]}"
+        done = subprocess.run([*HEXJET, "gcs", "--mavlink", url], capture_output=True, text=True, cwd=tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert url in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_scripted_flight_is_seen_over_mavlink(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.settimeout(PATIENCE)
+        url = f"udpout:127.0.0.1:{listening.getsockname()[1]}"
+        process = subprocess.Popen(
+            [*HEXJET, "fly", "roll-doublet", "--mavlink", url, "--rtf", "4", "--out", "run"],
+            stdout=subprocess.DEVNULL,
+            cwd=tmp_path,
+        )
+        parser, rolls = mav.MAVLink(None), []
+        parser.robust_parsing = True
+        while process.poll() is None:
+            listening.settimeout(0.2)
+            try:
+                data = listening.recv(2048)
+            except TimeoutError:
+                continue
+            rolls += [m.roll for m in parser.parse_buffer(data) or [] if m.get_type() == "ATTITUDE"]
+    assert process.returncode == 0
+    assert max(rolls) > 0.1
+    assert min(rolls) < -0.1
+    assert (tmp_path / "run" / "telemetry.tlog").stat().st_size > 1000

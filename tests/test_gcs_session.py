@@ -1,0 +1,637 @@
+"""A session: flights on request, paced, recorded, and flown again from what was asked."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.errors import InputError
+from cosim.exchange import SENDERS, WAITING_EACH, Exchange, Restart, Shutdown, Snapshot
+from cosim.flight import fly
+from cosim.gcs import Onlookers, Session, place_at
+from cosim.pace import CATCH_UP, Pace
+from cosim.pilot import requests as rq
+from cosim.pilot.modes import LandedState, Mode, Severity
+from cosim.pilot.requests import Answer, Result
+from cosim.recorder import Log
+from cosim.replay import REQUESTS, RequestLog, read_requests
+from cosim.run import Run, open_run
+from cosim.scenario import Scenario
+
+PATIENCE = 60.0  # s of wall time for anything at full speed: some hundred times what it takes
+
+
+# --- pacing -----------------------------------------------------------------------------------------------------
+
+
+class Clock:
+    """Time that passes when it is told to."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        self.slept: list[float] = []
+
+    def __call__(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        self.now += seconds
+
+
+def paced(clock: Clock, factor: float | None, costs: list[float]) -> Pace:
+    """A pace at 4 ms that has waited after steps of these durations."""
+    pace = Pace(0.004, factor, clock, clock.sleep)
+    for k, cost in enumerate(costs, 1):
+        clock.now += cost
+        pace.wait(k)
+    return pace
+
+
+def test_steps_begin_on_an_absolute_grid() -> None:
+    clock = Clock()
+    paced(clock, 1.0, [0.001, 0.003, 0.0005])
+    assert clock.slept == pytest.approx([0.003, 0.001, 0.0035], abs=1e-12)
+    assert clock.now == pytest.approx(100.0 + 3 * 0.004, abs=1e-12)
+
+
+def test_any_factor() -> None:
+    clock = Clock()
+    assert paced(clock, 4.0, [0.0005] * 8).report.missed == 0
+    assert clock.now == pytest.approx(100.0 + 8 * 0.001, abs=1e-12)
+
+
+def test_a_deadline_is_missed_when_a_step_is_not_done_as_the_next_is_due() -> None:
+    clock = Clock()
+    report = paced(clock, 1.0, [0.001, 0.0055, 0.0015, 0.0039]).report
+    # done at 1, 9.5, 11, 15.9 ms; due at 4, 8, 12, 16
+    assert (report.steps, report.missed, report.stalls) == (4, 1, 0)
+    assert report.worst == pytest.approx(0.0015, abs=1e-12)
+    assert clock.now == pytest.approx(100.0 + 4 * 0.004, abs=1e-12)  # caught up with
+
+
+def test_a_short_stall_is_caught_up_with() -> None:
+    clock = Clock()
+    pace = paced(clock, 1.0, [0.9 * CATCH_UP, *[0.001] * 40])
+    assert clock.now == pytest.approx(100.0 + 41 * 0.004, abs=1e-9)
+    assert pace.report.stalls == 0
+    # with 3 ms gained a step; the deadlines of the steps that were not begun in time count as well
+    assert pace.report.missed == pytest.approx((0.9 * CATCH_UP - 0.004) / 0.003, abs=1.0)
+
+
+def test_after_a_long_stall_it_does_not_race() -> None:
+    clock = Clock()
+    pace = paced(clock, 1.0, [0.001, 3.0, 0.001, 0.001])
+    assert clock.slept == pytest.approx([0.003, 0.003, 0.003], abs=1e-12)
+    report = pace.report
+    assert (report.missed, report.stalls) == (1, 1)
+    assert report.lost == pytest.approx(2.996, abs=1e-9)
+
+
+def test_without_a_factor_nothing_waits() -> None:
+    clock = Clock()
+    report = paced(clock, None, [0.01] * 300).report
+    assert not clock.slept
+    assert (report.missed, report.factor) == (0, None)
+    assert report.reached == pytest.approx(0.4, rel=1e-6)  # 4 ms of flight in 10 ms
+
+
+def test_a_step_keeps_time_on_a_real_clock() -> None:
+    """Never early; how late a machine is, is its own affair."""
+    pace = Pace(0.002, 1.0)
+    begin = time.perf_counter()
+    pace.start(0)
+    for k in range(1, 101):
+        pace.wait(k)
+        assert time.perf_counter() - begin >= k * 0.002 - 1e-9
+
+
+# --- the meeting place ----------------------------------------------------------------------------------------------
+
+
+def test_senders_take_turns() -> None:
+    exchange = Exchange()
+    for i in range(5):
+        exchange.ask(rq.SetSpeed(float(i)), sender="loud")
+    exchange.ask(rq.Land(), sender="quiet")
+    exchange.ask(rq.Hold(), sender="third")
+    order = [(sender, type(request).__name__) for sender, request, _ in exchange.take(4)]
+    assert order == [("loud", "SetSpeed"), ("quiet", "Land"), ("third", "Hold"), ("loud", "SetSpeed")]
+    assert [request for _, request, _ in exchange.take(100)] == [rq.SetSpeed(2.0), rq.SetSpeed(3.0), rq.SetSpeed(4.0)]
+    assert exchange.take(1) == []
+
+
+def test_a_full_queue_answers_at_once_and_leaves_room_for_others() -> None:
+    exchange = Exchange()
+    answers: list[Answer] = []
+    for _ in range(WAITING_EACH + 3):
+        exchange.ask(rq.Hold(), answers.append, "loud")
+    assert [answer.result for answer in answers] == [Result.TEMPORARILY_REJECTED] * 3
+    exchange.ask(rq.Land(), answers.append, "quiet")
+    assert len(answers) == 3
+    assert exchange.turned_away == 3
+    assert [type(request) for _, request, _ in exchange.take(2)] == [rq.Hold, rq.Land]
+
+
+def test_there_may_not_be_any_number_of_senders() -> None:
+    exchange = Exchange()
+    answers: list[Answer] = []
+    for i in range(10 * SENDERS):
+        exchange.ask(rq.Hold(), answers.append, str(i))
+    assert (exchange.waiting, len(answers)) == (SENDERS, 9 * SENDERS)
+
+
+def test_only_the_last_of_a_stream_counts() -> None:
+    exchange = Exchange()
+    answers: list[Answer] = []
+    for i in range(1000):
+        exchange.ask(rq.Sticks(i / 1000.0, 0.0, 0.0, 0.5), answers.append, "pad")
+    exchange.ask(rq.Land(), sender="pad")
+    exchange.ask(rq.Sticks(-1.0, 0.0, 0.0, 0.5), sender="pad")
+    assert len(answers) == 999
+    taken = [request for _, request, _ in exchange.take(10)]
+    assert taken == [rq.Sticks(0.999, 0.0, 0.0, 0.5), rq.Land(), rq.Sticks(-1.0, 0.0, 0.0, 0.5)]
+
+
+def test_a_request_whose_time_is_over_is_not_done() -> None:
+    exchange = Exchange()
+    answers: list[Answer] = []
+    now = time.monotonic()
+    exchange.ask(rq.Arm(), answers.append, "slow", now - 0.001)
+    exchange.ask(rq.Land(), answers.append, "slow", now + 60.0)
+    assert [request for _, request, _ in exchange.take(5)] == [rq.Land()]
+    assert [answer.result for answer in answers] == [Result.FAILED]
+    assert exchange.waiting == 0
+
+
+def test_every_request_is_answered_once_whoever_asks_when() -> None:
+    exchange = Exchange()
+    asked, got, taken = 4000, [0] * 4, 0
+
+    def ask(sender: int) -> None:
+        def done(answer: Answer) -> None:
+            with lock:
+                got[sender] += 1
+
+        for i in range(asked):
+            exchange.ask(rq.SetSpeed(i / 1000.0), done, str(sender))
+
+    lock = threading.Lock()
+    threads = [threading.Thread(target=ask, args=(sender,)) for sender in range(4)]
+    for thread in threads:
+        thread.start()
+    last = [-1.0] * 4
+    while any(thread.is_alive() for thread in threads) or exchange.waiting:
+        for sender, request, done in exchange.take(3):
+            assert isinstance(request, rq.SetSpeed)
+            assert request.m_s > last[int(sender)]  # in order
+            last[int(sender)] = request.m_s
+            taken += 1
+            assert done is not None
+            done(Answer(True, Result.ACCEPTED, ""))
+    assert got == [asked] * 4
+    assert taken + exchange.turned_away == 4 * asked
+
+
+def test_messages_are_numbered_and_only_the_last_are_kept() -> None:
+    exchange = Exchange()
+    for i in range(250):
+        exchange.say(Severity.INFO, str(i))
+    assert [message.number for message in exchange.messages] == list(range(151, 251))
+    assert exchange.messages[-1].text == "249"
+
+
+# --- sessions ----------------------------------------------------------------------------------------------------
+
+
+class Pilot:
+    """A person at a ground station, in a thread of their own, who never waits for the wall clock."""
+
+    def __init__(self, exchange: Exchange, name: str = "test") -> None:
+        self.exchange, self.name = exchange, name
+        self._news = threading.Event()
+        exchange.subscribe(self._news.set)
+
+    def ask(self, request: Any) -> Answer:
+        got: list[Answer] = []
+        here = threading.Event()
+        self.exchange.ask(request, lambda answer: (got.append(answer), here.set())[0], self.name)
+        assert here.wait(PATIENCE), request
+        return got[0]
+
+    def ok(self, *requests: Any) -> None:
+        for request in requests:
+            answer = self.ask(request)
+            assert answer.accepted, (request, answer)
+
+    def until(self, true: Callable[[Snapshot], bool]) -> Snapshot:
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            snapshot = self.exchange.snapshot
+            if snapshot is not None and true(snapshot):
+                return snapshot
+            self._news.wait(0.1)
+            self._news.clear()
+        last = self.exchange.snapshot
+        raise AssertionError(f"not in time: {last and last.status}, {self.exchange.messages[-5:]}")
+
+    def take_off(self, height: float) -> None:
+        self.until(lambda s: s.status.ready)
+        self.ok(rq.Arm(), rq.Takeoff(height))
+        self.until(lambda s: s.status.mode is Mode.HOLD and s.measured.altitude > height - 1.0)
+
+    def land(self) -> None:
+        self.ok(rq.Land())
+        self.until(lambda s: not s.status.armed)
+
+
+def flown(folder: Path, script: Callable[[Pilot, Session], None], **options: Any) -> Session:
+    """A session that flies a script as fast as it goes, and stops."""
+    scenario = options.pop("scenario", Scenario.load("hover").replace(name="gcs"))
+    session = Session(scenario, Exchange(), factor=None, out=folder, report=False, **options)
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            script(Pilot(session.exchange), session)
+        except BaseException as error:
+            failed.append(error)
+        finally:
+            session.stop("the script is over")
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    session.run()
+    thread.join()
+    if failed:
+        raise failed[0]
+    return session
+
+
+def differing(one: Log, other: Log) -> list[str]:
+    assert one.columns == other.columns
+    return [name for name in one.columns if not np.array_equal(one[name], other[name], equal_nan=True)]
+
+
+def tour(pilot: Pilot, session: Session) -> None:
+    """Something of everything that a ground station asks for."""
+    pilot.ok(rq.SetParameter("SYS_FAILURE_EN", 1), rq.SetParameter("MPC_XY_VEL_MAX", 3.0))
+    pilot.take_off(6.0)
+    pilot.ok(rq.SetParameter("HJ_ROLL_P", 0.015), rq.Goto(4.0, -3.0, yaw=1.0))
+    pilot.until(lambda s: abs(s.measured.position[0] - 4.0) < 1.0)
+    for i in range(40):  # sticks arrive when they do
+        pilot.exchange.ask(rq.Sticks(0.01 * i, 0.2, 0.0, 0.5), None, "pad")
+        time.sleep(0.001)
+    pilot.ask(rq.SetMode("POSCTL"))  # may be too late for the sticks
+    pilot.ok(rq.InjectFault("thrust_loss", jets=(2,), amount=0.1, duration_s=2.0))
+    pilot.ok(rq.MissionUpload((rq.MissionItem(rq.ItemKind.WAYPOINT, 2.0, 2.0, 8.0),)), rq.MissionStart())
+    pilot.until(lambda s: s.status.mission_done)
+    pilot.land()
+
+
+@pytest.fixture(scope="module")
+def toured(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    session = flown(tmp_path_factory.mktemp("tour") / "run", tour)
+    (run,) = session.runs
+    return run
+
+
+def test_a_flight_on_request_is_recorded(toured: Run) -> None:
+    assert (toured.outcome, toured.reason) == ("completed", "the script is over")
+    assert toured.summary.metrics is not None
+    assert toured.summary.pacing is not None
+    assert toured.summary.planned_s == pytest.approx(toured.summary.steps * 0.004)
+    assert float(np.max(toured.log["altitude_m"])) > 7.0
+
+
+def test_every_request_is_in_the_log_with_its_step_and_sender(toured: Run) -> None:
+    assert toured.folder is not None
+    entries = read_requests(toured.folder / REQUESTS)
+    kinds = [type(entry.request).__name__ for entry in entries]
+    assert kinds[0] == "SetParameter"
+    assert {"Arm", "Takeoff", "Goto", "Sticks", "InjectFault", "MissionUpload", "MissionStart", "Land"} <= set(kinds)
+    assert {entry.sender for entry in entries} == {"test", "pad"}
+    assert [entry.step for entry in entries] == sorted(entry.step for entry in entries)
+    assert entries[-1].step < toured.summary.steps
+    first = json.loads((toured.folder / REQUESTS).read_text().splitlines()[0])
+    assert first.keys() >= {"step", "sender", "result", "request"}
+
+
+def test_the_scenario_is_as_at_the_start(toured: Run) -> None:
+    """Faults that came by request are in the requests, not in the scenario."""
+    assert toured.folder is not None
+    scenario = Scenario.load(toured.folder / "scenario.toml")
+    assert scenario.requests == REQUESTS
+    assert scenario.fault == []
+    assert scenario.monitored
+    assert scenario.steps == toured.summary.steps
+
+
+def test_the_run_flies_again_without_a_ground_station_bit_for_bit(toured: Run, tmp_path: Path) -> None:
+    assert toured.folder is not None
+    again = fly(Scenario.load(toured.folder / "scenario.toml"), tmp_path / "again", report=False)
+    assert (again.outcome, "otherwise" in again.reason) == ("completed", False)
+    assert differing(again.log, toured.log) == []
+    assert (tmp_path / "again" / REQUESTS).read_bytes() == (toured.folder / REQUESTS).read_bytes()
+    third = fly(Scenario.load(tmp_path / "again" / "scenario.toml"), report=False)
+    assert differing(third.log, toured.log) == []
+
+
+def test_a_replay_that_is_not_the_same_says_so(toured: Run, tmp_path: Path) -> None:
+    """Without the take-off, the goto is refused."""
+    assert toured.folder is not None
+    for name in ("scenario.toml", REQUESTS):
+        lines = (toured.folder / name).read_text().splitlines(keepends=True)
+        (tmp_path / name).write_text("".join(line for line in lines if '"Takeoff"' not in line))
+    again = fly(Scenario.load(tmp_path / "scenario.toml").replace(duration_s=20.0), report=False)
+    assert "answered otherwise, the first: Goto before step" in again.reason
+    assert "accepted then, temporarily_rejected now" in again.reason
+    assert differing(again.log, toured.log) != []
+
+
+def test_a_crash_ends_the_flight_and_a_restart_begins_a_new_one(tmp_path: Path) -> None:
+    seen: dict[str, Any] = {}
+
+    def script(pilot: Pilot, session: Session) -> None:
+        pilot.take_off(5.0)
+        seen["armed"] = pilot.ask(Restart())
+        pilot.ok(rq.Kill(force=True))
+        over = pilot.until(lambda s: s.ending is not None)
+        seen["over"] = over
+        seen["refused"] = pilot.ask(rq.Arm())
+        seen["folder"] = over.facts.folder
+        pilot.ok(Restart())
+        new = pilot.until(lambda s: s.facts.number == 2)
+        assert new.ending is None
+        pilot.take_off(3.0)
+        pilot.land()
+        pilot.ok(Shutdown())
+
+    session = flown(tmp_path / "run", script)
+    assert seen["armed"].result is Result.TEMPORARILY_REJECTED
+    assert seen["over"].ending.outcome == "crashed"
+    assert not seen["over"].status.armed
+    assert not seen["over"].status.ready
+    assert seen["over"].status.landed is LandedState.ON_GROUND
+    assert seen["refused"].result is Result.FAILED
+    assert "the flight is over" in seen["refused"].text
+    assert [run.outcome for run in session.runs] == ["crashed", "completed"]
+    assert [run.folder for run in session.runs] == [tmp_path / "run", tmp_path / "run-2"]
+    assert any(m.severity is Severity.CRITICAL and m.text.startswith("crashed: ") for m in session.exchange.messages)
+    assert session.runs[1].reason == "shut down by test"
+    # a flight that ended by itself flies again to the same end
+    again = fly(Scenario.load(tmp_path / "run" / "scenario.toml"), report=False)
+    assert again.outcome == "crashed"
+    assert differing(again.log, session.runs[0].log) == []
+
+
+def test_parameters_are_kept_for_the_vehicle_and_are_part_of_the_next_run(tmp_path: Path) -> None:
+    kept = tmp_path / "kept.toml"
+
+    def change(pilot: Pilot, session: Session) -> None:
+        pilot.ok(rq.SetParameter("HJ_ATT_ROLL", 3.0), rq.SetParameter("MPC_XY_VEL_MAX", 2.5))
+        assert not pilot.ask(rq.SetParameter("HJ_ATT_ROLL", 1e6)).accepted
+        assert not pilot.ask(rq.SetParameter("NO_SUCH", 1.0)).accepted
+
+    flown(tmp_path / "one", change, parameters=kept)
+    assert tomllib.loads(kept.read_text())["parameters"] == {"HJ_ATT_ROLL": 3.0, "MPC_XY_VEL_MAX": 2.5}
+
+    seen = []
+    script = lambda pilot, session: seen.append(pilot.until(lambda s: s.k > 0).facts.parameters["HJ_ATT_ROLL"])  # noqa: E731
+    session = flown(tmp_path / "two", script, parameters=kept)
+    assert seen == [3.0]
+    entries = read_requests(tmp_path / "two" / REQUESTS)
+    assert [(e.step, e.sender, e.request) for e in entries] == [
+        (0, "parameters", rq.SetParameter("HJ_ATT_ROLL", 3.0)),
+        (0, "parameters", rq.SetParameter("MPC_XY_VEL_MAX", 2.5)),
+    ]
+    again = fly(Scenario.load(tmp_path / "two" / "scenario.toml"), report=False)
+    assert differing(again.log, session.runs[0].log) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('format = 1\nvehicle = "hexjet-edf-as-flown-smith"\n[parameters]\nHJ_ATT_ROLL = "fast"\n', "must be a number"),
+        ('format = 1\nvehicle = "quadrotor"\n', "not the parameters of hexjet-edf-as-flown-smith"),
+        ("HJ_ATT_ROLL = = 2\n", "kept.toml"),
+    ],
+)
+def test_a_file_of_parameters_that_cannot_be_used_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    kept = tmp_path / "kept.toml"
+    kept.write_text(text)
+    with pytest.raises(InputError, match=r"kept\.toml") as caught:
+        Session(Scenario.load("hover"), Exchange(), out=tmp_path / "run", parameters=kept)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_kept_parameter_that_is_not_allowed_is_told_and_left_out(tmp_path: Path) -> None:
+    kept = tmp_path / "kept.toml"
+    head = 'format = 1\nvehicle = "hexjet-edf-as-flown-smith"\n[parameters]\n'
+    kept.write_text(f"{head}HJ_ATT_ROLL = 1e9\nHJ_ATT_YAW = 2.5\nNO_SUCH = 1.0\n")
+    seen = []
+
+    def look(pilot: Pilot, session: Session) -> None:
+        parameters = pilot.until(lambda s: s.k > 0).facts.parameters
+        seen.extend([parameters["HJ_ATT_ROLL"], parameters["HJ_ATT_YAW"]])
+
+    session = flown(tmp_path / "run", look, parameters=kept)
+    assert seen == [3.5, 2.5]
+    texts = [message.text for message in session.exchange.messages]
+    assert sum("HJ_ATT_ROLL" in text or "NO_SUCH" in text for text in texts) == 2
+
+
+def test_a_flood_of_one_leaves_the_others_served(tmp_path: Path) -> None:
+    """Queues stay bounded, requests a step stay bounded, and who asks once is answered."""
+    waits: list[int] = []
+
+    def script(pilot: Pilot, session: Session) -> None:
+        exchange, going = session.exchange, True
+
+        def flood() -> None:
+            chance = random.Random(1)
+            while going:
+                exchange.ask(rq.SetSpeed(chance.uniform(0.5, 5.0)), None, "flood")
+
+        thread = threading.Thread(target=flood)
+        thread.start()
+        try:
+            for _ in range(20):
+                before = pilot.until(lambda s: True).k
+                pilot.ok(rq.SetHome())
+                waits.append(exchange.snapshot.k - before if exchange.snapshot else -1)
+                assert exchange.waiting <= WAITING_EACH + 1
+        finally:
+            going = False
+            thread.join()
+
+    session = flown(tmp_path / "run", script)
+    assert session.exchange.turned_away > 0
+    assert len(waits) == 20
+    steps = [entry.step for entry in read_requests(tmp_path / "run" / REQUESTS)]
+    assert max(steps.count(step) for step in set(steps)) <= 8
+
+
+def test_a_scripted_flight_can_be_watched_but_not_changed(tmp_path: Path) -> None:
+    exchange = Exchange()
+    pilot = Pilot(exchange)
+    answers: list[Answer] = []
+    for request in (rq.Land(), rq.SetParameter("HJ_ATT_ROLL", 1.0), Restart()):
+        exchange.ask(request, answers.append, "test")
+    scenario = Scenario.load("roll-doublet").replace(duration_s=4.0, expect=[])
+    watched = fly(scenario, report=False, watch=Onlookers(exchange))
+    alone = fly(scenario, report=False)
+    assert differing(watched.log, alone.log) == []
+    assert [answer.text for answer in answers] == ["this flight follows its script"] * 3
+    last = pilot.until(lambda s: True)
+    assert (last.status.armed, last.status.mode) == (True, Mode.HOLD)
+    assert last.sample is not None
+    assert abs(last.sample.k - 999) < 250
+
+
+# --- the file of requests ---------------------------------------------------------------------------------------
+
+
+def test_requests_come_back_as_they_were(tmp_path: Path) -> None:
+    log = RequestLog(tmp_path / REQUESTS)
+    asked = [rq.Arm(), rq.Goto(1 / 3, -2e-17, None, 3.0), rq.Sticks(0.1, -1.0, 0.0, 0.7)]
+    for k, request in enumerate(asked):
+        log.write(k, "udp 1", request, Answer(True, Result.ACCEPTED, "fine"))
+    log.close()
+    found = read_requests(tmp_path / REQUESTS)
+    assert [entry.request for entry in found] == asked
+    assert (found[0].step, found[0].sender, found[0].result) == (0, "udp 1", "accepted")
+
+
+def test_a_torn_last_line_was_never_flown(tmp_path: Path) -> None:
+    (tmp_path / REQUESTS).write_text('{"step": 3, "request": "Hold"}\n{"step": 4, "request": "La')
+    assert [entry.step for entry in read_requests(tmp_path / REQUESTS)] == [3]
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("{", "line 2: not JSON"),
+        ("[]", "line 2: must be a JSON object"),
+        ('{"step": -1, "request": "Hold"}', "step = -1"),
+        ('{"step": 1.5, "request": "Hold"}', "step = 1.5"),
+        ('{"step": 1, "request": "Dance"}', "request = 'Dance'"),
+        ('{"step": 9, "request": "Hold", "why": 1}', "unknown key 'why'"),
+        ('{"step": 2, "request": "Hold"}', "step 2 comes after step 5"),
+    ],
+)
+def test_a_wrong_file_of_requests_is_refused(tmp_path: Path, line: str, message: str) -> None:
+    (tmp_path / REQUESTS).write_text('{"step": 5, "request": "Hold"}\n' + line + "\n")
+    with pytest.raises(InputError, match=REQUESTS) as caught:
+        read_requests(tmp_path / REQUESTS)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_requests_and_commands_exclude_each_other() -> None:
+    with pytest.raises(InputError, match="the autopilot flies then"):
+        Scenario.load("roll-doublet").replace(requests="some.jsonl")
+
+
+@pytest.mark.parametrize("text", ["", "1", "1,2,3", "a,b"])
+def test_a_place_is_two_numbers(text: str) -> None:
+    with pytest.raises(InputError, match="must be LAT,LON"):
+        place_at(text)
+
+
+# --- the command -------------------------------------------------------------------------------------------------
+
+HEXJET = [sys.executable, "-c", "from cosim.cli import main; main()"]
+
+
+@pytest.fixture
+def started(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts ``hexjet gcs`` in a folder of its own, and ends what the test has left."""
+    processes: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [
+                *HEXJET,
+                "gcs",
+                "--mavlink",
+                "udpin:127.0.0.1:0",
+                "--params",
+                "none",
+                "--out",
+                str(tmp_path / "run"),
+                *arguments,
+            ],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=tmp_path,
+        )
+        processes.append(process)
+        end = time.monotonic() + PATIENCE
+        stream = tmp_path / "run" / "flight.arrows"
+        while not (stream.exists() and stream.stat().st_size > 300_000):  # a second of flight and more
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        return process
+
+    yield start
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_finishes_the_run(started: Any, tmp_path: Path, number: signal.Signals) -> None:
+    process = started("--json")
+    process.send_signal(number)
+    out, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0
+    (summary,) = json.loads(out)["runs"]
+    assert (summary["outcome"], summary["reason"]) == ("completed", f"stopped by {number.name}")
+    assert summary["pacing"]["factor"] == 1.0
+    assert not (tmp_path / "run" / "flight.arrows").exists()
+    assert open_run(tmp_path / "run").outcome == "completed"
+
+
+def test_a_killed_run_flies_again_as_far_as_it_was_recorded(started: Any, tmp_path: Path) -> None:
+    process = started("--rtf", "0")
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait(PATIENCE)
+    done = subprocess.run(
+        [*HEXJET, "fly", str(tmp_path / "run" / "scenario.toml"), "--out", str(tmp_path / "again"), "--json"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    killed, again = open_run(tmp_path / "run"), open_run(tmp_path / "again")
+    assert (killed.outcome, killed.reason) == ("failed", "interrupted")
+    assert len(killed.log) >= 250
+    assert differing(again.log, killed.log) == []
+
+
+def test_a_run_that_is_being_flown_cannot_be_flown_again(started: Any, tmp_path: Path) -> None:
+    started()
+    done = subprocess.run(
+        [*HEXJET, "fly", str(tmp_path / "run" / "scenario.toml")], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "still being recorded" in done.stderr

@@ -1,0 +1,548 @@
+"""Files and logs over MAVLink: reading, listing, loss, hostile requests; and a run's ULog as a ground station gets it."""
+
+from __future__ import annotations
+
+import json
+import lzma
+import math
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mavlink_bench import Bench, Station
+from pyulog import ULog
+
+from cosim.export import export_ulog
+from cosim.flight import fly
+from cosim.mavlink.ftp import BURST_LENGTH, SESSIONS, Bytes, File, FileService
+from cosim.mavlink.logs import FIRST_LOGS, LogService, OnDisk, Shelf, finished_runs
+from cosim.mavlink.metadata import Metadata
+from cosim.mavlink.service import crc32
+from cosim.pilot.parameters import Parameters, table
+from cosim.scenario import Scenario
+from cosim.vehicle import load_vehicle
+
+TO = (1, 1)
+NONE, TERMINATE, RESET, LIST, OPEN, READ, CRC, BURST = 0, 1, 2, 3, 4, 5, 14, 15
+ACK, NAK = 128, 129
+FAIL, BAD_SIZE, BAD_SESSION, END, UNKNOWN, PROTECTED, NOT_FOUND = 1, 3, 4, 6, 7, 9, 10
+DATA = 239
+TEXT = bytes(range(256)) * 200  # 51200 bytes: more than two bursts
+CONTENT = {"log/a.ulg": TEXT, "log/deep/b.ulg": b"b", "etc/x.json": b"{}", "empty": b""}
+
+
+def files() -> Mapping[str, File]:
+    return {path: Bytes(data) for path, data in CONTENT.items()}
+
+
+class Reply(NamedTuple):
+    sequence: int
+    session: int
+    code: int
+    asked: int
+    last: bool
+    offset: int
+    data: bytes
+
+
+class Client:
+    """FTP as a ground station speaks it: a sequence number for each request, the same one when it is repeated."""
+
+    def __init__(self, station: Station, session: int = 0) -> None:
+        self.station, self.session = station, session
+        self.sequence = 0
+
+    def put(self, code: int, data: bytes = b"", offset: int = 0, size: int | None = None) -> None:
+        head = struct.pack(
+            "<HBBBBBBI", self.sequence, self.session, code, len(data) if size is None else size, 0, 0, 0, offset
+        )
+        self.station.send("FILE_TRANSFER_PROTOCOL", 0, *TO, list((head + data).ljust(251, b"\0")))
+
+    def get(self, seconds: float = 0.5) -> Reply | None:
+        message = self.station.wait("FILE_TRANSFER_PROTOCOL", seconds=seconds)
+        if message is None:
+            return None
+        assert (message.target_system, message.target_component) == (255, 190)
+        raw = bytes(message.payload)
+        sequence, session, code, size, asked, last, _, offset = struct.unpack("<HBBBBBBI", raw[:12])
+        return Reply(sequence, session, code, asked, bool(last), offset, raw[12 : 12 + size])
+
+    def ask(self, code: int, data: bytes = b"", offset: int = 0, size: int | None = None) -> Reply:
+        """One request, repeated with its sequence number until it is answered."""
+        for _ in range(20):
+            self.put(code, data, offset, size)
+            while (reply := self.get()) is not None:
+                if reply.asked == code and reply.sequence == (self.sequence + 1) & 0xFFFF:
+                    self.sequence = (self.sequence + 2) & 0xFFFF
+                    return reply
+        raise AssertionError("no answer")
+
+    def burst(self, offset: int) -> list[Reply]:
+        """What comes of one burst."""
+        for _ in range(20):
+            self.put(BURST, offset=offset, size=DATA)
+            replies = []
+            while (reply := self.get()) is not None:
+                if reply.asked == BURST:
+                    replies.append(reply)
+                    if reply.last or reply.code == NAK:
+                        break
+            if replies:
+                self.sequence = (replies[-1].sequence + 1) & 0xFFFF
+                return replies
+        raise AssertionError("no answer")
+
+    def download(self, path: str) -> bytes:
+        """Open, bursts, what is missing by single reads, close: as QGroundControl and MAVSDK do."""
+        opened = self.ask(OPEN, path.encode() + b"\0")
+        assert opened.code == ACK
+        (size,) = struct.unpack("<I", opened.data)
+        parts: dict[int, bytes] = {}
+        at = 0
+        while at < size:
+            for reply in self.burst(at):
+                assert reply.session == self.session
+                parts[reply.offset] = reply.data
+                at = max(at, reply.offset + len(reply.data))
+        place = 0
+        while place < size:
+            if place not in parts:
+                reply = self.ask(READ, offset=place, size=DATA)
+                assert (reply.code, reply.offset) == (ACK, place)
+                parts[place] = reply.data
+            place += len(parts[place])
+        assert self.ask(TERMINATE).code == ACK
+        return b"".join(parts[place] for place in sorted(parts))
+
+
+def client(session: int = 0, **link: Any) -> Client:
+    return Client(Bench(FileService(files), **link).station(), session)
+
+
+# --- files ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", ["log/a.ulg", "/log/a.ulg", "@MAV_LOG/a.ulg", "/@MAV_LOG//a.ulg", "./log/./a.ulg"])
+def test_a_file_is_what_it_is(path: str) -> None:
+    assert client(session=7).download(path) == TEXT
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_file_with_a_fifth_of_the_frames_lost(seed: int) -> None:
+    assert client(loss=0.2, seed=seed).download("log/a.ulg") == TEXT
+
+
+def test_bursts_are_bounded_paced_numbered_and_say_which_is_their_last() -> None:
+    ftp = client()
+    ftp.ask(OPEN, b"log/a.ulg\0")
+    first = ftp.sequence
+    replies = ftp.burst(0)
+    assert len(replies) == BURST_LENGTH
+    assert [reply.last for reply in replies] == [False] * (BURST_LENGTH - 1) + [True]
+    assert [reply.sequence for reply in replies] == list(range(first + 1, first + 1 + BURST_LENGTH))
+    assert [reply.offset for reply in replies] == [DATA * i for i in range(BURST_LENGTH)]
+    ftp.put(BURST, size=DATA)
+    ftp.station.bench.tick()
+    assert len(ftp.station.inbox) == 16
+    rest = ftp.burst(len(TEXT) - 100)
+    assert (rest[-1].last, rest[-1].data) == (True, TEXT[-100:])
+
+
+def test_the_end_of_a_file_is_refused_politely() -> None:
+    ftp = client()
+    ftp.ask(OPEN, b"log/deep/b.ulg\0")
+    assert ftp.ask(READ, offset=0, size=DATA).data == b"b"
+    for code in (READ, BURST):
+        reply = ftp.ask(code, offset=1, size=DATA)
+        assert (reply.code, reply.data) == (NAK, bytes([END]))
+    assert ftp.ask(READ, offset=2**32 - 1, size=DATA).data == bytes([END])
+    assert struct.unpack("<I", ftp.ask(OPEN, b"empty\0").data) == (0,)
+    assert ftp.ask(READ, offset=0, size=DATA).data == bytes([END])
+
+
+def test_a_small_read_is_small() -> None:
+    ftp = client()
+    ftp.ask(OPEN, b"log/a.ulg\0")
+    assert ftp.ask(READ, offset=5, size=3).data == TEXT[5:8]
+    ftp.put(BURST, offset=0, size=80)
+    reply = ftp.get()
+    assert reply is not None
+    assert len(reply.data) == 80
+
+
+def test_a_file_that_is_not_there_is_refused_with_the_session_that_was_said() -> None:
+    """MAVProxy asks for @PARAM/param.pck under a session of its own and waits ten seconds for that number."""
+    ftp = client(session=42)
+    for path in (b"@PARAM/param.pck\0", b"log\0", b"\0", b"", b"log/a.ulg/\xff\0"):
+        reply = ftp.ask(OPEN, path)
+        assert (reply.code, reply.data, reply.session) == (NAK, bytes([NOT_FOUND]), 42)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [b"../etc/passwd", b"/../../../etc/passwd", b"log/../../x", b"/etc/passwd", b"log/..", b"\xff\xfe", b"%2e%2e/x", b"x" * 239, b"/" * 239],
+)  # fmt: skip
+def test_no_path_leads_out(path: bytes) -> None:
+    ftp = client()
+    assert ftp.ask(OPEN, path).data == bytes([NOT_FOUND])
+    assert ftp.ask(CRC, path).data == bytes([NOT_FOUND])
+    reply = ftp.ask(LIST, path)
+    assert reply.code == NAK or path == b"/" * 239
+
+
+def test_a_folder_is_listed_in_parts() -> None:
+    many = {f"log/{number:03d}-{'x' * 40}.ulg": b"12345" for number in range(50)}
+    ftp = Client(Bench(FileService(lambda: {path: Bytes(data) for path, data in many.items()})).station())
+    found: list[bytes] = []
+    while (reply := ftp.ask(LIST, b"/log\0", offset=len(found))).code == ACK:
+        assert len(reply.data) <= DATA
+        found += reply.data.split(b"\0")[:-1]
+    assert reply.data == bytes([END])
+    assert found == [f"F{path.removeprefix('log/')}\t5".encode() for path in many]
+
+
+def test_folders_are_told_from_files() -> None:
+    ftp = client()
+    assert ftp.ask(LIST, b"/\0").data == b"Fempty\t0\0Detc\0Dlog\0"
+    assert ftp.ask(LIST, b"@MAV_LOG\0").data == b"Fa.ulg\t51200\0Ddeep\0"
+    assert ftp.ask(LIST, b"nowhere\0").data == bytes([NOT_FOUND])
+
+
+def test_the_checksum_of_a_file() -> None:
+    ftp = client()
+    assert struct.unpack("<I", ftp.ask(CRC, b"log/a.ulg\0").data) == (crc32(TEXT),)
+    assert struct.unpack("<I", ftp.ask(CRC, b"empty\0").data) == (0,)
+    assert not ftp.station.bench.services[0].busy
+
+
+def test_nothing_can_be_written() -> None:
+    ftp = client()
+    for code in range(6, 14):
+        reply = ftp.ask(code, b"log/a.ulg\0")
+        assert (reply.code, reply.data) == (NAK, bytes([PROTECTED]))
+    for code in (16, 17, 100, 127, ACK, NAK, 255):
+        reply = ftp.ask(code, b"x\0")
+        assert (reply.code, reply.data) == (NAK, bytes([UNKNOWN]))
+    assert ftp.ask(NONE).code == ACK
+
+
+def test_sessions_are_the_clients_own() -> None:
+    """Two files of one client, and another client with the same number."""
+    bench = Bench(FileService(files))
+    first, second = bench.station(), bench.station(255, 190)
+    one, two, other = Client(first, 1), Client(first, 2), Client(second, 1)
+    one.ask(OPEN, b"log/a.ulg\0")
+    two.ask(OPEN, b"log/deep/b.ulg\0")
+    other.ask(OPEN, b"etc/x.json\0")
+    assert one.ask(READ, size=4).data == TEXT[:4]
+    assert two.ask(READ, size=4).data == b"b"
+    assert other.ask(READ, size=4).data == b"{}"
+    assert one.ask(TERMINATE).code == one.ask(TERMINATE).code == ACK  # the first answer may have been lost
+    assert one.ask(READ, size=4).data == bytes([BAD_SESSION])
+    assert two.ask(RESET).code == ACK
+    assert two.ask(READ, size=4).data == two.ask(BURST, size=4).data == bytes([BAD_SESSION])
+    assert other.ask(READ, size=4).data == b"{}"
+
+
+def test_a_session_that_was_left_open_is_opened_again() -> None:
+    ftp = client()
+    ftp.ask(OPEN, b"etc/x.json\0")
+    assert ftp.download("log/a.ulg") == TEXT
+
+
+def test_sessions_and_clients_are_bounded() -> None:
+    service = FileService(files)
+    bench = Bench(service)
+    station = bench.station()
+    for session in range(256):
+        Client(station, session).ask(OPEN, b"log/a.ulg\0")
+    for component in range(100):
+        bench.station(9, component).send(
+            "FILE_TRANSFER_PROTOCOL", 0, *TO, [0, 0, 0, OPEN, 6, 0, 0, 0, 0, 0, 0, 0, *b"empty\0"] + [0] * 233
+        )
+    assert len(service._clients) == 16
+    assert all(len(state.open) <= SESSIONS for state in service._clients.values())
+    service.forget("peer99")
+    assert len(service._clients) == 15
+
+
+def test_opening_again_costs_no_other_session() -> None:
+    bench = Bench(FileService(files))
+    station = bench.station()
+    for session in (*range(SESSIONS), SESSIONS - 1):
+        Client(station, session).ask(OPEN, b"log/a.ulg\0")
+    assert Client(station, 0).ask(READ, size=4).data == TEXT[:4]
+
+
+def test_a_burst_ends_with_its_session() -> None:
+    ftp = client()
+    ftp.ask(OPEN, b"log/a.ulg\0")
+    ftp.put(BURST, size=DATA)
+    ftp.station.bench.tick()
+    ftp.put(TERMINATE)
+    ftp.station.take()
+    ftp.station.bench.tick(1.0)
+    assert not ftp.station.take()
+
+
+def test_a_file_that_is_too_large_for_the_protocol_is_refused() -> None:
+    class Huge:
+        size = 1 << 32
+
+        def read(self, offset: int, length: int) -> bytes:
+            raise AssertionError
+
+    ftp = Client(Bench(FileService(lambda: {"huge": Huge()})).station())
+    assert ftp.ask(OPEN, b"huge\0").data == bytes([FAIL])
+
+
+@settings(deadline=None)  # other work may hold the processor
+@given(st.lists(st.binary(min_size=251, max_size=251), max_size=5))
+def test_any_payload_is_answered_or_not_but_never_a_surprise(payloads: list[bytes]) -> None:
+    service = FileService(files)
+    bench = Bench(service)
+    station = bench.station()
+    for payload in payloads:
+        station.send("FILE_TRANSFER_PROTOCOL", 0, *TO, list(payload))
+        bench.tick(0.05)
+    for message in station.take():
+        assert message.payload[3] in (ACK, NAK)
+    assert dict(files()).keys() == CONTENT.keys()
+
+
+def test_metadata_is_read_over_ftp_as_mavsdk_does(tmp_path: Path) -> None:
+    """COMPONENT_METADATA, then the two files that lead to each other, checked by their checksums."""
+    control = load_vehicle("hexjet")[0].control
+    assert control.pilot is not None
+    lines = Parameters(table(control, control.pilot, "smith", 25.0))
+    metadata = Metadata(lines, "hexjet", "0.1.0")
+    ftp = Client(Bench(FileService(lambda: {p: Bytes(d) for p, d in metadata.files.items()}), loss=0.2).station())
+    start = metadata.on_request[397](0)
+    uri, crc = start.uri, start.file_crc
+    general = ftp.download(uri.removeprefix("mftp://"))
+    assert crc32(general) == crc
+    (kind,) = json.loads(lzma.decompress(general))["metadataTypes"]
+    inner = ftp.download(kind["uri"].removeprefix("mftp://"))
+    assert crc32(inner) == kind["fileCrc"]
+    assert {each["name"] for each in json.loads(lzma.decompress(inner))["parameters"]} == set(lines.values)
+
+
+# --- logs ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two finished runs, one that was interrupted before its summary, and one that is broken."""
+    root = tmp_path_factory.mktemp("runs")
+    for number in (1, 2):
+        fly(Scenario.load("hover").replace(duration_s=0.2 * number), out=root / f"run{number}")
+    (root / "unfinished").mkdir()
+    broken = root / "run3"
+    broken.mkdir()
+    (broken / "summary.json").write_text('{"started": "2999-01-01T00:00:00Z"}')
+    (broken / "flight.parquet").write_text("nonsense")
+    return root
+
+
+@pytest.fixture
+def shelf(runs: Path) -> Iterator[Shelf]:
+    shelf = Shelf(lambda: finished_runs(runs))
+    yield shelf
+    shelf.close()
+
+
+def entries(station: Station) -> dict[int, Any]:
+    """The list; what is missing is asked for again, as QGroundControl does."""
+    found: dict[int, Any] = {}
+    for _ in range(30):
+        station.send("LOG_REQUEST_LIST", *TO, 0, 0xFFFF)
+        while (entry := patient(station)) is not None:
+            found[entry.id] = entry
+            if len(found) >= entry.num_logs:
+                return found
+    raise AssertionError("no list")
+
+
+def patient(station: Station) -> Any:
+    """An entry: the other process works in real time, and the clock of the bench does not."""
+    import time
+
+    deadline = time.monotonic() + 20.0
+    while station.bench.services[0].busy and time.monotonic() < deadline:
+        entry = station.wait("LOG_ENTRY", seconds=0.0)
+        if entry is not None:
+            return entry
+        time.sleep(0.01)
+    return station.wait("LOG_ENTRY", seconds=0.1)
+
+
+def download(station: Station, number: int, size: int, chunk: int = 512 * 90) -> bytes:
+    """As MAVSDK: chunk by chunk, of each what is still missing."""
+    parts: dict[int, bytes] = {}
+    for start in range(0, size, chunk):
+        end = min(size, start + chunk)
+        for _ in range(1000):
+            missing = [at for at in range(start, end, 90) if at not in parts]
+            if not missing:
+                break
+            first = missing[0]
+            last = next((at for at in range(first, end, 90) if at in parts), end)
+            station.send("LOG_REQUEST_DATA", *TO, number, first, last - first)
+            while (part := station.wait("LOG_DATA", seconds=0.1)) is not None:
+                assert part.id == number
+                parts[part.ofs] = bytes(part.data[: part.count])
+                if part.ofs + part.count >= last:
+                    break
+    return b"".join(parts[at] for at in sorted(parts))
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.2])
+def test_a_run_is_listed_and_downloaded_as_the_ulog_that_export_writes(
+    runs: Path, shelf: Shelf, tmp_path: Path, loss: float
+) -> None:
+    station = Bench(LogService(shelf), loss=loss).station()
+    found = entries(station)
+    assert sorted(found) == [0, 1, 2]
+    assert {entry.last_log_num for entry in found.values()} == {2}
+    assert found[2].size == 0  # the broken one; MAVSDK refuses to download it
+    for number in (0, 1):
+        expected = tmp_path / f"{number}.ulg"
+        export_ulog(runs / f"run{number + 1}", expected)
+        assert found[number].size == expected.stat().st_size
+        got = download(station, number, found[number].size)
+        assert got == expected.read_bytes()
+        copy = tmp_path / "copy.ulg"
+        copy.write_bytes(got)
+        log = ULog(str(copy))
+        assert log.get_dataset("vehicle_attitude").data["timestamp"][-1] == pytest.approx(2e5 * (number + 1), abs=4001)
+        assert found[number].time_utc > 1.6e9
+
+
+def test_logs_are_files_too(runs: Path, shelf: Shelf) -> None:
+    bench = Bench(LogService(shelf), FileService(shelf.files))
+    station = bench.station()
+    size = entries(station)[0].size
+    ftp = Client(station)
+    names = [line.split(b"\t")[0][1:].decode() for line in ftp.ask(LIST, b"@MAV_LOG\0").data.split(b"\0")[:-1]]
+    assert len(names) == 2
+    assert names[0].startswith("log_0_20")
+    data = ftp.download(f"log/{names[0]}")
+    assert len(data) == size
+    assert data[:4] == b"ULog"
+
+
+def test_no_runs_is_a_list_of_none(tmp_path: Path) -> None:
+    shelf = Shelf(lambda: finished_runs(tmp_path / "nowhere"))
+    try:
+        station = Bench(LogService(shelf)).station()
+        station.send("LOG_REQUEST_LIST", *TO, 0, 0xFFFF)
+        entry = station.wait("LOG_ENTRY")
+        assert (entry.id, entry.num_logs, entry.size) == (0, 0, 0)
+    finally:
+        shelf.close()
+
+
+class Ready:
+    """A shelf whose logs are there."""
+
+    making = False
+
+    def __init__(self, tmp_path: Path, *sizes: int) -> None:
+        from cosim.mavlink.logs import Log
+
+        self.logs = []
+        for number, size in enumerate(sizes):
+            path = tmp_path / f"{number}.ulg"
+            path.write_bytes(bytes(i * 7 % 251 for i in range(size)))
+            self.logs.append(Log(number, path, 1, OnDisk(path)))
+
+    def look(self) -> None: ...
+
+    def work(self, now: float) -> None: ...
+
+
+@pytest.mark.parametrize("size", [1, 89, 90, 91, 180, 900, 46080, 50_000])
+def test_a_log_that_is_asked_for_without_an_end_has_one(tmp_path: Path, size: int) -> None:
+    """MAVProxy asks for 4 GiB and stops at a part that is not full."""
+    shelf = Ready(tmp_path, size)
+    station = Bench(LogService(shelf)).station()  # type: ignore[arg-type]
+    station.send("LOG_REQUEST_DATA", *TO, 0, 0, 0xFFFFFFFF)
+    station.bench.tick(2.0)
+    parts = station.take("LOG_DATA")
+    assert b"".join(bytes(p.data[: p.count]) for p in parts) == (tmp_path / "0.ulg").read_bytes()
+    assert parts[-1].count == 0
+    assert [p.count for p in parts[:-2]] == [90] * (math.ceil(size / 90) - 1)
+    assert not station.bench.services[0].busy
+
+
+def test_only_what_is_asked_for_is_sent_and_an_end_ends_it(tmp_path: Path) -> None:
+    station = Bench(LogService(Ready(tmp_path, 50_000))).station()  # type: ignore[arg-type]
+    station.send("LOG_REQUEST_DATA", *TO, 0, 900, 180)
+    station.bench.tick(0.1)
+    assert [(p.ofs, p.count) for p in station.take("LOG_DATA")] == [(900, 90), (990, 90)]
+    station.send("LOG_REQUEST_DATA", *TO, 0, 0, 50_000)
+    station.bench.tick()
+    assert 0 < len(station.take("LOG_DATA")) <= 30  # not all at once
+    station.send("LOG_REQUEST_END", *TO)
+    station.bench.tick(1.0)
+    assert not station.take("LOG_DATA")
+
+
+@pytest.mark.parametrize(
+    ("number", "offset", "count", "answers"),
+    [
+        (5, 0, 90, 0),
+        (65535, 0, 90, 0),
+        (0, 1000, 90, 1),
+        (0, 2**32 - 1, 2**32 - 1, 1),
+        (0, 0, 0, 1),
+        (0, 999, 2**32 - 1, 2),
+    ],
+)
+def test_parts_that_are_not_there_are_empty(tmp_path: Path, number: int, offset: int, count: int, answers: int) -> None:
+    station = Bench(LogService(Ready(tmp_path, 1000))).station()  # type: ignore[arg-type]
+    station.send("LOG_REQUEST_DATA", *TO, number, offset, count)
+    station.bench.tick(0.1)
+    parts = station.take("LOG_DATA")
+    assert len(parts) == answers
+    assert all(part.count == 0 for part in parts[-1:])
+
+
+def test_a_log_that_vanishes_ends(tmp_path: Path) -> None:
+    station = Bench(LogService(Ready(tmp_path, 50_000))).station()  # type: ignore[arg-type]
+    (tmp_path / "0.ulg").unlink()
+    station.send("LOG_REQUEST_DATA", *TO, 0, 0, 50_000)
+    station.bench.tick(0.1)
+    assert [part.count for part in station.take("LOG_DATA")] == [0]
+
+
+def test_erase_erases_nothing_and_requests_are_bounded(tmp_path: Path) -> None:
+    service = LogService(Ready(tmp_path, 50_000))  # type: ignore[arg-type]
+    bench = Bench(service)
+    for component in range(100):
+        station = bench.station(9, component)
+        station.send("LOG_ERASE", *TO)
+        station.send("LOG_REQUEST_DATA", *TO, 0, 0, 2**32 - 1)
+    assert len(service._reads) == 16
+    assert (tmp_path / "0.ulg").exists()
+    service.forget("peer99")
+    assert len(service._reads) == 15
+
+
+def test_of_many_runs_the_newest_are_kept_and_numbers_stay(tmp_path: Path) -> None:
+    here: list[Path] = [tmp_path / f"run{number}" for number in range(FIRST_LOGS + 5)]
+    shelf = Shelf(lambda: here)
+    try:
+        shelf.look()
+        assert [log.run.name for log in shelf.logs] == [f"run{number}" for number in range(5, FIRST_LOGS + 5)]
+        here.append(tmp_path / "later")
+        shelf.look()
+        shelf.look()
+        assert [log.number for log in shelf.logs] == list(range(FIRST_LOGS + 1))
+        assert shelf.logs[-1].run.name == "later"
+    finally:
+        shelf.close()

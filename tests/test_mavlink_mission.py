@@ -1,0 +1,571 @@
+"""Missions over MAVLink: up, down, refused, interrupted, under loss; and the places of the items on the Earth."""
+
+from __future__ import annotations
+
+from math import cos, isnan, nan, radians
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mavlink_bench import TICK, Bench, Station, refuse
+
+from cosim.airframe import Airframe
+from cosim.errors import InputError
+from cosim.geodesy import Geodesy
+from cosim.mavlink.missions import Item, ItemError, MissionService, to_flown, to_item
+from cosim.pilot.modes import Home, Mode
+from cosim.pilot.requests import (
+    Answer,
+    ItemKind,
+    MissionClear,
+    MissionItem,
+    MissionSetCurrent,
+    MissionUpload,
+    Request,
+    Result,
+)
+from cosim.scenario import Environment, Initial
+from cosim.signals import ZERO3, Disturbance
+from cosim.vehicle import load_vehicle
+
+PLACE = Geodesy(22.35, 113.59, 12.0)
+HOME = 0.125
+TO = (1, 1)
+SEA, RELATIVE, NOWHERE = 5, 6, 2  # MAV_FRAME_GLOBAL_INT, _GLOBAL_RELATIVE_ALT_INT, _MISSION
+NOT_GIVEN = 2**31 - 1
+ACCEPTED, ERROR, FRAME, UNSUPPORTED, NO_SPACE, INVALID = range(6)
+P1, P2, _P3, P4, P5, P6, P7, SEQUENCE, DENIED, CANCELLED = range(6, 16)
+
+
+def at(north: float, east: float, up: float, frame: int = RELATIVE, command: int = 16, **params: float) -> Item:
+    """An item at a place; ``up`` is what its frame says."""
+    altitude = up + HOME if frame == RELATIVE else up - PLACE.ground
+    latitude, longitude, _ = PLACE.to_geodetic(north, east, altitude)
+    given = (*(params.get(f"p{i}", 0.0) for i in (1, 2, 3)), params.get("p4", nan))
+    return Item(frame, command, given, round(1e7 * latitude), round(1e7 * longitude), up)  # type: ignore[arg-type]
+
+
+def do(command: int, *params: float, z: float = 0.0, frame: int = NOWHERE) -> Item:
+    """An item without a place."""
+    return Item(frame, command, tuple([*params, 0.0, 0.0, 0.0, 0.0][:4]), 0, 0, z)  # type: ignore[arg-type]
+
+
+SQUARE = [
+    do(22, 0, 0, 0, nan, z=10.0, frame=RELATIVE),
+    at(20.0, 0.0, 10.0, p1=1.5, p2=2.0),
+    do(178, 1.0, 4.0, -1.0),
+    at(20.0, 20.0, 12.0, p4=90.0),
+    do(93, 2.0),
+    at(0.0, 20.0, 30.0, SEA),
+    do(177, 1.0, 2.0),
+    do(20),
+]
+
+
+class Vehicle:
+    """A pilot that holds a mission, behind the service."""
+
+    def __init__(self, **link: Any) -> None:
+        self.bench = Bench(**link)
+        self.items: tuple[MissionItem, ...] = ()
+        self.status: Any = SimpleNamespace(
+            mission_count=0,
+            mission_current=0,
+            mission_reached=-1,
+            mission_done=False,
+            mode=Mode.HOLD,
+            armed=False,
+            home=Home(0.0, 0.0, HOME),
+        )
+        self.service = MissionService(lambda: self.items, lambda: self.status, self.bench.ask, PLACE)
+        self.bench.services.append(self.service)
+        self.bench.pilot = self.pilot
+        self.station = self.bench.station()
+        self.bench.tick()
+
+    def pilot(self, request: Request) -> Answer:
+        if isinstance(request, MissionUpload):
+            self.items = request.items
+        elif isinstance(request, MissionClear):
+            self.items = ()
+        elif isinstance(request, MissionSetCurrent) and request.index >= len(self.items):
+            return refuse(f"mission item {request.index}: there are {len(self.items)}")
+        elif isinstance(request, MissionSetCurrent):
+            self.status.mission_current = request.index
+        if self.status is not None:
+            self.status.mission_count = len(self.items)
+        return Answer(True, Result.ACCEPTED, "")
+
+
+def send_item(station: Station, index: int, item: Item, old: bool = False, kind: int = 0) -> None:
+    place = (item.x * 1e-7, item.y * 1e-7) if old else (item.x, item.y)
+    name = "MISSION_ITEM" if old else "MISSION_ITEM_INT"
+    station.send(name, *TO, index, item.frame, item.command, index == 0, 1, *item.params, *place, item.z, kind)
+
+
+def upload(station: Station, items: list[Item], old: bool = False) -> int:
+    """As MAVSDK and QGroundControl: the count until the first request, then what is asked for; the final result."""
+    for _ in range(20):
+        station.send("MISSION_COUNT", *TO, len(items), 0)
+        answer = station.wait("MISSION_REQUEST_INT", "MISSION_ACK", seconds=0.5)
+        if answer is not None:
+            break
+    for _ in range(50 * len(items) + 50):
+        if answer is not None and answer.get_type() == "MISSION_ACK":
+            return int(answer.type)
+        if answer is not None:
+            index = answer.seq
+        send_item(station, index, items[index], old)  # and again what was sent last, if nothing comes
+        answer = station.wait("MISSION_REQUEST_INT", "MISSION_ACK", seconds=1.0)
+    raise AssertionError("the upload does not end")
+
+
+def download(station: Station) -> list[Any]:
+    count = station.insist(("MISSION_REQUEST_LIST", *TO, 0), "MISSION_COUNT").count
+    items = []
+    for index in range(count):
+        request = ("MISSION_REQUEST_INT", *TO, index, 0)
+        items.append(station.insist(request, "MISSION_ITEM_INT", match=lambda m, i=index: m.seq == i))
+    station.send("MISSION_ACK", *TO, ACCEPTED, 0)
+    return items
+
+
+def same(received: Any, item: Item) -> bool:
+    """Bit for bit what was sent; NaN is NaN."""
+    got = (received.param1, received.param2, received.param3, received.param4)
+    params = all(a == b or (isnan(a) and isnan(b)) for a, b in zip(got, item.params, strict=True))
+    return params and (received.frame, received.command, received.x, received.y, received.z) == (
+        item.frame,
+        item.command,
+        item.x,
+        item.y,
+        item.z,
+    )
+
+
+# --- up and down ---------------------------------------------------------------------------------------------------
+
+
+def test_an_uploaded_mission_is_flown_as_it_was_meant_and_comes_back_as_it_was_sent() -> None:
+    vehicle = Vehicle()
+    assert upload(vehicle.station, SQUARE) == ACCEPTED
+    kinds = [item.kind for item in vehicle.items]
+    assert kinds == [
+        ItemKind.TAKEOFF, ItemKind.WAYPOINT, ItemKind.SPEED, ItemKind.WAYPOINT,
+        ItemKind.DELAY, ItemKind.WAYPOINT, ItemKind.JUMP, ItemKind.RETURN,
+    ]  # fmt: skip
+    takeoff, first, speed, second, delay, third, jump, _ = vehicle.items
+    assert takeoff.altitude == 10.0 + HOME
+    assert (first.north, first.east, first.altitude) == pytest.approx((20.0, 0.0, 10.0 + HOME), abs=0.012)  # 1e-7 deg
+    assert (first.hold_s, first.acceptance_m, first.yaw) == (1.5, 2.0, None)
+    assert second.yaw == pytest.approx(radians(90.0))
+    assert third.altitude == pytest.approx(30.0 - PLACE.ground)  # above the sea
+    assert (speed.speed, delay.hold_s, jump.target, jump.repeat) == (4.0, 2.0, 1, 2)
+    received = download(vehicle.station)
+    assert all(same(a, b) for a, b in zip(received, SQUARE, strict=True))
+    assert [m.current for m in received] == [1] + [0] * 7
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_up_and_down_with_a_fifth_of_the_frames_lost(seed: int) -> None:
+    vehicle = Vehicle(loss=0.2, seed=seed)
+    assert upload(vehicle.station, SQUARE) == ACCEPTED
+    assert sum(isinstance(request, MissionUpload) for request in vehicle.bench.asked) == 1
+    assert len(vehicle.items) == len(SQUARE)
+    assert all(same(a, b) for a, b in zip(download(vehicle.station), SQUARE, strict=True))
+
+
+def test_the_old_messages_in_degrees_work_too() -> None:
+    """To the metre: 32-bit degrees at 113 deg are 0.8 m apart."""
+    vehicle = Vehicle()
+    old = [item._replace(frame={SEA: 0, RELATIVE: 3}.get(item.frame, item.frame)) for item in SQUARE]
+    assert upload(vehicle.station, old, old=True) == ACCEPTED
+    assert vehicle.items[1].north == pytest.approx(20.0, abs=1.0)
+    vehicle.station.send("MISSION_REQUEST", *TO, 3, 0)
+    item = vehicle.station.wait("MISSION_ITEM")
+    latitude, longitude, _ = PLACE.to_geodetic(20.0, 20.0)
+    assert (item.x, item.y) == pytest.approx((latitude, longitude), abs=1e-5)
+    assert (item.frame, item.z) == (3, 12.0)
+
+
+def test_a_mission_from_elsewhere_is_written_as_items_that_mean_the_same() -> None:
+    vehicle = Vehicle()
+    upload(vehicle.station, SQUARE)
+    vehicle.items = (*vehicle.items[1:6], MissionItem(ItemKind.LAND, 5.0, 6.0), MissionItem(ItemKind.LAND))
+    received = download(vehicle.station)
+    for message, item in zip(received, vehicle.items, strict=True):
+        params = (message.param1, message.param2, message.param3, message.param4)
+        written = Item(message.frame, message.command, params, message.x, message.y, message.z)
+        again = to_flown(written, PLACE, 99.0)
+        assert again.kind is item.kind
+        if item.north is not None:
+            assert (again.north, again.east) == pytest.approx((item.north, item.east), abs=0.012)
+        if item.altitude is not None:
+            assert again.altitude == pytest.approx(item.altitude, abs=1e-5)
+        assert (again.hold_s, again.speed, again.target) == (item.hold_s, item.speed, item.target)
+        assert again.yaw == pytest.approx(item.yaw) if item.yaw is not None else again.yaw is None
+
+
+def test_an_empty_upload_and_clear_all_empty_the_mission() -> None:
+    for last in (("MISSION_COUNT", *TO, 0, 0), ("MISSION_CLEAR_ALL", *TO, 0), ("MISSION_CLEAR_ALL", *TO, 255)):
+        vehicle = Vehicle()
+        upload(vehicle.station, SQUARE)
+        vehicle.station.send(*last)
+        ack = vehicle.station.wait("MISSION_ACK")
+        assert (ack.type, ack.target_system, ack.target_component) == (ACCEPTED, 255, 190)
+        assert vehicle.items == ()
+        assert download(vehicle.station) == []
+
+
+# --- refused -------------------------------------------------------------------------------------------------------
+
+BAD = [
+    (at(0, 0, 10, p1=-1.0), P1),
+    (at(0, 0, 10, p1=float("inf")), P1),
+    (at(0, 0, 10, p1=1e6), P1),
+    (at(0, 0, 10, p2=-1.0), P2),
+    (at(0, 0, 10, p4=400.0), P4),
+    (at(0, 0, 10)._replace(z=nan), P7),
+    (at(0, 0, 10)._replace(z=1e9), P7),
+    (at(0, 0, 10)._replace(x=900_000_001), P5),
+    (at(0, 0, 10)._replace(y=-1_800_000_001), P6),
+    (at(0, 0, 10)._replace(x=0, y=0), P5),  # 2000 km away
+    (at(0, 0, 10)._replace(x=NOT_GIVEN, y=NOT_GIVEN), P5),
+    (at(0, 0, 10)._replace(frame=NOWHERE), FRAME),
+    (at(0, 0, 10)._replace(frame=1), FRAME),  # local NED
+    (at(0, 0, 10)._replace(frame=11), FRAME),  # above the terrain
+    (at(0, 0, 10)._replace(frame=255), FRAME),
+    (do(22, z=10.0), FRAME),
+    (do(93, -1.0), P1),
+    (do(93, nan), P1),
+    (do(178, 2.0, 5.0), P1),  # climb rate
+    (do(178, 1.0, -1.0), P2),
+    (do(178, 1.0, nan), P2),
+    (do(177, 0.5, 1.0), P1),
+    (do(177, nan, 1.0), P1),
+    (do(177, 0.0, -1.0), P2),  # for ever
+    (do(177, 0.0, 1e9), P2),
+    (do(17), UNSUPPORTED),  # loiter without end
+    (do(2000), UNSUPPORTED),  # take a picture
+    (do(65535), UNSUPPORTED),
+]
+
+
+@pytest.mark.parametrize(("item", "code"), BAD)
+def test_an_item_that_cannot_be_flown_is_refused_with_its_reason(item: Item, code: int) -> None:
+    vehicle = Vehicle()
+    upload(vehicle.station, SQUARE)
+    before, asked = vehicle.items, len(vehicle.bench.asked)
+    assert upload(vehicle.station, [SQUARE[0], item, SQUARE[1]]) == code
+    text = vehicle.station.wait("STATUSTEXT")
+    assert text.text.startswith("mission item 1 refused: ")
+    assert vehicle.items is before
+    assert len(vehicle.bench.asked) == asked
+    assert not vehicle.service.busy
+
+
+def test_a_jump_to_nowhere_and_too_many_items_are_refused() -> None:
+    vehicle = Vehicle()
+    assert upload(vehicle.station, [SQUARE[1], do(177, 5.0, 1.0)]) == P1
+    vehicle.station.send("MISSION_COUNT", *TO, 1001, 0)
+    assert vehicle.station.wait("MISSION_ACK").type == NO_SPACE
+    vehicle.station.send("MISSION_COUNT", *TO, 65535, 0)
+    assert vehicle.station.wait("MISSION_ACK").type == NO_SPACE
+    assert not vehicle.bench.asked
+    assert not vehicle.service.busy
+
+
+def test_the_pilots_refusal_is_the_end_of_the_upload() -> None:
+    vehicle = Vehicle()
+    vehicle.bench.pilot = lambda request: refuse("upload refused: the mission is being flown")
+    assert upload(vehicle.station, SQUARE) == DENIED
+    assert vehicle.station.wait("STATUSTEXT").text == "upload refused: the mission is being flown"
+    vehicle.bench.pilot = lambda request: refuse("no answer", Result.FAILED)
+    assert upload(vehicle.station, SQUARE) == ERROR
+
+
+def test_a_place_high_up_and_far_away_is_where_it_is() -> None:
+    """At 3 km above and 10 km away the verticals have drifted apart by 5 m; 1e-7 deg are 12 mm."""
+    flown = to_flown(at(10_000.0, 8000.0, 3000.0), PLACE, HOME)
+    assert (flown.north, flown.east) == pytest.approx((10_000.0, 8000.0), abs=0.012)
+
+
+@settings(deadline=None)  # other work may hold the processor
+@given(
+    command=st.sampled_from([16, 19, 20, 21, 22, 93, 177, 178, 0, 5, 300]),
+    frame=st.integers(0, 255),
+    params=st.tuples(*[st.floats(width=32)] * 4),
+    x=st.integers(-(2**31), 2**31 - 1),
+    y=st.integers(-(2**31), 2**31 - 1),
+    z=st.floats(width=32),
+    home=st.floats(-1000.0, 1000.0),
+)
+def test_no_item_is_a_surprise(
+    command: int, frame: int, params: tuple[float, float, float, float], x: int, y: int, z: float, home: float
+) -> None:
+    """Any item is flown or refused with a code that MAVLink has."""
+    code = None
+    try:
+        flown = to_flown(Item(frame, command, params, x, y, z), PLACE, home)
+    except ItemError as error:
+        code = error.code
+    if code is None:
+        assert to_item(flown, PLACE).command in (command, 16)
+    else:
+        assert INVALID <= code <= P7 or code in (FRAME, UNSUPPORTED)
+
+
+# --- interrupted, out of order, somebody else ----------------------------------------------------------------------
+
+
+def test_the_vehicle_asks_again_and_gives_up_in_the_end() -> None:
+    """Every quarter of a second; after five without an item the upload is over and the old mission stays."""
+    vehicle = Vehicle()
+    upload(vehicle.station, SQUARE)
+    before = vehicle.items
+    vehicle.station.take()
+    vehicle.station.send("MISSION_COUNT", *TO, 3, 0)
+    vehicle.bench.tick(4.9)
+    requests = vehicle.station.take("MISSION_REQUEST_INT")
+    assert {m.seq for m in requests} == {0}
+    assert len(requests) == pytest.approx(4.9 / (0.25 + TICK) + 1, abs=2)
+    vehicle.bench.tick(0.2)
+    assert [m.type for m in vehicle.station.take("MISSION_ACK")] == [CANCELLED]
+    assert not vehicle.service.busy
+    assert vehicle.items is before
+
+
+def test_items_out_of_order_twice_or_beyond_the_end_do_no_harm() -> None:
+    vehicle = Vehicle()
+    station = vehicle.station
+    station.send("MISSION_COUNT", *TO, 3, 0)
+    for index in (1, 2, 3, 65535, 0, 0, 0, 2, 1, 1, 0, 2, 2):
+        send_item(station, index, at(float(index % 10), 0.0, 10.0))
+    vehicle.bench.tick(0.1)
+    assert [round(item.north or 0.0) for item in vehicle.items] == [0, 1, 2]
+    assert [m.seq for m in station.take("MISSION_REQUEST_INT")] == [0, 1, 2]
+    (ack,) = station.take("MISSION_ACK")
+    assert ack.type == ACCEPTED
+
+
+def test_a_lost_acknowledgement_is_sent_again_for_the_last_item() -> None:
+    vehicle = Vehicle()
+    upload(vehicle.station, SQUARE)
+    asked = len(vehicle.bench.asked)
+    send_item(vehicle.station, 7, SQUARE[7])
+    assert vehicle.station.wait("MISSION_ACK").type == ACCEPTED
+    send_item(vehicle.station, 3, SQUARE[3])  # but an item of no upload is none
+    assert vehicle.station.wait("MISSION_ACK").type == ERROR
+    assert len(vehicle.bench.asked) == asked
+
+
+def test_an_item_without_an_upload_is_an_error() -> None:
+    vehicle = Vehicle()
+    send_item(vehicle.station, 0, SQUARE[0])
+    assert vehicle.station.wait("MISSION_ACK").type == ERROR
+    assert vehicle.items == ()
+
+
+def test_two_stations_cannot_upload_at_once() -> None:
+    vehicle = Vehicle()
+    other = vehicle.bench.station(245)
+    vehicle.station.send("MISSION_COUNT", *TO, 1, 0)
+    other.send("MISSION_COUNT", *TO, 1, 0)
+    send_item(other, 0, at(99.0, 0.0, 10.0))
+    assert [m.type for m in other.take("MISSION_ACK")] == [ERROR, ERROR]
+    send_item(vehicle.station, 0, at(7.0, 0.0, 10.0))
+    vehicle.bench.tick(0.1)
+    assert round(vehicle.items[0].north or 0.0) == 7
+    assert upload(other, SQUARE) == ACCEPTED
+
+
+def test_an_upload_that_its_sender_gives_up_is_over_but_nobody_elses() -> None:
+    vehicle = Vehicle()
+    other = vehicle.bench.station(245)
+    vehicle.station.send("MISSION_COUNT", *TO, 2, 0)
+    other.send("MISSION_ACK", *TO, CANCELLED, 0)
+    assert vehicle.service.busy
+    vehicle.station.send("MISSION_ACK", *TO, CANCELLED, 0)
+    assert not vehicle.service.busy
+    vehicle.station.send("MISSION_COUNT", *TO, 2, 0)
+    vehicle.service.forget("somebody")
+    assert vehicle.service.busy
+    vehicle.service.forget(vehicle.station.peer)
+    assert not vehicle.service.busy
+
+
+def test_a_count_that_comes_again_begins_again() -> None:
+    vehicle = Vehicle()
+    station = vehicle.station
+    station.send("MISSION_COUNT", *TO, 3, 0)
+    send_item(station, 0, at(1.0, 0.0, 10.0))
+    station.take()
+    station.send("MISSION_COUNT", *TO, 2, 0)
+    assert station.wait("MISSION_REQUEST_INT").seq == 0
+    assert upload(station, SQUARE[:2]) == ACCEPTED
+    assert len(vehicle.items) == 2
+
+
+# --- fence, rally, the rest ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [1, 2])
+def test_fence_and_rally_are_empty_lists_of_their_kind(kind: int) -> None:
+    vehicle = Vehicle()
+    upload(vehicle.station, SQUARE)
+    before = vehicle.items
+    for message, answer, field, value in (
+        (("MISSION_REQUEST_LIST", *TO, kind), "MISSION_COUNT", "count", 0),
+        (("MISSION_COUNT", *TO, 0, kind), "MISSION_ACK", "type", ACCEPTED),
+        (("MISSION_CLEAR_ALL", *TO, kind), "MISSION_ACK", "type", ACCEPTED),
+        (("MISSION_COUNT", *TO, 4, kind), "MISSION_ACK", "type", UNSUPPORTED),
+        (("MISSION_REQUEST_INT", *TO, 0, kind), "MISSION_ACK", "type", SEQUENCE),
+    ):
+        vehicle.station.send(*message)
+        got = vehicle.station.wait(answer)
+        assert (getattr(got, field), got.mission_type) == (value, kind)
+    send_item(vehicle.station, 0, SQUARE[0], kind=kind)
+    assert vehicle.station.wait("MISSION_ACK").type == UNSUPPORTED
+    assert vehicle.items is before
+
+
+def test_unknown_kinds_and_partial_lists_are_unsupported() -> None:
+    vehicle = Vehicle()
+    for message in (
+        ("MISSION_REQUEST_LIST", *TO, 77),
+        ("MISSION_REQUEST_LIST", *TO, 255),
+        ("MISSION_COUNT", *TO, 3, 255),
+        ("MISSION_WRITE_PARTIAL_LIST", *TO, 0, 1, 0),
+        ("MISSION_REQUEST_PARTIAL_LIST", *TO, -5, -1, 0),
+    ):
+        vehicle.station.send(*message)
+        assert vehicle.station.wait("MISSION_ACK").type == UNSUPPORTED, message
+
+
+@pytest.mark.parametrize("index", [0, 8, 65535])
+def test_an_item_that_is_not_there_is_no_item(index: int) -> None:
+    vehicle = Vehicle()
+    if index:
+        upload(vehicle.station, SQUARE)
+    for kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
+        vehicle.station.send(kind, *TO, index, 0)
+        assert vehicle.station.wait("MISSION_ACK").type == SEQUENCE
+
+
+def test_the_current_item_is_told_when_it_changes_and_every_second() -> None:
+    vehicle = Vehicle()
+    station = vehicle.station
+    (first,) = station.take("MISSION_CURRENT")
+    assert (first.seq, first.total, first.mission_state) == (0, 65535, 1)  # no mission
+    upload(station, SQUARE)
+    vehicle.bench.tick()
+    assert station.take("MISSION_CURRENT")[-1].mission_state == 2  # not begun
+    station.send("MISSION_SET_CURRENT", *TO, 3)
+    vehicle.bench.tick(0.05)
+    current = station.take("MISSION_CURRENT")[-1]
+    assert (current.seq, current.total, current.mission_state) == (3, 8, 4)  # begun, not being flown
+    vehicle.status.mode, vehicle.status.armed = Mode.MISSION, True
+    vehicle.bench.tick(3.0)
+    told = station.take("MISSION_CURRENT")
+    assert {m.mission_state for m in told} == {3}
+    assert len(told) == pytest.approx(4, abs=1)
+    vehicle.status.mission_done, vehicle.status.mission_current = True, 8
+    vehicle.bench.tick(0.05)
+    assert [(m.seq, m.mission_state) for m in station.take("MISSION_CURRENT")] == [(7, 5)]
+
+
+def test_who_sets_the_current_item_hears_it_at_once_also_when_it_is_the_same() -> None:
+    """MAVSDK sends again at each MISSION_CURRENT that is another, so none of before may be sent for an answer."""
+    vehicle = Vehicle()
+    station = vehicle.station
+    upload(station, SQUARE)
+    vehicle.bench.tick(0.1)
+    for index in (3, 3, 0, 0):
+        station.take()
+        station.send("MISSION_SET_CURRENT", *TO, index)
+        vehicle.bench.tick(0.03)
+        assert [m.seq for m in station.take("MISSION_CURRENT")] == [index]
+
+
+@pytest.mark.parametrize("index", [8, 10_000, 65535])
+def test_a_current_item_that_is_not_there_is_refused_with_a_line(index: int) -> None:
+    vehicle = Vehicle()
+    upload(vehicle.station, SQUARE)
+    vehicle.station.send("MISSION_SET_CURRENT", *TO, index)
+    assert "there are 8" in vehicle.station.wait("STATUSTEXT").text
+    assert vehicle.status.mission_current == 0
+
+
+def test_a_reached_item_is_told_three_times() -> None:
+    """Nobody acknowledges it, and MAVSDK waits for the last one."""
+    vehicle = Vehicle()
+    upload(vehicle.station, SQUARE)
+    for reached in (0, 1):
+        vehicle.status.mission_reached = reached
+        vehicle.bench.tick(6.0)
+        assert [m.seq for m in vehicle.station.take("MISSION_ITEM_REACHED")] == [reached] * 3
+    upload(vehicle.station, SQUARE)  # a new mission, while the state of the old one is still there
+    vehicle.bench.tick(1.0)
+    vehicle.status.mission_reached = -1
+    vehicle.bench.tick(3.0)
+    assert not vehicle.station.take("MISSION_ITEM_REACHED")
+
+
+def test_nothing_is_told_before_the_first_step() -> None:
+    vehicle = Vehicle()
+    vehicle.station.take()
+    vehicle.status = None
+    vehicle.bench.tick(3.0)
+    assert not vehicle.station.take()
+    assert upload(vehicle.station, SQUARE) == ACCEPTED
+
+
+# --- places on the Earth -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "ground"), [(22.35, 113.59, 0.0), (-60.0, -120.0, 1200.0), (80.0, 179.99, 0.0)]
+)
+def test_the_map_shows_the_vehicle_where_jsbsim_has_it(latitude: float, longitude: float, ground: float) -> None:
+    """Against JSBSim's own latitude and longitude along an arc of 9 km; 1e-6 m is forty times what was seen."""
+    free = {"aero": {"drag_area_m2": [0.0, 0.0, 0.0], "damping_n_m_s": [0.0, 0.0, 0.0]}}
+    vehicle, folder = load_vehicle("hexjet", free)
+    environment = Environment(latitude_deg=latitude, longitude_deg=longitude, ground_m=ground)
+    frame = Airframe(vehicle, folder, environment, 0.1, 1, 1)
+    place = Geodesy(latitude, longitude, ground)
+    try:
+        state = frame.reset(Initial(altitude_m=4000.0, velocity_ned_m_s=(250.0, 300.0, -100.0)), [ZERO3] * 6, ZERO3)
+        for _ in range(240):
+            state = frame.step([ZERO3] * 6, Disturbance())
+        north, east, _ = state.position
+        assert north > 5000.0
+        there = frame.latitude_longitude_deg()
+        assert place.to_geodetic(north, east, state.altitude)[:2] == pytest.approx(there, abs=1e-11)  # deg: 1e-6 m
+        back = place.to_local(*there, ground + state.altitude)
+        assert back == pytest.approx((north, east, state.altitude), abs=1e-6)
+    finally:
+        frame.close()
+
+
+@settings(deadline=None)  # other work may hold the processor
+@given(st.floats(-89, 89), st.floats(-180, 180), st.floats(-5e4, 5e4), st.floats(-5e4, 5e4), st.floats(-100, 1e4))
+def test_there_and_back_is_the_same_place(latitude: float, longitude: float, n: float, e: float, h: float) -> None:
+    """To 1e-7 m, what is left of 64-bit metres of the Earth's radius after some arithmetic."""
+    place = Geodesy(latitude, longitude, 30.0)
+    assert place.to_local(*place.to_geodetic(n, e, h)) == pytest.approx((n, e, h), abs=1e-7)
+
+
+def test_a_degree_is_as_long_as_the_ellipsoid_says() -> None:
+    """At the equator 111319.49 m to the east (a pi / 180); 1e-7 deg of a mission item are 11 mm."""
+    place = Geodesy(0.0, 0.0)
+    north, east, _ = place.to_local(0.0, 1e-3)
+    assert (north, east) == pytest.approx((0.0, 111.31949), abs=1e-5)
+    assert Geodesy(60.0, 0.0).to_local(60.0, 1e-3)[1] == pytest.approx(111.31949 * cos(radians(60.0)), rel=0.003)
+
+
+@pytest.mark.parametrize("place", [(90.0, 0.0), (0.0, 181.0), (nan, 0.0)])
+def test_no_flight_begins_at_a_pole_or_off_the_map(place: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match="latitude"):
+        Geodesy(*place)

@@ -1,0 +1,465 @@
+"""What the vehicle tells: values against closed forms, rates against the clock, each station for itself."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from math import isnan, nan, pi
+
+import pytest
+from mavlink_tools import ABOUT, GEODESY, Bench, Desk, command, sample, status
+
+from cosim.mavlink.dialect import BY_NAME, mav
+from cosim.mavlink.modes import base_mode, custom_mode, from_custom
+from cosim.mavlink.snapshot import PERSONALITIES, Snapshot
+from cosim.mavlink.streams import BY_ID, DEFAULT
+from cosim.mavlink.telemetry import STREAMS, Since, View, statustext
+from cosim.pilot.modes import Home, LandedState, Message, Mode, Severity
+from cosim.pilot.requests import LinkBack, LinkLost
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    made = Bench()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def desk(bench: Bench) -> Desk:
+    desk = bench.station()
+    bench.step()
+    return desk
+
+
+def one(desk: Desk, name: str) -> object:
+    """A message, by request."""
+    found = desk.ask(command(512, float(BY_NAME[name].id)))
+    return found[1]
+
+
+def result_of(desk: Desk, number: int) -> int:
+    """Of a request for a message that does not come."""
+    (ack,) = desk.ask(command(512, float(number)))
+    return int(ack.result)
+
+
+def fields(desk: Desk, name: str, *wanted: str) -> list[object]:
+    message = one(desk, name)
+    return [getattr(message, field) for field in wanted]
+
+
+def test_heartbeat(desk: Desk) -> None:
+    wanted = ("type", "autopilot", "base_mode", "custom_mode", "system_status", "mavlink_version")
+    assert fields(desk, "HEARTBEAT", *wanted) == [13, 12, 1 | 4 | 8 | 16, 0x03040000, 3, 3]
+    desk.bench.pilot.status = status(armed=True, mode=Mode.POSCTL)
+    desk.bench.step(0.02)
+    assert fields(desk, "HEARTBEAT", *wanted[2:5]) == [1 | 16 | 64 | 128, 0x00030000, 4]
+    desk.bench.pilot.status = status(armed=True, failsafe="no ground station")
+    desk.bench.step(0.02)
+    assert fields(desk, "HEARTBEAT", "system_status") == [5]
+
+
+def test_attitude_is_that_of_the_sensors(desk: Desk) -> None:
+    attitude = fields(desk, "ATTITUDE", "time_boot_ms", "roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed")
+    assert attitude == pytest.approx([1000, 0.0, 0.0, pi / 2, 0.1, 0.2, 0.3], abs=1e-6)
+    assert fields(desk, "ATTITUDE_QUATERNION", "q1", "q2", "q3", "q4") == pytest.approx([0.5**0.5, 0.0, 0.0, 0.5**0.5])
+
+
+def test_place(desk: Desk) -> None:
+    lat, lon, _ = GEODESY.to_geodetic(3.0, 4.0, 10.0)
+    wanted = ("lat", "lon", "alt", "relative_alt", "vx", "vy", "vz", "hdg")
+    # 12 m of ground, 10 m above it, home at 2 m
+    expected = [round(lat * 1e7), round(lon * 1e7), 22000, 8000, 100, 50, -200, 9000]
+    assert fields(desk, "GLOBAL_POSITION_INT", *wanted) == expected
+    local = fields(desk, "LOCAL_POSITION_NED", "x", "y", "z", "vx", "vy", "vz")
+    assert local == pytest.approx([3.0, 4.0, -10.0, 1.0, 0.5, -2.0])
+    gps = fields(desk, "GPS_RAW_INT", "fix_type", "lat", "lon", "alt", "h_acc", "vel")
+    assert gps == [3, round(lat * 1e7), round(lon * 1e7), 22000, 400, round(100 * 1.25**0.5)]
+    altitude = fields(desk, "ALTITUDE", "altitude_amsl", "altitude_local", "altitude_relative")
+    assert altitude == pytest.approx([22.0, 10.0, 8.0])
+    home = fields(desk, "HOME_POSITION", "latitude", "longitude", "altitude", "z", "q")
+    assert home == [223500000, 1135900000, 14000, -2.0, [1.0, 0.0, 0.0, 0.0]]
+    hud = fields(desk, "VFR_HUD", "groundspeed", "heading", "throttle", "alt", "climb")
+    assert hud == pytest.approx([1.25**0.5, 90, 45, 22.0, 2.0])
+    origin = fields(desk, "GPS_GLOBAL_ORIGIN", "latitude", "longitude", "altitude")
+    assert origin == [223500000, 1135900000, 12000]
+
+
+def test_the_truth_is_told_apart(desk: Desk) -> None:
+    truth = fields(desk, "HIL_STATE_QUATERNION", "alt", "vx", "vz", "zacc", "true_airspeed")
+    assert truth == [22000, 100, -200, round(-9.8 / 9.80665 * 1000), round(100 * (9.0 + 20.25 + 4.0) ** 0.5)]
+    assert fields(desk, "WIND_COV", "wind_x", "wind_y") == [4.0, 5.0]
+    odometry = fields(desk, "ODOMETRY", "frame_id", "child_frame_id", "vx", "vy", "vz")
+    # the nose points east: ahead is east, to the right is south
+    assert odometry == pytest.approx([1, 12, 0.5, -1.0, -2.0])
+
+
+def test_engines_are_told_in_two_messages_of_four(desk: Desk) -> None:
+    rpm = [1000.0 * i * 30.0 / pi for i in range(1, 7)]
+    _, first, second = desk.ask(command(512, 291.0))
+    assert (first.index, second.index) == (0, 4)
+    assert first.rpm == [round(value) for value in rpm[:4]]
+    assert second.rpm == [*(round(value) for value in rpm[4:]), 0, 0]
+    _, first, second = desk.ask(command(512, 290.0))
+    assert [(m.index, m.count, m.info) for m in (first, second)] == [(0, 6, 0b1111), (4, 6, 0b11)]
+    _, *controllers = desk.ask(command(512, 225.0))
+    assert [m.ecu_index for m in controllers] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    last = controllers[5]
+    # 1 g/s of kerosene of 808 kg/m^3; a quarter of full thrust
+    told = [
+        last.rpm,
+        last.fuel_flow,
+        last.engine_load,
+        last.throttle_position,
+        last.exhaust_gas_temperature,
+        last.health,
+    ]
+    assert told == pytest.approx([rpm[5], 0.001 / 808.0 * 6e7, 25.0, 60.0, 600.0, 1.0])
+    assert (last.ignition_voltage, last.fuel_pressure) == (0.0, 0.0)  # these two say "unknown" with 0, and not with NaN
+
+
+def test_a_lost_engine_is_seen(desk: Desk) -> None:
+    health = (1.0, 1.0, 0.0, 1.0, 1.0, 0.4)
+    view = View(ABOUT, Snapshot(sample(health=health), status()), Since())
+    built = {stream.name: stream.build(view) for stream in STREAMS}
+    assert [message.info for message in built["ESC_INFO"]] == [0b1011, 0b11]
+    assert [message.health for message in built["EFI_STATUS"]] == [1, 1, 0, 1, 1, 1]
+    propulsion = 1 << 30
+    (system,) = built["SYS_STATUS"]
+    assert system.onboard_control_sensors_present & propulsion
+    assert not system.onboard_control_sensors_health & propulsion
+
+
+def test_what_engines_do_not_say_is_not_made_up() -> None:
+    silent = sample().engines._replace(spool_speed=(nan,) * 6, exhaust_temperature=(nan,) * 6, fuel_flow=(nan,) * 6)
+    view = View(ABOUT, Snapshot(sample(engines=silent), status()), Since())
+    built = {stream.name: stream.build(view) for stream in STREAMS}
+    assert built["ESC_STATUS"] == built["ESC_INFO"] == built["RAW_RPM"] == []
+    assert all(isnan(m.rpm) and isnan(m.fuel_flow) and isnan(m.exhaust_gas_temperature) for m in built["EFI_STATUS"])
+    assert built["NAMED_VALUE_FLOAT"] == built["DEBUG_FLOAT_ARRAY"] == []  # no predictor flies
+
+
+def test_energy_by_tank_or_by_battery(desk: Desk) -> None:
+    fuel = fields(
+        desk, "FUEL_STATUS", "maximum_fuel", "consumed_fuel", "remaining_fuel", "percent_remaining", "flow_rate"
+    )
+    assert fuel == pytest.approx([1.0, 0.25, 0.75, 75, 0.003])
+    assert fields(desk, "BATTERY_STATUS", "battery_remaining") == [-1]
+    electric = View(replace(ABOUT, fuel_capacity=nan), Snapshot(sample(), status(remaining=0.4)), Since())
+    built = {stream.name: stream.build(electric) for stream in STREAMS}
+    assert built["FUEL_STATUS"] == []
+    assert built["BATTERY_STATUS"][0].battery_remaining == 40
+    assert built["SYS_STATUS"][0].battery_remaining == 40
+
+
+def test_readiness(desk: Desk) -> None:
+    prearm = 1 << 28
+    names = [f"onboard_control_sensors_{name}" for name in ("present", "enabled", "health")]
+    assert all(value & prearm for value in fields(desk, "SYS_STATUS", *names))  # type: ignore[operator]
+    desk.bench.pilot.status = status(ready=False, refusals=("not level",))
+    desk.bench.step(0.02)
+    present, enabled, health = fields(desk, "SYS_STATUS", *names)
+    assert present & prearm
+    assert enabled & prearm
+    assert not health & prearm  # type: ignore[operator]
+    geofence = 1 << 20  # healthy and off
+    assert health & geofence
+    assert not enabled & geofence  # type: ignore[operator]
+    assert fields(desk, "SYS_STATUS", "load") == [250]
+
+
+def test_predictor(desk: Desk) -> None:
+    (message,) = desk.ask(command(512, 350.0))[1:]
+    assert message.name == "predictor"
+    rows = [message.data[i : i + 3] for i in range(0, 21, 3)]
+    expected = [
+        (0.1, 0.2, 0.3), (0.11, 0.22, 0.33), (0.7, 0.8, 0.9), (0.5, 0.6, 0.65), (0.1, 0.1, nan),
+        (0.4, 0.5, 0.6), (0.01, 0.02, 0.03),
+    ]  # fmt: skip
+    for row, wanted in zip(rows, expected, strict=True):
+        assert row == pytest.approx(wanted, nan_ok=True)
+    values = {m.name: m.value for m in desk.ask(command(512, 251.0))[1:]}
+    assert values == pytest.approx(
+        {"rate_p": 0.1, "pred_p": 0.11, "pred_err": 0.01, "model_p": 0.7, "delay_ms": 100.0}, rel=1e-5
+    )
+
+
+def test_outputs(desk: Desk) -> None:
+    (servo,) = desk.ask(command(512, 36.0))[1:]
+    found = [getattr(servo, f"servo{i}_raw") for i in range(1, 9)]
+    assert found == [1100, 1200, 1300, 1400, 1500, 1600, 1600, 1400]  # 0.1 of 0.5 rad either way
+    active, values = fields(desk, "ACTUATOR_OUTPUT_STATUS", "active", "actuator")
+    assert active == 0b11111111
+    assert values[:8] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.2, -0.2])  # type: ignore[index]
+
+
+def test_target(desk: Desk) -> None:
+    assert result_of(desk, 85) == 1  # there is none now
+    desk.bench.pilot.status = status(target=Home(50.0, -20.0, 30.0), yaw=0.7)
+    desk.bench.step(0.02)
+    wanted = ("coordinate_frame", "x", "y", "z", "yaw", "type_mask")
+    assert fields(desk, "POSITION_TARGET_LOCAL_NED", *wanted) == pytest.approx(
+        [1, 50.0, -20.0, -30.0, 0.7, 0b1001_1111_1000]
+    )
+    lat, lon, _ = GEODESY.to_geodetic(50.0, -20.0, 30.0)
+    told = fields(desk, "POSITION_TARGET_GLOBAL_INT", "lat_int", "lon_int", "alt")
+    assert told == [round(lat * 1e7), round(lon * 1e7), 42.0]
+
+
+def test_flight_information_remembers(desk: Desk) -> None:
+    bench = desk.bench
+    assert fields(desk, "FLIGHT_INFORMATION", "arming_time_utc", "takeoff_time_utc", "flight_uuid") == [0, 0, 0]
+    bench.pilot.status = status(armed=True)
+    bench.step(0.02)
+    bench.pilot.status = status(armed=True, landed=LandedState.IN_AIR)
+    bench.step(0.02)
+    armed, off, flight = fields(desk, "FLIGHT_INFORMATION", "arming_time_utc", "takeoff_time_utc", "flight_uuid")
+    assert 1.6e15 < armed <= off  # type: ignore[operator]
+    assert flight == 1
+
+
+# --- rates -----------------------------------------------------------------------------------------------------
+
+
+def counted(bench: Bench, desk: Desk, seconds: float) -> Counter[str]:
+    desk.got.clear()
+    bench.step(seconds, every=0.004)
+    return Counter(message.get_type() for message in desk.got)
+
+
+def test_every_message_has_its_rate(bench: Bench, desk: Desk) -> None:
+    found = counted(bench, desk, 4.0)
+    several = {"NAMED_VALUE_FLOAT": 5, "ESC_STATUS": 2, "ESC_INFO": 2, "EFI_STATUS": 6, "RAW_RPM": 4}
+    silent = {"POSITION_TARGET_LOCAL_NED"}  # there is no target
+    for stream in STREAMS:
+        wanted = 0.0 if stream.name in silent else 4.0 * stream.rate * several.get(stream.name, 1)
+        # one message more or less at the ends
+        assert found[stream.name] == pytest.approx(wanted, abs=several.get(stream.name, 1)), stream.name
+    assert set(found) <= {stream.name for stream in STREAMS}
+    assert not bench.link.failures
+
+
+def test_time_stamps_are_simulation_time(bench: Bench, desk: Desk) -> None:
+    """At half the speed: 25 messages a second of the clock, each 20 ms of flight later."""
+    desk.got.clear()
+    for _ in range(50):
+        bench.step(0.0)
+        bench.time += 0.04
+        bench.k += 5
+    stamps = [message.time_boot_ms for message in desk.named("ATTITUDE")]
+    assert len(stamps) >= 49
+    assert {b - a for a, b in pairwise(stamps)} == {20}
+
+
+def test_each_station_has_its_own_rates(bench: Bench, desk: Desk) -> None:
+    other = bench.station(245, 191)
+    bench.step(0.1)
+    desk.ask(command(511, 30.0, 10_000.0))  # ATTITUDE at 100 Hz
+    desk.ask(command(511, 33.0, -1.0))  # no GLOBAL_POSITION_INT
+    desk.ask(command(511, 115.0, 500_000.0))  # the truth at 2 Hz
+    other.got.clear()
+    mine = counted(bench, desk, 2.0)
+    theirs = Counter(message.get_type() for message in other.got)
+    assert mine["ATTITUDE"] == pytest.approx(200, abs=2)
+    assert mine["GLOBAL_POSITION_INT"] == 0
+    assert mine["HIL_STATE_QUATERNION"] == pytest.approx(4, abs=1)
+    assert theirs["ATTITUDE"] == pytest.approx(50, abs=1)
+    assert theirs["GLOBAL_POSITION_INT"] == pytest.approx(20, abs=1)
+    assert theirs["HIL_STATE_QUATERNION"] == 0
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"), [(20_000.0, 20_000), (1.0, 4000), (-1.0, -1), (0.0, 40_000), (2_000_000.0, 2_000_000)]
+)
+def test_an_interval_is_told_as_it_is(desk: Desk, asked: float, told: int) -> None:
+    assert desk.ask(command(511, 30.0, asked))[0].result == 0
+    _, interval = desk.ask(command(510, 30.0))
+    assert (interval.message_id, interval.interval_us) == (30, told)
+
+
+def test_an_interval_of_what_is_not_there(desk: Desk) -> None:
+    ack, interval = desk.ask(command(510, 9999.0))
+    assert (ack.result, interval.interval_us) == (3, 0)
+
+
+def test_a_pause_is_not_made_up_for(bench: Bench, desk: Desk) -> None:
+    bench.time += 10.0
+    assert counted(bench, desk, 0.0)["ATTITUDE"] == 1
+
+
+def test_a_request_for_a_data_stream_changes_nothing(bench: Bench, desk: Desk) -> None:
+    desk.ask(mav.MAVLink_request_data_stream_message(1, 1, 0, 4, 1))
+    assert counted(bench, desk, 2.0)["ATTITUDE"] == pytest.approx(50, abs=1)
+
+
+def test_a_full_station_is_dropped_telemetry_and_not_answers(bench: Bench, desk: Desk) -> None:
+    desk.full = True
+    bench.step(20.0, every=0.02)
+    assert desk.peer.dropped > 1000
+    assert desk.peer.waiting < 70_000
+    desk.send(command(20))
+    bench.step()
+    desk.full = False
+    desk.got.clear()
+    desk.peer.flush()
+    assert [ack.command for ack in desk.named("COMMAND_ACK")] == [20]
+    assert not desk.peer.stuck
+
+
+# --- events ----------------------------------------------------------------------------------------------------
+
+
+def test_changes_are_told_at_once(bench: Bench, desk: Desk) -> None:
+    bench.pilot.status = status(armed=True, mode=Mode.TAKEOFF, landed=LandedState.TAKING_OFF)
+    found = counted(bench, desk, 0.0)
+    assert (found["HEARTBEAT"], found["CURRENT_MODE"], found["EXTENDED_SYS_STATE"]) == (1, 1, 1)
+    assert desk.named("EXTENDED_SYS_STATE")[0].landed_state == 3
+
+
+def test_messages_of_the_pilot_go_to_everybody(bench: Bench, desk: Desk) -> None:
+    other = bench.station(245, 191)
+    text = "arming refused: " + "x" * 90
+    bench.exchange.publish(Snapshot(sample(), status()), [Message(1, 5, Severity.ERROR, text)])
+    bench.vehicle.poll(bench.time)
+    for station in (desk, other):
+        pieces = station.named("STATUSTEXT")
+        assert "".join(piece.text for piece in pieces) == text
+        assert [piece.chunk_seq for piece in pieces] == [0, 1, 2]
+        assert len({piece.id for piece in pieces}) == 1
+        assert pieces[0].id != 0
+        assert {piece.severity for piece in pieces} == {3}
+
+
+@pytest.mark.parametrize("length", [0, 1, 49, 50, 51, 99, 100, 101, 20_000])
+def test_a_text_comes_whole(length: int) -> None:
+    """A last piece that is full would have another expected."""
+    pieces = statustext(6, "é" * length, 65535)
+    assert "".join(piece.text for piece in pieces) == "?" * min(length, 12800)
+    if len(pieces) > 1:
+        assert len(pieces) <= 256
+        assert len(pieces[-1].text) < 50 or len(pieces) == 256
+
+
+def test_link_lost_and_back(bench: Bench, desk: Desk) -> None:
+    beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+    bench.step(10.0)
+    assert not bench.pilot.asked  # there has been no station yet
+    desk.send(beat)
+    bench.step(3.4)
+    assert not bench.pilot.asked
+    bench.step(0.2)
+    assert bench.pilot.asked == [LinkLost()]
+    bench.step(5.0)
+    desk.send(mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))  # an onboard computer is no ground station
+    bench.step(0.1)
+    assert bench.pilot.asked == [LinkLost()]
+    desk.send(beat)
+    bench.step(0.1)
+    assert bench.pilot.asked == [LinkLost(), LinkBack()]
+
+
+def test_one_station_of_two_is_enough(bench: Bench, desk: Desk) -> None:
+    other = bench.station(245, 191)
+    beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+    desk.send(beat)
+    for _ in range(10):
+        other.send(beat)
+        bench.step(1.0)
+    assert not bench.pilot.asked
+
+
+def test_an_open_page_is_a_ground_station(bench: Bench) -> None:
+    bench.vehicle.pages = lambda: 1
+    bench.step(10.0)
+    assert not bench.pilot.asked
+    bench.vehicle.pages = lambda: 0
+    bench.step(3.4)
+    assert not bench.pilot.asked
+    bench.step(0.2)
+    assert bench.pilot.asked == [LinkLost()]
+    bench.vehicle.pages = lambda: 1
+    bench.step(0.1)
+    assert bench.pilot.asked == [LinkLost(), LinkBack()]
+
+
+# --- small protocols -------------------------------------------------------------------------------------------
+
+
+def test_ping_and_timesync(desk: Desk) -> None:
+    (pong,) = desk.ask(mav.MAVLink_ping_message(77, 5, 0, 0))
+    assert (pong.time_usec, pong.seq, pong.target_system, pong.target_component) == (77, 5, 255, 190)
+    assert desk.ask(mav.MAVLink_ping_message(77, 5, 1, 1)) == []  # an answer
+    (sync,) = desk.ask(mav.MAVLink_timesync_message(0, 123456789))
+    assert (sync.tc1, sync.ts1) == (1_000_000_000, 123456789)
+    assert desk.ask(mav.MAVLink_timesync_message(5, 6)) == []
+    (origin,) = desk.ask(mav.MAVLink_set_gps_global_origin_message(1, 1, 2, 3))
+    assert (origin.latitude, origin.longitude) == (223500000, 1135900000)
+
+
+def test_an_echo_of_its_own_is_no_command(bench: Bench) -> None:
+    echo = bench.station(1, 1)
+    bench.step()
+    assert not [m for m in echo.ask(command(400, 1.0)) if m.get_type() == "COMMAND_ACK"]
+    assert bench.link.refused["own"] == 1
+    assert not bench.pilot.asked
+
+
+@pytest.mark.parametrize("personality", PERSONALITIES)
+def test_modes_go_there_and_back(personality: object) -> None:
+    shared = {Mode.MANUAL: Mode.STABILIZED, Mode.TAKEOFF: Mode.HOLD} if personality == "ardupilot" else {}
+    for mode in Mode:
+        assert from_custom(custom_mode(mode, personality), personality) is shared.get(mode, mode)  # type: ignore[arg-type]
+        assert base_mode(mode, True) - base_mode(mode, False) == 128
+    assert from_custom(0x03040001, "px4") is None
+
+
+def test_no_message_is_streamed_twice() -> None:
+    assert len(BY_ID) == len(STREAMS)
+    assert DEFAULT[BY_NAME["HEARTBEAT"].id] == 1.0
+
+
+class Echo:
+    """A service that answers and speaks up."""
+
+    handles = frozenset({"PARAM_REQUEST_LIST"})
+    busy = True
+
+    def __init__(self) -> None:
+        self.clients: list[object] = []
+        self.gone: list[object] = []
+        self.out: list[tuple[object, object]] = []
+
+    def handle(self, message: object, client: object, now: float) -> list[object]:
+        self.clients.append(client)
+        return [mav.MAVLink_param_value_message(b"A", 1.0, 9, 1, 0)]
+
+    def poll(self, now: float) -> list[tuple[object, object]]:
+        out, self.out = self.out, []
+        return out
+
+    def forget(self, peer: object) -> None:
+        self.gone.append(peer)
+
+
+def test_a_service_gets_what_is_its_business() -> None:
+    service = Echo()
+    bench = Bench(services=[service])
+    desk, other = bench.station(), bench.station(245, 191)
+    bench.step()
+    (value,) = desk.ask(mav.MAVLink_param_request_list_message(1, 1))
+    assert value.param_id == "A"
+    assert service.clients == [(desk.peer, 255, 190)]
+    service.out = [(None, mav.MAVLink_param_value_message(b"B", 1.0, 9, 1, 0))]
+    desk.got.clear()
+    other.got.clear()
+    assert bench.vehicle.poll(bench.time) <= bench.time + 0.01
+    assert [m.param_id for m in desk.got] == [m.param_id for m in other.got] == ["B"]
+    bench.link._channels.pop()
+    bench.step()
+    assert service.gone == [other.peer]
+    desk.ask(mav.MAVLink_param_request_list_message(2, 1))
+    assert len(service.clients) == 1
+    bench.close()

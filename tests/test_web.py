@@ -1,0 +1,753 @@
+"""The local page: who may read and command, what it is told, and a flight by hand in a real browser."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import http.server
+import json
+import math
+import os
+import re
+import shutil
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from http.client import HTTPConnection, HTTPResponse
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from cosim.errors import InputError
+from cosim.exchange import Exchange, Snapshot
+from cosim.frames import to_euler
+from cosim.gcs import Session
+from cosim.pilot.modes import LandedState, Mode
+from cosim.pilot.requests import SetParameter
+from cosim.scenario import Scenario
+from cosim.web import feed, server
+from cosim.web.server import WebServer
+
+STATIC = Path(server.__file__).parent / "static"
+SOON = 10.0  # s, for what takes milliseconds: a loaded machine is no failure
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+BROWSER = os.environ.get("HEXJET_BROWSER") or next(filter(None, map(shutil.which, BROWSERS)), None)
+FLAGS = [
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+
+
+class Flown:
+    """A session that flies in a thread of its own, with its page."""
+
+    def __init__(self, folder: Path, factor: float) -> None:
+        self.exchange = Exchange()
+        scenario = Scenario.load("hover").replace(name="gcs", engine="edf-as-flown", controller="smith")
+        self.session = Session(scenario, self.exchange, factor=factor, out=folder, report=False)
+        self.folder = folder
+        self.web = WebServer(self.exchange, 0)
+        self.thread = threading.Thread(target=self.session.run)
+
+    def __enter__(self) -> Flown:
+        self.web.start()
+        self.thread.start()
+        until(lambda: self.exchange.snapshot is not None and self.exchange.snapshot.sample is not None)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.session.stop("the test is over")
+        self.thread.join()
+        self.web.stop()
+
+    @property
+    def now(self) -> Snapshot:
+        assert self.exchange.snapshot is not None
+        return self.exchange.snapshot
+
+    @property
+    def token(self) -> str:
+        found = re.search(r'name="token" content="([^"]+)"', self.get("/").read().decode())
+        assert found
+        return found[1]
+
+    def get(self, path: str, *hosts: str) -> HTTPResponse:
+        client = HTTPConnection("127.0.0.1", self.web.port, timeout=SOON)
+        client.putrequest("GET", path, skip_host=True)
+        for host in hosts or (f"127.0.0.1:{self.web.port}",):
+            client.putheader("Host", host)
+        client.endheaders()
+        return client.getresponse()
+
+    def dial(self, origin: str | None = "", **more: Any) -> contextlib.AbstractContextManager[ClientConnection]:
+        origin = f"http://127.0.0.1:{self.web.port}" if origin == "" else origin
+        url = f"ws://127.0.0.1:{self.web.port}/live"
+        return connect(url, origin=origin, proxy=None, compression=None, close_timeout=0.5, **more)  # type: ignore[arg-type]
+
+    @contextlib.contextmanager
+    def page(self) -> Iterator[Page]:
+        with self.dial() as link:
+            link.send(json.dumps({"token": self.token}))
+            yield Page(link)
+
+
+class Page:
+    """What the page does, without the page."""
+
+    def __init__(self, link: ClientConnection) -> None:
+        self.link = link
+        self.number = 0
+        self.last: dict[str, Any] = {}  # of each kind
+
+    def next(self, kind: str) -> dict[str, Any]:
+        """The next message of a kind."""
+        for _ in range(1000):
+            told: dict[str, Any] = json.loads(self.link.recv(SOON))
+            self.last[told["type"]] = told
+            if told["type"] == kind:
+                return told
+        raise AssertionError(f"no {kind}")
+
+    def flood(self) -> None:
+        """Ask as fast as it goes, and do not listen."""
+        for number in range(200_000):
+            self.link.send(f'{{"id": {number}, "request": "Hold"}}')
+
+    def ask(self, request: str, **fields: Any) -> dict[str, Any]:
+        self.number += 1
+        self.link.send(json.dumps({"id": self.number, "request": request, **fields}))
+        answer = self.next("answer")
+        assert answer.pop("id") == self.number
+        return answer
+
+
+def until(true: Callable[[], bool], seconds: float = SOON) -> None:
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flown]:
+    """A vehicle on the ground, in real time."""
+    with Flown(tmp_path_factory.mktemp("web") / "run", 1.0) as flight:
+        yield flight
+
+
+# --- the files ---------------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_served_with_everything_it_names(flown: Flown) -> None:
+    answer = flown.get("/")
+    page = answer.read().decode()
+    assert answer.status == 200
+    named = re.findall(r'(?:src|href)="([^"]+)"', page)
+    assert {"/main.js", "/page.css", "/vendor/uPlot.iife.min.js"} <= set(named)
+    for script in STATIC.glob("*.js"):
+        named += [f"/{each}" for each in re.findall(r'from "\./([^"]+)"', script.read_text(encoding="utf-8"))]
+    for path in named:
+        found = flown.get(path)
+        assert found.status == 200, path
+        assert found.read() == (STATIC / path[1:]).read_bytes()
+
+
+def test_nothing_comes_from_elsewhere_and_nothing_is_inline(flown: Flown) -> None:
+    policy = flown.get("/").headers["Content-Security-Policy"]
+    rules = {rule.split()[0]: rule.split()[1:] for rule in policy.split(";")}
+    assert rules["default-src"] == ["'none'"]
+    assert rules["script-src"] == rules["style-src"] == ["'self'"]
+    assert rules["frame-ancestors"] == ["'none'"]
+    assert "unsafe" not in policy
+    for path in (each for each in STATIC.rglob("*") if each.suffix in (".html", ".js", ".css")):
+        text = path.read_text(encoding="utf-8")
+        for name in ("http://www.w3.org/2000/svg", "https://github.com/leeoniya/uPlot (v"):  # a name space, a comment
+            text = text.replace(name, "")
+        assert not re.search(r"https?://|url\((?!#)", text), path
+    page = (STATIC / "index.html").read_text(encoding="utf-8")
+    assert not re.search(r"<style|\sstyle=|\son\w+=|<script(?![^>]*\ssrc=)", page)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/index.html",
+        "/../server.py",
+        "/vendor/../../server.py",
+        "/%2e%2e/server.py",
+        "/vendor",
+        "//",
+        "/vendor/README.md",
+    ],
+)
+def test_there_are_no_other_files(flown: Flown, path: str) -> None:
+    assert flown.get(path).status == 404
+
+
+def test_the_parts_of_others_are_as_stated() -> None:
+    stated = (STATIC / "vendor" / "README.md").read_text(encoding="utf-8")
+    sums = {name: hexes for hexes, name in re.findall(r"^([0-9a-f]{64})  (\S+)$", stated, re.M)}
+    shipped = [path for path in (STATIC / "vendor").iterdir() if path.suffix in (".js", ".css")]
+    assert len(shipped) == 2
+    for path in shipped:
+        assert hashlib.sha256(path.read_bytes()).hexdigest() == sums[path.name]
+
+
+# --- who may -----------------------------------------------------------------------------------------------------
+
+
+def test_another_name_for_this_machine_is_refused(flown: Flown) -> None:
+    """A foreign name that resolves to the loopback makes a foreign page of the same origin: no page, no token."""
+    port = flown.web.port
+    for hosts in [
+        (f"evil.example:{port}",),
+        ("127.0.0.1",),
+        (f"127.0.0.1:{port + 1}",),
+        ("",),
+        (f"127.0.0.1:{port}",) * 2,
+        (f"127.0.0.1:{port}.evil.example",),
+    ]:
+        answer = flown.get("/", *hosts)
+        assert answer.status in (400, 421), hosts
+        assert b"token" not in answer.read()
+    assert flown.get("/", f"localhost:{port}").status == 200
+    with pytest.raises(InvalidStatus) as refused, flown.dial(additional_headers={"Host": f"evil.example:{port}"}):
+        pass
+    assert refused.value.response.status_code in (400, 421)
+
+
+def test_a_foreign_origin_is_refused(flown: Flown) -> None:
+    port = flown.web.port
+    for origin in [
+        None,
+        "null",
+        "http://evil.example",
+        f"http://evil.example:{port}",
+        f"http://127.0.0.1:{port + 1}",
+        f"https://127.0.0.1:{port}",
+        "http://127.0.0.1",
+    ]:
+        with pytest.raises(InvalidStatus) as refused, flown.dial(origin):
+            pass
+        assert refused.value.response.status_code == 403, origin
+    with flown.dial(f"http://localhost:{port}"):
+        pass
+
+
+@pytest.mark.parametrize(
+    "hello",
+    [
+        '{"token": "guessed"}',
+        "{}",
+        "no json",
+        '{"token": 1}',
+        '{"token": "\\ud800"}',
+        '{"id": 1, "request": "Arm"}',
+        b"\x00",
+    ],
+)
+def test_without_the_token_nothing_is_told_and_nothing_done(flown: Flown, hello: str | bytes) -> None:
+    before = flown.web.refused
+    with flown.dial() as link:
+        link.send(hello)
+        with pytest.raises(ConnectionClosed) as closed:
+            link.recv(SOON)
+    assert closed.value.rcvd is not None
+    assert closed.value.rcvd.code == server.WRONG_TOKEN
+    assert flown.web.refused == before + 1
+    assert not flown.now.status.armed
+
+
+def test_who_says_nothing_is_let_go(flown: Flown, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "HELLO_S", 0.1)
+    with flown.dial() as link, pytest.raises(ConnectionClosed):
+        link.recv(SOON)
+
+
+def test_every_server_has_its_own_token(flown: Flown) -> None:
+    with WebServer(Exchange(), 0) as other:
+        assert other._token != flown.token
+        assert len(other._token) >= 32
+
+
+def test_it_listens_on_this_machine_alone(flown: Flown) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))  # sends nothing; says which address leads out
+        outside = probe.getsockname()[0]
+    if outside.startswith("127."):
+        pytest.skip("this machine has no other address")
+    with pytest.raises(OSError, match=r"refused|timed out"):
+        socket.create_connection((outside, flown.web.port), 2.0)
+
+
+def test_a_port_that_is_taken(flown: Flown) -> None:
+    with pytest.raises(InputError, match=f"--web {flown.web.port}: the port cannot be opened: [^\n]+$"):
+        WebServer(Exchange(), flown.web.port).start()
+    with pytest.raises(InputError, match="from 0 to 65535"):
+        WebServer(Exchange(), 65536)
+
+
+# --- what it is told ---------------------------------------------------------------------------------------------
+
+
+def test_the_state_that_is_told(flown: Flown) -> None:
+    snapshot = flown.now
+    sample, facts = snapshot.sample, snapshot.facts
+    assert sample is not None
+    thrust = tuple(7.0 + jet for jet in range(6))
+    sample = sample._replace(engines=sample.engines._replace(thrust=thrust))
+    snapshot = snapshot._replace(sample=sample)
+    told = json.loads(server._dump(feed.state(snapshot)))
+    assert told["t"] == pytest.approx(snapshot.k * 0.004, abs=5e-4)
+    assert told["mode"] == snapshot.status.mode.value
+    assert told["height"] == round(snapshot.measured.altitude, 4)
+    assert told["velocity"][2] == round(snapshot.measured.velocity[2], 4)
+    assert told["attitude_deg"] == [round(math.degrees(a), 4) for a in to_euler(snapshot.measured.attitude)]
+    assert len(told["jets"]) == 6
+    for jet, spec in enumerate(facts.stations):
+        said = told["jets"][jet]
+        assert said["throttle"] == round(sample.actuation.throttle[jet], 4)
+        assert said["asked_N"] == round(spec.thrust_at(sample.actuation.throttle[jet]), 4)
+        assert said["thrust_N"] == thrust[jet]
+        assert said["rpm"] is said["fuel_g_s"] is None  # this engine does not say
+
+
+def test_units_of_what_an_engine_says(flown: Flown) -> None:
+    snapshot = flown.now
+    sample = snapshot.sample
+    assert sample is not None
+    engines = sample.engines._replace(spool_speed=(100.0 * math.pi,) * 6, exhaust_temperature=(873.15,) * 6)
+    (first, *_) = feed.jets(snapshot.facts, sample._replace(engines=engines), off=False)
+    assert first["rpm"] == 3000.0
+    assert first["exhaust_C"] == 600.0
+    (first, *_) = feed.jets(snapshot.facts, sample, off=True)
+    assert first["throttle"] == first["asked_N"] == 0.0
+
+
+def test_the_strip_chart_gets_measured_and_predicted(flown: Flown) -> None:
+    sample = flown.now.sample
+    assert sample is not None
+    t, *rates = feed.point(sample._replace(rate_predicted=(math.nan, math.pi, 0.0)))
+    assert t == round(sample.time, 3)
+    assert rates[:3] == [round(math.degrees(rate), 2) for rate in sample.measured.rate]
+    assert rates[3:] == [None, 180.0, 0.0]
+
+
+def test_a_page_is_told_the_flight_then_its_state_in_order(flown: Flown) -> None:
+    with flown.page() as page:
+        begun = page.next("flight")
+        assert begun["vehicle"] == "hexjet"
+        assert begun["controller"] == "smith"
+        assert begun["engines"][0]["most_N"] == pytest.approx(flown.now.facts.stations[0].curve.thrust[-1], abs=1e-4)
+        first = page.next("state")
+        points = first["strip"]
+        states = [page.next("state") for _ in range(20)]
+    assert states[-1]["t"] > first["t"]
+    for state in states:
+        points += state["strip"]
+    times = [point[0] for point in points]
+    assert times == sorted(set(times))
+    # 21 frames, each with at most so many points; a flight at real time is published every step or two
+    assert 20 < len(points) <= 21 * server._POINTS
+
+
+# --- what it may ask ---------------------------------------------------------------------------------------------
+
+
+def test_a_page_arms_and_disarms(flown: Flown) -> None:
+    with flown.page() as page:
+        until(lambda: flown.now.status.ready)
+        assert page.ask("Arm") == {"type": "answer", "accepted": True, "result": "accepted", "text": ""}
+        until(lambda: flown.now.status.armed)
+        assert page.ask("Restart")["text"] == "restart refused: it is armed"
+        assert page.ask("Disarm")["accepted"]
+        until(lambda: not flown.now.status.armed)
+        refused = page.ask("Land")
+        assert not refused["accepted"]
+        assert refused["text"] == "landing refused: it is on the ground"
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        ("{", "message: is not JSON"),
+        ("[" * 4000, "message: is not JSON"),
+        ("[]", "message: must be a table"),
+        (b"{}", "message: must be text"),
+        ('{"request": "Takeoff", "altitude_m": NaN}', "NaN"),
+        ('{"request": "Takeoff", "altitude_m": 1e999}', "finite"),
+        ('{"request": "Takeoff", "altitude_m": "10"}', "must be a number"),
+        ('{"request": "Takeoff", "altitude_m": 10, "now": true}', "unknown key 'now'"),
+        ('{"request": "Sticks", "roll": 2, "pitch": 0, "yaw": 0, "throttle": 0}', "from -1 to 1"),
+        ('{"request": "Goto", "north": ' + "9" * 3000 + "}", "finite"),
+        ('{"request": "Arm", "id": "x"}', "whole number"),
+        ('{"request": "Shutdown"}', "request = 'Shutdown'"),
+        ('{"request": "LinkLost"}', "is not for the page"),
+        ('{"request": "SetParameter", "name": "HJ_ALT_P", "value": 1}', "is not for the page"),
+        ('{"request": "__init__"}', "request = '__init__'"),
+        ('{"request": ["Arm"]}', "request = ['Arm']"),
+        ("{}", "request = None"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_refused_with_one_line(flown: Flown, message: str | bytes, words: str) -> None:
+    before = flown.web.refused
+    with flown.page() as page:
+        page.link.send(message)
+        answer = page.next("answer")
+        assert not answer["accepted"]
+        assert words in answer["text"]
+        assert "\n" not in answer["text"]
+        assert flown.web.refused == before + 1
+        assert page.ask("Disarm")["text"] == "already disarmed"  # the link is as it was
+    assert not flown.now.status.armed
+
+
+def test_a_message_that_is_too_long_ends_the_link(flown: Flown) -> None:
+    with flown.page() as page:
+        page.link.send(json.dumps({"request": "Arm", "x": "y" * server.LARGEST}))
+        with pytest.raises(ConnectionClosed) as closed:
+            page.next("never")
+    assert closed.value.rcvd is not None
+    assert closed.value.rcvd.code == 1009
+    assert not flown.now.status.armed
+
+
+def test_a_page_that_floods_is_let_go_and_hurts_nobody(flown: Flown) -> None:
+    with flown.page() as quiet, flown.page() as loud:
+        quiet.next("state")
+        steps = flown.now.k
+        with pytest.raises(ConnectionClosed) as closed:
+            loud.flood()
+        assert closed.value.rcvd is None or closed.value.rcvd.code == server.TOO_MANY
+        until(lambda: flown.web.clients == 1)
+        assert quiet.ask("Disarm")["accepted"]
+        quiet.next("state")
+        assert flown.now.k > steps
+
+
+def test_only_so_many_pages(flown: Flown) -> None:
+    with contextlib.ExitStack() as stack:
+        for _ in range(server.CLIENTS):
+            stack.enter_context(flown.page()).next("flight")
+        with flown.page() as late, pytest.raises(ConnectionClosed, match="pages are open already"):
+            late.next("flight")
+    until(lambda: flown.web.clients == 0)
+    with flown.page() as page:
+        page.next("state")
+
+
+def test_a_page_that_does_not_read_misses_frames_and_holds_up_nobody(
+    flown: Flown, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "FRAMES_1_S", 200)
+    monkeypatch.setattr(server, "STUCK_S", 1.0)
+    deaf = socket.socket()
+    deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    deaf.connect(("127.0.0.1", flown.web.port))
+    token, skipped = flown.token, flown.web.skipped
+    with flown.page() as page, flown.dial(sock=deaf, max_queue=1) as link:
+        link.send(json.dumps({"token": token}))
+        until(lambda: flown.web.clients == 2)
+        behind = next(each for each, known in flown.web._pages.items() if known.number == 2)
+        most, seen = 0, 0
+        while flown.web.clients == 2:
+            # its messages are read, frame by frame, while the other one's wait
+            page.next("state")
+            seen += 1
+            most = max(most, behind.transport.get_write_buffer_size())
+            assert seen < 20_000
+        assert flown.web.skipped > skipped
+        assert behind.protocol.close_sent is None  # let go by us, before the library's pings found out
+        assert server.WAITING < most < 3 * server.WAITING
+        assert page.ask("Disarm")["accepted"]
+
+
+def test_the_end_is_told(tmp_path: Path) -> None:
+    with Flown(tmp_path / "run", 1.0) as flight, flight.page() as page:
+        page.next("state")
+        flight.session.stop("enough")
+        flight.thread.join()
+        while page.next("state")["ending"] is None:
+            pass
+        for _ in range(3):
+            flight.web._news()  # the same step again is nothing to draw
+        assert not any(page.next("state")["strip"] for _ in range(20))
+        flight.web.stop()
+        with pytest.raises(ConnectionClosed) as closed:
+            page.next("never")
+        assert page.last["state"]["ending"] == {"outcome": "completed", "reason": "enough"}
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1001
+        assert "web" not in [thread.name for thread in threading.enumerate() if thread is flight.web._thread]
+        flight.web.stop()
+
+
+def test_a_new_flight(tmp_path: Path) -> None:
+    with Flown(tmp_path / "run", 1.0) as flight, flight.page() as page:
+        assert page.next("flight")["number"] == 1
+        assert page.ask("Restart")["accepted"]
+        assert page.next("flight")["number"] == 2
+        state = page.next("state")
+        assert state["t"] < 1.0 + SOON
+        assert all(point[0] <= state["t"] for point in state["strip"])
+        assert flight.now.facts.number == 2
+
+
+# --- in a browser ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    # what stands in for a browser that is not installed answers with an error
+    if BROWSER is None or subprocess.run([BROWSER, "--version"], capture_output=True).returncode:
+        pytest.skip("no browser: install chromium, or name one in HEXJET_BROWSER")
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
+    with playwright.sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=BROWSER, args=FLAGS)
+        yield started
+        started.close()
+
+
+class Screen:
+    """The page in a browser."""
+
+    def __init__(self, page: Any) -> None:
+        from playwright.sync_api import expect
+
+        self.page = page
+        self.expect = expect
+        self.errors: list[str] = []
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("console", lambda said: self.errors.append(said.text) if said.type == "error" else None)
+
+    def shows(self, where: str, what: str, seconds: float = SOON) -> None:
+        self.expect(self.page.locator(where)).to_have_text(what, timeout=1e3 * seconds)
+
+    def number(self, where: str) -> float:
+        return float(self.page.inner_text(where).replace("−", "-"))
+
+    def middle(self, where: str) -> tuple[float, float]:
+        box = self.page.locator(where).bounding_box()
+        return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def requests_of(folder: Path) -> list[dict[str, Any]]:
+    """What was asked for by pages, in order."""
+    lines = (folder / "requests.jsonl").read_text(encoding="utf-8").splitlines()
+    return [line for line in map(json.loads, lines) if line.get("sender", "").startswith("web-")]
+
+
+def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
+    """Arm, take off, go somewhere, a roll step by stick, land: what the page shows is what the simulation does."""
+    with Flown(tmp_path / "run", 2.0) as flight:
+        # at twice real time and on a loaded machine half a second of flight is too short for sticks
+        flight.exchange.ask(SetParameter("HJ_STICK_TIME", 3.0))
+        lean = math.radians(flight.now.facts.parameters["HJ_STICK_LEAN"])
+        with browser.new_context(viewport={"width": 1280, "height": 800}) as context:
+            screen = Screen(page := context.new_page())
+            page.goto(flight.web.url)
+            screen.shows("#armed", "ready")
+            screen.shows("#title", "hexjet")
+            assert screen_value(page, "#takeoff-height") == flight.now.facts.parameters["MIS_TAKEOFF_ALT"]
+
+            page.click("#arm")
+            screen.shows("#armed", "armed")
+            page.fill("#takeoff-height", "4")
+            page.click("#takeoff")
+            screen.shows("#landed", "in air", 30.0)
+            screen.shows("#mode", "HOLD", 30.0)
+            assert screen.number("#height") == pytest.approx(4.0, abs=0.7)
+            assert screen.number("#height") == pytest.approx(flight.now.measured.altitude, abs=0.3)
+
+            bars = page.locator(".jet")
+            assert bars.count() == 6
+            sample, most = flight.now.sample, flight.now.facts.stations[0].curve.thrust[-1]
+            assert sample is not None
+            # both in hundredths of the bar; in a hover neither moves by more than a few
+            for jet in range(6):
+                given = float(bars.nth(jet).locator(".given").get_attribute("width"))
+                asked = float(bars.nth(jet).locator(".asked").get_attribute("x"))
+                assert given == pytest.approx(100.0 * sample.thrust[jet] / most, abs=6.0)
+                assert asked == pytest.approx(100.0 * sample.actuation.throttle[jet], abs=6.0)
+
+            # a click on the track, and the button
+            x, y = screen.middle("#map")
+            page.mouse.click(x + 40, y - 30)
+            chosen = page.input_value("#goto-north"), page.input_value("#goto-east")
+            page.click("#goto-go")
+            until(lambda: flight.now.status.target is not None and flight.now.status.target[0] == float(chosen[0]))
+            assert flight.now.status.target is not None
+            assert flight.now.status.target[1] == float(chosen[1])
+            assert float(chosen[0]) > 0.0
+            assert float(chosen[1]) > 0.0
+
+            # what is dangerous asks first
+            page.click("#kill")
+            screen.shows("#confirm-title", "Shut the engines off?")
+            page.click("#confirm button[value=no]")
+            assert flight.now.status.armed
+
+            # a roll step by stick: full deflection is the full lean
+            page.check("#sticks-on")
+            until(lambda: flight.now.status.sticks_fresh)
+            page.select_option("#mode-choice", "ALTCTL")
+            screen.shows("#mode", "ALTCTL")
+            x, y = screen.middle("#stick-right")
+            page.mouse.move(x, y)
+            page.mouse.down()
+            page.mouse.move(x + 60, y)
+            until(lambda: commanded(flight) == pytest.approx(lean, abs=1e-9))
+            until(lambda: to_euler(flight.now.measured.attitude)[0] > 0.7 * lean)
+            until(lambda: screen.number("#roll") > 0.7 * math.degrees(lean))
+            page.mouse.up()
+            until(lambda: commanded(flight) == 0.0)
+            assert page.inner_text("#rate-measured") != "–"
+            assert page.inner_text("#rate-predicted") != "–"
+            page.keyboard.down("ArrowLeft")
+            until(lambda: commanded(flight) == pytest.approx(-0.5 * lean, abs=1e-9))
+            page.keyboard.up("ArrowLeft")
+            until(lambda: commanded(flight) == 0.0)
+            page.click("#hold")
+            screen.shows("#mode", "HOLD")
+            page.uncheck("#sticks-on")
+
+            page.click("#land")
+            screen.shows("#landed", "on ground", 60.0)
+            screen.shows("#armed", "ready", 60.0)
+            assert flight.now.status.landed is LandedState.ON_GROUND
+            assert flight.now.status.mode is Mode.HOLD
+            assert "landed" in page.inner_text("#messages")
+
+            flight.session.stop("enough")
+            flight.thread.join()
+            flight.web.stop()
+            screen.shows("#link", "ended")
+            assert page.locator("#arm").is_disabled()
+            # after the end the page tries again and again, in vain, and the browser says so
+            assert not [error for error in screen.errors if "WebSocket" not in error]
+    kinds = [line["request"] for line in requests_of(flight.folder) if line["request"] != "Sticks"]
+    assert kinds == ["Arm", "Takeoff", "Goto", "SetMode", "Hold", "Land"]
+
+
+def screen_value(page: Any, where: str) -> float:
+    return float(page.input_value(where))
+
+
+def commanded(flight: Flown) -> float:
+    """The roll angle that the pilot asks for, rad."""
+    assert flight.now.sample is not None
+    return flight.now.sample.command.attitude[0]
+
+
+def test_sticks_that_stop_are_let_go(browser: Any, tmp_path: Path) -> None:
+    """A page that goes away in the middle of a turn: the vehicle holds."""
+    with Flown(tmp_path / "run", 2.0) as flight, browser.new_context() as context:
+        screen = Screen(page := context.new_page())
+        page.goto(flight.web.url)
+        screen.shows("#armed", "ready")
+        page.click("#arm")
+        page.fill("#takeoff-height", "3")
+        page.click("#takeoff")
+        screen.shows("#landed", "in air", 30.0)
+        screen.shows("#mode", "HOLD", 30.0)
+        page.check("#sticks-on")
+        until(lambda: flight.now.status.sticks_fresh)
+        page.select_option("#mode-choice", "POSCTL")
+        until(lambda: flight.now.status.mode is Mode.POSCTL)
+        page.close()
+        until(lambda: flight.now.status.mode is Mode.HOLD)
+        assert "sticks lost, holding" in [message.text for message in flight.exchange.messages]
+
+
+FOREIGN = """async ([port]) => {
+  const found = {};
+  const live = (url) => new Promise((done) => {
+    const socket = new WebSocket(url);
+    socket.onopen = () => { socket.send('{"token": "x"}'); socket.send('{"id": 1, "request": "Arm"}'); done("open"); };
+    socket.onerror = () => done("refused");
+  });
+  found.live = await live(`ws://127.0.0.1:${port}/live`);
+  found.localhost = await live(`ws://localhost:${port}/live`);
+  found.page = await fetch(`http://127.0.0.1:${port}/`).then((r) => r.text(), () => "refused");
+  found.blind = await fetch(`http://127.0.0.1:${port}/`, { mode: "no-cors" }).then(() => "opaque", () => "refused");
+  found.script = await new Promise((done) => {
+    const script = document.createElement("script");
+    script.src = `http://127.0.0.1:${port}/main.js`;
+    script.type = "module";
+    script.onload = () => done("loaded");
+    script.onerror = () => done("refused");
+    document.head.append(script);
+  });
+  const frame = document.createElement("iframe");
+  frame.src = `http://127.0.0.1:${port}/`;
+  document.body.append(frame);
+  await new Promise((done) => { frame.onload = done; setTimeout(done, 2000); });
+  return found;
+}"""
+
+
+class _Elsewhere(http.server.BaseHTTPRequestHandler):
+    """A page of somebody else."""
+
+    def do_GET(self) -> None:
+        body = b"<!doctype html><title>elsewhere</title><body>"
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_: Any) -> None: ...
+
+
+def test_a_foreign_page_in_a_browser_gets_nothing(browser: Any, flown: Flown) -> None:
+    """Neither the socket nor the page with the token, nor the page in a frame to be clicked through."""
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), _Elsewhere) as elsewhere:
+        threading.Thread(target=functools.partial(elsewhere.serve_forever, 0.05)).start()
+        with browser.new_context() as context:
+            page = context.new_page()
+            page.goto(f"http://127.0.0.1:{elsewhere.server_address[1]}/")
+            found = page.evaluate(FOREIGN, [flown.web.port])
+            assert page.frames[1:]
+            framed = [frame.content() for frame in page.frames[1:]]
+        elsewhere.shutdown()
+    assert found == {
+        "live": "refused",
+        "localhost": "refused",
+        "page": "refused",
+        "blind": "refused",
+        "script": "refused",
+    }
+    assert not [text for text in framed if flown.token in text]
+    assert flown.web.clients == 0
+    assert not flown.now.status.armed
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nothing_is_wider_than_the_screen(browser: Any, flown: Flown, width: int, height: int, scheme: str) -> None:
+    with browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme) as context:
+        screen = Screen(page := context.new_page())
+        page.goto(flown.web.url)
+        screen.shows("#link", "live")
+        until(lambda: page.locator(".jet").count() == 6)
+        root = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+        assert root[0] == width
+        if width > 1000:
+            assert root[1] == height  # everything in one view
+        overflowing = page.evaluate(
+            "[...document.querySelectorAll('.card')].filter((c) => c.scrollWidth > c.clientWidth + 1).map((c) => c.id)"
+        )
+        assert overflowing == []
+        # named controls, for those who do not see them
+        nameless = page.evaluate(
+            "[...document.querySelectorAll('button, input, select')].filter((e) => !e.ariaLabel && !e.labels?.length && !e.textContent.trim()).map((e) => e.id)"
+        )
+        assert nameless == []
+        assert not screen.errors
