@@ -11,12 +11,14 @@ MAKEFLAGS += --no-print-directory
 BIN := .venv/bin
 LOCKED := .venv/locked
 BUILT := .venv/built
-SOURCES := setup.py pyproject.toml cosim/engine/build.py $(wildcard cosim/engine/*.c cosim/engine/*.h) \
+COMPILED := $(shell sed -n 's|^    "\(.*\.py\)",$$|cosim/\1|p' cosim/compiled.py)
+SOURCES := setup.py pyproject.toml cosim/compiled.py $(COMPILED) cosim/engine/build.py $(wildcard cosim/*.c cosim/engine/*.c cosim/engine/*.h) \
 	$(shell find engines -type f 2>/dev/null)
 # half a gigabyte for MAVProxy's maps and three-dimensional views; the tests run it without
 NOT_NEEDED := opencv-python vtk shapely quantized-mesh-tile
 # what the set-up leaves outside .venv; if any of it was deleted, it is made again
-MISSING := $(if $(and $(wildcard fmus/*.fmu),$(wildcard cosim/engine/_bank.*.so)),,missing)
+MISSING := $(if $(and $(wildcard fmus/*.fmu),$(wildcard cosim/engine/_bank.*.so),$(wildcard cosim/_rows.*.so), \
+	$(wildcard cosim/_records.*.so),$(or $(HEXJET_PURE),$(and $(wildcard cosim/_compiled.sha256),$(wildcard cosim/_native__mypyc.*.so)))),,missing)
 
 ##@ Fly and look
 demo: setup ## fly roll-doublet without and with the Smith predictor, and compare
@@ -33,8 +35,8 @@ check: setup ## lint, format and types: everything that is checked without runni
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: setup ## run the tests; options for pytest in ARGS: make test ARGS="-k smith -x"
-	@$(BIN)/python -m pytest $(ARGS)
+test: setup ## run the tests on all cores; options for pytest in ARGS: make test ARGS="-k smith -x", one core: -n0
+	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile $(ARGS)
 
 fmus: setup ## build the engines' FMUs anew
 	@$(BIN)/hexjet fmu build $(ARGS)
@@ -51,7 +53,8 @@ lock: ## resolve pyproject.toml into requirements.lock; newer releases: make loc
 		--no-emit-index-url --custom-compile-command "make lock" --output-file requirements.lock $(ARGS) pyproject.toml
 
 clean: ## remove .venv, builds and caches; flights in runs/ stay
-	rm -rf .venv build dist *.egg-info fmus/*.fmu cosim/engine/_bank.*.so .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv build dist *.egg-info fmus/*.fmu cosim/_compiled.sha256 .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find cosim -name '*.so' -delete
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help: ## this list
@@ -70,7 +73,7 @@ $(LOCKED): requirements.lock
 	@touch $@
 
 $(BUILT): $(LOCKED) $(SOURCES) $(MISSING)
-	@echo "set-up: the project and its FMUs"
+	@echo "set-up: the project (its inner loop is compiled: half a minute) and its FMUs"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 

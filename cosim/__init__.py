@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from cosim.compiled import choose
 from cosim.errors import EngineError, FlightError, InputError
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 __all__ = ["EngineError", "FlightError", "InputError", "Run", "Scenario", "fly", "open_run"]
 
 _WHERE = {"Scenario": "cosim.scenario", "fly": "cosim.flight", "Run": "cosim.run", "open_run": "cosim.run"}
+
+choose()  # before any module that may be compiled is imported
 
 
 def __getattr__(name: str) -> Any:

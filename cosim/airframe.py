@@ -8,12 +8,13 @@ written before a step changes the rates one run late: ``step / substeps`` second
 from __future__ import annotations
 
 import hashlib
+import itertools
 import os
-import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
-from math import radians
+from math import pi, radians
 from pathlib import Path
+from typing import Final
 
 os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner to standard output otherwise
 
@@ -21,43 +22,63 @@ import jsbsim
 
 from cosim.errors import FlightError, InputError
 from cosim.frames import from_euler
+from cosim.memory import Memory
 from cosim.scenario import Environment, Initial
+from cosim.scratch import scratch
 from cosim.signals import ZERO3, Disturbance, State, Vector3
 from cosim.vehicle import Vehicle
 
-FOOT = 0.3048  # m, exact
-INCH = 0.0254  # m, exact
-POUND_FORCE = 4.4482216152605  # N, exact
-SLUG = POUND_FORCE / FOOT  # kg
-SLUG_FT2 = SLUG * FOOT**2  # kg m^2
-POUND_FOOT = POUND_FORCE * FOOT  # N m
-JSBSIM_POUNDS_PER_SLUG = 32.174049  # the constant with which JSBSim turns weights into masses
+FOOT: Final = 0.3048  # m, exact
+INCH: Final = 0.0254  # m, exact
+POUND_FORCE: Final = 4.4482216152605  # N, exact
+SLUG: Final = POUND_FORCE / FOOT  # kg
+SLUG_FT2: Final = SLUG * FOOT**2  # kg m^2
+POUND_FOOT: Final = POUND_FORCE * FOOT  # N m
+JSBSIM_POUNDS_PER_SLUG: Final = 32.174049  # the constant with which JSBSim turns weights into masses
 
-NEAR_GROUND = 2.0  # m: below this height the contacts are looked at
+NEAR_GROUND: Final = 2.0  # m: below this height the contacts are looked at
 _RECTANGULAR_EULER = 1.0  # JSBSim's default from moment to rate, made sure of because the delay ledger counts on it
 
-_STATE = (
-    "position/from-start-neu-n-ft",
-    "position/from-start-neu-e-ft",
-    "position/from-start-neu-u-ft",
-    "velocities/v-north-fps",
-    "velocities/v-east-fps",
-    "velocities/v-down-fps",
-    "attitude/phi-rad",
-    "attitude/theta-rad",
-    "attitude/psi-rad",
-    "velocities/p-rad_sec",
-    "velocities/q-rad_sec",
-    "velocities/r-rad_sec",
-    "accelerations/a-pilot-x-ft_sec2",
-    "accelerations/a-pilot-y-ft_sec2",
-    "accelerations/a-pilot-z-ft_sec2",
-    "position/h-agl-ft",
-)
-_WIND = ("atmosphere/total-wind-north-fps", "atmosphere/total-wind-east-fps", "atmosphere/total-wind-down-fps")
-_POUND_SQUARE_FOOT = POUND_FORCE / FOOT**2  # Pa
-_RANKINE = 5.0 / 9.0  # K, exact
+_POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
+_RANKINE: Final = 5.0 / 9.0  # K, exact
+_NED = ("north", "east", "down")
+_number = itertools.count()  # of the airframes of this process
 _MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the spools, body; a property of our own in the model
+
+
+Node = Callable[[str], jsbsim.FGPropertyNode]  # a property by its name
+
+
+class _Read:
+    """Three properties of JSBSim, ``name`` with each of ``parts`` in it, as a vector in SI units."""
+
+    def __init__(self, node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> None:
+        self._x, self._y, self._z = (node(name.format(part)).get_double_value for part in parts)
+        self._unit = unit
+
+    def get(self) -> Vector3:
+        unit = self._unit
+        return (self._x() * unit, self._y() * unit, self._z() * unit)
+
+
+class _Write:
+    """The same for writing."""
+
+    def __init__(self, node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> None:
+        self._x, self._y, self._z = (node(name.format(part)).set_double_value for part in parts)
+        self._unit = unit
+
+    def put(self, x: float, y: float, z: float) -> None:
+        unit = self._unit
+        self._x(x / unit)
+        self._y(y / unit)
+        self._z(z / unit)
+
+    def put_in_plane(self, x: float, z: float) -> None:
+        """What has had no part along y and gets none."""
+        unit = self._unit
+        self._x(x / unit)
+        self._z(z / unit)
 
 
 class Airframe:
@@ -81,7 +102,7 @@ class Airframe:
         self._spools = spools
         self._vehicle = vehicle
         self._environment = environment
-        self._folder = tempfile.TemporaryDirectory(prefix="hexjet-airframe-")
+        self._file = scratch() / f"{vehicle.name}-{next(_number)}.xml"
         self._source = folder / vehicle.model
         self._dt = step / substeps
         self._seed = float(seed % 2**31)  # JSBSim keeps it in a C int
@@ -89,20 +110,18 @@ class Airframe:
             xml = render(vehicle, self._source, spools)
             self.sha256 = hashlib.sha256(xml).hexdigest()  # of the model with the vehicle's numbers in it
             self.file_sha256 = hashlib.sha256(self._source.read_bytes()).hexdigest()
-            root = Path(self._folder.name)
-            (root / vehicle.name).mkdir()
-            (root / vehicle.name / f"{vehicle.name}.xml").write_bytes(xml)
+            self._file.write_bytes(xml)
             self._load()
         except BaseException:
             self.close()
             raise
 
     def _load(self) -> None:
-        fdm = jsbsim.FGFDMExec(self._folder.name, None)
+        fdm = jsbsim.FGFDMExec(str(self._file.parent), None)
         fdm.set_debug_level(0)
         fdm.set_aircraft_path(".")
         # load_model answers False instead of raising
-        if not fdm.load_model(self._vehicle.name):
+        if not fdm.load_model(self._file.stem, add_model_to_path=False):
             raise InputError(f"{self._source}: JSBSim could not load the model")
         fdm.set_dt(self._dt)
         self._fdm = fdm
@@ -115,31 +134,36 @@ class Airframe:
 
     def _bind(self) -> None:
         node = self._node
-        self._get_state: list[Callable[[], float]] = [node(name).get_double_value for name in _STATE]
-        self._get_wind: list[Callable[[], float]] = [node(name).get_double_value for name in _WIND]
-        self._get_mass = node("inertia/mass-slugs").get_double_value
+        self._place = _Read(node, "position/from-start-neu-{}-ft", "neu", FOOT)
+        self._velocity = _Read(node, "velocities/v-{}-fps", _NED, FOOT)
+        self._euler = _Read(node, "attitude/{}-rad", ("phi", "theta", "psi"))
+        self._rate = _Read(node, "velocities/{}-rad_sec", "pqr")
+        self._felt = _Read(node, "accelerations/a-pilot-{}-ft_sec2", "xyz", FOOT)
+        self._height: Callable[[], float] = node("position/h-agl-ft").get_double_value
+        self._wind = _Read(node, "atmosphere/total-wind-{}-fps", _NED, FOOT)
+        self._get_mass: Callable[[], float] = node("inertia/mass-slugs").get_double_value
         names = [f"external_reactions/jet{jet}" for jet in range(1, len(self._vehicle.jets) + 1)]
-        self._set_jet = [tuple(node(f"{name}/{axis}").set_double_value for axis in "xyz") for name in names]
-        self._set_push = [node(f"external_reactions/push/{axis}").set_double_value for axis in "xyz"]
-        self._set_twist = [node(f"external_reactions/twist/{axis}").set_double_value for axis in "lmn"]
+        self._jets = [_Write(node, f"{name}/{{}}", "xyz", POUND_FORCE) for name in names]
+        self._push = _Write(node, "external_reactions/push/{}", "xyz", POUND_FORCE)
+        self._twist = _Write(node, "external_reactions/twist/{}", "lmn", POUND_FOOT)
         for name in [*names, "external_reactions/push"]:
             node(f"{name}/magnitude").set_double_value(1.0)
             node(f"{name}/y").set_double_value(0.0)
         node("external_reactions/twist/magnitude-lbsft").set_double_value(1.0)
-        contacts = [node(f"contact/unit[{unit}]/WOW").get_double_value for unit in range(len(self._vehicle.contacts))]
-        self._legs = [
-            get for get, contact in zip(contacts, self._vehicle.contacts, strict=True) if contact.kind == "leg"
-        ]
-        self._hull = [
-            get for get, contact in zip(contacts, self._vehicle.contacts, strict=True) if contact.kind == "hull"
-        ]
-        self._set_wind = [node(f"atmosphere/wind-{axis}-fps").set_double_value for axis in ("north", "east", "down")]
+        self._legs, self._hull = self._contacts("leg"), self._contacts("hull")
+        self._set_wind = _Write(node, "atmosphere/wind-{}-fps", _NED, FOOT)
         self._set_payload = node("inertia/pointmass-weight-lbs").set_double_value
-        self._set_payload_place = [node(f"inertia/pointmass-location-{axis}-inches").set_double_value for axis in "XYZ"]
-        self._set_momentum = [node(_MOMENTUM.format(axis)).set_double_value for axis in "xyz"] if self._spools else []
-        self._get_air = [node(name).get_double_value for name in ("atmosphere/P-psf", "atmosphere/T-R")]
+        self._payload_place = _Write(node, "inertia/pointmass-location-{}-inches", "XYZ")
+        self._momentum = _Write(node, _MOMENTUM, "xyz", SLUG_FT2) if self._spools else None
+        self._pressure: Callable[[], float] = node("atmosphere/P-psf").get_double_value
+        self._temperature: Callable[[], float] = node("atmosphere/T-R").get_double_value
         if self._vehicle.fuel:
             self._set_burnt = node(f"inertia/pointmass-weight-lbs[{self._last_point_mass()}]").set_double_value
+
+    def _contacts(self, kind: str) -> list[Callable[[], float]]:
+        """What says whether each contact of this kind touches."""
+        kinds = enumerate(contact.kind for contact in self._vehicle.contacts)
+        return [self._node(f"contact/unit[{unit}]/WOW").get_double_value for unit, each in kinds if each == kind]
 
     def _node(self, name: str) -> jsbsim.FGPropertyNode:
         # JSBSim silently creates a property that is written but does not exist, so every name is resolved first
@@ -156,9 +180,7 @@ class Airframe:
     def _set(self, name: str, value: float) -> None:
         self._node(name).set_double_value(value)
 
-    def reset(
-        self, initial: Initial, forces: Sequence[Vector3], wind: Vector3, momentum: Vector3 | None = None
-    ) -> State:
+    def reset(self, initial: Initial, forces: list[Vector3], wind: Vector3, momentum: Vector3 | None = None) -> State:
         """Put the vehicle at its initial state with ``forces`` (N, body, one per jet) already acting.
 
         ``momentum``: of the spools, as for :meth:`set_momentum`.
@@ -198,10 +220,10 @@ class Airframe:
             raise FlightError("JSBSim could not start from the initial state")
         self._still = not (place.turbulence_severity or any(wind))
         # JSBSim counts "up" from a datum of its own; ours is the ground below the start
-        self._datum = self._get_state[_STATE.index("position/from-start-neu-u-ft")]() * FOOT - height
+        self._datum = self._place.get()[2] - height
         return self._read()
 
-    def step(self, forces: Sequence[Vector3], disturbance: Disturbance, moment: Vector3 = ZERO3) -> State:
+    def step(self, forces: list[Vector3], disturbance: Disturbance, moment: Vector3 = ZERO3) -> State:
         """Advance one control step with ``forces`` (N, body, at each jet's station) and ``disturbance`` held.
 
         ``moment``: of the rotors on the frame, N m, body, without the gyroscopic part (see :meth:`set_momentum`).
@@ -210,10 +232,9 @@ class Airframe:
         self._apply_forces(forces)
         if disturbance is not self._disturbance:
             self._apply(disturbance)
-        if moment is not self._moment:
+        if moment != self._moment:
             self._moment = moment
-            for write, outside, inside in zip(self._set_twist, disturbance.moment, moment, strict=True):
-                write((outside + inside) / POUND_FOOT)
+            self._apply_moment(disturbance.moment)
         run = self._run
         for _ in range(self.substeps):
             if not run():
@@ -224,24 +245,27 @@ class Airframe:
         """JSBSim's own ``run``, good until the next reset: one of its steps with everything held, to time it alone."""
         return self._run
 
-    def _apply_forces(self, forces: Sequence[Vector3]) -> None:
-        for (set_x, set_y, set_z), (x, y, z) in zip(self._set_jet, forces, strict=True):
-            set_x(x / POUND_FORCE)
-            set_z(z / POUND_FORCE)
-            if y or self._sideways:
+    def _apply_forces(self, forces: list[Vector3]) -> None:
+        for number, jet in enumerate(self._jets):
+            x, y, z = forces[number]
+            if y != 0.0 or self._sideways:
                 # jets tilt about y, so most vehicles never get here
                 self._sideways = True
-                set_y(y / POUND_FORCE)
+                jet.put(x, y, z)
+            else:
+                jet.put_in_plane(x, z)
+
+    def _apply_moment(self, outside: Vector3) -> None:
+        """The disturbance's and the rotors'."""
+        x, y, z = self._moment
+        self._twist.put(outside[0] + x, outside[1] + y, outside[2] + z)
 
     def _apply(self, disturbance: Disturbance) -> None:
         """Hand over what differs from the step before."""
         old = self._disturbance
-        for write, newton in zip(self._set_push, disturbance.force, strict=True):
-            write(newton / POUND_FORCE)
-        for write, outside, inside in zip(self._set_twist, disturbance.moment, self._moment, strict=True):
-            write((outside + inside) / POUND_FOOT)
-        for write, speed in zip(self._set_wind, disturbance.wind, strict=True):
-            write(speed / FOOT)
+        self._push.put(*disturbance.force)
+        self._apply_moment(disturbance.moment)
+        self._set_wind.put(*disturbance.wind)
         if any(disturbance.wind) or disturbance.gust:
             self._still = False
         if disturbance.payload != old.payload:
@@ -253,8 +277,7 @@ class Airframe:
     def _apply_payload(self, payload: tuple[float, float, float, float]) -> None:
         mass, x, y, z = payload
         self._set_payload(mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
-        for write, place in zip(self._set_payload_place, _structural((x, y, z)), strict=True):
-            write(place)
+        self._payload_place.put(*_structural((x, y, z)))
         self._full = sum((self._vehicle.mass_kg, mass))
         self._mass = self._full - self._burnt
 
@@ -265,8 +288,8 @@ class Airframe:
         the middle of the coming run, extrapolated from the last one's acceleration.  This makes the method of Adams and
         Bashforth of second order out of JSBSim's rectangular rule, which would feed energy into a nutation.
         """
-        for write, value in zip(self._set_momentum, momentum, strict=True):
-            write(value / SLUG_FT2)
+        assert self._momentum is not None
+        self._momentum.put(*momentum)
 
     def burn(self, mass: float) -> None:
         """From the next run on the vehicle lacks ``mass`` [kg] of fuel: mass, centre of gravity and inertia follow.
@@ -279,8 +302,7 @@ class Airframe:
 
     def air(self) -> tuple[float, float]:
         """Static pressure [Pa] and temperature [K] of the air where the vehicle is."""
-        pressure, temperature = self._get_air
-        return pressure() * _POUND_SQUARE_FOOT, temperature() * _RANKINE
+        return self._pressure() * _POUND_SQUARE_FOOT, self._temperature() * _RANKINE
 
     def _start_gust(self, velocity: Vector3, rise: float, hold: float, fall: float) -> None:
         gust = "atmosphere/cosine-gust"
@@ -295,32 +317,27 @@ class Airframe:
         self._set(f"{gust}/start", 1.0)
 
     def _read(self) -> State:
-        north, east, up, vn, ve, vd, roll, pitch, yaw, p, q, r, ax, ay, az, height = [get() for get in self._get_state]
-        height *= FOOT
+        north, east, up = self._place.get()
+        velocity = vn, ve, vd = self._velocity.get()
+        roll, pitch, yaw = self._euler.get()
+        rate = p, q, r = self._rate.get()
+        height = self._height() * FOOT
         total = north + east + up + vn + ve + vd + roll + pitch + yaw + p + q + r
         if total - total != 0.0:  # NaN or infinite
             raise FlightError("the airframe's state is not finite")
-        if height < NEAR_GROUND:
-            on_ground = any(get() > 0.0 for get in self._legs)
-            hull = any(get() > 0.0 for get in self._hull)
-        else:
-            on_ground = hull = False
-        wind = ZERO3
-        if not self._still:
-            wn, we, wd = [get() for get in self._get_wind]
-            wind = (wn * FOOT, we * FOOT, wd * FOOT)
+        near = height < NEAR_GROUND
         return State(
-            (north * FOOT, east * FOOT, self._datum - up * FOOT),
-            (vn * FOOT, ve * FOOT, vd * FOOT),
+            (north, east, self._datum - up),
+            velocity,
             from_euler(roll, pitch, yaw),
-            (roll, pitch, yaw if yaw < 3.141592653589793 else yaw - 6.283185307179586),
-            (p, q, r),
-            (ax * FOOT, ay * FOOT, az * FOOT),
+            (roll, pitch, yaw if yaw < pi else yaw - 2.0 * pi),
+            rate,
+            self._felt.get(),
             height,
-            wind,
+            ZERO3 if self._still else self._wind.get(),
             self._mass,
-            on_ground,
-            hull,
+            near and any(touches() > 0.0 for touches in self._legs),
+            near and any(touches() > 0.0 for touches in self._hull),
         )
 
     def external_wrench(self) -> tuple[Vector3, Vector3]:
@@ -349,7 +366,7 @@ class Airframe:
 
     def close(self) -> None:
         """Remove the temporary model; may be called twice."""
-        self._folder.cleanup()
+        self._file.unlink(missing_ok=True)
 
 
 def standing_height(vehicle: Vehicle) -> float:
@@ -372,6 +389,10 @@ def _structural(body: Vector3) -> tuple[float, float, float]:
     return (-x / INCH, y / INCH, -z / INCH)
 
 
+_RENDERED = {"mass_kg", "inertia_kg_m2", "aero", "jets", "contacts", "fuel"}  # what render reads of a vehicle
+_rendered: Memory[bytes] = Memory(64)
+
+
 def render(vehicle: Vehicle, model: Path, spools: bool = False) -> bytes:
     """The JSBSim model with the vehicle's numbers written over the ones in the file, in JSBSim's own units.
 
@@ -380,12 +401,20 @@ def render(vehicle: Vehicle, model: Path, spools: bool = False) -> bytes:
     Raises InputError if the file cannot be read or lacks an element.
     """
     try:
-        tree = ET.parse(model)
+        text = model.read_bytes()
     except OSError as error:
         raise InputError(f"{model}: {error.strerror or error}") from error
+    return _rendered.get(
+        (model, text, vehicle.model_dump_json(include=_RENDERED), spools),
+        lambda: _render(vehicle, model, text, spools),
+    )
+
+
+def _render(vehicle: Vehicle, model: Path, text: bytes, spools: bool) -> bytes:
+    try:
+        root = ET.fromstring(text)
     except ET.ParseError as error:
         raise InputError(f"{model}: not valid XML: {error}") from error
-    root = tree.getroot()
 
     def find(path: str) -> ET.Element:
         element = root.find(path)

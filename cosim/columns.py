@@ -7,8 +7,11 @@ on the ground below the starting point.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
+from cosim.config import nearest
+from cosim.errors import InputError
 from cosim.signals import AXES, JETS
 
 RATES = ("p", "q", "r")
@@ -91,3 +94,11 @@ COLUMNS: tuple[Column, ...] = (
 )
 
 NAMES: tuple[str, ...] = tuple(column.name for column in COLUMNS)
+
+
+def known(name: str, columns: Iterable[str], where: str = "log") -> str:
+    """``name``, if it is one of the columns.  Raises InputError with the nearest ones."""
+    columns = tuple(columns)
+    if name not in columns:
+        raise InputError(f"the {where} has no column {name!r}; {nearest(name, columns)}")
+    return name

@@ -5,12 +5,14 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cosim.errors import InputError
+from cosim.memory import Memory
 
 
 class Model(BaseModel):
@@ -22,14 +24,24 @@ class Model(BaseModel):
     @classmethod
     def _numbers_are_numbers(cls, data: Any) -> Any:
         """``"2"`` and ``true`` are no numbers, alone or in a list, though Python would take them."""
+        numeric = _numeric(cls)
         for name, value in data.items() if isinstance(data, dict) else ():
-            field = cls.model_fields.get(name)
-            wanted = repr(field.annotation) if field else ""
-            if ("float" in wanted or "int" in wanted) and "str" not in wanted and "bool" not in wanted:
+            if name in numeric:
                 for each in value if isinstance(value, list) else [value]:
                     if isinstance(each, (str, bool)):
                         raise ValueError(f"{name} = {each!r}: must be a number")
         return data
+
+
+@cache
+def _numeric(model: type[BaseModel]) -> frozenset[str]:
+    """The fields that are numbers, or lists of numbers, and nothing else."""
+    wanted = {name: repr(field.annotation) for name, field in model.model_fields.items()}
+    return frozenset(
+        name
+        for name, kind in wanted.items()
+        if ("float" in kind or "int" in kind) and "str" not in kind and "bool" not in kind
+    )
 
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -37,6 +49,8 @@ NotNegative = Annotated[float, Field(ge=0.0)]
 Vector = tuple[float, float, float]
 
 M = TypeVar("M", bound=BaseModel)
+
+_parsed: Memory[dict[str, Any]] = Memory(64)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -48,11 +62,19 @@ def read_toml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text (byte {error.start})") from error
     try:
-        return tomllib.loads(text)
+        table: dict[str, Any] = _copy(_parsed.get(text, lambda: tomllib.loads(text)))
+        return table
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
     except RecursionError as error:
         raise InputError(f"{path}: not valid TOML: nested too deep") from error
+
+
+def _copy(table: Any) -> Any:
+    """A table that may be changed."""
+    if isinstance(table, dict):
+        return {key: _copy(value) for key, value in table.items()}
+    return [_copy(value) for value in table] if isinstance(table, list) else table
 
 
 def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from operator import sub
+
 from cosim.commands import Waveform, doublet, pulse, sweep
 from cosim.errors import InputError
 from cosim.scenario import (
@@ -49,7 +51,9 @@ class Disturber:
             elif isinstance(entry, WindDisturbance):
                 self._winds.append((on, entry.velocity_ned_m_s))
             elif isinstance(entry, PayloadDisturbance):
-                self._payloads.append((on, (entry.mass_kg, *entry.offset_m)))
+                # from the true centre of gravity, where the airframe's body axes start
+                x, y, z = map(sub, entry.offset_m, scenario.mismatch.centre_m)
+                self._payloads.append((on, (entry.mass_kg, x, y, z)))
             else:
                 assert end is not None
                 torque = AXES.index(entry.axis), _torque(entry, scenario, start, end - start, where)

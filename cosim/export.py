@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cosim.columns import RATES
 from cosim.errors import InputError
-from cosim.recorder import one_line, replacing
+from cosim.files import one_line, replacing
 from cosim.run import RUN_FILES, Run, Summary, open_run
 from cosim.signals import AXES, JETS
 

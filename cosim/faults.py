@@ -26,6 +26,7 @@ from cosim.scenario import (
     StuckThrottle,
     ThrustLoss,
 )
+from cosim.sensors import SensorSuite
 from cosim.servo import TiltServo
 from cosim.signals import JETS, NO_FAULTS, Ambient, EngineOutput, Measured, PerJet, State, Vector3
 
@@ -46,24 +47,6 @@ class Engines(Protocol):
     def set_run(self, index: int, on: bool) -> bool: ...
 
     def close(self) -> None: ...
-
-
-class Sensing(Protocol):
-    """What a flight needs of its sensors."""
-
-    def reset(self, state: State) -> Measured: ...
-
-    def sample(self, state: State) -> Measured: ...
-
-
-class Servo(Protocol):
-    """What a flight needs of a tilt servo."""
-
-    angle: float
-
-    def reset(self, angle: float = 0.0) -> None: ...
-
-    def update(self, command: float) -> float: ...
 
 
 class _Stuck:
@@ -247,7 +230,7 @@ class FaultySensors:
     The bias of the attitude is a small rotation about the body axes; of the GNSS, of position and of velocity.
     """
 
-    def __init__(self, sensors: Sensing) -> None:
+    def __init__(self, sensors: SensorSuite) -> None:
         self.sensors = sensors
         self._faults: list[tuple[SensorBias | SensorDropout, Measured]] = []
 
@@ -300,6 +283,11 @@ def _sum(a: Vector3, b: Vector3) -> Vector3:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
+# named one by one, so that a step finds its way to them without looking
+Servo = TiltServo | JammedServo
+Sensing = SensorSuite | FaultySensors
+
+
 class Faults:
     """The faults of a flight and when they begin and end; ``next`` is the step at which something changes.
 
@@ -312,7 +300,7 @@ class Faults:
         scenario: Scenario,
         bank: Engines,
         servos: Sequence[TiltServo],
-        sensors: Sensing,
+        sensors: SensorSuite,
         jets: int,
         lag: Callable[[int], float],
         shut_off: Callable[[], Collection[int]],
@@ -330,7 +318,7 @@ class Faults:
         self._spans: list[tuple[int, int, Fault]] = []
         self._acting: list[Fault] = []
         self.engines: Engines = self._bank
-        self.servos: list[Servo] = list(self._servos)
+        self.servos: list[Servo] = [*self._servos]
         self._jams: list[ServoJam | None] = [None] * len(self._servos)
         self.sensors: Sensing = self._sensors
         self.flags = NO_FAULTS

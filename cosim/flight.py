@@ -15,6 +15,7 @@ from cosim.errors import FlightError, InputError
 from cosim.metrics import metric_names
 from cosim.pace import Pace
 from cosim.piloted import with_autopilot
+from cosim.recorder import KeepingSink
 from cosim.replay import REQUESTS, Replay, read_requests
 from cosim.run import DelayRow, Recording, Run, Setup, StationEngine, begin_run, now, versions
 from cosim.scenario import Expectation, Scenario, SticksCommand, TableCommand, is_file
@@ -30,10 +31,12 @@ def fly(
     realtime_factor: float | None = None,
     report: bool = True,
     watch: Callable[[Simulation, Pace, Path | None, float | None], Observer] | None = None,
+    sink: KeepingSink | None = None,
 ) -> Run:
     """Fly a scenario to its end, record every step, and give back the finished run.
 
-    ``out`` is the run's folder, made if need be; without it the log stays in memory.  ``observers`` see every step.
+    ``out`` is the run's folder, made if need be; without it the log stays in memory, or what ``sink`` keeps of it: at
+    least the columns of :func:`cosim.metrics.columns`.  ``observers`` see every step.
     ``realtime_factor`` paces the flight (1.0 is real time).  ``watch`` makes a further observer of the flight when it
     is built.  A crash, a divergence or a failing engine is an outcome, not an exception.
 
@@ -45,7 +48,7 @@ def fly(
         if scenario.requests is not None:
             replay = Replay(with_autopilot(simulation), read_requests(scenario.folder / scenario.requests))
         folder = None if out is None else Path(out)
-        recording = record(simulation, folder)
+        recording = record(simulation, folder, sink=sink)
         pace = Pace(simulation.dt, realtime_factor)
         watching = [*observers, *([watch(simulation, pace, folder, realtime_factor)] if watch else [])]
         begin = time.perf_counter()
@@ -54,6 +57,8 @@ def fly(
         except FlightError as error:  # the log cannot be written: the disk is full, say
             ending = Ending("failed", str(error))
         except KeyboardInterrupt:
+            if sink is not None:  # whoever keeps a flight for itself flies more than one, and is to stop altogether
+                raise
             ending = Ending("failed", f"interrupted at {simulation.k * simulation.dt:.3f} s")
         wall = time.perf_counter() - begin
         reason = ending.reason
@@ -69,13 +74,15 @@ def record(
     folder: Path | None,
     contents: Mapping[str, Path | bytes] | None = None,
     background: bool = False,
+    sink: KeepingSink | None = None,
 ) -> Recording:
     """Begin the recording of a flight, in ``folder`` or in memory; ``contents`` are those of files of the scenario.
 
-    ``background``: a thread writes the rows.  Raises InputError if the folder is not usable.
+    ``sink`` may keep less in memory than all.  ``background``: a thread writes the rows.  Raises InputError if the
+    folder is not usable.
     """
     resolved, files = resolve(simulation)
-    return begin_run(_setup(simulation), resolved, folder, files | dict(contents or {}), background)
+    return begin_run(_setup(simulation), resolved, folder, files | dict(contents or {}), background, sink)
 
 
 def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
@@ -116,15 +123,17 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) ->
 
     A mapping file goes along with its archive and names that archive there.
     """
+    noted = {held.resolve(): name for name, held in files.items() if isinstance(held, Path)}
     copied: dict[Path, str] = {}
 
     def copy(source: Path, content: Path | bytes) -> str:
         place = source.resolve()
         if place not in copied:
-            # files of one name from several folders
-            count = sum(name == source.name for name in files)
-            copied[place] = f"{len(copied)}-{source.name}" if count else source.name
-            files[copied[place]] = content
+            name, number = noted.get(place, source.name), len(copied)
+            while name in files and name != noted.get(place):  # files of one name from several folders
+                name, number = f"{number}-{source.name}", number + 1
+            copied[place] = name
+            files[name] = content
         return copied[place]
 
     names = {}

@@ -43,11 +43,14 @@ def delay_ledger(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineS
     delays = [_ratio(each.delay, scenario.step_s) for each in engines]
     lags = [_lag(each, scenario.step_s) for each in engines]
     pole = exp(-scenario.step_s / gyro.filter_s) if gyro.filter_s > 0.0 else 0.0
+    later = scenario.mismatch.delay_samples
+    unknown = [LedgerRow("engines later than known", "mismatch.delay_samples", "transport", float(later))]
     return [
         LedgerRow("command held over the step", "control step", "hold", 0.5),
         LedgerRow(
             "delay added to the roll output", "added_delay_samples", "transport", float(scenario.added_delay_samples)
         ),
+        *(unknown if later else []),
         LedgerRow("transport delay", owner, "transport", _mean(delays, levers)),
         LedgerRow("spool lag, 1/(1 - a) at one internal step a control step", owner, "lag", _mean(lags, levers)),
         LedgerRow("thrust of the step's end acts over all of it", "engines, then airframe", "exchange", -1.0),

@@ -88,14 +88,19 @@ def flight_metrics(log: Columns, step_s: float) -> Metrics:
     )
 
 
+def columns() -> tuple[str, ...]:
+    """The names of the columns that :func:`flight_metrics` reads."""
+    names = [name for axis, rate in zip(AXES, RATES, strict=True) for name in _axis_columns(axis, rate)]
+    return (*names, "altitude_setpoint_m", "altitude_m", "on_ground", "hull_contact", "velocity_down_m_s")
+
+
+def _axis_columns(axis: str, rate: str) -> tuple[str, str, str, str]:
+    return f"{axis}_setpoint_rad", f"{axis}_rad", f"rate_{rate}_setpoint_rad_s", f"rate_{rate}_rad_s"
+
+
 def _axis_of(log: Columns, axis: str, rate: str, step_s: float) -> AxisMetrics:
-    return axis_metrics(
-        log[f"{axis}_setpoint_rad"],
-        log[f"{axis}_rad"],
-        log[f"rate_{rate}_setpoint_rad_s"],
-        log[f"rate_{rate}_rad_s"],
-        step_s,
-    )
+    setpoint, angle, rate_setpoint, true_rate = (log[name] for name in _axis_columns(axis, rate))
+    return axis_metrics(setpoint, angle, rate_setpoint, true_rate, step_s)
 
 
 def axis_metrics(setpoint: Array, angle: Array, rate_setpoint: Array, rate: Array, step_s: float) -> AxisMetrics:

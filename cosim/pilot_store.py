@@ -78,7 +78,7 @@ class ParameterStore:
             return
         import tomli_w
 
-        from cosim.recorder import one_line, replacing
+        from cosim.files import one_line, replacing
 
         numbers = {name: values[name] for name in sorted(values)}
         text = _HEAD + tomli_w.dumps({"format": _FORMAT, "vehicle": self._vehicle, "parameters": numbers})

@@ -7,11 +7,15 @@ from math import exp
 
 from cosim.control.monitor import EngineReference
 from cosim.engine import EngineBank, EngineSpec
+from cosim.memory import Memory
 
 _AROUND = (0.4, 0.6)  # throttle; chosen by us: about hover, wide enough for the lag and not for the limits
 _OTHERS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # where a real engine's lag is another one
 _LONGEST_S = 20.0
 _STILL = 1e-6  # of the change: an answer has begun
+
+
+_references: Memory[EngineReference] = Memory(64)
 
 
 def engine_reference(spec: EngineSpec, step: float) -> EngineReference:
@@ -20,6 +24,11 @@ def engine_reference(spec: EngineSpec, step: float) -> EngineReference:
     An engine that states no lag is no linear one: its lag is measured up and down, from idle and over its whole range.
     Raises EngineError if the engine fails.
     """
+    key = (*spec.behaviour, spec.curve, spec.lag, spec.delay, step)
+    return _references.get(key, lambda: _measure(spec, step))
+
+
+def _measure(spec: EngineSpec, step: float) -> EngineReference:
     lag, delay = spec.lag, spec.delay
     lags = (lag, lag)
     speed: list[float] | None = None

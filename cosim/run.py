@@ -11,6 +11,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from platform import python_version
@@ -18,24 +19,14 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from cosim.arrow import ParquetLog, StreamSink, read_note, stream_to_parquet
 from cosim.config import Vector
 from cosim.errors import FlightError, InputError
+from cosim.files import locked, replacing
 from cosim.metrics import AltitudeMetrics, AxisMetrics, Metrics, Record, check_expectations, flatten, flight_metrics
 from cosim.pace import PaceReport
-from cosim.recorder import (
-    BackgroundSink,
-    Log,
-    MemorySink,
-    ParquetLog,
-    Recorder,
-    StreamSink,
-    locked,
-    read_note,
-    replacing,
-    stream_to_parquet,
-)
+from cosim.recorder import BackgroundSink, KeepingSink, Log, MemorySink, Recorder
 from cosim.scenario import Expectation, Scenario
-from cosim.signals import Sample
 
 Outcome = Literal["completed", "crashed", "diverged", "failed"]
 
@@ -159,17 +150,14 @@ class Recording:
     """A run that is being flown: an observer, and at the end :meth:`finish`."""
 
     def __init__(
-        self, setup: Setup, scenario: Scenario, sink: MemorySink | StreamSink, background: bool = False
+        self, setup: Setup, scenario: Scenario, sink: KeepingSink | StreamSink, background: bool = False
     ) -> None:
         self._setup = setup
         self._scenario = scenario
         self._sink = sink
         self._behind = BackgroundSink(sink) if background else None
         self._recorder = Recorder(setup.step_s, self._behind or sink)
-
-    def observe(self, sample: Sample) -> None:
-        """Record one control step.  Raises FlightError if the log cannot be written."""
-        self._recorder.observe(sample)
+        self.observe = self._recorder.observe
 
     def restate(self, scenario: Scenario) -> None:
         """The scenario as it was flown in the end, with what came by command.  Raises FlightError."""
@@ -197,7 +185,7 @@ class Recording:
         A log that could not be written to its end makes the run ``failed``.  Raises FlightError if the files cannot be
         written; what was recorded stays and :func:`open_run` takes it up again.
         """
-        if isinstance(self._sink, MemorySink):
+        if not isinstance(self._sink, StreamSink):
             self._recorder.flush()
             log = self._sink.log()
             return Run(summarize(self._setup, log, outcome, reason, wall_s, pace), log, None, self._scenario)
@@ -228,30 +216,31 @@ def begin_run(
     folder: Path | None = None,
     files: Mapping[str, Path | bytes] | None = None,
     background: bool = False,
+    sink: KeepingSink | None = None,
 ) -> Recording:
-    """Begin a run, in ``folder`` or in memory.
+    """Begin a run, in ``folder`` or in memory, where ``sink`` may keep less than all.
 
     ``scenario`` is resolved: what is written to ``scenario.toml`` flies as it is.  ``files``, or contents, are put
     beside it under their keys.  ``background``: a thread writes the rows.  Raises InputError if the folder already
     holds a run or cannot be written to.
     """
     if folder is None:
-        return Recording(setup, scenario, MemorySink())
+        return Recording(setup, scenario, sink or MemorySink())
     try:
         _refuse_if_used(folder, files or {})
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror or error}") from error
-    sink = StreamSink(folder / STREAM, setup.model_dump_json())
+    stream = StreamSink(folder / STREAM, setup.model_dump_json())
     try:
         for name, source in (files or {}).items():
             _write(folder / name, source if isinstance(source, bytes) else source.read_bytes())
         _write(folder / SCENARIO, _toml(scenario))
     except (OSError, FlightError) as error:
-        sink.close()
-        sink.path.unlink(missing_ok=True)
+        stream.close()
+        stream.path.unlink(missing_ok=True)
         raise InputError(str(error)) from error
-    return Recording(setup, scenario, sink, background)
+    return Recording(setup, scenario, stream, background)
 
 
 def open_run(folder: Path | str) -> Run:
@@ -322,6 +311,11 @@ def summarize(
 
 def versions() -> dict[str, str]:
     """What a run depends on: Python and the packages that make its numbers."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
     found = {"python": python_version()}
     for package in PACKAGES:
         try:
@@ -369,7 +363,7 @@ def _settle(
 def _recover(folder: Path) -> None:
     """Finish a run whose process did not."""
     stream = folder / STREAM
-    with locked(stream):
+    with locked(stream, f"{folder}: a run is still being recorded here; wait until it ends"):
         if not (folder / SUMMARY).is_file():
             note = read_note(stream)
             if note is None:

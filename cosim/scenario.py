@@ -335,6 +335,40 @@ class Environment(Model):
     turbulence_severity: Annotated[int, Field(ge=0, le=7)] = 0  # probability-of-exceedance index; 0 is none
 
 
+Factor = Annotated[float, Field(gt=0.0, le=10.0)]
+
+
+class Mismatch(Model):
+    """How what flies differs from what aircraft, identified models and engines state; no controller knows of it.
+
+    Keys of the aircraft and of the engine change both sides where the controller is made from them too: the hover
+    throttle follows the mass, the allocation the places of the jets, height control and tilts the engine's curve.
+    """
+
+    mass_factor: Factor = 1.0  # of the mass; the moments of inertia stay
+    centre_m: Vector = (0.0, 0.0, 0.0)  # where the centre of gravity is, body, from where it is taken to be
+    thrust_factor: Factor = 1.0  # of every engine's thrust, at the same reported spool speed
+    thrust_factor_1: Factor = 1.0  # of one jet's beside
+    thrust_factor_2: Factor = 1.0
+    thrust_factor_3: Factor = 1.0
+    thrust_factor_4: Factor = 1.0
+    thrust_factor_5: Factor = 1.0
+    thrust_factor_6: Factor = 1.0
+    delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # control steps by which every engine is later
+
+    @property
+    def single_factors(self) -> tuple[float, ...]:
+        """The factors of the single jets."""
+        return (
+            self.thrust_factor_1,
+            self.thrust_factor_2,
+            self.thrust_factor_3,
+            self.thrust_factor_4,
+            self.thrust_factor_5,
+            self.thrust_factor_6,
+        )
+
+
 class Range(Model):
     min: float | None = None
     max: float | None = None
@@ -386,6 +420,7 @@ class Scenario(Model):
     added_delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # on the rate controller's roll output
     initial: Initial = Initial()
     environment: Environment = Environment()
+    mismatch: Mismatch = Mismatch()
     command: list[CommandEntry] = []
     disturbance: list[DisturbanceEntry] = []
     fault: list[FaultEntry] = []

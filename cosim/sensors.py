@@ -5,9 +5,8 @@ The noise comes from a generator of its own, seeded by the scenario, so that a c
 
 from __future__ import annotations
 
-from collections import deque
 from math import exp
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from cosim.signals import Measured, Quaternion, State, Vector3
 from cosim.vehicle import Sensors
 
 T = TypeVar("T")
+Fix = tuple[Any, Any]  # position and velocity: vectors that are handed on as they are
 
 _DRAWS = 13  # standard normals a step: gyro 3, attitude 3, position 3, velocity 3, height 1
 _BLOCK = 256  # steps drawn at once
@@ -25,18 +25,23 @@ class Latency(Generic[T]):
     """A value comes out a whole number of updates after it went in."""
 
     def __init__(self, samples: int) -> None:
-        self._samples = samples
-        self._line: deque[T] = deque()
+        self.samples = samples
+        self._line: list[T] = []
+        self._at = 0
 
     def reset(self, value: T) -> None:
         """As if ``value`` had been there forever."""
-        self._line = deque([value] * self._samples)
+        self._line = [value] * self.samples
+        self._at = 0
 
     def update(self, value: T) -> T:
-        if not self._samples:
+        if self.samples == 0:
             return value
-        self._line.append(value)
-        return self._line.popleft()
+        line, at = self._line, self._at
+        old = line[at]
+        line[at] = value
+        self._at = at + 1 if at + 1 < self.samples else 0
+        return old
 
 
 class SensorSuite:
@@ -63,8 +68,9 @@ class SensorSuite:
         self._period = gnss.period_samples
         self._gyro_line: Latency[Vector3] = Latency(gyro.latency_samples)
         self._attitude_line: Latency[Quaternion] = Latency(attitude.latency_samples)
-        self._gnss_line: Latency[tuple[Vector3, Vector3]] = Latency(gnss.latency_samples)
+        self._gnss_line: Latency[Fix] = Latency(gnss.latency_samples)
         self._height_line: Latency[float] = Latency(barometer.latency_samples)
+        self._late = gyro.latency_samples + attitude.latency_samples + barometer.latency_samples > 0
         self._draws: list[list[float]] = []
 
     def reset(self, state: State) -> Measured:
@@ -73,7 +79,7 @@ class SensorSuite:
         self._draws = []
         self._count = 0
         self._rate = state.rate
-        self._fix = (state.position, state.velocity)
+        self._fix: Fix = (state.position, state.velocity)
         self._gyro_line.reset(state.rate)
         self._attitude_line.reset(state.attitude)
         self._gnss_line.reset(self._fix)
@@ -85,10 +91,9 @@ class SensorSuite:
         p, q, r = state.rate
         attitude = state.attitude
         altitude = state.altitude
-        fix = None
         self._count += 1
-        if self._count % self._period == 0:
-            fix = (state.position, state.velocity)
+        new_fix = self._count % self._period == 0
+        position, velocity = state.position, state.velocity
         if self._noisy:
             n = self._next_draws()
             s = self._gyro_noise
@@ -102,26 +107,23 @@ class SensorSuite:
                 multiply(attitude, (1.0, s * n[3] + 0.5 * ax, s * n[4] + 0.5 * ay, s * n[5] + 0.5 * az))
             )
             altitude += self._height_noise * n[12] + self._height_bias
-            if fix:
+            if new_fix:
                 s, t = self._position_noise, self._velocity_noise
-                (x, y, z), (u, v, w) = fix
-                fix = (
-                    (x + s * n[6], y + s * n[7], z + s * n[8]),
-                    (u + t * n[9], v + t * n[10], w + t * n[11]),
-                )
+                x, y, z = position
+                u, v, w = velocity
+                position = (x + s * n[6], y + s * n[7], z + s * n[8])
+                velocity = (u + t * n[9], v + t * n[10], w + t * n[11])
         fp, fq, fr = self._rate
         share = self._share
-        self._rate = (fp + share * (p - fp), fq + share * (q - fq), fr + share * (r - fr))
-        if fix:
-            self._fix = fix
-        position, velocity = self._gnss_line.update(self._fix)
-        return Measured(
-            self._gyro_line.update(self._rate),
-            self._attitude_line.update(attitude),
-            position,
-            velocity,
-            self._height_line.update(altitude),
-        )
+        self._rate = rate = (fp + share * (p - fp), fq + share * (q - fq), fr + share * (r - fr))
+        if new_fix:
+            self._fix = (position, velocity)
+        if self._late:
+            rate = self._gyro_line.update(rate)
+            attitude = self._attitude_line.update(attitude)
+            altitude = self._height_line.update(altitude)
+        held_position, held_velocity = self._gnss_line.update(self._fix)
+        return Measured(rate, attitude, held_position, held_velocity, altitude)
 
     def _next_draws(self) -> list[float]:
         if not self._draws:

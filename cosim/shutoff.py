@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.engine import EngineBank
+from cosim.faults import Engines
 from cosim.signals import EngineOutput, PerJet
 
 
@@ -12,7 +12,7 @@ class Shutoff:
     An engine without that port stands at throttle 0 instead, and its thrust and fuel flow are taken as nothing at once.
     """
 
-    def __init__(self, bank: EngineBank, count: int) -> None:
+    def __init__(self, bank: Engines, count: int) -> None:
         self._bank = bank
         self._count = count
         self.reset()

@@ -10,6 +10,8 @@ from __future__ import annotations
 from math import nan
 from typing import NamedTuple
 
+from cosim._records import quick
+
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 PerJet = tuple[float, ...]  # jets 1 to 6
@@ -23,6 +25,7 @@ NO_FAULTS: tuple[float, ...] = (0.0,) * (JETS + 2 + 4)
 AXES = ("roll", "pitch", "yaw")
 
 
+@quick
 class Command(NamedTuple):
     """What the pilot or the script asks for during one step."""
 
@@ -32,6 +35,7 @@ class Command(NamedTuple):
     collective: float | None = None  # mean throttle [0..1]; replaces the altitude hold
 
 
+@quick
 class Disturbance(NamedTuple):
     """What acts on the vehicle from outside during one step."""
 
@@ -45,6 +49,7 @@ class Disturbance(NamedTuple):
     torque_seen: Vector3 = ZERO3  # the part of torque_output that a predictor sees
 
 
+@quick
 class State(NamedTuple):
     """The true motion of the airframe at one instant."""
 
@@ -61,6 +66,7 @@ class State(NamedTuple):
     hull_contact: bool  # anything but a leg touches
 
 
+@quick
 class Measured(NamedTuple):
     """What the sensors tell the controller at one instant."""
 
@@ -71,6 +77,7 @@ class Measured(NamedTuple):
     altitude: float  # m above the ground
 
 
+@quick
 class Refused(NamedTuple):
     """What allocation could not give: requested minus achieved."""
 
@@ -80,6 +87,7 @@ class Refused(NamedTuple):
     collective: float = 0.0
 
 
+@quick
 class Actuation(NamedTuple):
     """What allocation asks of the engines and of the two tilt servos."""
 
@@ -88,6 +96,7 @@ class Actuation(NamedTuple):
     refused: Refused
 
 
+@quick
 class Ambient(NamedTuple):
     """The air around the engines during one step."""
 
@@ -96,6 +105,7 @@ class Ambient(NamedTuple):
     air_speed: PerJet  # m/s, into each intake: of the vehicle through the air, along the jet's thrust
 
 
+@quick
 class EngineOutput(NamedTuple):
     """What the engines deliver and report at the end of one step; NaN where an engine does not say."""
 
@@ -113,6 +123,7 @@ class JetHealth(NamedTuple):
     command: float = 0.0  # what it is told where it does not follow
 
 
+@quick
 class Sample(NamedTuple):
     """One row of the log: everything that was on the wires during step ``k``.
 

@@ -29,6 +29,7 @@ from cosim.faults import SERVOS, Engines, Faults, Sensing, Servo
 from cosim.frames import conjugate, cross, jet_axis, rotate
 from cosim.fuel import Tank
 from cosim.ledger import LedgerRow, delay_ledger
+from cosim.mismatch import as_flown, engines_as_flown
 from cosim.pace import Pace
 from cosim.pilot.modes import EngineState, Report
 from cosim.reference import engine_reference
@@ -41,6 +42,7 @@ from cosim.signals import (
     AXES,
     UNKNOWN3,
     ZERO3,
+    Actuation,
     Ambient,
     Command,
     Disturbance,
@@ -104,7 +106,7 @@ class Simulation:
         vehicle: Vehicle,
         specs: Sequence[EngineSpec],
         airframe: Airframe,
-        engines: EngineBank,
+        engines: Engines,
         spools: Spools,
         control: Control,
         ledger: list[LedgerRow],
@@ -115,8 +117,8 @@ class Simulation:
         self.ledger = ledger
         self.dt = scenario.step_s
         self.airframe = airframe
-        self.engines: Engines = engines
-        self.shutoff = Shutoff(engines, len(vehicle.jets))
+        self.engines = engines
+        self.shutoff = shutoff = Shutoff(engines, len(vehicle.jets))
         self.attitude = control.attitude
         self.altitude = control.altitude
         self.rate = control.rate
@@ -124,7 +126,7 @@ class Simulation:
         self.thrust_map = control.thrust_map
         self.added_delay = DelayLine(scenario.added_delay_samples)
         servos = [TiltServo(vehicle.servo, self.dt) for _ in SERVOS] if vehicle.servo else []
-        self.servos: Sequence[Servo] = servos
+        self.servos: list[Servo] = [*servos]
         self.sensors: Sensing = SensorSuite(vehicle.sensors, self.dt, scenario.seed, scenario.sensor_noise)
         self.monitor = control.monitor
         self.faults = Faults(
@@ -133,18 +135,20 @@ class Simulation:
             servos,
             self.sensors,
             len(vehicle.jets),
-            lambda jet: engine_reference(self.stations[jet], self.dt).lag,
-            lambda: self.shutoff.off,
+            # not holding the simulation: what is closed is then freed at once, and JSBSim is a megabyte
+            lambda jet: engine_reference(specs[jet + 1], scenario.step_s).lag,
+            lambda: shutoff.off,
         )
         self._stated = scenario
+        flown = as_flown(vehicle, scenario.mismatch)
         self._left = tuple(jet.servo == "left" for jet in vehicle.jets)
-        self._intakes = tuple(zip(self._left, [jet.position_m for jet in vehicle.jets], strict=True))
+        self._intakes = tuple(zip(self._left, [jet.position_m for jet in flown.jets], strict=True))
         self._reactions = tuple(jet.reaction_m for jet in vehicle.jets)
         self._reacting = any(self._reactions)
         self.spools = spools if spools.any else None
         self.tank = Tank(vehicle.fuel.mass_kg, self.dt) if vehicle.fuel else None
-        self.streams = Airstreams(vehicle.airflow, vehicle.jets) if vehicle.airflow else None
-        self._height = start_height(vehicle, scenario.initial)
+        self.streams = Airstreams(vehicle.airflow, flown.jets) if vehicle.airflow else None
+        self._height = start_height(flown, scenario.initial)
         self.commander = Commander(scenario, self._height)
         self.pilot: Pilot | None = None
         self.disturber = Disturber(scenario)
@@ -170,7 +174,8 @@ class Simulation:
         initial, wind = self.scenario.initial, self.disturber.at(0).wind
         self._standing = (0.0, 0.0)  # the servos
         ambient = None
-        if self.engines.wants_ambient:
+        self._airy = self.engines.wants_ambient
+        if self._airy:
             # the air at the start is known once the airframe stands there, the thrust only in that air
             ambient = self._ambient(self.airframe.reset(initial, [ZERO3] * len(self._left), wind))
         throttle = self.thrust_map.throttle((share,) * len(self._left))
@@ -202,22 +207,18 @@ class Simulation:
         disturbance = self.disturber.at(k)
         rate_setpoint = self.attitude.update(command, measured)
         torque = self.rate.update(rate_setpoint, measured.rate, self.refused)
-        burnt = self.tank.burnt if self.tank else 0.0
+        burnt = self.tank.burnt if self.tank is not None else 0.0
         collective = self.altitude.update(command, measured, self.refused, burnt)
         if pilot is not None and pilot.engines is not EngineState.FLY:
             torque, collective = self._stand()
-        late = self._delayed(torque, disturbance)
-        actuation = self.allocator.allocate(collective, late, disturbance.torque_command)
-        self._collective = collective - actuation.refused.collective
-        if not self.thrust_map.identity:
-            actuation = actuation._replace(throttle=self.thrust_map.throttle(actuation.throttle))
+        actuation = self._allocate(collective, self._delayed(torque, disturbance), disturbance)
         engines = self._drive(k, actuation.throttle, state)
         health = self._watch(actuation.throttle, engines) if self.monitor is not None else ALL_WELL
         tilt = self._standing = self._tilt(actuation.tilt)
+        fuel = self._burn(engines.fuel_flow) if self.tank is not None else nan
         moment, spool_moment = self._rotor_moment(engines, tilt, state)
-        fuel = self._burn(engines.fuel_flow) if self.tank else nan
         forces = self._jet_forces(engines.thrust, tilt)
-        if self.streams:
+        if self.streams is not None:
             forces, (x, y, z) = self.streams.act(forces, engines.thrust, tilt, state)
             moment = (moment[0] + x, moment[1] + y, moment[2] + z)
         self.state = self.airframe.step(forces, disturbance, moment)
@@ -302,22 +303,31 @@ class Simulation:
     def _delayed(self, torque: Vector3, disturbance: Disturbance) -> Vector3:
         """The rate controller's output with what is added to it there, roll after the added delay."""
         roll, pitch, yaw = torque
-        if disturbance.torque_output is not ZERO3:
-            x, y, z = disturbance.torque_output
-            roll, pitch, yaw = roll + x, pitch + y, yaw + z
+        added = disturbance.torque_output
+        if added != ZERO3:
+            roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
+        if disturbance.torque_seen != ZERO3:
             self.rate.tell(disturbance.torque_seen)
-        return (self.added_delay.update(roll), pitch, yaw) if self.scenario.added_delay_samples else (roll, pitch, yaw)
+        return (self.added_delay.update(roll), pitch, yaw)
+
+    def _allocate(self, collective: float, torque: Vector3, disturbance: Disturbance) -> Actuation:
+        """What reaches the actuators: throttles that ask each engine for its share of the thrust, and tilts."""
+        given = self.allocator.allocate(collective, torque, disturbance.torque_command)
+        self._collective = collective - given.refused.collective
+        if self.thrust_map.identity:
+            return given
+        return Actuation(self.thrust_map.throttle(given.throttle), given.tilt, given.refused)
 
     def _drive(self, k: int, throttle: PerJet, state: State) -> EngineOutput:
         """The engines over step ``k``, in the air at its beginning."""
-        ambient = self._ambient(state) if self.engines.wants_ambient else None
+        ambient = self._ambient(state) if self._airy else None
         return self.shutoff.delivered(self.engines.step(k, self.shutoff.throttle(throttle), ambient))
 
     def _tilt(self, command: tuple[float, float]) -> tuple[float, float]:
         if not self.servos:
             return (0.0, 0.0)
-        left, right = self.servos
-        return (left.update(command[0]), right.update(command[1]))
+        servos = self.servos
+        return (servos[0].update(command[0]), servos[1].update(command[1]))
 
     def _ambient(self, state: State) -> Ambient:
         """The air at the engines: the vehicle's, and what blows into each intake along its jet.
@@ -359,14 +369,16 @@ class Simulation:
                 self.shutoff.all_off()
         return left
 
-    def _jet_forces(self, thrust: Sequence[float], tilt: tuple[float, float]) -> list[Vector3]:
+    def _jet_forces(self, thrust: PerJet, tilt: tuple[float, float]) -> list[Vector3]:
         """Each jet's thrust along its own tilted axis: N, body."""
         left, right = tilt
         left_x, _, left_z = jet_axis(left)
         right_x, _, right_z = jet_axis(right)
         return [
-            (t * left_x, 0.0, t * left_z) if on_left else (t * right_x, 0.0, t * right_z)
-            for t, on_left in zip(thrust, self._left, strict=True)
+            (thrust[jet] * left_x, 0.0, thrust[jet] * left_z)
+            if on_left
+            else (thrust[jet] * right_x, 0.0, thrust[jet] * right_z)
+            for jet, on_left in enumerate(self._left)
         ]
 
     def run(
@@ -479,12 +491,14 @@ def build(scenario: Scenario) -> Simulation:
     engine, *stations = specs = _engines(scenario, vehicle)
     spools = Spools(vehicle.jets, stations, scenario.step_s)
     control = _control(scenario, vehicle, engine, stations)
+    flown, jets = as_flown(vehicle, scenario.mismatch), len(vehicle.jets)
     airframe = Airframe(
-        vehicle, folder, scenario.environment, scenario.step_s, scenario.substeps, scenario.seed, spools.any
+        flown, folder, scenario.environment, scenario.step_s, scenario.substeps, scenario.seed, spools.any
     )
-    engines: EngineBank | None = None
+    engines: Engines | None = None
     try:
-        engines = EngineBank(stations, len(vehicle.jets), scenario.step_s)
+        engines = EngineBank(stations, jets, scenario.step_s)
+        engines = engines_as_flown(engines, scenario.mismatch, jets)
         ledger = delay_ledger(scenario, vehicle, stations)
         return Simulation(scenario, vehicle, specs, airframe, engines, spools, control, ledger)
     except BaseException:

@@ -12,6 +12,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 
 from cosim.config import Model, NotNegative, Positive, Vector, merge, nearest, read_toml, validate
 from cosim.errors import InputError
+from cosim.memory import Memory
 from cosim.paths import data_folder, names_in
 from cosim.scaling import scaled
 
@@ -369,6 +370,9 @@ def aircraft_names() -> list[str]:
     return names_in("aircraft", "vehicle.toml")
 
 
+_known: Memory[tuple[dict[str, Any], Vehicle]] = Memory(32)
+
+
 def load_vehicle(name: str, overrides: dict[str, Any] | None = None, where: str = "vehicle") -> tuple[Vehicle, Path]:
     """Read an aircraft's ``vehicle.toml`` with ``overrides`` merged over it, and say which folder it is in.
 
@@ -378,11 +382,23 @@ def load_vehicle(name: str, overrides: dict[str, Any] | None = None, where: str 
         raise InputError(f"unknown aircraft {name!r}; {nearest(name, aircraft_names())}")
     folder = data_folder("aircraft") / name
     path = folder / "vehicle.toml"
-    stated = _stated(path)
-    vehicle = validate(Vehicle, stated, str(path))
+    stated, vehicle = _known.get((path, *_texts(path)), lambda: _read(path))
     if overrides:
         vehicle = validate(Vehicle, merge(stated, overrides), where)
     return vehicle, folder
+
+
+def _texts(path: Path) -> list[bytes]:
+    """The files that an aircraft is made from: its own, and that of the one that it is a scaled copy of."""
+    law = read_toml(path).get("scaled")
+    base = law.get("base") if isinstance(law, dict) else None
+    files = [path, *([data_folder("aircraft") / base / "vehicle.toml"] if base in aircraft_names() else [])]
+    return [file.read_bytes() for file in files]
+
+
+def _read(path: Path) -> tuple[dict[str, Any], Vehicle]:
+    stated = _stated(path)
+    return stated, validate(Vehicle, stated, str(path))
 
 
 def _stated(path: Path) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -20,9 +21,10 @@ HOMES = {
     "fmpy": ["engine/"],
     "pymavlink": ["mavlink/"],
     "plotly": ["report.py"],
-    "pyarrow": ["recorder.py"],
+    "pyarrow": ["arrow.py"],
     "control": ["design/"],
     "websockets": ["web/"],
+    "distributed": ["campaign/cluster.py"],
 }
 
 # Blocks get values and return values: no files, clocks, environment or global randomness.
@@ -32,7 +34,16 @@ OUTSIDE_WORLD = {
     "secrets", "shutil", "socket", "subprocess", "sys", "tempfile", "threading", "time", "tomllib", "uuid",
 }  # fmt: skip
 READS_THE_OUTSIDE_WORLD = {"open", "print", "input", "exec", "eval", "__import__"}
-OUR_FILE_READERS = {"cosim.config", "cosim.paths", "cosim.cli", "cosim.report", "cosim.recorder", "cosim.simulation"}
+OUR_FILE_READERS = {
+    "cosim.config",
+    "cosim.paths",
+    "cosim.cli",
+    "cosim.report",
+    "cosim.recorder",
+    "cosim.simulation",
+    "cosim.arrow",
+    "cosim.files",
+}
 
 # An engine is a file before it flies and none while it flies: loading reads, stepping does not.
 ENGINE_STEPS = ["engine/bank.py", "engine/response.py", "engine/slave.py", "engine/spec.py"]
@@ -44,7 +55,7 @@ C_FILES_CLOCKS_AND_CHANCE = (
 # What a user would wait for, although a flight does not need it before its first step.
 HEAVY = [
     "scipy", "plotly", "pyarrow", "jinja2", "matplotlib", "control", "pymavlink", "pyulog", "hypothesis", "fmpy",
-    "websockets",
+    "websockets", "distributed",
 ]  # fmt: skip
 
 
@@ -61,8 +72,13 @@ def is_in(path: Path, places: list[str]) -> bool:
     return any(place(path) == each or (each.endswith("/") and place(path).startswith(each)) for each in places)
 
 
-def imported(path: Path) -> Iterator[tuple[str, int]]:
+@cache
+def imported(path: Path) -> list[tuple[str, int]]:
     """The full dotted names that a module imports anywhere in its text, and the lines."""
+    return list(_imports(path))
+
+
+def _imports(path: Path) -> Iterator[tuple[str, int]]:
     package = ("cosim", *path.relative_to(PACKAGE).parent.parts)
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -159,7 +175,9 @@ def test_nothing_imports_the_command_line() -> None:
 
 def test_the_simulation_knows_no_output() -> None:
     """It calls observers; which ones there are is the business of whoever starts a flight."""
-    outputs = importers("cosim.report", "cosim.recorder", "cosim.metrics", "cosim.cli", "cosim.mavlink")
+    outputs = importers(
+        "cosim.report", "cosim.recorder", "cosim.arrow", "cosim.digest", "cosim.metrics", "cosim.cli", "cosim.mavlink"
+    )
     assert not [where for where in outputs if where.startswith("simulation.py:")]
 
 

@@ -157,6 +157,7 @@ def test_the_command_line_says_it_in_one_line(
 def sound(kit: Kit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The same library without a fault; nothing is remembered of it."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(check, "_fit", set())
     path = tmp_path / "sound.fmu"
     path.write_bytes(packed(kit.contents()))
     return path
@@ -189,6 +190,7 @@ def test_it_is_tried_once(sound: Path, monkeypatch: pytest.MonkeyPatch, tmp_path
 def test_in_another_air_it_is_only_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A height costs a measurement and not another trial; it is remembered by its air, and is that of the library."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(check, "_fit", set())
     asked = []
     run_apart = check.run_apart
     monkeypatch.setattr(check, "run_apart", lambda task, limits: asked.append(task["parts"]) or run_apart(task, limits))

@@ -15,11 +15,15 @@ from pathlib import Path
 
 import pytest
 
+from cosim.compiled import MODULES, PURE, STAMP
+
 ROOT = Path(__file__).resolve().parent.parent
+UNCOMPILED = bool(os.environ.get(PURE))
 METADATA = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-DATA = ("aircraft", "engines", "scenarios")
+DATA = ("aircraft", "engines", "scenarios", "studies")
 ENGINES = sorted(path.parent.name for path in (ROOT / "engines").glob("*/engine.toml"))
 SCENARIOS = sorted(path.stem for path in (ROOT / "scenarios").glob("*.toml"))
+STUDIES = sorted(path.stem for path in (ROOT / "studies").glob("*.toml"))
 NOT_SOURCE = shutil.ignore_patterns(
     ".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "build", "dist", "runs", "*.egg-info", "*.so", "*.fmu"
 )
@@ -85,7 +89,7 @@ def test_the_source_distribution_is_the_whole_project(sdist: Path) -> None:
     top = {"LICENSE", "Makefile", "README.md", "pyproject.toml", "requirements.lock", "setup.py", ".ci/run"}
     wanted = top.union(*(source_files(name) for name in (*DATA, "tests", "docs", "benchmarks")))
     assert wanted - names == set()
-    assert not [name for name in names if name.endswith((".so", ".fmu", ".pyc"))]
+    assert not [name for name in names if name.endswith((".so", ".fmu", ".pyc", STAMP))]
 
 
 def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
@@ -104,11 +108,17 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     }
     assert templates
     assert (fmus | data | code | templates | {"cosim/py.typed"}) - names == set()
+    assert (f"cosim/{STAMP}" in names) == (not UNCOMPILED)
     # and nothing else of the data than what is in the clone
     assert {name for name in names if name.startswith("cosim/data/")} == fmus | data
-    assert (
-        len([name for name in names if name.startswith("cosim/engine/_bank.") and name.endswith((".so", ".pyd"))]) == 1
+    binaries = [name for name in names if name.endswith((".so", ".pyd"))]
+    compiled = (
+        [] if UNCOMPILED else ["cosim/_native__mypyc", *(f"cosim/{name.removesuffix('.py')}" for name in MODULES)]
     )
+    for extension in ("cosim/_records", "cosim/_rows", "cosim/engine/_bank", *compiled):
+        assert len([name for name in binaries if name.startswith(f"{extension}.")]) == 1
+    # what is not of the limited API must not be offered to every Python
+    assert all(".abi3." in name for name in binaries) == ("-abi3-" in wheel.name)
     outside = {name.split("/")[0] for name in names} - {"cosim", f"hexjet_cosim-{METADATA['version']}.dist-info"}
     assert outside == set()
 
@@ -138,6 +148,7 @@ def test_the_archives_in_the_wheel_hold_their_sources_and_a_binary(wheel: Path) 
 def test_the_installed_command_lists_what_is_shipped(installed: Path, tmp_path: Path) -> None:
     words = run(installed / "hexjet", "list", cwd=tmp_path).split()
     assert set(SCENARIOS) <= set(words)
+    assert set(STUDIES) <= set(words)
     assert set(ENGINES) <= set(words)
 
 
@@ -145,6 +156,14 @@ def test_the_installed_package_is_not_the_clone(installed: Path, tmp_path: Path)
     script = "import cosim, cosim.paths as p; print(cosim.__file__); print(p.data_folder('fmus'))"
     for line in run(installed / "python", "-c", script, cwd=tmp_path).splitlines():
         assert Path(line).resolve().is_relative_to(installed.parent.resolve())
+
+
+@pytest.mark.skipif(UNCOMPILED, reason=f"{PURE} is set")
+def test_the_installed_package_flies_what_was_compiled(installed: Path, tmp_path: Path) -> None:
+    script = "import cosim.compiled, cosim.simulation as s; print(cosim.compiled.edited(), s.__file__)"
+    edited, file = run(installed / "python", "-c", script, cwd=tmp_path).split(" ", 1)
+    assert edited == "[]"
+    assert file.rstrip().endswith((".so", ".pyd"))
 
 
 def test_the_installed_command_flies_and_reports(installed: Path, tmp_path: Path) -> None:

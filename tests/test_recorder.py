@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 import tomllib
 from collections.abc import Iterator
 from math import isnan, nan, pi
@@ -19,11 +20,12 @@ import pyarrow.parquet as pq
 import pytest
 from flights import STEP, samples, scenario, setup
 
+from cosim import arrow as arrow_module
 from cosim import recorder as recorder_module
+from cosim.arrow import ParquetLog, StreamSink, stream_to_parquet
 from cosim.columns import COLUMNS, NAMES
 from cosim.errors import FlightError, InputError
-from cosim.frames import to_euler
-from cosim.recorder import MemorySink, ParquetLog, Recorder, StreamSink, euler_angles, stream_to_parquet
+from cosim.recorder import BackgroundSink, MemorySink, Recorder
 from cosim.run import LOG, RUN_FILES, SCENARIO, STREAM, SUMMARY, Run, begin_run, open_run
 from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measured, Refused, Sample, State
 
@@ -165,15 +167,6 @@ def test_setpoints_are_nan_where_their_loop_is_replaced() -> None:
     assert missing == {"roll_setpoint_rad", "pitch_setpoint_rad", "yaw_setpoint_rad", "altitude_setpoint_m"}
 
 
-def test_angles_of_the_measured_quaternion_are_those_of_the_scalar_code() -> None:
-    random = np.random.default_rng(3)
-    quaternions = random.normal(size=(4, 500))
-    quaternions /= np.linalg.norm(quaternions, axis=0)
-    expected = np.array([to_euler((w, x, y, z)) for w, x, y, z in quaternions.T]).T
-    # numpy and math may differ by a rounding of the same formula; asin turns it into sqrt(eps) only at +-90 deg
-    np.testing.assert_allclose(euler_angles(quaternions), expected, rtol=0, atol=1e-13)
-
-
 def test_every_column_is_described_once() -> None:
     assert len(NAMES) == len(set(NAMES))
     for column in COLUMNS:
@@ -200,18 +193,41 @@ def test_a_second_of_flight_is_handed_on_at_once(tmp_path: Path, flight: list[Sa
     assert recorder.steps == 2 * BLOCK
 
 
-def test_a_slow_flight_is_handed_on_every_second_of_wall_time(
+def test_a_slow_flight_is_handed_on_when_its_time_has_come(
     monkeypatch: pytest.MonkeyPatch, flight: list[Sample]
 ) -> None:
-    clock = iter([0.0] + [0.3 * k for k in range(1, 100)])
-    monkeypatch.setattr(recorder_module.time, "monotonic", lambda: next(clock))
-    sink = MemorySink()
-    recorder = Recorder(STEP, sink)
-    for sample in flight[:12]:
+    def sizes(patience: float, between: float = 0.0) -> list[int]:
+        monkeypatch.setattr(recorder_module, "WALL_FLUSH_S", patience)
+        sink = MemorySink()
+        recorder = Recorder(STEP, sink)
+        for sample in flight[:4]:
+            time.sleep(between)
+            recorder.observe(sample)
+        assert recorder.steps == 4
+        return [table.shape[1] for table in sink.tables]
+
+    assert sizes(0.0) == [1, 1, 1, 1]
+    assert sizes(1000.0) == []
+    assert sizes(0.03, between=0.02)[0] <= 2  # and the clock starts anew with each
+
+
+def test_a_slow_disk_in_a_thread_of_its_own_gets_every_bit(flight: list[Sample]) -> None:
+    class Slow(MemorySink):
+        def write(self, table: np.ndarray) -> None:
+            time.sleep(0.01)  # rows come in meanwhile
+            super().write(table.copy())
+
+    slow = Slow()
+    behind = BackgroundSink(slow)
+    recorder = Recorder(STEP, behind)
+    for k, sample in enumerate(flight):
         recorder.observe(sample)
-    # the clock moves 0.3 s per reading: 4 rows make 1.2 s, and a reading more restarts the count
-    assert [table.shape[1] for table in sink.tables] == [4, 4, 4]
-    assert recorder.steps == 12
+        if k % 60 == 0:
+            recorder.flush()
+    recorder.flush()
+    behind.settle()
+    log, expected = slow.log(), recorded(flight).log()
+    assert all(bits(log[name]) == bits(expected[name]) for name in NAMES)
 
 
 # ---- Parquet
@@ -240,7 +256,7 @@ def test_the_same_flight_gives_the_same_bytes(tmp_path: Path) -> None:
 def test_how_the_rows_were_cut_leaves_no_trace(
     tmp_path: Path, flight: list[Sample], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recorder_module, "ROW_GROUP", 400)
+    monkeypatch.setattr(arrow_module, "ROW_GROUP", 400)
     random = Random(5)
     files = []
     for name, chance in (("whole", 0.0), ("cut", 0.05)):
@@ -290,7 +306,7 @@ import numpy as np
 from pathlib import Path
 from cosim.columns import NAMES
 from cosim.metrics import flight_metrics
-from cosim.recorder import ParquetLog, StreamSink, stream_to_parquet
+from cosim.arrow import ParquetLog, StreamSink, stream_to_parquet
 folder = Path({str(tmp_path)!r})
 def peak(rows):
     sink = StreamSink(folder / f"{{rows}}.arrows", "")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -216,7 +218,7 @@ def test_without_a_predictor_the_oscillation_dies_out_only_at_a_lower_gain(p: fl
 
 
 def test_the_controllers_see_the_sensors_and_the_refusals() -> None:
-    """Attitude, rate and altitude loops get the measurement of the step and what allocation refused in the one before."""
+    """The measurement of the step, and what allocation refused in the one before: given these, the loops answer alike."""
     asked = scenario(
         duration_s=6.0,
         sensor_noise=True,
@@ -233,36 +235,20 @@ def test_the_controllers_see_the_sensors_and_the_refusals() -> None:
             "limits": {"tilt_deg": 180.0, "rate_deg_s": 1e5},
         },
     )
-    seen: list[tuple[object, ...]] = []
     rows = Rows()
-    with build(asked) as simulation:
-        attitude, rate, altitude = simulation.attitude.update, simulation.rate.update, simulation.altitude.update
-
-        def look_attitude(command, measured):  # type: ignore[no-untyped-def]
-            seen.append(("attitude", measured))
-            return attitude(command, measured)
-
-        def look_rate(setpoint, measured, refused):  # type: ignore[no-untyped-def]
-            seen.append(("rate", measured, refused))
-            return rate(setpoint, measured, refused)
-
-        def look_altitude(command, measured, refused, burnt):  # type: ignore[no-untyped-def]
-            seen.append(("altitude", measured, refused))
-            return altitude(command, measured, refused, burnt)
-
-        simulation.attitude.update = look_attitude  # type: ignore[method-assign]
-        simulation.rate.update = look_rate  # type: ignore[method-assign]
-        simulation.altitude.update = look_altitude  # type: ignore[method-assign]
-        simulation.run([rows])
     before = Refused()
     refused_roll = refused_collective = 0
-    for k, sample in enumerate(rows.samples[: len(seen) // 3]):
-        assert seen[3 * k] == ("attitude", sample.measured)
-        assert seen[3 * k + 1] == ("rate", sample.measured.rate, before)
-        assert seen[3 * k + 2] == ("altitude", sample.measured, before)
-        before = sample.actuation.refused
-        refused_roll += before.roll != 0.0
-        refused_collective += before.collective != 0.0
+    with build(asked) as simulation:
+        simulation.run([rows])
+        flown = rows.samples[: simulation.k]
+        simulation.reset()
+        for sample in flown:
+            assert simulation.attitude.update(sample.command, sample.measured) == sample.rate_setpoint
+            assert simulation.rate.update(sample.rate_setpoint, sample.measured.rate, before) == sample.torque_command
+            assert simulation.altitude.update(sample.command, sample.measured, before) == sample.collective
+            before = sample.actuation.refused
+            refused_roll += before.roll != 0.0
+            refused_collective += before.collective != 0.0
     assert refused_roll > 10
     assert refused_collective > 10
 
@@ -306,6 +292,20 @@ def test_a_simulation_can_be_flown_again() -> None:
             simulation.run([kept])
     # as text, which has every digit, because what an engine does not say is NaN and equals nothing
     assert [repr(sample) for sample in rows[0].samples] == [repr(sample) for sample in rows[1].samples]
+
+
+def test_a_closed_flight_is_freed_at_once() -> None:
+    """Nothing in it refers to it in a circle, which would keep JSBSim's megabyte until a collector comes by."""
+    simulation = build(scenario(duration_s=0.1))
+    simulation.run()
+    simulation.close()
+    model = simulation.airframe._fdm
+    gc.disable()
+    try:
+        del simulation
+        assert sys.getrefcount(model) == 2  # this name, and the argument
+    finally:
+        gc.enable()
 
 
 def test_fmi_2_and_fmi_3_engines_fly_alike() -> None:

@@ -562,8 +562,17 @@ def test_gusts_and_turbulence_are_in_the_air_speed(listening: type[Listening]) -
 
 
 def test_engines_that_ask_for_no_air_are_given_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    def never(*_: object) -> Ambient:
-        raise AssertionError("computed for nobody")
+    given: list[Ambient | None] = []
 
-    monkeypatch.setattr(Simulation, "_ambient", never)
+    class Asking(EngineBank):
+        def reset(self, throttle: Any, ambient: Ambient | None = None) -> EngineOutput:
+            given.append(ambient)
+            return super().reset(throttle, ambient)
+
+        def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
+            given.append(ambient)
+            return super().step(k, throttle, ambient)
+
+    monkeypatch.setattr(cosim.simulation, "EngineBank", Asking)
     assert fly(scenario(engine="edf-as-flown", duration_s=0.1)).outcome == "completed"
+    assert given == [None] * (1 + 25)

@@ -88,7 +88,7 @@ class TiltAllocator:
         and what is refused is stated against the sum.
         """
         roll, pitch, yaw = torque
-        if added is not ZERO3:
+        if added != ZERO3:
             roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
         if self._plan is not None:
             return self._as_planned(self._plan, collective, roll, pitch, yaw)
@@ -116,9 +116,8 @@ class TiltAllocator:
             y = room if y > 0.0 else -room
             refused_yaw = yaw - y * share
 
-        a, b, d, e, f, g = [left if on_left else right for on_left in self._left]
         return Actuation(
-            (a, b, d, e, f, g),
+            tuple([left if on_left else right for on_left in self._left]),
             (p + y, p - y),
             Refused(roll - r, refused_pitch, refused_yaw, collective - c),
         )
@@ -197,7 +196,7 @@ class RotorAllocator:
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
         """All four commands in throttle; ``added`` as for :class:`TiltAllocator`."""
         roll, pitch, yaw = torque
-        if added is not ZERO3:
+        if added != ZERO3:
             roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
         low, high = self._low, self._high
         room = 0.5 * (high - low)
@@ -211,7 +210,7 @@ class RotorAllocator:
         # rounding may leave the two apart by nothing
         c = least if collective < least else (most if collective > most else collective)
         return Actuation(
-            tuple(min(high, max(low, c + a * r + b * p + d * y)) for a, b, d in self._signs),
+            tuple([min(high, max(low, c + a * r + b * p + d * y)) for a, b, d in self._signs]),
             (0.0, 0.0),
             Refused(roll - r, pitch - p, yaw - y, collective - c),
         )

@@ -8,7 +8,6 @@ estimate that an electronic speed controller makes from speed and current.  It i
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import deque
 from collections.abc import Callable, Sequence
 from math import ceil, exp, floor
 from typing import NamedTuple
@@ -92,8 +91,8 @@ class EngineMonitor:
         """All engines healthy, settled at ``throttle``."""
         at_rest = tuple(each.thrust_at(u) for each, u in zip(self._references, throttle, strict=True))
         count = len(at_rest)
-        self._past = deque([at_rest] * (self._late + 1), maxlen=self._late + 1)
-        self._reported = deque([at_rest] * max(2, self._confirm), maxlen=max(2, self._confirm))
+        self._past = [at_rest] * (self._late + 1)  # thrust that the commands ask for at rest, oldest first
+        self._reported = [at_rest] * max(2, self._confirm)  # oldest first
         self._high, self._low = list(at_rest), list(at_rest)
         self._outside = [0] * count
         self._agreed = [(x, x) for x in at_rest]  # report and reference when they last agreed
@@ -104,19 +103,23 @@ class EngineMonitor:
     def update(self, throttle: PerJet, output: EngineOutput) -> bool:
         """Look at one step: the throttles held over it, the engines' report at its end.  True if a verdict changed."""
         references = self._references
-        self._past.append(tuple([at(u) for at, u in zip(self._thrust_at, throttle, strict=True)]))
+        past = self._past
+        past.append(tuple([at(throttle[i]) for i, at in enumerate(self._thrust_at)]))
+        del past[0]
         reports = output.thrust
         if self._speeds:
             reports = tuple(
                 [each.thrust_of(f, w) for each, f, w in zip(references, reports, output.spool_speed, strict=True)]
             )
         self._reported.append(reports)
-        window = tuple(self._past)[: self._late - self._early + 1]
-        lowest = map(min, *window) if len(window) > 1 else window[0]
-        highest = map(max, *window) if len(window) > 1 else window[0]
+        del self._reported[0]
         suspects = []
         threshold = self._threshold
-        for i, (x, least, most) in enumerate(zip(reports, lowest, highest, strict=True)):
+        for i, x in enumerate(reports):
+            least = most = past[0][i]
+            for j in range(1, self._late - self._early + 1):
+                asked = past[j][i]
+                least, most = (asked if asked < least else least), (asked if asked > most else most)
             fast, slow = self._shares[i]
             high, low = self._high[i], self._low[i]
             high += (fast if most > high else slow) * (most - high)

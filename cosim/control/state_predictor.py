@@ -7,9 +7,8 @@ coordinates ``x = (rate, its slope)`` of a second-order model.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, nan, prod
-from operator import mul
-from typing import Protocol
+from math import exp, nan
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from cosim.errors import InputError
 from cosim.vehicle import RateModel
 
 Pair = tuple[float, float]
-Matrix = NDArray[np.float64]
+Matrix: TypeAlias = NDArray[np.float64]
 
 
 class StateModel:
@@ -125,11 +124,11 @@ class ModelObserver:
 
     def update(self, measured: float, late: float, push: Pair) -> tuple[Pair, float]:
         old = self._state
-        ahead = [sum(f * s for f, s in zip(row, old, strict=True)) for row in self._F]
+        ahead = [_dot(row, old) for row in self._F]
         ahead[0] += push[0]
         ahead[1] += push[1]
         error = measured - ahead[0]
-        self._state = state = [a + k * error for a, k in zip(ahead, self._gain, strict=True)]
+        self._state = state = [ahead[i] + gain * error for i, gain in enumerate(self._gain)]
         return (state[0], state[1]), state[2] if self._with_disturbance else 0.0
 
 
@@ -175,8 +174,7 @@ class StatePredictor:
         push = (old_x * before + new_x * now, old_v * before + new_v * now)
         (x, v), disturbance = self._observer.update(measured, f * before + (1.0 - f) * now, push)
         of_x, of_v = self._of_state
-        on_its_way: float = sum(map(mul, self._weights, sent))
-        return of_x * x + of_v * v + on_its_way + self._of_disturbance * disturbance
+        return of_x * x + of_v * v + _dot(self._weights, sent) + self._of_disturbance * disturbance
 
 
 class Modes:
@@ -198,11 +196,11 @@ class Modes:
         f = self.delay - self.whole
         self.residues = [
             model.gain
-            * prod(pole - zero for zero in model.all_zeros)
-            / prod(pole - other for other in self.poles if other != pole)
+            * _product([pole - zero for zero in model.all_zeros])
+            / _product([pole - other for other in self.poles if other != pole])
             for pole in self.poles
         ]
-        self.shares = [1.0 - f if p == 1.0 else (p ** (1.0 - f) - 1.0) / (p - 1.0) for p in self.poles]
+        self.shares: list[complex] = [1.0 - f if p == 1.0 else (p ** (1.0 - f) - 1.0) / (p - 1.0) for p in self.poles]
 
     def ahead(self) -> list[complex]:
         """What each mode's state now is worth in the rate when the delay has gone by."""
@@ -223,7 +221,7 @@ def modal_observer(modes: Modes, bandwidth: float, step: float, disturbance: boo
     """
     order = len(modes.poles)
     n = order + 1 if disturbance else order
-    F = np.eye(n, dtype=complex if any(isinstance(p, complex) for p in modes.poles) else float)
+    F: Matrix = np.eye(n, dtype=complex if any(isinstance(p, complex) for p in modes.poles) else float)
     F[:order, :order] = np.diag(modes.poles)
     if disturbance:
         F[:order, order] = 1.0
@@ -248,17 +246,18 @@ class ModalPredictor:
         self._residues = modes.residues
         self._shares = modes.shares
         self._with_disturbance = disturbance
-        self._gain = gain.tolist()
+        self._gain: list[complex] = gain.tolist()
         self._ahead = modes.ahead()
         self._gathered = modes.gathered()
         n, f = modes.whole, modes.delay - modes.whole
         # oldest first: for the observer alone, over the fraction, then one a step
-        over_fraction = [f if p == 1.0 else (p**f - 1.0) / (p - 1.0) for p in modes.poles]
-        pairs = list(zip(modes.residues, modes.poles, strict=True))
+        over_fraction: list[complex] = [f if p == 1.0 else (p**f - 1.0) / (p - 1.0) for p in modes.poles]
+        residues, poles = modes.residues, modes.poles
+        late = [c * p**n for c, p in zip(residues, poles, strict=True)]
         self._weights = [
             0.0,
-            sum(c * p**n * part for (c, p), part in zip(pairs, over_fraction, strict=True)).real,
-            *(sum(c * p ** (n - 1 - j) for c, p in pairs).real for j in range(n)),
+            _product_sum(late, over_fraction).real,
+            *[_product_sum(residues, [p ** (n - 1 - j) for p in poles]).real for j in range(n)],
         ]
         self.inside: Inside = (nan, nan, model.delay_samples)
         self.reset()
@@ -274,15 +273,36 @@ class ModalPredictor:
         sent.append(applied)
         del sent[0]
         before, now, d = sent[0], sent[1], self._d
-        x = [
-            p * x + d + s * now + (1.0 - s) * before for p, x, s in zip(self._poles, self._x, self._shares, strict=True)
-        ]
-        error = measured - sum(map(mul, self._residues, x)).real
-        self._x = x = [value + gain * error for value, gain in zip(x, self._gain, strict=False)]
+        old, shares = self._x, self._shares
+        x = [p * old[i] + d + shares[i] * now + (1.0 - shares[i]) * before for i, p in enumerate(self._poles)]
+        error = measured - _product_sum(self._residues, x).real
+        self._x = x = [value + self._gain[i] * error for i, value in enumerate(x)]
         if self._with_disturbance:
             self._d = d = d + self._gain[-1].real * error
-        predicted: float = sum(map(mul, self._ahead, x)).real + sum(map(mul, self._weights, sent)) + self._gathered * d
-        return predicted
+        return _product_sum(self._ahead, x).real + _dot(self._weights, sent) + self._gathered * d
+
+
+def _dot(a: list[float], b: list[float]) -> float:
+    """Scalar product, summed in order."""
+    total = 0.0
+    for i, x in enumerate(a):
+        total += x * b[i]
+    return total
+
+
+def _product_sum(a: list[complex], b: list[complex]) -> complex:
+    """The same of modes, without conjugation."""
+    total: complex = 0.0
+    for i, x in enumerate(a):
+        total += x * b[i]
+    return total
+
+
+def _product(factors: list[complex]) -> complex:
+    product: complex = 1.0
+    for factor in factors:
+        product *= factor
+    return product
 
 
 def _apart(poles: Sequence[complex]) -> list[complex]:

@@ -6,17 +6,16 @@ import hashlib
 import io
 import itertools
 import math
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from tempfile import TemporaryDirectory
 from typing import Any
 
-from cosim.engine.container import DAMAGE, UnusableError, one_line, open_archive, parse, read_bytes
+from cosim.engine.container import UnusableError, one_line, open_archive, parse, read_bytes
 from cosim.engine.ports import Port, PortError, PortMap, Variable, find_ports
 from cosim.engine.units import Unit
 from cosim.errors import InputError
+from cosim.memory import Memory
 
 INTEGERS = {"Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"}
 REALS = {"Real", "Float64", "Float32"}
@@ -26,6 +25,9 @@ LARGEST_ARRAY = 10_000  # elements that are listed one by one
 # (1e-5) to 5.3 ms (1e-10) for six engines of two states, which is as long as a control step; not restarted it is wrong
 # by a hundredth of full thrust, or fails.
 INTERFACES = {"ModelExchange": "model exchange", "ScheduledExecution": "scheduled execution"}
+
+
+_archives: Memory[Archive] = Memory(64)
 
 
 @dataclass(frozen=True)
@@ -73,33 +75,11 @@ def read_archive(path: Path, ports: PortMap | None = None) -> Archive:
     Raises InputError: one line with the file and what is wrong with it.
     """
     try:
-        return _read(path, ports or PortMap())
+        stated, data = ports or PortMap(), read_bytes(path)
+        sha256 = hashlib.sha256(data).hexdigest()
+        return _archives.get((path, sha256, repr(stated)), lambda: _read(path, data, sha256, stated))
     except UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason
-
-
-def unpack(archive: Archive) -> TemporaryDirectory[str]:
-    """Unpack what running it on this machine takes into a temporary folder.
-
-    Raises InputError if the file is no longer the one that was read.
-    """
-    folder = TemporaryDirectory(prefix="engine-")
-    try:
-        data = read_bytes(archive.path)
-        if hashlib.sha256(data).hexdigest() != archive.sha256:
-            raise UnusableError("was changed while it was in use")
-        binaries = f"binaries/{platform_folder(archive.fmi)}/"
-        with zipfile.ZipFile(io.BytesIO(data)) as fmu:
-            for name in fmu.namelist():
-                if name.startswith((binaries, "resources/")):
-                    fmu.extract(name, folder.name)
-    except UnusableError as reason:
-        folder.cleanup()
-        raise InputError(f"{archive.path}: {reason}") from reason
-    except DAMAGE as error:
-        folder.cleanup()
-        raise InputError(f"{archive.path}: is damaged: {one_line(error)}") from error
-    return folder
 
 
 def platform_folder(fmi: int) -> str:
@@ -109,6 +89,13 @@ def platform_folder(fmi: int) -> str:
     return str(fmpy.platform if fmi == 2 else fmpy.platform_tuple)
 
 
+def library_of(archive: Archive) -> str:
+    """The name of this machine's library in an archive."""
+    import fmpy
+
+    return f"binaries/{platform_folder(archive.fmi)}/{archive.identifier}{fmpy.sharedLibraryExtension}"
+
+
 def validate(path: Path) -> list[str]:
     """Everything that FMPy's validation has to say against an archive; empty is good."""
     from fmpy.validation import validate_fmu  # type: ignore[import-untyped]
@@ -116,8 +103,7 @@ def validate(path: Path) -> list[str]:
     return [one_line(problem) for problem in validate_fmu(str(path))]
 
 
-def _read(path: Path, stated: PortMap) -> Archive:
-    data = read_bytes(path)
+def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
     names, xml = open_archive(data)
     root = parse(xml)
     version = root.get("fmiVersion", "none stated")
@@ -143,7 +129,7 @@ def _read(path: Path, stated: PortMap) -> Archive:
     experiment = description.defaultExperiment
     return Archive(
         path=path,
-        sha256=hashlib.sha256(data).hexdigest(),
+        sha256=sha256,
         fmi=fmi,
         version=version,
         model=description.modelName,

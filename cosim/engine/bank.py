@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 
 from cosim.engine import _bank
-from cosim.engine.archive import unpack
 from cosim.engine.ports import AMBIENT, Air
 from cosim.engine.response import ResponseError, settle
 from cosim.engine.slave import Slave, SlaveError
 from cosim.engine.spec import EngineSpec
+from cosim.engine.unpacked import Unpacked, unpack
 from cosim.errors import EngineError
 from cosim.signals import Ambient, EngineOutput, PerJet
 
@@ -29,7 +27,7 @@ class EngineBank:
             raise ValueError(f"{count} engines need as many specs, not {len(self._specs)}")
         self._step = step
         self._slaves: list[Slave] = []
-        self._folders: dict[tuple[str, int], TemporaryDirectory[str]] = {}
+        self._folders: dict[tuple[str, int], Unpacked] = {}
         self.wants_ambient = any(each.has(port) for each in self._specs for port in AMBIENT)
         self._native = _bank.Bank((), step, EngineOutput)
         self._used = False
@@ -46,7 +44,7 @@ class EngineBank:
             if key not in self._folders:
                 self._folders[key] = unpack(spec.archive)
             try:
-                self._slaves.append(Slave(spec.archive, Path(self._folders[key].name), f"engine {index + 1}"))
+                self._slaves.append(Slave(spec.archive, self._folders[key].path, f"engine {index + 1}"))
             except SlaveError as error:
                 raise EngineError(f"{self._label(index)}: {error}") from error
         self._hand_over()
@@ -139,10 +137,10 @@ class EngineBank:
             raise EngineError(f"{self._label(index)}: {error}") from error
 
     def close(self) -> None:
-        """Terminate and free the engines and remove their files.  May be called again."""
+        """Terminate and free the engines and let go of their files.  May be called again."""
         self._close_slaves()
         for folder in self._folders.values():
-            folder.cleanup()
+            folder.close()
         self._folders.clear()
 
     def _close_slaves(self) -> None:

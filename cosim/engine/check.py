@@ -20,12 +20,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cosim.engine.archive import Archive, unpack
+from cosim.engine.archive import Archive
 from cosim.engine.container import DAMAGE
 from cosim.engine.ports import KINDS, STANDARD_AIR, Air, Port, Variable, plain
 from cosim.engine.probe import Apart, Limits, run_apart
-from cosim.engine.response import NO_CHANGE, Curve, Response
-from cosim.engine.spec import EngineSource, Measured, find_source, need_whole_steps, resolve_parameters
+from cosim.engine.response import NO_CHANGE, Curve, Response, curve_problems
+from cosim.engine.spec import EngineSource, Measured, find_source, measure_once, need_whole_steps, resolve_parameters
+from cosim.engine.unpacked import unpack
 from cosim.errors import InputError
 
 DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
@@ -210,7 +211,7 @@ def _check(
     need_whole_steps(archive, source.engine, step)
     start = archive.ports["start"].variable.name if "start" in archive.ports else None
     resolve_parameters(archive, {**source.mapping.parameters, **parameters}, start)
-    unpack(archive).cleanup()
+    unpack(archive).close()
     report = CheckReport(
         path=str(source.path),
         name=archive.model,
@@ -368,32 +369,61 @@ def _notes(archive: Archive) -> list[str]:
 
 # ---- before a flight
 
+_fit: set[tuple[str, str, float]] = set()  # found fit in this process: sha256 of the archive, mapping, step
+
 
 def measure_apart(name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR) -> Measured:
     """Static curve and response of an FMU that is not of the library, tried and measured in another process.
 
     An FMU that was found fit is remembered by its contents and by what it was asked, and not tried again: in another
-    ``air`` than the standard one at sea level it is only measured.
-    Raises InputError if it is unfit: one line with the first problem.
+    ``air`` than the standard one at sea level it is only measured.  A process that flies it again, with other
+    parameters or in another air, measures it itself.
+
+    Raises InputError if it is unfit: one line with the first problem.  SlaveError, ResponseError if it fails here.
     """
     source = find_source(name_or_path)
+    content = source.archive.sha256, source.mapping.model_dump_json(), step
+    tried = content in _fit
     place = _memory(source, parameters, step, air)
     known = _recall(place)
-    if known is not None:
-        return known
+    if known is None and tried:
+        return _measure_here(source, parameters, step, air)
+    measured = known or _measure_apart(name_or_path, source, parameters, step, air)
+    if known is None:
+        _remember(place, measured)
+    _fit.add(content)
+    return measured
+
+
+def _measure_here(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> Measured:
+    archive, given = source.archive, {**source.mapping.parameters, **parameters}
+    start = archive.ports["start"].variable.name if "start" in archive.ports else None
+    _, settings = resolve_parameters(archive, given, start)
+    measured = measure_once(archive, settings, start, step, air)
+    _need_no_problems(source, curve_problems(measured.curve, measured.quiet))
+    return measured
+
+
+def _measure_apart(
+    name_or_path: str, source: EngineSource, parameters: Mapping[str, float], step: float, air: Air
+) -> Measured:
     parts: Sequence[str] = PARTS
     if air != STANDARD_AIR:
         measure_apart(name_or_path, parameters, step)
         parts = ("measure",)
     report, measured = _check(name_or_path, step, parameters, LIMITS, parts, air)
-    if report.problems or measured is None:
-        more = f" (and {len(report.problems) - 1} more)" if len(report.problems) > 1 else ""
+    _need_no_problems(source, report.problems)
+    assert measured is not None
+    return measured
+
+
+def _need_no_problems(source: EngineSource, problems: Sequence[str]) -> None:
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise InputError(
-            f"{source.path}: is not fit to fly: {report.problems[0]}{more}; hexjet fmu check says all, "
+            f"{source.path}: is not fit to fly: {problems[0]}{more}; hexjet fmu check says all, "
             "--unchecked-engine flies it all the same"
         )
-    _remember(place, measured)
-    return measured
 
 
 def _memory(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> Path:

@@ -94,6 +94,24 @@ def static_curve(hold: Hold, window: int, step: float, quiet: float = NO_CHANGE)
     return Curve(tuple(throttles), tuple(reversed(thrusts)))
 
 
+def curve_problems(curve: Curve, quiet: float = NO_CHANGE) -> list[str]:
+    """What is wrong with the static curve of an engine whose thrust stands still to ``quiet`` of itself."""
+    throttle, thrust = curve
+    doubt = 10.0 * quiet * max(1.0, *map(abs, thrust))  # N
+    problems = []
+    falls = [k for k in range(1, len(thrust)) if thrust[k] < thrust[k - 1] - doubt]
+    if falls:
+        k = falls[0]
+        problems.append(
+            f"its thrust does not rise with the throttle: {thrust[k - 1]:.4g} N at {throttle[k - 1]:g}, "
+            f"{thrust[k]:.4g} N at {throttle[k]:g}"
+        )
+    if min(thrust) < -doubt:
+        k = thrust.index(min(thrust))
+        problems.append(f"its thrust is negative: {thrust[k]:.4g} N at throttle {throttle[k]:g}")
+    return problems
+
+
 def _still(thrusts: Sequence[float], quiet: float) -> bool:
     low, high = min(thrusts), max(thrusts)
     return high - low <= quiet * max(1.0, abs(low), abs(high))

@@ -7,8 +7,9 @@ import importlib
 import math
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -206,8 +207,8 @@ class Slave:
         """FMI 2.0: how far a step that was discarded has come, where the FMU says so."""
         from fmpy.fmi2 import fmi2Real
 
-        value = fmi2Real(math.nan)
-        status = self.fmu.dll.fmi2GetRealStatus(self.fmu.component, LAST_SUCCESSFUL_TIME, ctypes.byref(value))
+        component, value = ctypes.c_void_p(self.fmu.component), fmi2Real(math.nan)
+        status = self.fmu.dll.fmi2GetRealStatus(component, LAST_SUCCESSFUL_TIME, ctypes.byref(value))
         known = status <= 1 and math.isfinite(value.value)
         return f"; it came as far as its own time {value.value:g} s" if known else ""
 
@@ -273,7 +274,7 @@ class Slave:
             return  # after a fatal error nothing may be called any more, not even to free it
         version = self.archive.fmi
         if self._stepping:
-            getattr(fmu.dll, f"fmi{version}Terminate")(fmu.component)
+            getattr(fmu.dll, f"fmi{version}Terminate")(ctypes.c_void_p(fmu.component))
         fmu.freeInstance()
 
 
@@ -305,11 +306,43 @@ def _canonical(throttle: float, air: Air) -> dict[str, float]:
     return dict(zip(INPUTS, (throttle, *air), strict=True))
 
 
-def _load(archive: Archive, folder: Path, name: str) -> Any:
+class _Functions(dict[str, Any]):
+    """The functions of a library, each looked up when it is called first."""
+
+    def __init__(self, library: Any, signatures: Mapping[str, tuple[Any, Any, Any]]) -> None:
+        self._library, self._signatures = library, signatures
+
+    def __missing__(self, name: str) -> Any:
+        function = self[name] = getattr(self._library, name)
+        function.argnames, function.argtypes, function.restype = self._signatures[name]
+        return function
+
+
+@lru_cache(maxsize=64)
+def _kind(fmi: int, _sha256: str) -> Any:
+    """FMPy's class for the instances of one archive.
+
+    FMPy looks for all of some 70 functions in the library, and at the signatures of its own, whenever it makes an
+    instance.  Here the first one does; if they are all there, the others need not look.
+    """
     from fmpy.fmi2 import FMU2Slave
     from fmpy.fmi3 import FMU3Slave
 
-    kind = FMU2Slave if archive.fmi == 2 else FMU3Slave
+    kind: Any = FMU2Slave if fmi == 2 else FMU3Slave
+    signatures: dict[str, tuple[Any, Any, Any]] = {}
+
+    def load_functions(fmu: Any) -> None:
+        if signatures:
+            fmu._functions = _Functions(fmu.dll, signatures)
+            return
+        kind._loadFunctions(fmu)
+        signatures.update((name, (f.argnames, f.argtypes, f.restype)) for name, f in fmu._functions.items())
+
+    return type(kind.__name__, (kind,), {"_loadFunctions": load_functions})  # FMPy reads the version from its name
+
+
+def _load(archive: Archive, folder: Path, name: str) -> Any:
+    kind = _kind(archive.fmi, archive.sha256)
     here = Path.cwd()
     try:
         return kind(

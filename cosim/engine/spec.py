@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 from cosim.config import nearest
 from cosim.engine import _bank, build
-from cosim.engine.archive import INTEGERS, Archive, read_archive, unpack
+from cosim.engine.archive import INTEGERS, Archive, read_archive
 from cosim.engine.ports import (
     AMBIENT,
     STANDARD_AIR,
@@ -36,7 +36,9 @@ from cosim.engine.response import (
     window_for,
 )
 from cosim.engine.slave import Setting, Slave, SlaveError
+from cosim.engine.unpacked import unpack
 from cosim.errors import InputError
+from cosim.memory import Memory
 from cosim.paths import data_folder
 
 
@@ -68,6 +70,11 @@ class EngineSpec:
     window: int = field(repr=False)  # communication steps, longer than the engine's delay
     quiet: float = field(default=NO_CHANGE, repr=False)  # to what share of itself the thrust stands still at rest
     air: Air = STANDARD_AIR  # in which the curve was measured
+
+    @property
+    def behaviour(self) -> tuple[Hashable, ...]:
+        """What the engine does depends on this, and on how it is stepped."""
+        return *_behaviour(self.archive, self.settings, self.air), self.start, self.window, self.quiet
 
     @property
     def family(self) -> str:
@@ -159,7 +166,7 @@ def load_engine(
     delay = resolved.get(ledger.get("delay", ""))
     try:
         if measured is None and (engine or unchecked):
-            measured = measure(archive, settings, start, step, air=air)
+            measured = measure_once(archive, settings, start, step, air)
         elif measured is None:
             from cosim.engine.check import measure_apart
 
@@ -199,6 +206,23 @@ class Measured(NamedTuple):
     quiet: float  # to what share of itself the thrust stands still at rest
 
 
+_measured: Memory[Measured] = Memory(256)
+_definitions: Memory[build.Engine] = Memory(64)
+
+
+def _behaviour(archive: Archive, settings: tuple[Setting, ...], air: Air) -> tuple[Hashable, ...]:
+    values = tuple((variable.name, value.hex()) for variable, value in settings)
+    return archive.sha256, tuple(sorted(archive.ports.items())), values, air
+
+
+def measure_once(
+    archive: Archive, settings: tuple[Setting, ...], start: str | None, step: float, air: Air = STANDARD_AIR
+) -> Measured:
+    """As :func:`measure`, once per process for the same contents of the archive and the same question."""
+    key = (*_behaviour(archive, settings, air), start, step)
+    return _measured.get(key, lambda: measure(archive, settings, start, step, air=air))
+
+
 @dataclass(frozen=True)
 class EngineSource:
     """Where an engine comes from: the file that was named, its archive, and what is stated about it beside it."""
@@ -229,15 +253,22 @@ def find_source(name_or_path: str) -> EngineSource:
         raise InputError(
             f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu, or of a .toml that maps one"
         )
-    try:
-        engine = build.read_engine(data_folder("engines") / name)
-    except build.BuildError as error:
-        raise InputError(str(error)) from error
+    engine = _definition(data_folder("engines") / name)
     path = build.archive_path(data_folder("fmus"), name, 2 if name_or_path != name else 3)
     if not path.is_file():
         raise InputError(f"engine {name_or_path}: {path} has not been built; run: hexjet fmu build")
     stated = PortMap(ports=engine.ports, search=False)
     return EngineSource(path, read_archive(path, stated), engine, MappingFile(fmu=path.name))
+
+
+def _definition(folder: Path) -> build.Engine:
+    path = folder / "engine.toml"
+    try:
+        return _definitions.get((folder, path.read_bytes()), lambda: build.read_engine(folder))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except build.BuildError as error:
+        raise InputError(str(error)) from error
 
 
 def need_whole_steps(archive: Archive, engine: build.Engine | None, step: float) -> None:
@@ -315,7 +346,7 @@ def _measure(
     air: Air,
 ) -> Measured:
     with unpack(archive) as folder:
-        slave = Slave(archive, Path(folder), "measured")
+        slave = Slave(archive, folder, "measured")
         try:
             slave.initialize(settings, 0.0, air)
             native = _bank.Bank([slave.row()], step)
@@ -331,7 +362,7 @@ def _measure(
             raise SlaveError(slave.explain(failure, "while its thrust was measured")) from failure
         finally:
             slave.close()
-        if start is not None and not _starts_level(archive, Path(folder), settings, step, curve, response, air):
+        if start is not None and not _starts_level(archive, folder, settings, step, curve, response, air):
             start = None
     return Measured(curve, response, start, quiet)
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.engine import _bank
-from cosim.engine.archive import platform_folder, unpack, validate
+from cosim.engine.archive import library_of, validate
 from cosim.engine.bank import EngineBank
 from cosim.engine.check import NEEDED
 from cosim.engine.ports import STANDARD_AIR, Air
@@ -28,12 +28,14 @@ from cosim.engine.response import (
     Response,
     ResponseError,
     crossing,
+    curve_problems,
     settle,
     step_response,
     window_for,
 )
 from cosim.engine.slave import Slave, SlaveError
 from cosim.engine.spec import EngineSource, EngineSpec, Measured, find_source, load_engine, measure, resolve_parameters
+from cosim.engine.unpacked import contents, unpack
 from cosim.errors import FlightError, InputError
 from cosim.signals import EngineOutput
 
@@ -158,7 +160,7 @@ def perform(order: Mapping[str, Any], say: Say) -> None:
     say({"at": "while its archive was read"})
     source = find_source(task.name)
     with unpack(source.archive) as folder:
-        trial = Trial(source, task, Path(folder), say)
+        trial = Trial(source, task, folder, say)
         before = contents(trial.folder)
         for part in task.parts:
             say({"part": part})
@@ -174,15 +176,6 @@ def perform(order: Mapping[str, Any], say: Say) -> None:
         # what it adds is its own affair: an FMU written in Python leaves compiled modules
         if any(after.get(name) != digest for name, digest in before.items()):
             say({"of": "files", "found": {}, "problems": ["changes or deletes files of its own archive"]})
-
-
-def contents(folder: Path) -> dict[str, str]:
-    """The files of an unpacked archive, name -> digest."""
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 # ---- what the FMU shares with everything else in its process
@@ -245,9 +238,7 @@ def _load(trial: Trial) -> Found:
     """The library alone, before it is asked for anything."""
     import fmpy
 
-    archive = trial.archive
-    name = f"{archive.identifier}{fmpy.sharedLibraryExtension}"
-    library = trial.folder / "binaries" / platform_folder(archive.fmi) / name
+    library = trial.folder / library_of(trial.archive)
     before = _surroundings()
     here = Path.cwd()
     trial.say({"at": "when its shared library was loaded"})
@@ -293,23 +284,7 @@ def _measure(trial: Trial) -> Found:
     )
     curve = found.curve._asdict()
     measured = {**curve, "response": found.response._asdict(), "start": found.start, "quiet": found.quiet}
-    return {**curve, "up": found.response._asdict(), "measured": measured}, _complaints_about(*found.curve, found.quiet)
-
-
-def _complaints_about(throttle: Sequence[float], thrust: Sequence[float], quiet: float) -> list[str]:
-    doubt = 10.0 * quiet * max(1.0, *map(abs, thrust))  # N
-    problems = []
-    falls = [k for k in range(1, len(thrust)) if thrust[k] < thrust[k - 1] - doubt]
-    if falls:
-        k = falls[0]
-        problems.append(
-            f"its thrust does not rise with the throttle: {thrust[k - 1]:.4g} N at {throttle[k - 1]:g}, "
-            f"{thrust[k]:.4g} N at {throttle[k]:g}"
-        )
-    if min(thrust) < -doubt:
-        k = thrust.index(min(thrust))
-        problems.append(f"its thrust is negative: {thrust[k]:.4g} N at throttle {throttle[k]:g}")
-    return problems
+    return {**curve, "up": found.response._asdict(), "measured": measured}, curve_problems(found.curve, found.quiet)
 
 
 def _respond(trial: Trial) -> Found:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.errors import FlightError, InputError
+from cosim.files import replacing
 from cosim.flight import fly
 from cosim.paper import calibration, numbers
 from cosim.paper.beyond import Reach, turbojet_plant
@@ -31,7 +32,7 @@ from cosim.paper.flight import flight, scenario
 from cosim.paper.linear import STATE_AS_PRINTED
 from cosim.paper.loops import Sweep, controllers_response, measured_sweep
 from cosim.paths import data_folder
-from cosim.recorder import Log, replacing
+from cosim.recorder import Log
 from cosim.run import versions
 from cosim.scenario import Scenario
 from cosim.vehicle import load_vehicle

@@ -1,0 +1,90 @@
+"""Which modules are compiled, and whether what was compiled is still what the source says.
+
+A control step runs in modules that mypyc turns into C.  Their source is plain Python: it is what runs where nothing was
+compiled, where ``HEXJET_PURE`` is set, and where a file was edited since.  The results are the same to the last bit.
+
+Imported before everything else of the package, so it imports little; ``setup.py`` and the Makefile read it too.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from hashlib import sha256
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from importlib.util import spec_from_file_location
+from pathlib import Path
+from typing import Any
+
+PACKAGE = Path(__file__).resolve().parent
+MODULES = (
+    "airframe.py",
+    "airflow.py",
+    "commands.py",
+    "control/allocation.py",
+    "control/altitude.py",
+    "control/attitude.py",
+    "control/blend.py",
+    "control/lead.py",
+    "control/monitor.py",
+    "control/predictor.py",
+    "control/rate.py",
+    "control/state_predictor.py",
+    "control/thrust.py",
+    "disturbances.py",
+    "faults.py",
+    "frames.py",
+    "fuel.py",
+    "sensors.py",
+    "servo.py",
+    "shutoff.py",
+    "signals.py",
+    "simulation.py",
+    "spools.py",
+)
+STAMP = "_compiled.sha256"  # beside this file: what was compiled, as sha256sum writes it
+PURE = "HEXJET_PURE"  # environment: set, build without and run without
+
+
+def fingerprint(package: Path) -> str:
+    """One line a module: the hash of its source, and its path in the package."""
+    return "".join(f"{sha256((package / name).read_bytes()).hexdigest()}  {name}\n" for name in MODULES)
+
+
+def edited() -> list[str]:
+    """The modules whose source is not what was compiled; all of them where nothing was."""
+    try:
+        built = (PACKAGE / STAMP).read_text(encoding="ascii").splitlines()
+    except OSError:
+        return list(MODULES)
+    return [line.split("  ")[1] for line in fingerprint(PACKAGE).splitlines() if line not in built]
+
+
+def choose() -> None:
+    """From here on import the compiled modules if they are up to date, else all of them from source.
+
+    One line on standard error says so where an edit is why.
+    """
+    changed = edited()
+    if not changed and not os.environ.get(PURE):
+        return
+    sys.meta_path.insert(0, _FromSource())
+    if 0 < len(changed) < len(MODULES) and not os.environ.get(PURE):
+        more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
+        print(
+            f"hexjet: {PACKAGE / changed[0]}{more} changed since it was compiled; all runs from source, which is "
+            "slower, until: make setup",
+            file=sys.stderr,
+        )
+
+
+class _FromSource(MetaPathFinder):
+    """Finds the modules' source, where the compiled ones would be found first."""
+
+    def __init__(self) -> None:
+        self._paths = {f"cosim.{name.removesuffix('.py').replace('/', '.')}": PACKAGE / name for name in MODULES}
+
+    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        source = self._paths.get(fullname)
+        return spec_from_file_location(fullname, source) if source else None

@@ -1,0 +1,32 @@
+"""What a process found out once and need not find out again, for as long as nothing that it depends on is another."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Memory(Generic[T]):
+    """The ``most`` results that were asked for last, each under a key that holds everything that it depends on.
+
+    Of a file that is its contents, never its name or date alone.  A result is given out again and again: whoever gets
+    it must not change it.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._known: OrderedDict[Hashable, T] = OrderedDict()
+
+    def get(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What is known under ``key``, or else what ``make`` returns; what it raises is not remembered."""
+        try:
+            found = self._known.pop(key)
+        except KeyError:
+            found = make()
+        self._known[key] = found  # now the youngest
+        while len(self._known) > self._most:
+            self._known.popitem(last=False)
+        return found

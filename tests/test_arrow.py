@@ -1,0 +1,245 @@
+"""Arrow on disk: the stream is byte for byte what pyarrow writes, and tables come back as they were."""
+
+from __future__ import annotations
+
+import os
+from math import isnan, nan
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cosim import arrow as arrow_module
+from cosim.arrow import ParquetLog, StreamSink, Value, read_table, read_table_note, stream_to_parquet, write_table
+from cosim.columns import COLUMNS, NAMES
+from cosim.errors import FlightError, InputError
+
+
+def tables(sizes: list[int], seed: int = 1) -> list[np.ndarray]:
+    """Blocks of a log in which any bits may be, NaN of every kind included."""
+    random = np.random.default_rng(seed)
+    return [random.integers(0, 2**64, (len(NAMES), size), dtype=np.uint64).view(np.float64) for size in sizes]
+
+
+def as_pyarrow_writes(path: Path, blocks: list[np.ndarray], note: str) -> bytes:
+    """The stream by pyarrow's own writer, its schema stated from the columns once more."""
+    fields = []
+    for column in COLUMNS:
+        metadata = {"unit": column.unit, "frame": column.frame, "meaning": column.meaning}
+        fields.append(pa.field(column.name, pa.float64(), nullable=False, metadata=metadata))
+    schema = pa.schema(fields, metadata={"note": note})
+    with pa.OSFile(str(path), "wb") as file, pa.ipc.new_stream(file, schema) as writer:
+        for block in blocks:
+            writer.write_batch(pa.RecordBatch.from_arrays([pa.array(column) for column in block], schema=schema))
+    return path.read_bytes()
+
+
+def streamed(path: Path, blocks: list[np.ndarray], note: str = "a note") -> bytes:
+    sink = StreamSink(path, note)
+    for block in blocks:
+        sink.write(block)
+    sink.end()
+    sink.close()
+    return path.read_bytes()
+
+
+# ---- the stream
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.integers(0, 70), max_size=6), st.text(max_size=40))
+def test_the_stream_is_byte_for_byte_what_pyarrow_writes(
+    tmp_path_factory: pytest.TempPathFactory, sizes: list[int], note: str
+) -> None:
+    folder = tmp_path_factory.mktemp("stream")
+    blocks = tables(sizes)
+    assert streamed(folder / "ours", blocks, note) == as_pyarrow_writes(folder / "theirs", blocks, note)
+
+
+@pytest.mark.parametrize("sizes", [[250] * 3 + [17], [400, 1], [1], []])
+def test_blocks_as_they_come_in_flight(tmp_path: Path, sizes: list[int]) -> None:
+    blocks = tables(sizes)
+    assert streamed(tmp_path / "ours", blocks) == as_pyarrow_writes(tmp_path / "theirs", blocks, "a note")
+
+
+def test_a_block_that_does_not_lie_in_one_piece(tmp_path: Path) -> None:
+    (block,) = tables([40])
+    apart = np.asfortranarray(block)[:, ::2]
+    assert streamed(tmp_path / "ours", [apart]) == streamed(tmp_path / "again", [apart.copy()])
+
+
+def test_a_system_that_writes_a_little_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocks = tables([30, 20])
+    whole = streamed(tmp_path / "whole", blocks)
+    write = os.write
+    monkeypatch.setattr(arrow_module.os, "writev", lambda file, parts: write(file, b"".join(parts)[:1000]))
+    monkeypatch.setattr(arrow_module.os, "write", lambda file, part: write(file, part[:7777]))
+    assert streamed(tmp_path / "little", blocks) == whole
+
+
+def test_half_a_block_does_not_hide_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second, third = tables([30, 20, 10])
+    sink = StreamSink(tmp_path / "stream", "")
+    sink.write(first)
+
+    def full(file: int, part: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        write = os.write
+        patch.setattr(arrow_module.os, "writev", lambda file, parts: write(file, b"".join(parts)[:5000]))
+        patch.setattr(arrow_module.os, "write", full)
+        with pytest.raises(FlightError, match=r"stream: No space left on device$"):
+            sink.write(second)
+    sink.write(third)
+    sink.end()
+    sink.close()
+    assert (tmp_path / "stream").read_bytes() == streamed(tmp_path / "without", [first, third], "")
+
+
+def test_every_bit_of_a_block_arrives_in_parquet(tmp_path: Path) -> None:
+    blocks = tables([30, 1, 20])
+    streamed(tmp_path / "stream", blocks)
+    assert stream_to_parquet(tmp_path / "stream", tmp_path / "log.parquet") == 51
+    log = ParquetLog(tmp_path / "log.parquet")
+    whole = np.concatenate(blocks, axis=1)
+    assert all(log[name].tobytes() == whole[index].tobytes() for index, name in enumerate(NAMES))
+
+
+# ---- tables
+
+MANY: dict[str, list[Value]] = {
+    "flight": [0, 1, 2],
+    "gain": [1.5, None, nan],
+    "delay": [1, 2.5, None],
+    "nothing": [None, None, None],
+    "success": [True, None, False],
+    "reason": ["fell", None, "größer"],
+    "odd name, with = signs": [-0.0, 5e-324, 1e308],
+}
+
+
+def same(one: list[Value], other: list[Value]) -> bool:
+    """NaN is NaN, and the kinds are the same."""
+    return len(one) == len(other) and all(
+        type(a) is type(b) and (a == b or (isinstance(a, float) and isnan(a) and isnan(b)))  # type: ignore[arg-type]
+        for a, b in zip(one, other, strict=True)
+    )
+
+
+def test_a_table_comes_back_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "table.parquet"
+    write_table(path, MANY, {"study": "robustness", "ü": "="})
+    found = read_table(path)
+    assert list(found) == list(MANY)
+    for name, values in (MANY | {"delay": [1.0, 2.5, None]}).items():
+        assert same(found[name], values), name
+    assert read_table_note(path) == {"study": "robustness", "ü": "="}
+    types = [str(field.type) for field in pq.read_schema(path)]
+    assert types == ["int64", "double", "double", "double", "bool", "string", "double"]
+    assert os.listdir(tmp_path) == ["table.parquet"]
+
+
+VALUES = {
+    float: st.floats(allow_nan=False),
+    int: st.integers(-(2**63), 2**63 - 1),
+    bool: st.booleans(),
+    str: st.text(st.characters(exclude_categories=["Cs"])),
+}
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.data(), st.integers(0, 20))
+def test_any_columns_come_back(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, rows: int) -> None:
+    path = tmp_path_factory.mktemp("table") / "t"
+    kinds = data.draw(st.dictionaries(VALUES[str].filter(bool), st.sampled_from(list(VALUES)), max_size=5))
+    columns = {
+        name: data.draw(st.lists(st.none() | VALUES[kind], min_size=rows, max_size=rows))
+        for name, kind in kinds.items()
+    }
+    write_table(path, columns, kinds=kinds)
+    assert read_table(path) == columns
+    assert read_table_note(path) == {}
+
+
+def test_stated_kinds_make_the_parts_of_a_data_set_fit(tmp_path: Path) -> None:
+    kinds = {"x": float, "n": int, "s": str, "b": bool}
+    write_table(tmp_path / "a.parquet", {"x": [1], "n": [None], "s": [None], "b": [None]}, kinds=kinds)
+    write_table(tmp_path / "b.parquet", {"x": [None], "n": [3], "s": ["text"], "b": [True]}, kinds=kinds)
+    whole = pq.read_table(tmp_path)  # by whoever reads the folder with other tools
+    assert whole.to_pydict() == {"x": [1.0, None], "n": [None, 3], "s": [None, "text"], "b": [None, True]}
+    assert read_table([tmp_path / "a.parquet", tmp_path / "b.parquet"]) == whole.to_pydict()
+
+
+def test_files_with_different_columns_one_after_the_other(tmp_path: Path) -> None:
+    write_table(tmp_path / "a", {"flight": [0, 1], "gain": [0.5, 0.6]})
+    write_table(tmp_path / "b", {"late": [True], "flight": [2]})
+    files = [tmp_path / "a", tmp_path / "b"]
+    assert read_table(files) == {"flight": [0, 1, 2], "gain": [0.5, 0.6, None], "late": [None, None, True]}
+    assert read_table(files, ["late", "flight"]) == {"late": [None, None, True], "flight": [0, 1, 2]}
+    assert read_table([]) == {}
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ([1, "a"], "int, str"),
+        ([True, 1], "bool, int"),
+        ([0.5, "a", None], "float, str"),
+        ([b"a"], "bytes"),
+        ([[1.0]], "list"),
+        ([2**70], "too large"),
+    ],
+)
+def test_what_is_no_column_is_one_line(tmp_path: Path, values: list[Value], message: str) -> None:
+    with pytest.raises(InputError, match=rf"^column 'odd': .*{message}") as complaint:
+        write_table(tmp_path / "t", {"fine": [1.0] * len(values), "odd": values})
+    assert "\n" not in str(complaint.value)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_value_that_is_not_of_the_stated_kind(tmp_path: Path) -> None:
+    for value, kind in (("a", float), (1.5, int), (1, str), (2, bool)):
+        with pytest.raises(
+            InputError, match=rf"^column 'odd': {type(value).__name__}; allowed: {kind.__name__} or None$"
+        ):
+            write_table(tmp_path / "t", {"odd": [value]}, kinds={"odd": kind})
+
+
+def test_a_table_that_cannot_be_written_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(FlightError, match=r"nowhere/t: No such file or directory$"):
+        write_table(tmp_path / "nowhere" / "t", {"a": [1]})
+    write_table(tmp_path / "t", {"a": [1]})
+
+    def full(table: pa.Table, path: Path, **_: object) -> None:
+        path.write_bytes(b"PAR1 and half of the rest")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(pq, "write_table", full)
+    with pytest.raises(FlightError, match=r"t: No space left on device$"):
+        write_table(tmp_path / "t", {"a": [2]})
+    assert read_table(tmp_path / "t") == {"a": [1]}
+    assert os.listdir(tmp_path) == ["t"]
+
+
+def test_a_file_that_is_no_table_is_one_line(tmp_path: Path) -> None:
+    write_table(tmp_path / "t", {"a": [1] * 1000})
+    whole = (tmp_path / "t").read_bytes()
+    for content in (b"", b"PAR1 or not", whole[:-9], whole[:200] + whole[300:]):
+        (tmp_path / "t").write_bytes(content)
+        for read in (read_table, read_table_note):
+            with pytest.raises(InputError, match="cannot be read as Parquet") as complaint:
+                read(tmp_path / "t")
+            assert "\n" not in str(complaint.value)
+    with pytest.raises(InputError, match="cannot be read as Parquet"):
+        read_table(tmp_path / "nowhere")
+
+
+def test_a_column_that_is_not_there_is_named(tmp_path: Path) -> None:
+    write_table(tmp_path / "t", {"flight": [1], "gain": [0.5]})
+    with pytest.raises(InputError, match="the table has no column 'gian'; did you mean 'gain'"):
+        read_table(tmp_path / "t", ["flight", "gian"])

@@ -1,0 +1,192 @@
+"""What flies is not what the controller was made for, and the controller does not know."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.errors import InputError
+from cosim.flight import fly
+from cosim.frames import cross
+from cosim.mismatch import OtherEngines, as_flown, engines_as_flown
+from cosim.run import Run
+from cosim.scenario import Mismatch, Scenario
+from cosim.signals import EngineOutput
+from cosim.simulation import build
+from cosim.vehicle import load_vehicle
+
+NAN6 = (float("nan"),) * 6
+
+
+def doublet(**changes: Any) -> Scenario:
+    """The start of the roll doublet without noise."""
+    return Scenario.load("roll-doublet").replace(duration_s=2.0, sensor_noise=False, expect=[], **changes)
+
+
+def same(one: Run, other: Run) -> bool:
+    """Whether two logs are the same to the last bit."""
+    return all(one.log[name].tobytes() == other.log[name].tobytes() for name in one.log.columns)
+
+
+def test_without_a_mismatch_nothing_is_made_anew() -> None:
+    vehicle, _ = load_vehicle("hexjet")
+    bank = Recorded()
+    assert as_flown(vehicle, Mismatch()) is vehicle
+    assert engines_as_flown(bank, Mismatch(), 6) is bank
+
+
+class Recorded:
+    """Engines whose thrust is their throttle."""
+
+    wants_ambient = False
+
+    def __init__(self) -> None:
+        self.given: list[tuple[float, ...]] = []
+
+    def reset(self, throttle: Any, ambient: Any = None) -> EngineOutput:
+        return EngineOutput(tuple(throttle), NAN6, NAN6, NAN6)
+
+    def step(self, k: int, throttle: tuple[float, ...], ambient: Any = None) -> EngineOutput:
+        self.given.append(throttle)
+        return EngineOutput(throttle, NAN6, NAN6, NAN6)
+
+    def set_run(self, index: int, on: bool) -> bool:
+        return False
+
+    def close(self) -> None:
+        pass
+
+
+def test_engines_answer_later_and_with_another_thrust() -> None:
+    bank = Recorded()
+    factors = (0.5, 2.0, 1.0, 1.0, 1.0, 4.0)
+    engines = OtherEngines(bank, factors, 2)
+    assert engines.reset((0.5,) * 6).thrust == tuple(0.5 * each for each in factors)
+    thrusts = [engines.step(k, (0.125 * k,) * 6).thrust for k in range(4)]
+    assert bank.given == [(0.5,) * 6, (0.5,) * 6, (0.0,) * 6, (0.125,) * 6]
+    assert thrusts[3] == tuple(0.125 * each for each in factors)
+    engines.reset((0.25,) * 6)  # a flight before leaves nothing in the line
+    assert engines.step(0, (0.0,) * 6).thrust[2] == 0.25
+
+
+def test_common_and_single_factors_multiply() -> None:
+    bank = Recorded()
+    engines = engines_as_flown(bank, Mismatch(thrust_factor=0.5, thrust_factor_3=4.0), 6)
+    assert engines.reset((1.0,) * 6).thrust == (0.5, 0.5, 2.0, 0.5, 0.5, 0.5)
+
+
+def test_delay_unknown_to_the_predictor_is_the_engines_own_to_the_last_bit() -> None:
+    added = fly(doublet(mismatch={"delay_samples": 7}))
+    own = fly(doublet(engine_parameters={"delay_samples": 32}))
+    assert same(added, own)
+    assert not same(added, fly(doublet()))
+    rows = {row.element: row.samples for row in added.summary.delay_ledger}
+    assert rows["engines later than known"] == 7.0
+    assert sum(rows.values()) == sum(row.samples for row in own.summary.delay_ledger)  # type: ignore[arg-type, misc]
+
+
+def test_twice_the_mass_with_twice_of_every_force_flies_alike() -> None:
+    """Newton: mass, moments of inertia, thrust and air forces by one factor leave every acceleration as it is."""
+    stated, _ = load_vehicle("hexjet")
+    twice = {
+        "inertia_kg_m2": [2.0 * each for each in stated.inertia_kg_m2],
+        "aero": {
+            "drag_area_m2": [2.0 * each for each in stated.aero.drag_area_m2],
+            "damping_n_m_s": [2.0 * each for each in stated.aero.damping_n_m_s],
+        },
+    }
+    heavy = fly(doublet(mismatch={"mass_factor": 2.0, "thrust_factor": 2.0}, vehicle=twice))
+    light = fly(doublet())
+    for name in ("roll_rad", "rate_p_rad_s", "altitude_m", "throttle_1"):
+        # rounding alone; the doublet's amplitude is 0.17 rad
+        assert np.max(np.abs(heavy.log[name] - light.log[name])) < 1e-9, name
+    assert np.allclose(heavy.log["mass_kg"], 2.0 * stated.mass_kg, rtol=1e-12)
+    assert not same(light, fly(doublet(mismatch={"mass_factor": 1.01})))
+
+
+def test_controller_is_made_from_what_is_known() -> None:
+    changed = doublet(mismatch={"mass_factor": 1.3, "thrust_factor": 0.8, "centre_m": [0.01, 0.02, 0.03]})
+    with build(doublet()) as known, build(changed) as other:
+        assert other.allocator.hover == known.allocator.hover
+        assert other.vehicle == known.vehicle
+        assert [row.owner for row in other.ledger] == [row.owner for row in known.ledger]
+
+
+def test_moment_about_the_true_centre_of_gravity() -> None:
+    """The sum of r x F over the jets, each r from where the centre of gravity is."""
+    centre = (0.01, -0.02, 0.03)
+    with build(doublet(mismatch={"centre_m": centre})) as simulation:
+        sample = simulation.step()
+        _, moment = simulation.airframe.external_wrench()
+        jets = simulation.vehicle.jets
+        assert np.abs(sample.tilt).max() < 1e-12
+        expected = np.sum(
+            [
+                cross(tuple(np.subtract(jet.position_m, centre)), (0.0, 0.0, -thrust))  # type: ignore[arg-type]
+                for jet, thrust in zip(jets, sample.engines.thrust, strict=False)
+            ],
+            axis=0,
+        )
+        assert moment == pytest.approx(expected, abs=1e-9)  # N m, of 1.1 about roll: JSBSim's inches and pounds
+        assert abs(moment[0]) > 1.0
+
+
+def test_a_payload_is_mass_centre_and_inertia() -> None:
+    """A point mass at (0, y, 0), once as JSBSim's own and once by the theorem of parallel axes."""
+    stated, _ = load_vehicle("hexjet")
+    whole, mass, y = stated.mass_kg, 0.4, 0.02
+    steiner = whole * mass / (whole + mass) * y * y
+    x_x, y_y, z_z = stated.inertia_kg_m2
+    entry = {"kind": "payload", "start_s": 0.0, "mass_kg": mass, "offset_m": [0.0, y, 0.0]}
+    drag = {"aero": {"drag_area_m2": [0.0, 0.0, 0.0]}}  # its place would be another
+    carried = fly(doublet(disturbance=[entry], vehicle=drag))
+    flown = fly(
+        doublet(
+            mismatch={"mass_factor": 1.0 + mass / whole, "centre_m": [0.0, y * mass / (whole + mass), 0.0]},
+            vehicle={"inertia_kg_m2": [x_x + steiner, y_y, z_z + steiner], **drag},
+        )
+    )
+    rate = carried.log["rate_p_rad_s"]
+    assert np.ptp(rate) > 0.5
+    # the payload arrives with the first step, the mismatch is there from before it: one JSBSim run of four apart
+    ahead = 0.25 * (rate[2] - rate[1])
+    difference = flown.log["rate_p_rad_s"] - rate
+    assert difference[1] == pytest.approx(ahead, rel=1e-4)
+    assert np.max(np.abs(difference)) < 1.001 * abs(ahead)
+
+
+def test_a_payload_stays_at_its_place_on_the_vehicle() -> None:
+    entry = {"kind": "payload", "start_s": 0.0, "mass_kg": 1.0, "offset_m": [0.1, 0.2, 0.3]}
+    with build(doublet(mismatch={"centre_m": [0.1, 0.2, 0.3]}, disturbance=[entry])) as simulation:
+        simulation.step()
+        mass, centre, _ = simulation.airframe.mass_properties()
+    assert mass == pytest.approx(6.525, rel=1e-9)
+    assert centre == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+
+
+def test_a_resolved_flight_flies_again(tmp_path: Any) -> None:
+    first = fly(doublet(mismatch={"mass_factor": 1.2, "thrust_factor_2": 0.9, "delay_samples": 2}), tmp_path / "run")
+    again = fly(Scenario.load(tmp_path / "run" / "scenario.toml"))
+    assert same(first, again)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"mismatch": {"mass_factor": 0.0}}, "mismatch.mass_factor = 0.0: should be greater than 0"),
+        ({"mismatch": {"mass": 1.0}}, "unknown key 'mismatch.mass'; allowed: centre_m, delay"),
+        ({"mismatch": {"delay_samples": -1}}, "mismatch.delay_samples = -1: should be greater"),
+        (
+            {"aircraft": "quadrotor", "engine": "motor", "step_s": 0.0025, "mismatch": {"thrust_factor_5": 0.5}},
+            "has jets 1 to 4",
+        ),
+        ({"aircraft": "hexjet-p220", "engine": "p220", "mismatch": {"mass_factor": 0.1}}, "of fuel in them"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError) as error:
+        build(Scenario.load("hover").replace(expect=[], controller="baseline", **changes)).close()
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)

@@ -1,0 +1,446 @@
+"""The rows of the log as the C code reads them: every bit, against the records' own names, and nothing wrong let in."""
+
+from __future__ import annotations
+
+import gc
+import sys
+import weakref
+from collections.abc import Iterator
+from itertools import product
+from math import nan
+from typing import Any
+
+import numpy as np
+import pytest
+from flights import STEP, samples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cosim._rows import COLUMNS, Rows
+from cosim.columns import NAMES
+from cosim.frames import to_euler
+from cosim.recorder import MemorySink, Recorder
+from cosim.signals import (
+    JETS,
+    Actuation,
+    Command,
+    Disturbance,
+    EngineOutput,
+    Measured,
+    Refused,
+    Sample,
+    State,
+)
+
+NUMBERS = st.one_of(st.floats(), st.sampled_from([nan, -nan, -0.0, 5e-324]), st.integers(-9, 9), st.booleans())
+
+
+def tuples(size: int, values: st.SearchStrategy[Any] = NUMBERS) -> st.SearchStrategy[Any]:
+    return st.tuples(*[values] * size)
+
+
+@st.composite
+def any_sample(draw: st.DrawFn) -> Sample:
+    """Any numbers at all on the wires of a vehicle of one to six jets."""
+    jets = draw(st.integers(1, JETS))
+    vector, number, every_jet = tuples(3), NUMBERS, tuples(jets)
+    added = tuples(3, st.floats(allow_nan=False, min_value=0.0))  # never -0, as what disturbs never is
+    names = {"command": Command, "state": State, "measured": Measured}
+    fields: dict[str, list[st.SearchStrategy[Any]]] = {
+        "command": [vector, number, st.none() | vector, st.none() | number],
+        "state": [vector, vector, tuples(4), vector, vector, vector, number, vector, number, number, number],
+        "measured": [vector, tuples(4, st.floats(-1.0, 1.0)), vector, vector, number],
+    }
+    made = {name: record(*draw(st.tuples(*fields[name]))) for name, record in names.items()}  # type: ignore[operator]
+    return Sample(
+        k=draw(st.integers()),
+        time=draw(number),
+        rate_setpoint=draw(vector),
+        rate_predicted=draw(vector),
+        torque_command=draw(vector),
+        collective=draw(number),
+        actuation=Actuation(draw(every_jet), draw(tuples(2)), Refused(*draw(tuples(4)))),
+        tilt=draw(tuples(2)),
+        engines=EngineOutput(*draw(st.tuples(*[every_jet] * 4))),
+        disturbance=Disturbance(draw(vector), draw(vector), draw(added), payload=draw(tuples(4)), torque_output=draw(added)),
+        fuel=draw(number),
+        spool_moment=draw(vector),
+        faults=draw(tuples(12)),
+        health=draw(tuples(jets) | tuples(JETS)),
+        **made,
+    )  # fmt: skip
+
+
+def euler_angles(quaternions: np.ndarray) -> np.ndarray:
+    """Roll, pitch and yaw (rad), shape (3, n), of unit quaternions w, x, y, z, shape (4, n): all of it by numpy."""
+    w, x, y, z = quaternions
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - x * z), -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.stack((roll, pitch, yaw))
+
+
+def expected(sample: Sample) -> dict[str, Any]:
+    """The row of a sample, read through the records' names."""
+    command, state, measured, disturbance = sample.command, sample.state, sample.measured, sample.disturbance
+    nothing = (nan, nan, nan)
+    jets = len(sample.actuation.throttle)
+
+    def named(pattern: str, keys: str, values: Any) -> dict[str, Any]:
+        return {pattern.format(key): value for key, value in zip(keys.split(), values, strict=True)}
+
+    def of_jets(pattern: str, values: Any) -> dict[str, Any]:
+        padded = [*values[:jets], *[nan] * (JETS - jets)]
+        return {pattern.format(jet): value for jet, value in enumerate(padded, 1)}
+
+    axes, rates, xyz, ned, sides = "roll pitch yaw", "p q r", "x y z", "north east down", "left right"
+    measured_angles = euler_angles(np.array(measured.attitude, dtype=float)[:, None])[:, 0]
+    added = [a + b for a, b in zip(disturbance.torque_command, disturbance.torque_output, strict=True)]
+    return {
+        "time_s": sample.time,
+        **named("{}_rad", axes, state.euler),
+        **named("{}_setpoint_rad", axes, command.attitude if command.rate is None else nothing),
+        **named("{}_measured_rad", axes, measured_angles),
+        **named("rate_{}_rad_s", rates, state.rate),
+        **named("rate_{}_measured_rad_s", rates, measured.rate),
+        **named("rate_{}_predicted_rad_s", rates, sample.rate_predicted),
+        **named("rate_{}_setpoint_rad_s", rates, sample.rate_setpoint),
+        **named("torque_{}", axes, sample.torque_command),
+        **named("refused_{}", axes + " collective", sample.actuation.refused),
+        "collective": sample.collective,
+        **of_jets("throttle_{}", sample.actuation.throttle),
+        **of_jets("thrust_{}_N", sample.engines.thrust),
+        **named("tilt_{}_rad", sides, sample.tilt),
+        **named("tilt_{}_command_rad", sides, sample.actuation.tilt),
+        **named("{}_m", ned, state.position),
+        "altitude_m": state.altitude,
+        "altitude_setpoint_m": command.altitude if command.collective is None else nan,
+        "altitude_measured_m": measured.altitude,
+        **named("velocity_{}_m_s", ned, state.velocity),
+        **named("{}_measured_m", ned, measured.position),
+        **named("velocity_{}_measured_m_s", ned, measured.velocity),
+        **named("specific_force_{}_m_s2", xyz, state.specific_force),
+        **named("wind_{}_m_s", ned, state.wind),
+        "mass_kg": state.mass,
+        "on_ground": state.on_ground,
+        "hull_contact": state.hull_contact,
+        **named("disturbance_force_{}_N", xyz, disturbance.force),
+        **named("disturbance_moment_{}_N_m", xyz, disturbance.moment),
+        **named("disturbance_torque_{}", axes, added),
+        "payload_kg": disturbance.payload[0],
+        **named("payload_{}_m", xyz, disturbance.payload[1:]),
+        **of_jets("spool_speed_{}_rad_s", sample.engines.spool_speed),
+        **of_jets("exhaust_temperature_{}_K", sample.engines.exhaust_temperature),
+        **of_jets("fuel_flow_{}_kg_s", sample.engines.fuel_flow),
+        "fuel_kg": sample.fuel,
+        **named("spool_moment_{}_N_m", xyz, sample.spool_moment),
+        **of_jets("health_{}", sample.health),
+        **named("fault_jet_{}", "1 2 3 4 5 6", sample.faults[:6]),
+        **named("fault_servo_{}", sides, sample.faults[6:8]),
+        **named("fault_{}", "gyro attitude gnss barometer", sample.faults[8:]),
+    }
+
+
+def table_of(flight: list[Sample]) -> np.ndarray:
+    sink = MemorySink()
+    recorder = Recorder(STEP, sink)
+    for sample in flight:
+        recorder.observe(sample)
+    recorder.flush()
+    return np.concatenate(sink.tables, axis=1)
+
+
+def good() -> Sample:
+    (sample,) = samples(1)
+    return sample
+
+
+def test_the_c_code_knows_how_many_columns_there_are() -> None:
+    assert len(NAMES) == COLUMNS
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(any_sample(), min_size=1, max_size=3))
+def test_every_bit_ends_in_the_column_that_bears_its_name(flight: list[Sample]) -> None:
+    with np.errstate(over="ignore", invalid="ignore"):
+        rows = [expected(sample) for sample in flight]
+        table = table_of(flight)
+    for index, name in enumerate(NAMES):
+        values = np.array([float(row[name]) for row in rows])
+        np.testing.assert_array_equal(table[index].view(np.uint64), values.view(np.uint64), err_msg=name)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 7, 8, 9, 250])
+def test_angles_of_the_measured_quaternion(rows: int) -> None:
+    """The bits of numpy for blocks of any length, and the angles of the scalar code."""
+    random = np.random.default_rng(3)
+    turned = random.normal(size=(4, 1000))
+    turned /= np.linalg.norm(turned, axis=0)
+    turned[:, :4] = np.array([[1, 0, 1, 0], [1, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]).T  # up, down, ahead, back
+    turned[:, :2] *= 0.5**0.5 * (1.0 + 1e-15)  # a sine past 1
+    sample, sink = good(), MemorySink()
+    recorder = Recorder(rows**-1.0, sink)
+    for quaternion in turned.T.tolist():
+        recorder.observe(sample._replace(measured=sample.measured._replace(attitude=tuple(quaternion))))
+    recorder.flush()
+    first = NAMES.index("roll_measured_rad")
+    angles = np.concatenate([table[first : first + 3] for table in sink.tables], axis=1)
+    assert angles.tobytes() == euler_angles(turned).tobytes()
+    scalar = np.array([to_euler((w, x, y, z)) for w, x, y, z in turned.T.tolist()]).T
+    # numpy and math may differ by a rounding of the same formula; asin turns it into sqrt(eps) only at +-90 deg
+    np.testing.assert_allclose(angles[:, 2:], scalar[:, 2:], rtol=0, atol=1e-13)
+
+
+# ---- what is no sample
+
+# not in the log, or not while something else takes its place
+UNSEEN = {
+    ("k",), ("command", "rate"), ("command", "collective"), ("state", "attitude"), ("disturbance", "wind"),
+    ("disturbance", "gust"), ("disturbance", "torque_seen"),
+}  # fmt: skip
+
+
+class Unwilling(float):
+    """A float of a subclass is read as any float is, whatever it says of itself."""
+
+    def __float__(self) -> float:
+        raise ZeroDivisionError
+
+
+class Raising:
+    def __float__(self) -> float:
+        raise ZeroDivisionError("no number today")
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The way to every record, tuple and number of a sample."""
+    yield path
+    if isinstance(value, tuple):
+        for name, part in zip(getattr(value, "_fields", range(len(value))), value, strict=True):
+            yield from places(part, (*path, name))
+
+
+def replaced(value: Any, path: tuple[Any, ...], part: Any) -> Any:
+    if not path:
+        return part
+    first, rest = path[0], path[1:]
+    if isinstance(first, int):
+        return (*value[:first], replaced(value[first], rest, part), *value[first + 1 :])
+    return value._replace(**{first: replaced(getattr(value, first), rest, part)})
+
+
+WRONG: list[Any] = [
+    None,
+    "text",
+    b"",
+    object(),
+    [1.0, 2.0, 3.0],
+    (),
+    (None,) * 3,
+    (1.0,) * 30,
+    2 + 1j,
+    float,
+    Raising(),
+]
+
+
+def test_what_is_no_sample_is_refused_and_leaves_no_trace() -> None:
+    sample = good()
+    sink = MemorySink()
+    recorder = Recorder(STEP, sink)
+    recorder.observe(sample)
+    tried = 0
+    for path, part in product(places(sample), WRONG):
+        if path[:1] in UNSEEN or path[:2] in UNSEEN:
+            continue
+        if path == ("health",) and part == (1.0,) * 30:  # more than enough
+            continue
+        with pytest.raises((TypeError, ZeroDivisionError)):
+            recorder.observe(replaced(sample, path, part))
+        tried += 1
+    assert tried > 1500
+    assert recorder.steps == 1
+    recorder.observe(sample)
+    recorder.flush()
+    (table,) = sink.tables
+    assert table[:, 0].tobytes() == table[:, 1].tobytes()
+
+
+@pytest.mark.parametrize("path", sorted(UNSEEN))
+def test_what_is_not_in_the_log_does_not_matter(path: tuple[str, ...]) -> None:
+    strange = replaced(good(), path, object())
+    table = table_of([good()])
+    different = {NAMES[i] for i in np.flatnonzero(table[:, 0].view("u8") != table_of([strange])[:, 0].view("u8"))}
+    instead = {
+        ("command", "rate"): {"roll_setpoint_rad", "pitch_setpoint_rad", "yaw_setpoint_rad"},
+        ("command", "collective"): {"altitude_setpoint_m"},
+    }
+    assert different == instead.get(path, set())
+
+
+def test_what_a_sample_lacks_is_named() -> None:
+    recorder = Recorder(STEP, MemorySink())
+    with pytest.raises(TypeError, match=r"^sample: engines\.spool_speed is not a tuple of 6$"):
+        recorder.observe(replaced(good(), ("engines", "spool_speed"), (1.0,)))
+    with pytest.raises(TypeError, match=r"^sample: it is not a tuple of 17$"):
+        recorder.observe("sample")  # type: ignore[arg-type]
+
+
+def test_other_kinds_of_numbers_are_numbers() -> None:
+    sample = replaced(good(), ("state", "position"), (np.float64(1.5), True, 7))
+    table = table_of([replaced(sample, ("fuel",), Unwilling(2.5))])
+    assert [table[NAMES.index(name), 0] for name in ("north_m", "east_m", "down_m", "fuel_kg")] == [1.5, 1.0, 7.0, 2.5]
+
+
+def test_a_number_that_records_a_row_while_it_is_read() -> None:
+    """Nobody does it; it must not break what is being read."""
+    sink = MemorySink()
+    recorder = Recorder(STEP, sink)
+
+    class Meddling:
+        def __float__(self) -> float:
+            recorder.observe(good())
+            recorder.flush()
+            return 3.0
+
+    recorder.observe(replaced(good(), ("fuel",), Meddling()))
+    recorder.flush()
+    assert [table.shape[1] for table in sink.tables] == [1, 1]
+    assert sink.tables[1][NAMES.index("fuel_kg"), 0] == 3.0
+
+
+# ---- handing on
+
+
+def test_rows_that_cannot_be_handed_on_stay() -> None:
+    class Stubborn:
+        def __init__(self) -> None:
+            self.calls = 0
+            self.tables: list[np.ndarray] = []
+
+        def write(self, table: np.ndarray) -> None:
+            self.calls += 1
+            if self.calls <= 2:
+                raise OSError("not now")
+            self.tables.append(table)
+
+    sink = Stubborn()
+    recorder = Recorder(0.5, sink)  # two rows a second
+    first, second, third = samples(3)
+    recorder.observe(first)
+    with pytest.raises(OSError, match="not now"):
+        recorder.observe(second)
+    assert recorder.steps == 2
+    with pytest.raises(OSError, match="not now"):
+        recorder.observe(third)  # there is no room for it
+    assert recorder.steps == 2
+    recorder.observe(third)
+    assert recorder.steps == 3
+    recorder.flush()
+    assert np.concatenate(sink.tables, axis=1)[0].tolist() == [0.0, STEP, 2 * STEP]
+
+
+def test_rows_that_nobody_clears_are_not_overrun() -> None:
+    calls = []
+    rows = Rows(2, 1000.0, calls.append)
+    for _ in range(2):
+        rows.add(good())
+    for _ in range(3):
+        with pytest.raises(BufferError):
+            rows.add(good())
+    assert len(rows) == 2
+    assert calls == [rows] * 4
+
+
+def test_a_block_belongs_to_who_gets_it() -> None:
+    """A sink in another thread may still read a block while the next rows come in."""
+    sink = MemorySink()
+    recorder = Recorder(STEP, sink)
+    flight = list(samples(1000))
+    copies = []
+    for sample in flight:
+        before = len(sink.tables)
+        recorder.observe(sample)
+        if len(sink.tables) > before:
+            copies.append(sink.tables[-1].copy())
+    assert len(copies) == 4
+    assert all(a.tobytes() == b.tobytes() for a, b in zip(sink.tables, copies, strict=True))
+    assert all(table.flags.c_contiguous and table.base is None for table in sink.tables)
+
+
+def test_nothing_is_read_into_what_does_not_fit() -> None:
+    rows = Rows(5, 1000.0, len)
+    rows.add(good())
+    rows.add(good())
+    fitting = np.empty((3, 2))
+    rows.read(1, fitting)
+    readonly = np.empty((3, 2))
+    readonly.flags.writeable = False
+    for first, out in [
+        (-1, fitting), (COLUMNS + 3, fitting), (sys.maxsize, fitting), (0, np.empty((3, 3))), (0, np.empty(6)),
+        (0, np.empty((3, 2), dtype=np.float32)), (0, np.empty((3, 2), dtype=np.int64)), (0, np.empty((0, 2))),
+        (0, np.empty((COLUMNS + 6, 2))), (0, np.empty((2, 3)).T), (0, readonly), (0, np.empty((3, 1, 2))),
+    ]:  # fmt: skip
+        with pytest.raises((ValueError, BufferError)):
+            rows.read(first, out)
+    for wrong in [(), (0,), ("0", fitting), (0, None), (0, b"123456")]:
+        with pytest.raises((TypeError, BufferError)):
+            rows.read(*wrong)
+
+
+def test_rows_are_made_once_and_for_at_least_one() -> None:
+    for capacity in (0, -1, sys.maxsize):
+        with pytest.raises(ValueError, match="at least one"):
+            Rows(capacity, 1.0, len)
+    rows = Rows(1, 1.0, len)
+    with pytest.raises(ValueError, match="once"):
+        rows.__init__(1, 1.0, len)  # type: ignore[misc]
+    bare = Rows.__new__(Rows)
+    with pytest.raises(ValueError, match="not initialised"):
+        bare.add(good())
+    assert len(bare) == 0
+
+
+def test_nothing_is_kept_of_a_sample() -> None:
+    sample = good()
+    parts = [sample, sample.state, sample.state.position, sample.fuel, sample.engines.thrust]
+    recorder = Recorder(STEP, MemorySink())
+    before = [sys.getrefcount(part) for part in parts]
+    for _ in range(600):
+        recorder.observe(sample)
+    recorder.flush()
+    assert [sys.getrefcount(part) for part in parts] == before
+
+
+def test_nothing_is_kept_of_who_takes_the_rows() -> None:
+    answer, seen = object(), []
+
+    def take(rows: Rows) -> object:
+        seen.append(rows)
+        rows.clear()
+        return answer
+
+    before = sys.getrefcount(answer), sys.getrefcount(take)
+    rows = Rows(1, 1000.0, take)
+    for _ in range(50):
+        rows.add(good())
+    assert len(seen) == 50
+    seen.clear()
+    assert sys.getrefcount(rows) == 2  # this name, and the argument
+    del rows
+    assert (sys.getrefcount(answer), sys.getrefcount(take)) == before
+
+
+def test_a_recorder_goes_with_its_last_name() -> None:
+    """No ring of references keeps a flight's rows until the collector comes by."""
+    sink = MemorySink()
+    recorder = Recorder(STEP, sink)
+    recorder.observe(good())
+    recorder.flush()
+    gone = weakref.ref(sink)
+    gc.disable()
+    try:
+        del recorder, sink
+        assert gone() is None
+    finally:
+        gc.enable()
