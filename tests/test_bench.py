@@ -4,22 +4,44 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
-from cosim.bench import Plan, Result, blocks, measure, peers, speed
+from cosim.bench import (
+    FULL,
+    Plan,
+    Result,
+    blocks,
+    campaign,
+    growth,
+    make_plan,
+    measure,
+    multirotor,
+    peers,
+    process,
+    speed,
+)
 from cosim.bench.blocks import Block, Replay
-from cosim.bench.long_flight import fly_long, resident_and_peak
+from cosim.bench.campaign import CampaignPlan
+from cosim.bench.long_flight import fly_long, resident_and_peak, resident_of
+from cosim.bench.machine import package_versions
+from cosim.bench.page import ABSENT, NAMES, check_page, write_page
 from cosim.bench.show import print_result
-from cosim.bench.timing import Clocked, Cost, Job, Pair, interleave
+from cosim.bench.suite import CAMPAIGN, MEMORY, PARTS, QUICK
+from cosim.bench.tables import spread
+from cosim.bench.timing import Clocked, Cost, Job, Pair, Spread, interleave
+from cosim.bench.wanted import Judged, judge
 from cosim.cli import cli
-from cosim.errors import FlightError
+from cosim.errors import FlightError, InputError
+from cosim.run import open_run
 from cosim.simulation import build
 
 STEPS = 500
@@ -30,9 +52,20 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Result:
     """One small run of everything."""
     folder = tmp_path_factory.mktemp("bench")
     told: list[tuple[str, int, int]] = []
-    plan = Plan(steps=250, rounds=2, starts=1, memory_minutes=0.1, folder=str(folder))
+    plan = Plan(
+        parts=PARTS,
+        steps=250,
+        rounds=2,
+        starts=1,
+        lengths_s=(1, 2),
+        hover_s=0.2,
+        memory_minutes=0.1,
+        campaign=CampaignPlan(rounds=2, bare_s=0.02, flights=11, flight_s=0.1, study=24),
+        folder=str(folder),
+    )
     found = measure(plan, lambda *progress: told.append(progress))
     assert not list(folder.iterdir())  # nothing stays behind
+    assert tuple(dict.fromkeys(what for what, _, _ in told)) == PARTS
     for what in {what for what, _, _ in told}:
         done = [(count, total) for name, count, total in told if name == what]
         assert done == [(count, done[0][1]) for count in range(done[0][1] + 1)], what
@@ -56,17 +89,55 @@ def replayed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Block]]:
 
 
 def test_one_json_object_with_every_part(result: dict[str, Any]) -> None:
-    assert set(result) == {
-        "machine", "versions", "plan", "speed", "breakdown", "peers", "startup", "memory", "targets", "wall_s"
-    }  # fmt: skip
-    assert result["plan"] == {"steps": 250, "rounds": 2, "starts": 1, "memory_minutes": 0.1}
-    assert result["machine"]["cpu"]
-    assert {"python", "jsbsim", "numpy"} <= set(result["versions"])
+    assert set(result) == {"machine", "versions", "compilers", "plan", "wall_s", "failed", "asked", *PARTS}
+    assert not result["failed"]
+    assert result["plan"]["steps"] == 250
+    assert "folder" not in result["plan"]
+    assert all(result[part] for part in PARTS)
+
+
+def test_every_spread_says_how_often_it_was_measured(result: dict[str, Any]) -> None:
+    """Median, quartiles and repeats, wherever a figure is."""
+    found: list[dict[str, float]] = []
+
+    def walk(value: Any) -> None:
+        if isinstance(value, dict):
+            if "median" in value:
+                found.append(value)
+            for each in value.values():
+                walk(each)
+        elif isinstance(value, list):
+            for each in value:
+                walk(each)
+
+    walk(result)
+    assert len(found) > 100
+    for each in found:
+        assert set(each) == {"median", "low", "high", "least", "repeats"}
+        assert each["least"] <= each["low"] <= each["median"] <= each["high"]
+        assert each["repeats"] >= 1
+
+
+def test_the_machine_is_stated(result: dict[str, Any]) -> None:
+    machine = result["machine"]
+    assert machine["cpu"]
+    assert machine["cores"] >= 1
+    assert machine["kernel"]
+    assert machine["memory_mb"] is None or machine["memory_mb"] > 100.0
+    assert result["compilers"]["python"]
+
+
+def test_every_package_that_is_needed_is_stated() -> None:
+    """Those that we name, and those that they need: narwhals is Plotly's."""
+    found = package_versions()
+    assert list(found)[:2] == ["python", "hexjet-cosim"]
+    assert {"jsbsim", "numpy", "fmpy", "pyarrow", "plotly", "narwhals"} <= set(found)
+    assert "pytest" not in found  # of an extra
 
 
 @pytest.mark.parametrize("substeps", speed.SUBSTEPS)
 def test_a_step_costs_something_in_every_way(result: dict[str, Any], substeps: int) -> None:
-    costs = result["speed"][str(substeps)]
+    costs = result["step"][str(substeps)]
     assert set(costs) == {
         speed.BARE, speed.ENGINES, speed.FLOWN, speed.RECORDED, speed.OUTSIDE_FLOWN, speed.OUTSIDE
     }  # fmt: skip
@@ -79,18 +150,20 @@ def test_a_step_costs_something_in_every_way(result: dict[str, Any], substeps: i
 @pytest.mark.parametrize("substeps", speed.SUBSTEPS)
 def test_what_is_not_jsbsim_is_the_whole_less_its_runs(result: dict[str, Any], substeps: int) -> None:
     """Exactly, round by round, and so in the median and the quartiles too."""
-    costs = result["speed"][str(substeps)]
+    costs = result["step"][str(substeps)]
     for outside, whole in ((speed.OUTSIDE, speed.RECORDED), (speed.OUTSIDE_FLOWN, speed.FLOWN)):
         for quantile in ("median", "low", "high", "least"):
             assert costs[outside]["units"][quantile] == pytest.approx(costs[whole]["units"][quantile] - substeps)
 
 
 def test_the_breakdown_adds_up(result: dict[str, Any]) -> None:
-    found = result["breakdown"]
+    found = result["blocks"]
     flying = set(found["alone"]) - {blocks.DISK}  # which comes once in many steps and has no median
-    assert set(found["in_flight"]) == flying
-    parts = [part["units"] for part in found["in_flight"].values()] + [found["alone"][blocks.DISK]["units"]["median"]]
-    assert sum(parts) + found["rest_units"] == pytest.approx(found["outside"]["units"]["median"])
+    assert set(found["in_flight"]) <= flying  # a compiled block lets no clock in
+    assert blocks.ENGINES in found["in_flight"]
+    parts = {name: cost["units"]["median"] for name, cost in found["alone"].items()}
+    parts |= {name: part["units"] for name, part in found["in_flight"].items()}
+    assert sum(parts.values()) + found["rest_units"] == pytest.approx(found["outside"]["units"]["median"])
 
 
 def test_every_engine_that_is_there_is_timed(result: dict[str, Any]) -> None:
@@ -106,11 +179,30 @@ def test_every_engine_that_is_there_is_timed(result: dict[str, Any]) -> None:
         assert set(costs) == {peers.EXCHANGE, peers.ALONE}
 
 
-def test_six_engines_are_asked_to_cost_at_most_one_and_a_half_runs(measured: Result) -> None:
-    rows = [row for row in measured.headlines() if row[0].startswith(speed.ENGINES)]
-    assert [most for _, _, most, _ in rows] == [1.5] * len(speed.SUBSTEPS)
-    expected = [measured.speed[runs][speed.ENGINES].units.median for runs in speed.SUBSTEPS]
-    assert [value for _, value, _, _ in rows] == expected
+def test_what_is_asked_for(measured: Result) -> None:
+    """The figures that decide, by the medians that were measured."""
+    rows = {row.name: row for row in judge(measured)}
+    assert measured.step is not None
+    assert measured.campaign is not None
+    for runs, most in ((1, 4.5), (4, 2.0)):
+        in_it = f"{runs} run{'s' if runs > 1 else ''} a step"
+        costs = measured.step[runs]
+        outside = rows[f"not JSBSim, recorded in full, {in_it}"]
+        assert (outside.measured, outside.bound) == (costs[speed.OUTSIDE].units, 3.5)
+        whole = rows[f"whole flight by bare JSBSim, {in_it}"]
+        assert whole.bound == most
+        assert whole.measured.median == pytest.approx(costs[speed.RECORDED].units.median / runs)
+        engines = rows[f"six engine FMUs, {in_it}"]
+        assert (engines.measured, engines.bound) == (costs[speed.ENGINES].units, 1.5)
+    share = rows["gain by a second worker, by bare JSBSim's"]
+    assert (share.measured, share.bound, share.least) == (measured.campaign.share, 0.95, True)
+    assert rows["from command to first step"].bound == 1.5
+    assert not judge(replace(measured, **dict.fromkeys(PARTS)))  # what was not measured is not judged
+
+
+@pytest.mark.parametrize(("median", "least", "met"), [(1.9, False, True), (2.1, False, False), (1.9, True, False)])
+def test_the_median_decides(median: float, least: bool, met: bool) -> None:
+    assert Judged("a", Spread.of([median - 1.0, median, median + 1.0]), 2.0, "times", least).met is met
 
 
 def test_all_engines_answer_alike_to_the_last_bit() -> None:
@@ -135,10 +227,201 @@ def test_an_engine_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatc
     assert [peer.name for peer in found] == ["ours", "FMPy's wrappers"]
     assert missing["ecos"] == "No module named 'ecospy'; it comes with: pip install ecospy"
     assert missing["libcosim"].endswith("pip install libcosimpy")
+    monkeypatch.setattr(multirotor, "import_module", absent)
+    assert multirotor.find_rotorpy() == "No module named 'rotorpy.environments'; it comes with: pip install rotorpy"
+
+
+class FakeRotorPy:
+    """As much of RotorPy as is asked of it; ``drift`` is where it ends, ``evaluations`` how often in a step."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, drift: float = 0.0, evaluations: int = 7) -> None:
+        self.steps = 0
+
+        class Vehicle:
+            def __init__(self, parameters: dict[str, float], initial_state: dict[str, Any]) -> None:
+                assert 4 * parameters["k_eta"] * initial_state["rotor_speeds"][0] ** 2 == pytest.approx(2.0 * 9.81)
+
+            def _s_dot_fn(self) -> None: ...
+
+            def step(vehicle, state: int, control: int, step: float) -> int:  # noqa: N805
+                for _ in range(evaluations):
+                    vehicle._s_dot_fn()
+                self.steps += 1
+                return state
+
+        class Environment:
+            def __init__(self, vehicle: Vehicle, controller: object, trajectory: object, sim_rate: int) -> None:
+                self.vehicle, self.step = vehicle, 1.0 / sim_rate
+
+            def run(self, t_final: float, use_mocap: bool, **options: bool) -> dict[str, Any]:
+                assert use_mocap
+                assert not any(options.values())
+                times = [0.0]
+                while times[-1] < t_final:
+                    times.append(times[-1] + self.step)
+                    self.vehicle.step(0, 0, self.step)
+                return {"time": times, "state": {"x": [[0.0, 0.0, drift]] * len(times)}}
+
+        parts = {
+            "rotorpy.environments": {"Environment": Environment},
+            "rotorpy.vehicles.multirotor": {"Multirotor": Vehicle},
+            "rotorpy.vehicles.hummingbird_params": {"quad_params": {"mass": 2.0, "num_rotors": 4, "k_eta": 1e-5}},
+            "rotorpy.controllers.quadrotor_control": {"SE3Control": lambda parameters: None},
+            "rotorpy.trajectories.hover_traj": {"HoverTraj": lambda: None},
+        }
+        monkeypatch.setattr(multirotor, "import_module", lambda name: SimpleNamespace(**parts[name]))
+        monkeypatch.setattr(multirotor.metadata, "version", lambda name: "1.2.3")
+
+
+@pytest.mark.parametrize("rate", multirotor.RATES)
+def test_rotorpy_flies_as_many_steps_as_we(monkeypatch: pytest.MonkeyPatch, rate: int) -> None:
+    """Although it adds up its time: 10 s at 400 Hz would be 4001 steps."""
+    fake = FakeRotorPy(monkeypatch)
+    found = multirotor.RotorPy()
+    found.whole(rate, 10 * rate)()
+    assert fake.steps == 10 * rate
+    replay = found.plant(rate, 100)
+    fake.steps = 0
+    replay()
+    found.plant(rate, 100)()  # no further flight for the same
+    assert fake.steps == 200
+    assert found.evaluations(rate) == 7.0
+
+
+def test_a_flight_of_rotorpy_that_goes_astray_is_not_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    FakeRotorPy(monkeypatch, drift=0.2)
+    with pytest.raises(FlightError, match=r"does not hover: it ends at \[0\.0, 0\.0, 0\.2\] m"):
+        multirotor.RotorPy().whole(250, 10)()
+    FakeRotorPy(monkeypatch, drift=math.nan)
+    with pytest.raises(FlightError, match="does not hover"):
+        multirotor.RotorPy().whole(250, 10)()
+
+
+def test_rotorpy_stands_beside_ours(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    FakeRotorPy(monkeypatch)
+    found = multirotor.measure_multirotor(0.1, 2, tmp_path, lambda: None)
+    assert (found.version, found.missing, found.evaluations) == ("1.2.3", None, {250: 7.0, 400: 7.0})
+    assert list(found.hovers) == [
+        "ours, Hex-Jet", "RotorPy, whole flight, 250 Hz", "RotorPy, vehicle alone, 250 Hz",
+        "ours, quadrotor", "RotorPy, whole flight, 400 Hz", "RotorPy, vehicle alone, 400 Hz",
+    ]  # fmt: skip
+    for name, each in found.hovers.items():
+        assert each.factor.median * each.cost.wall_us.median * each.rate == pytest.approx(1e6, rel=0.5), name
+        assert (each.ratio.least == each.ratio.high == 1.0) is name.startswith("ours")
+
+
+def test_rotorpys_step_is_held_against_ours_in_units() -> None:
+    """Ours took 2 of its units, RotorPy 50 of its own, on a machine that was half as fast then."""
+    ours = [Pair(Clocked(8e-6, 8e-6, 8e-6), Clocked(4e-6, 4e-6, 4e-6))]
+    theirs = [Pair(Clocked(500e-6, 400e-6, 400e-6), Clocked(9e-6, 8e-6, 8e-6))]
+    found = multirotor._hover(400, theirs, ours)
+    assert found.ratio.median == pytest.approx(25.0)
+    assert found.factor.median == pytest.approx(1.0 / (400 * 500e-6))  # by the wall clock
+
+
+def test_rotorpy_as_it_is() -> None:
+    """The real one hovers, where it is installed."""
+    pytest.importorskip("rotorpy", exc_type=ImportError)
+    found = multirotor.find_rotorpy()
+    assert isinstance(found, multirotor.RotorPy)
+    found.whole(250, 100)()
+    assert 6.0 <= found.evaluations(250) <= 20.0  # six of one RK45 step, one at least for the IMU
+
+
+def test_growth_in_every_way(result: dict[str, Any]) -> None:
+    time, engines, log = result["time"], result["engines"], result["log"]
+    assert list(time["steps"]) == list(time["memory"]) == ["1", "2"]
+    assert [memory["steps"] for memory in time["memory"].values()] == [250, 500]
+    assert list(engines["banks"]) == ["1", "2", "4", "6", "8", "12"]
+    assert list(engines["flown"]) == [growth.HEXJET, growth.QUADROTOR, growth.BARE_QUADROTOR]
+    assert list(log["steps"]) == ["1", "2", "5", "25", "0"]
+
+
+def test_growth_is_the_longest_by_the_shortest(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """8 units a step against 10, the machine twice as slow during the long flight."""
+    slow, quick = Clocked(4e-6, 4e-6, 4e-6), Clocked(2e-6, 2e-6, 2e-6)
+    rows = {(4, "2"): [Pair(Clocked(40e-6, 40e-6, 40e-6), slow)], (4, "1"): [Pair(Clocked(16e-6, 16e-6, 16e-6), quick)]}
+    monkeypatch.setattr(growth, "collect", lambda *_: rows)
+    monkeypatch.setattr(growth, "measure_memory", lambda *_, **__: None)
+    found = growth.measure_lengths((2, 1), 1, 1, tmp_path, lambda: None)
+    assert found.growth.median == pytest.approx(10.0 / 8.0)
+
+
+@pytest.mark.parametrize("every", [1, 2, 7])
+def test_a_log_rate_records_each_so_many_steps(tmp_path: Path, every: int) -> None:
+    with speed.Flights(250, tmp_path) as flights:
+        flown = flights.fly(speed.hover(50, 1))
+        flown.recorded("some", every).prepare()()
+        flown.close()
+    (folder,) = (path.parent for path in tmp_path.glob("*/*/summary.json"))
+    assert list(open_run(folder).log["time_s"]) == pytest.approx([k * 0.004 for k in range(0, 50, every)])
+
+
+def test_the_quadrotor_hovers_at_its_own_rate() -> None:
+    scenario = growth.quadrotor(400)
+    assert (scenario.aircraft, scenario.engine, scenario.steps) == ("quadrotor", "motor", 400)
+    with build(scenario) as simulation:
+        speed.fly_through(simulation)
+        assert simulation.state.altitude == pytest.approx(10.0, abs=0.1)
+
+
+def test_a_second_worker_beside_a_second_process(result: dict[str, Any]) -> None:
+    found = result["campaign"]
+    for each in (found["bare"], found["flown"]):
+        assert list(each["rate"]) == ["1", "2"]
+        assert each["gain"]["repeats"] == 2
+    study = found["study"]
+    assert study["flights"] == 24 == sum(each["flights"] for each in study["workers"])
+    assert len(study["workers"]) == 2
+
+
+def test_the_campaigns_gain_is_held_against_bare_jsbsims(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """From 100 to 150 runs against 10 to 18 flights a second: 1.8 by 1.5."""
+
+    class Alone(campaign.Bare):
+        def __enter__(self) -> Alone:
+            return self
+
+        def rate(self, count: int, seconds: float) -> float:
+            return {1: 100.0, 2: 150.0}[count]
+
+    monkeypatch.setattr(campaign, "Bare", Alone)
+    monkeypatch.setattr(campaign, "fly_study", lambda study, workers, folder: [])
+    monkeypatch.setattr(campaign, "rate", lambda looks, count: {1: 10.0, 2: 18.0}[count])
+    found = campaign.measure_campaign(CampaignPlan(rounds=2), tmp_path, lambda: None)
+    assert (found.bare.gain.median, found.flown.gain.median) == pytest.approx((1.5, 1.8))
+    assert found.share.median == pytest.approx(1.2)
+    assert (found.share.repeats, found.study) == (2, None)
+
+
+def test_a_campaigns_rate_is_that_of_busy_warm_workers() -> None:
+    """Two workers, 4 flights a second once warm: 5 slow rows of each at the beginning and the end do not count."""
+    times = (
+        [10.0 * k for k in range(10)]
+        + [90.0 + 0.25 * k for k in range(1, 101)]
+        + [115.0 + 7.0 * k for k in range(1, 10)]
+    )
+    looks = [campaign._Look(time, "here:1", None) for time in times]
+    assert campaign.rate(looks, 2) == pytest.approx(4.0)
+    with pytest.raises(ValueError, match="too few"):
+        campaign.rate(looks[:19], 2)
+
+
+def test_a_campaign_whose_flights_fail_is_not_timed() -> None:
+    row = {"flight": 0, "outcome": "failed", "reason": "engine 1 does not start", "worker": "here:1"}
+    workers = SimpleNamespace(fly=lambda study, flights: iter([row]))
+    with pytest.raises(FlightError, match="ended early: engine 1 does not start"):
+        list(campaign.Watched(workers).fly(None, []))  # type: ignore[arg-type]
+
+
+def test_a_bare_process_that_ends_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(campaign, "_BARE", "raise SystemExit(3)")
+    with pytest.raises(FlightError, match="ended with status 3"):
+        campaign.Bare().__enter__()
 
 
 def test_the_way_to_the_first_step(result: dict[str, Any]) -> None:
-    startup = result["startup"]
+    startup = result["start"]
     parts = [startup[name]["median"] for name in ("python_s", "imports_s", "build_s")]
     assert min(parts) > 0.0
     assert sum(parts) == pytest.approx(startup["first_step_s"]["median"])
@@ -150,37 +433,103 @@ def test_memory_is_seen_all_along_a_flight(result: dict[str, Any]) -> None:
     assert [mark["where"] for mark in memory["landmarks"]] == [
         "start", "1/4", "2/4", "3/4", "4/4", "log and summary", "report"
     ]  # fmt: skip
-    peaks = [mark["peak_mb"] for mark in memory["landmarks"]]
+    peaks = [mark["peak_mb"]["median"] for mark in memory["landmarks"]]
     assert peaks == sorted(peaks)
-    assert memory["peak_mb"] == peaks[-1] > 0.0
+    assert memory["peak_mb"]["median"] == peaks[-1] > 0.0
     assert memory["log_mb"] > 1500 * 8 / 1e6  # one column alone, were it not compressed
 
 
 def test_tables_for_people(measured: Result, capsys: pytest.CaptureFixture[str]) -> None:
     print_result(measured)
     told = capsys.readouterr().out
-    for words in (speed.OUTSIDE, blocks.SENSORS, "to the first step", "at most", "[quartiles]", "min flown"):
+    for words in (
+        speed.OUTSIDE, blocks.SENSORS, "FMPy's wrappers", "to the first step", "at most", "[quartiles]", "min flown",
+        growth.QUADROTOR, "one step in 25", "from one process to two", "at least 0.95 times",
+    ):  # fmt: skip
         assert words in told
-    assert "FMPy's wrappers" in told
+    assert "not measured: memory" not in told
     print_result(replace(measured, memory=None, peers=replace(measured.peers, missing={"other": "why not"})))
     told = capsys.readouterr().out
     assert "min flown" not in told
     assert "other not measured: why not" in told
+    assert "not measured: memory; --full measures everything" in told
+
+
+def test_figures_have_three_digits() -> None:
+    found = [spread(Spread.of([0.9 * value, value, 1.1 * value])) for value in (0.0456, 2.0, 34.56, 1234.5)]
+    assert found == ["0.046 [0.043, 0.048]", "2.00 [1.90, 2.10]", "34.6 [32.8, 36.3]", "1234 [1173, 1296]"]
+
+
+def test_a_page_takes_every_figure_from_one_run(measured: Result, tmp_path: Path) -> None:
+    """What stands around the marks stays, what stands between them goes, also where nothing was measured now."""
+    page = tmp_path / "page.md"
+    check_page(page)
+    assert not page.exists()
+    write_page(page, measured, "hexjet bench --full")
+    fresh = page.read_text()
+    assert fresh.count("<!-- measured: ") == fresh.count("<!-- end -->") == len(NAMES)
+    assert ABSENT not in fresh
+    assert "hexjet bench --full" in fresh
+    assert "| six engine FMUs, 1 run a step |" in fresh
+    kept = "Words of ours.\n\n<!-- measured: step -->\nold 1.23\n<!-- end -->\n\nMore.\n<!-- measured: memory -->\n<!-- end -->\n"
+    page.write_text(kept)
+    write_page(page, replace(measured, memory=None), "hexjet bench")
+    text = page.read_text()
+    assert text.startswith("Words of ours.\n\n<!-- measured: step -->\n**One control step")
+    assert text.endswith(f"\n\nMore.\n<!-- measured: memory -->\n{ABSENT}<!-- end -->\n")
+    assert "old 1.23" not in text
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["page.md"]
+
+
+def test_the_documentation_has_every_table_generated() -> None:
+    """Its marks are whole, and no part is left out."""
+    page = Path(__file__).parent.parent / "docs" / "benchmarks.md"
+    check_page(page)
+    text = page.read_text(encoding="utf-8")
+    assert [name for name in NAMES if f"<!-- measured: {name} -->" not in text] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("# A page of mine\n", "do not come in pairs"),
+        ("<!-- measured: step -->\n", "do not come in pairs"),
+        ("<!-- measured: step -->\n<!-- measured: log -->\n<!-- end -->\n", "do not come in pairs"),
+        ("<!-- measured: stepp -->\n<!-- end -->\n", "unknown mark 'stepp'"),
+    ],
+)
+def test_a_page_without_whole_marks_is_left_alone(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str, complaint: str
+) -> None:
+    """And that is said before anything is measured."""
+    monkeypatch.setattr("cosim.bench.measure", lambda *_: pytest.fail("measured"))
+    page = tmp_path / "page.md"
+    page.write_text(text)
+    with pytest.raises(InputError, match=rf"page\.md: .*{complaint}"):
+        check_page(page)
+    answer = CliRunner().invoke(cli, ["bench", "--page", str(page)])
+    assert isinstance(answer.exception, InputError)
+    assert page.read_text() == text
+    with pytest.raises(InputError, match="there is no folder"):
+        check_page(tmp_path / "absent" / "page.md")
 
 
 @pytest.mark.parametrize(
     ("arguments", "plan"),
     [
         ([], Plan()),
-        (["--steps", "300", "--rounds", "3", "--starts", "2"], Plan(300, 3, 2)),
-        (["--full"], Plan(memory_minutes=60.0)),
-        (["--full", "--memory-minutes", "5"], Plan(memory_minutes=5.0)),
+        (["--steps", "300", "--rounds", "3", "--starts", "2"], Plan(steps=300, rounds=3, starts=2)),
+        (["--full"], FULL),
+        (["--campaign"], Plan(parts=(*QUICK, CAMPAIGN))),
+        (["--memory-minutes", "7"], Plan(parts=(*QUICK, MEMORY), memory_minutes=7.0)),
+        (["--full", "--memory-minutes", "5"], replace(FULL, memory_minutes=5.0)),
+        (["--full", "--only", "log", "--only", "step"], replace(FULL, parts=("step", "log"))),
     ],
 )
 def test_options_make_the_plan(
-    measured: Result, monkeypatch: pytest.MonkeyPatch, arguments: list[str], plan: Plan
+    measured: Result, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, arguments: list[str], plan: Plan
 ) -> None:
-    """The long flight is off unless asked for."""
+    """What takes minutes is off unless asked for; the page says what was typed."""
     plans: list[Plan] = []
 
     def note(plan: Plan, on_progress: object) -> Result:
@@ -188,10 +537,43 @@ def test_options_make_the_plan(
         return measured
 
     monkeypatch.setattr("cosim.bench.measure", note)
-    answer = CliRunner().invoke(cli, ["bench", *arguments, "--json"])
+    monkeypatch.chdir(tmp_path)
+    answer = CliRunner().invoke(cli, ["bench", *arguments, "--json", "--page", "page.md"])
     assert answer.exit_code == 0, answer.output
     assert plans == [plan]
     assert json.loads(answer.stdout) == json.loads(json.dumps(measured.to_dict()))
+    (typed,) = (line for line in Path("page.md").read_text().splitlines() if line.startswith("hexjet bench"))
+    assert sorted(typed.split()) == sorted(["hexjet", "bench", *arguments, "--json", "--page", "page.md"])
+
+
+def test_a_part_that_fails_leaves_the_others(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is named on the terminal and on the page, and the exit status tells."""
+
+    def fails(*_: object) -> None:
+        raise FlightError("the disk | is full")
+
+    monkeypatch.setattr("cosim.bench.suite.measure_log_rates", fails)
+    monkeypatch.setattr("cosim.bench.suite.measure_startup", lambda *_: None)
+    found = measure(Plan(parts=("log", "start"), folder=str(tmp_path)))
+    assert found.failed == {"log": "the disk | is full"}
+    monkeypatch.setattr("cosim.bench.measure", lambda *_: found)
+    page = tmp_path / "page.md"
+    answer = CliRunner().invoke(cli, ["bench", "--page", str(page)], standalone_mode=False)
+    assert answer.return_value == 1
+    assert "log not measured: the disk | is full" in answer.stdout
+    assert "<!-- measured: log -->\nNot measured: the disk \\| is full\n<!-- end -->" in page.read_text()
+
+
+def test_an_unknown_part_is_refused() -> None:
+    with pytest.raises(InputError, match=r"--only: unknown part 'setp'; .*step"):
+        make_plan(False, False, ["setp"], {})
+
+
+def test_the_help_names_every_part() -> None:
+    told = CliRunner().invoke(cli, ["bench", "--help"]).stdout
+    assert ", ".join(PARTS) in " ".join(told.split())
 
 
 @pytest.mark.parametrize(
@@ -267,8 +649,8 @@ def test_ratios_are_of_the_same_round() -> None:
         Pair(Clocked(24e-6, 20e-6, 28e-6), Clocked(4e-6, 4e-6, 4e-6)),
     ]
     cost = Cost.of(pairs, less=4)
-    for spread, value in ((cost.units, 1.0), (cost.units_wall, 2.0), (cost.units_process, 3.0)):
-        assert [spread.median, spread.low, spread.high, spread.least] == pytest.approx(4 * [value])
+    for found, value in ((cost.units, 1.0), (cost.units_wall, 2.0), (cost.units_process, 3.0)):
+        assert [found.median, found.low, found.high, found.least] == pytest.approx(4 * [value])
     assert cost.cpu_us.median == pytest.approx(3.0)  # of 10 - 4 * 2 and 20 - 4 * 4
     assert cost.cpu_us.least == pytest.approx(2.0)
 
@@ -282,6 +664,14 @@ def test_memory_landmarks_in_order(tmp_path: Path) -> None:
     assert (tmp_path / "run" / "report.html").is_file()
 
 
+def test_what_a_flight_gains_in_memory() -> None:
+    """From the first quarter, when everything is loaded, to the end; nothing where the system does not tell."""
+    held = {"start": 50.0, "1/4": 101.0, "2/4": 104.0, "3/4": 102.0, "4/4": 103.5, "log and summary": 140.0}
+    marks = [process._Mark(where, resident, resident, 0) for where, resident in held.items()]
+    assert process._Long(marks, 1.0, 1.0).growth == pytest.approx(2.5)
+    assert process._Long([mark._replace(resident=None) for mark in marks], 1.0, 1.0).growth is None
+
+
 def test_memory_grows_with_what_is_held() -> None:
     before, _ = resident_and_peak()
     held = bytearray(b"x" * 50_000_000)
@@ -290,4 +680,8 @@ def test_memory_grows_with_what_is_held() -> None:
     if before is not None and after is not None:
         assert math.isclose(after - before, 50.0, abs_tol=10.0)  # the allocator's own
         assert peak >= after - 1.0  # the kernel brings the peak up to date now and then
+        other = resident_of(str(os.getpid()))
+        assert other is not None
+        assert math.isclose(other, after, abs_tol=10.0)
     del held
+    assert resident_of("0") is None

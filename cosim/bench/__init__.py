@@ -1,8 +1,9 @@
-"""What a flight costs: a step with one JSBSim run as the unit, the way to the first step, the memory of a long flight.
+"""What a flight costs, with one JSBSim run as the unit: steps, starts, memory, how they grow, and what others take.
 
-Reports and judges nothing: times belong to the machine they were taken on, ratios travel better.
+Times belong to the machine they were taken on, ratios travel better.  What the project asks of itself is reported
+beside what was found, and nothing fails.
 """
 
-from cosim.bench.suite import Plan, Result, measure
+from cosim.bench.suite import FULL, Plan, Result, make_plan, measure
 
-__all__ = ["Plan", "Result", "measure"]
+__all__ = ["FULL", "Plan", "Result", "make_plan", "measure"]

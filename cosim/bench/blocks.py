@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import starmap
@@ -12,9 +13,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from cosim.arrow import Array, StreamSink
 from cosim.bench.speed import RECORDED, Flights, collect, fly_through
 from cosim.bench.timing import Action, Cost, Job
-from cosim.recorder import Array, MemorySink, Recorder, StreamSink
+from cosim.recorder import MemorySink, Recorder
 from cosim.signals import ZERO3, Refused, Sample
 from cosim.simulation import Simulation
 
@@ -43,6 +45,7 @@ class Breakdown:
     """The blocks alone and in flight, and the recorded step without its JSBSim runs, timed among them.
 
     The airframe in flight is its whole step less the units, and so bears what JSBSim's runs cost more in flight.
+    A block that is compiled lets no clock between itself and the others and is known alone only.
     """
 
     substeps: int
@@ -230,7 +233,7 @@ class Replay:
 
 
 class Clocks:
-    """A flight with a clock around every block."""
+    """A flight with a clock around every block that lets one in: a compiled one does not."""
 
     def __init__(self, simulation: Simulation, steps: int) -> None:
         self._simulation = simulation
@@ -255,7 +258,8 @@ class Clocks:
         ]
         self._calls = {name: sum(owner[0] == name for owner in owners) for name, _, _ in owners}
         for name, owner, method in owners:
-            setattr(owner, method, self._clocked(name, getattr(owner, method)))
+            with suppress(AttributeError):
+                setattr(owner, method, self._clocked(name, getattr(owner, method)))
 
     def _clocked(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         now, note = time.perf_counter_ns, self._spent[name].append
@@ -279,7 +283,8 @@ class Clocks:
         now = time.perf_counter_ns
         own = median([-(now() - now()) for _ in range(1000)])  # what the clock itself takes
         for name, spent in self._spent.items():
-            self._medians[name].append(1e-9 * (median(spent) - own) * self._calls[name])
+            if len(spent) == self._calls[name] * self.job.steps:
+                self._medians[name].append(1e-9 * (median(spent) - own) * self._calls[name])
 
     def blocks(self, units: Sequence[float]) -> dict[str, InFlight]:
         """The medians of the flights; ``units`` are the unit's seconds, flight by flight."""

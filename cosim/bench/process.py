@@ -10,25 +10,38 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import rmtree
+from typing import NamedTuple
 
+from cosim.bench.long_flight import MEGABYTE, PARTS, REPORTED, WRITTEN
 from cosim.bench.timing import Spread
 from cosim.errors import FlightError
 
-MEGABYTE = 1e6
-
-# What `hexjet fly` does, with a clock where its first step begins; stamped against the time at which it was started.
+# `hexjet fly`, stopped where its log is begun and its first step comes next; stamped against the time of its start.
 _FIRST_STEP = """
 import sys, time
 python = time.time()
 import cosim.console, cosim.flight
 from cosim.cli import main
-from cosim.simulation import Simulation
 imported = time.time()
-def step(self):
+record = cosim.flight.record
+def begun(*arguments, **options):
+    recording = record(*arguments, **options)
     print(python, imported, time.time(), flush=True)
     sys.exit(0)
-Simulation.step = step
+cosim.flight.record = begun
 main()
+"""
+# Arrow loads pandas where it is installed, for RotorPy for one; the flight does not need it and is measured without.
+_LONG_FLIGHT = """
+import sys
+class Without:
+    def find_spec(name, path=None, target=None):
+        if name == "pandas":
+            raise ModuleNotFoundError(name)
+sys.meta_path.insert(0, Without)
+from cosim.bench.long_flight import main
+main(*sys.argv[1:])
 """
 
 
@@ -44,23 +57,27 @@ class Startup:
 
 @dataclass(frozen=True)
 class Landmark:
-    """Resident memory at one point of a flight, and the most there was until then."""
+    """Resident memory at one point of a flight, and the most there was until then; over several processes."""
 
     where: str
-    resident_mb: float | None  # None where the system does not tell
-    peak_mb: float
+    resident_mb: Spread | None  # None where the system does not tell
+    peak_mb: Spread
 
 
 @dataclass(frozen=True)
 class Memory:
-    """Memory of a process that flies ``hover`` for long with full recording, converts the log and writes the report."""
+    """Memory of processes that fly ``hover`` for long with full recording, then make log, summary and report.
+
+    ``growth_mb``: resident from a quarter of the flight to its end; None where the system does not tell.
+    """
 
     minutes: float
     steps: int
-    wall_s: float
+    wall_s: Spread
     log_mb: float  # of the run's folder in the end
     landmarks: list[Landmark]
-    peak_mb: float
+    growth_mb: Spread | None
+    peak_mb: Spread
 
 
 def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) -> Startup:
@@ -69,7 +86,7 @@ def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) ->
     for number in range(times + 1):
         arguments = ["fly", "hover", "--out", str(folder / f"start-{number}")]
         started = time.time()
-        child = _python(["-c", _FIRST_STEP, *arguments])
+        child = start_python(["-c", _FIRST_STEP, *arguments])
         said, _ = child.communicate()
         if child.returncode:
             raise FlightError(f"the flight to its first step ended with status {child.returncode}")
@@ -80,29 +97,77 @@ def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) ->
     return Startup(*(Spread.of(column) for column in zip(*rows, strict=True)))
 
 
-def measure_memory(minutes: float, folder: Path, on_landmark: Callable[[], object]) -> Memory:
-    """Fly in a process of its own.  Raises FlightError if it ends before its report is written."""
-    out = folder / "long"
+def measure_memory(
+    minutes: float, times: int, folder: Path, on_flight: Callable[[], object], report: bool = True
+) -> Memory:
+    """Fly in processes, one after the other.  Raises FlightError if one does not get to its end."""
+    flights = []
+    for number in range(times):
+        flights.append(_fly_long(folder / f"long-{minutes:g}-{number}", minutes, report))
+        on_flight()
+    landmarks = []
+    for marks in zip(*(each.marks for each in flights), strict=True):
+        resident = [mark.resident for mark in marks if mark.resident is not None]
+        peak = Spread.of([mark.peak for mark in marks])
+        landmarks.append(Landmark(marks[0].where, Spread.of(resident) if resident else None, peak))
+    growths = [each.growth for each in flights if each.growth is not None]
+    return Memory(
+        minutes=minutes,
+        steps=flights[0].marks[-1].steps,
+        wall_s=Spread.of([each.wall for each in flights]),
+        log_mb=flights[0].log,
+        landmarks=landmarks,
+        growth_mb=Spread.of(growths) if growths else None,
+        peak_mb=landmarks[-1].peak_mb,
+    )
+
+
+class _Mark(NamedTuple):
+    """What a flying process says of itself: MB."""
+
+    where: str
+    resident: float | None
+    peak: float
+    steps: int
+
+
+class _Long(NamedTuple):
+    marks: list[_Mark]
+    wall: float
+    log: float
+
+    @property
+    def growth(self) -> float | None:
+        resident = {mark.where: mark.resident for mark in self.marks}
+        begin, end = (resident[f"{part}/{PARTS}"] for part in (1, PARTS))
+        return None if begin is None or end is None else end - begin
+
+
+def _fly_long(out: Path, minutes: float, report: bool) -> _Long:
     begin = time.perf_counter()
-    child = _python(["-m", "cosim.bench.long_flight", str(out), repr(minutes)])
+    child = start_python(["-c", _LONG_FLIGHT, str(out), repr(minutes), REPORTED if report else WRITTEN])
     assert child.stdout is not None
-    landmarks: list[Landmark] = []
-    steps = 0
+    marks: list[_Mark] = []
     with child:
         for line in child.stdout:
-            where, resident, peak, steps = json.loads(line)
+            mark = _Mark(*json.loads(line))
             # the system counts roughly, and its peak may go down by a few pages
-            landmarks.append(Landmark(where, resident, max([peak, *(mark.peak_mb for mark in landmarks)])))
-            on_landmark()
-    if child.returncode or not landmarks or landmarks[-1].where != "report":
+            marks.append(mark._replace(peak=max([mark.peak, *(each.peak for each in marks)])))
+    if child.returncode or not marks or marks[-1].where != (REPORTED if report else WRITTEN):
         raise FlightError(f"the long flight ended early, with status {child.returncode}")
     size = sum(file.stat().st_size for file in out.iterdir()) / MEGABYTE
-    return Memory(minutes, steps, time.perf_counter() - begin, size, landmarks, landmarks[-1].peak_mb)
+    rmtree(out)
+    return _Long(marks, time.perf_counter() - begin, size)
 
 
-def _python(arguments: list[str]) -> subprocess.Popen[str]:
-    """This Python, with this package."""
+def start_python(arguments: list[str], ask: bool = False) -> subprocess.Popen[str]:
+    """This Python, with this package; ``ask``: it reads what it is asked."""
     package = str(Path(__file__).resolve().parents[2])
     path = os.pathsep.join([package, *filter(None, [os.environ.get("PYTHONPATH")])])
-    environment = os.environ | {"PYTHONPATH": path}
-    return subprocess.Popen([sys.executable, *arguments], stdout=subprocess.PIPE, text=True, env=environment)
+    return subprocess.Popen(
+        [sys.executable, *arguments],
+        stdin=subprocess.PIPE if ask else None,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": path},
+    )

@@ -1,4 +1,4 @@
-"""The measurements as a person reads them."""
+"""The measurements on a terminal."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from cosim.bench.blocks import Breakdown
-from cosim.bench.peers import ALONE, EXCHANGE, Peers
-from cosim.bench.process import Memory, Startup
-from cosim.bench.speed import BARE
-from cosim.bench.suite import Result
-from cosim.bench.timing import Cost, Spread
+from cosim.bench.suite import PARTS, Result
+from cosim.bench.tables import ASKED, MACHINE, Table, tables
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.table import Table as Drawn
+
+QUIET_SHARE = 0.95  # of processor time in the wall time, below which others had the machine too
+UNIT = (
+    "Median [quartiles] of the rounds; cpu: processor time of the thread.  A unit is one bare JSBSim run(), timed in "
+    "the same round just before and after, cpu by cpu."
+)
 
 
 @contextmanager
@@ -39,118 +41,50 @@ def progress(quiet: bool) -> Iterator[Callable[[str, int, int], object]]:
 
 
 def print_result(result: Result) -> None:
-    """Tables, then what was asked for and what came out."""
+    """Tables, and last what was asked for and what came out."""
     from rich.console import Console
 
-    console = Console()
+    # in a pipe there is no width to keep to
+    console = (
+        Console(highlight=False, markup=False)
+        if sys.stdout.isatty()
+        else Console(highlight=False, markup=False, width=160)
+    )
     machine, plan = result.machine, result.plan
     console.print(
         f"{machine.cpu}, {machine.cores} cores, {machine.system}, Python {result.versions['python']}, "
-        f"JSBSim {result.versions.get('jsbsim', '?')}; {plan.rounds} rounds of {plan.steps} steps",
-        highlight=False,
+        f"JSBSim {result.versions.get('jsbsim', '?')}; {plan.rounds} rounds of {plan.steps} steps"
     )
-    console.print(
-        "Median [quartiles] of the rounds; cpu: processor time of the thread.  A unit is one bare JSBSim run(), timed "
-        "in the same round just before and after, cpu by cpu.",
-        highlight=False,
-        markup=False,
-    )
-    if machine.processor_share < 0.95:
+    console.print(UNIT)
+    if machine.processor_share is not None and machine.processor_share < QUIET_SHARE:
         console.print(
             f"Other work took {1.0 - machine.processor_share:.0%} of the wall time: "
             "trust the units rather than the microseconds.",
             style="yellow",
-            highlight=False,
         )
-    for substeps, costs in result.speed.items():
-        console.print(_costs(f"one control step, JSBSim runs in it: {substeps}", costs))
-    console.print(_blocks(result.breakdown))
-    console.print(_peers(result.peers))
-    for name, reason in result.peers.missing.items():
-        console.print(f"{name} not measured: {reason}", style="yellow", highlight=False, markup=False)
-    console.print(_startup(result.startup))
-    if result.memory:
-        console.print(_memory(result.memory))
-    console.print(_headlines(result))
+    if not machine.compiled:
+        console.print("The modules of a control step are not compiled: make setup compiles them.", style="yellow")
+    found = tables(result)
+    for key in [*(key for key in found if key not in (ASKED, MACHINE)), ASKED]:
+        for table in found[key]:
+            console.print(_drawn(table))
+            for note in table.notes:
+                console.print(note)
+    for part, why in result.failed.items():
+        console.print(f"{part} not measured: {why}", style="red")
+    left_out = [part for part in PARTS if part not in found and part not in result.failed]
+    if left_out:
+        console.print(f"not measured: {', '.join(left_out)}; --full measures everything")
 
 
-def _table(title: str, *columns: str) -> Table:
+def _drawn(table: Table) -> Drawn:
     from rich import box
-    from rich.table import Table
+    from rich.table import Table as Drawn
 
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
-    table.add_column("", no_wrap=True)
-    for column in columns:
-        table.add_column(column, justify="right", no_wrap=True)
-    return table
-
-
-def _spread(spread: Spread, digits: int) -> str:
-    return f"{spread.median:.{digits}f} [{spread.low:.{digits}f}, {spread.high:.{digits}f}]"
-
-
-def _costs(title: str, costs: dict[str, Cost]) -> Table:
-    table = _table(title, "us wall", "us cpu", "units")
-    for name, cost in costs.items():
-        units = "1" if name == BARE else _spread(cost.units, 2)
-        table.add_row(name, f"{cost.wall_us.median:.2f}", f"{cost.cpu_us.median:.2f}", units)
-    return table
-
-
-def _blocks(breakdown: Breakdown) -> Table:
-    title = f"where it goes outside JSBSim, {breakdown.substeps} runs a step"
-    table = _table(title, "us alone", "us in flight", "units", "%")
-    whole = breakdown.outside.units.median
-    for name, cost in breakdown.alone.items():
-        met = breakdown.in_flight.get(name)
-        us, units = ("-", cost.units.median) if met is None else (f"{met.us:.2f}", met.units)
-        table.add_row(name, f"{cost.cpu_us.median:.2f}", us, f"{units:.2f}", f"{100.0 * units / whole:.0f}")
-    rest = breakdown.rest_units
-    table.add_row("rest: loop, records", "", "", f"{rest:.2f}", f"{100.0 * rest / whole:.0f}", end_section=True)
-    table.add_row("all, recorded to disk", "", f"{breakdown.outside.cpu_us.median:.2f}", f"{whole:.2f}", "100")
-    return table
-
-
-def _peers(peers: Peers) -> Table:
-    """Units of all threads' processor time: some of them step in threads of their own."""
-    title = f"six instances of {peers.fmu}, {peers.steps} steps; units of all threads together"
-    table = _table(title, "us wall", "units")
-    for name, costs in peers.costs.items():
-        for what in (EXCHANGE, ALONE):
-            if what in costs:
-                cost = costs[what]
-                table.add_row(
-                    f"{name} {peers.versions[name]}: {what}", _spread(cost.wall_us, 2), _spread(cost.units_process, 2)
-                )
-    return table
-
-
-def _startup(startup: Startup) -> Table:
-    table = _table("hexjet fly hover", "s")
-    for name, spread in (
-        ("Python starts", startup.python_s),
-        ("imports", startup.imports_s),
-        ("builds the flight, begins the log", startup.build_s),
-        ("to the first step", startup.first_step_s),
-    ):
-        table.add_row(name, _spread(spread, 3))
-    return table
-
-
-def _memory(memory: Memory) -> Table:
-    title = (
-        f"{memory.minutes:g} min flown, {memory.steps} steps, in {memory.wall_s:.0f} s; folder {memory.log_mb:.0f} MB"
-    )
-    table = _table(title, "resident MB", "peak so far MB")
-    for landmark in memory.landmarks:
-        resident = "-" if landmark.resident_mb is None else f"{landmark.resident_mb:.0f}"
-        where = f"{landmark.where} of the flight" if "/" in landmark.where else landmark.where
-        table.add_row(where, resident, f"{landmark.peak_mb:.0f}")
-    return table
-
-
-def _headlines(result: Result) -> Table:
-    table = _table("asked for", "measured", "at most", "")
-    for name, value, most, unit in result.headlines():
-        table.add_row(name, f"{value:.3g}", f"{most:g} {unit}", "" if value <= most else "over")
-    return table
+    drawn = Drawn(title=table.title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    drawn.add_column("", no_wrap=True)
+    for column in table.columns:
+        drawn.add_column(column, justify="right", no_wrap=True)
+    for row in table.rows:
+        drawn.add_row(*row)
+    return drawn

@@ -1,126 +1,177 @@
-"""All measurements together, and the machine that they were taken on."""
+"""All measurements together, and how much of each."""
 
 from __future__ import annotations
 
-import os
-import platform
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from cosim.bench.blocks import Breakdown, measure_blocks
+from cosim.bench.campaign import CampaignCost, CampaignPlan, measure_campaign
+from cosim.bench.growth import (
+    EngineCounts,
+    Lengths,
+    LogRates,
+    measure_engine_counts,
+    measure_lengths,
+    measure_log_rates,
+)
+from cosim.bench.machine import Machine, compilers, load, look_around, package_versions
+from cosim.bench.multirotor import Multirotor, measure_multirotor
 from cosim.bench.peers import Peers, measure_peers
 from cosim.bench.process import Memory, Startup, measure_memory, measure_startup
-from cosim.bench.speed import ENGINES, OUTSIDE, RECORDED, measure_speed
+from cosim.bench.speed import RECORDED, measure_speed, warm_up
 from cosim.bench.timing import Cost
-from cosim.run import versions
+from cosim.config import nearest
+from cosim.errors import FlightError, InputError
 
-# What the project asks of itself, on any machine.
-OUTSIDE_UNITS = 8.0  # of one JSBSim run, a control step
-ENGINE_UNITS = 1.5  # the same for six engine FMUs
-FIRST_STEP_S = 1.5
-PEAK_MB = 300.0
+STEP, BLOCKS, PEERS, ROTORPY = "step", "blocks", "peers", "rotorpy"
+TIME, ENGINES, LOG = "time", "engines", "log"
+START, MEMORY, CAMPAIGN = "start", "memory", "campaign"
+PARTS = (STEP, BLOCKS, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN)
+QUICK = (STEP, BLOCKS, PEERS, ROTORPY, TIME, ENGINES, LOG, START)  # less than a minute
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much to measure: steps a flight, rounds, processes started, minutes of the long flight (None: no long one).
+    """What to measure, and how much of it.
+
+    ``steps`` of a flight, ``rounds`` through the jobs, ``starts`` of processes; ``lengths_s`` of flights compared and
+    ``hover_s`` of those beside RotorPy; ``memory_minutes`` of the long flight.
 
     ``folder``: where flights are recorded; None is the system's place for temporary files.
     """
 
-    steps: int = 5000
-    rounds: int = 9
+    parts: tuple[str, ...] = QUICK
+    steps: int = 2500
+    rounds: int = 5
     starts: int = 5
-    memory_minutes: float | None = None
+    lengths_s: tuple[int, ...] = (10, 60)
+    hover_s: float = 1.0
+    memory_minutes: float = 5.0
+    campaign: CampaignPlan = field(default_factory=CampaignPlan)
     folder: str | None = None
 
 
-@dataclass(frozen=True)
-class Machine:
-    """What the figures belong to.  ``processor_share``: processor time by wall time in flight; 1 on a quiet machine."""
+FULL = Plan(
+    parts=PARTS,
+    steps=5000,
+    rounds=9,
+    lengths_s=(10, 60, 600),
+    hover_s=10.0,
+    memory_minutes=60.0,
+    campaign=CampaignPlan(rounds=7, flights=50, study=2000),
+)
 
-    cpu: str
-    cores: int
-    system: str
-    load: tuple[float, float] | None  # processes wanting to run, in the last minute: at the beginning, at the end
-    processor_share: float
+
+def make_plan(full: bool, campaign: bool, only: Sequence[str], amounts: Mapping[str, Any]) -> Plan:
+    """The quick plan or the full one, with the campaign if asked for, or with some parts ``only``.
+
+    An amount that is None stays as it is.  Raises InputError for an unknown part.
+    """
+    for part in only:
+        if part not in PARTS:
+            raise InputError(f"--only: unknown part {part!r}; {nearest(part, PARTS)}")
+    plan = FULL if full else Plan()
+    wanted = {*(only or plan.parts), *([CAMPAIGN] if campaign else [])}
+    if amounts.get("memory_minutes") is not None and not only:
+        wanted.add(MEMORY)
+    given = {name: value for name, value in amounts.items() if value is not None}
+    return replace(plan, parts=tuple(part for part in PARTS if part in wanted), **given)
 
 
 @dataclass(frozen=True)
 class Result:
-    """Everything that was measured.  ``speed``: by JSBSim runs a step, then by name."""
+    """What was measured; None where it was not, and in ``failed`` why if it was tried.
+
+    ``step``: by JSBSim runs a step, then by name.
+    """
 
     machine: Machine
     versions: dict[str, str]
+    compilers: dict[str, str]
     plan: Plan
-    speed: dict[int, dict[str, Cost]]
-    breakdown: Breakdown
-    peers: Peers
-    startup: Startup
-    memory: Memory | None
     wall_s: float
+    failed: dict[str, str] = field(default_factory=dict)
+    step: dict[int, dict[str, Cost]] | None = None
+    blocks: Breakdown | None = None
+    peers: Peers | None = None
+    rotorpy: Multirotor | None = None
+    time: Lengths | None = None
+    engines: EngineCounts | None = None
+    log: LogRates | None = None
+    start: Startup | None = None
+    memory: Memory | None = None
+    campaign: CampaignCost | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """As it goes into JSON."""
-        data = asdict(self)
-        del data["plan"]["folder"]
-        targets = {
-            "outside_units": OUTSIDE_UNITS,
-            "engine_units": ENGINE_UNITS,
-            "first_step_s": FIRST_STEP_S,
-            "peak_mb": PEAK_MB,
-        }
-        return data | {"speed": {str(runs): costs for runs, costs in data["speed"].items()}, "targets": targets}
+        """As it goes into JSON, with what is asked for."""
+        from cosim.bench.wanted import judge
 
-    def headlines(self) -> list[tuple[str, float, float, str]]:
-        """What is asked for: name, measured, at most, unit."""
-        rows = [
-            (f"outside JSBSim, {runs} runs a step", costs[OUTSIDE].units.median, OUTSIDE_UNITS, "JSBSim runs")
-            for runs, costs in self.speed.items()
-        ]
-        rows += [
-            (f"{ENGINES}, {runs} runs a step", costs[ENGINES].units.median, ENGINE_UNITS, "JSBSim runs")
-            for runs, costs in self.speed.items()
-        ]
-        rows.append(("from command to first step", self.startup.first_step_s.median, FIRST_STEP_S, "s"))
-        if self.memory:
-            rows.append((f"memory, {self.memory.minutes:g} min flown", self.memory.peak_mb, PEAK_MB, "MB"))
-        return rows
+        data: dict[str, Any] = asdict(self)
+        del data["plan"]["folder"]
+        return data | {"asked": [asdict(row) | {"met": row.met} for row in judge(self)]}
 
 
 def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda what, done, total: None) -> Result:
-    """Measure; ``on_progress`` is told what is measured, how much of it is done, and of how much."""
-    begin, load = time.perf_counter(), _load()
+    """Measure; ``on_progress`` is told which part is measured, how much of it is done, and of how much.
+
+    A part that fails is stated in the result and does not end the others.
+    """
+    begin, before = time.perf_counter(), load()
+    found: dict[str, Any] = {}
+    failed: dict[str, str] = {}
     with TemporaryDirectory(prefix="hexjet-bench-", dir=plan.folder) as name:
         folder = Path(name)
-        counter = partial(_Counter, on_progress)
-        speed = measure_speed(plan.steps, plan.rounds, folder / "speed", counter("step", plan.rounds))
-        (folder / "blocks").mkdir()
-        breakdown = measure_blocks(plan.steps, plan.rounds, folder / "blocks", counter("blocks", plan.rounds))
-        (folder / "peers").mkdir()
-        peers = measure_peers(plan.steps, plan.rounds, folder / "peers", counter("engines", plan.rounds))
-        startup = measure_startup(plan.starts, folder, counter("first step", plan.starts + 1))
-        memory = None
-        if plan.memory_minutes is not None:
-            memory = measure_memory(plan.memory_minutes, folder, counter("long flight", 7))
-    share = [costs[RECORDED].cpu_us.median / costs[RECORDED].wall_us.median for costs in speed.values()]
-    end = _load()
+        warm_up(folder / "warm")
+        for part in PARTS:
+            if part in plan.parts:
+                measured, total = _part(part, plan, folder / part)
+                (folder / part).mkdir()
+                try:
+                    found[part] = measured(_Counter(on_progress, part, total))
+                except FlightError as error:  # the others are worth having
+                    failed[part] = str(error)
+    share = None
+    if STEP in found:
+        share = min(costs[RECORDED].cpu_us.median / costs[RECORDED].wall_us.median for costs in found[STEP].values())
     return Result(
-        machine=Machine(_cpu(), os.cpu_count() or 1, _system(), (load, end) if load and end else None, min(share)),
-        versions=versions(),
+        machine=look_around(before, share),
+        versions=package_versions(),
+        compilers=compilers(),
         plan=plan,
-        speed=speed,
-        breakdown=breakdown,
-        peers=peers,
-        startup=startup,
-        memory=memory,
         wall_s=time.perf_counter() - begin,
+        failed=failed,
+        **found,
     )
+
+
+def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], object]], object], int]:
+    """What measures a part, and how often it says that it has got further."""
+    steps, rounds = plan.steps, plan.rounds
+    parts: dict[str, tuple[Callable[[Callable[[], object]], object], int]] = {
+        STEP: (partial(measure_speed, steps, rounds, folder), rounds),
+        BLOCKS: (partial(measure_blocks, steps, rounds, folder), rounds),
+        PEERS: (partial(measure_peers, steps, rounds, folder), rounds),
+        ROTORPY: (partial(measure_multirotor, plan.hover_s, rounds, folder), rounds),
+        TIME: (
+            partial(measure_lengths, plan.lengths_s, rounds, plan.starts, folder),
+            rounds + len(plan.lengths_s) * plan.starts,
+        ),
+        ENGINES: (partial(measure_engine_counts, steps, rounds, folder), rounds),
+        LOG: (partial(measure_log_rates, steps, rounds, folder), rounds),
+        START: (partial(measure_startup, plan.starts, folder), plan.starts + 1),
+        MEMORY: (partial(measure_memory, plan.memory_minutes, plan.starts, folder), plan.starts),
+        CAMPAIGN: (
+            partial(measure_campaign, plan.campaign, folder),
+            plan.campaign.rounds + bool(plan.campaign.study),
+        ),
+    }
+    return parts[part]
 
 
 class _Counter:
@@ -133,20 +184,3 @@ class _Counter:
     def __call__(self) -> None:
         self._done += 1
         self._tell(self._what, self._done, self._total)
-
-
-def _load() -> float | None:
-    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-
-
-def _system() -> str:
-    return f"{platform.system()} {platform.machine()}"
-
-
-def _cpu() -> str:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            names = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
-    except OSError:
-        names = []
-    return names[0] if names else platform.processor() or platform.machine()

@@ -46,18 +46,24 @@ class Job:
 
 @dataclass(frozen=True)
 class Spread:
-    """Median, quartiles and least of the rounds."""
+    """Median, quartiles and least of what was found in so many ``repeats``."""
 
     median: float
     low: float
     high: float
     least: float
+    repeats: int
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
         """The spread of at least one value."""
         low, median, high = (float(v) for v in np.percentile(values, (25.0, 50.0, 75.0)))
-        return cls(median, low, high, min(values))
+        return cls(median, low, high, min(values), len(values))
+
+    def times(self, factor: float) -> Spread:
+        """The spread of the values times ``factor``, which is positive."""
+        median, low, high, least = (factor * value for value in (self.median, self.low, self.high, self.least))
+        return Spread(median, low, high, least, self.repeats)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,256 @@
+"""The measurements as tables of text, the same on a terminal and on a page.  Every figure is a median [quartiles]."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+from cosim.bench.blocks import Breakdown
+from cosim.bench.campaign import EARLY, PROCESSES, CampaignCost
+from cosim.bench.growth import EngineCounts, Lengths, LogRates
+from cosim.bench.multirotor import Multirotor
+from cosim.bench.peers import ALONE, EXCHANGE, Peers
+from cosim.bench.process import Memory, Startup
+from cosim.bench.speed import BARE
+from cosim.bench.suite import (
+    BLOCKS,
+    CAMPAIGN,
+    ENGINES,
+    LOG,
+    MEMORY,
+    PEERS,
+    ROTORPY,
+    START,
+    STEP,
+    TIME,
+    Result,
+)
+from cosim.bench.timing import Cost, Spread
+from cosim.bench.wanted import judge
+
+ASKED, MACHINE = "asked", "machine"
+KEYS = (ASKED, STEP, BLOCKS, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN, MACHINE)
+
+Row = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """``columns`` are the headings after the first, which names the rows; ``notes`` stand below."""
+
+    title: str
+    columns: Row
+    rows: Sequence[Row]
+    notes: list[str] = field(default_factory=list)
+
+
+def tables(result: Result) -> dict[str, list[Table]]:
+    """The tables by part, in the order in which they are read; nothing for a part that was not measured."""
+    found: dict[str, list[Table]] = {ASKED: [_asked(result)]}
+    if result.step:
+        found[STEP] = [_step(runs, costs) for runs, costs in result.step.items()]
+    if result.blocks:
+        found[BLOCKS] = [_blocks(result.blocks)]
+    if result.peers:
+        found[PEERS] = [_peers(result.peers)]
+    if result.rotorpy:
+        found[ROTORPY] = [_rotorpy(result.rotorpy)]
+    if result.time:
+        found[TIME] = [_time(result.time)]
+    if result.engines:
+        found[ENGINES] = list(_engines(result.engines))
+    if result.log:
+        found[LOG] = [_log(result.log)]
+    if result.start:
+        found[START] = [_start(result.start)]
+    if result.memory:
+        found[MEMORY] = [_memory(result.memory)]
+    if result.campaign:
+        found[CAMPAIGN] = list(_campaign(result.campaign))
+    return found | {MACHINE: list(_machine(result))}
+
+
+def spread(found: Spread) -> str:
+    """``median [lower quartile, upper quartile]``, to three digits of the median."""
+    digits = _digits(found.median)
+    return f"{found.median:.{digits}f} [{found.low:.{digits}f}, {found.high:.{digits}f}]"
+
+
+def _digits(value: float) -> int:
+    """Decimals that leave three digits, and no more than three."""
+    size = abs(value)
+    return 0 if size >= 100.0 else 1 if size >= 10.0 else 2 if size >= 1.0 else 3
+
+
+def _asked(result: Result) -> Table:
+    rows = []
+    for each in judge(result):
+        bound = f"at {'least' if each.least else 'most'} {each.bound:g} {each.unit}"
+        rows.append((each.name, spread(each.measured), bound, "yes" if each.met else "no"))
+    return Table("asked for", ("measured", "asked for", "met"), rows)
+
+
+def _cost(cost: Cost) -> Row:
+    return spread(cost.wall_us), spread(cost.cpu_us), spread(cost.units)
+
+
+US = ("us wall", "us cpu", "units")
+
+
+def _step(runs: int, costs: dict[str, Cost]) -> Table:
+    rows = [(name, *_cost(cost)[:2], "1" if name == BARE else spread(cost.units)) for name, cost in costs.items()]
+    return Table(f"one control step, JSBSim runs in it: {runs}", US, rows)
+
+
+def _blocks(breakdown: Breakdown) -> Table:
+    whole = breakdown.outside.units.median
+    rows = []
+    for name, cost in breakdown.alone.items():
+        met = breakdown.in_flight.get(name)
+        us, units = ("-", cost.units.median) if met is None else (f"{met.us:.2f}", met.units)
+        rows.append((name, spread(cost.cpu_us), us, f"{units:.2f}", f"{100.0 * units / whole:.0f}"))
+    rest = breakdown.rest_units
+    rows.append(("rest: loop, records", "", "", f"{rest:.2f}", f"{100.0 * rest / whole:.0f}"))
+    rows.append(("all, recorded to disk", "", spread(breakdown.outside.cpu_us), f"{whole:.2f}", "100"))
+    title = f"where it goes outside JSBSim, {breakdown.substeps} runs a step"
+    return Table(title, ("us alone", "us in flight", "units", "%"), rows)
+
+
+def _peers(peers: Peers) -> Table:
+    """Units of all threads' processor time: some of them step in threads of their own."""
+    rows = [
+        (f"{name} {peers.versions[name]}: {what}", spread(costs[what].wall_us), spread(costs[what].units_process))
+        for name, costs in peers.costs.items()
+        for what in (EXCHANGE, ALONE)
+        if what in costs
+    ]
+    title = f"six instances of {peers.fmu}, {peers.steps} steps; units of all threads together"
+    return Table(title, ("us wall", "units"), rows, [_missing(name, why) for name, why in peers.missing.items()])
+
+
+def _missing(name: str, why: str) -> str:
+    return f"{name} not measured: {why}"
+
+
+def _rotorpy(found: Multirotor) -> Table:
+    rows = []
+    for name, each in found.hovers.items():
+        second = spread(each.cost.wall_us.times(each.rate))
+        step = spread(each.cost.wall_us), spread(each.cost.units)
+        rows.append((name, *step, second, spread(each.factor), spread(each.ratio)))
+    notes = [] if found.missing is None else [_missing("RotorPy", found.missing)]
+    for rate, count in found.evaluations.items():
+        notes.append(
+            f"RotorPy {found.version} at {rate} Hz: {count:.1f} evaluations of its equations of motion a step."
+        )
+    columns = ("us a step", "units a step", "us a second flown", "seconds flown a second", "by ours at that rate")
+    return Table(f"a hover of {found.seconds:g} s", columns, rows, notes)
+
+
+def _time(found: Lengths) -> Table:
+    rows = []
+    for seconds, cost in found.steps.items():
+        memory = found.memory[seconds]
+        flying = next(mark.resident_mb for mark in memory.landmarks if mark.where == "4/4")
+        held = "-" if flying is None else spread(flying)
+        rows.append((f"{seconds} s", spread(cost.cpu_us), spread(cost.units), held, spread(memory.peak_mb)))
+    notes = [f"A step of the longest flight costs {spread(found.growth)} times one of the shortest, round by round."]
+    columns = ("us cpu", "units", "resident at its end, MB", "peak with log and summary, MB")
+    return Table("a recorded step by the time that is flown", columns, rows, notes)
+
+
+def _engines(found: EngineCounts) -> Iterator[Table]:
+    banks = [(f"{count}", spread(cost.cpu_us), spread(cost.units)) for count, cost in found.banks.items()]
+    yield Table(f"a bank's step by its engines ({found.engine})", ("us cpu", "units"), banks)
+    flown = [(name, *_cost(cost)) for name, cost in found.flown.items()]
+    yield Table("whole recorded step, 4 runs in it; units of the Hex-Jet's airframe", US, flown)
+
+
+def _log(found: LogRates) -> Table:
+    names = {0: "nothing is recorded", 1: "every step"}
+    rows = [(names.get(every, f"one step in {every}"), *_cost(cost)) for every, cost in found.steps.items()]
+    return Table("whole step by what is recorded, 4 JSBSim runs in it", US, rows)
+
+
+def _start(startup: Startup) -> Table:
+    rows = [
+        (name, spread(found))
+        for name, found in (
+            ("Python starts", startup.python_s),
+            ("imports", startup.imports_s),
+            ("builds the flight, begins the log", startup.build_s),
+            ("to the first step", startup.first_step_s),
+        )
+    ]
+    return Table("hexjet fly hover", ("s",), rows)
+
+
+def _memory(memory: Memory) -> Table:
+    rows = []
+    for mark in memory.landmarks:
+        where = f"{mark.where} of the flight" if "/" in mark.where else mark.where
+        held = "-" if mark.resident_mb is None else spread(mark.resident_mb)
+        rows.append((where, held, spread(mark.peak_mb)))
+    note = f"Each flight with its files took {spread(memory.wall_s)} s; its folder has {memory.log_mb:.0f} MB."
+    title = f"{memory.minutes:g} min flown, {memory.steps} steps"
+    return Table(title, ("resident MB", "peak so far MB"), rows, [note])
+
+
+def _campaign(found: CampaignCost) -> Iterator[Table]:
+    one, two = PROCESSES
+    rows = [
+        (
+            "bare JSBSim, runs a ms",
+            *(spread(found.bare.rate[count].times(1e-3)) for count in PROCESSES),
+            spread(found.bare.gain),
+        ),
+        (
+            f"flights of {found.flight_s:g} s, 1/s",
+            *(spread(found.flown.rate[count]) for count in PROCESSES),
+            spread(found.flown.gain),
+        ),
+        ("gain of the campaign by bare JSBSim's", "", "", spread(found.share)),
+    ]
+    yield Table("from one process to two", (f"{one} process", f"{two} processes", "gain"), rows)
+    if found.study:
+        study = found.study
+        held = [
+            (f"worker {number}, {each.flights} flights", _mb(each.early_mb), _mb(each.end_mb))
+            for number, each in enumerate(study.workers, 1)
+        ]
+        took = f"{study.flights} flights in {study.wall_s:.0f} s, one run"
+        note = f"{took}; {spread(study.rate)} flights a second over its tenths."
+        title = f"a study of {study.flights} flights, two workers: resident memory, MB"
+        yield Table(title, (f"after {EARLY} flights", "after the last"), held, [note])
+
+
+def _mb(value: float | None) -> str:
+    return "-" if value is None else f"{value:.0f}"
+
+
+def _machine(result: Result) -> Iterator[Table]:
+    machine, plan = result.machine, result.plan
+    memory = "-" if machine.memory_mb is None else f"{machine.memory_mb / 1000.0:.1f} GB"
+    rows = [
+        ("processor", machine.cpu),
+        ("cores", str(machine.cores)),
+        ("memory", memory),
+        ("kernel", f"{machine.system}, {machine.kernel}"),
+        ("C library", machine.libc or "-"),
+    ]
+    rows.append(("modules of a control step", "compiled" if machine.compiled else "Python source"))
+    if machine.load:
+        rows.append(("load before, after", ", ".join(f"{value:.2f}" for value in machine.load)))
+    if machine.processor_share is not None:
+        rows.append(("processor time by wall time in flight", f"{machine.processor_share:.3f}"))
+    rows += [(f"compiler of {name}", version) for name, version in result.compilers.items()]
+    rows.append(
+        (
+            "repeats",
+            f"{plan.rounds} rounds, {plan.starts} processes started, {plan.campaign.rounds} rounds of the campaign",
+        )
+    )
+    rows.append(("steps of a timed flight", str(plan.steps)))
+    rows.append(("measured in", f"{result.wall_s:.0f} s"))
+    yield Table("the machine", ("",), rows)
+    yield Table("the packages", ("version",), list(result.versions.items()))

@@ -1,0 +1,83 @@
+"""What the project asks of itself, and how the measurements stand to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from cosim.bench.speed import ENGINES, OUTSIDE, RECORDED
+from cosim.bench.suite import Result
+from cosim.bench.timing import Spread
+
+RUNS = "JSBSim runs"
+OUTSIDE_UNITS = 3.5  # JSBSim runs, a control step
+BY_BARE = {1: 4.5, 4: 2.0}  # whole flight by bare JSBSim, by runs a step
+ENGINE_UNITS = 1.5  # JSBSim runs: six engine FMUs, a control step
+FIRST_STEP_S = 1.5
+STEP_GROWTH = 1.05  # the step of the longest flight by that of the shortest: what a quiet machine can tell from 1
+FLIGHT_GROWTH_MB = 2.0  # from the first quarter of a long flight to its end: blocks of the log come and go
+PEAK_MB = 300.0
+CAMPAIGN_SHARE = 0.95  # of bare JSBSim's gain from one process to two
+WORKER_GROWTH = 1.05  # a worker's memory at its end by that after its first flights
+STUDY_FLIGHTS = 2000
+STUDY_S = 300.0
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One thing that is asked for: at most ``bound``, or at least if ``least``.  The median decides."""
+
+    name: str
+    measured: Spread
+    bound: float
+    unit: str
+    least: bool = False
+
+    @property
+    def met(self) -> bool:
+        found = self.measured.median
+        return found >= self.bound if self.least else found <= self.bound
+
+
+def judge(result: Result) -> list[Judged]:
+    """Everything that is asked for and was measured."""
+    return [*_step(result), *_processes(result), *_campaign(result)]
+
+
+def _step(result: Result) -> Iterator[Judged]:
+    for runs, costs in (result.step or {}).items():
+        in_it = f"{runs} run{'s' if runs > 1 else ''} a step"
+        yield Judged(f"not JSBSim, recorded in full, {in_it}", costs[OUTSIDE].units, OUTSIDE_UNITS, RUNS)
+        whole = costs[RECORDED].units.times(1.0 / runs)
+        yield Judged(f"whole flight by bare JSBSim, {in_it}", whole, BY_BARE[runs], "times")
+        yield Judged(f"{ENGINES}, {in_it}", costs[ENGINES].units, ENGINE_UNITS, RUNS)
+    if result.time:
+        shortest, longest = min(result.time.steps), max(result.time.steps)
+        name = f"a step of {longest} s flown by one of {shortest} s"
+        yield Judged(name, result.time.growth, STEP_GROWTH, "times")
+
+
+def _processes(result: Result) -> Iterator[Judged]:
+    if result.start:
+        yield Judged("from command to first step", result.start.first_step_s, FIRST_STEP_S, "s")
+    if result.memory:
+        minutes = f"{result.memory.minutes:g} min flown"
+        if result.memory.growth_mb:
+            yield Judged(
+                f"memory gained from a quarter to the end, {minutes}", result.memory.growth_mb, FLIGHT_GROWTH_MB, "MB"
+            )
+        yield Judged(f"memory at its peak, {minutes}", result.memory.peak_mb, PEAK_MB, "MB")
+
+
+def _campaign(result: Result) -> Iterator[Judged]:
+    found = result.campaign
+    if found is None:
+        return
+    yield Judged("gain by a second worker, by bare JSBSim's", found.share, CAMPAIGN_SHARE, "times", least=True)
+    if found.study:
+        growth = [each.end_mb / each.early_mb for each in found.study.workers if each.end_mb and each.early_mb]
+        if growth:
+            yield Judged("memory of a worker, last flight by 50th", Spread.of(growth), WORKER_GROWTH, "times")
+        if found.study.flights == STUDY_FLIGHTS:
+            wall = Spread.of([found.study.wall_s])
+            yield Judged(f"{STUDY_FLIGHTS} flights of {found.flight_s:g} s, two workers", wall, STUDY_S, "s")
