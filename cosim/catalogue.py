@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from cosim.config import read_toml
-from cosim.paths import data_folder, names_in
-from cosim.scenario import scenario_names
+from cosim.paths import data_folder, files_in, names_in
 
 
 def catalogue(kind: str) -> list[dict[str, Any]]:
     """The entries of one kind, each with ``name`` and ``title``."""
-    if kind == "scenarios":
-        return [_entry(name, read_toml(data_folder(kind) / f"{name}.toml")) for name in scenario_names()]
+    if kind in ("scenarios", "studies"):
+        return [_entry(name, read_toml(data_folder(kind) / f"{name}.toml")) for name in files_in(kind)]
     if kind == "controllers":
         from cosim.control.choice import TITLES
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from cosim.errors import FlightError, InputError
 
 DONE, FLIGHT_FAILED, WRONG_INPUT = 0, 1, 2
-KINDS = ("scenarios", "engines", "aircraft", "controllers")
+KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
 
 
 class _Number(click.FloatRange):
@@ -88,8 +90,11 @@ def cli() -> None:
     multiple=True,
     help="Let a ground station watch, e.g. udpout:127.0.0.1:14550; see: hexjet gcs --help.",
 )
+@click.option("--flight", type=click.IntRange(min=0), metavar="N", help="Of a campaign in the folder SCENARIO.")
 @click.option("as_json", "--json", is_flag=True, help="Print the run's summary as one JSON object and nothing else.")
+@click.pass_context
 def fly(
+    context: click.Context,
     scenario: str,
     controller: str | None,
     aircraft: str | None,
@@ -102,13 +107,18 @@ def fly(
     realtime: bool,
     rtf: float | None,
     links: tuple[str, ...],
+    flight: int | None,
     as_json: bool,
 ) -> int:
-    """Fly SCENARIO: a name in scenarios/ or the path of a TOML file.
+    """Fly SCENARIO: a name in scenarios/, the path of a TOML file, or with --flight the folder of a campaign.
 
-    Leaves a folder with summary, resolved scenario, log and report.  Status 0: flown as planned; 1: the flight failed
-    or did not come to what the scenario expects; 2: wrong input.
+    Leaves a folder with summary, resolved scenario, log and report.  Status 0: flown as planned, or with --flight the
+    same as in the campaign, bit for bit; 1: the flight failed or did not come to what the scenario expects, or is not
+    the same; 2: wrong input.
     """
+    if flight is not None:
+        _refuse_others(context, "scenario", "flight", "out", "as_json")
+        return _fly_again(Path(scenario), flight, out, as_json)
     from cosim.console import flight_progress, output_to_stderr, print_run
     from cosim.flight import fly as fly_scenario
     from cosim.flight import new_folder
@@ -141,6 +151,32 @@ def fly(
     else:
         print_run(run)
     return DONE if run.outcome == "completed" and run.summary.expectations_met is not False else FLIGHT_FAILED
+
+
+def _fly_again(folder: Path, number: int, out: Path | None, as_json: bool) -> int:
+    from cosim.campaign import fly_again, open_campaign
+    from cosim.console import output_to_stderr, print_again
+    from cosim.flight import new_folder
+
+    campaign = open_campaign(folder)
+    out = out if out is not None else new_folder(Path("runs"), f"{campaign.study.name}-flight-{number}")
+    with output_to_stderr(as_json):
+        again = fly_again(campaign, number, out)
+    if as_json:
+        same = {"flight": number, "same": again.same, "otherwise": again.otherwise}
+        click.echo(json.dumps(again.run.summary.model_dump(mode="json") | same, allow_nan=False))
+    else:
+        print_again(again)
+    return DONE if again.same else FLIGHT_FAILED
+
+
+def _refuse_others(context: click.Context, *allowed: str) -> None:
+    """Refuse what was given on the command line and is not allowed beside the rest."""
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        if name not in allowed and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            given = max(parameter.opts, key=len)
+            raise InputError(f"{given}: a flight of a campaign is flown as it was; leave it out with --flight")
 
 
 def load_scenario(
@@ -311,7 +347,7 @@ def gcs(
 @click.argument("kind", required=False, type=click.Choice(KINDS))
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
 def list_(kind: str | None, as_json: bool) -> int:
-    """List what can be flown: scenarios, engines, aircraft, controllers."""
+    """List what can be flown: scenarios, studies, engines, aircraft, controllers."""
     from cosim.catalogue import catalogue
     from cosim.console import print_catalogue
 
@@ -569,11 +605,22 @@ def design(
 @cli.command(epilog=_example("hexjet report runs/roll-doublet-smith-001"))
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 def report(folder: Path) -> int:
-    """Write the report of the run in DIR again; a run that was killed is finished first, with all that it recorded."""
-    from cosim.console import print_run
+    """Write the report of the run or the campaign in DIR again.
+
+    A run that was killed is finished first, with all that it recorded; a campaign may still be flown.
+    """
+    from cosim.campaign.folder import is_campaign
+    from cosim.console import print_campaign, print_run
     from cosim.report import write_report
     from cosim.run import REPORT, open_run
 
+    if is_campaign(folder):
+        from cosim.campaign import open_campaign
+        from cosim.campaign.report import write_campaign_report
+
+        campaign = open_campaign(folder)
+        print_campaign(campaign, write_campaign_report(campaign))
+        return DONE
     run = open_run(folder)
     write_report(run, folder / REPORT)
     print_run(run)
@@ -647,6 +694,163 @@ def faults(
     return DONE
 
 
+@cli.command(epilog=_example("hexjet sweep roll-doublet --vary vehicle.mass_kg=5:6.5 --runs 100 --controller smith"))
+@click.argument("name", metavar="SCENARIO|STUDY|DIR")
+@click.option(
+    "--vary",
+    metavar="KEY=...",
+    multiple=True,
+    help="LO:HI, LO:HI:LEVELS, A,B,C, log(LO:HI), normal(MEAN,SD), ...; with *= or += what is drawn multiplies, or is "
+    "added to, what the scenario has.",
+)
+@click.option("--runs", type=click.IntRange(min=1), metavar="N", help="Draws; a grid has as many as it has points.")
+@click.option("--repeats", type=click.IntRange(min=1), metavar="N", help="Fly a whole grid more than once.")
+@click.option("--design", metavar="NAME", help="grid, latin-hypercube, random or sobol.")
+@click.option(
+    "controllers", "--controller", metavar="NAME|FILE.toml", multiple=True, help="Each draw is flown with every one."
+)
+@click.option("--correlate", metavar="KEY,KEY=R", multiple=True, help="Rank correlation of what is drawn for two keys.")
+@click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
+@click.option("--success", metavar="METRIC<=X", multiple=True, help="What a completed flight must keep to count.")
+@click.option("--seed", type=int, help="Of the draws.")
+@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes.  [default: one a processor]")
+@click.option("--cluster", metavar="ADDRESS|local", help="A Dask scheduler, such as tcp://HOST:8786, or one made here.")
+@click.option(
+    "--time-limit",
+    type=_Number(min=0.0, min_open=True),
+    metavar="S",
+    help="For a flight.  [default: 60, or ten of its lengths]",
+)
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("--resume", is_flag=True, help="Go on with what the folder holds; nothing that is finished is repeated.")
+@click.option(
+    "--keys", is_flag=False, flag_value="*", metavar="[PATTERN]", help="List what can be varied, and fly nothing."
+)
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object at the end and nothing else.")
+def sweep(
+    name: str,
+    workers: int | None,
+    cluster: str | None,
+    time_limit: float | None,
+    out: Path | None,
+    resume: bool,
+    keys: str | None,
+    as_json: bool,
+    **options: Any,
+) -> int:
+    """Fly a scenario many times with what varies drawn for each flight, or a study, or go on with a campaign in DIR.
+
+    Leaves one Parquet data set with a row a flight, and a page.  Flights that fail are rows.  Status 0: all are flown,
+    whatever became of them; 1: it was stopped before; 2: wrong input.
+    """
+    from cosim.campaign.campaign import opened, run_campaign, workers_at
+    from cosim.campaign.report import write_campaign_report
+    from cosim.campaign.summary import campaign_summary
+    from cosim.console import output_to_stderr, print_campaign, sweep_progress
+
+    if keys is not None:
+        return _list_keys(name, options["settings"], keys, as_json)
+    study, folder = opened(name, out, resume, **options)
+    for text in study.notes() if study is not None else ():
+        click.echo(f"hexjet: note: {text}", err=True)
+    with output_to_stderr(as_json), sweep_progress(folder, quiet=as_json) as tell:
+        with workers_at(workers, cluster, time_limit) as flying:
+            campaign = run_campaign(study, folder, flying, resume, tell)
+        page = write_campaign_report(campaign)
+    if as_json:
+        places = {"folder": str(folder), "report": str(page)}
+        click.echo(json.dumps(places | campaign_summary(campaign), allow_nan=False))
+    else:
+        print_campaign(campaign, page)
+    return DONE
+
+
+def _list_keys(name: str, settings: tuple[str, ...], pattern: str, as_json: bool) -> int:
+    from cosim.campaign.keys import all_keys, matching
+    from cosim.campaign.study import Study, study_names
+    from cosim.console import print_keys
+    from cosim.scenario import Scenario
+
+    base = Study.load(name).base() if name in study_names() else Scenario.load(name, list(settings))
+    found = matching(all_keys(base), pattern)
+    if as_json:
+        told = [{"key": key.path, "value": key.nominal, "unit": key.unit, "allowed": key.allowed} for key in found]
+        click.echo(json.dumps({"keys": told}, allow_nan=False))
+    else:
+        print_keys(found)
+    return DONE
+
+
+@cli.command(epilog=_example("hexjet search roll-doublet --vary mismatch.delay_samples=0:60 --controller smith"))
+@click.argument("name", metavar="SCENARIO")
+@click.option(
+    "--vary",
+    metavar="KEY=LO:HI[:N]",
+    multiple=True,
+    help="Search this key between LO and HI, scanned in N points; *= and += as in hexjet sweep, log(LO:HI) too.  Of "
+    "several, each alone and then all together.",
+)
+@click.option("--over", metavar="KEY=LO:HI:N", help="A curve: search at each of these values of a second key.")
+@click.option("controllers", "--controller", metavar="NAME|FILE.toml", multiple=True, help="Each is searched.")
+@click.option(
+    "--tolerance", metavar="[KEY=]X", multiple=True, help="How near the edge is to be known.  [(HI - LO) / 200]"
+)
+@click.option("--seeds", type=click.IntRange(1, 10_000), default=1, show_default=True, help="Flights of every point.")
+@click.option(
+    "--share",
+    type=_Number(0.0, 1.0),
+    default=0.0,
+    help="Of a point's flights that have to break before it does.  [default: any of them]",
+)
+@click.option("--success", metavar="METRIC<=X", multiple=True, help="What a completed flight must keep too.")
+@click.option(
+    "--budget", type=click.IntRange(min=1), default=1000, show_default=True, help="Flights for keys together."
+)
+@click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
+@click.option("--seed", type=int, help="Of the first flight of a point.  [default: the scenario's]")
+@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes.  [default: one a processor]")
+@click.option("--cluster", metavar="ADDRESS|local", help="As in hexjet sweep.")
+@click.option("--time-limit", type=_Number(min=0.0, min_open=True), metavar="S", help="For a flight.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("--resume", is_flag=True, help="Go on with the same search in DIR; nothing is flown twice.")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object at the end and nothing else.")
+def search(
+    name: str,
+    workers: int | None,
+    cluster: str | None,
+    time_limit: float | None,
+    out: Path | None,
+    resume: bool,
+    as_json: bool,
+    **options: Any,
+) -> int:
+    """Find the smallest change that breaks a controller: of a delay, a gain, a payload, a gust, or any other key.
+
+    Leaves search.json, search.html, every flight, and the flights that show it.  Status 0: searched, whatever was
+    found; 1: it was stopped before, or a flight that shows it came out otherwise when it was flown again.
+    """
+    from cosim.campaign.campaign import workers_at
+    from cosim.campaign.search_folder import opened, run_search
+    from cosim.console import output_to_stderr, print_search, search_progress
+    from cosim.flight import new_folder
+
+    study, plan = opened(name, **options)
+    if resume and out is None:
+        raise InputError("--resume: give the folder of the search with --out")
+    folder = out if out is not None else new_folder(Path("runs"), f"search-{study.name}")
+    with (
+        output_to_stderr(as_json),
+        search_progress(folder, quiet=as_json) as tell,
+        workers_at(workers, cluster, time_limit) as flying,
+    ):
+        searched = run_search(study, plan, folder, flying, resume, tell)
+    if as_json:
+        click.echo(json.dumps(searched.to_dict(), allow_nan=False))
+    else:
+        print_search(searched)
+    return DONE if searched.confirmed else FLIGHT_FAILED
+
+
 @cli.command(epilog=_example("hexjet export runs/roll-doublet-smith-001 --to ulog"))
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @click.option("target", "--to", type=click.Choice(["ulog", "csv"]), required=True, help="The format.")
@@ -660,31 +864,69 @@ def export(folder: Path, target: str) -> int:
     return DONE
 
 
-@cli.command(epilog=_example("hexjet bench --memory-minutes 5"))
-@click.option("--steps", type=click.IntRange(min=250), default=5000, show_default=True, help="Steps of a flight.")
-@click.option("--rounds", type=click.IntRange(min=1), default=9, show_default=True, help="Repetitions.")
-@click.option("--starts", type=click.IntRange(min=1), default=5, show_default=True, help="Processes started.")
-@click.option("--full", is_flag=True, help="Fly an hour for the memory too: two minutes or more.")
-@click.option("--memory-minutes", type=_Number(min=0.1), metavar="MINUTES", help="A shorter flight for it.")
+@cli.command(epilog=_example("hexjet bench --only step --only engines"))
+@click.option("--full", is_flag=True, help="Everything, with longer flights and a campaign: some ten minutes.")
+@click.option("--campaign", is_flag=True, help="What a second worker brings to a campaign, too: a minute more.")
+@click.option(
+    "--only",
+    "parts",
+    multiple=True,
+    metavar="PART",
+    help="This part alone, or these: step, blocks, peers, rotorpy, time, engines, log, start, memory, campaign.",
+)
+@click.option("--steps", type=click.IntRange(min=250), help="Steps of a timed flight.  [2500, with --full 5000]")
+@click.option("--rounds", type=click.IntRange(min=1), help="Repetitions.  [5, with --full 9]")
+@click.option("--starts", type=click.IntRange(min=1), help="Processes started for each figure of a process.  [5]")
+@click.option("--memory-minutes", type=_Number(min=0.1), metavar="MINUTES", help="Flown for the memory.  [5, or 60]")
 @click.option(
     "--dir", "folder", type=click.Path(exists=True, file_okay=False), metavar="DIR", help="Where flights are recorded."
 )
+@click.option("--page", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE.md", help="Write the tables in.")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+@click.pass_context
 def bench(
-    steps: int, rounds: int, starts: int, full: bool, memory_minutes: float | None, folder: str | None, as_json: bool
+    context: click.Context,
+    /,
+    full: bool,
+    campaign: bool,
+    parts: tuple[str, ...],
+    page: Path | None,
+    as_json: bool,
+    **amounts: Any,
 ) -> int:
-    """Measure what a flight costs on this machine, in microseconds and in JSBSim runs; nothing is judged."""
-    from cosim.bench import Plan, measure
+    """Measure what a flight costs on this machine, in microseconds and in JSBSim runs.
+
+    Beside bare JSBSim, and beside ecos, libcosim, FMPy and RotorPy as far as they are installed.  Times belong to the
+    machine: however long anything takes, the exit status is 0.
+    """
+    from cosim.bench import make_plan, measure
+    from cosim.bench.page import check_page, write_page
     from cosim.bench.show import print_result, progress
 
-    plan = Plan(steps, rounds, starts, 60.0 if full and memory_minutes is None else memory_minutes, folder)
+    plan = make_plan(full, campaign, parts, amounts)
+    if page is not None:
+        check_page(page)
     with progress(quiet=as_json) as tell:
         result = measure(plan, tell)
+    if page is not None:
+        write_page(page, result, _as_given(context))
     if as_json:
         click.echo(json.dumps(result.to_dict(), allow_nan=False))
     else:
         print_result(result)
-    return DONE
+    return FLIGHT_FAILED if result.failed else DONE
+
+
+def _as_given(context: click.Context) -> str:
+    """The command with the options that were given, as it can be typed again."""
+    words = ["hexjet", context.info_name or ""]
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if context.get_parameter_source(parameter.name or "") is ParameterSource.COMMANDLINE:
+            for each in value if isinstance(value, tuple) else [value]:
+                text = f"{each:g}" if isinstance(each, float) else str(each)
+                words += [max(parameter.opts, key=len), *([] if each is True else [text])]
+    return shlex.join(words)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -10,6 +10,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from cosim.campaign.campaign import Again
+    from cosim.campaign.keys import Key
+    from cosim.campaign.search_folder import Searched
+    from cosim.campaign.store import Campaign, Tally
     from cosim.design.make import Design
     from cosim.engine import CheckReport
     from cosim.gcs import Session
@@ -87,6 +91,77 @@ def part_progress(title: str, quiet: bool) -> Iterator[Callable[[str, int, int],
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(title, total=None)
         yield lambda part, done, of: progress.update(task, description=part, completed=done, total=of)
+
+
+@contextmanager
+def sweep_progress(folder: Path, quiet: bool) -> Iterator[Callable[[Tally, int, int], None]]:
+    """A function that is told what became of the flights, how many are finished, and of how many.
+
+    On a terminal it shows them, their rate and the time left.  Ctrl-C is answered in a line, wherever.
+    """
+    reached = [0, 0]
+    try:
+        with _sweep_bar(quiet) as show:
+
+            def tell(tally: Tally, done: int, of: int) -> None:
+                reached[:] = done, of
+                show(tally, done, of)
+
+            yield tell
+    except KeyboardInterrupt:
+        done, of = reached
+        print(
+            f"hexjet: stopped; {done} of {of} flights are kept: hexjet sweep {folder} --resume goes on"
+            if of
+            else "hexjet: stopped before the first flight",
+            file=sys.stderr,
+        )
+        raise
+
+
+@contextmanager
+def _sweep_bar(quiet: bool) -> Iterator[Callable[[Tally, int, int], None]]:
+    if quiet or not sys.stderr.isatty():
+        yield lambda tally, done, of: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn())
+    shares = TextColumn("{task.fields[shares]}")
+    # the processor is for the flights
+    with Progress(*columns, shares, console=Console(stderr=True), transient=True, refresh_per_second=2) as progress:
+        task = progress.add_task("", total=None, rate="", shares="")
+
+        def show(tally: Tally, done: int, of: int) -> None:
+            if progress.tasks[0].total is None:
+                progress.reset(task, total=of, completed=done)  # what was flown before says nothing of the rate
+            speed = progress.tasks[0].speed
+            rate = "" if speed is None else f"{speed:.1f}/s"
+            shares = ", ".join(f"{name} {tally.successes[name] / n:.0%}" for name, n in sorted(tally.flown.items()))
+            progress.update(task, completed=done, rate=rate, shares=shares)
+
+        yield show
+
+
+def print_campaign(campaign: Campaign, page: Path) -> None:
+    """What became of the flights, by controller, and where the data and the page are."""
+    from cosim.campaign.summary import campaign_summary, summary_lines
+
+    console = _console()
+    for line in summary_lines(campaign_summary(campaign)):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    console.print(f"folder: {campaign.folder}", highlight=False, soft_wrap=True)
+    console.print(f"report: {page}", highlight=False, soft_wrap=True)
+
+
+def print_again(again: Again) -> None:
+    """A flight of a campaign, and whether it is what it was."""
+    print_run(again.run)
+    console = _console()
+    console.print(f"flight {again.number}: [bold]{again.verdict}[/bold]", highlight=False)
+    for line in again.otherwise:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def print_run(run: Run) -> None:
@@ -234,6 +309,69 @@ def print_paper(found: Reproduction, report: Path) -> None:
         said = ", ".join(f"{verdict}: {count}" for verdict, count in counts.items() if count)
         console.print(f"{len(found.claims)} claims, {fidelity}: {said}", highlight=False)
     console.print(f"report: {report}", highlight=False, soft_wrap=True)
+
+
+def print_keys(keys: Sequence[Key]) -> None:
+    """What can be varied: its value now, its unit, and what it may be."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for title in ("key", "value", "unit", "allowed"):
+        table.add_column(title, justify="right" if title == "value" else "left", overflow="fold")
+    for key in keys:
+        nominal = str(key.nominal).lower() if isinstance(key.nominal, bool) else key.nominal
+        table.add_row(key.path, "-" if nominal is None else f"{nominal}", key.unit, key.allowed)
+    _console().print(table, highlight=False, markup=False)
+
+
+def print_search(searched: Searched) -> None:
+    """Where each controller breaks, when that counts as broken, how closely was looked, and the files."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.campaign.search_show import how_fine, joint_lines
+    from cosim.campaign.search_show import table as edges
+
+    console, found = _console(), searched.found
+    base = found.study.base()
+    console.print(f"{base.name}: {base.aircraft}, engine {base.engine}; {found.flights} flights", highlight=False)
+    console.print(found.criterion, highlight=False, markup=False, soft_wrap=True)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    titles, rows = edges(found)
+    for title in titles:
+        table.add_column(title, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table, markup=False)
+    for line in [*joint_lines(found), *map(how_fine, found.plan.spans)]:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    for case in searched.cases:
+        if not case.same:
+            console.print(
+                f"case {case.name}: flown again it ended {case.reason}, not as in the search", highlight=False
+            )
+    console.print(f"cases: {searched.folder / 'cases'}", highlight=False, soft_wrap=True)
+    console.print(f"report: {searched.folder / 'search.html'}", highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def search_progress(folder: Path, quiet: bool) -> Iterator[Callable[[int], None]]:
+    """A function that is told how many flights there are so far; Ctrl-C is answered in a line, wherever."""
+    reached = 0
+    try:
+        with part_progress("search", quiet) as show:
+
+            def tell(flights: int) -> None:
+                nonlocal reached
+                reached = flights
+                show(f"{flights} flights", flights, 0)
+
+            yield tell
+    except KeyboardInterrupt:
+        kept = f"{reached} flights are kept: the same command with --out {folder} --resume goes on"
+        print(f"hexjet: stopped; {kept if reached else 'before the first flight'}", file=sys.stderr)
+        raise
 
 
 def print_survival(found: Survival, report: Path) -> None:

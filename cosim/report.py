@@ -19,12 +19,14 @@ import numpy as np
 
 from cosim.errors import FlightError
 from cosim.figures import comparison_figures, run_colour, run_figures
+from cosim.files import one_line, replacing
 from cosim.metrics import AxisMetrics, metric_names
-from cosim.recorder import one_line, replacing
 from cosim.run import LOG, REPORT, SCENARIO, Run, Summary
 from cosim.signals import AXES
 
 if TYPE_CHECKING:
+    from cosim.campaign.search_folder import Searched
+    from cosim.campaign.store import Campaign
     from cosim.design.make import Design
     from cosim.engine import CheckReport
     from cosim.identify import Identification
@@ -131,6 +133,45 @@ def survival_report(found: Survival, path: Path) -> None:
 
     controllers, table = summary(found)
     _render("survival.html", path, {}, found=found, controllers=controllers, table=table, starts=STARTS)
+
+
+def campaign_report(campaign: Campaign, path: Path) -> None:
+    """Write the page of a campaign.  Raises FlightError if the file, or one that it links to, cannot be written."""
+    from cosim.campaign.report import page
+
+    figures, values = page(campaign)
+    _render("campaign.html", path, figures, **values)
+
+
+def search_report(searched: Searched, path: Path) -> None:
+    """Write the page of a search.  Raises FlightError if the file cannot be written."""
+    from cosim.campaign.search_show import figures, how_fine, joint_lines, label, table
+
+    found = searched.found
+    columns, rows = table(found)
+    cases = []
+    for case in searched.cases:
+        folder = searched.folder / "cases" / case.name
+        flown = (folder / REPORT).is_file()
+        values = ", ".join(f"{key} = {value}" for key, value in case.values.items())
+        link = Path(os.path.relpath(folder / REPORT, path.parent)).as_posix() if flown else ""
+        command = shlex.quote((folder / SCENARIO).as_posix())
+        told = {"what": values, "report": link, "command": command}
+        cases.append({name: getattr(case, name) for name in ("name", "seed", "outcome", "reason", "same")} | told)
+    _render(
+        "search.html",
+        path,
+        figures(found, searched.looked),
+        found=found,
+        base=found.study.base(),
+        controllers=[label(name) for name in found.study.flown_with],
+        labels={name: label(name) for name in found.study.flown_with},
+        columns=columns,
+        rows=rows,
+        fine=[how_fine(span) for span in found.plan.spans],
+        together=joint_lines(found),
+        cases=cases,
+    )
 
 
 def paper_report(found: Reproduction, path: Path) -> None:

@@ -146,7 +146,7 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
         (["fly", "hover", "--engine", "turbojet"], "needs an identified model of hexjet with engine 'turbojet'"),
         (["fly"], "Missing argument 'SCENARIO'"),
         (["fly", "hover", "--wind", "3"], "No such option"),
-        (["list", "planes"], "'planes' is not one of 'scenarios', 'engines', 'aircraft', 'controllers'"),
+        (["list", "planes"], "'planes' is not one of 'scenarios', 'studies', 'engines', 'aircraft', 'controllers'"),
         (["report", "nowhere"], "nowhere: no run here"),
         (["export", "nowhere", "--to", "csv"], "nowhere: no run here"),
         (["export", "nowhere", "--to", "mat"], "'mat' is not one of 'ulog', 'csv'"),
@@ -208,7 +208,7 @@ def test_wrong_input_leaves_no_folder(hexjet, tmp_path: Path) -> None:  # type: 
 
 def test_list(hexjet) -> None:  # type: ignore[no-untyped-def]
     everything = json.loads(hexjet("list", "--json").out)
-    assert set(everything) == {"scenarios", "engines", "aircraft", "controllers"}
+    assert set(everything) == {"scenarios", "studies", "engines", "aircraft", "controllers"}
     assert {e["name"] for e in everything["engines"]} >= {"turbojet", "edf", "edf-as-flown"}
     assert all(entry["title"] for entries in everything.values() for entry in entries)
     text = hexjet("list", "scenarios").out

@@ -1,0 +1,40 @@
+"""Thousands of flights of one scenario: drawn, flown by many processes, kept, and looked at.
+
+from cosim.campaign import open_study, run_campaign
+
+study = open_study("roll-doublet", vary=["vehicle.mass_kg=5:6.5"], controllers=["smith", "baseline"], runs=1000)
+campaign = run_campaign(study, "runs/mass")
+campaign.columns["success"], campaign.columns["vehicle.mass_kg"]
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cosim.campaign.campaign import fly_again, run_campaign
+    from cosim.campaign.local import LocalWorkers
+    from cosim.campaign.options import open_study
+    from cosim.campaign.store import Campaign, open_campaign
+    from cosim.campaign.study import Study
+
+_WHERE = {
+    "Campaign": "store",
+    "LocalWorkers": "local",
+    "Study": "study",
+    "fly_again": "campaign",
+    "open_campaign": "store",
+    "open_study": "options",
+    "run_campaign": "campaign",
+}
+
+__all__ = ["Campaign", "LocalWorkers", "Study", "fly_again", "open_campaign", "open_study", "run_campaign"]
+
+
+def __getattr__(name: str) -> Any:
+    """Load what is asked for and nothing else: a process that flies needs no tables."""
+    if name in _WHERE:
+        from importlib import import_module
+
+        return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,174 @@
+"""What a campaign's folder says of its study: everything that flying any of its flights again takes.
+
+``study.toml``, ``scenario.toml`` with every number of the vehicle and the engines in it, and beside them the files that
+these name: commands, controllers, engines that are not of the library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.campaign.keys import with_values
+from cosim.campaign.study import Study, is_path
+from cosim.campaign.vary import Vary
+from cosim.config import read_toml
+from cosim.engine import EngineSpec, load_engine
+from cosim.errors import InputError
+from cosim.files import replacing
+from cosim.flight import engine_files, resolve
+from cosim.scenario import Scenario, is_file
+from cosim.simulation import Simulation, build
+
+STUDY, SCENARIO = "study.toml", "scenario.toml"
+FLIGHTS, JOURNAL, REPORT, CASES = "flights", "flights.jsonl", "report.html", "cases"
+OWN = (STUDY, SCENARIO, FLIGHTS, JOURNAL, REPORT, CASES)
+
+
+@dataclass(frozen=True)
+class Frozen:
+    """A study that needs nothing but the folder it is written to, the library of aircraft and engines aside."""
+
+    study: dict[str, Any]
+    scenario: dict[str, Any]
+    files: dict[str, bytes]
+
+    def write(self, folder: Path) -> None:
+        """Put the files into place, the study last: a folder that has it has them all.  Raises OSError."""
+        import tomli_w
+
+        for name, content in self.files.items():
+            _write(folder / name, content)
+        _write(folder / SCENARIO, tomli_w.dumps(self.scenario).encode())
+        _write(folder / STUDY, tomli_w.dumps(self.study, multiline_strings=True).encode())
+
+    def differences(self, folder: Path) -> Iterator[str]:
+        """What this study states otherwise than the one in ``folder``, a line each, the study itself first."""
+        defaults = {name: field.default for name, field in Study.model_fields.items() if not field.is_required()}
+        for name, ours, unstated in ((STUDY, self.study, defaults), (SCENARIO, self.scenario, {})):
+            for key, theirs, own in _differing("", unstated | read_toml(folder / name), unstated | ours):
+                yield f"{name}: {key} is {_shown(theirs)} there and {_shown(own)} here"
+        for name, content in self.files.items():
+            if not (folder / name).is_file() or (folder / name).read_bytes() != content:
+                yield f"{name}: is another file there"
+
+
+def freeze(study: Study) -> Frozen:
+    """Everything that a folder needs to fly ``study``.
+
+    Each controller is tried on the scenario as it stands, so that what cannot fly at all is found here.  Raises
+    InputError.
+    """
+    base = study.base()
+    for controller in study.flown_with:
+        build(with_values(base, {"controller": controller})).close()
+    with build(with_values(base, {"controller": "baseline"})) as simulation:
+        resolved, sources = resolve(simulation)
+        scenario = _scenario(study, resolved, simulation, sources)
+    renamed = study.resolved(Path(SCENARIO)).changed(
+        controllers=[_copied(Path(name), sources) if is_path(name) else name for name in study.controllers],
+        vary=[vary.model_copy(update={"values": _values(base, vary, sources)}) for vary in study.vary],
+    )
+    own = next((name for name in sources if name in OWN), None)
+    if own is not None:
+        raise InputError(f"scenario {base.name}: a file named {own!r} cannot be copied into a campaign's folder")
+    files = {name: source if isinstance(source, bytes) else _read(source) for name, source in sources.items()}
+    return Frozen(renamed.table(), scenario, files)
+
+
+def load(folder: Path) -> Study:
+    """The study of a campaign's folder.  Raises InputError if there is none."""
+    path = folder.absolute() / STUDY
+    if not path.is_file():
+        raise InputError(f"{folder}: no campaign here ({STUDY} is missing)")
+    return Study.load(path)
+
+
+def is_campaign(folder: Path) -> bool:
+    """Whether a folder is a campaign's, begun at least."""
+    return (folder / STUDY).is_file() and (folder / FLIGHTS).is_dir()
+
+
+def _scenario(
+    study: Study, resolved: Scenario, simulation: Simulation, sources: dict[str, Path | bytes]
+) -> dict[str, Any]:
+    """The resolved scenario as a table; what belongs to an aircraft or an engine that is varied stays as it was."""
+    base = study.base()
+    data = resolved.model_dump(mode="json", exclude_none=True) | {"controller": base.controller}
+    swapped = {vary.key.split(".")[-1] for vary in study.vary} & {"aircraft", "engine"}
+    if swapped:
+        names = engine_files([simulation.engine, *simulation.stations], sources)
+        stations = {number: station.model_dump(exclude_none=True) for number, station in base.stations.items()}
+        for number, station in stations.items():
+            if "engine" in station:
+                station["engine"] = names[id(simulation.stations[int(number) - 1])]
+        data |= {
+            "engine": names[id(simulation.engine)],
+            "engine_parameters": base.engine_parameters,
+            "stations": stations,
+        }
+    if "aircraft" in swapped:
+        data["vehicle"] = base.vehicle
+    return data
+
+
+def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> list[Any] | None:
+    """The values of a key, engines that are files by the names that they get in the folder."""
+    if vary.values is None or vary.key.split(".")[-1] != "engine":
+        return vary.values
+    found: list[Any] = []
+    for value in vary.values:
+        if isinstance(value, str) and is_file(value):
+            spec: EngineSpec = load_engine(str(base.folder / value), {}, base.step_s, unchecked=base.engine_unchecked)
+            value = engine_files([spec], sources)[id(spec)]
+        found.append(value)
+    return found
+
+
+def _copied(source: Path, sources: dict[str, Path | bytes]) -> str:
+    """Note a file to be copied; its name in the folder."""
+    name, number = source.name, len(sources)
+    while name in sources:
+        name, number = f"{number}-{source.name}", number + 1
+    sources[name] = source
+    return name
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+
+
+def _write(path: Path, content: bytes) -> None:
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def _differing(where: str, theirs: Any, ours: Any) -> Iterator[tuple[str, Any, Any]]:
+    """The leaves in which two tables differ: dotted key and both values, None where there is none."""
+    theirs, ours = _by_key(theirs), _by_key(ours)
+    if isinstance(theirs, Mapping) and isinstance(ours, Mapping):
+        for key in dict.fromkeys([*ours, *theirs]):
+            yield from _differing(f"{where}.{key}" if where else key, theirs.get(key), ours.get(key))
+    elif isinstance(theirs, list) and isinstance(ours, list) and len(theirs) == len(ours):
+        for place, (one, other) in enumerate(zip(theirs, ours, strict=True)):
+            yield from _differing(f"{where}.{place}", one, other)
+    elif theirs != ours:
+        yield where, theirs, ours
+
+
+def _by_key(value: Any) -> Any:
+    """A list whose entries are each of a key, as a table."""
+    keyed = isinstance(value, list) and value and all(isinstance(each, Mapping) and "key" in each for each in value)
+    return {each["key"]: each for each in value} if keyed else value
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "not stated"
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,89 @@
+"""A yes or no along a line: looked at from its start outwards on a grid, then bisected where it changes first.
+
+Nothing here knows of flights.  A walk is a generator: it yields the places it wants to know of, and is sent whether
+each of them breaks.  Many walks go side by side, so that what they want to know at one time can be flown at one time.
+
+Bisection alone would not do: stability is not monotonic.  With a delay it may be lost and come back, and what lies
+between start and end would never be looked at.  And it needs no slope: of a flight that ends early there is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TypeVar
+
+Walk = Generator[Sequence[float], Sequence[bool], "Scan"]
+Between = Callable[[float, float], float | None]
+Name = TypeVar("Name", bound=Hashable)
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What a walk found: every place it looked at, in order from the start, and whether it breaks there."""
+
+    places: tuple[float, ...]
+    breaks: tuple[bool, ...]
+    change: tuple[float, float] | None  # the last place that is as the start is, and the first that is not
+
+    @property
+    def start_breaks(self) -> bool:
+        """Whether it breaks where it starts."""
+        return self.breaks[0]
+
+    @property
+    def bands(self) -> list[tuple[float, float, bool]]:
+        """Stretches of places that are alike: first and last place, and whether it breaks in them."""
+        found: list[tuple[float, float, bool]] = []
+        for place, broken in zip(self.places, self.breaks, strict=True):
+            if found and found[-1][2] == broken:
+                found[-1] = (found[-1][0], place, broken)
+            else:
+                found.append((place, place, broken))
+        return found
+
+
+def outward(places: Sequence[float], between: Between, at_once: int | None = None) -> Walk:
+    """Look at ``places``, the start first, and bisect the first change.
+
+    ``between(a, b)`` is the place to look at next between two, None where they are close enough.  ``at_once``: so many
+    places at a time, and none beyond the first change; by default all of them, for what comes back further out.
+    """
+    known: dict[float, bool] = {}
+    rest = list(places)
+    while rest and (at_once is None or _first_change(known) is None):
+        asked, rest = rest[:at_once], rest[at_once:] if at_once else []
+        known.update(zip(asked, (yield asked), strict=True))
+    change = _first_change(known)
+    while change is not None and (middle := between(*change)) is not None:
+        (known[middle],) = yield [middle]
+        change = (middle, change[1]) if known[middle] == known[places[0]] else (change[0], middle)
+    ordered = tuple(sorted(known))
+    return Scan(ordered, tuple(known[place] for place in ordered), change)
+
+
+def _first_change(known: Mapping[float, bool]) -> tuple[float, float] | None:
+    ordered = sorted(known)
+    for near, far in pairwise(ordered):
+        if known[near] != known[far]:
+            return near, far
+    return None
+
+
+def side_by_side(
+    walks: Mapping[Name, Walk], look: Callable[[Sequence[tuple[Name, float]]], Sequence[bool]]
+) -> dict[Name, Scan]:
+    """Go all walks to their ends; ``look`` tells of all places that they want to know of at one time."""
+    found: dict[Name, Scan] = {}
+    wanted: dict[Name, Sequence[float]] = {name: next(walk) for name, walk in walks.items()}
+    while wanted:
+        asked = [(name, place) for name, places in wanted.items() for place in places]
+        told = iter(look(asked))
+        for name, places in list(wanted.items()):
+            del wanted[name]
+            try:
+                wanted[name] = walks[name].send([next(told) for _ in places])
+            except StopIteration as end:
+                found[name] = end.value
+    return {name: found[name] for name in walks}

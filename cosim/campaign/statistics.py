@@ -1,0 +1,166 @@
+"""Shares, pairs and medians of flights, with intervals: pure functions of counts and arrays.
+
+Intervals are two-sided and hold 95 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+Counts = NDArray[np.intp]
+Interval = tuple[float, float]
+
+LEVEL = 0.95
+Z = float(stats.norm.ppf(0.5 + LEVEL / 2.0))
+
+
+class Share(NamedTuple):
+    """So many of so many, and between what limits the probability behind them lies."""
+
+    hits: int
+    of: int
+    wilson: Interval  # holds 95 % on average over probabilities
+    exact: Interval  # Clopper and Pearson's: holds at least 95 % at every probability, hence wider
+
+    @property
+    def value(self) -> float | None:
+        """The share, 0 to 1; None of none."""
+        return self.hits / self.of if self.of else None
+
+
+def share(hits: int, of: int) -> Share:
+    """A share with both of its intervals; of none, it may be anything from 0 to 1."""
+    if not of:
+        return Share(hits, of, (0.0, 1.0), (0.0, 1.0))
+    low, high = stats.binomtest(hits, of).proportion_ci(LEVEL, "exact")
+    bounds = wilson(np.array([hits]), np.array([of]))
+    return Share(hits, of, (float(bounds[0][0]), float(bounds[1][0])), (float(low), float(high)))
+
+
+def wilson(hits: NDArray[np.generic], of: NDArray[np.generic]) -> tuple[Array, Array]:
+    """The score interval of many shares at once: both ends of each; 0 to 1 where there is none of it.
+
+    Source: E. B. Wilson, J. Amer. Stat. Assoc. 22 (1927) 209-212: all p with (k/n - p)^2 <= z^2 p (1 - p) / n.
+    """
+    n = np.maximum(np.asarray(of, dtype=np.float64), 1.0)
+    p = np.asarray(hits, dtype=np.float64) / n
+    middle = (p + Z**2 / (2.0 * n)) / (1.0 + Z**2 / n)
+    half = Z / (1.0 + Z**2 / n) * np.sqrt(p * (1.0 - p) / n + Z**2 / (4.0 * n**2))
+    some = np.asarray(of) > 0
+    # at 0 and at 1 the ends are exactly those, but for rounding
+    low = np.where(some & (p > 0.0), np.maximum(middle - half, 0.0), 0.0)
+    high = np.where(some & (p < 1.0), np.minimum(middle + half, 1.0), 1.0)
+    return low, high
+
+
+class Pairs(NamedTuple):
+    """How the same draws came out with two controllers: in how many who succeeded."""
+
+    both: int
+    first: int  # only the first
+    second: int  # only the second
+    neither: int
+
+    @property
+    def draws(self) -> int:
+        """Draws that both have flown."""
+        return sum(self)
+
+    @property
+    def difference(self) -> float | None:
+        """The second's share of success less the first's."""
+        return (self.second - self.first) / self.draws if self.draws else None
+
+
+def pairs(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Pairs:
+    """Count the outcomes of draws, one element a draw."""
+    counts = np.bincount(2 * first.astype(np.intp) + second, minlength=4)
+    return Pairs(int(counts[3]), int(counts[2]), int(counts[1]), int(counts[0]))
+
+
+def mcnemar(found: Pairs) -> float:
+    """The exact p-value for two controllers that succeed equally often.
+
+    Only draws that they fly differently tell: under the hypothesis each of these is the toss of a coin.
+    Source: Q. McNemar, Psychometrika 12 (1947) 153-157, with the binomial distribution itself.
+    """
+    unlike = found.first + found.second
+    return float(stats.binomtest(found.first, unlike).pvalue) if unlike else 1.0
+
+
+def newcombe(found: Pairs) -> Interval | None:
+    """The interval of the difference of success, second less first, of paired draws; None of none.
+
+    Both controllers' Wilson limits, put together with the correlation phi of their outcomes, which is lessened towards
+    0 where it is positive.  Source: R. G. Newcombe, Statistics in Medicine 17 (1998) 2635-2650, method 10.
+    """
+    n = found.draws
+    difference = found.difference
+    if difference is None:
+        return None
+    hits = np.array([found.both + found.second, found.both + found.first])
+    (low, other_low), (high, other_high) = wilson(hits, np.array([n, n]))
+    value, other = hits / n
+    phi = _phi(found)
+    below, above = value - low, other_high - other
+    reach = sqrt(max(below**2 - 2.0 * phi * below * above + above**2, 0.0))
+    further, nearer = high - value, other - other_low
+    rise = sqrt(max(further**2 - 2.0 * phi * further * nearer + nearer**2, 0.0))
+    return max(difference - reach, -1.0), min(difference + rise, 1.0)
+
+
+def _phi(found: Pairs) -> float:
+    both, first, second, neither = map(float, found)
+    product = both * neither - first * second
+    if product > 0.0:
+        product = max(product - found.draws / 2.0, 0.0)
+    margins = (both + first) * (second + neither) * (both + second) * (first + neither)
+    return product / sqrt(margins) if margins else 0.0
+
+
+def holm(values: Sequence[float]) -> list[float]:
+    """p-values of several comparisons, corrected for there being several (S. Holm, Scand. J. Stat. 6 (1979) 65-70)."""
+    adjusted, largest = [1.0] * len(values), 0.0
+    for place, index in enumerate(np.argsort(values, kind="stable")):
+        largest = max(largest, min(1.0, (len(values) - place) * values[index]))
+        adjusted[index] = largest
+    return adjusted
+
+
+class MedianDifference(NamedTuple):
+    """How a metric of the same draws differs between two controllers, second less first."""
+
+    draws: int  # that have the metric with both
+    median: float
+    interval: Interval | None  # None for fewer draws than an interval of 95 % needs, six
+    p: float  # Wilcoxon's signed-rank test of differences that lie evenly about 0
+
+
+def median_difference(differences: Array) -> MedianDifference | None:
+    """The median of paired differences; None of none.
+
+    Its interval is bounded by order statistics, which hold 95 % whatever the distribution is: no resampling needed.
+    """
+    if not differences.size:
+        return None
+    found = stats.quantile_test(differences, q=0.0, p=0.5).confidence_interval(LEVEL)
+    interval = (float(found.low), float(found.high)) if np.isfinite([found.low, found.high]).all() else None
+    # all alike: nothing to rank
+    p = float(stats.wilcoxon(differences).pvalue) if np.any(differences) else 1.0
+    return MedianDifference(differences.size, float(np.median(differences)), interval, p)
+
+
+def classes(values: Array, most: int) -> Counts:
+    """The class of each value, numbered from 0 in order: one a level, or ``most`` of equal count if levels are more."""
+    levels, numbers = np.unique(values, return_inverse=True)
+    if levels.size > most:
+        inner = np.quantile(values, np.linspace(0.0, 1.0, most + 1)[1:-1])
+        _, numbers = np.unique(np.searchsorted(inner, values, side="right"), return_inverse=True)
+    return numbers.astype(np.intp)

@@ -1,0 +1,403 @@
+"""The rows of a campaign on disk, whole and readable at every moment.
+
+``flights/part-00000.parquet`` and so on hold the rows in the order in which they were finished, ``PART_ROWS`` each but
+for the last, which is now and then replaced by one that has all its rows and more.  What is finished since then is in
+``flights.jsonl``, one row a line, written as the row comes: a process that is killed leaves at most its last line torn.
+A row leaves the journal only when it is in a part.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from cosim.arrow import read_table, write_table
+from cosim.campaign import folder as places
+from cosim.campaign.folder import FLIGHTS, JOURNAL, OWN, SCENARIO, STUDY, Frozen, freeze
+from cosim.campaign.one import Kinds, Row, Value, kinds
+from cosim.campaign.plan import flights
+from cosim.campaign.study import Study
+from cosim.errors import FlightError, InputError
+from cosim.files import lock, one_line
+
+PART_ROWS = 4096  # 2 MB
+WRITE_S = 15.0  # how often the last part is replaced: it costs 50 ms
+SYNC_S = 1.0  # how often the journal is sent to the disk: what a power cut may cost
+_PARTS = "part-*.parquet"
+_CHECKED = 16  # finished flights whose draws are compared when a campaign is taken up
+
+
+class Numbers:
+    """Which of so many flights are finished: a byte each, for there may be millions."""
+
+    def __init__(self, of: int) -> None:
+        self._marks = bytearray(of)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __contains__(self, number: int) -> bool:
+        return bool(self._marks[number])
+
+    def add(self, number: int) -> None:
+        self._count += not self._marks[number]
+        self._marks[number] = 1
+
+    def remove(self, number: int) -> None:
+        self._count -= self._marks[number]
+        self._marks[number] = 0
+
+
+class Tally:
+    """Counts of what is finished: by controller, how many of how many were a success; and by outcome."""
+
+    def __init__(self) -> None:
+        self.flown: Counter[str] = Counter()
+        self.successes: Counter[str] = Counter()
+        self.outcomes: Counter[str] = Counter()
+
+    def add(self, controller: str, success: bool, outcome: str) -> None:
+        self.flown[controller] += 1
+        self.successes[controller] += success
+        self.outcomes[outcome] += 1
+
+
+class Store:
+    """A campaign's folder as the one process that adds to it sees it; a context manager.
+
+    ``flights`` are all of the study's, ``done`` the numbers of those that are finished, ``tally`` what became of them.
+    """
+
+    def __init__(self, folder: Path, journal: int) -> None:
+        self.folder = folder
+        self.study = places.load(folder)
+        self.flights = flights(self.study)
+        self.done = Numbers(len(self.flights))
+        self.tally = Tally()
+        self._journal = journal
+        self._kinds = kinds(self.study)
+        self._part = 0
+        self._rows: list[Row] = []  # of the last part
+        self._written = 0  # of them
+        self._last_write = self._last_sync = time.monotonic()
+
+    @classmethod
+    def create(cls, folder: Path, study: Study) -> Store:
+        """Begin a campaign in a folder that holds none.
+
+        Raises InputError if it holds anything of one, or cannot be written to; nothing is changed then.
+        """
+        held = next((name for name in OWN if (folder / name).exists()), None)
+        if held is not None:
+            what = f"already holds a campaign ({held})" if places.is_campaign(folder) else f"already holds {held}"
+            more = "; --resume goes on with it" if places.is_campaign(folder) else "; choose another folder"
+            raise InputError(f"{folder}: {what}{more}")
+        return cls._begin(folder, freeze(study))
+
+    @classmethod
+    def _begin(cls, folder: Path, frozen: Frozen) -> Store:
+        used = next((name for name in frozen.files if (folder / name).exists()), None)
+        if used is not None:
+            raise InputError(f"{folder}: already holds {used}; choose another folder")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            journal = _open_journal(folder, os.O_CREAT | os.O_EXCL)  # first: an empty one tells that it hardly began
+        except OSError as error:
+            raise InputError(f"{folder}: {one_line(error)}") from error
+        try:
+            return cls._begin_with(folder, journal, frozen)
+        except InputError:
+            for name in (*frozen.files, SCENARIO, STUDY, JOURNAL):
+                (folder / name).unlink(missing_ok=True)
+            with suppress(OSError):
+                (folder / FLIGHTS).rmdir()
+            raise
+
+    @classmethod
+    def _begin_with(cls, folder: Path, journal: int, frozen: Frozen) -> Store:
+        try:
+            (folder / FLIGHTS).mkdir(exist_ok=True)
+            frozen.write(folder)
+            return cls(folder, journal)
+        except (OSError, InputError) as error:
+            os.close(journal)
+            raise InputError(f"{folder}: {one_line(error)}" if isinstance(error, OSError) else str(error)) from error
+
+    @classmethod
+    def resume(cls, folder: Path, study: Study | None = None) -> Store:
+        """Go on with the campaign in a folder, or begin it if it was killed before it had begun.
+
+        Raises InputError if ``study`` is another one than the folder's, or another process is at work there.
+        """
+        frozen = None if study is None else freeze(study)
+        anew = frozen is not None and _hardly_begun(folder)
+        if not anew:
+            places.load(folder)
+        try:
+            journal = _open_journal(folder, os.O_CREAT)
+        except OSError as error:
+            raise InputError(f"{folder}: {one_line(error)}") from error
+        if frozen is not None and anew:
+            return cls._begin_with(folder, journal, frozen)
+        try:
+            difference = next(frozen.differences(folder), None) if frozen is not None else None
+            if difference is not None:
+                raise InputError(f"{folder}: holds another study; {difference}")
+            store = cls(folder, journal)
+            store._take_up()
+        except BaseException:
+            os.close(journal)
+            raise
+        return store
+
+    def add(self, row: Row) -> None:
+        """Keep a finished flight; one that is finished already is left aside.
+
+        Raises FlightError if it cannot be written; what was finished before is kept.
+        """
+        number = _number(row)
+        if number in self.done:
+            return
+        # in memory first: Ctrl-C may come between any two lines, and what only the journal has is not put into a part
+        self._rows.append(row)
+        self._note(row)
+        try:
+            _append(self._journal, self.folder / JOURNAL, json.dumps(row) + "\n")
+        except FlightError:
+            self._rows.pop()
+            self.done.remove(number)
+            raise
+        now = time.monotonic()
+        if len(self._rows) >= PART_ROWS or now - self._last_write >= WRITE_S:
+            self.flush()
+        elif now - self._last_sync >= SYNC_S:
+            _sync(self._journal, self.folder / JOURNAL)
+            self._last_sync = now
+
+    def flush(self) -> None:
+        """Put what is in the journal into the last part.  Raises FlightError if it cannot be written."""
+        if len(self._rows) > self._written:
+            path = self.folder / FLIGHTS / f"part-{self._part:05d}.parquet"
+            write_table(path, {name: [row.get(name) for row in self._rows] for name in self._kinds}, kinds=self._kinds)
+            _sync_folder(path.parent)  # a power cut must not bring back the part before, now that the journal goes
+            self._written = len(self._rows)
+        os.ftruncate(self._journal, 0)
+        if self._written >= PART_ROWS:
+            self._part, self._rows, self._written = self._part + 1, [], 0
+        self._last_write = time.monotonic()
+
+    def close(self) -> None:
+        """Put everything into parts and give the folder free; may be called twice.  Raises FlightError as flush."""
+        if self._journal < 0:
+            return
+        try:
+            self.flush()
+        finally:
+            os.close(self._journal)
+            self._journal = -1
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None or not issubclass(kind, FlightError):
+            self.close()
+            return
+        with suppress(FlightError):  # the disk is full, say; that is being told already
+            self.close()
+
+    def _take_up(self) -> None:
+        """Find out what is finished, the rows of the journal among it."""
+        for left in (*self.folder.glob(".*.tmp"), *(self.folder / FLIGHTS).glob(".*.tmp")):  # of a killed process
+            left.unlink(missing_ok=True)
+        paths = _parts(self.folder)
+        for path in paths:
+            columns = read_table(path, ("flight", "controller", "success", "outcome"))
+            for number, controller, success, outcome in zip(*columns.values(), strict=True):
+                self.done.add(int(number or 0))
+                self.tally.add(str(controller), bool(success), str(outcome))
+            self._part = int(path.stem.removeprefix("part-")) + 1
+        if paths:
+            columns = read_table(paths[-1])
+            last = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+            self._check_draws(last)
+            if len(last) < PART_ROWS:
+                self._part, self._rows, self._written = self._part - 1, last, len(last)
+        for row in _journal(self.folder):
+            if _number(row) not in self.done:
+                self._check_draws([row])
+                self._note(row)
+                self._rows.append(row)
+        self.flush()
+
+    def _note(self, row: Row) -> None:
+        self.done.add(_number(row))
+        self.tally.add(str(row["controller"]), bool(row["success"]), str(row["outcome"]))
+
+    def _check_draws(self, rows: list[Row]) -> None:
+        """Refuse to go on where the flights left would not be those of the same study."""
+        for row in rows[-_CHECKED:]:
+            flight = self.flights[_number(row)]
+            for key, value in {**flight.values, "seed": flight.seed, "controller": flight.controller}.items():
+                if row.get(key) != value:
+                    raise InputError(
+                        f"{self.folder}: flight {flight.number} was flown with {key} = {row.get(key)} and would now "
+                        f"have {value}: numpy or scipy draw other numbers than the versions that began this campaign"
+                    )
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign as it was when it was opened; it may go on meanwhile.
+
+    ``columns["outcome"]`` is a list with an entry for each finished flight, in the order of their numbers; there are
+    flight, draw, controller, seed, every varied key under its dotted name, outcome, reason, success, steps, duration_s,
+    every metric under the name that an expectation uses, hashes of the log and of what it was made from, and wall_s and
+    worker.  ``of`` is how many flights the study has.
+    """
+
+    folder: Path
+    study: Study
+    columns: Mapping[str, list[Value]]
+    of: int
+
+    def __len__(self) -> int:
+        return len(self.columns["flight"])
+
+    def row(self, number: int) -> Row:
+        """The row of one flight.  Raises InputError if there is none, or it is not finished."""
+        if not 0 <= number < self.of:
+            raise InputError(f"{self.folder}: flight {number}: there are 0 to {self.of - 1}")
+        if number not in self.columns["flight"]:
+            raise InputError(f"{self.folder}: flight {number} is not finished; --resume goes on")
+        place = self.columns["flight"].index(number)
+        return {name: values[place] for name, values in self.columns.items()}
+
+
+def open_campaign(folder: Path | str) -> Campaign:
+    """The campaign in a folder, with every flight that is finished by now; it may still be flown, or have been killed.
+
+    >>> campaign = open_campaign(folder)
+    >>> campaign.columns["success"].count(True) / len(campaign)
+    1.0
+
+    Raises InputError if there is none, or a file cannot be read.
+    """
+    folder = Path(folder)
+    study = places.load(folder)
+    return Campaign(folder, study, _Columns(folder, kinds(study)), len(flights(study)))
+
+
+class _Columns(Mapping[str, list[Value]]):
+    """The columns of all finished flights; each is read when it is asked for."""
+
+    def __init__(self, folder: Path, known: Kinds) -> None:
+        self._names = tuple(known)
+        # the journal first: what leaves it meanwhile is in a part by then
+        loose = {_number(row): row for row in _journal(folder)}
+        self._parts = [(path, read_table(path, ("flight",))["flight"]) for path in _parts(folder)]
+        numbers = [number for _, held in self._parts for number in held]
+        held_in_parts = set(numbers)
+        self._loose = [row for number, row in loose.items() if number not in held_in_parts]
+        numbers += [row["flight"] for row in self._loose]
+        self._order = sorted(range(len(numbers)), key=numbers.__getitem__)  # type: ignore[arg-type]
+        self._read: dict[str, list[Value]] = {}
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, name: str) -> list[Value]:
+        if name not in self._names:
+            raise KeyError(name)
+        if name not in self._read:
+            values: list[Value] = []
+            for path, held in self._parts:
+                values += read_table(path, (name,))[name][: len(held)]  # it may have grown at its end
+            values += [row.get(name) for row in self._loose]
+            self._read[name] = [values[place] for place in self._order]
+        return self._read[name]
+
+
+def _hardly_begun(folder: Path) -> bool:
+    """Whether a process was killed between its first file here and the study, which is written last."""
+    journal = folder / JOURNAL
+    begun = journal.is_file() and not (folder / STUDY).exists()
+    return begun and not journal.stat().st_size and not any((folder / FLIGHTS).glob("*"))
+
+
+def _parts(folder: Path) -> list[Path]:
+    return sorted((folder / FLIGHTS).glob(_PARTS))
+
+
+def _journal(folder: Path) -> Iterator[Row]:
+    """The rows of the journal up to its end, or to the line that is torn."""
+    try:
+        lines = (folder / JOURNAL).read_bytes().splitlines(keepends=True)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise InputError(f"{folder / JOURNAL}: {one_line(error)}") from error
+    for line in lines:
+        if not line.endswith(b"\n"):
+            return
+        try:
+            yield json.loads(line)
+        except ValueError:
+            return
+
+
+def _open_journal(folder: Path, how: int) -> int:
+    """Open the journal and take its lock.  Raises InputError if another process has it, OSError."""
+    file = os.open(folder / JOURNAL, os.O_RDWR | os.O_APPEND | how, 0o666)
+    if not lock(file):
+        os.close(file)
+        raise InputError(f"{folder}: in use by another process; wait until it ends")
+    return file
+
+
+def _sync(file: int, path: Path) -> None:
+    """See to it that what was written is on the disk.  Raises FlightError."""
+    try:
+        os.fsync(file)
+    except OSError as error:
+        raise FlightError(f"{path}: {one_line(error)}") from error
+
+
+def _sync_folder(folder: Path) -> None:
+    """The same for the names in a folder."""
+    file = os.open(folder, os.O_RDONLY)
+    try:
+        _sync(file, folder)
+    finally:
+        os.close(file)
+
+
+def _append(file: int, path: Path, line: str) -> None:
+    """Write a line as a whole or not at all.  Raises FlightError."""
+    size = os.fstat(file).st_size
+    rest = line.encode()
+    try:
+        while rest:
+            rest = rest[os.write(file, rest) :]
+    except OSError as error:
+        os.ftruncate(file, size)
+        raise FlightError(f"{path}: {one_line(error)}") from error
+
+
+def _number(row: Row) -> int:
+    number = row["flight"]
+    assert isinstance(number, int)
+    return number

@@ -1,0 +1,84 @@
+"""Short studies, and flights that go wrong in ways that only a process can: its functions are imported in workers."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim.campaign import local
+from cosim.campaign.one import Row, fly_one
+from cosim.campaign.options import open_study
+from cosim.campaign.plan import Flight
+from cosim.campaign.study import Study
+from cosim.errors import FlightError
+
+NOTES = "HEXJET_TEST_NOTES"  # a folder for what workers leave, by environment
+TROUBLED = 2  # the number of the flight that goes wrong
+
+local.BACKSTOP_S = 0.3
+
+
+def study(runs: int | None = 6, duration: float = 0.2, fixed: Sequence[str] = (), **options: Any) -> Study:
+    """A few short hovers with payload and wind drawn, with and without a predictor."""
+    given = {
+        "vary": ["vehicle.mass_kg=5.4:5.8", "environment.wind_ned_m_s.1=normal(0,1)"],
+        "settings": [f"duration_s={duration}", *fixed],
+        "controllers": ["smith", "baseline"],
+        "runs": runs,
+    }
+    return open_study("hover", **(given | options))
+
+
+def without_chance(row: Row) -> Row:
+    """What does not depend on where and when a flight was flown."""
+    return {name: value for name, value in row.items() if name not in ("wall_s", "worker")}
+
+
+def noted(study: Study, flight: Flight) -> Row:
+    """Fly, take a while, and leave a note of it when it is done."""
+    row = fly_one(study, flight)
+    time.sleep(0.02)
+    with open(Path(os.environ[NOTES]) / str(os.getpid()), "a") as file:
+        file.write(f"{flight.number}\n")
+    return row
+
+
+def lost_once(study: Study, flight: Flight) -> Row:
+    """The process is killed in one flight, the first time."""
+    mark = Path(os.environ[NOTES]) / "lost"
+    if flight.number == TROUBLED and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return fly_one(study, flight)
+
+
+def lost(study: Study, flight: Flight) -> Row:
+    """The process is killed in one flight, every time."""
+    if flight.number == TROUBLED:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    return fly_one(study, flight)
+
+
+def hanging(study: Study, flight: Flight) -> Row:
+    """One flight does not end, in C code that does not let Python have a say."""
+    if flight.number == TROUBLED:
+        (Path(os.environ[NOTES]) / "hangs").write_text(str(os.getpid()))
+        ctypes.PyDLL(None).sleep(600)
+    return fly_one(study, flight)
+
+
+def in_trouble(study: Study, flight: Flight) -> Row:
+    """The machine fails, not the flight."""
+    raise FlightError("no room")
+
+
+class Deadly:
+    """What ends the process that receives it, before it is ready."""
+
+    def __reduce__(self) -> Any:
+        return os._exit, (3,)

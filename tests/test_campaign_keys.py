@@ -1,0 +1,209 @@
+"""Every key of every scenario: found, explained, written, and refused where it cannot be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cosim.campaign.keys import Key, all_keys, find_key, matching, split, with_values
+from cosim.errors import InputError
+from cosim.flight import fly
+from cosim.scenario import Scenario, scenario_names
+from cosim.simulation import build
+from cosim.vehicle import load_vehicle
+
+OWN = ("aircraft", "engine", "controller")
+
+
+def numbers(scenario: Scenario) -> dict[str, Key]:
+    return {key.path: key for key in all_keys(scenario) if key.kind in ("float", "int") and key.nominal is not None}
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_what_is_there_can_be_written_over_itself(name: str) -> None:
+    scenario = Scenario.load(name)
+    keys = all_keys(scenario)
+    stated = {key.path: key.fit(key.nominal) for key in keys if key.nominal is not None}
+    assert len(keys) == len({key.path for key in keys})
+    assert stated == {key.path: key.nominal for key in keys if key.nominal is not None}
+    assert all_keys(with_values(scenario, stated)) == keys
+
+
+def test_every_number_arrives_where_it_is_named() -> None:
+    """All numbers changed at once, each by a share of its own: no key writes where another one reads."""
+    scenario = Scenario.load("payload-drop")
+    changed: dict[str, Any] = {}
+    for place, (path, key) in enumerate(numbers(scenario).items()):
+        assert isinstance(key.nominal, (int, float))
+        value = key.nominal + 1 if key.kind == "int" else key.nominal * (1.0 - 1e-5 * place) - 1e-9 * place
+        if path != "step_s" and not path.endswith("_s") and key.low <= value <= key.high:
+            changed[path] = value
+    assert len(changed) > 150
+    written = numbers(with_values(scenario, changed))
+    assert {path: written[path].nominal for path in changed} == changed
+
+
+def test_vehicle_flies_with_the_value() -> None:
+    values = {
+        "vehicle.jets.2.position_m.1": -0.16,
+        "vehicle.inertia_kg_m2.0": 0.05,
+        "engine_parameters.delay_samples": 9,
+    }
+    values |= {"vehicle.identified.edf-as-flown.roll.poles.1": 0.91, "stations.3.parameters.gain": 0.3, "seed": 7}
+    with build(with_values(Scenario.load("hover"), values)) as simulation:
+        assert simulation.vehicle.jets[2].position_m == (0.13, -0.16, -0.08)
+        assert simulation.vehicle.inertia_kg_m2 == (0.05, 0.052, 0.07)
+        assert simulation.vehicle.identified["edf-as-flown"]["roll"].poles == [0.9999, 0.91]
+        assert [spec.delay_samples for spec in simulation.stations] == [9] * 6
+        assert [spec.parameters["gain"] for spec in simulation.stations] == [
+            0.2554,
+            0.2554,
+            0.3,
+            0.2554,
+            0.2554,
+            0.2554,
+        ]
+        assert simulation.scenario.seed == 7
+        assert simulation.scenario.expect == []
+
+
+def test_lists_of_a_resolved_scenario_are_written_by_place(tmp_path: Path) -> None:
+    """A run's own scenario states the whole vehicle, lists and all."""
+    fly(Scenario.load("hover").replace(duration_s=0.02, expect=[]), tmp_path / "run", report=False)
+    resolved = Scenario.load(tmp_path / "run" / "scenario.toml")
+    assert find_key(resolved, "vehicle.jets.2.position_m.1").nominal == -0.15
+    written = with_values(resolved, {"vehicle.jets.2.position_m.1": -0.16, "vehicle.mass_kg": 6.0})
+    vehicle, _ = load_vehicle(written.aircraft, written.vehicle)
+    assert (vehicle.jets[2].position_m, vehicle.mass_kg, vehicle.jets[3]) == (
+        (0.13, -0.16, -0.08),
+        6.0,
+        load_vehicle("hexjet")[0].jets[3],
+    )
+
+
+def test_bounds_units_and_nominal_values() -> None:
+    scenario = Scenario.load("payload-drop")
+    delay = find_key(scenario, "engine_parameters.delay_samples")
+    assert (delay.kind, delay.nominal, delay.unit, delay.low, delay.high) == ("int", 25, "samples", 0.0, 1000.0)
+    mass = find_key(scenario, "disturbance.0.mass_kg")
+    assert (mass.kind, mass.nominal, mass.unit, mass.low, mass.open_low) == ("float", 0.5, "kg", 0.0, True)
+    start = find_key(scenario, "disturbance.0.start_s")
+    assert start.fit(1.0013) == 1.0  # 250.325 steps
+    assert find_key(scenario, "controller").fit("state") == "state"
+    assert find_key(scenario, "vehicle.jets.0.spin").fit(-1) == -1
+    assert find_key(Scenario.load("roll-doublet"), "command.0.amplitude").unit == "deg"
+    assert find_key(scenario, "vehicle.contacts.0.spring_n_m").unit == "N/m"
+    assert find_key(scenario, "vehicle.control.attitude.gain_1_s.1").unit == "1/s"
+    assert find_key(scenario, "monitor").nominal is None
+    # what stands at a station is the scenario's engine with the scenario's parameters until it is stated
+    changed = with_values(scenario, {"engine_parameters.gain": 0.3})
+    assert find_key(changed, "stations.2.parameters.gain").nominal == 0.3
+
+
+def test_whole_numbers_are_rounded() -> None:
+    scenario = Scenario.load("hover")
+    assert find_key(scenario, "engine_parameters.delay_samples").fit(24.6) == 25
+    assert isinstance(find_key(scenario, "substeps").fit(3.9), int)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("engine_parameters.delay_samples", -1, "engine_parameters.delay_samples = -1: must be a whole number from 0"),
+        ("vehicle.mass_kg", 0.0, "vehicle.mass_kg = 0.0: must be a number above 0"),
+        ("vehicle.mass_kg", float("nan"), "vehicle.mass_kg = nan: must be a number above 0"),
+        ("vehicle.mass_kg", True, "must be a number"),
+        ("vehicle.control.allocation.throttle_min", 1.0, "must be a number from 0 below 1"),
+        ("controller", "smth", "must be one of baseline, smith"),
+        ("sensor_noise", 1, "must be true or false"),
+    ],
+)
+def test_values_out_of_range(key: str, value: Any, words: str) -> None:
+    with pytest.raises(InputError, match=r"\A[^\n]+\Z") as error:
+        find_key(Scenario.load("hover"), key).fit(value)
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("gyro.noise", "did you mean vehicle.sensors.gyro.noise_rad_s?"),
+        ("vehicle.mass", "did you mean vehicle.mass_kg?"),
+        ("mass_kg", "vehicle.mass_kg"),
+        ("delay_samples", "engine_parameters.delay_samples, "),
+        ("engine_parameters.delai_samples", "did you mean engine_parameters.delay_samples"),
+        ("vehicle.control.rate.rol.p", "did you mean vehicle.control.rate.roll.p"),
+        ("wind", "did you mean environment.wind_ned_m_s.0"),
+        ("xyzzy", "lists all of them"),
+        ("vehicle.sensors.gyro", "below it: filter_s, noise_rad_s, bias_rad_s, latency_samples"),
+        ("environment.wind_ned_m_s", "below it: 0, 1, 2"),
+        ("seed", "every flight has one already"),
+        ("title", "is not a number or a choice"),
+        ("command.0.amplitude", "scenario hover has no [[command]]"),
+        ("", "lists all of them"),
+    ],
+)
+def test_names_that_are_no_key(text: str, words: str) -> None:
+    with pytest.raises(InputError, match=r"\A[^\n]+\Z") as error:
+        find_key(Scenario.load("hover"), text)
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (
+            {"aircraft": "hexjet-100", "vehicle.mass_kg": 6.0},
+            "aircraft = hexjet-100: vehicle.mass_kg belongs to hexjet",
+        ),
+        ({"engine": "turbojet", "engine_parameters.gain": 1.0}, "engine = turbojet: engine_parameters.gain belongs to"),
+        ({"engine": "turbojet", "stations.2.parameters.gain": 1.0}, "stations.2.parameters.gain belongs to"),
+        ({"environment.ground_m": 1e9}, "environment.ground_m = 1000000000.0"),
+        ({"no.such.key": 1.0}, "unknown key 'no'"),
+    ],
+)
+def test_values_that_cannot_hold(values: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=r"\A[^\n]+\Z") as error:
+        with_values(Scenario.load("hover"), values)
+    assert words in str(error.value)
+
+
+def test_parameters_stated_for_one_engine_do_not_go_to_another() -> None:
+    stated = with_values(Scenario.load("hover"), {"engine_parameters.gain": 0.3})
+    with pytest.raises(InputError, match="which the scenario states, belongs to edf-as-flown"):
+        with_values(stated, {"engine": "turbojet"})
+    assert with_values(stated, {"engine": "edf-as-flown"}).engine_parameters == {"gain": 0.3}
+
+
+def test_another_aircraft_brings_its_engine_and_another_engine_takes_every_station() -> None:
+    assert (
+        with_values(Scenario.load("hover"), {"aircraft": "hexjet-100"}).engine == load_vehicle("hexjet-100")[0].engine
+    )
+    mixed = with_values(Scenario.load("hover"), {"stations.2.engine": "turbojet"})
+    assert list(mixed.stations) == ["2"]
+    assert with_values(mixed, {"engine": "edf"}).stations == {}
+
+
+def test_names_with_dots_of_their_own() -> None:
+    assert split("engine_parameters.core.fan[1].gain") == ["engine_parameters", "core.fan[1].gain"]
+    assert split("stations.2.parameters.core.gain") == ["stations", "2", "parameters", "core.gain"]
+    assert split("vehicle.identified.mine.fmu.roll.poles.1") == [
+        *("vehicle", "identified", "mine.fmu", "roll", "poles", "1")
+    ]
+    model = load_vehicle("hexjet")[0].identified["edf"]["roll"].model_dump()
+    scenario = Scenario.load("hover").replace(vehicle={"identified": {"mine.fmu": {"roll": model}}})
+    key = find_key(scenario, "vehicle.identified.mine.fmu.roll.delay_samples")
+    written = with_values(scenario, {key.path: 12.5})
+    assert find_key(written, key.path).nominal == 12.5
+
+
+def test_list_for_people() -> None:
+    keys = all_keys(Scenario.load("hover"))
+    assert [key.path for key in matching(keys, "engine_parameters")] == [
+        *(f"engine_parameters.{name}" for name in ("gain", "pole", "delay_samples", "newton_per_unit"))
+    ]
+    assert [key.path for key in matching(keys, "*.gain") if key.path.startswith("eng")] == ["engine_parameters.gain"]
+    with pytest.raises(InputError, match=r"no key matches 'gryo'; did you mean vehicle\.sensors\.gyro"):
+        matching(keys, "gryo")
