@@ -18,7 +18,7 @@ SOURCES := setup.py pyproject.toml cosim/compiled.py $(COMPILED) cosim/engine/bu
 NOT_NEEDED := opencv-python vtk shapely quantized-mesh-tile
 # what the set-up leaves outside .venv; if any of it was deleted, it is made again
 MISSING := $(if $(and $(wildcard fmus/*.fmu),$(wildcard cosim/engine/_bank.*.so),$(wildcard cosim/_rows.*.so), \
-	$(wildcard cosim/_records.*.so),$(or $(HEXJET_PURE),$(and $(wildcard cosim/_compiled.sha256),$(wildcard cosim/_native__mypyc.*.so)))),,missing)
+	$(wildcard cosim/_records.*.so),$(or $(HEXJET_PURE),$(and $(wildcard cosim/_compiled.*.sha256),$(wildcard cosim/_native__mypyc.*.so)))),,missing)
 
 ##@ Fly and look
 demo: setup ## fly roll-doublet without and with the Smith predictor, and compare
@@ -53,7 +53,7 @@ lock: ## resolve pyproject.toml into requirements.lock; newer releases: make loc
 		--no-emit-index-url --custom-compile-command "make lock" --output-file requirements.lock $(ARGS) pyproject.toml
 
 clean: ## remove .venv, builds and caches; flights in runs/ stay
-	rm -rf .venv build dist *.egg-info fmus/*.fmu cosim/_compiled.sha256 .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv build dist *.egg-info fmus/*.fmu cosim/_compiled.*.sha256 .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find cosim -name '*.so' -delete
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import os
 import platform
@@ -12,7 +13,7 @@ import shutil
 import sys
 import sysconfig
 from hashlib import sha256
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -69,7 +70,6 @@ follow_imports = skip
 ignore_missing_imports = True
 """
 NATIVE = "cosim._native"
-SHARED = "_native__mypyc"  # the extension that all compiled modules share, as mypyc calls it
 
 
 class BuildExtensions(build_ext):
@@ -84,14 +84,14 @@ class BuildExtensions(build_ext):
         package = ROOT / "cosim" if self.inplace else Path(self.build_lib) / "cosim"
         stamp = package / compiled.STAMP
         if os.environ.get(compiled.PURE):
-            self._remove_compiled(package, stamp)
+            self._remove_compiled(package, compiled)
             super().run()
             return
         stated = compiled.fingerprint(ROOT / "cosim") + self._made_by()
-        if stamp.is_file() and stamp.read_text(encoding="ascii") == stated and any(package.glob(f"{SHARED}.*")):
+        if stamp.is_file() and stamp.read_text(encoding="ascii") == stated and (package / compiled.SHARED).is_file():
             super().run()
             return
-        self._remove_compiled(package, stamp)
+        self._remove_compiled(package, compiled)
         modules = [f"cosim/{name}" for name in compiled.MODULES]
         self.distribution.ext_modules = [*self.extensions, *by_mypyc(modules, Path(self.build_temp))]
         self.swig_opts = None  # split once already, and not split twice
@@ -100,17 +100,22 @@ class BuildExtensions(build_ext):
         stamp.write_text(stated, encoding="ascii")
 
     def _made_by(self) -> str:
-        """What else decides what is compiled, in the form of a fingerprint."""
-        tools = f"mypy-{version('mypy')}-{platform.python_implementation()}-{platform.python_version()}"
+        """What else decides what is compiled, in the form of a fingerprint.  Raises CompileError without mypy."""
+        try:
+            mypy = version("mypy")
+        except PackageNotFoundError:
+            reason = "mypy: not found; install mypy, or set HEXJET_PURE=1 to go without compiled modules"
+            raise CompileError(reason) from None
+        tools = f"mypy-{mypy}-{platform.python_implementation()}-{platform.python_version()}"
         return f"{sha256(Path(__file__).read_bytes()).hexdigest()}  ../setup.py\n{tools}\n"
 
-    def _remove_compiled(self, package: Path, stamp: Path) -> None:
-        """What an earlier build compiled: it may be of modules that are no longer compiled."""
-        stamp.unlink(missing_ok=True)
+    def _remove_compiled(self, package: Path, compiled: Any) -> None:
+        """What an earlier build compiled for this Python: it may be of modules that are no longer compiled."""
+        (package / compiled.STAMP).unlink(missing_ok=True)
+        (package / compiled.SHARED).unlink(missing_ok=True)
         suffix = sysconfig.get_config_var("EXT_SUFFIX")
         for path in package.rglob(f"*{suffix}"):
-            module = path.name.removesuffix(suffix)
-            if path.with_name(f"{module}.py").exists() or module == SHARED:
+            if path.with_name(f"{path.name.removesuffix(suffix)}.py").exists():
                 path.unlink()
 
 
@@ -119,16 +124,14 @@ def by_mypyc(modules: list[str], folder: Path) -> list[Extension]:
 
     With -O1 they take half as long to compile as with -O2 or -O3, and a flight takes no longer (measured).
     """
-    try:
-        from mypyc.build import mypycify
-    except ImportError as error:
-        raise CompileError(f"{error}; install mypy, or set HEXJET_PURE=1 to go without compiled modules") from error
+    from mypyc.build import mypycify
 
     folder.mkdir(parents=True, exist_ok=True)
     config = folder / "mypy.ini"
     config.write_text(MYPY, encoding="utf-8")
     options = ["--config-file", str(config), "--cache-dir", str(folder / "mypy")]
     found: list[Extension] = mypycify([*options, *modules], target_dir=str(folder), group_name=NATIVE)
+    gc.freeze()  # mypy leaves so much that to collect it when the process ends takes longer than mypy did
     for extension in found:
         extension.extra_compile_args = [*c_flags("-O1"), "-g0", "-w"]
     return found

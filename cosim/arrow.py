@@ -3,6 +3,9 @@
 The only module that imports ``pyarrow``.  In a run's folder the rows go to an Arrow IPC stream, each block in one
 write, so that a killed process loses at most its last block; at the end the stream becomes a Parquet file whose bytes
 depend on the rows alone.
+
+A flight's log goes around what makes pyarrow import pandas where that is installed (``pa.array``, ``to_numpy``): it
+costs more than a short flight, and 35 MB.
 """
 
 from __future__ import annotations
@@ -85,7 +88,8 @@ def _batch_head(rows: int) -> bytes:
     """
     import pyarrow as pa
 
-    columns = [pa.array(np.zeros(rows))] * len(NAMES)
+    zeros = pa.Array.from_buffers(pa.float64(), rows, [None, pa.py_buffer(bytes(8 * rows))])
+    columns = [zeros] * len(NAMES)
     message: bytes = pa.RecordBatch.from_arrays(columns, schema=_schema()).serialize().to_pybytes()
     return message[: len(message) - 8 * rows * len(NAMES)]
 
@@ -104,15 +108,19 @@ class ParquetLog:
 
     def __getitem__(self, name: str) -> Array:
         with _parquet(self._path) as file:
-            column: Array = file.read([known(name, self.columns)], use_threads=False).column(0).to_numpy()
-        return column
+            column = file.read([known(name, self.columns)], use_threads=False).column(0)
+            return np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
 
     def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
         """The named columns, at most ``rows`` rows at a time."""
         wanted = [known(name, self.columns) for name in names]
         with _parquet(self._path) as file:
             for batch in file.iter_batches(batch_size=rows, columns=wanted, use_threads=False):
-                yield {name: batch.column(name).to_numpy() for name in names}
+                yield {name: _numbers(batch.column(name)) for name in names}
+
+
+def _numbers(column: pa.Array) -> Array:
+    return np.asarray(np.from_dlpack(column), np.float64)
 
 
 def read_note(stream: Path) -> str | None:

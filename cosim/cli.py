@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import shlex
+import signal
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -12,9 +16,10 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from cosim.errors import FlightError, InputError
+from cosim.errors import MACHINE_TROUBLE, FlightError, InputError
 
 DONE, FLIGHT_FAILED, WRONG_INPUT = 0, 1, 2
+INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
 KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
 
 
@@ -26,6 +31,24 @@ class _Number(click.FloatRange):
         if not isfinite(number):
             self.fail(f"{value} is not a finite number.", param, ctx)
         return number
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM, by which a batch system or a service manager asks a process to end."""
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """Answer SIGTERM as Ctrl-C is answered."""
+
+    def end(number: int, frame: object) -> None:
+        raise _Terminated
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _example(text: str) -> str:
@@ -753,7 +776,7 @@ def sweep(
     study, folder = opened(name, out, resume, **options)
     for text in study.notes() if study is not None else ():
         click.echo(f"hexjet: note: {text}", err=True)
-    with output_to_stderr(as_json), sweep_progress(folder, quiet=as_json) as tell:
+    with _terminated_as_interrupted(), output_to_stderr(as_json), sweep_progress(folder, quiet=as_json) as tell:
         with workers_at(workers, cluster, time_limit) as flying:
             campaign = run_campaign(study, folder, flying, resume, tell)
         page = write_campaign_report(campaign)
@@ -839,6 +862,7 @@ def search(
         raise InputError("--resume: give the folder of the search with --out")
     folder = out if out is not None else new_folder(Path("runs"), f"search-{study.name}")
     with (
+        _terminated_as_interrupted(),
         output_to_stderr(as_json),
         search_progress(folder, quiet=as_json) as tell,
         workers_at(workers, cluster, time_limit) as flying,
@@ -950,8 +974,13 @@ def main(arguments: list[str] | None = None) -> None:
         # whoever read the output has gone; keep Python from complaining about it while it shuts down
         sys.stdout = None
         status = DONE
-    except (click.Abort, KeyboardInterrupt):
-        status = 130
+    except OSError as error:
+        if error.errno not in MACHINE_TROUBLE:
+            raise
+        _complain(f"{error.strerror}; temporary files are in {tempfile.gettempdir()}")
+        status = FLIGHT_FAILED
+    except (click.Abort, KeyboardInterrupt) as error:
+        status = TERMINATED if isinstance(error.__cause__ or error, _Terminated) else INTERRUPTED
     sys.exit(status if isinstance(status, int) else DONE)
 
 

@@ -12,7 +12,7 @@ import os
 import sys
 from hashlib import sha256
 from importlib.abc import MetaPathFinder
-from importlib.machinery import ModuleSpec
+from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec
 from importlib.util import spec_from_file_location
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,9 @@ MODULES = (
     "simulation.py",
     "spools.py",
 )
-STAMP = "_compiled.sha256"  # beside this file: what was compiled, as sha256sum writes it
+# Beside this file, one of each for every Python that it was compiled for:
+SHARED = f"_native__mypyc{EXTENSION_SUFFIXES[0]}"  # what all compiled modules share, by mypyc's name for it
+STAMP = f"_compiled{EXTENSION_SUFFIXES[0]}.sha256"  # what was compiled, as sha256sum writes it
 PURE = "HEXJET_PURE"  # environment: set, build without and run without
 
 
@@ -53,7 +55,9 @@ def fingerprint(package: Path) -> str:
 
 
 def edited() -> list[str]:
-    """The modules whose source is not what was compiled; all of them where nothing was."""
+    """The modules whose source is not what was compiled; all of them where nothing was, for this Python."""
+    if not (PACKAGE / SHARED).is_file():
+        return list(MODULES)
     try:
         built = (PACKAGE / STAMP).read_text(encoding="ascii").splitlines()
     except OSError:

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+
+# Of a failed system call: the machine has no more to give, and nobody's input is wrong.
+MACHINE_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
+
 
 class InputError(ValueError):
     """The user's input is wrong: one line that names what, where and what is allowed (exit status 2)."""

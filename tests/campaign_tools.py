@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import os
+import shutil
 import signal
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -61,6 +63,15 @@ def lost(study: Study, flight: Flight) -> Row:
     """The process is killed in one flight, every time."""
     if flight.number == TROUBLED:
         os.kill(os.getpid(), signal.SIGSEGV)
+    return fly_one(study, flight)
+
+
+def cleared(study: Study, flight: Flight) -> Row:
+    """Somebody clears up temporary files before one flight, the first time."""
+    mark = Path(os.environ[NOTES]) / "cleared"
+    if flight.number == TROUBLED and not mark.exists():
+        mark.touch()
+        shutil.rmtree(tempfile.gettempdir())
     return fly_one(study, flight)
 
 

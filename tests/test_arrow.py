@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from math import isnan, nan
 from pathlib import Path
 
@@ -45,6 +47,32 @@ def streamed(path: Path, blocks: list[np.ndarray], note: str = "a note") -> byte
     sink.end()
     sink.close()
     return path.read_bytes()
+
+
+WITHOUT_PANDAS = """
+import importlib.abc, sys
+from pathlib import Path
+
+class Watch(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name == "pandas":
+            raise AssertionError("pandas was asked for")
+
+sys.meta_path.insert(0, Watch())
+from cosim import Scenario, fly, open_run
+
+out = Path(sys.argv[1])
+fly(Scenario.load("hover").replace(duration_s=0.1, expect=[]), out=out)
+log = open_run(out).log
+print(len(log), len(log["roll_rad"]), [len(block["roll_rad"]) for block in log.blocks(("roll_rad",))])
+"""
+
+
+def test_a_recorded_flight_does_without_pandas(tmp_path: Path) -> None:
+    """Many have it installed; pyarrow then imports it for little."""
+    command = [sys.executable, "-c", WITHOUT_PANDAS, str(tmp_path / "run")]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.stdout, done.returncode) == ("25 25 [25]\n", 0), done.stderr
 
 
 # ---- the stream

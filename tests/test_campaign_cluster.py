@@ -32,6 +32,7 @@ from cosim.engine import build_engines
 from cosim.errors import FlightError, InputError
 from cosim.paths import data_folder
 
+MASS = {"key": "vehicle.mass_kg", "range": [5.0, 6.0]}
 START_S = 60.0  # until a process that is being started must be there, on a busy machine
 
 
@@ -107,7 +108,7 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Study:
         '[[command]]\nkind = "table"\nfile = "lean.csv"\n'
     )
     table = {"name": "lean", "scenario": "lean.toml", "design": "random", "runs": 12}
-    vary = [{"key": "vehicle.mass_kg", "range": [5.0, 6.0]}, {"key": "engine_parameters.pole", "values": [0.87, 0.88]}]
+    vary = [MASS, {"key": "engine_parameters.pole", "values": [0.87, 0.88]}]
     given = Study.from_table(table | {"vary": vary}, folder, "test")
     frozen = folder / "frozen"
     frozen.mkdir()
@@ -133,6 +134,23 @@ def test_the_rows_are_those_of_this_machine_though_no_file_is_shared(processes: 
     assert in_order(there) == in_order(here)
     assert in_order(again) == in_order(here)[3:4]
     wait_for(lambda: not any(each.children() for each in processes.workers))  # at once, and not after a minute
+
+
+def test_a_worker_unpacks_a_study_again_after_somebody_cleared_up(tmp_path: Path) -> None:
+    (tmp_path / "lean.csv").write_text("time_s,roll_deg\n0.0,0.0\n0.1,5.0\n")
+    (tmp_path / "lean.toml").write_text(
+        'name = "lean"\nduration_s = 0.2\n[[command]]\nkind = "table"\nfile = "lean.csv"\n'
+    )
+    given = Study.from_table(
+        {"name": "lean", "scenario": "lean.toml", "design": "random", "runs": 1, "vary": [MASS]}, tmp_path, "test"
+    )
+    frozen, here = freeze(given), tmp_path / "worker"
+    first = remote.fly_together(frozen, "digest", list(flights(given)), 60.0, here)
+    shutil.rmtree(here)
+    again = remote.fly_together(frozen, "digest", list(flights(given)), 60.0, here)
+    remote.end_idle()
+    assert first[0]["outcome"] == "completed"
+    assert in_order(again) == in_order(first)
 
 
 def test_threads_of_this_process_do_the_same(capfd: pytest.CaptureFixture[str]) -> None:

@@ -160,6 +160,10 @@ def test_names_that_are_no_key(text: str, words: str) -> None:
         ),
         ({"engine": "turbojet", "engine_parameters.gain": 1.0}, "engine = turbojet: engine_parameters.gain belongs to"),
         ({"engine": "turbojet", "stations.2.parameters.gain": 1.0}, "stations.2.parameters.gain belongs to"),
+        (
+            {"stations.2.engine": "turbojet", "stations.2.parameters.gain": 1.0},
+            "stations.2.engine = turbojet: stations.2.parameters.gain belongs to edf-as-flown",
+        ),
         ({"environment.ground_m": 1e9}, "environment.ground_m = 1000000000.0"),
         ({"no.such.key": 1.0}, "unknown key 'no'"),
     ],
@@ -175,6 +179,12 @@ def test_parameters_stated_for_one_engine_do_not_go_to_another() -> None:
     with pytest.raises(InputError, match="which the scenario states, belongs to edf-as-flown"):
         with_values(stated, {"engine": "turbojet"})
     assert with_values(stated, {"engine": "edf-as-flown"}).engine_parameters == {"gain": 0.3}
+    assert with_values(stated, {"stations.2.engine": "turbojet"}).stations["2"].parameters == {}
+    stated = with_values(Scenario.load("hover"), {"stations.2.parameters.gain": 0.3})
+    with pytest.raises(InputError, match=r"stations.2.parameters.gain, which the scenario states, belongs to edf-as-f"):
+        with_values(stated, {"stations.2.engine": "turbojet"})
+    other = {"stations.3.engine": "turbojet", "stations.2.engine": "edf-as-flown"}
+    assert with_values(stated, other).stations["2"].parameters == {"gain": 0.3}
 
 
 def test_another_aircraft_brings_its_engine_and_another_engine_takes_every_station() -> None:

@@ -710,6 +710,13 @@ def test_a_page_shows_what_is_chosen(pages: dict[str, Path], browser: Any) -> No
         assert begin["layout"]["yaxis"]["title"]["text"] == "vehicle.mass_kg [kg]"
         assert begin["layout"]["yaxis2"]["matches"] == "y"
         shares = np.array(begin["data"][2]["z"], dtype=float)
+        tables = json.loads(tab.evaluate("document.getElementById('figure-map-tables').textContent"))
+        pair = ",".join(map(str, sorted(tables["pair"])))
+        counts = sorted(n for each in tables["cells"][pair] for n in each["n"] if n >= tables["least"])
+        half = counts[(len(counts) - 1) // 2]
+        low, high = (float(end[0]) for end in wilson(np.array([half / 2.0]), np.array([half])))
+        told = f"{half} flights or fewer: with {half}, a share of 50 % has a 95 % interval from {100 * low:.0f} to "
+        assert f"{told}{100 * high:.0f} %" in tab.inner_text("#map-note")
 
         choose("x", "environment.wind_ned_m_s.1")
         choose("y", "mismatch.delay_samples")

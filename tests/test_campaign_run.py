@@ -270,6 +270,16 @@ def test_a_folder_is_resumed_by_its_name_alone(hexjet: Hexjet) -> None:
     assert Path("c", "report.html").is_file()
 
 
+def test_what_is_shipped_is_meant_where_a_folder_is_called_the_same(flown: Campaign, hexjet: Hexjet) -> None:
+    """But for its path, and where there is nothing else that could be resumed."""
+    shutil.copytree(flown.folder, "hover")
+    done = hexjet("sweep", "hover", "--vary", "vehicle.mass_kg=5.4:5.8:2", "--controller", "smith", *SHORT)
+    assert (done.status, done.err) == (0, "")
+    assert len(open_campaign("runs/hover-001")) == 2
+    assert "./hover: already holds a campaign; --resume goes on with it" in hexjet("sweep", "./hover").err
+    assert "6 flights" in hexjet("sweep", "hover", "--resume").out
+
+
 VARY = ("--vary", "vehicle.mass_kg=5.4:5.8", "--runs", "2")
 
 

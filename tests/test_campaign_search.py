@@ -22,6 +22,7 @@ from cosim.campaign.plan import Flight
 from cosim.campaign.probe import Journal, Point, Prober, SpentError
 from cosim.campaign.search import Edge, Found, search
 from cosim.campaign.search_folder import opened, run_search
+from cosim.campaign.search_show import how_fine
 from cosim.campaign.study import Study
 from cosim.cli import main
 from cosim.design.channel import Actuator, channels
@@ -99,6 +100,23 @@ def test_whole_numbers_are_found_exactly(edge: int) -> None:
     (up,) = found(rule, [f"{DELAY}=0:60:7"]).edges
     assert (up.holds, up.breaks, up.side) == (edge - 1, edge, "up")
     assert all(isinstance(flight.values[DELAY], int) for flight in rule.flown)
+
+
+@pytest.mark.parametrize(
+    ("vary", "said"),
+    [
+        # 16 whole numbers in 6 steps of 2.5: places are 2 or 3 apart, and a gap of 3 is what may hide something
+        (f"{DELAY}=0:15:7", f"{DELAY} from 0 within 0 to 15 samples: scanned in steps of 3, "),
+        (f"{X}=-10:10:9", f"{X} from 0 within -10 to 10 m/s: scanned in steps of 2.5, "),
+        (f"{DELAY}=5:15:3", f"{DELAY} from 5, the end nearest to the scenario's 0, within 5 to 15 samples: "),
+    ],
+)
+def test_how_closely_a_key_is_looked_at_is_told(vary: str, said: str) -> None:
+    _, plan = opened("gust", vary=[vary])
+    (span,) = plan.spans
+    values = sorted(float(span.at(side * place)) for side in span.sides for place in span.places(side))
+    assert max(b - a for a, b in pairwise(values)) == pytest.approx(float(span.step))
+    assert how_fine(span).startswith(said)
 
 
 def test_both_ways_from_the_scenario_and_to_the_ends() -> None:

@@ -194,6 +194,25 @@ def test_the_folder_of_another_study_is_refused(tmp_path: Path, options: dict[st
     assert contents(folder) == before
 
 
+@pytest.mark.parametrize(
+    "other", [[1], {}, {"flight": 0}, {"flight": "0", "controller": 0, "success": 0, "outcome": 0}, -1, 12]
+)
+def test_what_is_no_flight_of_the_study_is_left_where_it_is(tmp_path: Path, other: Any) -> None:
+    """In the journal: what is no row, and the row of a flight whose number the study has not."""
+    folder = tmp_path / "c"
+    store = Store.create(folder, tools.study())
+    fill(store, [1])
+    line = made_up(store, 1) | {"flight": other} if isinstance(other, int) else other
+    abandon(store)
+    with open(folder / JOURNAL, "a") as journal:
+        journal.write(json.dumps(line) + "\n")
+    before = contents(folder)
+    for look in (open_campaign, Store.resume):
+        with pytest.raises(InputError, match=r"flights.jsonl: line 2 is no flight of this study"):
+            look(folder)
+    assert contents(folder) == before
+
+
 @pytest.mark.parametrize("name", [STUDY, SCENARIO, JOURNAL, FLIGHTS, "report.html", "cases"])
 def test_whatever_is_there_is_not_written_over(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("mine")
@@ -377,7 +396,9 @@ def test_twenty_kills_at_random_moments_lose_nothing_and_double_nothing(
         assert without_chance(campaign.row(number)) == without_chance(fly_one(campaign.study, planned[number]))
 
 
-def test_ctrl_c_ends_it_at_once_and_says_how_to_go_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("sent", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_ctrl_c_ends_it_at_once_and_says_how_to_go_on(tmp_path: Path, sent: signal.Signals, status: int) -> None:
+    """And so does SIGTERM, as a batch system sends it."""
     command = [
         sys.executable,
         "-c",
@@ -397,9 +418,9 @@ def test_ctrl_c_ends_it_at_once_and_says_how_to_go_on(tmp_path: Path) -> None:
         assert process.poll() is None
         time.sleep(0.01)
     workers = process.children()
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sent)
     out, err = process.communicate(timeout=20.0)
-    assert process.returncode == 130
+    assert process.returncode == status
     assert out == ""
     kept = len(open_campaign(tmp_path / "c"))
     stopped = f"hexjet: stopped; {kept} of 2000 flights are kept: hexjet sweep c --resume goes on"

@@ -204,6 +204,11 @@ def test_wrong_correlations_and_criteria_are_refused_in_one_line(read: Any, text
             "cannot hold together (the matrix is not positive definite",
         ),
         (["engine=edf,motor", f"{GAIN}*=0.9:1.1"], {}, "engine = edf: engine_parameters.gain belongs to edf-as-flown"),
+        (
+            ["stations.2.engine=edf,motor", "stations.2.parameters.gain*=0.9:1.1"],
+            {},
+            "stations.2.engine = edf: stations.2.parameters.gain belongs to edf-as-flown",
+        ),
         ([], {}, "nothing varies; --vary KEY=LO:HI says what does"),
     ],
 )  # fmt: skip

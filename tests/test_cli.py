@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -233,6 +235,16 @@ def test_fmu_check_and_build(hexjet) -> None:  # type: ignore[no-untyped-def]
     found = json.loads(hexjet("fmu", "check", "edf-as-flown-fmi2", "--json").out)
     assert found["ok"]
     assert hexjet("fmu", "build", "edf").out.split("\n")[0].endswith("edf.fmu")
+
+
+def test_a_machine_that_has_no_more_to_give_is_told_in_a_line(hexjet, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("cosim.flight.fly", full)
+    done = hexjet("fly", "hover")
+    assert (done.status, done.out) == (1, "")
+    assert done.err == f"hexjet: No space left on device; temporary files are in {tempfile.gettempdir()}\n"
 
 
 def test_help_has_an_example(hexjet) -> None:  # type: ignore[no-untyped-def]

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from cosim import Scenario, fly
-from cosim.compiled import MODULES, PURE, edited
+from cosim.compiled import MODULES, PURE, SHARED, STAMP, edited
 from cosim.simulation import build
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -117,6 +117,17 @@ def test_an_edited_source_is_what_runs(tmp_path: Path) -> None:
     assert said.count("\n") == 1
     assert str(edited_file) in said
     assert "make setup" in said
+
+
+@needs_compiled
+@pytest.mark.parametrize("lost", [SHARED, STAMP])
+def test_half_of_what_was_compiled_is_not_used(tmp_path: Path, lost: str) -> None:
+    """As where another Python compiled last, or a build was broken off."""
+    shutil.copytree(PACKAGE, tmp_path / "cosim", ignore=shutil.ignore_patterns("__pycache__", "mavlink", "web", "data"))
+    (tmp_path / "cosim" / lost).unlink()
+    found, said = python("import cosim.servo; print(cosim.servo.__file__)", tmp_path)
+    assert found.split() == [str(tmp_path / "cosim" / "servo.py")]
+    assert said == ""
 
 
 def test_make_compiles_again_what_was_edited() -> None:

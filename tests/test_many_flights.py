@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import _ctypes
 import ast
+import errno
 import gc
 import hashlib
 import json
@@ -279,6 +280,18 @@ def test_unpacked_files_are_used_again_if_nobody_changed_them() -> None:
             assert not (other / "left").exists()
         assert not folder.exists()
     second.close()
+
+
+def test_no_room_to_unpack_is_no_damage(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = find_source("edf").archive
+
+    def full(**_: object) -> str:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(unpacked, "_free", [])
+    monkeypatch.setattr("tempfile.mkdtemp", full)
+    with pytest.raises(InputError, match=r"edf.fmu: cannot be unpacked: /.*: No space left on device"):
+        unpack(known)
 
 
 def test_a_library_that_stays_loaded_is_not_used_again() -> None:

@@ -32,17 +32,7 @@ def begun(*arguments, **options):
 cosim.flight.record = begun
 main()
 """
-# Arrow loads pandas where it is installed, for RotorPy for one; the flight does not need it and is measured without.
-_LONG_FLIGHT = """
-import sys
-class Without:
-    def find_spec(name, path=None, target=None):
-        if name == "pandas":
-            raise ModuleNotFoundError(name)
-sys.meta_path.insert(0, Without)
-from cosim.bench.long_flight import main
-main(*sys.argv[1:])
-"""
+_LONG_FLIGHT = "import sys; from cosim.bench.long_flight import main; main(*sys.argv[1:])"
 
 
 @dataclass(frozen=True)

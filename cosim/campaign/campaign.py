@@ -16,12 +16,13 @@ from cosim.campaign.one import Row, inputs, inputs_sha256
 from cosim.campaign.options import open_study
 from cosim.campaign.plan import Flight, scenario_of
 from cosim.campaign.store import Campaign, Store, Tally, open_campaign
-from cosim.campaign.study import Study
+from cosim.campaign.study import Study, study_names
 from cosim.campaign.workers import Workers
 from cosim.digest import log_digest
 from cosim.errors import FlightError, InputError
 from cosim.flight import fly, new_folder
 from cosim.run import Run
+from cosim.scenario import scenario_names
 
 Progress = Callable[[Tally, int, int], None]  # what became of the flights, how many are finished, of how many
 
@@ -67,9 +68,11 @@ def opened(name: str, out: Path | None, resume: bool, **options: Any) -> tuple[S
     """The study that a command line names, and the folder that it is flown into.
 
     ``name`` is a scenario's, a study's or a campaign's folder; ``options`` are those of
-    :func:`cosim.campaign.options.open_study`.  Raises InputError.
+    :func:`cosim.campaign.options.open_study`.  A folder that is called as what is shipped is meant where it is written
+    as a path (``./hover``), and where there is nothing else to go on with.  Raises InputError.
     """
-    if is_campaign(Path(name)):
+    shipped = name in (*study_names(), *scenario_names()) and (out is not None or not resume)
+    if not shipped and is_campaign(Path(name)):
         if not resume:
             raise InputError(f"{name}: already holds a campaign; --resume goes on with it")
         given = next((option for option, value in options.items() if value not in (None, (), [])), None)

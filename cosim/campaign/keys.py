@@ -255,10 +255,14 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
 
 def _need_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
     """Refuse another aircraft or engine under values that were meant for the one that the scenario has."""
-    rules = (
+    rules: list[tuple[str, str, Mapping[str, Any], tuple[str, ...]]] = [
         ("aircraft", scenario.aircraft, scenario.vehicle, ("vehicle.",)),
         ("engine", scenario.engine, scenario.engine_parameters, ("engine_parameters.", "stations.")),
-    )
+    ]
+    for path in [each for each in values if each.startswith("stations.") and each.endswith(".engine")]:
+        station = scenario.stations.get(path.split(".")[1])  # type: ignore[call-overload]
+        engine = (station and station.engine) or scenario.engine
+        rules.append((path, engine, station.parameters if station else {}, (path.replace("engine", "parameters."),)))
     for key, own, stated, parts in rules:
         if values.get(key, own) == own:
             continue

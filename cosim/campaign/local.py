@@ -8,6 +8,7 @@ guarded main part.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import pickle
 import shutil
@@ -43,6 +44,7 @@ BACKSTOP_S = 10.0  # after its limit a flight ends its process by itself, should
 START_LIMIT_S = 60.0  # chosen by us: until a process is ready, which takes half a second
 STARTS = 8  # processes in a row that end before they are ready: then something else is wrong
 READY = "ready"
+_PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 _COMMAND = "import sys; from cosim.campaign.local import serve; serve(int(sys.argv[1]), sys.argv[2])"
 
 
@@ -204,7 +206,10 @@ class _Process:
         self.took = 0.0  # s, the last flight
         self._begun = time.monotonic()
         self._study: Study | None = None
-        self._folder = tempfile.mkdtemp(prefix="hexjet-worker-")  # whatever its flights put aside, it goes with it
+        try:
+            self._folder = tempfile.mkdtemp(prefix="hexjet-worker-")  # whatever its flights put aside, it goes with it
+        except OSError as error:
+            raise FlightError(f"no process could be started: {tempfile.gettempdir()}: {error.strerror}") from error
         self.connection, theirs = Pipe()
         environment = os.environ | ONE_THREAD | {"TMPDIR": self._folder}
         try:
@@ -285,13 +290,14 @@ def serve(descriptor: int, folder: str) -> None:
     """The process: fly what comes until nobody is there any more; ``folder`` is its own, and goes with it."""
     os.set_inheritable(descriptor, False)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _have_it_ended()
     Thread(target=_leave_with, args=(descriptor, folder), daemon=True).start()
     with suppress(EOFError, OSError):  # the other end is gone
-        _fly_what_comes(Connection(descriptor))
+        _fly_what_comes(Connection(descriptor), folder)
     _leave(folder)
 
 
-def _fly_what_comes(connection: Connection[Any, Any]) -> None:
+def _fly_what_comes(connection: Connection[Any, Any], folder: str) -> None:
     sys.path[:] = connection.recv()
     fly: Fly = connection.recv()
     connection.send(READY)
@@ -307,6 +313,8 @@ def _fly_what_comes(connection: Connection[Any, Any]) -> None:
         except FlightError as error:
             answer = error
         signal.setitimer(signal.ITIMER_REAL, 0.0)
+        if not os.path.isdir(folder):
+            return  # somebody cleaned up, and the flight may have failed for it: another process flies it again
         connection.send(answer)
 
 
@@ -316,6 +324,17 @@ def _leave_with(descriptor: int, folder: str) -> None:
     hung_up.register(descriptor, 0)
     hung_up.poll()
     _leave(folder)
+
+
+def _have_it_ended() -> None:
+    """Have the system end this process too, a second later: while C code holds Python's lock, no thread can.
+
+    It sends SIGHUP, number 1, and what answers that is ``alarm`` itself: ``alarm(1)``.
+    """
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "prctl"):  # on Linux alone
+        libc.signal(int(signal.SIGHUP), libc.alarm)
+        libc.prctl(_PR_SET_PDEATHSIG, int(signal.SIGHUP))
 
 
 def _leave(folder: str) -> None:

@@ -6,7 +6,6 @@ made from, by which the same flight flown elsewhere, or another year, is known t
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import os
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING
 from cosim import metrics
 from cosim.campaign.plan import Flight, scenario_of
 from cosim.digest import DigestSink
-from cosim.errors import FlightError, InputError
+from cosim.errors import MACHINE_TROUBLE, FlightError, InputError
 from cosim.flight import fly
 from cosim.metrics import check_expectations, metric_names
 
@@ -34,7 +33,6 @@ _FIRST: Kinds = {"flight": int, "draw": int, "controller": str, "seed": int}
 _OUTCOME: Kinds = {"outcome": str, "reason": str, "success": bool, "steps": int, "duration_s": float}
 _LAST: Kinds = {"log_sha256": str, "inputs_sha256": str, "inputs": str, "wall_s": float, "worker": str}
 _KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
-MACHINE_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
 BY_CHANCE = ("wall_s", "worker")  # what may differ when a flight is flown again
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from threading import Lock, Timer
 from typing import TYPE_CHECKING
 
-from cosim.campaign.folder import Frozen, load
+from cosim.campaign.folder import STUDY, Frozen, load
 from cosim.campaign.local import LocalWorkers
 from cosim.campaign.one import Row
 from cosim.memory import Memory
@@ -78,7 +78,8 @@ atexit.register(_processes.end_idle)
 def fly_together(frozen: Frozen, digest: str, flights: Sequence[Flight], limit: float, folder: Path) -> list[Row]:
     """The rows of some flights of the study with this digest; ``folder`` is one that goes when the worker goes."""
     with _unpacking:  # a worker has several threads
-        study = _studies.get((digest, folder), lambda: _unpacked(frozen, folder / digest))
+        _unpack(frozen, folder / digest)
+        study = _studies.get((digest, folder), lambda: load(folder / digest))
     workers = _processes.take(limit)
     try:
         rows = list(workers.fly(study, flights))
@@ -111,10 +112,11 @@ def differences(theirs: Mapping[str, str], ours: Mapping[str, str]) -> list[str]
     ]
 
 
-def _unpacked(frozen: Frozen, folder: Path) -> Study:
-    folder.mkdir(parents=True, exist_ok=True)
-    frozen.write(folder)
-    return load(folder)
+def _unpack(frozen: Frozen, folder: Path) -> None:
+    """Write the study down if that was not done yet, or somebody has cleaned up since."""
+    if not (folder / STUDY).is_file():  # the last that is written
+        folder.mkdir(parents=True, exist_ok=True)
+        frozen.write(folder)
 
 
 def _files() -> str:

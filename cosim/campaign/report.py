@@ -45,8 +45,8 @@ DESIGNS = {
 INTERVALS = {
     "random": "The draws are independent of each other, as both intervals suppose.",
     "latin-hypercube": (
-        "A Latin hypercube spreads its draws evenly over each key, and its shares vary hardly more than those of "
-        "independent draws, which both intervals suppose: they are on the safe side."
+        "Both intervals suppose independent draws. A Latin hypercube spreads its draws evenly over each key: as a rule "
+        "its shares vary less, so that the intervals are rather too wide than too narrow."
     ),
     "sobol": (
         "Both intervals suppose independent draws. Sobol points are more even than that, so that the intervals are an "

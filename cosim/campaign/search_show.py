@@ -89,9 +89,13 @@ def how_fine(span: Span) -> str:
     """How closely a key was looked at."""
     unit = span.key.unit
     fine = "exactly" if span.key.kind == "int" and span.tolerance <= 1.0 else f"to {text(span.tolerance, unit)}"
+    nominal = span.key.nominal
+    outside = isinstance(nominal, int | float) and not span.low <= nominal <= span.high
+    nearest = f", the end nearest to the scenario's {text(nominal)}," if outside else ""
     return (
-        f"{span.key.path} from {text(span.at(0.0))} within {text(span.low)} to {text(span.high, unit)}: scanned in "
-        f"steps of {span.step}, the first change bisected {fine}; what lasts for less than a step may be missed"
+        f"{span.key.path} from {text(span.at(0.0))}{nearest} within {text(span.low)} to {text(span.high, unit)}: "
+        f"scanned in steps of {span.step}, the first change bisected {fine}; "
+        "what lasts for less than a step may be missed"
     )
 
 

@@ -49,7 +49,8 @@ class Span:
         """The scan's step in words: what is narrower may be missed."""
         if self.logarithmic:
             return f"a factor of {(self.high / self.low) ** (1.0 / (self.points - 1)):.4g}"
-        return f"{max((self.high - self.low) / (self.points - 1), self.whole or 0.0):.4g}"
+        step = (self.high - self.low) / (self.points - 1)
+        return f"{ceil(step / self.whole - 1e-9) * self.whole if self.whole else step:.4g}"
 
     def end(self, side: int) -> Value:
         """The last value on a side."""

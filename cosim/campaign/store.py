@@ -31,6 +31,7 @@ PART_ROWS = 4096  # 2 MB
 WRITE_S = 15.0  # how often the last part is replaced: it costs 50 ms
 SYNC_S = 1.0  # how often the journal is sent to the disk: what a power cut may cost
 _PARTS = "part-*.parquet"
+_TALLIED = ("flight", "controller", "success", "outcome")
 _CHECKED = 16  # finished flights whose draws are compared when a campaign is taken up
 
 
@@ -222,7 +223,7 @@ class Store:
             left.unlink(missing_ok=True)
         paths = _parts(self.folder)
         for path in paths:
-            columns = read_table(path, ("flight", "controller", "success", "outcome"))
+            columns = read_table(path, _TALLIED)
             for number, controller, success, outcome in zip(*columns.values(), strict=True):
                 self.done.add(int(number or 0))
                 self.tally.add(str(controller), bool(success), str(outcome))
@@ -233,7 +234,7 @@ class Store:
             self._check_draws(last)
             if len(last) < PART_ROWS:
                 self._part, self._rows, self._written = self._part - 1, last, len(last)
-        for row in _journal(self.folder):
+        for row in _journal(self.folder, len(self.flights)):
             if _number(row) not in self.done:
                 self._check_draws([row])
                 self._note(row)
@@ -295,16 +296,17 @@ def open_campaign(folder: Path | str) -> Campaign:
     """
     folder = Path(folder)
     study = places.load(folder)
-    return Campaign(folder, study, _Columns(folder, kinds(study)), len(flights(study)))
+    of = len(flights(study))
+    return Campaign(folder, study, _Columns(folder, kinds(study), of), of)
 
 
 class _Columns(Mapping[str, list[Value]]):
     """The columns of all finished flights; each is read when it is asked for."""
 
-    def __init__(self, folder: Path, known: Kinds) -> None:
+    def __init__(self, folder: Path, known: Kinds, of: int) -> None:
         self._names = tuple(known)
         # the journal first: what leaves it meanwhile is in a part by then
-        loose = {_number(row): row for row in _journal(folder)}
+        loose = {_number(row): row for row in _journal(folder, of)}
         self._parts = [(path, read_table(path, ("flight",))["flight"]) for path in _parts(folder)]
         numbers = [number for _, held in self._parts for number in held]
         held_in_parts = set(numbers)
@@ -342,21 +344,28 @@ def _parts(folder: Path) -> list[Path]:
     return sorted((folder / FLIGHTS).glob(_PARTS))
 
 
-def _journal(folder: Path) -> Iterator[Row]:
-    """The rows of the journal up to its end, or to the line that is torn."""
+def _journal(folder: Path, of: int) -> Iterator[Row]:
+    """The rows of the journal up to its end, or to the line that is torn.
+
+    Raises InputError if it cannot be read, or has anything but flights below ``of``.
+    """
     try:
         lines = (folder / JOURNAL).read_bytes().splitlines(keepends=True)
     except FileNotFoundError:
         return
     except OSError as error:
         raise InputError(f"{folder / JOURNAL}: {one_line(error)}") from error
-    for line in lines:
+    for number, line in enumerate(lines, 1):
         if not line.endswith(b"\n"):
             return
         try:
-            yield json.loads(line)
+            row = json.loads(line)
         except ValueError:
             return
+        known = isinstance(row, dict) and row.keys() >= set(_TALLIED)
+        if not known or not isinstance(row["flight"], int) or not 0 <= row["flight"] < of:
+            raise InputError(f"{folder / JOURNAL}: line {number} is no flight of this study")
+        yield row
 
 
 def _open_journal(folder: Path, how: int) -> int:

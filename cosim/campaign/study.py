@@ -311,7 +311,7 @@ def _check_together(study: Study) -> None:
     nominal = {vary.key: study.key(vary.key).nominal for vary in study.vary}
     stated = {name: value for name, value in nominal.items() if value is not None}
     for vary in study.vary:
-        for value in (vary.values or []) if vary.key in ("aircraft", "engine") else []:
+        for value in (vary.values or []) if vary.key.split(".")[-1] in ("aircraft", "engine") else []:
             with_values(study.base(), {**stated, vary.key: value})
 
 

@@ -67,7 +67,7 @@ class Unpacked:
 def unpack(archive: Archive) -> Unpacked:
     """Unpack what running it on this machine takes into a folder that nobody else uses.
 
-    Raises InputError if the file is no longer the one that was read.
+    Raises InputError if the file is no longer the one that was read, or there is no room for what is in it.
     """
     try:
         data = read_bytes(archive.path)
@@ -76,6 +76,9 @@ def unpack(archive: Archive) -> Unpacked:
         return _taken(archive) or Unpacked(archive, data)
     except UnusableError as reason:
         raise InputError(f"{archive.path}: {reason}") from reason
+    except OSError as error:  # of what is written; that it cannot be read is told above
+        where = error.filename or tempfile.gettempdir()
+        raise InputError(f"{archive.path}: cannot be unpacked: {where}: {error.strerror or error}") from error
     except DAMAGE as error:
         raise InputError(f"{archive.path}: is damaged: {one_line(error)}") from error
 
