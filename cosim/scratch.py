@@ -14,16 +14,22 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
+from cosim.errors import InputError
+from cosim.files import one_line
+
 _PREFIX = "hexjet-scratch-"
 _LOCK = "lock"
 _made: dict[int, Path] = {}  # by process: one that was forked has its own
 
 
 def scratch() -> Path:
-    """The folder of this process."""
+    """The folder of this process.  Raises InputError where there is no place for one."""
     folder = _made.get(os.getpid())
     if folder is None or not folder.is_dir():
-        folder = _made[os.getpid()] = _make()
+        try:
+            folder = _made[os.getpid()] = _make()
+        except OSError as error:
+            raise InputError(f"temporary files: {one_line(error)}; TMPDIR can name another folder for them") from error
     return folder
 
 

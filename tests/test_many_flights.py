@@ -294,6 +294,16 @@ def test_no_room_to_unpack_is_no_damage(monkeypatch: pytest.MonkeyPatch) -> None
         unpack(known)
 
 
+def test_no_place_for_temporary_files_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(prefix: str) -> str:
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
+
+    monkeypatch.setattr("cosim.scratch._made", {})
+    monkeypatch.setattr(tempfile, "mkdtemp", refuse)
+    with pytest.raises(InputError, match=r"^temporary files: No usable temporary directory found; TMPDIR can"):
+        unpack(find_source("edf").archive)
+
+
 def test_a_library_that_stays_loaded_is_not_used_again() -> None:
     """It would keep what it has in its memory from one flight to the next."""
     known = find_source("edf").archive

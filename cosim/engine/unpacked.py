@@ -74,6 +74,8 @@ def unpack(archive: Archive) -> Unpacked:
         if hashlib.sha256(data).hexdigest() != archive.sha256:
             raise UnusableError("was changed while it was in use")
         return _taken(archive) or Unpacked(archive, data)
+    except InputError:  # there is no place to unpack it
+        raise
     except UnusableError as reason:
         raise InputError(f"{archive.path}: {reason}") from reason
     except OSError as error:  # of what is written; that it cannot be read is told above
