@@ -182,7 +182,7 @@ def _start(startup: Startup) -> Table:
             ("to the first step", startup.first_step_s),
         )
     ]
-    return Table("hexjet fly hover", ("s",), rows)
+    return Table("From the command to the first step: hexjet fly hover", ("s",), rows)
 
 
 def _memory(memory: Memory) -> Table:
