@@ -6,45 +6,23 @@ import doctest
 import io
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import campaign_tools as tools
 import pytest
 import tomli_w
 from campaign_tools import without_chance
+from command_tools import Hexjet
 
 from cosim.campaign import Campaign, fly_again, open_campaign, open_study, run_campaign
 from cosim.campaign.folder import FLIGHTS, JOURNAL, SCENARIO, STUDY
 from cosim.campaign.one import fly_one
 from cosim.campaign.plan import flights
 from cosim.campaign.study import Study
-from cosim.cli import main
 from cosim.config import read_toml
 from cosim.paths import data_folder
 
-Hexjet = Callable[..., "Done"]
-
 SHORT = ("--set", "duration_s=0.2", "--workers", "2")
-
-
-class Done:
-    def __init__(self, status: int, out: str, err: str) -> None:
-        self.status, self.out, self.err = status, out, err
-
-
-@pytest.fixture
-def hexjet(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Hexjet:
-    """Run the command in an empty folder; everything that any library prints is caught too."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> Done:
-        with pytest.raises(SystemExit) as end:
-            main(list(arguments))
-        out, err = capfd.readouterr()
-        return Done(int(end.value.code or 0), out, err)
-
-    return run
 
 
 @pytest.fixture(scope="module")

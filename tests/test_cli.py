@@ -10,29 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from cosim.cli import main
 from cosim.paths import data_folder
 
 SHORT = ["--set", "duration_s=1.0"]
-
-
-class Done:
-    def __init__(self, status: int, out: str, err: str) -> None:
-        self.status, self.out, self.err = status, out, err
-
-
-@pytest.fixture
-def hexjet(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):  # type: ignore[no-untyped-def]
-    """Run the command in an empty folder; everything that any library prints is caught too."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> Done:
-        with pytest.raises(SystemExit) as end:
-            main(list(arguments))
-        out, err = capfd.readouterr()
-        return Done(int(end.value.code or 0), out, err)
-
-    return run
 
 
 def test_fly_leaves_a_run_and_says_where(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

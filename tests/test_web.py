@@ -8,11 +8,8 @@ import hashlib
 import http.server
 import json
 import math
-import os
 import re
-import shutil
 import socket
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -36,12 +33,6 @@ from cosim.web.server import WebServer
 
 STATIC = Path(server.__file__).parent / "static"
 SOON = 10.0  # s, for what takes milliseconds: a loaded machine is no failure
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-BROWSER = os.environ.get("HEXJET_BROWSER") or next(filter(None, map(shutil.which, BROWSERS)), None)
-FLAGS = [
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync",
-]  # fmt: skip
 
 
 class Flown:
@@ -500,18 +491,6 @@ def test_a_new_flight(tmp_path: Path) -> None:
 
 
 # --- in a browser ------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    # what stands in for a browser that is not installed answers with an error
-    if BROWSER is None or subprocess.run([BROWSER, "--version"], capture_output=True).returncode:
-        pytest.skip("no browser: install chromium, or name one in HEXJET_BROWSER")
-    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
-    with playwright.sync_playwright() as driver:
-        started = driver.chromium.launch(executable_path=BROWSER, args=FLAGS)
-        yield started
-        started.close()
 
 
 class Screen:
