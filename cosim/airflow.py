@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.frames import conjugate, cross, jet_axis, rotate
-from cosim.signals import State, Vector3
+from cosim.signals import PerJet, State, Vector3
 from cosim.vehicle import Airflow, Jet
 
 
@@ -27,11 +27,11 @@ class Airstreams:
         self._thrust = flow.at_thrust_n
         self._exponent = flow.exponent
         self._intake, self._exhaust = flow.intake_m, flow.exhaust_m
-        self._stations = [jet.position_m for jet in jets]
+        self._stations: list[Vector3] = [jet.position_m for jet in jets]
         self._left = [jet.servo == "left" for jet in jets]
 
     def act(
-        self, forces: list[Vector3], thrust: Sequence[float], tilt: tuple[float, float], state: State
+        self, forces: list[Vector3], thrust: PerJet, tilt: tuple[float, float], state: State
     ) -> tuple[list[Vector3], Vector3]:
         """``forces`` [N, body, at the stations] with the streams' added, and what these have in moment beyond r x F."""
         vx, vy, vz = state.velocity
@@ -39,23 +39,22 @@ class Airstreams:
         through_air = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
         left, right = jet_axis(tilt[0]), jet_axis(tilt[1])
         a, b = self._intake, self._exhaust
-        added, moment = [], [0.0, 0.0, 0.0]
-        for force, newton, station, on_left in zip(forces, thrust, self._stations, self._left, strict=True):
-            e = left if on_left else right
+        added: list[Vector3] = []
+        moment_x = moment_y = moment_z = 0.0
+        for i, newton in enumerate(thrust):
+            fx, fy, fz = forces[i]
+            x, y, z = self._stations[i]
+            e = left if self._left[i] else right
             flow = self._flow * (newton / self._thrust) ** self._exponent if newton > 0.0 else 0.0
-            outlet = (station[0] + b * e[0], station[1] + b * e[1], station[2] + b * e[2])
+            outlet = (x + b * e[0], y + b * e[1], z + b * e[2])
             drag = _across(through_air, e, -flow)
             damping = _across(cross(state.rate, outlet), e, -flow)
-            added.append(
-                (force[0] + drag[0] + damping[0], force[1] + drag[1] + damping[1], force[2] + drag[2] + damping[2])
-            )
+            added.append((fx + drag[0] + damping[0], fy + drag[1] + damping[1], fz + drag[2] + damping[2]))
             # both pushes are handed over at the station
-            couple = cross(
-                e, (a * drag[0] + b * damping[0], a * drag[1] + b * damping[1], a * drag[2] + b * damping[2])
-            )
-            for axis in range(3):
-                moment[axis] += couple[axis]
-        return added, (moment[0], moment[1], moment[2])
+            push = (a * drag[0] + b * damping[0], a * drag[1] + b * damping[1], a * drag[2] + b * damping[2])
+            couple_x, couple_y, couple_z = cross(e, push)
+            moment_x, moment_y, moment_z = moment_x + couple_x, moment_y + couple_y, moment_z + couple_z
+        return added, (moment_x, moment_y, moment_z)
 
 
 def _across(vector: Vector3, axis: Vector3, factor: float) -> Vector3:

@@ -896,7 +896,8 @@ def export(folder: Path, target: str) -> int:
     "parts",
     multiple=True,
     metavar="PART",
-    help="This part alone, or these: step, blocks, peers, rotorpy, time, engines, log, start, memory, campaign.",
+    help="This part alone, or these: step, blocks, others, peers, rotorpy, time, engines, log, start, memory, "
+    "campaign.",
 )
 @click.option("--steps", type=click.IntRange(min=250), help="Steps of a timed flight.  [2500, with --full 5000]")
 @click.option("--rounds", type=click.IntRange(min=1), help="Repetitions.  [5, with --full 9]")

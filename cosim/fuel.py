@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from cosim.signals import PerJet
 
 
 class Tank:
@@ -30,9 +30,13 @@ class Tank:
     def empty(self) -> bool:
         return self.burnt >= self._mass
 
-    def burn(self, flows: Sequence[float]) -> bool:
+    def burn(self, flows: PerJet) -> bool:
         """Burn ``flows`` [kg/s], one per engine, for one step; whether anything was burnt."""
-        used = sum([flow for flow in flows if flow > 0.0]) * self._step  # NaN is not above 0
+        flow = 0.0
+        for each in flows:
+            if each > 0.0:  # NaN is not
+                flow += each
+        used = flow * self._step
         if not used or self.empty:
             return False
         self.burnt = min(self.burnt + used, self._mass)

@@ -21,6 +21,7 @@ from cosim.control.lead import Lead
 from cosim.control.monitor import EngineMonitor
 from cosim.control.predictor import DelayLine, NoPredictor, Predictor
 from cosim.control.rate import RateController
+from cosim.control.replan import get_ready
 from cosim.control.thrust import StaticCurve, ThrustMap
 from cosim.disturbances import Disturber
 from cosim.engine import Air, EngineBank, EngineSpec, load_engine
@@ -142,7 +143,8 @@ class Simulation:
         self._stated = scenario
         flown = as_flown(vehicle, scenario.mismatch)
         self._left = tuple(jet.servo == "left" for jet in vehicle.jets)
-        self._intakes = tuple(zip(self._left, [jet.position_m for jet in flown.jets], strict=True))
+        places: list[Vector3] = [jet.position_m for jet in flown.jets]
+        self._intakes: list[tuple[bool, Vector3]] = list(zip(self._left, places, strict=True))
         self._reactions = tuple(jet.reaction_m for jet in vehicle.jets)
         self._reacting = any(self._reactions)
         self.spools = spools if spools.any else None
@@ -338,17 +340,18 @@ class Simulation:
         # JSBSim knows of no wind before its first run
         wx, wy, wz = state.wind if self.k else self.disturber.at(0).wind
         u, v, w = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
-        banks = []
+        banks: list[tuple[float, Vector3]] = []
         for tilt in self._standing:
             x, y, z = axis = jet_axis(tilt)
             banks.append((u * x + v * y + w * z, cross(axis, state.rate)))
         left, right = banks
-        speeds = []
+        speeds: list[float] = []
         for on_left, (x, y, z) in self._intakes:
             # (velocity + rate x place) . axis = velocity . axis + place . (axis x rate)
             along, (by_x, by_y, by_z) = left if on_left else right
             speeds.append(along + by_x * x + by_y * y + by_z * z)
-        return Ambient(*self.airframe.air(), tuple(speeds))
+        pressure, temperature = self.airframe.air()
+        return Ambient(pressure, temperature, tuple(speeds))
 
     def _rotor_moment(self, engines: EngineOutput, tilt: tuple[float, float], state: State) -> tuple[Vector3, Vector3]:
         """Moment of the rotors on the frame, N m: what the airframe is to be given, and all that is the spools'."""
@@ -598,6 +601,7 @@ def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec
             f"scenario {scenario.name}: {vehicle.name} has no [control.monitor] to watch its engines with; "
             "state it, or set monitor = false"
         )
+    get_ready()
     known = {key: engine_reference(spec, scenario.step_s) for key, spec in {id(s): s for s in stations}.items()}
     return EngineMonitor(
         settings,

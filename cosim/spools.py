@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from cosim.engine import EngineSpec
 from cosim.errors import InputError
 from cosim.frames import cross, jet_axis
-from cosim.signals import Vector3
+from cosim.signals import PerJet, Vector3
 from cosim.vehicle import Jet
 
 
@@ -31,17 +31,18 @@ class Spools:
                     "spool_speed; leave out one or map the other"
                 )
         inertia = [jet.spin * engine.rotor_inertia for jet, engine in zip(jets, engines, strict=True)]
-        self._left = [(i, inertia[i]) for i, jet in enumerate(jets) if inertia[i] and jet.servo == "left"]
-        self._right = [(i, inertia[i]) for i, jet in enumerate(jets) if inertia[i] and jet.servo != "left"]
+        turning = [(i, jet.servo == "left") for i, jet in enumerate(jets) if inertia[i]]
+        self._left: list[tuple[int, float]] = [(i, inertia[i]) for i, on_left in turning if on_left]
+        self._right: list[tuple[int, float]] = [(i, inertia[i]) for i, on_left in turning if not on_left]
         self.any = bool(self._left or self._right)
         self._step = step
         self.momentum: Vector3 = (0.0, 0.0, 0.0)  # kg m^2/s, body
 
-    def reset(self, speeds: Sequence[float]) -> None:
+    def reset(self, speeds: PerJet) -> None:
         """The rotors turn at ``speeds`` [rad/s], jets upright."""
         self.momentum = self._sum(speeds, (0.0, 0.0))
 
-    def update(self, speeds: Sequence[float], tilt: tuple[float, float]) -> Vector3:
+    def update(self, speeds: PerJet, tilt: tuple[float, float]) -> Vector3:
         """``-dH/dt`` [N m], body, for the speeds [rad/s] and tilts [rad] at the end of the step."""
         x, y, z = self.momentum
         self.momentum = a, b, c = self._sum(speeds, tilt)
@@ -53,9 +54,12 @@ class Spools:
         x, y, z = cross(rate, self.momentum)
         return (reaction[0] - x, reaction[1] - y, reaction[2] - z)
 
-    def _sum(self, speeds: Sequence[float], tilt: tuple[float, float]) -> Vector3:
-        left = sum([inertia * speeds[i] for i, inertia in self._left])
-        right = sum([inertia * speeds[i] for i, inertia in self._right])
+    def _sum(self, speeds: PerJet, tilt: tuple[float, float]) -> Vector3:
+        left = right = 0.0
+        for i, inertia in self._left:
+            left += inertia * speeds[i]
+        for i, inertia in self._right:
+            right += inertia * speeds[i]
         left_x, _, left_z = jet_axis(tilt[0])
         right_x, _, right_z = jet_axis(tilt[1])
         return (left * left_x + right * right_x, 0.0, left * left_z + right * right_z)

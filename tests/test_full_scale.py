@@ -305,12 +305,12 @@ def test_still_air_drags_nothing() -> None:
         assert streams is not None
         forces = [(0.0, 0.0, -100.0)] * 6
         still = simulation.state._replace(velocity=ZERO3, rate=ZERO3, wind=ZERO3)
-        assert streams.act(forces, [100.0] * 6, (0.1, -0.1), still) == (forces, ZERO3)
+        assert streams.act(forces, (100.0,) * 6, (0.1, -0.1), still) == (forces, ZERO3)
         # an engine without thrust swallows nothing
         moving = still._replace(velocity=(0.0, 10.0, 0.0))
-        assert streams.act(forces, [0.0] * 6, (0.0, 0.0), moving) == (forces, ZERO3)
+        assert streams.act(forces, (0.0,) * 6, (0.0, 0.0), moving) == (forces, ZERO3)
         # six at full thrust, 10 m/s to the right: 27 N to the left, above the centre of gravity, so the vehicle rolls left
-        pushed, (roll, _, _) = streams.act([ZERO3] * 6, [220.0] * 6, (0.0, 0.0), moving)
+        pushed, (roll, _, _) = streams.act([ZERO3] * 6, (220.0,) * 6, (0.0, 0.0), moving)
         assert sum(y for _, y, _ in pushed) == pytest.approx(-6 * 0.45 * 10.0, rel=1e-12)
         assert roll == pytest.approx(-6 * 0.45 * 10.0 * 0.1535, rel=1e-12)
     with build(Scenario.load("hover")) as simulation:

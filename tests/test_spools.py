@@ -85,26 +85,28 @@ def test_the_impulse_on_the_airframe_is_the_momentum_that_the_spools_gain() -> N
     """Whatever speeds and tilts do in between, to rounding."""
     rng = np.random.default_rng(3)
     some = spools((1, -1, 1, 1, -1, 1))
-    some.reset(rng.uniform(0.0, 2e4, 6).tolist())
+    some.reset(tuple(rng.uniform(0.0, 2e4, 6).tolist()))
     before = np.array(some.momentum)
     impulse = np.zeros(3)
     for _ in range(100):
-        impulse += STEP * np.array(some.update(rng.uniform(0.0, 2e4, 6).tolist(), tuple(rng.uniform(-0.5, 0.5, 2))))
+        impulse += STEP * np.array(
+            some.update(tuple(rng.uniform(0.0, 2e4, 6).tolist()), tuple(rng.uniform(-0.5, 0.5, 2)))
+        )
     np.testing.assert_allclose(impulse, before - np.array(some.momentum), rtol=0.0, atol=1e-12)
 
 
 def test_momentum_is_along_the_thrust_for_a_right_handed_rotor() -> None:
     some = spools((1, 0, 0, 0, 0, 0))  # jet 1, on the right bank
-    some.reset([1e4] * 6)
+    some.reset((1e4,) * 6)
     assert some.momentum == pytest.approx((0.0, 0.0, -0.2), abs=1e-15)
-    some.update([1e4] * 6, (0.3, -0.2))
+    some.update((1e4,) * 6, (0.3, -0.2))
     assert some.momentum == pytest.approx(tuple(0.2 * e for e in jet_axis(-0.2)), abs=1e-15)
 
 
 def test_turning_the_axes_takes_a_moment() -> None:
     """Both banks tilt at a constant rate: -dH/dt is tilt rate x e_y x H, as positive tilt turns about -y."""
     some = spools((1,) * 6)
-    speeds, rate = [1e4] * 6, 2.0
+    speeds, rate = (1e4,) * 6, 2.0
     some.reset(speeds)
     found = np.array([some.update(speeds, (rate * STEP * k, rate * STEP * k)) for k in range(1, 51)])
     middle = rate * STEP * (np.arange(50) + 0.5)  # where a central difference belongs
@@ -116,8 +118,8 @@ def test_turning_the_axes_takes_a_moment() -> None:
 
 def test_the_logged_moment_is_the_change_and_the_gyroscopic_part() -> None:
     some = spools((1, 1, 1, 1, 1, 1))
-    some.reset([1e4] * 6)
-    change = some.update([1.1e4] * 6, (0.1, 0.2))
+    some.reset((1e4,) * 6)
+    change = some.update((1.1e4,) * 6, (0.1, 0.2))
     rate: Vector3 = (0.3, -0.2, 0.5)
     expected = np.array(change) - np.cross(rate, some.momentum)
     assert some.moment(change, rate) == pytest.approx(tuple(expected), rel=1e-14)
@@ -125,11 +127,11 @@ def test_the_logged_moment_is_the_change_and_the_gyroscopic_part() -> None:
 
 def test_rotors_that_turn_alternately_cancel_exactly() -> None:
     some = spools((1, 1, -1, -1, 1, -1))  # on the right bank 1 -1 1, on the left 1 -1 -1: one left over on each
-    some.reset([1e4] * 6)
+    some.reset((1e4,) * 6)
     assert some.momentum == (0.0, 0.0, 0.0)
-    assert some.update([1.2e4] * 6, (0.1, 0.1)) == (0.0, 0.0, 0.0)
+    assert some.update((1.2e4,) * 6, (0.1, 0.1)) == (0.0, 0.0, 0.0)
     # tilted apart the banks' remainders no longer cancel
-    some.update([1.2e4] * 6, (0.1, -0.1))
+    some.update((1.2e4,) * 6, (0.1, -0.1))
     assert some.momentum == pytest.approx((-2 * 0.24 * sin(0.1), 0.0, 0.0), rel=1e-12)
 
 
@@ -191,11 +193,11 @@ def test_nutation_neither_grows_nor_dies() -> None:
 def test_spinning_up_turns_the_airframe_the_other_way() -> None:
     """Six rotors alike: J_zz times the rate gained is the momentum that the spools have gained."""
     some = spools((1,) * 6)
-    some.reset([1e4] * 6)
+    some.reset((1e4,) * 6)
     with airframe(NO_AERO) as (frame, vehicle):
         frame.reset(Initial(), OFF, ZERO3, some.momentum)
         for speed in np.linspace(1e4, 1.2e4, 51)[1:].tolist():
-            moment = some.update([speed] * 6, (0.0, 0.0))
+            moment = some.update((speed,) * 6, (0.0, 0.0))
             frame.set_momentum(some.momentum)
             frame.step(OFF, CALM, moment)
         for _ in range(2):  # a moment acts one run late

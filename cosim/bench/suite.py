@@ -22,6 +22,7 @@ from cosim.bench.growth import (
 )
 from cosim.bench.machine import Machine, compilers, load, look_around, package_versions
 from cosim.bench.multirotor import Multirotor, measure_multirotor
+from cosim.bench.others import Others, measure_others
 from cosim.bench.peers import Peers, measure_peers
 from cosim.bench.process import Memory, Startup, measure_memory, measure_startup
 from cosim.bench.speed import RECORDED, measure_speed, warm_up
@@ -29,11 +30,11 @@ from cosim.bench.timing import Cost
 from cosim.config import nearest
 from cosim.errors import FlightError, InputError
 
-STEP, BLOCKS, PEERS, ROTORPY = "step", "blocks", "peers", "rotorpy"
+STEP, BLOCKS, OTHERS, PEERS, ROTORPY = "step", "blocks", "others", "peers", "rotorpy"
 TIME, ENGINES, LOG = "time", "engines", "log"
 START, MEMORY, CAMPAIGN = "start", "memory", "campaign"
-PARTS = (STEP, BLOCKS, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN)
-QUICK = (STEP, BLOCKS, PEERS, ROTORPY, TIME, ENGINES, LOG, START)  # less than a minute
+PARTS = (STEP, BLOCKS, OTHERS, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN)
+QUICK = (STEP, BLOCKS, OTHERS, PEERS, ROTORPY, TIME, ENGINES, LOG, START)  # less than a minute
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class Plan:
     """What to measure, and how much of it.
 
     ``steps`` of a flight, ``rounds`` through the jobs, ``starts`` of processes; ``lengths_s`` of flights compared and
-    ``hover_s`` of those beside RotorPy; ``memory_minutes`` of the long flight.
+    ``hover_s`` of those beside RotorPy; ``others_s`` of other
+    flights; ``memory_minutes`` of the long flight.
 
     ``folder``: where flights are recorded; None is the system's place for temporary files.
     """
@@ -52,6 +54,7 @@ class Plan:
     starts: int = 5
     lengths_s: tuple[int, ...] = (10, 60)
     hover_s: float = 1.0
+    others_s: float = 6.0
     memory_minutes: float = 5.0
     campaign: CampaignPlan = field(default_factory=CampaignPlan)
     folder: str | None = None
@@ -99,6 +102,7 @@ class Result:
     failed: dict[str, str] = field(default_factory=dict)
     step: dict[int, dict[str, Cost]] | None = None
     blocks: Breakdown | None = None
+    others: Others | None = None
     peers: Peers | None = None
     rotorpy: Multirotor | None = None
     time: Lengths | None = None
@@ -156,6 +160,7 @@ def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], o
     parts: dict[str, tuple[Callable[[Callable[[], object]], object], int]] = {
         STEP: (partial(measure_speed, steps, rounds, folder), rounds),
         BLOCKS: (partial(measure_blocks, steps, rounds, folder), rounds),
+        OTHERS: (partial(measure_others, plan.others_s, rounds, folder), rounds),
         PEERS: (partial(measure_peers, steps, rounds, folder), rounds),
         ROTORPY: (partial(measure_multirotor, plan.hover_s, rounds, folder), rounds),
         TIME: (

@@ -9,6 +9,7 @@ from cosim.bench.blocks import Breakdown
 from cosim.bench.campaign import EARLY, PROCESSES, CampaignCost
 from cosim.bench.growth import EngineCounts, Lengths, LogRates
 from cosim.bench.multirotor import Multirotor
+from cosim.bench.others import Others
 from cosim.bench.peers import ALONE, EXCHANGE, Peers
 from cosim.bench.process import Memory, Startup
 from cosim.bench.speed import BARE
@@ -18,6 +19,7 @@ from cosim.bench.suite import (
     ENGINES,
     LOG,
     MEMORY,
+    OTHERS,
     PEERS,
     ROTORPY,
     START,
@@ -29,7 +31,7 @@ from cosim.bench.timing import Cost, Spread
 from cosim.bench.wanted import judge
 
 ASKED, MACHINE = "asked", "machine"
-KEYS = (ASKED, STEP, BLOCKS, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN, MACHINE)
+KEYS = (ASKED, STEP, BLOCKS, OTHERS, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN, MACHINE)
 
 Row = tuple[str, ...]
 
@@ -51,6 +53,8 @@ def tables(result: Result) -> dict[str, list[Table]]:
         found[STEP] = [_step(runs, costs) for runs, costs in result.step.items()]
     if result.blocks:
         found[BLOCKS] = [_blocks(result.blocks)]
+    if result.others:
+        found[OTHERS] = [_others(result.others)]
     if result.peers:
         found[PEERS] = [_peers(result.peers)]
     if result.rotorpy:
@@ -114,6 +118,12 @@ def _blocks(breakdown: Breakdown) -> Table:
     rows.append(("all, recorded to disk", "", spread(breakdown.outside.cpu_us), f"{whole:.2f}", "100"))
     title = f"where it goes outside JSBSim, {breakdown.substeps} runs a step"
     return Table(title, ("us alone", "us in flight", "units", "%"), rows)
+
+
+def _others(found: Others) -> Table:
+    rows = [(name, *(spread(cost.units) for cost in costs.values())) for name, costs in found.outside.items()]
+    columns = tuple(f"{runs} run{'s' if runs > 1 else ''} a step" for runs in next(iter(found.outside.values())))
+    return Table("not JSBSim, recorded to disk, in other flights; units", columns, rows)
 
 
 def _peers(peers: Peers) -> Table:

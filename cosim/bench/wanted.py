@@ -51,6 +51,10 @@ def _step(result: Result) -> Iterator[Judged]:
         whole = costs[RECORDED].units.times(1.0 / runs)
         yield Judged(f"whole flight by bare JSBSim, {in_it}", whole, BY_BARE[runs], "times")
         yield Judged(f"{ENGINES}, {in_it}", costs[ENGINES].units, ENGINE_UNITS, RUNS)
+    if result.others:
+        units = [cost.units for costs in result.others.outside.values() for cost in costs.values()]
+        dearest = max(units, key=lambda each: each.median)
+        yield Judged("the dearest of the other flights, recorded in full", dearest, OUTSIDE_UNITS, RUNS)
     if result.time:
         shortest, longest = min(result.time.steps), max(result.time.steps)
         name = f"a step of {longest} s flown by one of {shortest} s"

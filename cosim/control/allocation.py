@@ -127,23 +127,23 @@ class TiltAllocator:
         low, high = self._low, self._high
         least_roll, most_roll = plan.roll_range
         r = least_roll if roll < least_roll else (most_roll if roll > most_roll else roll)
-        at_roll = [trim + r * per_roll for trim, per_roll in zip(plan.trim, plan.roll, strict=True)]
+        trims, rolls, ups, frees = plan.trim, plan.roll, plan.up, plan.free
+        jets = range(len(trims))
+        at_roll = [trims[i] + r * rolls[i] for i in jets]
         least, most = -inf, inf
-        for base, slope in zip(at_roll, plan.up, strict=True):
-            if slope > _FLAT:
-                least, most = max(least, (low - base) / slope), min(most, (high - base) / slope)
-            elif slope < -_FLAT:
-                least, most = max(least, (high - base) / slope), min(most, (low - base) / slope)
+        for i in jets:
+            base, slope = at_roll[i], ups[i]
+            if -_FLAT <= slope <= _FLAT:
+                continue
+            bottom, top = (low - base) / slope, (high - base) / slope
+            if slope < 0.0:
+                bottom, top = top, bottom
+            least, most = (bottom if bottom > least else least), (top if top < most else most)
         up = collective - plan.centre
         # rounding may leave the two apart by nothing
         above = least if up < least else (most if up > most else up)
         c = collective if above == up else plan.centre + above
-        throttle = tuple(
-            [
-                min(high, max(low, base + above * slope)) if free else base
-                for base, slope, free in zip(at_roll, plan.up, plan.free, strict=True)
-            ]
-        )
+        throttle = tuple([_between(low, at_roll[i] + above * ups[i], high) if frees[i] else at_roll[i] for i in jets])
 
         share = max(_LEAST_SHARE, (c + self._idle) / self._hover_thrust)
         constant, per_up, per_roll = plan.pitch
@@ -214,6 +214,10 @@ class RotorAllocator:
             (0.0, 0.0),
             Refused(roll - r, pitch - p, yaw - y, collective - c),
         )
+
+
+def _between(low: float, value: float, high: float) -> float:
+    return low if value < low else (high if value > high else value)
 
 
 def _within(limit: float, value: float) -> float:

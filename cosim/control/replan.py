@@ -196,6 +196,11 @@ def _side(jets: Sequence[Jet]) -> Array:
     return np.array([-1.0 if jet.position_m[1] > 0.0 else 1.0 for jet in jets])
 
 
+def get_ready() -> None:
+    """Load the solver, which takes 0.2 s: a flight that may have to plan anew does so before it begins."""
+    import scipy.optimize  # noqa: F401
+
+
 def _linprog(cost: Any, ub: Any = None, eq: Any = None, bounds: Any = None) -> Any:
     """scipy's linear program; None where it has no solution."""
     from scipy.optimize import linprog

@@ -90,6 +90,7 @@ def _child(task: Mapping[str, Any], limits: Limits, scratch: str) -> Iterator[tu
             pass_fds=(write,),
             cwd=scratch,
             start_new_session=True,
+            env=dict(os.environ),  # else the new process reads the environment while another thread may change it
         )
     finally:
         os.close(write)
