@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 
-class Done:
-    """Exit status, standard output and standard error of a command."""
+class Done(NamedTuple):
+    """What a command came to, and what it wrote to standard output and standard error."""
 
-    def __init__(self, status: int, out: str, err: str) -> None:
-        self.status, self.out, self.err = status, out, err
+    status: int
+    out: str
+    err: str
 
 
 Hexjet = Callable[..., Done]

@@ -14,7 +14,6 @@ from engine_tools import BOTH, FAULT_THROTTLE, FAULTS, NEWTON_PER_KGF, PAPER, bu
 from numpy.typing import NDArray
 from scipy import signal
 
-from cosim.cli import main
 from cosim.commands import sweep
 from cosim.control.predictor import DelayedModel
 from cosim.errors import InputError
@@ -376,19 +375,6 @@ def test_an_added_delay_is_outside_what_is_identified() -> None:
 
 
 # --- files and the command --------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def hexjet(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):  # type: ignore[no-untyped-def]
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as end:
-            main(list(arguments))
-        out, err = capfd.readouterr()
-        return int(end.value.code or 0), out, err
-
-    return run
 
 
 def test_the_model_file_flies(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

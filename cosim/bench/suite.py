@@ -42,8 +42,8 @@ class Plan:
     """What to measure, and how much of it.
 
     ``steps`` of a flight, ``rounds`` through the jobs, ``starts`` of processes; ``lengths_s`` of flights compared and
-    ``hover_s`` of those beside RotorPy; ``others_s`` of other
-    flights; ``memory_minutes`` of the long flight.
+    ``hover_s`` of those beside RotorPy; ``others_s`` of other flights;
+    ``memory_minutes`` of the long flight.
 
     ``folder``: where flights are recorded; None is the system's place for temporary files.
     """

@@ -28,7 +28,7 @@ from cosim.bench.suite import (
     Result,
 )
 from cosim.bench.timing import Cost, Spread
-from cosim.bench.wanted import judge
+from cosim.bench.wanted import judge, runs_a_step
 
 ASKED, MACHINE = "asked", "machine"
 KEYS = (ASKED, STEP, BLOCKS, OTHERS, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN, MACHINE)
@@ -122,7 +122,7 @@ def _blocks(breakdown: Breakdown) -> Table:
 
 def _others(found: Others) -> Table:
     rows = [(name, *(spread(cost.units) for cost in costs.values())) for name, costs in found.outside.items()]
-    columns = tuple(f"{runs} run{'s' if runs > 1 else ''} a step" for runs in next(iter(found.outside.values())))
+    columns = tuple(map(runs_a_step, next(iter(found.outside.values()))))
     return Table("not JSBSim, recorded to disk, in other flights; units", columns, rows)
 
 

@@ -44,9 +44,14 @@ def judge(result: Result) -> list[Judged]:
     return [*_step(result), *_processes(result), *_campaign(result)]
 
 
+def runs_a_step(runs: int) -> str:
+    """In words."""
+    return f"{runs} run{'s' if runs > 1 else ''} a step"
+
+
 def _step(result: Result) -> Iterator[Judged]:
     for runs, costs in (result.step or {}).items():
-        in_it = f"{runs} run{'s' if runs > 1 else ''} a step"
+        in_it = runs_a_step(runs)
         yield Judged(f"not JSBSim, recorded in full, {in_it}", costs[OUTSIDE].units, OUTSIDE_UNITS, RUNS)
         whole = costs[RECORDED].units.times(1.0 / runs)
         yield Judged(f"whole flight by bare JSBSim, {in_it}", whole, BY_BARE[runs], "times")
