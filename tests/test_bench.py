@@ -516,7 +516,7 @@ def test_the_documentation_has_every_table_generated() -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("# A page of mine\n", "do not come in pairs"),
+        ("# A page of mine\n", "it has no mark"),
         ("<!-- measured: step -->\n", "do not come in pairs"),
         ("<!-- measured: step -->\n<!-- measured: log -->\n<!-- end -->\n", "do not come in pairs"),
         ("<!-- measured: stepp -->\n<!-- end -->\n", "unknown mark 'stepp'"),

@@ -1,13 +1,8 @@
-"""The measurements in a Markdown page: generated tables between marks, and whatever text stands around them.
-
-A mark is ``<!-- measured: NAME -->`` before a part and ``<!-- end -->`` after it, each on a line of its own.  What is
-between them is written anew, so that no figure is typed by hand and all figures are of one run.
-"""
+"""The measurements in a Markdown page between its marks (:mod:`cosim.marks`): all figures are of one run."""
 
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,12 +11,11 @@ from cosim.bench.tables import KEYS, Table, tables
 from cosim.config import nearest
 from cosim.errors import InputError
 from cosim.files import replacing
+from cosim.marks import cell, filled, parts_of, row
 
 COMMAND = "command"
 NAMES = (COMMAND, *KEYS)
 ABSENT = "Not measured in this run.\n"
-_PART = re.compile(r"^<!-- measured: (.*?) -->\n(.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL)
-_MARK = re.compile(r"^<!-- (?:measured: .*|end) -->$", re.MULTILINE)
 
 
 def check_page(path: Path) -> None:
@@ -35,7 +29,7 @@ def check_page(path: Path) -> None:
 
 def write_page(path: Path, result: Result, command: str) -> None:
     """Write the measurements into the page, or a new page.  Raises InputError if that is not possible."""
-    parts = {key: f"Not measured: {_cell(why)}\n" for key, why in result.failed.items()}
+    parts = {key: f"Not measured: {cell(why)}\n" for key, why in result.failed.items()}
     parts |= {key: _part(found) for key, found in tables(result).items()}
     page = fill(path, parts | {COMMAND: f"```\n{command}\n```\n"})
     try:
@@ -51,21 +45,13 @@ def fill(path: Path, parts: dict[str, str]) -> str:
     Raises InputError for a page that cannot be read, or whose marks do not fit together.
     """
     page = _read(path)
-    names = [match.group(1) for match in _PART.finditer(page)]
+    names = parts_of(page, path)
     for name in names:
         if name not in NAMES:
             raise InputError(f"{path}: unknown mark {name!r}; {nearest(name, NAMES)}")
-    if not names or len(_MARK.findall(page)) != 2 * len(names):
-        raise InputError(
-            f"{path}: its marks do not come in pairs <!-- measured: NAME --> and <!-- end -->; nothing was written; "
-            "a file that is not there yet gets them all"
-        )
-
-    def measured(match: re.Match[str]) -> str:
-        name = match.group(1)
-        return f"<!-- measured: {name} -->\n{parts.get(name, ABSENT)}<!-- end -->"
-
-    return _PART.sub(measured, page)
+    if not names:
+        raise InputError(f"{path}: it has no mark <!-- measured: NAME -->; a file that is not there yet gets them all")
+    return filled(page, {name: parts.get(name, ABSENT) for name in names}, path)
 
 
 def _read(path: Path) -> str:
@@ -82,19 +68,10 @@ def _part(found: list[Table]) -> str:
 
 
 def _lines(table: Table) -> Iterator[str]:
-    yield from (f"**{_cell(table.title[:1].upper() + table.title[1:])}**", "")
+    yield from (f"**{cell(table.title[:1].upper() + table.title[1:])}**", "")
     width = len(table.columns)
-    yield _row(("", *table.columns))
-    yield _row(("---", *["---:" if width > 1 else "---"] * width))
-    yield from (_row(row) for row in table.rows)
+    yield row(("", *table.columns))
+    yield row(("---", *["---:" if width > 1 else "---"] * width))
+    yield from (row(each) for each in table.rows)
     for note in table.notes:
-        yield from ("", _cell(note))
-
-
-def _row(cells: tuple[str, ...]) -> str:
-    return f"| {' | '.join(map(_cell, cells))} |"
-
-
-def _cell(text: str) -> str:
-    """A text that Markdown leaves as it is."""
-    return re.sub(r"([\\`*_|<>])", r"\\\1", text)
+        yield from ("", cell(note))

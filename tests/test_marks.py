@@ -1,0 +1,45 @@
+"""What a command writes between the marks of a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cosim.errors import InputError
+from cosim.marks import check_marks, filled, parts_of, row, table, write_marks
+
+PAGE = "# Title\n\n<!-- measured: a -->\nold\n<!-- end -->\ntext <!-- end -->\n<!-- measured: b c -->\n<!-- end -->\n"
+
+
+def test_parts_are_replaced_and_all_else_stays() -> None:
+    assert parts_of(PAGE, "page") == {"a": "old\n", "b c": ""}
+    new = filled(PAGE, {"b c": "| 1 |\n| 2 |\n"}, "page")
+    assert new == PAGE.replace("b c -->\n", "b c -->\n| 1 |\n| 2 |\n")
+    assert filled(new, parts_of(new, "page"), "page") == new
+
+
+@pytest.mark.parametrize("page", ["<!-- measured: a -->\n", "<!-- end -->\n", PAGE + "<!-- end -->\n"])
+def test_marks_that_do_not_come_in_pairs_are_refused(page: str, tmp_path: Path) -> None:
+    file = tmp_path / "page.md"
+    file.write_text(page)
+    with pytest.raises(InputError, match=r"page\.md: its marks do not come in pairs"):
+        write_marks(file, {})
+    assert file.read_text() == page
+
+
+def test_a_part_without_a_mark_is_refused_with_the_marks_there_are(tmp_path: Path) -> None:
+    file = tmp_path / "page.md"
+    file.write_text(PAGE)
+    for refuse in (lambda: write_marks(file, {"d": "x\n"}), lambda: check_marks(file, ["a", "d"])):
+        with pytest.raises(InputError, match=r"page\.md: no mark <!-- measured: d -->; there are a, b c"):
+            refuse()
+    assert file.read_text() == PAGE
+    check_marks(file, ["a", "b c"])
+    with pytest.raises(InputError, match=r"none\.md: No such file"):
+        check_marks(tmp_path / "none.md", [])
+
+
+def test_a_table_is_markdown() -> None:
+    assert table(["x", "y"], [["a|b", "1"]]) == "| x | y |\n| --- | ---: |\n| a\\|b | 1 |\n"
+    assert row(["*"]) == "| \\* |"
