@@ -660,17 +660,31 @@ def report(folder: Path) -> int:
     help="Where the result goes; parts that are there already are taken up.",
 )
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
+@click.option(
+    "pages",
+    "--page",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE.md",
+    multiple=True,
+    help="Write counts and tables between the page's marks.",
+)
 @click.option("as_json", "--json", is_flag=True, help="Print the comparison as one JSON object and nothing else.")
-def paper(out: Path, workers: int, as_json: bool) -> int:
+def paper(out: Path, workers: int, pages: tuple[Path, ...], as_json: bool) -> int:
     """Reproduce the paper: every experiment on the linear plant and in six degrees of freedom, number by number.
 
     Leaves comparison.csv, comparison.json and report.html in DIR.  An interrupted call goes on where it ended.
     """
     from cosim.console import part_progress, print_paper
+    from cosim.marks import check_marks
+    from cosim.paper.pages import write_page
     from cosim.paper.reproduce import DATA, REPORT, reproduce
 
+    for page in pages:
+        check_marks(page, ())
     with part_progress("paper", quiet=as_json) as say:
         found = reproduce(out, say, workers)
+    for page in pages:
+        write_page(page, found)
     if as_json:
         click.echo(json.dumps(json.loads((out / DATA).read_text(encoding="utf-8")), allow_nan=False))
     else:

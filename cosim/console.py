@@ -287,7 +287,7 @@ def print_paper(found: Reproduction, report: Path) -> None:
     from rich import box
     from rich.table import Table
 
-    from cosim.paper.page import compared, tally
+    from cosim.paper.page import compared, counts_in_words
 
     console = _console()
     table = Table(box=box.SIMPLE_HEAD)
@@ -305,9 +305,7 @@ def print_paper(found: Reproduction, report: Path) -> None:
     for claim in found.claims:
         table.add_row(claim.claim, claim.linear.verdict, claim.flight.verdict if claim.flight else "-")
     console.print(table)
-    for fidelity, counts in tally(found.claims).items():
-        said = ", ".join(f"{verdict}: {count}" for verdict, count in counts.items() if count)
-        console.print(f"{len(found.claims)} claims, {fidelity}: {said}", highlight=False)
+    console.print(counts_in_words(found.claims), highlight=False)
     console.print(f"report: {report}", highlight=False, soft_wrap=True)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import log
+from math import log, radians
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,8 +24,10 @@ from cosim.paper.experiments import COMPARED, Experiment, Metrics, Result, exper
 from cosim.paper.experiments import linear as on_linear_plant
 from cosim.paper.linear import STATE_AS_PRINTED
 from cosim.paper.loops import Sweep, open_loop, sweep
+from cosim.paper.numbers import Basis
+from cosim.signals import AXES
 
-Origin = Literal["calibrated", "predicted", "given", "derived"]
+Origin = Basis | Literal["given", "derived"]
 TITLES = {
     "baseline": "baseline",
     "smith": "Smith predictor",
@@ -38,8 +40,8 @@ FREQUENCY_DELAY = 5
 class Row(BaseModel):
     """One quantity: the paper's number and ours.
 
-    ``origin``: the number was used to calibrate, is predicted, is an input of the experiments, or is derived from
-    other printed numbers alone.  A deviation is ours over the paper's, less one, in percent.
+    ``origin``: what ours rests on (:data:`cosim.paper.numbers.Basis`); or the number is an input of the experiments
+    (given), or derived from other printed numbers alone.  A deviation is ours over the paper's, less one, in percent.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -133,10 +135,17 @@ _DERIVED: dict[str, Callable[[], float]] = {
     "quadrotor.payload_percent": lambda: 100.0 * numbers.value("quadrotor.payload") / numbers.value("quadrotor.mass"),
 }
 _GIVEN = ("hexjet.", "quadrotor.", "turbojet.", "edf.", "roll.", "step.", "disturbance.amplitude")
+_STICKS = "the pilot's sticks are not printed; ours are calm, and there is no wind"
+_TWO = '; printed as "RMSE and MAE for pitch and yaw", and taken for one RMSE of each'
+# computed from what we chose: gains and lengths, the sticks; in flight the lags and inertia behind the roll response
+_CHOSEN, _CHOSEN_IN_FLIGHT = ("hexjet-doublet.", "hexjet-manual."), ("roll.", "hexjet.delay")
 _NOTES = {
     "frequency.dc_gain": "ours at 1 Hz: with an integral the gain has no end towards 0 Hz",
-    "hexjet-doublet.smith.rmse": "length of doublet and record not printed; ours is the scenario's",
-    "hexjet-doublet.smith.max": "length of the doublet not printed; see the conditions",
+    "hexjet-doublet.smith.rmse": "gains, and length of doublet and record, not printed: chosen; see the conditions",
+    "hexjet-doublet.smith.max": f"{radians(2.0 * numbers.value('hexjet.amplitude')):.4f} rad is the height of the "
+    "middle step: the largest error of any loop that has settled before it",
+    **{f"hexjet-manual.{axis}.{what}": _STICKS for axis in AXES for what in ("rmse", "rate_rmse")},
+    **{f"hexjet-manual.{axis}.rmse": _STICKS + _TWO for axis in ("pitch", "yaw")},
     "step.time_constant": "63.2 % of the first step, mean of baseline and Smith",
     "hexjet.thrust": "six times the EDF's gain at rest",
     "hexjet.delay": "identified on the roll axis beside the paper's lag",
@@ -182,11 +191,14 @@ def _row(
         origin = "calibrated"
     elif printed.key in _DERIVED:
         origin, ours = "derived", _DERIVED[printed.key]()
+    elif printed.key.startswith(_CHOSEN) or (printed.key.startswith(_CHOSEN_IN_FLIGHT) and flown is not None):
+        origin = "follows from a choice"
     elif ours is None and printed.key.startswith(_GIVEN):
         origin = "given"
     note = _NOTES.get(printed.key, "")
     if ".state." in printed.key:
         note = TITLES["state" if key == printed.key else STATE_AS_PRINTED]
+    note += _growth_with_payload(printed.key, key, evidence, flight)
     return Row(
         key=key,
         quantity=printed.meaning,
@@ -198,6 +210,22 @@ def _row(
         origin=origin,
         note=note,
     )
+
+
+def _growth_with_payload(printed: str, key: str, evidence: Evidence, flight: Evidence | None) -> str:
+    """The effect that a number with payload is about: its growth over the same without."""
+    if not printed.startswith("disturbance-5-payload."):
+        return ""
+
+    def growth(value: Callable[[str], float | None], name: str) -> str:
+        with_it, without = value(name), value(name.replace("-payload", ""))
+        return f"{100.0 * (with_it / without - 1.0):+.1f} %" if with_it and without else "not flown"
+
+    said = [f"growth with payload {growth(numbers.value, printed)} in the paper"]
+    said += [f"{growth(lambda name: _ours(name, evidence), key)} on the linear plant"]
+    if flight:
+        said += [f"{growth(lambda name: _ours(name, flight), key)} in flight"]
+    return ("; " if ".state." in printed else "") + ", ".join(said)
 
 
 def _ours(key: str, evidence: Evidence) -> float | None:

@@ -33,6 +33,7 @@ RUN_S = 6.0  # chosen by us: the record is the paper's 2 s, the rest shows wheth
 # length of either half and of the run, s; neither is printed.  At the vehicle's gains as in the scenario roll-doublet,
 # at the calibrated ones long enough for the baseline to settle, whose settling time is printed.
 HEXJET_LENGTHS: dict[Gains, tuple[float, float]] = {"vehicle": (3.0, 12.0), "calibrated": (6.0, 22.0)}
+PAYLOAD_PLACE = [0.0, 0.0, 0.03]  # m, body: below the quadrotor's frame; chosen by us
 _GROWS = 0.9  # a loop that swings as much at the end as right after the last edge does not settle
 _FLOOR = 0.05  # rad/s: less is noise
 
@@ -176,6 +177,17 @@ def quadrotor_axis(calibration: Calibration, controller: str, delay: int, noisy:
         noise=calibration.gyro_noise_rad_s if noisy else 0.0,
         knows_disturbance=calibration.predictor_sees_disturbance,
     )
+
+
+def flown_payload_gain() -> float:
+    """What the quadrotor's payload does to the plant's gain in six degrees of freedom: ``J_xx`` without over with it.
+
+    ``J = J_0 + m M / (m + M) h^2``: two bodies a height ``h`` apart, about their common centre of gravity.
+    """
+    vehicle, _ = load_vehicle("quadrotor")
+    payload, inertia = numbers.value("quadrotor.payload"), vehicle.inertia_kg_m2[0]
+    shared = vehicle.mass_kg * payload / (vehicle.mass_kg + payload)
+    return inertia / (inertia + shared * PAYLOAD_PLACE[2] ** 2)
 
 
 def hexjet_axis(calibration: Calibration, controller: str, gains: Gains, noisy: bool = True) -> Axis:

@@ -12,12 +12,10 @@ from typing import Any
 from cosim.flight import fly
 from cosim.paper import numbers
 from cosim.paper.calibration import Calibration
-from cosim.paper.experiments import Experiment, Fidelity, Result, result
+from cosim.paper.experiments import PAYLOAD_PLACE, Experiment, Fidelity, Result, result
 from cosim.run import Run
 from cosim.scenario import Scenario
 from cosim.vehicle import load_vehicle
-
-PAYLOAD_PLACE = [0.0, 0.0, 0.03]  # m, body: below the frame; chosen
 
 
 def flight(calibration: Calibration, noisy: bool = True) -> Fidelity:

@@ -7,7 +7,7 @@ Unmanned Aerial Vehicle", accepted January 2025.
 from __future__ import annotations
 
 from math import sqrt
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from cosim.vehicle import RateModel
 
@@ -15,6 +15,12 @@ SOURCE = (
     "J. Liang, H. Zheng, Y. Zhang, Y. Gao, W. Dong, X. Lyu, “Predictor-Based Time Delay Control of A Hex-Jet "
     "Unmanned Aerial Vehicle”, accepted January 2025."
 )
+
+
+# What an answer of ours rests on, and so what its agreement with the paper is worth:
+# calibrated: the printed number itself was fitted; chosen by us: we chose what decides it; follows from a choice: it is
+# computed from something that the paper does not print and we chose; predicted: neither.
+Basis = Literal["calibrated", "chosen by us", "follows from a choice", "predicted"]
 
 
 class Printed(NamedTuple):

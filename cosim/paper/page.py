@@ -18,7 +18,7 @@ from cosim.run import versions
 if TYPE_CHECKING:
     from cosim.paper.reproduce import Reproduction
 
-VERDICTS = ("holds", "under a condition", "does not hold", "not flown")
+VERDICTS = ("holds", "under a condition", "by construction", "does not hold", "not flown")
 
 
 def page_values(found: Reproduction) -> dict[str, Any]:
@@ -31,6 +31,8 @@ def page_values(found: Reproduction) -> dict[str, Any]:
         "source": numbers.SOURCE,
         "claims": found.claims,
         "tally": [(fidelity, counts) for fidelity, counts in tally(found.claims).items()],
+        "verdicts": VERDICTS,
+        "counts_in_words": counts_in_words(found.claims),
         "rows": compared(found.rows),
         "inputs": [row for row in found.rows if row not in compared(found.rows)],
         "used_count": len(part.frozen.used),
@@ -68,6 +70,25 @@ def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
         counts: Counter[str] = Counter(each.verdict if each else "not flown" for each in judged)
         found[fidelity] = {verdict: counts[verdict] for verdict in VERDICTS}
     return found
+
+
+def counts_in_words(claims: Iterable[ClaimRow]) -> str:
+    """How many claims came to what: the sentence of terminal, report, README and docs."""
+    rows = list(claims)
+    linear, flight = tally(rows).values()
+    chosen = [
+        sum(each is not None and each.verdict == "holds" and each.basis == "follows from a choice" for each in judged)
+        for judged in ([row.linear for row in rows], [row.flight for row in rows])
+    ]
+    text = (
+        f"Of {len(rows)} claims {linear['holds']} hold on the linear plant and {flight['holds']} in six degrees of "
+        f"freedom ({chosen[0]} and {chosen[1]} of them follow from a choice of ours); {linear['under a condition']} "
+        f"and {flight['under a condition']} hold under a stated condition; {linear['by construction']} and "
+        f"{flight['by construction']} hold by construction, because we fitted or chose our way to them, and are no "
+        f"evidence; {linear['does not hold']} and {flight['does not hold']} do not hold"
+    )
+    left = flight["not flown"]
+    return f"{text}; {left} were not flown." if left else f"{text}."
 
 
 def margin_rows(found: Reproduction) -> list[dict[str, Any]]:
