@@ -136,5 +136,5 @@ if __name__ == "__main__":
     build_engines()
     mpl.rcParams.update(STYLE)
     for engine in engine_names():
-        draw = turbine if engine.startswith("turbine-") else identified if engine == "p220" else first_order
+        draw = turbine if engine.startswith("turbine-") else identified if engine.startswith("p220") else first_order
         draw(engine)

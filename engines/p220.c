@@ -1,15 +1,8 @@
-/* JetCat P220-RXi, thrust dynamics identified by L'Erario et al. (2020): a second-order equation in the thrust T [N]
- *
- *     T'' = K_T T + K_TT T^2 + K_D T' + K_DD T'^2 + K_TD T T' + (B_U + B_T T + B_D T') v + c,   v = u + B_UU u^2
- *
- * with u in percent.  Spool speed and fuel flow follow the thrust without lag. */
+/* The P220: thrust by an identified equation of second order (p220.h), T'' = F(T, T', v(u)), with u in percent.  Spool
+ * speed and fuel flow follow the thrust without lag. */
 #include <math.h>
 
-#include "engine.h"
-
-/* K_TT stands for K_TT, D for T': the paper's names, its values for kerosene */
-static const double K_T = 0.237755, K_TT = -0.012799, K_D = -0.860374, K_DD = 0.023606, K_TD = 0.008599;
-static const double B_U = 1.139026, B_T = 0.019914, B_D = -0.050257, B_UU = 0.000302, C = -0.692913;
+#include "p220.h"
 
 /* The data sheet's two ends; between them speed follows T = T_0 + a n^b, and fuel is a straight line. */
 static const double IDLE_T = 9.0, FULL_T = 220.0;                 /* N */
@@ -27,13 +20,7 @@ const size_t engine_state_size = sizeof(State);
 
 static double drive(const Variables *v, double throttle)
 {
-    const double u = v->idle_percent + (100.0 - v->idle_percent) * throttle;
-    return u + B_UU * u * u;
-}
-
-static double acceleration(double T, double D, double v)
-{
-    return K_T * T + K_TT * T * T + K_D * D + K_DD * D * D + K_TD * T * D + (B_U + B_T * T + B_D * D) * v + C;
+    return thrust_drive(v->idle_percent + (100.0 - v->idle_percent) * throttle);
 }
 
 static void outputs(Variables *v, const State *s)
@@ -51,9 +38,7 @@ void engine_start(Variables *v, void *state)
     for (int32_t i = 0; i < DELAY_SAMPLES_MAX; i++)
         s->held[i] = v->throttle_start;
     s->at = 0;
-    /* T'' = T' = 0 is a quadratic in T; of its two roots the upper one is stable */
-    const double u = drive(v, v->throttle_start), b = K_T + B_T * u;
-    s->T = (-b - sqrt(b * b - 4.0 * K_TT * (B_U * u + C))) / (2.0 * K_TT);
+    s->T = thrust_at_rest(drive(v, v->throttle_start));
     s->D = 0.0;
     outputs(v, s);
 }
@@ -63,11 +48,11 @@ void engine_step(Variables *v, void *state)
     State *s = state;
     const double u = drive(v, delay(s->held, &s->at, v->delay_samples, limit(v->throttle, 0.0, 1.0)));
     const double h = ENGINE_STEP, T = s->T, D = s->D;
-    /* Runge-Kutta of fourth order, one step: the fastest mode takes 150 ms, 40 steps */
-    const double D1 = D, a1 = acceleration(T, D1, u);
-    const double D2 = D + h / 2.0 * a1, a2 = acceleration(T + h / 2.0 * D1, D2, u);
-    const double D3 = D + h / 2.0 * a2, a3 = acceleration(T + h / 2.0 * D2, D3, u);
-    const double D4 = D + h * a3, a4 = acceleration(T + h * D3, D4, u);
+    /* Runge-Kutta of fourth order, one step: the fastest mode takes 150 ms or longer, 40 steps */
+    const double D1 = D, a1 = thrust_acceleration(T, D1, u);
+    const double D2 = D + h / 2.0 * a1, a2 = thrust_acceleration(T + h / 2.0 * D1, D2, u);
+    const double D3 = D + h / 2.0 * a2, a3 = thrust_acceleration(T + h / 2.0 * D2, D3, u);
+    const double D4 = D + h * a3, a4 = thrust_acceleration(T + h * D3, D4, u);
     s->T = T + h / 6.0 * (D1 + 2.0 * D2 + 2.0 * D3 + D4);
     s->D = D + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4);
     outputs(v, s);
