@@ -36,6 +36,7 @@ MODULES = (
     "faults.py",
     "frames.py",
     "fuel.py",
+    "rundown.py",
     "sensors.py",
     "servo.py",
     "shutoff.py",

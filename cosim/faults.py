@@ -14,6 +14,7 @@ from typing import Protocol
 
 from cosim.errors import InputError
 from cosim.frames import multiply, normalize
+from cosim.rundown import Burning, FlameOutLaw
 from cosim.scenario import (
     DelayGrowth,
     Fault,
@@ -93,12 +94,12 @@ class _Weak:
     def __init__(self, share: float) -> None:
         self._share = share
 
-    def factor(self) -> float:
-        return self._share
+    def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
+        return thrust * self._share, speed * sqrt(self._share)
 
 
-class _Out:
-    """The flame is out: the thrust dies away by ``left`` a step; lit again, it comes back the same way."""
+class _Off:
+    """A fan's motor is off: the thrust dies away by ``left`` a step; on again, it comes back the same way."""
 
     def __init__(self, left: float) -> None:
         self._left = left
@@ -108,32 +109,41 @@ class _Out:
     def throttle(self, command: float) -> float:
         return command if self.burns else 0.0
 
-    def factor(self) -> float:
+    def light(self) -> None:
+        self.burns = True
+
+    def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
         target = 1.0 if self.burns else 0.0
         self._factor = target + self._left * (self._factor - target)
-        return self._factor
+        return thrust * self._factor, speed * sqrt(self._factor)
 
 
-_Throttle = _Stuck | _Late | _Slow | _Out
-_Thrust = _Weak | _Out
+_Throttle = _Stuck | _Late | _Slow | _Off | Burning
+_Thrust = _Weak | _Off | Burning
 
 
 class FaultyEngines:
     """The engines with faults before and behind them.
 
-    A flame-out shuts the engine's ``run`` port, and the engine's own equations say what follows.  An engine without
-    that port is given a closed throttle, and its thrust is scaled away along its own lag, whatever its delay, because
-    the fuel is gone at once: no windmilling, no drag of a dead fan.  Thrust that is missing is missing on the spool
-    too: the reported speed goes with the root of the share, as thrust goes with the square of the speed.
+    A flame-out shuts the engine's ``run`` port, and the engine's own equations say what follows.  One without that
+    port is given a closed throttle, and its law (:mod:`cosim.rundown`) says what is left of its thrust: of a turbine
+    the cold air of a rotor that runs down, of a fan what its motor's lag leaves, whatever its delay, because the
+    current is gone at once.  Else thrust that is missing is missing on the spool too: the reported speed goes with the
+    root of the share, as thrust goes with the square of the speed.
     """
 
     def __init__(
-        self, bank: Engines, lag: Callable[[int], float], shut_off: Callable[[], Collection[int]], step: float
+        self,
+        bank: Engines,
+        laws: Sequence[FlameOutLaw | None],
+        lag: Callable[[int], float],
+        shut_off: Callable[[], Collection[int]],
+        step: float,
     ) -> None:
         self.bank = bank
         self._shut_off = shut_off
         self.wants_ambient = bank.wants_ambient
-        self._lag = lag
+        self._laws, self._lag = laws, lag
         self._step = step
         self._throttles: list[tuple[int, Fault, _Throttle]] = []
         self._thrusts: list[tuple[int, Fault, _Thrust]] = []
@@ -147,8 +157,7 @@ class FaultyEngines:
                 if self.bank.set_run(i, False):
                     self._shut.append((i, fault))
                     continue
-                lag = self._lag(i)
-                out = _Out(exp(-self._step / lag) if lag > 0.0 else 0.0)
+                out = self._out(i)
                 self._throttles.append((i, fault, out))
                 self._thrusts.append((i, fault, out))
             elif isinstance(fault, ThrustLoss):
@@ -160,12 +169,20 @@ class FaultyEngines:
             elif isinstance(fault, SlowSpool):
                 self._throttles.append((i, fault, _Slow(1.0 - exp(-self._step / fault.lag_s))))
 
+    def _out(self, i: int) -> _Off | Burning:
+        law = self._laws[i]
+        assert law is not None  # Faults refuses a flame-out of such an engine
+        if not law.electric:
+            return Burning(law, self._step)
+        lag = self._lag(i)
+        return _Off(exp(-self._step / lag) if lag > 0.0 else 0.0)
+
     def end(self, fault: Fault) -> None:
         """``fault`` is over from the next step on; an engine that went out is lit again, if no other keeps it out."""
         if isinstance(fault, FlameOut):
             for _, owner, effect in self._thrusts:
-                if owner is fault and isinstance(effect, _Out):
-                    effect.burns = True
+                if owner is fault and isinstance(effect, (_Off, Burning)):
+                    effect.light()
             mine = [i for i, owner in self._shut if owner is fault]
             self._shut = [entry for entry in self._shut if entry[1] is not fault]
             still_out = {i for i, _ in self._shut}.union(self._shut_off())
@@ -194,10 +211,8 @@ class FaultyEngines:
             return output
         thrust, speed, flow = list(output.thrust), list(output.spool_speed), list(output.fuel_flow)
         for i, _, behind in self._thrusts:
-            factor = behind.factor()
-            thrust[i] *= factor
-            speed[i] *= sqrt(factor)
-            if isinstance(behind, _Out) and not behind.burns:
+            thrust[i], speed[i] = behind.deliver(thrust[i], speed[i])
+            if isinstance(behind, (_Off, Burning)) and not behind.burns:
                 flow[i] *= 0.0
         return EngineOutput(tuple(thrust), tuple(speed), output.exhaust_temperature, tuple(flow))
 
@@ -301,15 +316,18 @@ class Faults:
         bank: Engines,
         servos: Sequence[TiltServo],
         sensors: SensorSuite,
-        jets: int,
+        laws: Sequence[FlameOutLaw | None],
         lag: Callable[[int], float],
         shut_off: Callable[[], Collection[int]],
     ) -> None:
-        """``lag(i)``: the time constant [s] of engine ``i``, from 0; ``shut_off()``: those without fuel."""
+        """``laws[i]``: how engine ``i`` goes out, from 0; ``lag(i)``: its time constant [s].
+
+        ``shut_off()``: the engines without fuel.
+        """
         self._scenario = scenario
         self._bank, self._servos, self._sensors = bank, list(servos), sensors
-        self._jets = jets
-        self._lag = lag
+        self._jets = len(laws)
+        self._laws, self._lag = laws, lag
         self._shut_off = shut_off
         self.reset(scenario.fault)
 
@@ -343,6 +361,13 @@ class Faults:
                 raise InputError(f"{name}.servo: {self._scenario.aircraft} has no tilt servos")
         elif not isinstance(fault, (SensorBias, SensorDropout)) and max(fault.jet) > self._jets:
             raise InputError(f"{name}.jet = {max(fault.jet)}: {self._scenario.aircraft} has jets 1 to {self._jets}")
+        if isinstance(fault, FlameOut):
+            unknown = [jet for jet in fault.jet if self._laws[jet - 1] is None]
+            if unknown:
+                raise InputError(
+                    f"{name}: the engine at jet {unknown[0]} has no port run and states no [flame_out]: nobody knows "
+                    "what it gives without fire; map run, or state [flame_out] in its mapping file"
+                )
         if isinstance(fault, DelayGrowth):
             self._scenario.count(fault.delay_s, f"{where}.delay_s")
 
@@ -391,7 +416,7 @@ class Faults:
             self.sensors.begin(fault, measured)
         elif not isinstance(fault, ServoJam):
             if not isinstance(self.engines, FaultyEngines):
-                self.engines = FaultyEngines(self._bank, self._lag, self._shut_off, self._scenario.step_s)
+                self.engines = FaultyEngines(self._bank, self._laws, self._lag, self._shut_off, self._scenario.step_s)
             self.engines.begin(fault)
 
     def _end(self, fault: Fault) -> None:

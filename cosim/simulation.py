@@ -119,7 +119,8 @@ class Simulation:
         self.dt = scenario.step_s
         self.airframe = airframe
         self.engines = engines
-        self.shutoff = shutoff = Shutoff(engines, len(vehicle.jets))
+        laws = [station.flame_out for station in self.stations]
+        self.shutoff = shutoff = Shutoff(engines, laws, scenario.step_s)
         self.attitude = control.attitude
         self.altitude = control.altitude
         self.rate = control.rate
@@ -135,7 +136,7 @@ class Simulation:
             engines,
             servos,
             self.sensors,
-            len(vehicle.jets),
+            laws,
             # not holding the simulation: what is closed is then freed at once, and JSBSim is a megabyte
             lambda jet: engine_reference(specs[jet + 1], scenario.step_s).lag,
             lambda: shutoff.off,

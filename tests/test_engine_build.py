@@ -220,7 +220,15 @@ def replaced(old: str, new: str) -> Callable[[str], str]:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (replaced("title = ", "titel = "), "unknown key titel; allowed: description, internal_step_s, ledger, ports,"),
+        (
+            replaced("title = ", "titel = "),
+            "unknown key titel; allowed: description, flame_out, internal_step_s, ledger, ports,",
+        ),
+        (
+            replaced("electric = true", "electric = false"),
+            "flame_out.electric = False: allowed: true",
+        ),
+        (replaced("electric = true", "thrust_left = 0.4"), "flame_out.exponent is missing"),
         (replaced('title = "Electric ducted fan"\n', ""), "title is missing"),
         (replaced("title", "title title"), "not valid TOML: "),
         (replaced("internal_step_s = 0.004", "internal_step_s = 0"), "internal_step_s = 0.0: must be above 0"),

@@ -69,6 +69,7 @@ PORTS = {
     "start": ("parameter", "1"),
 }
 NEEDED_PORTS = {"throttle", "thrust"}
+FLAME_OUT = ("thrust_left", "run_down_s", "exponent", "relight_s")
 LEDGER = {"pole", "delay"}
 
 
@@ -109,6 +110,7 @@ class Engine:
     ports: Mapping[str, str]
     ledger: Mapping[str, str]
     rotor_inertia: float  # kg m^2
+    flame_out: Mapping[str, float]  # FLAME_OUT of an engine without a port run, or "electric"; empty where not stated
     variables: tuple[Variable, ...]
 
     @property
@@ -153,7 +155,7 @@ def _engine(folder: Path, data: dict[str, Any]) -> Engine:
             f"the folder's name {name!r} must be lower-case words joined by '-', not ending in {FMI2_SUFFIX}"
         )
     wanted = {"title", "description", "sources", "internal_step_s", "ports", "variables"}
-    _keys("", data, wanted | {"ledger", "rotor"}, wanted)
+    _keys("", data, wanted | {"ledger", "rotor", "flame_out"}, wanted)
     step = _number("internal_step_s", data["internal_step_s"])
     if not step > 0.0:
         raise _WrongError(f"internal_step_s = {step}: must be above 0")
@@ -169,11 +171,32 @@ def _engine(folder: Path, data: dict[str, Any]) -> Engine:
     inertia = _number("rotor.inertia_kg_m2", rotor.get("inertia_kg_m2", 0.0))
     if inertia < 0.0:
         raise _WrongError(f"rotor.inertia_kg_m2 = {inertia}: must not be below 0")
+    law = _flame_out(data["flame_out"]) if "flame_out" in data else {}
+    if law and "run" in ports:
+        raise _WrongError("flame_out: an engine with a port run goes out by its own equations; leave out one of them")
     sources = tuple((folder / source).resolve() for source in data["sources"])
     for source in sources:
         if not source.is_file():
             raise _WrongError(f"sources: there is no file {source}")
-    return Engine(name, folder, data["title"], data["description"], sources, step, ports, ledger, inertia, variables)
+    return Engine(
+        name, folder, data["title"], data["description"], sources, step, ports, ledger, inertia, law, variables
+    )
+
+
+def _flame_out(table: dict[str, Any]) -> dict[str, float]:
+    if "electric" in table:
+        _keys("flame_out", table, {"electric"}, set())
+        if table["electric"] is not True:
+            raise _WrongError(f"flame_out.electric = {table['electric']!r}: allowed: true")
+        return {"electric": True}
+    _keys("flame_out", table, {*FLAME_OUT, "electric"}, set(FLAME_OUT))
+    found = {key: _number(f"flame_out.{key}", table[key]) for key in FLAME_OUT}
+    for key, value in found.items():
+        if key == "thrust_left" and not 0.0 <= value <= 1.0:
+            raise _WrongError(f"flame_out.{key} = {value}: must be from 0 to 1")
+        if key != "thrust_left" and not value > 0.0:
+            raise _WrongError(f"flame_out.{key} = {value}: must be above 0")
+    return found
 
 
 def _need_variable(

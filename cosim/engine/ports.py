@@ -14,6 +14,11 @@ A port is found by causality, name and unit, or stated in a mapping file::
     gain = 1.0
     [rotor]
     inertia_kg_m2 = 2.0e-4
+    [flame_out]               # without a port run; electric = true for a fan
+    thrust_left = 0.4
+    run_down_s = 1.2
+    exponent = 2.6
+    relight_s = 13.0
     [ledger]
     delay_s = 0.1             # of the thrust behind the throttle, if known
 """
@@ -25,11 +30,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from cosim.config import Model, NotNegative, read_toml, validate
+from cosim.config import Model, NotNegative, Positive, read_toml, validate
 from cosim.engine.units import (
     ANGULAR_SPEED,
     FORCE,
@@ -46,6 +51,7 @@ from cosim.engine.units import (
     to_si,
 )
 from cosim.errors import InputError
+from cosim.rundown import FlameOutLaw, law_of
 
 # In the order of the C loop.
 INPUTS = ("throttle", "ambient_pressure", "ambient_temperature", "air_speed")
@@ -252,6 +258,26 @@ class _Rotor(Model):
     inertia_kg_m2: NotNegative = 0.0
 
 
+class _FlameOut(Model):
+    electric: Literal[True] | None = None
+    thrust_left: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    run_down_s: Positive | None = None
+    exponent: Positive | None = None
+    relight_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_or_the_other(self) -> _FlameOut:
+        stated = [self.thrust_left, self.run_down_s, self.exponent, self.relight_s]
+        if self.electric and any(value is not None for value in stated):
+            raise ValueError("electric = true stands alone")
+        if not self.electric and None in stated:
+            raise ValueError("state thrust_left, run_down_s, exponent and relight_s, or electric = true")
+        return self
+
+    def law(self) -> FlameOutLaw:
+        return law_of(self.model_dump(exclude_none=True))
+
+
 class _Ledger(Model):
     delay_s: NotNegative | None = None
 
@@ -266,6 +292,7 @@ class MappingFile(Model):
     range: _Range = _Range()
     parameters: dict[str, float] = Field(default_factory=dict)
     rotor: _Rotor = _Rotor()
+    flame_out: _FlameOut | None = None
     ledger: _Ledger = _Ledger()
 
 

@@ -40,6 +40,7 @@ from cosim.engine.unpacked import unpack
 from cosim.errors import InputError
 from cosim.memory import Memory
 from cosim.paths import data_folder
+from cosim.rundown import OWN, FlameOutLaw, law_of
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class EngineSpec:
     delay_samples: int | None
     start: str | None  # the parameter that starts the engine in equilibrium at a throttle
     rotor_inertia: float  # kg m^2, about the jet's axis; 0 where it is not known
+    flame_out: FlameOutLaw | None  # how it goes out; None where nobody knows
     stated_delay: float | None  # s, from a mapping file
     mapping: Path | None  # the mapping file it was loaded by
     archive: Archive = field(repr=False)
@@ -187,6 +189,7 @@ def load_engine(
         delay_samples=None if delay is None else round(delay),
         start=measured.start,
         rotor_inertia=engine.rotor_inertia if engine else mapping.rotor.inertia_kg_m2,
+        flame_out=_flame_out(source),
         stated_delay=mapping.ledger.delay_s,
         mapping=source.path if is_mapping(source.path) else None,
         archive=archive,
@@ -195,6 +198,14 @@ def load_engine(
         quiet=measured.quiet,
         air=air,
     )
+
+
+def _flame_out(source: EngineSource) -> FlameOutLaw | None:
+    if "run" in source.archive.ports:
+        return OWN
+    if source.engine is not None:
+        return law_of(source.engine.flame_out) if source.engine.flame_out else None
+    return source.mapping.flame_out.law() if source.mapping.flame_out else None
 
 
 class Measured(NamedTuple):
