@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 import subprocess
 import sys
@@ -16,10 +17,11 @@ import pytest
 from mavlink_tools import ABOUT, PREDICTING, Pilot, Udp, command, sample
 
 from cosim.errors import InputError
+from cosim.mavlink.channel import MOST_PEERS
 from cosim.mavlink.dialect import mav
 from cosim.mavlink.endpoint import DEFAULT, parse
 from cosim.mavlink.exchange import Exchange
-from cosim.mavlink.link import MOST_PEERS, Link
+from cosim.mavlink.link import Link
 from cosim.mavlink.peer import FRAMES_A_SECOND
 from cosim.mavlink.signing import Signing
 from cosim.mavlink.snapshot import Snapshot
@@ -233,13 +235,15 @@ def test_the_table_of_stations_is_bounded(flights: list[Flight], stations: list[
 
 
 FLOOD = """
-import socket, sys, time
-out, end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), time.monotonic() + float(sys.argv[3])
+import socket, sys
+out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 frame, to, sent = bytes.fromhex(sys.argv[1]), ("127.0.0.1", int(sys.argv[2])), 0
-while time.monotonic() < end:
-    out.sendto(frame, to)
-    sent += 1
-print(sent)
+try:
+    while True:
+        out.sendto(frame, to)
+        sent += 1
+except KeyboardInterrupt:
+    print(sent)
 """
 
 
@@ -254,18 +258,24 @@ def test_a_station_that_floods_does_not_disturb(flights: list[Flight], stations:
     with pytest.raises(InputError, match="in use"):
         Link([parse(f"udpin:127.0.0.1:{flight.port}")])
     frame = bytes(command(511, 30.0, 40_000.0).pack(mav.MAVLink(None, srcSystem=66, srcComponent=1)))
+    began = time.monotonic()
     flood = subprocess.Popen(
-        [sys.executable, "-c", FLOOD, frame.hex(), str(flight.port), "2.5"], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", FLOOD, frame.hex(), str(flight.port)], stdout=subprocess.PIPE, text=True
     )
-    assert until(lambda: flight.link.refused["flood"] > 0)
+    try:
+        assert until(lambda: flight.link.refused["flood"] > 0, 60.0)  # a busy machine may be slow to flood
+    except AssertionError:
+        flood.kill()
+        raise
     for _ in range(5):
         good.got.clear()
         good.send(command(512, 148.0))
-        assert good.name("AUTOPILOT_VERSION", 1.0)
+        assert good.name("AUTOPILOT_VERSION", 5.0)
+    flood.send_signal(signal.SIGINT)
     sent = int(flood.communicate()[0])
     bad = max(flight.link.peers, key=lambda peer: peer.received)
-    assert sent > 4 * FRAMES_A_SECOND
-    assert bad.received < 2.5 * FRAMES_A_SECOND + 2 * FRAMES_A_SECOND  # what it may, and the burst
+    assert sent > bad.received
+    assert bad.received < (time.monotonic() - began + 1.0) * FRAMES_A_SECOND + 100  # what it may, and the burst
     assert flight.worst < 0.5  # the stepping thread only hands over
 
 

@@ -111,14 +111,14 @@ def test_a_list_waits_for_a_slow_link() -> None:
     """While bytes wait to be sent, nothing is added to them."""
 
     class Slow(str):
-        waiting = 10_000
+        behind = True
 
     vehicle = Vehicle()
     vehicle.station.peer = Slow("slow")
     vehicle.station.send("PARAM_REQUEST_LIST", *TO)
     vehicle.bench.tick(5.0)
     assert not vehicle.station.inbox
-    Slow.waiting = 0
+    Slow.behind = False
     vehicle.bench.tick(5.0)
     assert len(vehicle.station.inbox) == len(vehicle.parameters.values) + 1
 

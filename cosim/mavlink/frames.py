@@ -118,6 +118,7 @@ class Sender:
         self._link = link
         self._signing = signing
         self._sequence = 0
+        self.signature = 0 if signing is None else SIGNATURE  # bytes of it
 
     def frame(self, packed: Packed, component: int | None = None) -> bytes:
         """The next frame."""

@@ -20,7 +20,6 @@ Outgoing = list[tuple[Peer | None, Message]]
 Ask = Callable[[Request, Callable[[Answer], None], str], None]
 
 MAX_CLIENTS = 16  # that a service remembers something of; chosen by us: more than anybody connects
-BULK = 2000  # bytes that wait for a peer before a list or a file pauses: a third of a second at 57600 baud
 _TEXT = 50  # bytes of a STATUSTEXT
 _text_id = 0
 
@@ -75,7 +74,7 @@ class Pace:
         if self._last is not None:
             self._saved = min(self._burst, self._saved + max(0.0, now - self._last) * self._rate)
         self._last = now
-        if getattr(peer, "waiting", 0) > BULK:
+        if getattr(peer, "behind", False):
             return 0
         given = min(most, int(self._saved))
         self._saved -= given

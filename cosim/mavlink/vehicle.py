@@ -18,7 +18,7 @@ from cosim.mavlink.exchange import Exchange
 from cosim.mavlink.frames import Frame
 from cosim.mavlink.link import Link
 from cosim.mavlink.modes import from_custom
-from cosim.mavlink.peer import Peer
+from cosim.mavlink.peer import Kind, Peer
 from cosim.mavlink.service import Client
 from cosim.mavlink.snapshot import About, Snapshot
 from cosim.mavlink.streams import Streams
@@ -39,6 +39,9 @@ LINK_LOST = 3.5  # s without a heartbeat of any ground station; QGroundControl g
 _REPEAT = 5.0  # s: a command that is the same again within it has lost its acknowledgement
 _COMPLAIN = 5.0  # s between two lines about set-points that are not understood
 _GCS = 6  # MAV_TYPE
+_STATIONS = 64  # of which is remembered when they were heard; chosen by us: more than anybody connects
+# lists and files: long, in no hurry, and repeated where they were lost
+_BULK = frozenset({"FILE_TRANSFER_PROTOCOL", "LOG_DATA", "LOG_ENTRY", "PARAM_VALUE"})
 _PAGE = (0, 0)  # ids that no system has
 _SERVE = 0.01  # s between two looks at a service that has much to send
 
@@ -102,7 +105,8 @@ class Vehicle:
         self.services = list(services)
         self.on_request = dict(on_request or {})
         self.endings = endings
-        self.stations: dict[tuple[int, int], float] = {}  # ground stations by ids: when last heard
+        # ground stations by ids: when last heard, the one that has been silent for longest first
+        self.stations: dict[tuple[int, int], float] = {}
         self.pages: Callable[[], int] = lambda: 0  # how many local pages are open: each is a ground station too
         self.acknowledged = 0
         self._streams = Streams(link.now())
@@ -130,10 +134,11 @@ class Vehicle:
             packed = self._pack(message)
             if packed is None:
                 continue
+            kind = Kind.BULK if message.msgname in _BULK else Kind.ANSWER
             if peer is None:
-                self.link.broadcast(packed)
+                self.link.broadcast(packed, kind)
             else:
-                self.link.send(peer, packed)
+                self.link.send(peer, packed, kind)
 
     def say(self, severity: int, text: str, peer: Peer | None = None) -> None:
         """A line for the people on the ground."""
@@ -180,12 +185,20 @@ class Vehicle:
         if view is None:
             return now + 0.01
         for stream, peers in self._streams.due(now, self.link.peers):
+            packets: list[Packed] = []
             for message in stream.build(view):
                 packed = self._pack(message)
-                if packed is not None:
-                    for peer in peers:
-                        peer.send(packed, False)
-                    self.link.logged(packed)
+                if packed is None:
+                    continue
+                packets.append(packed)
+                self.link.logged(packed)
+            self._streams.sized(stream, packets)
+            for peer in peers:
+                for place, packed in enumerate(packets):
+                    if stream.name == "HEARTBEAT":  # whatever the line carries, it tells that the vehicle is there
+                        peer.send(packed)
+                    else:
+                        peer.stream(packed, place)
         busy = any(service.busy for service in self.services)
         return min(self._streams.next, now + _SERVE) if busy else self._streams.next
 
@@ -232,7 +245,7 @@ class Vehicle:
     def _watch_link(self, now: float) -> None:
         """Tell the pilot when the last ground station has gone quiet, and when one is there again."""
         if self.pages():
-            self.stations[_PAGE] = now
+            self._is_there(_PAGE)
         if not self.stations:
             return
         lost = now - max(self.stations.values()) > LINK_LOST
@@ -249,9 +262,19 @@ class Vehicle:
     # --- messages ----------------------------------------------------------------------------------------------
 
     def _heartbeat(self, message: Message, sender: Sender) -> None:
-        ids = (sender.system, sender.component)
-        if message.type == _GCS and (ids in self.stations or len(self.stations) < 64):
-            self.stations[ids] = self._now
+        if message.type == _GCS:
+            self._is_there((sender.system, sender.component))
+
+    def _is_there(self, ids: tuple[int, int]) -> None:
+        """A station is alive; where there is no place for it, the one that has been silent for longest goes."""
+        self.stations.pop(ids, None)
+        if len(self.stations) >= _STATIONS:
+            del self.stations[next(iter(self.stations))]
+        self.stations[ids] = self._now
+
+    def _radio(self, message: Message, sender: Sender) -> None:
+        """A radio on the way puts it in: how much of its buffer is free."""
+        sender.peer.radio(message.txbuf)
 
     def _command(self, message: Message, sender: Sender) -> None:
         order = commands.order_of(message)
@@ -376,5 +399,6 @@ _RECEIVE: dict[str, Callable[[Vehicle, Message, Sender], None]] = {
     "TIMESYNC": Vehicle._timesync,
     "SET_GPS_GLOBAL_ORIGIN": Vehicle._origin,
     "REQUEST_DATA_STREAM": Vehicle._nothing,
+    "RADIO_STATUS": Vehicle._radio,
 }
 assert set(_RECEIVE) <= set(BY_NAME)
