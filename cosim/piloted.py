@@ -59,6 +59,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
         lambda request: simulation.inject(fault_from(request)),
         simulation.clear_faults,
         airborne,
+        simulation.thrust_map.idle,
     )
     pilot.reset(simulation.measured)
     simulation.pilot = pilot

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite, radians
+from math import isfinite, radians, sqrt
 from typing import Any
 
 import pytest
@@ -321,29 +321,108 @@ def test_setpoints_that_stop_end_offboard_after_half_a_second() -> None:
 
 def test_sticks_lean_and_turn_the_right_way() -> None:
     w = world("air")
-    w.ok(rq.Sticks(0.5, 1.0, 0.0, 0.5))
+    w.ok(rq.SetParameter("HJ_STICK_TIME", 5.0))
+    w.ok(rq.Sticks(0.5, 0.8, 0.0, 0.5))
     w.ok(rq.SetMode("STABILIZED"))
-    command = w.seconds(DT)
+    command = w.seconds(2.0)
     # right, and nose down, at 20 degrees of full lean; the middle of the throttle hovers
-    assert command.attitude[:2] == pytest.approx((radians(10.0), radians(-20.0)))
+    assert command.attitude[:2] == pytest.approx((radians(10.0), radians(-16.0)))
     assert command.collective == pytest.approx(HOVER)
-    w.ok(rq.Sticks(0.0, 0.0, 1.0, 1.0))
-    first = w.seconds(DT).attitude[2]
-    w.ok(rq.Sticks(0.0, 0.0, 1.0, 1.0))
-    command = w.seconds(DT)
-    assert command.attitude[2] - first == pytest.approx(radians(45.0) * DT)
+    # both sticks at their stops are no more than the full lean
+    w.ok(rq.Sticks(1.0, 1.0, 0.0, 1.0))
+    command = w.seconds(2.0)
+    assert command.attitude[:2] == pytest.approx((radians(20.0 / sqrt(2.0)), -radians(20.0 / sqrt(2.0))))
     assert command.collective == pytest.approx(1.0)
+    w.ok(rq.Sticks(0.0, 0.0, 1.0, 0.5))
+    w.seconds(0.7)
+    first = w.command.attitude[2] if w.command else 0.0
+    # the set-point comes up to the stick's rate as it comes up to its heading
+    assert w.seconds(DT).attitude[2] - first == pytest.approx(radians(45.0) * DT, rel=0.1)
 
 
-def test_offboard_attitude_and_rates_pass_through() -> None:
+def test_offboard_attitude_and_rates_are_reached() -> None:
+    """Without a step, and what is inside the limits to the value."""
     w = world("air")
+    w.ok(rq.SetParameter("HJ_OFFB_TIME", 5.0))
     w.ok(rq.OffboardAttitude(from_euler(0.1, -0.2, 0.3), None, 0.6))
     w.ok(rq.SetMode("OFFBOARD"))
     command = w.seconds(DT)
+    assert max(abs(angle) for angle in command.attitude) < 1e-4
+    command = w.seconds(2.0)
     assert command.attitude == pytest.approx((0.1, -0.2, 0.3))
     assert (command.collective, command.rate) == (0.6, None)
+    # a lean of 40 degrees is no more than that of a full stick
+    w.ok(rq.OffboardAttitude(from_euler(radians(40.0), 0.0, 0.3), None, 0.6))
+    assert w.seconds(2.0).attitude == pytest.approx((radians(20.0), 0.0, 0.3), abs=1e-9)
     w.ok(rq.OffboardAttitude(None, (0.1, 0.2, 0.3), 0.5))
-    assert w.seconds(DT).rate == (0.1, 0.2, 0.3)
+    assert w.seconds(2.0).rate == pytest.approx((0.1, 0.2, 0.3))
+
+
+def test_hold_stays_at_the_height_where_it_is_asked_for() -> None:
+    """Home 60 m up, as a map's terrain may have it, is no reason to climb; nor is it one to fly somewhere lower."""
+    w = world("air")
+    w.ok(rq.SetHome(0.0, 0.0, 60.0))
+    w.ok(rq.Hold())
+    w.seconds(3.0)
+    assert w.pilot.status.altitude == pytest.approx(10.0, abs=1e-9)
+    w.ok(rq.Goto(5.0, 0.0))
+    assert w.seconds(3.0).altitude == pytest.approx(10.0, abs=1e-9)
+    # a return that is near enough to land at once does not climb first
+    w.ok(rq.SetHome(0.5, 0.0, 60.0))
+    w.ok(rq.ReturnHome())
+    w.seconds(0.1)
+    assert w.command is not None
+    assert w.command.altitude <= 10.0
+
+
+def test_asking_for_hold_again_moves_nothing() -> None:
+    """Noise in the measured height and climb is not taken for a new height to stay at."""
+    w = world("air")
+    w.seconds(1.0)
+    held = w.pilot.status.altitude
+    for n in range(100):
+        w.ok(rq.Hold())
+        w.seconds(0.02, sink=(0.3, -0.4)[n % 2], altitude=10.0 + (0.05, -0.02)[n % 2])
+        assert w.pilot.status.altitude == held
+
+
+def test_the_ground_is_where_it_took_off_also_with_home_below_it() -> None:
+    """The last metres of a landing are slow; a home 30 m down does not make them fast."""
+    for home in (-30.0, 0.0, 60.0):
+        w = world("air")
+        w.ok(rq.SetHome(0.0, 0.0, home))
+        w.ok(rq.Land())
+        w.seconds(1.0, altitude=2.5)
+        before = w.pilot.status.altitude
+        w.seconds(0.2)
+        assert before - w.pilot.status.altitude == pytest.approx(0.5 * 0.2, rel=1e-6)
+
+
+def test_a_fence_that_was_taken_over_acts_again() -> None:
+    """Further out at once, in the same place after a while, and when the fence itself comes nearer."""
+    w = world("air")
+    w.ok(rq.SetParameter("HJ_FENCE_ALT", 50.0))
+    w.seconds(1.0, altitude=55.0)
+    assert w.pilot.mode is Mode.RTL
+    w.ok(rq.Hold())
+    w.seconds(9.0)
+    assert w.pilot.mode is Mode.HOLD
+    w.seconds(1.1)
+    assert w.pilot.mode is Mode.RTL
+    w.ok(rq.Hold())
+    w.seconds(1.0)
+    assert w.pilot.mode is Mode.HOLD
+    w.seconds(0.5, altitude=57.5)
+    assert w.pilot.mode is Mode.RTL
+    w.ok(rq.Hold())
+    w.seconds(0.5)
+    w.ok(rq.SetParameter("HJ_FENCE_ALT", 40.0))
+    w.seconds(2 * DT)
+    assert w.pilot.mode is Mode.RTL
+    # back inside it is as if nothing had been
+    w.ok(rq.Hold())
+    w.seconds(12.0, altitude=30.0)
+    assert w.pilot.mode is Mode.HOLD
 
 
 @pytest.mark.parametrize(("action", "mode"), [(0, Mode.HOLD), (1, Mode.HOLD), (2, Mode.RTL), (3, Mode.LAND)])

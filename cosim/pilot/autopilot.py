@@ -72,9 +72,10 @@ from cosim.pilot.requests import (
     Takeoff,
     quaternion_of,
 )
+from cosim.pilot.shaper import AttitudeLimits, Shaper, angular_authority, attitude_limits
 from cosim.pilot.touchdown import Touchdown
-from cosim.pilot.watch import Watch
-from cosim.signals import Command, Measured, Vector3
+from cosim.pilot.watch import OUTSIDE, Watch
+from cosim.signals import AXES, Command, Measured, Vector3
 from cosim.vehicle import Vehicle
 
 # Chosen by us, with the reason.
@@ -88,7 +89,7 @@ _LIFT_M = 0.3  # above the ground with no leg in contact is in the air
 _LIFT_S = 10.0  # after spooling up without leaving the ground, the take-off is given up
 _REACHED_M = 0.4  # of height; a take-off or climb is over, or a waypoint's height is reached
 _NEAR_HOME_M = 2.0  # no climb and no flight is needed to land here
-_LOWEST_M = 1.0  # above home: automatic flight does not hold below it
+_LOWEST_M = 1.0  # above the ground: nothing flies there by itself, and a stop ends no lower
 _SETTLE_S = 0.7  # from contact to idle
 _SETTLE_SINK = 1.0  # m/s: sinking faster than this is no contact
 _BLIND_S = 1.0  # s without a fix: the lean alone is off by half a metre by then for a degree that it is wrong
@@ -132,6 +133,7 @@ class Autopilot:
     ``hover``: the collective at which it hovers.  ``controller`` and ``delay`` (samples; None without a model) are
     what the rate loops fly with at the start; ``predictors`` makes others.  ``inject`` and ``clear`` are called for
     faults by command, and may raise InputError.  ``airborne``: the flight begins in the air, armed, holding.
+    ``idle``: thrust of an engine without throttle, as a share of what full throttle adds to it.
     """
 
     def __init__(
@@ -148,6 +150,7 @@ class Autopilot:
         inject: Fault | None = None,
         clear: Callable[[], None] | None = None,
         airborne: bool = False,
+        idle: float = 0.0,
     ) -> None:
         gains, settings = vehicle.control.position, vehicle.control.pilot
         if gains is None or settings is None:
@@ -173,6 +176,8 @@ class Autopilot:
         self._estimator = Estimator(gains, vehicle.sensors.gnss, step)
         self._settled = round(_SETTLED_EPOCHS_S / step)
         self._guide = Guide(tracker, position, self.parameters, step)
+        self._vehicle, self._idle = vehicle, idle
+        self._shaper = Shaper(self._attitude_limits(), step)
         self._touchdown = Touchdown(hover, step)
         self._watch = Watch(self.parameters, hover, step, self._failsafe)
         self._inject, self._clear = inject, clear
@@ -207,6 +212,7 @@ class Autopilot:
         self._settling: float | None = None  # collective while the thrust is taken away
         self._flew = self._airborne  # since arming
         self._ground = 0.0  # height of the ground below the last take-off
+        self._left: Pair | None = None  # where that was
         self._phase = 0  # of RTL and of a mission's landing
         self._climb_to: float | None = None  # height to reach before a mission leaves the place of its take-off
         self._descending = False
@@ -214,6 +220,7 @@ class Autopilot:
         self._height: float | None = None  # how high
         self._heading: float | None = None  # None: as it is
         self._guide.reset()
+        self._shaper.reset()
         self._touchdown.reset()
         self._watch.reset()
 
@@ -380,10 +387,12 @@ class Autopilot:
             )
         if altitude is None:
             altitude = self._height if self._height is not None else self._stop_height()
-        lowest = self._home_altitude() + _LOWEST_M
-        if request.altitude is not None and altitude < lowest:
-            above = altitude - self._home_altitude()
-            return _no(Result.DENIED, f"goto refused: {above:.1f} m above home, at least {_LOWEST_M:g} m are needed")
+        ground = min(self._home_altitude(), self._ground)
+        if request.altitude is not None and altitude < ground + _LOWEST_M:
+            above = altitude - ground
+            return _no(
+                Result.DENIED, f"goto refused: {above:.1f} m above the ground, at least {_LOWEST_M:g} m are needed"
+            )
         why = self._watch.outside(*(place or self._fix.position), altitude, self.home)
         if why:
             return _no(Result.DENIED, f"goto refused: {why}")
@@ -394,10 +403,14 @@ class Autopilot:
         heading = self._heading if request.yaw is None and self.mode is Mode.HOLD else request.yaw
         if self.mode is not Mode.HOLD:
             self._enter(Mode.HOLD, k)
-        self._new_place(place, max(altitude, lowest), heading)
+        self._new_place(place, altitude, heading)
         return _yes()
 
     def _stop(self, request: Hold, k: int) -> Answer:
+        if self.mode is Mode.HOLD and self._place is None:
+            # it stops or has stopped: asking again does not move where it stays
+            self.failsafe = ""
+            return _yes()
         self._enter(Mode.HOLD, k)
         return _yes()
 
@@ -466,6 +479,8 @@ class Autopilot:
 
     def _set_parameter(self, request: SetParameter, k: int) -> Answer:
         self._live.set(request.name, request.value)
+        if request.name.startswith(_SHAPING):
+            self._shaper.limit(self._attitude_limits())
         return _yes()
 
     def _inject_fault(self, request: InjectFault, k: int) -> Answer:
@@ -497,6 +512,18 @@ class Autopilot:
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
         """The command of step ``k``; :attr:`engines` says what the engines do with it."""
+        command = self._decide(k, measured, report)
+        if self.engines is not EngineState.FLY:
+            self._shaper.reset()
+            return command
+        rate = command.rate
+        if rate is not None:
+            return Command(command.attitude, command.altitude, self._shaper.rate(rate, self._euler), command.collective)
+        attitude = self._shaper.attitude(command.attitude, self._euler)
+        return Command(attitude, command.altitude, None, command.collective)
+
+    def _decide(self, k: int, measured: Measured, report: Report) -> Command:
+        """What is asked for at step ``k``, steps and all."""
         self._k, self._measured, self._report = k, measured, report
         self._euler = to_euler(measured.attitude)
         flying = self._flying()
@@ -535,7 +562,9 @@ class Autopilot:
                 self.failsafe = "leans as if control were lost"
             return
         if self._flying():
-            self._watch.update(k, measured, self._fix, self.home, report)
+            # what was taken over is watched anew
+            acting = self.failsafe.startswith(OUTSIDE)
+            self._watch.update(k, measured, self._fix, self.home, report, acting)
             if self._estimator.silent > _BLIND_S and self.mode not in (*DIRECT, Mode.ALTCTL, Mode.LAND):
                 self._failsafe(LAND, "position lost")
         if self.mode in BY_STICK and self._flying() and not self._sticks_fresh():
@@ -566,6 +595,7 @@ class Autopilot:
         self.engines = EngineState.FLY
         self._began = k
         self._ground = self._altitude()
+        self._left = self._fix.position
         item = self.mission.item
         self._climb_to = None
         if self.mode is Mode.MISSION and item is not None and item.kind is not ItemKind.TAKEOFF:
@@ -687,19 +717,19 @@ class Autopilot:
     def _stay(self) -> Command:
         """HOLD: stop, or fly to where a goto has asked."""
         if self._height is None:
-            self._height = max(self._stop_height(), self._home_altitude() + _LOWEST_M)
+            self._height = self._stop_height()
         return self._fly(self._place, self._height, self._heading)
 
     def _climb_out(self, k: int) -> Command:
         if self._height is None:
             to = self._takeoff_to if self._takeoff_to is not None else self.parameters["MIS_TAKEOFF_ALT"]
-            self._new_place(None, self._home_altitude() + to, None)
+            self._new_place(self._left, self._home_altitude() + to, None)
         assert self._height is not None
-        command = self._fly(None, self._height, None)
+        command = self._fly(self._place, self._height, None)
         if abs(self._altitude() - self._height) < _REACHED_M:
-            height = self._height
+            place, height = self._place, self._height
             self._enter(Mode.HOLD, k)
-            self._new_place(None, height, None)
+            self._new_place(place, height, None)
             self._say(k, Severity.INFO, "take-off complete")
         return command
 
@@ -719,7 +749,7 @@ class Autopilot:
         if self._height is None:
             near = away < _NEAR_HOME_M
             height = home.altitude + self.parameters["RTL_RETURN_ALT"]
-            self._height = max(self._stop_height(), home.altitude + _LOWEST_M if near else height)
+            self._height = self._stop_height() if near else max(self._stop_height(), height)
             self._phase = 1 if near else 0
         if self._phase == 0 and self._altitude() > self._height - _REACHED_M:
             self._phase = 1
@@ -775,7 +805,7 @@ class Autopilot:
             height = item.altitude
             if height is not None and self._flying():
                 height = max(height, self._stop_height())
-            self._new_place(None, height, item.yaw)
+            self._new_place(None if self._flying() else self._fix.position, height, item.yaw)
         elif item.kind is ItemKind.LAND:
             there = (item.north, item.east) if item.north is not None and item.east is not None else None
             self._new_place(there, self._height, item.yaw)
@@ -800,7 +830,7 @@ class Autopilot:
         guide, parameters = self._guide, self.parameters
         yaw = guide.at_turn(_dead(sticks.yaw) * radians(parameters["HJ_YAW_RATE"]))
         most = radians(parameters["HJ_STICK_LEAN"])
-        lean = (sticks.roll * most, -sticks.pitch * most)
+        lean = limited(sticks.roll * most, -sticks.pitch * most, most)
         if self.mode in DIRECT:
             low, high, t = self._limits.throttle_min, self._limits.throttle_max, sticks.throttle
             half = (
@@ -822,8 +852,9 @@ class Autopilot:
         guide, parameters = self._guide, self.parameters
         if isinstance(wanted, OffboardAttitude):
             quaternion = quaternion_of(wanted)
-            attitude = self._euler if quaternion is None else to_euler(quaternion)
-            return Command(attitude, self._altitude(), wanted.rates, wanted.thrust)
+            roll, pitch, yaw = self._euler if quaternion is None else to_euler(quaternion)
+            roll, pitch = limited(roll, pitch, radians(parameters["HJ_STICK_LEAN"]))
+            return Command((roll, pitch, yaw), self._altitude(), wanted.rates, wanted.thrust)
         if isinstance(wanted, OffboardPosition):
             return self._fly((wanted.north, wanted.east), -wanted.down, wanted.yaw)
         up, down = parameters["HJ_SPEED_UP"], parameters["HJ_SPEED_DN"]
@@ -840,6 +871,14 @@ class Autopilot:
         held = guide.to_height(altitude, self.parameters["HJ_CLIMB_AUTO"], self.parameters["HJ_DESC_AUTO"])
         self._descending = altitude < held
         return guide.command(lean, held, guide.to_yaw(yaw))
+
+    def _attitude_limits(self) -> AttitudeLimits:
+        """What the loops may be asked for with the gains of now."""
+        p = self.parameters
+        gain = [p[f"HJ_ATT_{axis.upper()}"] for axis in AXES]
+        most = [radians(p[f"HJ_RLIM_{axis.upper()}"]) for axis in AXES]
+        authority = angular_authority(self._vehicle, self._hover, self._idle, gain)
+        return attitude_limits(gain, authority, radians(p["HJ_STICK_LEAN"]), radians(p["HJ_YAW_RATE"]), most)
 
     # --- small things ----------------------------------------------------------------------------------------------
 
@@ -910,14 +949,19 @@ class Autopilot:
         return self.home.altitude if self.home is not None else 0.0
 
     def _stop_height(self) -> float:
-        """Where it comes to rest if climbing or sinking ends now."""
+        """Where it comes to rest if climbing or sinking ends now: not nearer to the ground than it must."""
         if self._measured is None:
             return 0.0
-        return self._altitude() - self._measured.velocity[2] / max(self.parameters["HJ_ALT_P"], 0.1)
+        here = self._altitude()
+        stop = here - self._measured.velocity[2] / max(self.parameters["HJ_ALT_P"], 0.1)
+        return max(stop, min(here, self._ground + _LOWEST_M))
 
     def _low(self) -> bool:
-        """So near to the ground that a landing slows down."""
-        return self._altitude() - self._home_altitude() < self.parameters["HJ_LAND_SLOW_H"]
+        """So near to the ground that a landing slows down.
+
+        The ground is where it took off, or home where that is higher: there is no sensor for the height above it.
+        """
+        return self._altitude() - max(self._home_altitude(), self._ground) < self.parameters["HJ_LAND_SLOW_H"]
 
     def _speed(self) -> float:
         return self._cruise if self._cruise is not None else self.parameters["MPC_XY_VEL_MAX"]
@@ -969,6 +1013,7 @@ class Autopilot:
         )
 
 
+_SHAPING = ("HJ_ATT_", "HJ_RLIM_", "HJ_STICK_LEAN", "HJ_YAW_RATE")  # parameters that the limits follow from
 _CENTRED = Sticks(0.0, 0.0, 0.0, 0.5)
 _DOES = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}
 

@@ -223,6 +223,11 @@ class Tracker:
         return self._move(*velocity)
 
     @property
+    def point(self) -> Pair:
+        """Where the point is that runs ahead of the set-point."""
+        return (self._p[0], self._p[1])
+
+    @property
     def ahead(self) -> Pair:
         """Where the set-point would come to rest if it were stopped now."""
         vn, ve = self._v

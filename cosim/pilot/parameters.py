@@ -257,7 +257,7 @@ def _flight(pilot: PilotSettings) -> Iterator[Parameter]:
     yield line("HJ_CLIMB_AUTO", pilot.climb_m_s, 0.1, 20.0, "m/s", "climb rate of automatic flight")
     yield line("HJ_DESC_AUTO", pilot.descent_m_s, 0.1, 20.0, "m/s", "descent rate of automatic flight")
     yield line("MPC_LAND_SPEED", pilot.land_m_s, 0.1, 2.0, "m/s", "descent rate of the last metres of a landing")
-    yield line("HJ_LAND_SLOW_H", 3.0, 0.5, 50.0, "m", "height above home below which a landing slows down")
+    yield line("HJ_LAND_SLOW_H", 3.0, 0.5, 50.0, "m", "height above the ground, or home, below which it sinks slowly")
     yield line("MIS_TAKEOFF_ALT", pilot.takeoff_height_m, 1.0, 500.0, "m", "height of a take-off that names none")
     yield line("RTL_RETURN_ALT", pilot.return_height_m, 2.0, 1000.0, "m", "least height above home of the way back")
     yield line("HJ_YAW_RATE", degrees(pilot.yaw_rate_rad_s), 1.0, 180.0, "deg/s", "turn rate of set-points")

@@ -16,6 +16,9 @@ Act = Callable[[int, str], None]  # an action of the parameters, and why
 _LOST_CONTROL_S = 0.5
 _WIND_S = 2.0
 _MOST_WIND = 0.7
+_FURTHER_M = 2.0  # outside the fence: beyond where it was taken over; GNSS noise is less
+_PATIENCE_S = 10.0  # outside the fence, taken over, and nothing was done to come back: it acts again
+OUTSIDE = "outside the fence"
 
 
 class Watch:
@@ -35,7 +38,9 @@ class Watch:
         self._spent = 0.0
         self.remaining: float | None = None
         self._level = 0  # 1 low, 2 critical
-        self._outside = False
+        self._excess: float | None = None  # how far outside it was when it last acted or was taken over; None: inside
+        self._acted = False  # what the fence asked for is being done
+        self._waited = 0.0  # s outside, taken over
         self._lost: tuple[int, ...] = ()
         self._leaning = self._pushed = 0.0
 
@@ -47,11 +52,13 @@ class Watch:
     def found_link(self) -> None:
         self.link_lost = -1
 
-    def update(self, k: int, measured: Measured, fix: Fix, home: Home | None, report: Report) -> None:
-        """One step in the air."""
+    def update(
+        self, k: int, measured: Measured, fix: Fix, home: Home | None, report: Report, acting: bool = False
+    ) -> None:
+        """One step in the air; ``acting``: what the fence asked for is still what is being done."""
         self._engines(report)
         self._fuel()
-        self._fence(fix.position, measured.altitude, home)
+        self._fence(fix.position, measured.altitude, home, acting)
         self._wind(fix)
         if self.link_lost >= 0 and not self._link_acted:
             late = (k - self.link_lost) * self._step
@@ -84,16 +91,20 @@ class Watch:
 
     def outside(self, north: float, east: float, altitude: float, home: Home | None) -> str:
         """Why a place is outside the fence; empty if it is not."""
+        return self._beyond(north, east, altitude, home)[1]
+
+    def _beyond(self, north: float, east: float, altitude: float, home: Home | None) -> tuple[float, str]:
+        """How far outside the fence a place is (m), and why; 0 and nothing where it is inside."""
         radius, ceiling = self._parameters["HJ_FENCE_RAD"], self._parameters["HJ_FENCE_ALT"]
         if home is None:
-            return ""
+            return 0.0, ""
         distance = hypot(north - home.north, east - home.east)
-        if radius > 0.0 and distance > radius:
-            return f"{distance:.0f} m from home, the fence is at {radius:g} m"
         height = altitude - home.altitude
+        if radius > 0.0 and distance > radius:
+            return distance - radius, f"{distance:.0f} m from home, the fence is at {radius:g} m"
         if ceiling > 0.0 and height > ceiling:
-            return f"{height:.0f} m above home, the fence is at {ceiling:g} m"
-        return ""
+            return height - ceiling, f"{height:.0f} m above home, the fence is at {ceiling:g} m"
+        return 0.0, ""
 
     def _engines(self, report: Report) -> None:
         new = [str(jet) for jet in report.lost if jet not in self._lost]
@@ -120,8 +131,23 @@ class Watch:
         if before < _WIND_S <= self._pushed:
             self._act(NOTHING, "wind takes most of the lean that is allowed")
 
-    def _fence(self, place: tuple[float, float], altitude: float, home: Home | None) -> None:
-        why = self.outside(*place, altitude, home)
-        if why and not self._outside:
-            self._act(int(self._parameters["HJ_FENCE_ACT"]), f"outside the fence: {why}")
-        self._outside = bool(why)
+    def _fence(self, place: tuple[float, float], altitude: float, home: Home | None, acting: bool) -> None:
+        """Act where the fence is passed, and again where that was taken over and it does not come back.
+
+        A pilot who takes over may fly it back: it acts again 2 m further out than where it was taken over (also when
+        the fence itself has come nearer by that), or after 10 s outside.
+        """
+        excess, why = self._beyond(*place, altitude, home)
+        if not why:
+            self._excess, self._acted = None, False
+            return
+        if self._excess is not None and acting:
+            self._acted = True
+            return
+        if self._acted:
+            # taken over in this step
+            self._acted, self._excess, self._waited = False, excess, 0.0
+        self._waited += self._step
+        if self._excess is None or excess > self._excess + _FURTHER_M or self._waited > _PATIENCE_S:
+            self._excess, self._waited = excess, 0.0
+            self._act(int(self._parameters["HJ_FENCE_ACT"]), f"{OUTSIDE}: {why}")
