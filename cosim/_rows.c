@@ -16,7 +16,8 @@
 /* The records of cosim.signals, field by field. */
 enum { K, TIME, COMMAND, STATE, MEASURED, RATE_SETPOINT, RATE_PREDICTED, TORQUE_COMMAND, COLLECTIVE, ACTUATION, TILT,
        ENGINES, DISTURBANCE, FUEL, SPOOL_MOMENT, FAULTS, HEALTH, SAMPLE };
-enum { COMMAND_ATTITUDE, COMMAND_ALTITUDE, COMMAND_RATE, COMMAND_COLLECTIVE, COMMAND_FIELDS };
+enum { COMMAND_ATTITUDE, COMMAND_ALTITUDE, COMMAND_RATE, COMMAND_COLLECTIVE, COMMAND_PLACE,
+       COMMAND_FIELDS };
 enum { POSITION, VELOCITY, ATTITUDE, EULER, RATE, SPECIFIC_FORCE, ALTITUDE, WIND, MASS, ON_GROUND, HULL_CONTACT,
        STATE_FIELDS };
 enum { MEASURED_RATE, MEASURED_ATTITUDE, MEASURED_POSITION, MEASURED_VELOCITY, MEASURED_ALTITUDE, MEASURED_FIELDS };
@@ -24,11 +25,11 @@ enum { THROTTLE, TILT_COMMAND, REFUSED, ACTUATION_FIELDS };
 enum { THRUST, SPOOL_SPEED, EXHAUST_TEMPERATURE, FUEL_FLOW, ENGINE_FIELDS };
 enum { FORCE, MOMENT, TORQUE_ADDED, DISTURBING_WIND, PAYLOAD, GUST, TORQUE_OUTPUT, TORQUE_SEEN, DISTURBANCE_FIELDS };
 
-enum { JETS = 6, SERVOS = 2, SENSORS = 4, AXES = 3, QUATERNION = 4 };
+enum { JETS = 6, SERVOS = 2, SENSORS = 4, AXES = 3, PLACE = 2, QUATERNION = 4 };
 
 /* The columns of cosim.columns, and behind them what the angles of the measured quaternion are made from: opposite and
  * adjacent of roll, of yaw, and the sine of pitch.  The angles are numpy's, whose functions are not the C library's. */
-enum { COLUMNS = 123, ANGLES = 5, WIDTH = COLUMNS + ANGLES };
+enum { COLUMNS = 125, ANGLES = 5, WIDTH = COLUMNS + ANGLES };
 
 /* --- one row --- */
 
@@ -195,6 +196,10 @@ static bool read_sample(Row *row, PyObject *sample)
     else
         nothing(row, 1);
     number(row, p.measured, MEASURED_ALTITUDE);
+    if (PyTuple_GET_ITEM(p.command, COMMAND_PLACE) == Py_None)
+        nothing(row, PLACE);
+    else
+        numbers(row, p.command, COMMAND_PLACE, PLACE, "command.place");
     vector(row, p.state, VELOCITY, "state.velocity");
     vector(row, p.measured, MEASURED_POSITION, "measured.position");
     vector(row, p.measured, MEASURED_VELOCITY, "measured.velocity");

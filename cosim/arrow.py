@@ -238,10 +238,13 @@ def write_table(
         raise FlightError(f"{path}: {one_line(error)}") from error
 
 
-def read_table(paths: Path | Sequence[Path], names: Sequence[str] | None = None) -> dict[str, list[Value]]:
+def read_table(
+    paths: Path | Sequence[Path], names: Sequence[str] | None = None, lacking: bool = False
+) -> dict[str, list[Value]]:
     """The columns of one file, or of several one after the other; only the ``names``, if they are given.
 
-    Where a file lacks a column, its rows have None.  Raises InputError if a file cannot be read, or none has a name.
+    Where a file lacks a column, its rows have None; with ``lacking`` also where every file does.  Raises InputError if
+    a file cannot be read, or none has a name.
     """
     columns: dict[str, list[Value]] = {}
     rows = 0
@@ -257,6 +260,8 @@ def read_table(paths: Path | Sequence[Path], names: Sequence[str] | None = None)
         rows += length
         for values in columns.values():
             values.extend([None] * (rows - len(values)))
+    if names is not None and lacking:
+        return {name: columns.get(name, [None] * rows) for name in names}
     return columns if names is None else {known(name, columns, "table"): columns[name] for name in names}
 
 

@@ -136,8 +136,8 @@ def fly(
     """Fly SCENARIO: a name in scenarios/, the path of a TOML file, or with --flight the folder of a campaign.
 
     Leaves a folder with summary, resolved scenario, log and report.  Status 0: flown as planned, or with --flight the
-    same as in the campaign, bit for bit; 1: the flight failed or did not come to what the scenario expects, or is not
-    the same; 2: wrong input.
+    same as in the campaign, bit for bit; 1: the flight failed, went beyond its limits or did not come to what the
+    scenario expects, or is not the same; 2: wrong input.
     """
     if flight is not None:
         _refuse_others(context, "scenario", "flight", "out", "as_json")
@@ -173,7 +173,7 @@ def fly(
         click.echo(json.dumps(run.summary.model_dump(mode="json"), allow_nan=False))
     else:
         print_run(run)
-    return DONE if run.outcome == "completed" and run.summary.expectations_met is not False else FLIGHT_FAILED
+    return DONE if run.summary.as_planned else FLIGHT_FAILED
 
 
 def _fly_again(folder: Path, number: int, out: Path | None, as_json: bool) -> int:

@@ -66,6 +66,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("altitude_m", "m", "", "true height above the ground"),
     Column("altitude_setpoint_m", "m", "", "height asked for; NaN while the collective is commanded instead"),
     Column("altitude_measured_m", "m", "", "height above the ground as the barometer gives it"),
+    *_each(("north", "east"), "{}_setpoint_m", "m", "NED", "place {} asked for; NaN while none is"),
     *_each(_NED, "velocity_{}_m_s", "m/s", "NED", "true velocity {} over the ground"),
     *_each(_NED, "{}_measured_m", "m", "NED", "position {} as GNSS gives it"),
     *_each(_NED, "velocity_{}_measured_m_s", "m/s", "NED", "velocity {} as GNSS gives it"),

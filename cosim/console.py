@@ -27,14 +27,6 @@ if TYPE_CHECKING:
     from cosim.survival import Survival
 
 _PIPE_WIDTH = 120
-_COLUMNS = (
-    ("rmse, rad", "rmse_rad", "{:.4f}"),
-    ("max error, rad", "max_abs_error_rad", "{:.4f}"),
-    ("overshoot, %", "overshoot_percent", "{:.1f}"),
-    ("settling, s", "settling_time_s", "{:.2f}"),
-    ("rate rmse, rad/s", "rate_rmse_rad_s", "{:.4f}"),
-    ("final error, rad", "final_error_rad", "{:.4f}"),
-)
 
 
 @contextmanager
@@ -168,13 +160,17 @@ def print_run(run: Run) -> None:
     """Outcome, metrics, what was expected and not met, and where the report is."""
     summary = run.summary
     console = _console()
-    console.print(f"{summary.scenario}: [bold]{run.outcome}[/bold], {run.reason}", highlight=False)
+    but = f"; [bold]{summary.verdict}[/bold]" if summary.verdict not in (None, "not completed") else ""
+    console.print(f"{summary.scenario}: [bold]{run.outcome}[/bold], {run.reason}{but}", highlight=False)
     console.print(
         f"{summary.aircraft}, engine {summary.engine}, controller {summary.controller}, seed {summary.seed}: "
         f"{summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor),
         highlight=False,
     )
     print_metrics([run])
+    _print_whole(run)
+    for text in summary.exceeded:
+        console.print(f"beyond its limit: {text}", highlight=False)
     for complaint in summary.complaints:
         console.print(f"not as expected: {complaint}", highlight=False)
     if run.folder is not None:
@@ -182,20 +178,40 @@ def print_run(run: Run) -> None:
 
 
 def print_metrics(runs: Sequence[Run], by: str = "axis") -> None:
-    """A table of the commanded axes' metrics, one row an axis and run; ``by`` names the first column."""
+    """A table of the axes' metrics in the units of the page, one row an axis and run; ``by`` names the first column."""
     from rich import box
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD)
+    from cosim.report import axis_cell
+    from cosim.wording import AXIS_ROWS
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column(by)
-    for title, _, _ in _COLUMNS:
-        table.add_column(title, justify="right")
+    for row in AXIS_ROWS:
+        table.add_column(f"{row.title}, {row.unit}".lower().replace("rmse", "RMSE"), justify="right")
     for run in runs:
         for axis, metrics in run.metrics.items():
             if metrics.commanded or by == "axis":
                 label = axis if by == "axis" else f"{run.summary.controller}, {axis}"
-                table.add_row(label, *[_cell(getattr(metrics, key), form) for _, key, form in _COLUMNS])
+                table.add_row(label, *[axis_cell(metrics, row.key, row.factor, row.digits) for row in AXIS_ROWS])
     _console().print(table)
+
+
+def _print_whole(run: Run) -> None:
+    """What is measured of the whole flight, with its limits."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.report import whole_rows
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for title in ("whole flight", "value", "limit", "unit"):
+        table.add_column(title, justify="right" if title in ("value", "limit") else "left")
+    for row in whole_rows(run.summary):
+        value = f"[bold]{row['value']}[/bold]" if row["beyond"] else row["value"]
+        table.add_row(row["label"].lower().replace("rmse", "RMSE"), value, row["limit"], row["unit"])
+    if table.row_count:
+        _console().print(table)
 
 
 def print_catalogue(found: dict[str, list[dict[str, Any]]]) -> None:

@@ -12,7 +12,8 @@ from cosim.config import nearest, read_toml
 from cosim.control.choice import PREDICTORS
 from cosim.engine import EngineSpec, engine_names
 from cosim.errors import FlightError, InputError
-from cosim.metrics import metric_names
+from cosim.limits import yardstick
+from cosim.metrics import Reach, metric_names
 from cosim.pace import Pace
 from cosim.piloted import with_autopilot
 from cosim.recorder import KeepingSink
@@ -173,6 +174,8 @@ def _setup(simulation: Simulation) -> Setup:
         stations=[_station(each, engine) for each in simulation.stations],
         jets_m=[jet.position_m for jet in simulation.vehicle.jets],
         delay_ledger=[DelayRow(**asdict(row)) for row in simulation.ledger],
+        reach=reach(simulation),
+        yardstick=yardstick(scenario, simulation.vehicle),
         expectation=expectation(scenario),
         versions=versions(),
         sha256={
@@ -180,6 +183,18 @@ def _setup(simulation: Simulation) -> Setup:
             f"{simulation.vehicle.model} as flown": simulation.airframe.sha256,
             **_engine_hashes([engine, *simulation.stations]),
         },
+    )
+
+
+def reach(simulation: Simulation) -> Reach:
+    """How far the throttles and the tilts of a flight can be told to go."""
+    vehicle, limits = simulation.vehicle, simulation.vehicle.control.allocation
+    least, most = (
+        simulation.thrust_map.throttle((share,) * len(vehicle.jets))
+        for share in (limits.throttle_min, limits.throttle_max)
+    )
+    return Reach(
+        throttle=tuple(zip(least, most, strict=True)), tilt_rad=vehicle.servo.range_rad if vehicle.servo else None
     )
 
 

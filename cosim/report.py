@@ -23,6 +23,7 @@ from cosim.files import one_line, replacing
 from cosim.metrics import AxisMetrics, metric_names
 from cosim.run import LOG, REPORT, SCENARIO, Run, Summary
 from cosim.signals import AXES
+from cosim.wording import AXIS_ROWS, NONE, WHOLE_ROWS, metric, shown
 
 if TYPE_CHECKING:
     from cosim.campaign.search_folder import Searched
@@ -34,19 +35,6 @@ if TYPE_CHECKING:
     from cosim.survival import Survival
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
-
-# title, key, unit, factor to the unit, digits
-AXIS_ROWS = (
-    ("RMSE", "rmse_rad", "deg", degrees(1.0), 2),
-    ("Largest error", "max_abs_error_rad", "deg", degrees(1.0), 2),
-    ("Overshoot", "overshoot_percent", "%", 1.0, 1),
-    ("Settling, to 5 %", "settling_time_s", "s", 1.0, 3),
-    ("Rate RMSE", "rate_rmse_rad_s", "deg/s", degrees(1.0), 2),
-    ("Error at the end", "final_error_rad", "deg", degrees(1.0), 3),
-    ("Swing at the end", "oscillation_rad", "deg", degrees(1.0), 3),
-)
-ALTITUDE_ROWS = (("RMSE", "rmse_m", "m", 1.0, 3), ("Largest error", "max_abs_error_m", "m", 1.0, 3))
-NONE = "–"
 
 
 def write_report(run: Run, path: Path) -> None:
@@ -62,7 +50,7 @@ def write_report(run: Run, path: Path) -> None:
         summary=summary,
         verdict=verdict(summary),
         metrics=metric_table(summary),
-        other_metrics=altitude_cells(summary),
+        whole=whole_rows(summary),
         expectations=expectation_rows(summary),
         ledger_total=ledger_total(summary),
         jets=jet_drawing(summary),
@@ -208,9 +196,10 @@ def verdict(summary: Summary) -> str:
     """What came of the flight, in one or two sentences."""
     flown = f"{summary.duration_s:.2f} s"
     if summary.outcome == "completed":
-        parts = [f"Flew all {flown}."]
+        parts = [f"Flew all {flown}{', but beyond its limits' if summary.beyond else ''}."]
     else:
         parts = [f"{summary.outcome.capitalize()} after {flown} of {summary.planned_s:g} s: {summary.reason}."]
+    parts += [f"{text[0].upper()}{text[1:]}." for text in summary.exceeded]
     commanded = [_axis_verdict(axis, metrics) for axis, metrics in summary.metrics.items() if metrics.commanded]
     parts += commanded or [_worst_error(summary)]
     if summary.touchdown_m_s is not None:
@@ -247,24 +236,26 @@ def metric_table(summary: Summary) -> list[dict[str, Any]]:
         {
             "axis": axis,
             "commanded": metrics.commanded,
-            "cells": [_axis_cell(metrics, key, factor, digits) for _, key, _, factor, digits in AXIS_ROWS],
+            "cells": [axis_cell(metrics, key, factor, digits) for _, key, _, factor, digits in AXIS_ROWS],
         }
         for axis, metrics in ordered
     ]
 
 
-def altitude_cells(summary: Summary) -> list[tuple[str, str, str]]:
-    """Title, value and unit of what is not of an axis."""
-    rows = [
-        (
-            f"altitude, {title if title.isupper() else title.lower()}",
-            _cell(getattr(summary.altitude, key), factor, digits),
-            unit,
-        )
-        for title, key, unit, factor, digits in ALTITUDE_ROWS
-    ]
-    if summary.touchdown_m_s is not None:
-        rows.append(("touchdown", _cell(summary.touchdown_m_s, 1.0, 2), "m/s"))
+def whole_rows(summary: Summary) -> list[dict[str, Any]]:
+    """What is measured of the whole flight, as far as this one can tell: label, value, unit, limit, and whether it is
+    beyond that.
+    """
+    flat, rows = summary.flat_metrics, []
+    for name, digits in WHOLE_ROWS:
+        of, value, most = metric(name), flat.get(name), summary.limits.get(name)
+        if value is not None:
+            limit = "" if most is None else f"{of.factor * most:.4g}"
+            cell = shown(value, of.factor, digits)
+            label = of.label[0].upper() + of.label[1:]
+            rows.append(
+                {"label": label, "value": cell, "unit": of.unit, "limit": limit, "beyond": name in summary.beyond}
+            )
     return rows
 
 
@@ -275,13 +266,16 @@ def comparison_rows(summaries: Sequence[Summary]) -> list[dict[str, Any]]:
         found = [summary.metrics[axis] for summary in summaries]
         if any(metrics.commanded for metrics in found):
             for title, key, unit, factor, digits in AXIS_ROWS:
-                texts = [_axis_cell(metrics, key, factor, digits) for metrics in found]
+                texts = [axis_cell(metrics, key, factor, digits) for metrics in found]
                 values = [getattr(metrics, key) for metrics in found]
                 rows.append({"axis": axis, "title": title, "unit": unit, "cells": _marked(texts, values)})
-    for title, key, unit, factor, digits in ALTITUDE_ROWS:
-        values = [getattr(summary.altitude, key) for summary in summaries]
-        texts = [_cell(value, factor, digits) for value in values]
-        rows.append({"axis": "altitude", "title": title, "unit": unit, "cells": _marked(texts, values)})
+    whole = [summary.flat_metrics for summary in summaries]
+    for name, digits in WHOLE_ROWS:
+        of = metric(name)
+        values = [flat.get(name) for flat in whole]
+        texts = [shown(value, of.factor, digits) for value in values]
+        title = of.label[0].upper() + of.label[1:]
+        rows.append({"axis": "whole flight", "title": title, "unit": of.unit, "cells": _marked(texts, values)})
     return [row for row in rows if any(cell["text"] != NONE for cell in row["cells"])]
 
 
@@ -356,14 +350,11 @@ def run_labels(summaries: Sequence[Summary]) -> list[str]:
     return [f"{label} #{number}" if label in repeated else label for number, label in enumerate(labels, start=1)]
 
 
-def _axis_cell(metrics: AxisMetrics, key: str, factor: float, digits: int) -> str:
+def axis_cell(metrics: AxisMetrics, key: str, factor: float, digits: int) -> str:
+    """One metric of an axis as a table has it."""
     if key == "settling_time_s" and metrics.settling_time_s is None and metrics.overshoot_percent is not None:
         return "not settled"
-    return _cell(getattr(metrics, key), factor, digits)
-
-
-def _cell(value: float | None, factor: float, digits: int) -> str:
-    return NONE if value is None else f"{factor * value:.{digits}f}"
+    return shown(getattr(metrics, key), factor, digits)
 
 
 def _link(run: Run, path: Path) -> str:

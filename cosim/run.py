@@ -23,12 +23,27 @@ from cosim.arrow import ParquetLog, StreamSink, read_note, stream_to_parquet
 from cosim.config import Vector
 from cosim.errors import FlightError, InputError
 from cosim.files import locked, replacing
-from cosim.metrics import AltitudeMetrics, AxisMetrics, Metrics, Record, check_expectations, flatten, flight_metrics
+from cosim.limits import Yardstick, beyond, flight_limits, told
+from cosim.metrics import (
+    AltitudeMetrics,
+    AxisMetrics,
+    EffortMetrics,
+    Metrics,
+    PositionMetrics,
+    Reach,
+    Record,
+    SpeedMetrics,
+    check_expectations,
+    flatten,
+    flight_metrics,
+)
 from cosim.pace import PaceReport
 from cosim.recorder import BackgroundSink, KeepingSink, Log, MemorySink, Recorder
 from cosim.scenario import Expectation, Scenario
 
 Outcome = Literal["completed", "crashed", "diverged", "failed"]
+# As planned: completed, within the limits of the flight, and with what its scenario expects.
+Verdict = Literal["as planned", "not as expected", "beyond limits", "not completed"]
 
 SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
     "summary.json",
@@ -78,6 +93,8 @@ class Setup(BaseModel):
     stations: list[StationEngine] = []  # jets 1 to 6
     jets_m: list[Vector] = []  # engine stations, body
     delay_ledger: list[DelayRow] = []
+    reach: Reach | None = None  # of throttles and tilts
+    yardstick: Yardstick | None = None  # what its limits are made from; None: it has none
     expectation: Expectation | None = None  # what this controller with this engine must come to
     versions: dict[str, str] = {}
     sha256: dict[str, str] = {}  # of the aircraft model and of every FMU
@@ -98,6 +115,7 @@ class Summary(Setup):
 
     outcome: Outcome
     reason: str
+    verdict: Verdict | None = None  # None: flown before there were any
     steps: int
     duration_s: float  # flown
     wall_s: float | None = None  # spent on the steps; None if the process did not live to say so
@@ -107,13 +125,39 @@ class Summary(Setup):
     metrics: dict[str, AxisMetrics]
     altitude: AltitudeMetrics
     touchdown_m_s: float | None = None
+    position: PositionMetrics = PositionMetrics()
+    speed: SpeedMetrics = SpeedMetrics()
+    effort: EffortMetrics = EffortMetrics()
+    fuel_burnt_kg: float | None = None
+    limits: dict[str, float] = {}  # the most that a metric may be, by its name
+    beyond: list[str] = []  # the metrics that are above that
     expectations_met: bool | None = None  # None: nothing is expected
     complaints: list[str] = []  # a line for each expectation that is not met
 
     @property
     def flat_metrics(self) -> dict[str, float | None]:
         """Every metric under the name that an expectation uses, such as ``roll.rmse_rad``."""
-        return flatten(Metrics(axes=self.metrics, altitude=self.altitude, touchdown_m_s=self.touchdown_m_s))
+        return flatten(
+            Metrics(
+                axes=self.metrics,
+                altitude=self.altitude,
+                touchdown_m_s=self.touchdown_m_s,
+                position=self.position,
+                speed=self.speed,
+                effort=self.effort,
+                fuel_burnt_kg=self.fuel_burnt_kg,
+            )
+        )
+
+    @property
+    def as_planned(self) -> bool:
+        """Whether it completed within its limits and came to what its scenario expects."""
+        return self.outcome == "completed" and not self.beyond and self.expectations_met is not False
+
+    @property
+    def exceeded(self) -> list[str]:
+        """What is beyond its limit, in words and with both figures."""
+        return [told(name, self.limits, self.flat_metrics) for name in self.beyond]
 
 
 @dataclass(frozen=True)
@@ -279,14 +323,24 @@ def summarize(
     setup: Setup, log: Log, outcome: Outcome, reason: str, wall_s: float | None, pace: PaceReport | None = None
 ) -> Summary:
     """The summary of a flight from its log."""
-    metrics = flight_metrics(log, setup.step_s)
+    metrics = flight_metrics(log, setup.step_s, setup.reach)
+    flat = flatten(metrics)
     steps = len(log)
     duration = steps * setup.step_s
-    complaints = _complaints(setup.expectation, outcome, flatten(metrics))
+    limits = flight_limits(setup.yardstick, log, setup.step_s) if setup.yardstick is not None and steps else {}
+    above = beyond(limits, flat)
+    complaints = _complaints(setup.expectation, outcome, flat)
     return Summary(
         **dict(setup),
         outcome=outcome,
         reason=reason,
+        verdict="not completed"
+        if outcome != "completed"
+        else "beyond limits"
+        if above
+        else "not as expected"
+        if complaints
+        else "as planned",
         steps=steps,
         duration_s=duration,
         wall_s=wall_s,
@@ -304,6 +358,12 @@ def summarize(
         metrics=metrics.axes,
         altitude=metrics.altitude,
         touchdown_m_s=metrics.touchdown_m_s,
+        position=metrics.position,
+        speed=metrics.speed,
+        effort=metrics.effort,
+        fuel_burnt_kg=metrics.fuel_burnt_kg,
+        limits=limits,
+        beyond=above,
         expectations_met=None if setup.expectation is None else not complaints,
         complaints=complaints,
     )
@@ -406,7 +466,18 @@ def _toml(scenario: Scenario) -> bytes:
 def _json(summary: Summary) -> str:
     """The summary with what is asked for first on top; what is in a table or list has a line of its own."""
     data = summary.model_dump(mode="json")
-    first = ("outcome", "reason", "complaints", "metrics", "altitude", "touchdown_m_s")
+    first: tuple[str, ...] = (
+        "outcome",
+        "reason",
+        "verdict",
+        "beyond",
+        "limits",
+        "complaints",
+        "metrics",
+        "altitude",
+        "touchdown_m_s",
+    )
+    first += ("position", "speed", "effort", "fuel_burnt_kg")
     lines = []
     for key, value in ({name: data[name] for name in first} | data).items():
         text = json.dumps(value, allow_nan=False)

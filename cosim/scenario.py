@@ -6,6 +6,7 @@ Angles in the file are in degrees where the key says ``_deg``; everything behind
 
 from __future__ import annotations
 
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -380,6 +381,30 @@ class Range(Model):
         return self
 
 
+def _most(value: Any) -> float | Literal[False] | None:
+    if value is None or value is False:
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < inf:
+        raise ValueError("must be a number of at least 0, or false for no limit")
+    return float(value)
+
+
+Most = Annotated[bool | float | None, BeforeValidator(_most)]
+
+
+class FlightLimits(Model):
+    """The most that a flight may come to; false: no limit, not stated: the default (:mod:`cosim.limits`)."""
+
+    height_error_m: Most = None  # largest, from the height asked for
+    place_error_m: Most = None  # largest, from the place asked for
+    drift_m: Most = None  # largest, from the start; not limited by default where a place is asked for
+    speed_m_s: Most = None  # largest, over the ground
+    saturated_percent: Most = None  # of the steps in the air
+    throttle_activity_1_s: Most = None  # none by default
+    tilt_activity_rad_s: Most = None  # none by default
+    fuel_burnt_kg: Most = None  # none by default
+
+
 class Expectation(Model):
     """What a flight with this controller, engine and aircraft must come to."""
 
@@ -430,6 +455,7 @@ class Scenario(Model):
     stations: dict[Literal["1", "2", "3", "4", "5", "6"], Station] = {}  # by the number of the jet
     requests: str | None = None  # a file of what is asked of the autopilot, which flies then
     vehicle: dict[str, Any] = {}
+    limits: FlightLimits = FlightLimits()
     expect: list[Expectation] = []
 
     _folder: Path = PrivateAttr(default_factory=Path)

@@ -33,6 +33,7 @@ class Command(NamedTuple):
     altitude: float  # height above the ground [m], held when collective is None
     rate: Vector3 | None = None  # body rates [rad/s]; replaces the attitude loop
     collective: float | None = None  # mean throttle [0..1]; replaces the altitude hold
+    place: tuple[float, float] | None = None  # north, east [m] to be at; None: none is asked for
 
 
 @quick

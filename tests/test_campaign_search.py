@@ -452,7 +452,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         main([*line, "--out", str(tmp_path / "run"), "--json"])
     assert end.value.code == 0
     data = json.loads(capsys.readouterr().out)
-    assert data["criterion"] == "the flight breaks if it does not end completed"
+    assert data["criterion"] == "the flight breaks if it does not end completed within its limits"
     assert [case["breaks"] for case in data["cases"]] == [True, False]
     with pytest.raises(SystemExit) as end:
         main([*line, "--out", str(tmp_path / "run"), "--resume"])

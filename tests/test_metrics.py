@@ -14,17 +14,29 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.signal import lti
 
+from cosim.columns import NAMES
 from cosim.metrics import (
+    PLACE,
     AxisMetrics,
+    EffortMetrics,
+    PositionMetrics,
+    Reach,
+    SpeedMetrics,
+    activity,
     altitude_metrics,
     axis_metrics,
     check_expectations,
     find_steps,
     flatten,
     flight_metrics,
+    fuel_burnt,
     metric_names,
     overshoot,
+    position_metrics,
+    saturated,
     settling_time,
+    share_percent,
+    speed_metrics,
     touchdown,
     wrap,
 )
@@ -224,6 +236,117 @@ def test_altitude() -> None:
     found = altitude_metrics(np.array([nan, 10.0, 10.0]), np.array([0.0, 13.0, 6.0]))
     assert found.rmse_m == pytest.approx(sqrt(12.5))
     assert found.max_abs_error_m == 4.0
+    assert found.final_error_m == 4.0
+
+
+def test_the_ground_carries_what_is_asked_to_be_lower() -> None:
+    setpoint, altitude = np.array([1.0, 5.0, -3.0, -3.0]), np.array([0.5, 4.0, 1.0, 0.1])
+    contact = np.array([True, False, False, True])
+    found = altitude_metrics(setpoint, altitude, contact)
+    # below on the ground counts, above in the air counts, above on the ground does not
+    assert found.rmse_m == pytest.approx(sqrt((0.5**2 + 1.0 + 16.0) / 4.0))
+    assert found.max_abs_error_m == 4.0
+    assert found.final_error_m == 0.0
+
+
+# ---- the whole flight
+
+
+class Made(dict[str, Array]):
+    """A log of made-up columns; what is not made is 0, health 1 and what may be missing NaN."""
+
+    rows = 0
+
+    def __missing__(self, name: str) -> Array:
+        if name.startswith("health_"):
+            return np.ones(self.rows)
+        return np.full(self.rows, nan if name in PLACE or name.startswith(("fuel_", "altitude_set")) else 0.0)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        return NAMES
+
+
+def made(rows: int, **columns: Array) -> Made:
+    log = Made({name: np.asarray(values, dtype=float) for name, values in columns.items()})
+    log.rows = rows
+    return log
+
+
+def test_drift_is_the_distance_from_the_start_and_speed_is_that_over_the_ground() -> None:
+    t = time(10.0)
+    log = made(
+        t.size,
+        north_m=100.0 + 3.0 * np.sin(0.5 * pi * t),  # out and back, and out the other way
+        east_m=-50.0 + 4.0 * np.sin(0.5 * pi * t),
+        velocity_north_m_s=3.0 * t / t[-1],
+        velocity_east_m_s=-4.0 * t / t[-1],
+    )
+    found = flight_metrics(log, STEP)
+    assert found.position.drift_m == pytest.approx(5.0)
+    assert found.position.final_drift_m == pytest.approx(5.0 * abs(np.sin(0.5 * pi * t[-1])))
+    assert found.position.rmse_m is found.position.max_abs_error_m is found.position.final_error_m is None
+    assert found.speed.max_m_s == found.speed.final_m_s == pytest.approx(5.0)
+
+
+def test_the_place_asked_for_is_what_position_errors_are_from() -> None:
+    log = made(
+        4, north_m=[0, 3, 3, 6], east_m=[0, 4, 4, 8], north_setpoint_m=[nan, 0, 3, 6], east_setpoint_m=[nan, 0, 4, 7]
+    )
+    found = flight_metrics(log, STEP).position
+    assert (found.drift_m, found.final_drift_m) == (10.0, 10.0)
+    assert (found.max_abs_error_m, found.final_error_m) == (5.0, 1.0)
+    assert found.rmse_m == pytest.approx(sqrt(26.0 / 3.0))
+
+
+def test_saturation_is_what_was_refused_or_stands_at_its_end() -> None:
+    reach = Reach(throttle=((0.05, 1.0),) * 6, tilt_rad=0.5)
+    log = made(
+        8,
+        **{f"throttle_{jet}": np.full(8, 0.5) for jet in range(1, 7)},
+        on_ground=[1, 0, 0, 0, 0, 0, 0, 0],
+        refused_pitch=[1, 0, -1e-12, 0, 0, 0, 0, 0],
+        tilt_right_command_rad=[0, 0, 0, -0.5, 0.499, 0, 0, 0],
+    )
+    log["throttle_2"] = np.array([0.05, 0.5, 0.5, 0.5, 0.5, 0.05, 0.999, 0.06])
+    log["throttle_6"] = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 0.05])
+    log["health_6"] = np.array([1, 1, 1, 1, 1, 1, 1, 0.0])  # given up: its throttle is closed for that
+    assert saturated(log, reach).tolist() == [True, False, True, True, False, True, True, False]
+    assert flight_metrics(log, STEP, reach).effort.saturated_percent == pytest.approx(100.0 * 4 / 7)
+    assert saturated(log, None).tolist() == [True, False, True] + 5 * [False]
+    standing = made(3, on_ground=[1, 1, 1], refused_roll=[1, 1, 1])
+    assert flight_metrics(standing, STEP, reach).effort.saturated_percent is None
+    assert share_percent(np.array([True, True]), np.array([True, False])) == 100.0
+
+
+def test_activity_is_the_way_of_a_command_per_second() -> None:
+    t = time(12.0)
+    sine = 0.3 * np.sin(2.0 * pi * 0.25 * t)  # a crest and a trough in 4 s, each on a row: 4 times 0.3
+    to_the_last_row = 0.3 * 12.0 - 0.3 * abs(np.sin(2.0 * pi * 0.25 * (t[-1] - 12.0)))
+    assert activity([sine], STEP) == pytest.approx(to_the_last_row / t[-1])
+    assert activity([sine, np.zeros(t.size), np.full(t.size, nan)], STEP) == pytest.approx(to_the_last_row / t[-1] / 2)
+    assert activity([np.zeros(1)], STEP) is activity([], STEP) is None
+    ramp = np.linspace(0.0, 1.0, 251)
+    log = made(251, throttle_1=ramp, tilt_left_command_rad=-ramp)
+    effort = flight_metrics(log, STEP).effort
+    assert effort.saturated_percent == 0.0
+    assert effort.throttle_1_s == pytest.approx(1.0 / 6.0)
+    assert effort.tilt_rad_s == pytest.approx(0.5)
+
+
+def test_fuel_burnt_is_what_left_the_tank_or_what_the_engines_say() -> None:
+    flow = np.array([0.1, 0.2, 0.3, 9.9])  # the last acts after the last row
+    left = 5.0 - np.concatenate(([0.0], np.cumsum(2.0 * flow[:-1] * STEP)))
+    assert fuel_burnt(left, [flow, flow], STEP) == pytest.approx(1.2 * STEP)
+    assert fuel_burnt(np.full(4, nan), [flow, flow, np.full(4, nan)], STEP) == pytest.approx(1.2 * STEP)
+    assert fuel_burnt(np.full(4, nan), [np.full(4, nan)], STEP) is None
+    assert fuel_burnt(np.zeros(0), [], STEP) is None
+
+
+def test_metrics_of_nothing() -> None:
+    assert position_metrics(np.zeros(0), np.zeros(0)) == PositionMetrics()
+    assert speed_metrics(np.zeros(0)) == SpeedMetrics()
+    assert flight_metrics(made(0), STEP).effort == EffortMetrics()
 
 
 # ---- touchdown

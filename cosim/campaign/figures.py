@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.campaign.flown import KINDS, Flown, KeyColumn, Metric
+from cosim.campaign.flown import KINDS, Flown, KeyColumn
 from cosim.campaign.sensitivity import Ranking
 from cosim.campaign.statistics import Array, Share, classes, wilson
 from cosim.campaign.summary import places
 from cosim.figures import GREEN, GREY, MAGENTA, ORANGE, RED, run_colour
+from cosim.wording import Metric
 
 Figure = dict[str, Any]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,6 +15,7 @@ from cosim.campaign.study import is_path
 from cosim.errors import InputError
 from cosim.metrics import metric_names
 from cosim.signals import AXES
+from cosim.wording import Metric, metric
 
 if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
@@ -24,26 +24,9 @@ if TYPE_CHECKING:
 
 Mask = NDArray[np.bool_]
 
-# What a flight came to, best first.  "missed": flew to its end, but not within what the study calls a success.
+# What a flight came to, best first.  "missed": flew to its end, but not within its own limits and what the study asks.
 KINDS = ("success", "missed", "crashed", "diverged", "failed")
 MOST_METRICS = 8  # on the page; the data set has them all
-UNITS = (  # what a metric's name ends with: the unit shown, and the factor to it
-    ("_rad_s", "deg/s", degrees(1.0)),
-    ("_rad", "deg", degrees(1.0)),
-    ("_percent", "%", 1.0),
-    ("_m_s", "m/s", 1.0),
-    ("_m", "m", 1.0),
-    ("_s", "s", 1.0),
-)
-WORDS = {
-    "rmse": "RMSE",
-    "max_abs_error": "largest error",
-    "rate_rmse": "rate RMSE",
-    "settling_time": "settling time",
-    "final_error": "error at the end",
-    "oscillation": "swing at the end",
-    "touchdown": "touchdown speed",
-}
 OF_AXES = (
     "overshoot_percent",
     "rmse_rad",
@@ -52,15 +35,15 @@ OF_AXES = (
     "settling_time_s",
     "max_abs_error_rad",
 )
-
-
-class Metric(NamedTuple):
-    """One metric: its name in the data set, in words, and the unit of the page with the factor to it."""
-
-    name: str
-    label: str
-    unit: str
-    factor: float
+OF_THE_WHOLE = (
+    "altitude.max_abs_error_m",
+    "position.max_abs_error_m",
+    "position.drift_m",
+    "speed.max_m_s",
+    "effort.saturated_percent",
+    "effort.throttle_1_s",
+    "fuel_burnt_kg",
+)
 
 
 class KeyColumn(NamedTuple):
@@ -87,6 +70,7 @@ class Flown(NamedTuple):
     controller: Counts  # place in ``controllers``
     kind: Counts  # place in KINDS
     reason: list[str]
+    beyond: list[list[str]]  # the metrics that are beyond the flight's own limits
     duration: Array  # s flown
     keys: list[KeyColumn]
     metrics: list[Metric]  # the telling ones, first the study's own
@@ -132,6 +116,7 @@ def read(campaign: Campaign) -> Flown:
         controller=np.array([place_of[name] for name in flown_with], dtype=np.intp),
         kind=kind,
         reason=[str(reason or "") for reason in columns.get("reason", [])],
+        beyond=[str(names or "").split() for names in columns.get("beyond", outcomes.size * [""])],
         duration=numbers(columns.get("duration_s", [])),
         keys=key_columns(campaign),
         metrics=[metric(name) for name in telling(values, list(study.success))],
@@ -195,19 +180,10 @@ def short_names(paths: Sequence[str]) -> list[str]:
     return found
 
 
-def metric(name: str) -> Metric:
-    """A metric in words: ``roll.rmse_rad`` is the roll RMSE in deg."""
-    *axis, last = name.split(".")
-    for end, unit, factor in UNITS:
-        if last.endswith(end):
-            base = last.removesuffix(end)
-            return Metric(name, " ".join([*axis, WORDS.get(base, base.replace("_", " "))]), unit, factor)
-    return Metric(name, " ".join([*axis, last.replace("_", " ")]), "", 1.0)
-
-
 def telling(values: Mapping[str, Array], asked: Sequence[str]) -> list[str]:
     """The metrics to show, at most ``MOST_METRICS``: those of the study's success, then of axes that were commanded in
-    steps, then the errors of the other axes and of height.  What no flight has, or all have alike, tells nothing.
+    steps, then the errors of the other axes and of height.  Beside them where the vehicles went and by what means.
+    What no flight has, or all have alike, tells nothing.
     """
     stepped = [axis for axis in AXES if np.isfinite(values.get(f"{axis}.overshoot_percent", np.empty(0))).any()]
     order = [
@@ -218,16 +194,17 @@ def telling(values: Mapping[str, Array], asked: Sequence[str]) -> list[str]:
         "touchdown_m_s",
         *(f"{axis}.{last}" for axis in AXES for last in ("rmse_rad", "rate_rmse_rad_s")),
         "altitude.rmse_m",
+        *OF_THE_WHOLE,
     ]
     known = {name: each[np.isfinite(each)] for name, each in values.items()}
     moving = [name for name in dict.fromkeys(order) if name in known and known[name].size and np.ptp(known[name]) > 0.0]
-    return moving[:MOST_METRICS]
+    return list(dict.fromkeys([*moving[:MOST_METRICS], *(name for name in moving if name in OF_THE_WHOLE)]))
 
 
 def criterion(success: Mapping[str, Range]) -> str:
-    """What a study calls a success, in words."""
+    """What a study calls a success, in words: beside what it asks for, that a flight keeps its own limits."""
     parts = [f"{metric(name).label} {span(name, allowed)}" for name, allowed in success.items()]
-    return f"flies to its end with {' and '.join(parts)}" if parts else "flies to its end"
+    return f"flies to its end within its limits{', with ' if parts else ''}{' and '.join(parts)}"
 
 
 def span(name: str, allowed: Range) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.campaign.cases import case_rows
 from cosim.campaign.figures import KIND_COLOURS, campaign_figures
-from cosim.campaign.flown import KINDS, Flown, KeyColumn, Metric, criterion, read
+from cosim.campaign.flown import KINDS, Flown, KeyColumn, criterion, read
 from cosim.campaign.folder import REPORT
 from cosim.campaign.sensitivity import Ranking, joint
 from cosim.campaign.stability import MAP_KEYS, map_tables
@@ -30,6 +30,7 @@ from cosim.campaign.summary import (
 )
 from cosim.errors import InputError
 from cosim.figures import run_colour
+from cosim.wording import Metric
 
 if TYPE_CHECKING:
     from cosim.campaign.store import Campaign

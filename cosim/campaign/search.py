@@ -23,6 +23,7 @@ from cosim.campaign.probe import Point, Prober, SpentError, needed
 from cosim.campaign.span import Span
 from cosim.campaign.study import Study
 from cosim.metrics import check_expectations
+from cosim.wording import metric
 
 Array = NDArray[np.float64]
 Side = Literal["up", "down"]
@@ -128,7 +129,7 @@ class Found:
         for name, span in self.study.success.items():
             metrics += [f"{name} is below {span.min:g}"] if span.min is not None else []
             metrics += [f"{name} is above {span.max:g}"] if span.max is not None else []
-        one = " or ".join(["it does not end completed", *metrics])
+        one = " or ".join(["it does not end completed within its limits", *metrics])
         count = len(self.plan.seeds)
         if count == 1:
             return f"the flight breaks if {one}"
@@ -157,8 +158,9 @@ def why(study: Study, row: Row) -> str:
     if row["outcome"] == "failed" and not row.get("steps"):
         return f"not flown: {row['reason']}"
     metrics = {name: row.get(name) for name in study.success}
+    above = [f"beyond its limit of {metric(name).label}" for name in str(row.get("beyond") or "").split()]
     missed = check_expectations(metrics, study.success) if row["outcome"] == "completed" else []  # type: ignore[arg-type]
-    return f"{row['outcome']}, {'; '.join(missed) or row['reason']}"
+    return f"{row['outcome']}, {'; '.join([*above, *missed]) or row['reason']}"
 
 
 # ---- one key

@@ -12,9 +12,10 @@ from math import isqrt
 import numpy as np
 
 from cosim.campaign.figures import Figure, group_medians, rounded
-from cosim.campaign.flown import KINDS, Flown, KeyColumn, Metric
+from cosim.campaign.flown import KINDS, Flown, KeyColumn
 from cosim.campaign.statistics import Array, Counts
 from cosim.campaign.summary import places
+from cosim.wording import Metric
 
 CELL = 15  # flights in a cell of draws, were they spread evenly
 LEAST = 5  # flights in a cell of draws, before its share is shown: with fewer the interval is wider than 60 points

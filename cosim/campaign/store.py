@@ -327,7 +327,8 @@ class _Columns(Mapping[str, list[Value]]):
         if name not in self._read:
             values: list[Value] = []
             for path, held in self._parts:
-                values += read_table(path, (name,))[name][: len(held)]  # it may have grown at its end
+                # it may have grown at its end, and an older version may have written fewer columns
+                values += read_table(path, (name,), lacking=True)[name][: len(held)]
             values += [row.get(name) for row in self._loose]
             self._read[name] = [values[place] for place in self._order]
         return self._read[name]

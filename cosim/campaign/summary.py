@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cosim.campaign.flown import KINDS, Flown, Mask, criterion, metric, read
+from cosim.campaign.flown import KINDS, Flown, Mask, criterion, read
 from cosim.campaign.sensitivity import Ranking, ranking
 from cosim.campaign.statistics import (
     Array,
@@ -25,6 +25,7 @@ from cosim.campaign.statistics import (
     pairs,
     share,
 )
+from cosim.wording import metric
 
 if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
@@ -141,7 +142,7 @@ def plain(reason: str) -> str:
 
 def missing(flown: Flown, row: int, success: Mapping[str, Range]) -> list[str]:
     """Which of a study's criteria a completed flight does not meet."""
-    found = []
+    found = [f"{metric(name).label} beyond the flight's own limit" for name in flown.beyond[row]]
     for name, allowed in success.items():
         value = flown.values[name][row] if name in flown.values else np.nan
         of = metric(name)

@@ -1,0 +1,102 @@
+"""What metrics are called and in which unit they are shown: one way for terminal, pages and tables.
+
+Files and Python have SI; what a person reads has degrees for angles.
+"""
+
+from __future__ import annotations
+
+from math import degrees
+from typing import NamedTuple
+
+
+class Metric(NamedTuple):
+    """One metric: its name in the data, in words, and the unit that is shown with the factor to it."""
+
+    name: str
+    label: str
+    unit: str
+    factor: float
+
+
+class AxisRow(NamedTuple):
+    """How one metric of an axis is shown in a table."""
+
+    title: str
+    key: str
+    unit: str
+    factor: float
+    digits: int
+
+
+UNITS = (  # what a metric's name ends with: the unit shown, and the factor to it
+    ("_rad_s", "deg/s", degrees(1.0)),
+    ("_rad", "deg", degrees(1.0)),
+    ("_percent", "%", 1.0),
+    ("_1_s", "1/s", 1.0),
+    ("_m_s", "m/s", 1.0),
+    ("_kg", "kg", 1.0),
+    ("_m", "m", 1.0),
+    ("_s", "s", 1.0),
+)
+WORDS = {
+    "rmse": "RMSE",
+    "max_abs_error": "largest error",
+    "rate_rmse": "rate RMSE",
+    "settling_time": "settling time",
+    "final_error": "error at the end",
+    "oscillation": "swing at the end",
+    "touchdown": "touchdown speed",
+    "fuel_burnt": "fuel burnt",
+}
+WHOLE = {  # what is not of an axis and not said well by its parts
+    "position.drift_m": "drift from the start",
+    "position.final_drift_m": "drift at the end",
+    "speed.max_m_s": "largest ground speed",
+    "speed.final_m_s": "ground speed at the end",
+    "effort.saturated_percent": "time in saturation",
+    "effort.throttle_1_s": "throttle activity",
+    "effort.tilt_rad_s": "tilt activity",
+}
+AXIS_ROWS = (
+    AxisRow("RMSE", "rmse_rad", "deg", degrees(1.0), 2),
+    AxisRow("Largest error", "max_abs_error_rad", "deg", degrees(1.0), 2),
+    AxisRow("Overshoot", "overshoot_percent", "%", 1.0, 1),
+    AxisRow("Settling, to 5 %", "settling_time_s", "s", 1.0, 3),
+    AxisRow("Rate RMSE", "rate_rmse_rad_s", "deg/s", degrees(1.0), 2),
+    AxisRow("Error at the end", "final_error_rad", "deg", degrees(1.0), 3),
+    AxisRow("Swing at the end", "oscillation_rad", "deg", degrees(1.0), 3),
+)
+WHOLE_ROWS = (  # name and digits of what is measured of the whole flight, in the order in which it is shown
+    ("altitude.rmse_m", 3),
+    ("altitude.max_abs_error_m", 3),
+    ("altitude.final_error_m", 3),
+    ("position.drift_m", 2),
+    ("position.final_drift_m", 2),
+    ("position.rmse_m", 2),
+    ("position.max_abs_error_m", 2),
+    ("position.final_error_m", 2),
+    ("speed.max_m_s", 2),
+    ("speed.final_m_s", 2),
+    ("touchdown_m_s", 2),
+    ("effort.saturated_percent", 1),
+    ("effort.throttle_1_s", 3),
+    ("effort.tilt_rad_s", 1),
+    ("fuel_burnt_kg", 3),
+)
+NONE = "–"
+
+
+def metric(name: str) -> Metric:
+    """A metric in words: ``roll.rmse_rad`` is the roll RMSE in deg."""
+    *axis, last = name.split(".")
+    for end, unit, factor in UNITS:
+        if last.endswith(end):
+            base = last.removesuffix(end)
+            words = WHOLE.get(name) or " ".join([*axis, WORDS.get(base, base.replace("_", " "))])
+            return Metric(name, words, unit, factor)
+    return Metric(name, " ".join([*axis, last.replace("_", " ")]), "", 1.0)
+
+
+def shown(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
+    """A value of a table; a dash for what a flight cannot tell."""
+    return NONE if value is None else f"{factor * value:.{digits}f}"

@@ -1,0 +1,236 @@
+"""Limits of a flight: what they are made from, exactly, and what they do to a verdict."""
+
+from __future__ import annotations
+
+import json
+from math import exp, nan, pi, radians, sqrt, tan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_tools import Hexjet
+from flights import STEP, setup
+
+from cosim.commands import Commander
+from cosim.control.altitude import GRAVITY
+from cosim.errors import InputError
+from cosim.flight import fly
+from cosim.limits import (
+    DRIFT_SPANS,
+    HEIGHT_SPANS,
+    LIMITED,
+    SATURATED_PERCENT,
+    SPEEDS,
+    beyond,
+    height_lag,
+    lean_motion,
+    told,
+    track_speed,
+)
+from cosim.metrics import metric_names
+from cosim.run import open_run
+from cosim.scenario import FlightLimits, Scenario, scenario_names
+
+LAW = (0.8, 2.0, 1.0)
+STILL = (np.zeros(1), np.zeros(1))
+CALM = {"sensor_noise": False, "duration_s": 4.0, "expect": []}
+
+
+def constant(value: float, seconds: float) -> np.ndarray:
+    return np.full(round(seconds / STEP), value)
+
+
+def test_every_key_limits_a_metric() -> None:
+    assert set(LIMITED) == set(FlightLimits.model_fields)
+    assert set(LIMITED.values()) <= set(metric_names())
+
+
+# ---- what the commands explain
+
+
+def test_a_lean_explains_the_motion_of_a_uniform_acceleration() -> None:
+    roll, seconds = radians(10.0), 3.0
+    way, speed = lean_motion(constant(roll, seconds), constant(0.0, seconds), constant(1.2, seconds), STILL, STEP)
+    a, n = GRAVITY * tan(roll), round(seconds / STEP)
+    assert speed == pytest.approx(a * seconds)
+    assert way == pytest.approx(0.5 * a * STEP**2 * n * (n + 1))  # the sum of a uniform acceleration's speeds
+
+
+def test_leans_are_added_up_where_the_heading_points_them() -> None:
+    """Rolled to the right while the nose points east is to the south; pitched down to the north is to the north."""
+    level, quarter = constant(0.0, 2.0), constant(pi / 2, 2.0)
+    against = lean_motion(constant(0.1, 2.0), level, quarter, (np.array([GRAVITY * tan(0.1) * 2.0]), np.zeros(1)), STEP)
+    along = lean_motion(level, constant(-0.1, 2.0), level, (np.array([1.0]), np.zeros(1)), STEP)
+    assert against is not None
+    assert along is not None
+    assert against[1] == pytest.approx(GRAVITY * tan(0.1) * (2.0 - STEP))  # braked from the first row on
+    assert along[1] == pytest.approx(1.0 + 2.0 * GRAVITY * tan(0.1))
+
+
+def test_without_a_commanded_angle_nothing_is_explained() -> None:
+    level = constant(0.0, 1.0)
+    assert lean_motion(np.full(level.size, nan), level, level, STILL, STEP) is None
+    assert lean_motion(np.zeros(0), np.zeros(0), np.zeros(0), (np.zeros(0), np.zeros(0)), STEP) is None
+    fast = lean_motion(level, level, level, (np.array([3.0]), np.array([4.0])), STEP)
+    assert fast == (pytest.approx(5.0), pytest.approx(5.0))
+
+
+def test_the_height_law_leaves_a_steps_size_and_a_ramps_rate_over_its_gain() -> None:
+    step = np.concatenate((constant(10.0, 1.0), constant(13.0, 9.0)))
+    assert height_lag(step, np.full(step.size, 10.0), LAW, STEP) == pytest.approx(3.0)
+    t = STEP * np.arange(4000)
+    for rate in (0.5, -0.5):
+        # a first-order lag behind a ramp: rate / K (1 - exp(-K t)), to the step of the sum
+        found = height_lag(10.0 + rate * t, np.full(t.size, 10.0), LAW, STEP)
+        assert found == pytest.approx(0.5 / 0.8 * (1.0 - exp(-0.8 * t[-1])), abs=0.5 * STEP)
+    # faster than it may climb it falls behind by the difference of the rates
+    fast = height_lag(3.0 * t, np.zeros(t.size), LAW, STEP)
+    assert fast == pytest.approx(2.0 / 0.8 + (3.0 - 2.0) * (t[-1] - 2.0 / 0.8) + 0.5 / 0.8, rel=0.2)
+    assert fast > (3.0 - 2.0) * t[-1]
+    assert height_lag(np.full(5, 12.0), np.full(5, 10.0), LAW, STEP) == 2.0
+    assert height_lag(np.full(5, nan), np.full(5, 10.0), LAW, STEP) == 0.0
+    # asked for anew: from where the vehicle is
+    assert height_lag(np.array([10.0, nan, nan, 20.0]), np.array([10.0, 12.0, 15.0, 19.0]), LAW, STEP) == 1.0
+
+
+def test_the_speed_of_a_track() -> None:
+    assert track_speed(np.array([nan, 0.0, 0.03, 0.03]), np.array([nan, 0.0, 0.04, 0.04]), STEP) == pytest.approx(12.5)
+    assert track_speed(np.array([nan]), np.array([nan]), STEP) == 0.0
+
+
+# ---- verdicts
+
+
+def test_beyond_is_above_and_is_told_with_both_figures() -> None:
+    limits = {"position.drift_m": 10.0, "speed.max_m_s": 4.0, "effort.tilt_rad_s": pi, "fuel_burnt_kg": 1.0}
+    flat = {"position.drift_m": 125.71, "speed.max_m_s": 4.0, "effort.tilt_rad_s": 2 * pi, "fuel_burnt_kg": None}
+    found = beyond(limits, flat)
+    assert found == ["position.drift_m", "effort.tilt_rad_s"]
+    assert [told(name, limits, flat) for name in found] == [
+        "drift from the start 125.7 m, limit 10 m",
+        "tilt activity 360 deg/s, limit 180 deg/s",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("aircraft", "engine", "span"), [("hexjet", "edf-as-flown", 0.4), ("hexjet-p220", "p220", None)]
+)
+def test_defaults_come_from_the_span(aircraft: str, engine: str, span: float | None) -> None:
+    hover = Scenario.load("hover").replace(aircraft=aircraft, engine=engine, controller="baseline", **CALM)
+    summary = fly(hover).summary
+    span = span or 0.4 * (61.97 / 5.525) ** (1 / 3)  # lengths go with the cube root of the mass
+    assert summary.limits == pytest.approx(
+        {
+            "altitude.max_abs_error_m": HEIGHT_SPANS * span,
+            "position.drift_m": DRIFT_SPANS * span,
+            "speed.max_m_s": SPEEDS * sqrt(GRAVITY * span),
+            "effort.saturated_percent": SATURATED_PERCENT,
+        },
+        rel=1e-3,
+        abs=1e-6,
+    )
+    assert summary.verdict == "as planned"
+    assert summary.beyond == []
+
+
+def test_a_vehicle_that_the_wind_carries_away_did_not_hover() -> None:
+    run = fly(Scenario.load("hover").replace(environment={"wind_ned_m_s": (0.0, 15.0, 0.0)}))
+    summary = run.summary
+    drift = np.hypot(run.log["north_m"], run.log["east_m"]).max()
+    assert (summary.outcome, summary.verdict) == ("completed", "beyond limits")
+    assert summary.expectations_met  # its attitude and its height are as expected
+    assert summary.position.drift_m == pytest.approx(drift)
+    assert drift > 100.0
+    assert summary.exceeded[0] == f"drift from the start {drift:.4g} m, limit 10 m"
+    assert not summary.as_planned
+
+
+def test_a_vehicle_that_leaves_its_height_did_not_hold_it() -> None:
+    absurd = {"control": {"rate": {"roll": {"p": 1e9}}}}
+    summary = fly(Scenario.load("hover").replace(vehicle=absurd)).summary
+    assert summary.outcome == "completed"
+    assert set(summary.beyond) >= {"altitude.max_abs_error_m", "effort.saturated_percent"}
+
+
+def test_a_scenario_widens_or_leaves_out_a_limit() -> None:
+    windy = Scenario.load("hover").replace(environment={"wind_ned_m_s": (0.0, 15.0, 0.0)})
+    summary = fly(windy.replace(limits={"drift_m": 200.0, "speed_m_s": False, "fuel_burnt_kg": 3.0})).summary
+    assert summary.verdict == "as planned"
+    assert summary.limits["position.drift_m"] == 200.0
+    assert summary.limits["fuel_burnt_kg"] == 3.0
+    assert "speed.max_m_s" not in summary.limits
+    assert fly(windy.replace(limits={"drift_m": 200.0, "speed_m_s": 9.0})).summary.beyond == ["speed.max_m_s"]
+
+
+def test_body_rates_are_asked_for_nowhere() -> None:
+    entry = {"kind": "step", "signal": "rate_p_deg_s", "start_s": 1.0, "amplitude": 1.0}
+    limits = fly(Scenario.load("hover").replace(command=[entry], **CALM)).summary.limits
+    assert set(limits) == {"altitude.max_abs_error_m", "effort.saturated_percent"}
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_the_shipped_flights_keep_their_limits(name: str) -> None:
+    summary = fly(Scenario.load(name)).summary
+    assert summary.beyond == []
+    assert summary.verdict == "as planned"
+
+
+def test_a_failed_flight_is_not_completed_whatever_else() -> None:
+    summary = fly(Scenario.load("roll-doublet").replace(controller="baseline")).summary
+    assert summary.outcome == "diverged"
+    assert summary.verdict == "not completed"
+    assert not summary.as_planned
+
+
+# ---- where it shows
+
+
+def test_the_command_says_so_and_ends_with_1(hexjet: Hexjet, tmp_path: Path) -> None:
+    wind = ["--set", "environment.wind_ned_m_s=[0.0,15.0,0.0]", "--set", "duration_s=8.0"]
+    shown = hexjet("fly", "hover", *wind, "--out", str(tmp_path / "a"))
+    assert shown.status == 1
+    assert "completed, flew 2000 steps; beyond limits" in shown.out
+    assert "beyond its limit: drift from the start" in shown.out
+    data = json.loads(hexjet("fly", "hover", *wind, "--json", "--out", str(tmp_path / "b")).out)
+    assert data["verdict"] == "beyond limits"
+    assert data["beyond"][0] == "position.drift_m"
+    assert data["position"]["drift_m"] > data["limits"]["position.drift_m"]
+    page = (tmp_path / "a" / "report.html").read_text()
+    assert "beyond limits" in page
+    assert f"{data['position']['drift_m']:.2f}" in page
+    assert f"{data['position']['drift_m']:.2f}" in shown.out
+    assert hexjet("fly", "hover", "--set", "duration_s=2.0", "--out", str(tmp_path / "c")).status == 0
+
+
+@pytest.mark.parametrize("value", ["-1.0", "true", "'far'", "inf"])
+def test_a_limit_is_a_number_or_false(value: str) -> None:
+    with pytest.raises(
+        InputError, match=r"limits\.drift_m = .*: must be a number of at least 0, or false for no limit"
+    ):
+        Scenario.load("hover", [f"limits.drift_m={value}"])
+
+
+def test_an_unknown_limit_is_refused() -> None:
+    with pytest.raises(InputError, match=r"limits\.drift.*drift_m"):
+        Scenario.load("hover", ["limits.drift=3.0"])
+
+
+def test_a_summary_from_before_limits_is_still_read(tmp_path: Path) -> None:
+    run = fly(Scenario.load("hover").replace(**CALM), tmp_path / "run")
+    assert run.folder is not None
+    path = run.folder / "summary.json"
+    data: dict[str, Any] = json.loads(path.read_text())
+    for key in ("verdict", "limits", "beyond", "position", "speed", "effort", "fuel_burnt_kg", "reach", "yardstick"):
+        del data[key]
+    del data["altitude"]["final_error_m"]
+    path.write_text(json.dumps(data))
+    old = open_run(run.folder).summary
+    assert old.verdict is None
+    assert old.as_planned
+    assert old.flat_metrics["position.drift_m"] is None
+
+
+def test_a_run_without_a_yardstick_has_no_limits() -> None:
+    assert setup().yardstick is None
+    assert Commander(Scenario.load("hover"), 10.0).at(0).place is None
