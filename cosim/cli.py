@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 from click.core import ParameterSource
@@ -892,12 +892,24 @@ def search(
 @cli.command(epilog=_example("hexjet export runs/roll-doublet-smith-001 --to ulog"))
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @click.option("target", "--to", type=click.Choice(["ulog", "csv"]), required=True, help="The format.")
-def export(folder: Path, target: str) -> int:
+@click.option(
+    "--rates",
+    type=click.Choice(["all", "px4"]),
+    default="all",
+    show_default=True,
+    help="ULog: every step, or each topic about as often as PX4 logs it.",
+)
+def export(folder: Path, target: str, rates: Literal["all", "px4"]) -> int:
     """Write the log of the run in DIR as CSV, or as ULog for PlotJuggler and Flight Review."""
     from cosim.export import export_csv, export_ulog
 
     path = folder / {"ulog": "flight.ulg", "csv": "flight.csv"}[target]
-    (export_ulog if target == "ulog" else export_csv)(folder, path)
+    if target == "ulog":
+        export_ulog(folder, path, rates)
+    elif rates != "all":
+        raise InputError("--rates: is for --to ulog; CSV has every step")
+    else:
+        export_csv(folder, path)
     click.echo(str(path))
     return DONE
 

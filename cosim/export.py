@@ -10,17 +10,19 @@ from __future__ import annotations
 
 import csv
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim import ulog_pilot
 from cosim.columns import RATES
 from cosim.errors import InputError
 from cosim.files import one_line, replacing
+from cosim.pilot_record import read_pilot_record
 from cosim.run import RUN_FILES, Run, Summary, open_run
 from cosim.signals import AXES, JETS
 
@@ -43,6 +45,9 @@ class Field(NamedTuple):
     values: Callable[[Block], Array]
 
 
+Rates = Literal["all", "px4"]
+_INFO, _ERROR = 6, 3  # severities as in syslog
+_STRUCT = {"float": "f", "bool": "B", "uint8_t": "B", "int32_t": "i", "uint64_t": "Q"}
 _TYPES = {"float": "<f4", "bool": "<u1", "uint8_t": "<u1", "int32_t": "<i4", "uint64_t": "<u8"}
 
 
@@ -59,30 +64,122 @@ def export_csv(folder: Path, path: Path) -> None:
             writer.writerows(zip(*(values.tolist() for values in block.values()), strict=True))
 
 
-def export_ulog(folder: Path, path: Path) -> None:
-    """Write a run's log as ULog.  Raises InputError if there is no run or the file cannot be written."""
+def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
+    """Write a run's log as ULog, with what its autopilot did if one flew it.
+
+    ``rates``: ``all`` writes every step, ``px4`` each topic about as often as PX4's default profile does
+    (:data:`EVERY_S`), which is a tenth of it.  Raises InputError if there is no run or the file cannot be written.
+    """
     run = open_run(folder)
-    topics = list(TOPICS.items())
-    row_type = np.dtype([(name, _message_type(fields)) for name, fields in topics])
+    step, lines = run.summary.step_s, read_pilot_record(folder)
+    topics = {name: _topic(fields, step if rates == "all" else EVERY_S[name], step) for name, fields in _of(lines)}
+    pilot = ulog_pilot.states(lines, run.summary.steps, step)
+    at_start, changes = ulog_pilot.parameters(lines)
     with _output(run, path) as temporary, open(temporary, "wb") as file:
         file.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
         file.write(_message(b"B", bytes(40)))
         file.writelines(_message(b"I", _info(key, value)) for key, value in _facts(run.summary).items())
-        file.writelines(_message(b"F", _format(name, fields)) for name, fields in topics)
+        file.writelines(_message(b"P", ulog_pilot.parameter(name, value)) for name, value in at_start.items())
+        file.writelines(_message(b"F", _format(name, topic.fields)) for name, topic in topics.items())
+        file.writelines(_message(b"F", _series_format(name, series)) for name, series in pilot.items())
         file.writelines(
-            _message(b"A", struct.pack("<BH", 0, number) + name.encode()) for number, (name, _) in enumerate(topics)
+            _message(b"A", struct.pack("<BH", 0, number) + name.encode())
+            for number, name in enumerate([*topics, *pilot])
         )
+        events = [*_series_messages(pilot, len(topics), step), *_said(lines, run.summary, changes, step)]
+        events.sort(key=lambda event: event[0])
+        done, first = 0, 0
+        estimates = ulog_pilot.estimates(lines)
         for block in run.log.blocks(run.log.columns, ROWS):
-            rows = np.zeros(len(block["time_s"]), dtype=row_type)
-            for number, (name, fields) in enumerate(topics):
-                _fill(rows[name], number, fields, block)
-            file.write(rows.tobytes())
-        level = b"6" if run.outcome == "completed" else b"3"
-        said = f"{run.outcome}: {run.reason}".encode()[:60_000]
-        file.write(_message(b"L", level + struct.pack("<Q", _microseconds(run.summary.duration_s)) + said))
+            if estimates is not None:
+                block = block | _held(estimates, first, len(block["time_s"]))
+            found = [each for n, topic in enumerate(topics.values()) for each in _messages(topic, n, block, first)]
+            first += len(block["time_s"])
+            while done < len(events) and events[done][0] < first:
+                found.append(events[done])
+                done += 1
+            found.sort(key=lambda message: message[0])
+            file.writelines(content for _, content in found)
+        file.writelines(content for _, content in events[done:])
 
 
 # ---- ULog
+
+
+class _Topic(NamedTuple):
+    """A topic of the rows: what is in it, and every how many rows."""
+
+    fields: list[Field]
+    every: int
+    kind: np.dtype[np.void]
+
+
+_Timed = tuple[int, bytes]  # a message and its step
+
+
+def _of(lines: Sequence[ulog_pilot.Line]) -> list[tuple[str, list[Field]]]:
+    """The topics of the rows: with an autopilot its own words stand for what follows from the loops."""
+    if not any(line["kind"] == "state" for line in lines):
+        return list(TOPICS.items())
+    return [(name, fields) for name, fields in (TOPICS | _BY_AUTOPILOT).items() if name not in STATES]
+
+
+def _topic(fields: list[Field], seconds: float, step: float) -> _Topic:
+    return _Topic(fields, max(1, round(seconds / step)), _message_type(fields))
+
+
+def _messages(topic: _Topic, number: int, block: Block, first: int) -> Iterator[_Timed]:
+    """The data messages of one topic in a block whose first row is step ``first``."""
+    start = -first % topic.every
+    rows = {name: values[start :: topic.every] for name, values in block.items()}
+    made = np.zeros(len(rows["time_s"]), dtype=topic.kind)
+    _fill(made, number, topic.fields, rows)
+    content, size = made.tobytes(), topic.kind.itemsize
+    for n in range(len(made)):
+        yield first + start + n * topic.every, content[n * size : (n + 1) * size]
+
+
+def _held(estimates: ulog_pilot.Series, first: int, count: int) -> Block:
+    """The autopilot's estimates as columns of a block: each holds until the next."""
+    at = np.searchsorted(estimates.k, np.arange(first, first + count), side="right") - 1
+    return {
+        f"autopilot_{name}": np.where(at < 0, np.nan, values[np.maximum(at, 0)])
+        for name, values in estimates.values.items()
+    }
+
+
+def _series_format(name: str, series: ulog_pilot.Series) -> bytes:
+    fields = "".join(f"{ulog_pilot.TYPES.get(field, 'float')} {field};" for field in series.values)
+    return f"{name}:uint64_t timestamp;{fields}".encode()
+
+
+def _series_messages(pilot: Mapping[str, ulog_pilot.Series], number: int, step: float) -> Iterator[_Timed]:
+    for series in pilot.values():
+        packing = "<HQ" + "".join(_STRUCT[ulog_pilot.TYPES.get(field, "float")] for field in series.values)
+        for n, k in enumerate(series.k.tolist()):
+            values = (values[n] for values in series.values.values())
+            kinds = (ulog_pilot.TYPES.get(field, "float") for field in series.values)
+            row = [float(v) if kind == "float" else int(v) for v, kind in zip(values, kinds, strict=True)]
+            yield k, _message(b"D", struct.pack(packing, number, _microseconds(k * step), *row))
+        number += 1
+
+
+def _said(
+    lines: Sequence[ulog_pilot.Line], summary: Summary, changes: Iterable[tuple[int, str, float]], step: float
+) -> Iterator[_Timed]:
+    """Messages of the autopilot, its changes of mode, parameters that were changed, and how the flight ended."""
+    said = [*ulog_pilot.messages(lines), *((k, _INFO, text) for k, text in ulog_pilot.mode_changes(lines))]
+    for k, severity, text in said:
+        yield k, _logged(severity, k * step, text)
+    for k, name, value in changes:
+        yield k, _message(b"P", ulog_pilot.parameter(name, value))
+    level = _INFO if summary.outcome == "completed" else _ERROR
+    yield summary.steps, _logged(level, summary.duration_s, f"{summary.outcome}: {summary.reason}")
+
+
+def _logged(severity: int, time: float, text: str) -> bytes:
+    level = str(severity).encode()
+    return _message(b"L", level + struct.pack("<Q", _microseconds(time)) + text.encode()[:60_000])
 
 
 def _fill(message: NDArray[np.void], number: int, fields: Iterable[Field], block: Block) -> None:
@@ -195,6 +292,19 @@ def _mode(block: Block) -> Array:
     return np.where(np.isnan(block["roll_setpoint_rad"]), _ACRO_MODE, held).astype(float)
 
 
+def _estimated_position() -> list[Field]:
+    """PX4's vehicle_local_position as the autopilot estimates it; height and climb as measured."""
+    return [
+        _sampled(),
+        *(_constant("bool", name, 1.0) for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")),
+        *(_column("float", name, f"autopilot_{name}") for name in ("x", "y")),
+        _column("float", "z", "altitude_measured_m", -1.0),
+        *(_column("float", name, f"autopilot_{name}") for name in ("vx", "vy")),
+        _column("float", "vz", "velocity_down_measured_m_s"),
+        _column("float", "heading", "yaw_measured_rad"),
+    ]
+
+
 def _local_position(suffix: str) -> list[Field]:
     """PX4's vehicle_local_position of the true columns, or with ``_measured`` of the measured ones."""
     names = zip(_XYZ, _NED, strict=True)
@@ -243,7 +353,11 @@ TOPICS: dict[str, list[Field]] = {
         _constant("uint8_t", "arming_state", _ARMED),
         Field("uint8_t", "nav_state", 0, _mode),
     ],
-    "vehicle_land_detected": [_column("bool", "landed", "on_ground"), _column("bool", "ground_contact", "on_ground")],
+    "vehicle_land_detected": [
+        _column("bool", "landed", "on_ground"),
+        _column("bool", "maybe_landed", "on_ground"),
+        _column("bool", "ground_contact", "on_ground"),
+    ],
     "wind": [
         _sampled(),
         _column("float", "windspeed_north", "wind_north_m_s"),
@@ -280,6 +394,36 @@ TOPICS: dict[str, list[Field]] = {
         _column("float", "payload_kg", "payload_kg"),
         _column("float", "mass_kg", "mass_kg"),
     ],
+}
+
+# What an autopilot says better than the rows do, and what it adds.
+STATES = ("vehicle_status", "vehicle_land_detected")
+_BY_AUTOPILOT: dict[str, list[Field]] = {
+    "vehicle_local_position": _estimated_position(),
+    "vehicle_local_position_setpoint": [
+        *(_column("float", name, f"autopilot_{name}_sp") for name in ("x", "y", "z")),
+        *(_constant("float", name, np.nan) for name in ("vx", "vy", "vz")),
+        _column("float", "yaw", "autopilot_yaw_sp"),
+    ],
+    "hexjet_gnss": _local_position("_measured"),  # as received
+}
+# Seconds between two messages of a topic: about PX4's default profile (its logged_topics.cpp), ours by their like.
+EVERY_S = dict.fromkeys((*TOPICS, *_BY_AUTOPILOT), 0.2) | {
+    "vehicle_attitude": 0.05,
+    "vehicle_attitude_groundtruth": 0.1,
+    "vehicle_attitude_setpoint": 0.05,
+    "vehicle_angular_velocity": 0.02,
+    "vehicle_angular_velocity_groundtruth": 0.1,
+    "vehicle_rates_setpoint": 0.02,
+    "vehicle_local_position": 0.1,
+    "vehicle_local_position_setpoint": 0.1,
+    "sensor_combined": 0.1,
+    "actuator_motors": 0.1,
+    "vehicle_status": 0.2,
+    "hexjet_thrust": 0.1,
+    "hexjet_rate_predicted": 0.02,
+    "hexjet_tilt": 0.1,
+    "hexjet_control": 0.05,
 }
 
 

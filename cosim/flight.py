@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
@@ -15,10 +16,11 @@ from cosim.errors import FlightError, InputError
 from cosim.limits import yardstick
 from cosim.metrics import Reach, metric_names
 from cosim.pace import Pace
+from cosim.pilot_record import PilotRecord
 from cosim.piloted import with_autopilot
 from cosim.recorder import KeepingSink
 from cosim.replay import REQUESTS, Replay, read_requests
-from cosim.run import DelayRow, Recording, Run, Setup, StationEngine, begin_run, now, versions
+from cosim.run import AUTOPILOT, DelayRow, Recording, Run, Setup, StationEngine, begin_run, now, versions
 from cosim.scenario import Expectation, Scenario, SticksCommand, TableCommand, is_file
 from cosim.simulation import Ending, Observer, Simulation, build
 from cosim.vehicle import aircraft_names
@@ -45,16 +47,21 @@ def fly(
     """
     check_expected(scenario)
     with build(scenario) as simulation:
-        replay = None
+        replay = pilot = None
         if scenario.requests is not None:
-            replay = Replay(with_autopilot(simulation), read_requests(scenario.folder / scenario.requests))
+            pilot = with_autopilot(simulation)
+            replay = Replay(pilot, read_requests(scenario.folder / scenario.requests))
         folder = None if out is None else Path(out)
         recording = record(simulation, folder, sink=sink)
+        noting = PilotRecord(pilot, folder / AUTOPILOT, simulation.dt) if pilot is not None and folder else None
         pace = Pace(simulation.dt, realtime_factor)
-        watching = [*observers, *([watch(simulation, pace, folder, realtime_factor)] if watch else [])]
+        watching = [*observers, *([noting] if noting else [])]
+        watching += [watch(simulation, pace, folder, realtime_factor)] if watch else []
         begin = time.perf_counter()
         try:
             ending = simulation.run([recording, *watching], pace if realtime_factor or watch else None, replay)
+            if noting is not None:
+                noting.close()
         except FlightError as error:  # the log cannot be written: the disk is full, say
             ending = Ending("failed", str(error))
         except KeyboardInterrupt:
@@ -62,6 +69,9 @@ def fly(
                 raise
             ending = Ending("failed", f"interrupted at {simulation.k * simulation.dt:.3f} s")
         wall = time.perf_counter() - begin
+        if noting is not None:
+            with suppress(FlightError):  # it has been told
+                noting.close()
         reason = ending.reason
         if replay is not None and replay.otherwise:
             reason += f"; {len(replay.otherwise)} requests were answered otherwise, the first: {replay.otherwise[0]}"

@@ -12,7 +12,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Queue
@@ -29,13 +29,14 @@ from cosim.pilot.modes import EngineState, Home, LandedState, Mode, Severity
 from cosim.pilot.navigation import Fix
 from cosim.pilot.parameters import Parameters, table
 from cosim.pilot.requests import Answer, MissionClear, MissionUpload, Request, Result, SetParameter
+from cosim.pilot_record import PilotRecord
 from cosim.pilot_store import ParameterStore
 from cosim.piloted import with_autopilot
 from cosim.replay import REQUESTS, RequestLog
-from cosim.run import Recording, Run
+from cosim.run import AUTOPILOT, Recording, Run
 from cosim.scenario import Scenario, is_file
 from cosim.signals import Sample
-from cosim.simulation import Ending, Simulation, build
+from cosim.simulation import Ending, Observer, Simulation, build
 from cosim.vehicle import load_vehicle
 
 LONGEST_S = 86_400.0  # of one flight that has no planned end: a day
@@ -144,6 +145,7 @@ class Session:
     def _fly(self, flight: _Flight) -> Ending:
         simulation, exchange = flight.simulation, self.exchange
         recording = flight.begin()
+        assert flight.noting is not None
         while flight.facts.number > 1 and (late := exchange.take(1)):  # meant for the flight before
             for _, _, done in late:
                 if done is not None:
@@ -155,9 +157,8 @@ class Session:
         with steady():
             begin = time.perf_counter()
             try:
-                ending = simulation.run(
-                    [recording, _Publisher(flight, exchange)], flight.pace, lambda k: self._between(flight, k)
-                )
+                observers: list[Observer] = [recording, flight.noting, _Publisher(flight, exchange)]
+                ending = simulation.run(observers, flight.pace, lambda k: self._between(flight, k))
             except FlightError as error:  # a log cannot be written: the disk is full, say
                 ending = Ending("failed", str(error))
             wall = time.perf_counter() - begin
@@ -240,6 +241,7 @@ class _Flight:
     pace: Pace
     recording: Recording | None = None
     log: RequestLog | None = None
+    noting: PilotRecord | None = None
     sample: Sample | None = None
     said: int = 0  # messages of the pilot that have been passed on
 
@@ -248,6 +250,7 @@ class _Flight:
         assert self.facts.folder is not None
         self.recording = record(self.simulation, self.facts.folder, {REQUESTS: b""}, background=True)
         self.log = RequestLog(self.facts.folder / REQUESTS)
+        self.noting = PilotRecord(self.pilot, self.facts.folder / AUTOPILOT, self.simulation.dt)
         return self.recording
 
     def ask(self, sender: str, request: Request, k: int) -> Answer:
@@ -290,13 +293,21 @@ class _Flight:
     def finish(self, ending: Ending, wall: float, report: bool) -> Run:
         """Put the run's files into place; its scenario ends where the flight has ended."""
         assert self.recording is not None
+        self.close_record()
         self.recording.shorten(self.simulation.k)
         return self.recording.finish(ending.outcome, ending.reason, wall, report, self.pace.report)
 
     def close(self) -> None:
         if self.log is not None:
             self.log.close()
+        self.close_record()
         self.simulation.close()
+
+    def close_record(self) -> None:
+        """Everything that the autopilot did is on disk, as far as there is room."""
+        if self.noting is not None:
+            with suppress(FlightError):
+                self.noting.close()
 
 
 class _Publisher:

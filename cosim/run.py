@@ -53,7 +53,8 @@ SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
     "report.html",
 )
 TELEMETRY = "telemetry.tlog"
-RUN_FILES = (SUMMARY, SCENARIO, LOG, STREAM, REPORT, TELEMETRY)
+AUTOPILOT = "autopilot.jsonl"
+RUN_FILES = (SUMMARY, SCENARIO, LOG, STREAM, REPORT, TELEMETRY, AUTOPILOT)
 PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")
 
 

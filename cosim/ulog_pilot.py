@@ -1,0 +1,159 @@
+"""What an autopilot did, as PX4 logs it: the topics, messages and parameters that ULog gets from ``autopilot.jsonl``.
+
+PX4 v1.15's numbers: ``arming_state`` 1 standby, 2 armed; ``nav_state`` as in :data:`NAV_STATE`.  States are logged when
+they change and once a second, as PX4 does.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Line = dict[str, Any]
+
+# vehicle_status.nav_state, PX4's msg/VehicleStatus.msg; a take-off and landing in the field's own words
+NAV_STATE = {
+    "MANUAL": 0,
+    "ALTCTL": 1,
+    "POSCTL": 2,
+    "MISSION": 3,
+    "HOLD": 4,
+    "RTL": 5,
+    "OFFBOARD": 14,
+    "STABILIZED": 15,
+    "TAKEOFF": 17,
+    "LAND": 18,
+    "ORBIT": 21,
+}
+STANDBY, ARMED = 1, 2
+_AGAIN_S = 1.0
+
+
+class Series(NamedTuple):
+    """A topic's values over time: by field name, one row an instant; ``k`` the steps."""
+
+    k: NDArray[np.int64]
+    values: dict[str, Array]
+
+
+def states(lines: Sequence[Line], steps: int, step: float) -> dict[str, Series]:
+    """``vehicle_status``, ``vehicle_land_detected`` and ``home_position``, ``mission_result`` over a flight."""
+    again = max(1, round(_AGAIN_S / step))
+    found: dict[str, Series] = {}
+    for topic, kind, fields in (
+        ("vehicle_status", "state", _STATUS),
+        ("vehicle_land_detected", "state", _LANDED),
+        ("home_position", "home", _HOME),
+        ("mission_result", "mission", _MISSION),
+    ):
+        if series := _repeated([line for line in lines if line["kind"] == kind], fields, steps, again):
+            found[topic] = series
+    return found
+
+
+def estimates(lines: Sequence[Line]) -> Series | None:
+    """Position, velocity and set-points as the autopilot had them; None if it said nothing."""
+    said = [line for line in lines if line["kind"] == "estimate"]
+    if not said:
+        return None
+    nowhere = (np.nan, np.nan)
+    columns: dict[str, list[float]] = {name: [] for name in ("x", "y", "vx", "vy", "x_sp", "y_sp", "z_sp", "yaw_sp")}
+    for line in said:
+        pairs = (line["position"], line["velocity"], line["track"] or nowhere)
+        values = (*(value for pair in pairs for value in pair), -line["altitude"], line["yaw"])
+        for column, value in zip(columns.values(), values, strict=True):
+            column.append(value)
+    return Series(_steps(said), {name: np.array(column, dtype=np.float64) for name, column in columns.items()})
+
+
+def parameters(lines: Sequence[Line]) -> tuple[dict[str, float], list[tuple[int, str, float]]]:
+    """Every parameter at the start, and each change with its step."""
+    first: dict[str, float] = next((line["values"] for line in lines if line["kind"] == "parameters"), {})
+    return first, [(line["k"], line["name"], line["value"]) for line in lines if line["kind"] == "parameter"]
+
+
+def messages(lines: Sequence[Line]) -> list[tuple[int, int, str]]:
+    """Step, severity as in syslog, text."""
+    return [(max(0, line["k"]), line["severity"], line["text"]) for line in lines if line["kind"] == "message"]
+
+
+def mode_changes(lines: Sequence[Line]) -> list[tuple[int, str]]:
+    """Changes of mode, arming and failsafe as lines of text, for a log's list of messages."""
+    found: list[tuple[int, str]] = []
+    before: Line = {}
+    for line in (each for each in lines if each["kind"] == "state"):
+        if before and line["armed"] != before["armed"]:
+            found.append((line["k"], "armed" if line["armed"] else "disarmed"))
+        if before and line["mode"] != before["mode"]:
+            found.append((line["k"], f"mode {line['mode']}"))
+        before = line
+    return found
+
+
+def parameter(name: str, value: float) -> bytes:
+    """The content of a parameter message: an int32 where the vehicle counts, else a float32."""
+    whole = isinstance(value, int)
+    key = f"{'int32_t' if whole else 'float'} {name}".encode()
+    return bytes([len(key)]) + key + struct.pack("<i" if whole else "<f", value)
+
+
+def _repeated(
+    lines: Sequence[Line], fields: dict[str, Callable[[Line], float]], steps: int, again: int
+) -> Series | None:
+    """The lines' fields at each line, and again in between."""
+    if not lines:
+        return None
+    rows: list[tuple[int, Line]] = []
+    for line, following in zip(lines, [*lines[1:], None], strict=True):
+        end = steps if following is None else following["k"]
+        rows += [(k, line) for k in range(line["k"], max(end, line["k"] + 1), again)]
+    values = {name: np.array([read(line) for _, line in rows], dtype=np.float64) for name, read in fields.items()}
+    return Series(np.array([k for k, _ in rows], dtype=np.int64), values)
+
+
+def _steps(lines: Sequence[Line]) -> NDArray[np.int64]:
+    return np.array([line["k"] for line in lines], dtype=np.int64)
+
+
+_STATUS: dict[str, Callable[[Line], float]] = {
+    "arming_state": lambda line: ARMED if line["armed"] else STANDBY,
+    "nav_state": lambda line: NAV_STATE[line["mode"]],
+    "failsafe": lambda line: bool(line["failsafe"]),
+}
+_LANDED: dict[str, Callable[[Line], float]] = {
+    "landed": lambda line: line["landed"] == "on_ground",
+    "maybe_landed": lambda line: line["landed"] == "on_ground",
+    "ground_contact": lambda line: line["landed"] == "on_ground",
+}
+_HOME: dict[str, Callable[[Line], float]] = {
+    "x": lambda line: line["north"],
+    "y": lambda line: line["east"],
+    "z": lambda line: -line["altitude"],
+    "valid_lpos": lambda line: True,
+}
+_MISSION: dict[str, Callable[[Line], float]] = {
+    "seq_total": lambda line: line["count"],
+    "seq_current": lambda line: line["current"],
+    "seq_reached": lambda line: line["reached"],
+    "valid": lambda line: line["count"] > 0,
+    "finished": lambda line: line["count"] > 0 and line["current"] >= line["count"],
+}
+TYPES = {
+    "arming_state": "uint8_t",
+    "nav_state": "uint8_t",
+    "failsafe": "bool",
+    "landed": "bool",
+    "maybe_landed": "bool",
+    "ground_contact": "bool",
+    "valid_lpos": "bool",
+    "valid": "bool",
+    "finished": "bool",
+    "seq_total": "int32_t",
+    "seq_current": "int32_t",
+    "seq_reached": "int32_t",
+}  # of a field; what is not here is a float
