@@ -18,10 +18,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from patience import PATIENCE, stretched
+
 from cosim.mavlink.dialect import mav
 
 HEXJET = [sys.executable, "-c", "from cosim.cli import main; main()"]
-START = 60.0  # s until a vehicle must be there: thirty times what it takes on a machine with nothing else to do
 LOOPBACK = "127.0.0.1"
 
 
@@ -54,7 +55,7 @@ class VehicleProcess:
         return self._errors.read_text(errors="replace")
 
     def _ports(self, count: int) -> list[int]:
-        end = time.monotonic() + START
+        end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             found = re.findall(r"listens at udp \S*:(\d+)", self.said)
             if len(found) == count and "ready" in self.said:
@@ -65,7 +66,7 @@ class VehicleProcess:
         self.kill()
         raise AssertionError(f"no vehicle: {self.said}")
 
-    def stop(self, patience: float = 60.0) -> list[dict[str, Any]]:
+    def stop(self, patience: float = PATIENCE) -> list[dict[str, Any]]:
         """Ctrl-C; the summaries of its runs."""
         self.process.send_signal(signal.SIGINT)
         try:
@@ -86,7 +87,7 @@ class VehicleProcess:
 
 def until(true: Callable[[], Any], seconds: float, what: str) -> Any:
     """Wait for something to become true; what it became."""
-    end = time.monotonic() + seconds
+    end = time.monotonic() + stretched(seconds)
     while True:
         found = true()
         if found:
@@ -173,7 +174,7 @@ class Station:
 
     def wait(self, *kinds: str, seconds: float, match: Callable[[Any], bool] = lambda m: True) -> Any:
         """The first message of these kinds that has come or comes in time; else None."""
-        end = time.monotonic() + seconds
+        end = time.monotonic() + stretched(seconds)
         with self._news:
             while True:
                 for i, message in enumerate(self._inbox):
@@ -191,7 +192,7 @@ class Station:
 
     def until(self, kind: str, true: Callable[[Any], bool], seconds: float) -> Any:
         """The last message of a kind, once it is as wanted."""
-        end = time.monotonic() + seconds
+        end = time.monotonic() + stretched(seconds)
         with self._news:
             while True:
                 message = self.last.get(kind)
@@ -324,6 +325,6 @@ def mavlogdump(path: Path, types: Sequence[str] = ()) -> str:
     command = [sys.executable, str(tool), "--robust"]
     if types:
         command.append(f"--types={','.join(types)}")
-    done = subprocess.run([*command, str(path)], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([*command, str(path)], capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from math import nan
 from typing import Any
 
+from patience import stretched
+
 from cosim.geodesy import Geodesy
 from cosim.mavlink.dialect import mav
 from cosim.mavlink.exchange import Exchange
@@ -234,7 +236,7 @@ class Udp:
 
     def wait(self, wanted: Callable[[Any], bool], seconds: float = 3.0) -> Any:
         """The first message that is wanted; None where none comes in time."""
-        end = time.monotonic() + seconds
+        end = time.monotonic() + stretched(seconds)
         at = 0
         while True:
             for message in self.got[at:]:

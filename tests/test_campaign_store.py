@@ -20,6 +20,7 @@ import psutil
 import pyarrow.dataset as ds
 import pytest
 from campaign_tools import NOTES, without_chance
+from patience import PATIENCE
 
 from cosim.arrow import read_table
 from cosim.campaign import store as store_module
@@ -377,7 +378,7 @@ def test_twenty_kills_at_random_moments_lose_nothing_and_double_nothing(
             main.wait()
             assert not reader.problems
             main = psutil.Popen(command)
-        assert main.wait(timeout=60.0) == 0
+        assert main.wait(timeout=PATIENCE) == 0
     finally:
         if main.poll() is None:
             main.kill()
@@ -408,7 +409,7 @@ def test_ctrl_c_ends_it_at_once_and_says_how_to_go_on(tmp_path: Path, sent: sign
         "--vary",
         "vehicle.mass_kg=5.4:5.8",
         "--runs",
-        "2000",
+        "20000",
     ]
     process = psutil.Popen(
         [*command, "--workers", "2", "--out", "c", "--set", "duration_s=0.1"],
@@ -419,14 +420,14 @@ def test_ctrl_c_ends_it_at_once_and_says_how_to_go_on(tmp_path: Path, sent: sign
         time.sleep(0.01)
     workers = process.children()
     process.send_signal(sent)
-    out, err = process.communicate(timeout=20.0)
+    out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == status
     assert out == ""
     kept = len(open_campaign(tmp_path / "c"))
-    stopped = f"hexjet: stopped; {kept} of 2000 flights are kept: hexjet sweep c --resume goes on"
+    stopped = f"hexjet: stopped; {kept} of 20000 flights are kept: hexjet sweep c --resume goes on"
     assert err.splitlines() == [stopped, ""]  # the second is where the terminal shows ^C
     assert sorted(held(tmp_path / "c")) == open_campaign(tmp_path / "c").columns["flight"]
-    assert not psutil.wait_procs(workers, timeout=5.0)[1]
+    assert not psutil.wait_procs(workers, timeout=PATIENCE)[1]
 
 
 def test_a_workers_error_that_ends_it_says_what_is_kept(tmp_path: Path) -> None:

@@ -72,7 +72,7 @@ def python(code: str, path: Path, **environment: str) -> tuple[str, str]:
         env=inherited | {"PYTHONPATH": os.pathsep.join(map(str, (path, ROOT)))} | environment,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=3000,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout, done.stderr

@@ -20,6 +20,7 @@ from typing import Any
 
 import pytest
 from gcs_tools import Relay, Station, VehicleProcess
+from patience import PATIENCE, stretched
 
 from cosim.links import Files
 from cosim.mavlink.ftp import Bytes
@@ -27,7 +28,6 @@ from cosim.mavlink.service import crc32
 
 RTF = 6.0
 LOSS = 0.2  # of all datagrams, each way
-PATIENCE = 60.0  # s of wall time for what is flown
 ACK, TRIES = 3.0, 3  # s for an acknowledgement, and how often it is asked for
 MODE, MODES = 1.3, 3  # s for a mode to show
 PARAMETER, SINGLE = 3.0, 5  # s without news of the list; tries for one
@@ -70,7 +70,7 @@ class QGroundControl(Station):
             ("mission", 30.0, self.mission),
         ):
             for _ in range(2 * self.presses):
-                self._limit = time.monotonic() + limit / self.haste
+                self._limit = time.monotonic() + stretched(limit / self.haste)
                 with suppress(LateError):
                     found[name] = step()
                     break
@@ -231,7 +231,7 @@ class QGroundControl(Station):
         asked = self.ask(
             lambda: self.send("MISSION_COUNT", 1, 1, len(items), 0), "MISSION_REQUEST_INT", COUNT, PLAN * self.presses
         )
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             if asked is not None and asked.get_type() == "MISSION_ACK":
                 return int(asked.type)
@@ -263,7 +263,7 @@ class QGroundControl(Station):
         armed = 128 if self.armed else 0
         for _ in range(MODES * self.presses):
             self.send("SET_MODE", 1, 1 | armed, number)
-            end = time.monotonic() + MODE
+            end = time.monotonic() + stretched(MODE)
             while time.monotonic() < end:
                 if self.mode == mode:
                     return
@@ -412,7 +412,6 @@ def test_one_silent_one_flooding_and_two_are_served(vehicle: VehicleProcess) -> 
         thread = threading.Thread(target=flood, daemon=True)
         thread.start()
         try:
-            begin = time.monotonic()
             assert len(qgc.parameters()) >= 60
             assert other.version().flight_sw_version > 0
             qgc.set_parameter("MPC_XY_VEL_MAX", 3.0)
@@ -421,14 +420,14 @@ def test_one_silent_one_flooding_and_two_are_served(vehicle: VehicleProcess) -> 
             other.until("HEARTBEAT", lambda m: other.armed, 3.0)  # the other one sees it
             assert other.command(ARM, 0.0) == 0
             qgc.until("HEARTBEAT", lambda m: not qgc.armed, 3.0)
-            lasted = time.monotonic() - begin
         finally:
             over.set()
             thread.join()
-        assert sent > 500 * lasted  # it was one
+        assert sent > 300  # it was one
         # everybody gets telemetry, the silent one as well, and nobody the answers of another
         for each in (qgc, other, silent):
-            assert each.counts["ATTITUDE"] > 5 * lasted, each.target
+            # on an idle machine 25 for each heartbeat; what a busy one has no time for is left out
+            assert each.counts["ATTITUDE"] > each.counts["HEARTBEAT"] > 0, each.target
             assert each.counts["PING"] == 0
         assert silent.counts["COMMAND_ACK"] == 0
     (summary,) = vehicle.stop()

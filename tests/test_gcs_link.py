@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 
 from cosim.mavlink.dialect import mav
 from cosim.run import open_run
 
 HEXJET = [sys.executable, "-c", "from cosim.cli import main; main()"]
-PATIENCE = 60.0  # s of wall time; the vehicle flies several times as fast
 TAKEOFF, LAND, ARM, REPOSITION, REBOOT = 22, 21, 400, 192, 246
 ACCEPTED, REJECTED = 0, 1
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from gcs_tools import LOOPBACK, VehicleProcess, mavlogdump
+from patience import PATIENCE
 
 from cosim.pilot import requests as rq
 from cosim.replay import REQUESTS, read_requests
@@ -21,7 +22,6 @@ MAVPROXY = Path(sys.executable).parent / "mavproxy.py"
 MODULES = (
     "log,signing,wp,rally,fence,ftp,param,relay,tuneopt,arm,mode,calibration,rc,auxopt,misc,cmdlong,battery,output"
 )
-PATIENCE = 60.0  # s of wall time
 RTF = 6.0
 
 

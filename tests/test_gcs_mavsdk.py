@@ -29,9 +29,9 @@ from mavsdk.plugins import mission as mis
 from mavsdk.plugins import offboard as off
 from mavsdk.plugins import param as par
 from mavsdk.plugins import telemetry as tel
+from patience import PATIENCE
 
 RTF = 6.0  # steps of 0.67 ms: a machine that does nothing else does three times as many
-PATIENCE = 60.0  # s of wall time for anything that is flown
 SOON = 5.0  # s for anything that is only asked
 NEAR = 0.7  # m: GNSS and barometer are off by half as much while the vehicle holds
 METRES = 6371000.0 * math.pi / 180.0  # in a degree of latitude; good to 0.3 % anywhere

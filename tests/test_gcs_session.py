@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 
 from cosim.errors import InputError
 from cosim.exchange import SENDERS, WAITING_EACH, Exchange, Restart, Shutdown, Snapshot
@@ -30,9 +31,6 @@ from cosim.recorder import Log
 from cosim.replay import REQUESTS, RequestLog, read_requests
 from cosim.run import Run, open_run
 from cosim.scenario import Scenario
-
-PATIENCE = 60.0  # s of wall time for anything at full speed: some hundred times what it takes
-
 
 # --- pacing -----------------------------------------------------------------------------------------------------
 

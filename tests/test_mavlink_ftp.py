@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavlink_bench import Bench, Station
+from patience import PATIENCE
 from pyulog import ULog
 
 from cosim.export import export_ulog
@@ -371,7 +372,7 @@ def patient(station: Station) -> Any:
     """An entry: the other process works in real time, and the clock of the bench does not."""
     import time
 
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + PATIENCE
     while station.bench.services[0].busy and time.monotonic() < deadline:
         entry = station.wait("LOG_ENTRY", seconds=0.0)
         if entry is not None:

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from mavlink_tools import ABOUT, PREDICTING, Pilot, Udp, command, sample
+from patience import PATIENCE, stretched
 
 from cosim.errors import InputError
 from cosim.mavlink.channel import MOST_PEERS
@@ -89,7 +90,7 @@ def stations() -> Iterator[list[Udp]]:
 
 
 def until(condition: Any, seconds: float = 3.0) -> bool:
-    end = time.monotonic() + seconds
+    end = time.monotonic() + stretched(seconds)
     while not condition():
         if time.monotonic() > end:
             return False
@@ -285,7 +286,7 @@ class Tcp(Udp):
     def __init__(self, port: int) -> None:
         super().__init__()
         self.socket.close()
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=2.0)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
         self.socket.settimeout(0.05)
 
     def write(self, data: bytes) -> None:
@@ -368,7 +369,7 @@ def test_serial_over_a_pseudo_terminal(flights: list[Flight]) -> None:
     other.robust_parsing = True
     found: set[str] = set()
     os.write(ours, bytes(command(20).pack(other)))
-    end = time.monotonic() + 3.0
+    end = time.monotonic() + PATIENCE
     while not {"COMMAND_ACK", "HEARTBEAT"} <= found and time.monotonic() < end:
         found |= {m.get_type() for m in other.parse_buffer(os.read(ours, 4096)) or []}
     assert {"COMMAND_ACK", "HEARTBEAT"} <= found

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mavlink_bench import mav
+from patience import stretched
 
 from cosim.geodesy import Geodesy
 from cosim.mavlink.endpoint import parse
@@ -78,7 +79,7 @@ class Flight:
 
     def wait(self, *kinds: str, seconds: float = 0.6) -> Any:
         """Step until a message of these kinds comes."""
-        end = time.monotonic() + seconds
+        end = time.monotonic() + stretched(seconds)
         while time.monotonic() < end:
             for ticket in self.exchange.take():
                 self.exchange.answer(ticket, self.pilot.handle(ticket.request, self.simulation.k))

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 
 from cosim.cli import main
 from cosim.design.loop import margins
@@ -138,19 +139,19 @@ def test_after_an_interruption_finished_parts_are_not_repeated(tmp_path: Path, h
     command = [sys.executable, str(script)]
     first = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     try:
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + PATIENCE
         while len(list((tmp_path / "parts").glob("[abc]-*.pickle"))) < 3:
             assert time.monotonic() < end
             time.sleep(0.02)
         os.killpg(first.pid, how)
-        _, said = first.communicate(timeout=10.0)
+        _, said = first.communicate(timeout=PATIENCE)
     finally:
         first.kill()
         first.communicate()
     assert first.returncode != 0
     assert b"_process_worker" not in said  # the workers end without a word
     (tmp_path / "go").touch()
-    again = subprocess.run(command, capture_output=True, text=True, timeout=30.0, check=True)
+    again = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert again.stdout == "result of late\n"
     assert [times_run(tmp_path, name) for name in ("a", "b", "c", "late")] == [1, 1, 1, 1]
 
