@@ -700,26 +700,63 @@ def paper(out: Path, workers: int, pages: tuple[Path, ...], as_json: bool) -> in
 )
 @click.option("kinds", "--kind", metavar="NAME", multiple=True, help="Only faults that begin so.  [default: all]")
 @click.option("--limits", is_flag=True, help="Also: how much thrust may be lost, and how late it may be noticed.")
+@click.option(
+    "--engine-out",
+    is_flag=True,
+    help="Instead: one engine out in hover, at every station, of every aircraft (or --aircraft) with every engine (or "
+    "--engine) that lifts it, each with the gains designed for it, beside what no control could do better.",
+)
+@click.option(
+    "--designs",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Of --engine-out: where its controllers are, ENGINE.toml by hexjet design; a missing one is designed and "
+    "written there.  [default: designs in --out]",
+)
+@click.option(
+    "--docs",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    metavar="DIR",
+    help="Of --engine-out: also write the tables between the marks of faults.md and full-scale.md there.",
+)
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+@click.pass_context
 def faults(
+    context: click.Context,
     aircraft: str,
     engine: str | None,
     controllers: tuple[str, ...],
     kinds: tuple[str, ...],
     limits: bool,
+    engine_out: bool,
+    designs: Path | None,
+    docs: Path | None,
     workers: int,
     out: Path | None,
     as_json: bool,
 ) -> int:
     """Fly every single fault, from hover and from a roll of 10 deg, and tell which the vehicle survives.
 
-    Leaves survival.csv and survival.html in DIR.
+    Leaves survival.csv and survival.html in DIR; with --engine-out, engine-out.csv.
     """
     from cosim.console import part_progress, print_survival
     from cosim.flight import new_folder
     from cosim.survival import survival, write
+
+    if engine_out:
+        _refuse_others(
+            context, "engine_out", "aircraft", "engine", "engine_out", "designs", "docs", "workers", "out", "as_json"
+        )
+        stated = context.get_parameter_source("aircraft") is ParameterSource.COMMANDLINE
+        folder = out if out is not None else new_folder(Path("runs"), "engine-out")
+        return _engine_out(
+            (aircraft,) if stated else (), (engine,) if engine else (), folder, designs, docs, workers, as_json
+        )
+    for name, given in (("--designs", designs), ("--docs", docs)):
+        if given is not None:
+            raise InputError(f"{name} goes with --engine-out")
 
     with part_progress("faults", quiet=as_json) as say:
         found = survival(aircraft, engine, controllers, kinds, workers, say, limits)
@@ -728,6 +765,33 @@ def faults(
         click.echo(json.dumps(found.to_dict(), allow_nan=False))
     else:
         print_survival(found, paths["report"])
+    return DONE
+
+
+def _engine_out(
+    aircraft: tuple[str, ...],
+    engines: tuple[str, ...],
+    folder: Path,
+    designs: Path | None,
+    docs: Path | None,
+    workers: int,
+    as_json: bool,
+) -> int:
+    from cosim.console import part_progress, print_engine_out
+    from cosim.engine_out import check_pages, engine_out, write, write_pages
+
+    if docs is not None:
+        if aircraft or engines:
+            raise InputError("--docs: the pages hold every aircraft and engine; leave out --aircraft and --engine")
+        check_pages(docs)
+    with part_progress("engine out", quiet=as_json) as say:
+        found = engine_out(aircraft, engines, designs or folder / "designs", workers, say)
+    path = write(found, folder)
+    pages = write_pages(found, docs) if docs is not None else []
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+    else:
+        print_engine_out(found, [path, *pages])
     return DONE
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from cosim.campaign.store import Campaign, Tally
     from cosim.design.make import Design
     from cosim.engine import CheckReport
+    from cosim.engine_out import EngineOut
     from cosim.gcs import Session
     from cosim.identify import Identification
     from cosim.links import Links
@@ -433,6 +434,33 @@ def print_survival(found: Survival, report: Path) -> None:
         table.add_row(lost, f"{each.thrust:.2f}", roll, "yes" if each.yaw else "no")
     console.print(table)
     console.print(f"report: {report}", highlight=False, soft_wrap=True)
+
+
+def print_engine_out(found: EngineOut, paths: Sequence[Path]) -> None:
+    """What became of every vehicle with one engine out, what no control could have done better, and where it stands."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.engine_out import TABLES, rows
+
+    console = _console()
+    aircraft = [each.aircraft for each in found.flights] + [each.aircraft for each in found.left]
+    for name, lines in rows(found, aircraft).items():
+        table = Table(box=box.SIMPLE_HEAD)
+        for title in TABLES[name]:
+            table.add_column(title)
+        for line in lines:
+            table.add_row(*line)
+        if lines:
+            console.print(table)
+    console.print(
+        "each jet: verdict, largest lean, height lost, furthest drift; bounds: the lean that no throttles, or no "
+        "throttles and tilts, avoid, told of it at once; the second table: the bound for throttles alone "
+        "with one thing changed, and when the opposite engine has to be shut off for a bound at the limit of lean",
+        highlight=False,
+    )
+    for path in paths:
+        console.print(str(path), highlight=False, soft_wrap=True)
 
 
 def print_gcs(session: Session, links: Links, to_stderr: bool) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from math import cos, degrees, nan, radians
+from math import cos, degrees, hypot, nan, radians
 from operator import mul
 from typing import Literal, Protocol
 
@@ -48,6 +48,7 @@ from cosim.signals import (
     Command,
     Disturbance,
     EngineOutput,
+    JetHealth,
     Measured,
     PerJet,
     Refused,
@@ -131,6 +132,8 @@ class Simulation:
         self.servos: list[Servo] = [*servos]
         self.sensors: Sensing = SensorSuite(vehicle.sensors, self.dt, scenario.seed, scenario.sensor_noise)
         self.monitor = control.monitor
+        settings = vehicle.control.monitor
+        self._opposite = opposites(vehicle) if settings is not None and settings.shut_opposite else ()
         self.faults = Faults(
             scenario,
             engines,
@@ -252,7 +255,8 @@ class Simulation:
         """The pilot's command for step ``k``, and the engines off or on as it says."""
         lost: tuple[int, ...] = ()
         if self.monitor is not None and self.monitor.gains != ALL_WELL[: len(self._left)]:
-            lost = tuple(jet for jet, gain in enumerate(self.monitor.gains, 1) if gain < 1.0)
+            off = self.shutoff.off  # on purpose
+            lost = tuple(jet for jet, gain in enumerate(self.monitor.gains, 1) if gain < 1.0 and jet - 1 not in off)
         tank, fuel = self.tank, self.vehicle.fuel
         remaining = tank.left / fuel.mass_kg if tank and fuel else None
         command = pilot.update(k, self.measured, Report(self.state.on_ground, self._collective, lost, remaining))
@@ -300,8 +304,18 @@ class Simulation:
         """Let the monitor look at the engines, and allocate around those it has given up from the next step on."""
         assert self.monitor is not None
         if self.monitor.update(throttle, engines):
+            if self._opposite:
+                self._shut_opposite(self.monitor)
             self.allocator.replan(self.monitor.health)
         return self.monitor.gains
+
+    def _shut_opposite(self, monitor: EngineMonitor) -> None:
+        """With the first engine lost shut off the one across: its thrust goes the same way, and the moment with it."""
+        ill = [i for i, gain in enumerate(monitor.gains) if gain < 1.0]
+        if len(ill) == 1 and monitor.health[ill[0]] == JetHealth(0.0):
+            other = self._opposite[ill[0]]
+            self.shutoff.set(other, False)
+            monitor.give_up(other)
 
     def _delayed(self, torque: Vector3, disturbance: Disturbance) -> Vector3:
         """The rate controller's output with what is added to it there, roll after the added delay."""
@@ -578,6 +592,18 @@ def _control(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, stations:
         thrust_map,
         _monitor(scenario, vehicle, stations) if scenario.monitored else None,
     )
+
+
+def opposites(vehicle: Vehicle) -> tuple[int, ...]:
+    """For every jet, from 0, the one across the centre of gravity.  Raises InputError if one has none."""
+    places = [jet.position_m for jet in vehicle.jets]
+    found = []
+    for number, (x, y, _) in enumerate(places, 1):
+        across = [i for i, (a, b, _) in enumerate(places) if hypot(a + x, b + y) < 1e-3 * hypot(x, y)]
+        if len(across) != 1:
+            raise InputError(f"{vehicle.name}: control.monitor.shut_opposite: no jet stands opposite jet {number}")
+        found.append(across[0])
+    return tuple(found)
 
 
 def _lead(vehicle: Vehicle, command: str, step: float) -> Lead | None:

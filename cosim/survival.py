@@ -191,12 +191,12 @@ def survival(
         hover, idle = simulation.allocator.hover, simulation.thrust_map.idle
         moments = _moments(vehicle, simulation.stations[0].delay)
     rows: list[Row] = []
-    for row in _in_processes(_fly, flights, workers):
+    for row in in_processes(_fly, flights, workers):
         rows.append(row)
         say(f"{row.kind}, {row.place}", len(rows), len(flights))
     scans = [(name, start, each, aircraft, engine, step) for name in SCANS for start in STARTS for each in controllers]
     found: list[Limit] = []
-    for limit in _in_processes(_scan, scans, workers) if limits else ():
+    for limit in in_processes(_scan, scans, workers) if limits else ():
         found.append(limit)
         say(limit.quantity, len(found), len(scans))
     sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
@@ -232,7 +232,7 @@ def scenario_of(case: Case, start: str, controller: str, aircraft: str, engine: 
     )
 
 
-def _in_processes(act: Callable[[T], R], tasks: Sequence[T], workers: int) -> Iterator[R]:
+def in_processes(act: Callable[[T], R], tasks: Sequence[T], workers: int) -> Iterator[R]:
     if workers == 1:
         yield from map(act, tasks)
         return
@@ -267,7 +267,7 @@ def _fly(flight: tuple[Case, str, str, Scenario]) -> Row:
         case.place,
         start,
         controller,
-        _verdict(run.outcome, run.log, scenario.step_s),
+        verdict_of(run.outcome, run.log, scenario.step_s),
         lean,
         lost,
         None if detected is None or case.fault is None else (detected - begin + 1) * scenario.step_s,
@@ -287,7 +287,7 @@ def _scan(task: tuple[str, str, str, str, str, float]) -> Limit:
         if quantity != LOSS:
             flown = flown.replace(vehicle={"control": {"monitor": {"confirm_s": value}}})
         run = fly(flown)
-        verdict = _verdict(run.outcome, run.log, step)
+        verdict = verdict_of(run.outcome, run.log, step)
         if verdict == "lost":
             return Limit(quantity, start, controller, reached["held"], reached["airborne"], value)
         reached[verdict].append(value)
@@ -315,7 +315,7 @@ def _known(values: Any) -> Any:
     return np.where(np.isnan(values), 1.0, values)
 
 
-def _verdict(outcome: str, log: Log, step: float) -> Verdict:
+def verdict_of(outcome: str, log: Log, step: float) -> Verdict:
     import numpy as np
 
     if outcome != "completed":

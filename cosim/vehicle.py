@@ -223,6 +223,7 @@ class MonitorSettings(Model):
     stuck_s: Positive  # the same before an engine that does not follow its command is called stuck
     lag_factor: Annotated[float, Field(ge=1.0)]  # a healthy lag is the nominal one within this factor
     delay_spread_s: NotNegative  # a healthy delay is the nominal one within this
+    shut_opposite: bool = False  # with the first engine lost, shut off the one across the centre of gravity
 
 
 class Control(Model):

@@ -138,6 +138,10 @@ class EngineMonitor:
         changed = [self._judge(i, reports[i]) for i in suspects]
         return any(changed)
 
+    def give_up(self, i: int) -> None:
+        """Engine ``i`` is shut off on purpose: take it for lost."""
+        self._found(i, 0.0, 0.0)
+
     def _judge(self, i: int, x: float) -> bool:
         """Decide what an engine is that has been outside for long enough; False while it cannot be told."""
         reference, gain = 0.5 * (self._low[i] + self._high[i]), self.gains[i]

@@ -1,0 +1,302 @@
+"""One engine out in hover: the bound against exact answers and six degrees of freedom, the verdicts, the command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from math import degrees, radians
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from command_tools import Hexjet
+
+from cosim.design.file import read_controller
+from cosim.engine import EngineBank, engine_names, load_engine
+from cosim.engine_out import (
+    MEANS,
+    NOT_A_JET,
+    OPPOSITE,
+    PAGES,
+    PLANNED,
+    SOONER,
+    STEP_S,
+    TABLES,
+    Courses,
+    Roller,
+    _fly,
+    _scenario,
+    engine_out,
+    opposite_of,
+    roller,
+    rows,
+    unfit,
+    write_pages,
+)
+from cosim.errors import InputError
+from cosim.flight import fly
+from cosim.frames import to_euler
+from cosim.marks import parts_of
+from cosim.scenario import Scenario
+from cosim.signals import Disturbance
+from cosim.simulation import build
+from cosim.vehicle import load_vehicle
+
+DESIGNS = Path(__file__).parent / "designs"
+DOCS = Path(__file__).parents[1] / "docs"
+HOME = {
+    "edf": "hexjet",
+    "edf-as-flown": "hexjet",
+    "turbojet": "hexjet",
+    "turbine-20": "hexjet",
+    "turbine-100": "hexjet-100",
+    "p220": "hexjet-p220",
+    "turbine-220": "hexjet-p220",
+}
+
+
+def flight(engine: str, jet: int, means: Any) -> Scenario:
+    return _scenario(HOME[engine], engine, read_controller(DESIGNS / f"{engine}.toml"), jet, means)
+
+
+# ---- the bound
+
+
+def test_the_bound_of_engines_that_jump_after_a_delay_is_the_double_integrators() -> None:
+    """Thrust gone at once, the others at their ends n steps later: a t1^2 / 2 + (a t1)^2 / (2 b), to a step of dt."""
+    vehicle, _ = load_vehicle("hexjet")
+    still = vehicle.aero.model_copy(update={"damping_n_m_s": (0.0, 0.0, 0.0)})
+    vehicle = vehicle.model_copy(update={"aero": still})
+    n, hover, count = 25, 9.0, 500
+    late = SimpleNamespace(
+        up=[hover] * n + [20.0] * (count - n), down=[hover] * n + [1.0] * (count - n), out=[0.0] * count
+    )
+    found = Roller(vehicle, late, hover).least_lean(5)  # type: ignore[arg-type]
+    lever, inertia = 0.15, vehicle.inertia_kg_m2[0]
+    a = hover * lever / inertia
+    b = (2.0 * 20.0 - 3.0 * 1.0) * lever / inertia
+    t1 = n * STEP_S
+    exact = a * t1**2 / 2.0 + (a * t1) ** 2 / (2.0 * b)
+    assert found.lean_deg == pytest.approx(degrees(exact), rel=0.01)
+    assert found.time_s == pytest.approx(t1 + a * t1 / b, abs=STEP_S)
+    # half the lean with twice the inertia, and each station the same: only its lever counts
+    assert replace(Roller(vehicle, late, hover), inertia=2.0).least_lean(1).lean_deg == pytest.approx(  # type: ignore[arg-type]
+        found.lean_deg / 2.0, rel=1e-9
+    )
+    assert [Roller(vehicle, late, hover).least_lean(jet).lean_deg for jet in range(1, 7)] == pytest.approx(  # type: ignore[arg-type]
+        [found.lean_deg] * 6
+    )
+
+
+@pytest.mark.parametrize("engine", [name for name in engine_names() if name not in NOT_A_JET])
+def test_no_throttles_take_an_engine_out_of_the_strip_of_its_two_extremes(engine: str) -> None:
+    """What the bound rests on: full and least throttle are the fastest up and down, whatever else is tried."""
+    spec = load_engine(engine, {}, STEP_S)
+    hover, count = 0.45, 300
+    courses = Courses(spec, hover, 0.05, 1.0, count)
+    rng = np.random.default_rng(5)
+    slack = 1e-6 * spec.curve.thrust[-1]
+    for hold in (1, 10, 40):
+        for _ in range(4):
+            levels = rng.choice([0.05, 0.3, 0.6, 1.0], count // hold + 1) if hold > 1 else rng.uniform(0.05, 1.0, count)
+            with EngineBank(spec, 1, STEP_S) as bank:
+                bank.reset(hover)
+                course = [bank.step(k, (float(levels[k // hold]),)).thrust[0] for k in range(count)]
+            assert (np.array(course) <= np.array(courses.up) + slack).all()
+            assert (np.array(course) >= np.array(courses.down) - slack).all()
+
+
+@pytest.mark.parametrize("engine", ["edf-as-flown", "turbojet"])
+def test_flown_open_loop_in_six_degrees_of_freedom_the_best_throttles_reach_the_bound(engine: str) -> None:
+    """And no better: the middle jet out, full throttle beside it and least across, until the vehicle stops rolling."""
+    scenario = flight(engine, 5, PLANNED).replace(sensor_noise=False, fault=[], monitor=False)
+    with build(scenario) as simulation:
+        found = roller(simulation)
+        bound = found.least_lean(5)
+        rolls = [0.0]
+        for k in range(400):
+            thrust = [
+                found.courses.out[k]
+                if jet == 5
+                else (found.courses.up if each.position_m[1] > 0.0 else found.courses.down)[k]
+                for jet, each in enumerate(simulation.vehicle.jets, 1)
+            ]
+            forces = simulation._jet_forces(tuple(thrust), (0.0, 0.0))
+            state = simulation.airframe.step(forces, Disturbance())
+            rolls.append(to_euler(state.attitude)[0])
+            if state.rate[0] < 0.0:
+                break
+    assert max(rolls) == pytest.approx(radians(bound.lean_deg), rel=0.02)
+    assert len(rolls) * STEP_S == pytest.approx(bound.time_s, abs=3 * STEP_S)
+
+
+def test_tilts_and_an_earlier_shut_off_can_only_help() -> None:
+    with build(flight("turbine-20", 2, OPPOSITE)) as simulation:
+        found = roller(simulation)
+    plain = found.least_lean(2)
+    assert found.least_lean(2, tilting=True).lean_deg < plain.lean_deg < found.least_lean(2, after=10).lean_deg
+    leans = [found.least_lean(2, shut_at=at).lean_deg for at in (0, 10, 20, 30)]
+    assert leans == sorted(leans)
+    assert leans[-1] < plain.lean_deg
+    assert opposite_of(simulation.vehicle, 2) == 1
+
+
+# ---- the verdicts
+
+
+@pytest.mark.parametrize("engine", ["p220", "turbine-20", "turbine-100", "turbine-220"])
+def test_no_throttles_save_a_vehicle_on_turbines_from_one_flame_out(engine: str) -> None:
+    """The bound is past the lean at which a flight is lost, and the flight is."""
+    found = _fly((flight(engine, 5, PLANNED), 5, PLANNED))
+    assert found.throttles_deg > found.limit_deg
+    assert found.verdict == "lost"
+
+
+@pytest.mark.parametrize("engine", ["p220", "turbojet", "turbine-20", "turbine-100"])
+def test_with_the_opposite_engine_shut_off_it_is_held(engine: str) -> None:
+    """By the gains of the healthy vehicle; and no flight leans less than the bound."""
+    for jet in (1, 5):
+        found = _fly((flight(engine, jet, OPPOSITE), jet, OPPOSITE))
+        assert found.verdict == "held"
+        assert found.throttles_deg < found.lean_deg < found.limit_deg
+        assert found.bound_deg < found.throttles_deg
+
+
+def test_the_turbine_whose_thrust_comes_late_needs_it_found_sooner() -> None:
+    assert _fly((flight("turbine-220", 5, OPPOSITE), 5, OPPOSITE)).verdict == "lost"
+    sooner = _fly((flight("turbine-220", 5, SOONER), 5, SOONER))
+    assert sooner.verdict == "held"
+    assert sooner.throttles_deg < sooner.lean_deg
+
+
+def test_the_opposite_engine_goes_with_the_first_that_is_lost_and_with_no_other() -> None:
+    scenario = flight("edf-as-flown", 3, OPPOSITE)
+    later = {"kind": "flame_out", "start_s": 1.6, "jet": 5}
+    log = fly(scenario.replace(duration_s=2.0, fault=[scenario.fault[0].model_dump(mode="json"), later])).log
+    assert [log[f"health_{jet}"][-1] for jet in range(1, 7)] == [1.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    assert log["thrust_4_N"][-1] == 0.0
+    assert not log["fault_jet_4"].any()  # nothing is wrong with it
+
+
+def test_a_weak_engine_takes_none_along() -> None:
+    weak = {"kind": "thrust_loss", "start_s": 1.0, "jet": 3, "share": 0.5}
+    log = fly(flight("edf-as-flown", 3, OPPOSITE).replace(duration_s=1.4, fault=[weak])).log
+    assert 0.0 < log["health_3"][-1] < 1.0
+    assert log["health_4"][-1] == 1.0
+
+
+def test_a_vehicle_without_opposite_jets_is_refused() -> None:
+    with pytest.raises(InputError, match=r"hexjet: control\.monitor\.shut_opposite: no jet stands opposite jet 1"):
+        build(
+            Scenario(name="short", duration_s=1.0).replace(
+                vehicle={"control": {"monitor": {"shut_opposite": True}}, "jets": {"0": {"position_m": {"0": 0.2}}}}
+            )
+        )
+
+
+def test_what_cannot_be_flown_says_why() -> None:
+    assert unfit("hexjet-p220", "edf") == "cannot lift it: 120 N at most for 608 N of weight"
+    assert unfit("hexjet", "p220") == "cannot stay down: 90 N at idle for 54 N of weight"
+    assert unfit("hexjet", "turbine-100") == "too strong: it would hover at 7 % of its range"
+    assert all(unfit(aircraft, engine) == "" for engine, aircraft in HOME.items())
+
+
+# ---- the command and the pages
+
+
+def test_the_command_flies_a_pair_and_says_what_each_verdict_rests_on(hexjet: Hexjet) -> None:
+    pair = ("--engine-out", "--aircraft", "hexjet", "--engine", "edf", "--workers", "1")
+    done = hexjet("faults", *pair, "--designs", str(DESIGNS), "--out", "out", "--json")
+    assert done.status == 0
+    told = json.loads(done.out)
+    assert [(each["jet"], each["means"]) for each in told["flights"]] == [(j, m) for j in range(1, 7) for m in MEANS]
+    assert all(each["verdict"] == "held" for each in told["flights"])
+    assert told["levers"][0]["at_once_deg"] == 0.0
+    assert len(Path("out/engine-out.csv").read_text(encoding="utf-8").splitlines()) == 1 + 6 * len(MEANS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--designs", "x"), "--designs goes with --engine-out"),
+        (("--engine-out", "--aircraft", "hexjt"), "unknown aircraft 'hexjt'"),
+        (("--engine-out", "--engine", "rocket"), "unknown engine 'rocket'"),
+        (("--engine-out", "--docs", ".", "--engine", "edf"), "--docs: the pages hold every aircraft and engine"),
+        (("--engine-out", "--docs", "."), "faults.md: "),
+        (("--engine-out", "--limits"), "--limits"),
+    ],
+)
+def test_wrong_input_is_one_line(hexjet: Hexjet, arguments: tuple[str, ...], words: str) -> None:
+    done = hexjet("faults", *arguments)
+    assert done.status == 2
+    assert words in done.err
+    assert "Traceback" not in done.err
+
+
+def test_the_pages_have_every_engine_at_every_station(tmp_path: Path) -> None:
+    """docs/faults.md and docs/full-scale.md: each engine flown with each means, or why it is not."""
+    told = ""
+    for page, aircraft in PAGES.items():
+        parts = parts_of((DOCS / page).read_text(encoding="utf-8"), page)
+        for name in aircraft:
+            flown = [line for line in parts["engine-out"].splitlines() if line.startswith(f"| {name} |")]
+            left = [line for line in parts["engine-out-left"].splitlines() if line.startswith(f"| {name} |")]
+            engines = {line.split(" | ")[1] for line in (*flown, *left)}
+            assert engines == {each for each in engine_names() if each not in NOT_A_JET}, (page, name)
+            assert len(flown) == len(MEANS) * (len(engines) - len(left))
+            for line in flown:
+                assert line.count("°") >= 8, line  # six stations, two bounds
+        told += parts["engine-out"]
+    assert "lost: " in told
+    assert "held: " in told
+
+
+def test_what_the_pages_text_says() -> None:
+    """docs/faults.md and docs/full-scale.md, beside their tables."""
+    text = (DOCS / "faults.md").read_text(encoding="utf-8")
+    law = load_engine("p220", {}, STEP_S).flame_out
+    assert law is not None
+    for key, value in (("thrust_left", law.left), ("run_down_s", law.run_down), ("exponent", law.exponent)):
+        assert f"{key} = {value:.2f} " in text
+    assert f"relight_s = {law.relight:.1f} " in text
+    left = [100.0 * law.left * (1.0 + t / law.run_down) ** -law.exponent for t in (0.0, 0.1, 0.25)]
+    assert "{:.0f} % are left at once, {:.0f} % after 0.1 s, {:.0f} % after 0.25 s".format(*left) in text
+    throttles = {}
+    for page in PAGES:
+        for line in parts_of((DOCS / page).read_text(encoding="utf-8"), page)["engine-out-levers"].splitlines()[2:]:
+            cells = [cell.strip() for cell in line.strip("|").split("|")]
+            throttles[cells[1]] = cells
+    slow = ("turbine-20", "turbine-100", "p220", "turbine-220")
+    assert all(float(throttles[name][2].removeprefix("over ").rstrip("°")) > 80.0 for name in slow)
+    assert all(float(throttles[name][2].rstrip("°")) < 80.0 for name in ("turbojet", "p220-2025"))
+    verdicts: dict[tuple[str, str], list[str]] = {}
+    for page in PAGES:
+        for line in parts_of((DOCS / page).read_text(encoding="utf-8"), page)["engine-out"].splitlines()[2:]:
+            cells = [cell.strip() for cell in line.strip("|").split("|")]
+            verdicts[cells[1], cells[2]] = [cell.partition(":")[0] for cell in cells[3:9]]
+    for name in HOME:
+        held = ["held"] * 6 if name.startswith("edf") else ["lost"] * 6
+        assert verdicts[name, PLANNED] == held, name
+        assert verdicts[name, OPPOSITE] == ["lost" if name == "turbine-220" else "held"] * 6, name
+    assert set(verdicts["turbine-220", SOONER]) == {"held", "lost"}
+    assert verdicts["p220-2025", PLANNED] == ["held"] * 6
+    # "half the mass, or a rolling inertia half as large again, would not be enough either", at full scale
+    for name in ("turbine-100", "p220", "turbine-220"):
+        assert float(throttles[name][5].removeprefix("over ").rstrip("°")) > 80.0
+        assert float(throttles[name][6]) > 1.5
+
+
+def test_the_pages_are_written_between_their_marks(tmp_path: Path) -> None:
+    for page in PAGES:
+        marks = "".join(f"<!-- measured: {name} -->\n<!-- end -->\n" for name in TABLES)
+        (tmp_path / page).write_text(f"# Before\n{marks}after\n", encoding="utf-8")
+    found = engine_out(("hexjet",), ("edf", "p220"), DESIGNS, 1)
+    write_pages(found, tmp_path)
+    text = (tmp_path / "faults.md").read_text(encoding="utf-8")
+    assert text.startswith("# Before\n")
+    assert text.endswith("after\n")
+    assert "| hexjet | edf | planned around | held: " in text
+    assert "| hexjet | p220 | cannot stay down: " in text
+    assert len(rows(found, ("hexjet",))["engine-out"]) == len(MEANS)
