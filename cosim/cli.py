@@ -284,6 +284,14 @@ def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
     help="udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or serial:DEVICE[:BAUD].  "
     "[default: udpout to 127.0.0.1, ports 14550 and 14540]",
 )
+@click.option(
+    "--system",
+    type=int,
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Its MAVLink id, 1 to 250: several vehicles beside each other need one each.",
+)
 @click.option("--public", is_flag=True, help="Let udpin and tcpin listen to the network and not to this machine alone.")
 @click.option(
     "--sign-key", type=click.Path(path_type=Path), metavar="FILE", help="Sign, and refuse what is not signed with it."
@@ -319,6 +327,7 @@ def gcs(
     unchecked_engine: bool,
     place: str | None,
     links: tuple[str, ...],
+    system: int,
     public: bool,
     sign_key: Path | None,
     personality: Any,
@@ -334,7 +343,7 @@ def gcs(
     Every flight leaves a run's folder, with telemetry.tlog and with requests.jsonl: hexjet fly on its scenario.toml
     repeats it without a ground station.  Status 1: the last flight failed.
     """
-    from cosim.console import live_line, output_to_stderr, print_gcs
+    from cosim.console import live_line, output_to_stderr, print_gcs, print_session
     from cosim.gcs import Session, place_at, stopped_by_signals, vehicle_key
     from cosim.links import Links
     from cosim.pilot_store import default_file
@@ -346,8 +355,9 @@ def gcs(
     if place is not None:
         changes["environment"] = place_at(place)
     flown = flown.replace(**changes)
-    kept = None if str(parameters) == "none" else parameters or default_file(vehicle_key(flown))
-    with output_to_stderr(as_json), Links(links, public, sign_key, personality, web) as opened:
+    own = vehicle_key(flown) if system == 1 else f"{vehicle_key(flown)}-system-{system}"
+    kept = None if str(parameters) == "none" else parameters or default_file(own)
+    with output_to_stderr(as_json), Links(links, public, sign_key, personality, web, system) as opened:
         session = Session(
             flown,
             opened.exchange,
@@ -361,8 +371,11 @@ def gcs(
         print_gcs(session, opened, to_stderr=as_json)
         with stopped_by_signals(session), live_line(opened, quiet=as_json):
             runs = session.run()
+        counts = opened.counts
+    print_session(runs, counts, to_stderr=as_json)
     if as_json:
-        click.echo(json.dumps({"runs": [run.summary.model_dump(mode="json") for run in runs]}, allow_nan=False))
+        found = {"runs": [run.summary.model_dump(mode="json") for run in runs], "links": counts}
+        click.echo(json.dumps(found, allow_nan=False))
     return DONE if runs[-1].outcome == "completed" else FLIGHT_FAILED
 
 

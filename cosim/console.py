@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -472,6 +472,7 @@ def print_gcs(session: Session, links: Links, to_stderr: bool) -> None:
     rows = [
         ("vehicle", f"{scenario.aircraft}, engine {scenario.engine}, controller {scenario.controller}"),
         ("place", f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, {place.ground_m:g} m above the sea"),
+        ("system", str(links.system)),
         *[("MAVLink", _where(url)) for url in links.urls],
         *([("page", links.page)] if links.page else []),
         ("parameters", f"{session.parameters or 'not kept'}"),
@@ -481,6 +482,32 @@ def print_gcs(session: Session, links: Links, to_stderr: bool) -> None:
     for label, value in rows:
         console.print(f"{label:11} {value}", highlight=False, soft_wrap=True, markup=False)
     console.print("ready; Ctrl-C ends it", highlight=False)
+
+
+def print_session(runs: Sequence[Run], counts: Mapping[str, Any], to_stderr: bool) -> None:
+    """How a session went, in a line."""
+    print(session_line(runs, counts), file=sys.stderr if to_stderr else sys.stdout)
+
+
+def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
+    """Flights and how the last one ended, steps that were late, what the links refused, and how to fly it again."""
+    last = runs[-1]
+    paced = [run.summary.pacing for run in runs if run.summary.pacing is not None]
+    refused = {reason.replace("_", " "): count for reason, count in counts["refused"].items() if count}
+    why = f" ({', '.join(f'{count} {reason}' for reason, count in sorted(refused.items()))})" if refused else ""
+    signatures = sum(refused.get(reason, 0) for reason in ("signature", "unsigned", "replay"))
+    faults = counts["failures"]
+    return "; ".join(
+        [
+            f"{len(runs)} flight{'s' if len(runs) > 1 else ''}, the last {last.outcome}: {last.reason}",
+            f"{sum(each.missed_deadlines for each in paced)} steps late" if paced else "not paced",
+            f"{counts['taken']} frames taken, {sum(refused.values())} refused{why}",
+            f"{signatures} bad signatures",
+            *([f"{sum(faults.values())} faults of the links, the first: {next(iter(faults))}"] if faults else []),
+            f"recorded in {' '.join(str(run.folder) for run in runs)}",
+            f"again: hexjet fly {last.folder}/scenario.toml",
+        ]
+    )
 
 
 def _where(url: str) -> str:
@@ -529,9 +556,11 @@ def _state(links: Links) -> str:
     state = "armed" if status.armed else "disarmed"
     speed = "" if pace.reached is None else f"  {pace.reached:.2f} x"
     missed = f"  deadlines missed {pace.missed} of {pace.steps}" if pace.factor else ""
+    count = sum(links.link.refused.values())
+    refused = f"  frames refused {count}" if count else ""
     return (
         f"{snapshot.time:8.1f} s  {status.mode.value} {state}  {snapshot.measured.altitude:6.1f} m"
-        f"  stations {links.heard}{speed}{missed}"
+        f"  stations {links.heard}{speed}{missed}{refused}"
     )
 
 

@@ -194,8 +194,9 @@ class Exchange:
 
     def say(self, severity: Severity, text: str, k: int = 0) -> None:
         """A line for the people on the ground; goes out with the next snapshot."""
-        self._said += 1
-        self._messages = (*self._messages[1 - KEPT_MESSAGES :], Message(self._said, k, severity, text))
+        with self._lock:
+            self._said += 1
+            self._messages = (*self._messages[1 - KEPT_MESSAGES :], Message(self._said, k, severity, text))
 
     def publish(
         self,

@@ -260,3 +260,19 @@ def new_folder(parent: Path, name: str) -> Path:
     while (folder := parent / f"{name}-{number:03d}").exists():
         number += 1
     return folder
+
+
+def reserve_folder(parent: Path, name: str) -> Path:
+    """As :func:`new_folder`, and made at once: two that ask at the same time get two.  Raises InputError."""
+    while True:
+        folder = new_folder(parent, name)
+        try:
+            parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir()
+        except FileExistsError:
+            if not parent.is_dir():
+                raise InputError(f"{parent}: is no folder") from None
+        except OSError as error:
+            raise InputError(f"{folder}: {error.strerror or error}") from error
+        else:
+            return folder

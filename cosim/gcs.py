@@ -21,7 +21,7 @@ from typing import Any
 
 from cosim.errors import FlightError, InputError
 from cosim.exchange import Asked, Exchange, Facts, Restart, Shutdown
-from cosim.flight import new_folder, record
+from cosim.flight import record, reserve_folder
 from cosim.geodesy import Geodesy
 from cosim.pace import Pace
 from cosim.pilot.autopilot import Autopilot, Status
@@ -33,7 +33,7 @@ from cosim.pilot_record import PilotRecord
 from cosim.pilot_store import ParameterStore
 from cosim.piloted import with_autopilot
 from cosim.replay import REQUESTS, RequestLog
-from cosim.run import AUTOPILOT, Recording, Run
+from cosim.run import AUTOPILOT, Recording, Run, claim_folder
 from cosim.scenario import Scenario, is_file
 from cosim.signals import Sample
 from cosim.simulation import Ending, Observer, Simulation, build
@@ -53,9 +53,10 @@ class Session:
     """Flights on request, each recorded in a folder of its own.
 
     ``factor``: of real time, None as fast as it goes.  ``out``: the first run's folder, or None for new ones in
-    ``runs/``; a restart goes to ``OUT-2``, ``OUT-3``...  ``parameters``: a TOML file that parameters are read from, and
-    written to whenever one is changed.  ``duration`` [s of flight] ends the session; without it :meth:`stop` does.
-    ``begun`` is called when a flight's folder is there, ``over`` when a flight is done with.
+    ``runs/``; a restart goes to the next of ``OUT-2``, ``OUT-3``... that is free.  ``parameters``: a TOML file that
+    parameters are read from, and written to whenever one is changed.  ``duration`` [s of flight] ends the session;
+    without it :meth:`stop` does.  ``begun`` is called when a flight's folder is there, ``over`` when a flight is done
+    with.
     Raises InputError for a scenario that cannot be flown, and for a file of parameters that cannot be used.
     """
 
@@ -83,6 +84,7 @@ class Session:
         self._keeper = _Keeper(parameters, vehicle_key(scenario), lambda text: exchange.say(Severity.WARNING, text))
         self._stopping = ""
         self._restart = False
+        self._numbered = 1  # of the last folder beside ``out``
         self._next: _Flight | None = self._build()  # what is wrong with the input is said before any link opens
 
     @property
@@ -138,9 +140,17 @@ class Session:
         return _Flight(simulation, pilot, facts, Pace(simulation.dt, self.factor))
 
     def _folder(self, number: int) -> Path:
+        """The run's folder, made, so that what is wrong with it is said before anybody connects."""
         if self._out is None:
-            return new_folder(Path("runs"), f"gcs-{self.scenario.aircraft}")
-        return self._out if number == 1 else self._out.with_name(f"{self._out.name}-{number}")
+            return reserve_folder(Path("runs"), f"gcs-{self.scenario.aircraft}")
+        if number == 1:
+            claim_folder(self._out)
+            return self._out
+        # a folder that holds another run already is left alone: a vehicle that is asked to reboot must come back
+        self._numbered = max(number, self._numbered + 1)
+        while (folder := self._out.with_name(f"{self._out.name}-{self._numbered}")).exists():
+            self._numbered += 1
+        return folder
 
     def _fly(self, flight: _Flight) -> Ending:
         simulation, exchange = flight.simulation, self.exchange
@@ -175,7 +185,8 @@ class Session:
     def _between(self, flight: _Flight, k: int) -> Ending | None:
         """What was asked since the last step, within bounds; the end of the flight, if that is asked."""
         if self._stopping:
-            return Ending("completed", self._stopping)
+            flies = flight.pilot.armed and flight.pilot.status.landed is not LandedState.ON_GROUND
+            return Ending("completed", f"{self._stopping}{' in the air' if flies else ''}")
         until = 0.0
         for _ in range(_MOST_A_STEP):
             taken = self.exchange.take(1)

@@ -6,7 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
+from cosim.errors import InputError
 from cosim.exchange import Exchange, Facts, Restart, Shutdown
 from cosim.gcs import Onlookers
 from cosim.mavlink import endpoint
@@ -23,6 +25,7 @@ from cosim.mavlink.snapshot import About, Personality, Predicting, Snapshot
 from cosim.mavlink.tlog import Log
 from cosim.mavlink.vehicle import Vehicle
 from cosim.pilot.autopilot import Status
+from cosim.pilot.modes import Severity
 from cosim.pilot.requests import MissionItem, Request
 from cosim.replay import REQUESTS
 from cosim.run import TELEMETRY
@@ -32,8 +35,8 @@ class Links:
     """Opens the links of ``urls`` (without any: the two that ground stations listen to) and the page.
 
     Nothing is said on them before the first flight begins.  ``public``: servers may listen to the network.
-    ``sign_key``: a file with the key.  ``web``: the page's port, None for no page.  Raises InputError for a URL, key
-    or port that cannot be used.
+    ``sign_key``: a file with the key.  ``web``: the page's port, None for no page.  ``system``: the vehicle's MAVLink
+    id, by which stations tell several apart.  Raises InputError for a URL, key, port or id that cannot be used.
     """
 
     def __init__(
@@ -43,13 +46,19 @@ class Links:
         sign_key: Path | None = None,
         personality: Personality = "px4",
         web: int | None = None,
+        system: int = 1,
     ) -> None:
+        if system not in endpoint.SYSTEMS:
+            most = endpoint.SYSTEMS[-1]
+            raise InputError(f"--system {system}: must be from 1 to {most}; ground stations have the ids above")
         self.exchange = Exchange()
-        self.endpoints = [endpoint.parse(url, public) for url in urls or endpoint.DEFAULT]
+        self.system = system
+        self.endpoints = [endpoint.parse(url, public) for url in urls or endpoint.default(system)]
         self._personality = personality
         signing = None if sign_key is None else Signing(read_key(sign_key))
         self._port = _Port(self.exchange)
-        self.link = Link(self.endpoints, signing=signing)
+        self.link = Link(self.endpoints, system, signing=signing)
+        self.link.tell = lambda text: self.exchange.say(Severity.WARNING, text)
         self._page = None
         self._vehicle: Vehicle | None = None
         self._parameters: ParameterService | None = None
@@ -83,11 +92,22 @@ class Links:
         """Ground stations that have sent something."""
         return sum(peer.heard >= 0.0 for peer in self.link.peers)
 
+    @property
+    def counts(self) -> dict[str, Any]:
+        """What the links have taken, what they have refused and why, and what went wrong here."""
+        link = self.link
+        return {
+            "taken": link.taken,
+            "refused": dict(link.refused),
+            "turned_away": self.exchange.turned_away,
+            "failures": dict(link.failures),
+        }
+
     def begin(self, facts: Facts) -> None:
         """A flight begins: its telemetry goes to its folder."""
         self._folder = facts.folder
         if facts.folder is not None and facts.folder.is_dir():
-            self._record(Log(facts.folder / TELEMETRY))
+            self._record(Log(facts.folder / TELEMETRY, self.system))
         if self._vehicle is None:
             self._start(facts)
         elif self._parameters is not None:
@@ -121,7 +141,7 @@ class Links:
         self.close()
 
     def _start(self, facts: Facts) -> None:
-        about = about_of(facts, self._personality)
+        about = about_of(facts, self._personality, self.system)
         vehicle = self._vehicle = Vehicle(about, self._port, self.link, endings=(Restart(), Shutdown()))
         page = self._page
         if page is not None:
@@ -221,7 +241,7 @@ class _Port(MavlinkExchange):
         return snapshot.status if snapshot is not None else None
 
 
-def about_of(facts: Facts, personality: Personality) -> About:
+def about_of(facts: Facts, personality: Personality, system: int = 1) -> About:
     """What the telemetry needs to know of a vehicle."""
     vehicle, sensors = facts.vehicle, facts.vehicle.sensors
     return About(
@@ -230,6 +250,7 @@ def about_of(facts: Facts, personality: Personality) -> About:
         vehicle.name,
         _version(),
         personality,
+        system,
         tilt_range=vehicle.servo.range_rad if vehicle.servo else float("nan"),
         full_thrust=tuple(spec.curve.thrust[-1] for spec in facts.stations),
         fuel_capacity=vehicle.fuel.mass_kg if vehicle.fuel else float("nan"),

@@ -8,6 +8,7 @@ which was killed is finished by :func:`open_run`.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -271,11 +272,7 @@ def begin_run(
     """
     if folder is None:
         return Recording(setup, scenario, sink or MemorySink())
-    try:
-        _refuse_if_used(folder, files or {})
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: {error.strerror or error}") from error
+    claim_folder(folder, files or {})
     stream = StreamSink(folder / STREAM, setup.model_dump_json())
     try:
         for name, source in (files or {}).items():
@@ -286,6 +283,17 @@ def begin_run(
         stream.path.unlink(missing_ok=True)
         raise InputError(str(error)) from error
     return Recording(setup, scenario, stream, background)
+
+
+def claim_folder(folder: Path, files: Mapping[str, Path | bytes] | None = None) -> None:
+    """Make a run's folder if need be.  Raises InputError if it already holds a run or cannot be written to."""
+    try:
+        _refuse_if_used(folder, files or {})
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror or error}") from error
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"{folder}: cannot be written to")
 
 
 def open_run(folder: Path | str) -> Run:

@@ -11,6 +11,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from hashlib import sha256
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,8 @@ import numpy as np
 import pytest
 from patience import PATIENCE
 
+from cosim.errors import InputError
+from cosim.flight import reserve_folder
 from cosim.mavlink.dialect import mav
 from cosim.run import open_run
 
@@ -30,7 +34,8 @@ ACCEPTED, REJECTED = 0, 1
 class Station:
     """A ground station with one thought at a time."""
 
-    def __init__(self, port: int, system: int = 255) -> None:
+    def __init__(self, port: int, system: int = 255, target: int = 1) -> None:
+        self.target = target
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.settimeout(0.05)
         self.socket.connect(("127.0.0.1", port))
@@ -67,7 +72,7 @@ class Station:
             self.read()
 
     def command(self, number: int, *p: float) -> int:
-        self.send(mav.MAVLink_command_long_message(1, 1, number, 0, *p, *[nan] * (7 - len(p))))
+        self.send(mav.MAVLink_command_long_message(self.target, 1, number, 0, *p, *[nan] * (7 - len(p))))
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             for message in self.read():
@@ -104,8 +109,8 @@ def station_at() -> Iterator[Callable[..., Station]]:
     """Makes ground stations, and closes them."""
     made: list[Station] = []
 
-    def make(port: int, system: int = 255) -> Station:
-        made.append(Station(port, system))
+    def make(port: int, system: int = 255, target: int = 1) -> Station:
+        made.append(Station(port, system, target))
         return made[-1]
 
     yield make
@@ -260,6 +265,9 @@ def test_several_stations_are_served_whatever_one_of_them_does(vehicle: Any, sta
         (["--aircraft", "zeppelin"], "zeppelin"),
         (["--duration", "0.0011"], "duration_s"),
         (["--rtf", "-1"], "--rtf"),
+        (["--system", "0"], "--system 0: must be from 1 to 250"),
+        (["--system", "255"], "--system 255: must be from 1 to 250"),
+        (["--system", "two"], "--system"),
     ],
 )
 def test_wrong_input_is_told_in_one_line(tmp_path: Path, arguments: list[str], said: str) -> None:
@@ -305,3 +313,102 @@ def test_a_scripted_flight_is_seen_over_mavlink(tmp_path: Path) -> None:
     assert max(rolls) > 0.1
     assert min(rolls) < -0.1
     assert (tmp_path / "run" / "telemetry.tlog").stat().st_size > 1000
+
+
+def test_a_folder_that_is_refused_is_refused_before_it_says_that_it_is_ready(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "summary.json").write_text("{}")
+    (tmp_path / "file").write_text("")
+    for out, said in ((run, "already holds a run"), (tmp_path / "file", "File exists")):
+        done = subprocess.run(
+            [*HEXJET, "gcs", "--mavlink", "udpin:127.0.0.1:0", "--out", str(out)],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            timeout=PATIENCE,
+        )
+        assert (done.returncode, done.stdout) == (2, "")
+        assert said in done.stderr
+        assert done.stderr.count("\n") == 1
+
+
+def test_a_session_ends_with_a_line_that_tells_how_it_went(vehicle: Any, station_at: Any, tmp_path: Path) -> None:
+    """Two flights, a folder beside them that is taken already, frames that were refused, and how to fly it again."""
+    (tmp_path / "run-2").mkdir()
+    key = tmp_path / "key"
+    key.write_text("a pass phrase")
+    process, port = vehicle("--sign-key", str(key))
+    foe = station_at(port)
+    station = station_at(port)
+    station.mav.signing.secret_key = sha256(b"a pass phrase").digest()
+    station.mav.signing.sign_outgoing = True
+    station.mav.signing.timestamp = int((time.time() - 1420070400.0) * 1e5)
+    for _ in range(3):
+        foe.send(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3))
+    foe.socket.send(b"\xfd\x01nonsense that is no frame")
+    station.until(Station.ready)
+    station.until(lambda s: any("3 frames without a signature refused" in text for text in s.texts))
+    assert station.command(REBOOT, 1.0) == ACCEPTED
+    station.until(lambda s: "flight 2: hexjet" in s.texts)
+    del station.last["SYS_STATUS"]  # of the flight before
+    station.take_off()
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=PATIENCE)
+    (line,) = [each for each in out.splitlines() if "again: hexjet fly" in each]
+    assert out.endswith(f"{line}\n")
+    run, later = tmp_path / "run", tmp_path / "run-3"
+    told = re.fullmatch(
+        r"2 flights, the last completed: stopped by SIGINT in the air; (\d+) steps late; (\d+) frames taken, "
+        r"(\d+) refused \((.*)\); 3 bad signatures; "
+        rf"recorded in {run} {later}; again: hexjet fly {later}/scenario.toml",
+        line,
+    )
+    assert told, line
+    assert "3 unsigned" in told[4]
+    assert int(told[3]) == sum(int(each.split()[0]) for each in told[4].split(", ")) > 3
+    assert int(told[2]) > 3
+    missed = [open_run(each).summary.pacing for each in (run, later)]
+    assert int(told[1]) == sum(each.missed_deadlines for each in missed if each is not None)
+
+
+def test_two_vehicles_fly_beside_each_other(vehicle: Any, station_at: Any, tmp_path: Path) -> None:
+    """One command for both stations' ports is obeyed by the vehicle whose id it carries, and by no other."""
+    both = [vehicle("--system", str(n), "--out", str(tmp_path / f"of{n}")) for n in (1, 2)]
+    stations = [station_at(port, target=n) for n, (_, port) in enumerate(both, 1)]
+    with ThreadPoolExecutor(2) as pool:  # each is read all the time
+        list(pool.map(lambda station: station.until(lambda s: s.ready() and "HEARTBEAT" in s.last), stations))
+        for n, station in enumerate(stations, 1):
+            assert station.last["HEARTBEAT"].get_srcSystem() == n
+        # what is meant for the first is not taken by the second, and not answered
+        other = stations[1]
+        for number in (ARM, TAKEOFF):
+            other.send(mav.MAVLink_command_long_message(1, 1, number, 0, 1.0, *[nan] * 6))
+        other.send(mav.MAVLink_ping_message(7, 7, 0, 0))
+        other.until(lambda s: "PING" in s.last)
+        assert not other.armed
+        assert "COMMAND_ACK" not in other.last
+        list(pool.map(Station.take_off, stations))
+        list(pool.map(Station.land, stations))
+    for n, (process, _) in enumerate(both, 1):
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE) == 0
+        folder = tmp_path / f"of{n}"
+        assert open_run(folder).outcome == "completed"
+        asked = [json.loads(line)["request"] for line in (folder / "requests.jsonl").read_text().splitlines()]
+        assert [asked.count(kind) for kind in ("Arm", "Takeoff", "Land")] == [1, 1, 1]
+        data, at, systems = (folder / "telemetry.tlog").read_bytes(), 0, set()
+        while at < len(data):
+            systems.add(data[at + 8 + 5])
+            at += 8 + 12 + data[at + 9]
+        assert systems == {n, 255}
+
+
+def test_sessions_that_begin_at_once_have_a_folder_each(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda _: reserve_folder(Path("runs"), "gcs-hexjet"), range(24)))
+    assert sorted(path.name for path in found) == [f"gcs-hexjet-{n:03d}" for n in range(1, 25)]
+    Path("taken").write_text("")
+    with pytest.raises(InputError, match="taken"):
+        reserve_folder(Path("taken"), "gcs-hexjet")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from math import nan, pi
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 from mavlink_tools import ABOUT, GEODESY, Bench, Desk, command, status
 
+from cosim.errors import InputError
 from cosim.mavlink.commands import KNOWN
 from cosim.mavlink.dialect import mav
 from cosim.mavlink.exchange import PATIENCE
@@ -252,6 +254,29 @@ def test_set_home_at_a_place(desk: Desk) -> None:
     assert ack == ACCEPTED
     assert isinstance(home, SetHome)
     assert (home.north, home.east, home.altitude) == pytest.approx((50.0, -20.0, 30.0), abs=0.02)
+
+
+def test_a_place_that_is_too_far_is_told_in_kilometres(desk: Desk) -> None:
+    from cosim.mavlink.commands import PLACE_MAX
+
+    SetHome(PLACE_MAX, -PLACE_MAX)  # the pilot's own limit
+    with pytest.raises(InputError):
+        SetHome(PLACE_MAX + 1.0, 0.0)
+    for number in (179, 192):
+        assert result(desk, command_int(number, 0, 0.0, x=466000000, y=66000000, z=42.0)) == (DENIED, [])
+        told = "".join(m.text for m in desk.named("STATUSTEXT"))
+        assert re.search(r"46\.6, 6\.6 is \d+ km from where the flight began; 100 km is the most", told), told
+
+
+def test_the_origin_is_told_and_stays(desk: Desk) -> None:
+    """DO_SET_GLOBAL_ORIGIN is answered, with the origin that there is, whatever it asks for."""
+    here = command_int(611, 0, 0.0, x=223500000, y=1135900000, z=12.0)
+    elsewhere = command_int(611, 0, 0.0, x=223600000, y=1135900000, z=12.0)
+    for message, wanted in ((here, ACCEPTED), (elsewhere, DENIED), (command(611), DENIED)):
+        assert result(desk, message) == (wanted, [])
+        (origin,) = desk.named("GPS_GLOBAL_ORIGIN")
+        assert (origin.latitude, origin.longitude) == (223500000, 1135900000)
+        assert bool(desk.named("STATUSTEXT")) == (wanted == DENIED)
 
 
 @pytest.mark.parametrize("personality", ["ardupilot", "generic"])

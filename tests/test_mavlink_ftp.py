@@ -8,6 +8,7 @@ import math
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from threading import Event, current_thread
 from typing import Any, NamedTuple
 
 import pytest
@@ -441,7 +442,7 @@ def test_no_runs_is_a_list_of_none(tmp_path: Path) -> None:
     try:
         station = Bench(LogService(shelf)).station()
         station.send("LOG_REQUEST_LIST", *TO, 0, 0xFFFF)
-        entry = station.wait("LOG_ENTRY")
+        entry = patient(station)
         assert (entry.id, entry.num_logs, entry.size) == (0, 0, 0)
     finally:
         shelf.close()
@@ -450,7 +451,7 @@ def test_no_runs_is_a_list_of_none(tmp_path: Path) -> None:
 class Ready:
     """A shelf whose logs are there."""
 
-    making = False
+    making = looking = False
 
     def __init__(self, tmp_path: Path, *sizes: int) -> None:
         from cosim.mavlink.logs import Log
@@ -461,7 +462,7 @@ class Ready:
             path.write_bytes(bytes(i * 7 % 251 for i in range(size)))
             self.logs.append(Log(number, path, 1, OnDisk(path)))
 
-    def look(self) -> None: ...
+    def look(self, now: float) -> None: ...
 
     def work(self, now: float) -> None: ...
 
@@ -534,15 +535,52 @@ def test_erase_erases_nothing_and_requests_are_bounded(tmp_path: Path) -> None:
     assert len(service._reads) == 15
 
 
+def look(shelf: Shelf, now: float) -> None:
+    """Let it look for runs, and wait until it has."""
+    shelf.look(now)
+    while shelf.looking:
+        shelf._take_in(now)
+
+
+def test_lists_that_are_asked_for_again_and_again_read_no_files_and_hold_up_nobody(tmp_path: Path) -> None:
+    """The folders are read in another thread, once in a while; who asks meanwhile gets the list when it is there."""
+    reads, go_on = [], Event()
+
+    def slow() -> list[Path]:
+        reads.append(current_thread().name)
+        go_on.wait(60.0)
+        return []
+
+    shelf = Shelf(slow)
+    try:
+        station = Bench(LogService(shelf)).station()
+        for _ in range(50):
+            station.send("LOG_REQUEST_LIST", *TO, 0, 0xFFFF)
+            station.bench.tick(0.02)
+        assert not station.inbox
+        go_on.set()
+        assert patient(station).num_logs == 0
+        for _ in range(50):
+            station.send("LOG_REQUEST_LIST", *TO, 0, 0xFFFF)
+            station.bench.tick(0.02)
+        assert reads == ["logs"]
+        assert len(station.take("LOG_ENTRY")) == 50
+    finally:
+        go_on.set()
+        shelf.close()
+
+
 def test_of_many_runs_the_newest_are_kept_and_numbers_stay(tmp_path: Path) -> None:
     here: list[Path] = [tmp_path / f"run{number}" for number in range(FIRST_LOGS + 5)]
     shelf = Shelf(lambda: here)
     try:
-        shelf.look()
+        look(shelf, 0.0)
         assert [log.run.name for log in shelf.logs] == [f"run{number}" for number in range(5, FIRST_LOGS + 5)]
         here.append(tmp_path / "later")
-        shelf.look()
-        shelf.look()
+        look(shelf, 1.0)  # too soon
+        assert len(shelf.logs) == FIRST_LOGS
+        look(shelf, 10.0)  # and not too soon
+        look(shelf, 20.0)
         assert [log.number for log in shelf.logs] == list(range(FIRST_LOGS + 1))
         assert shelf.logs[-1].run.name == "later"
     finally:

@@ -8,13 +8,16 @@ import time
 import tty
 from collections import Counter
 from collections.abc import Callable, Iterator
+from importlib.util import module_from_spec, spec_from_file_location
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
 from mavlink_tools import Bench, Desk, Udp, command
 from test_mavlink_link import Flight, Tcp, until
 
+from cosim.marks import parts_of
 from cosim.mavlink import channel, connection, serial_port
 from cosim.mavlink.channel import MOST_PEERS
 from cosim.mavlink.dialect import mav, pack
@@ -489,3 +492,23 @@ def test_a_port_opens_and_closes_twice() -> None:
         link.close()
         link.close()
     made.close()
+
+
+def test_docs_ground_station_md_states_what_a_line_carries() -> None:
+    """A row of the table in docs/ground-station.md, made again: the clock is counted, so it is the same everywhere."""
+    root = Path(__file__).parents[1]
+    made = spec_from_file_location("ground_station", root / "benchmarks" / "ground_station.py")
+    assert made is not None
+    assert made.loader is not None
+    bench = module_from_spec(made)
+    made.loader.exec_module(bench)
+    page = parts_of((root / "docs" / "ground-station.md").read_text(encoding="utf-8"), "docs/ground-station.md")
+    (row,) = [line for line in page["lines"].splitlines() if line.startswith("| 57600 |")]
+    told = [float(cell) for cell in row.strip("| ").split(" | ")]
+    rates, carried, late = bench.line(57600)
+    assert told[1] == 5760
+    assert told[2] == pytest.approx(carried, abs=0.5)
+    # two digits are written
+    assert told[3:8] == pytest.approx([rates[name] for name in bench.SHOWN], rel=0.05)
+    assert told[8] == pytest.approx(max(late), abs=0.006)
+    assert max(late) < 0.2

@@ -137,16 +137,26 @@ def test_what_engines_do_not_say_is_not_made_up() -> None:
     silent = sample().engines._replace(spool_speed=(nan,) * 6, exhaust_temperature=(nan,) * 6, fuel_flow=(nan,) * 6)
     view = View(ABOUT, Snapshot(sample(engines=silent), status()), Since())
     built = {stream.name: stream.build(view) for stream in STREAMS}
-    assert built["ESC_STATUS"] == built["ESC_INFO"] == built["RAW_RPM"] == []
+    assert built["ESC_STATUS"] == built["RAW_RPM"] == []  # speeds that are not known
+    assert [message.info for message in built["ESC_INFO"]] == [0b1111, 0b11]  # but which engines live, is
     assert all(isnan(m.rpm) and isnan(m.fuel_flow) and isnan(m.exhaust_gas_temperature) for m in built["EFI_STATUS"])
     assert built["NAMED_VALUE_FLOAT"] == built["DEBUG_FLOAT_ARRAY"] == []  # no predictor flies
 
 
 def test_energy_by_tank_or_by_battery(desk: Desk) -> None:
     fuel = fields(
-        desk, "FUEL_STATUS", "maximum_fuel", "consumed_fuel", "remaining_fuel", "percent_remaining", "flow_rate"
+        desk,
+        "FUEL_STATUS",
+        "maximum_fuel",
+        "consumed_fuel",
+        "remaining_fuel",
+        "percent_remaining",
+        "flow_rate",
+        "fuel_type",
     )
-    assert fuel == pytest.approx([1.0, 0.25, 0.75, 75, 0.003])
+    # 2 kg when full, 1.5 kg left, six engines at 1 g/s: ml and ml/s of 0.808 kg/l, MAV_FUEL_TYPE_LIQUID
+    full = 2.0 / 0.808 * 1e3
+    assert fuel == pytest.approx([full, 0.25 * full, 0.75 * full, 75, 0.006 / 0.808 * 1e3, 1])
     assert fields(desk, "BATTERY_STATUS", "battery_remaining") == [-1]
     electric = View(replace(ABOUT, fuel_capacity=nan), Snapshot(sample(), status(remaining=0.4)), Since())
     built = {stream.name: stream.build(electric) for stream in STREAMS}
@@ -395,8 +405,10 @@ def test_ping_and_timesync(desk: Desk) -> None:
     (sync,) = desk.ask(mav.MAVLink_timesync_message(0, 123456789))
     assert (sync.tc1, sync.ts1) == (1_000_000_000, 123456789)
     assert desk.ask(mav.MAVLink_timesync_message(5, 6)) == []
-    (origin,) = desk.ask(mav.MAVLink_set_gps_global_origin_message(1, 1, 2, 3))
+    origin, *why = desk.ask(mav.MAVLink_set_gps_global_origin_message(1, 1, 2, 3))
     assert (origin.latitude, origin.longitude) == (223500000, 1135900000)
+    assert "".join(piece.text for piece in why).startswith("the origin stays where the flight began")
+    assert len(desk.ask(mav.MAVLink_set_gps_global_origin_message(1, 223500000, 1135900000, 12000))) == 1
 
 
 def test_an_echo_of_its_own_is_no_command(bench: Bench) -> None:

@@ -194,6 +194,21 @@ def test_the_parts_of_others_are_as_stated() -> None:
 # --- who may -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "NONSENSE"])
+def test_only_get_is_answered_with_a_page(flown: Flown, method: str) -> None:
+    port = flown.web.port
+    with socket.create_connection(("127.0.0.1", port)) as asking:
+        asking.settimeout(60.0)
+        asking.sendall(f"{method} / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n".encode())
+        answer = b""
+        while part := asking.recv(4096):
+            answer += part
+    head = answer.split(b"\r\n\r\n")[0]
+    assert head.startswith(b"HTTP/1.1 405 "), head
+    assert b"\r\nAllow: GET" in head
+    assert b"token" not in answer
+
+
 def test_another_name_for_this_machine_is_refused(flown: Flown) -> None:
     """A foreign name that resolves to the loopback makes a foreign page of the same origin: no page, no token."""
     port = flown.web.port

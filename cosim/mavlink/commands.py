@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from enum import IntEnum
-from math import isfinite, radians, remainder, tau
+from math import hypot, isfinite, radians, remainder, tau
 from typing import Any, NamedTuple
 
 from cosim.errors import InputError
@@ -16,7 +16,7 @@ from cosim.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, from_custom, from_m
 from cosim.mavlink.peer import Peer
 from cosim.mavlink.snapshot import About, Snapshot
 from cosim.mavlink.streams import BY_ID, FASTEST, interval
-from cosim.mavlink.telemetry import View, mode_line
+from cosim.mavlink.telemetry import View, gps_global_origin, mode_line
 from cosim.pilot.modes import Mode
 from cosim.pilot.requests import (
     Arm,
@@ -56,6 +56,10 @@ GLOBAL, LOCAL_NED, RELATIVE, GLOBAL_INT, RELATIVE_INT = 0, 1, 3, 5, 6  # MAV_FRA
 ABSOLUTE_FRAMES, RELATIVE_FRAMES = (GLOBAL, GLOBAL_INT), (RELATIVE, RELATIVE_INT)
 _NOT_GIVEN = 0x7FFFFFFF  # x and y of COMMAND_INT
 FORCE = 21196.0  # p2 of COMPONENT_ARM_DISARM
+
+PLACE_MAX = 100e3  # m north or east of the origin: what the pilot's requests take
+ORIGIN_NEAR = 1.0  # m: what rounding to 1e-7 deg and a station's own numbers may be off by; chosen by us
+ORIGIN_FIXED = "the origin stays where the flight began; --place puts it elsewhere"
 
 # INJECT_FAILURE; how bad a failure is that has no number is chosen by us, so that it is felt and can be flown with.
 _MOTOR, _SERVO = 101, 102
@@ -288,7 +292,11 @@ def _local(place: tuple[float, float], context: Context, above: float | None = N
         raise InputError(f"{lat:g}, {lon:g} is no latitude and longitude")
     geodesy = context.about.geodesy
     height = geodesy.ground + (context.view.altitude if above is None else above)
-    return geodesy.to_local(lat, lon, height)[:2]
+    north, east = geodesy.to_local(lat, lon, height)[:2]
+    if max(abs(north), abs(east)) > PLACE_MAX:
+        far, most = hypot(north, east) / 1e3, PLACE_MAX / 1e3
+        raise InputError(f"{lat:g}, {lon:g} is {far:.0f} km from where the flight began; {most:.0f} km is the most")
+    return north, east
 
 
 def _altitude(order: Order, value: float, context: Context) -> float:
@@ -402,6 +410,20 @@ def _get_interval(order: Order, context: Context) -> Plan:
     return Plan(messages=(mav.MAVLink_message_interval_message(number, micro),))
 
 
+def _set_origin(order: Order, context: Context) -> Plan:
+    """DO_SET_GLOBAL_ORIGIN: it is where the flight began and stays there, so only that place is taken.  Tells it."""
+    at = context.about.geodesy
+    told = tuple(gps_global_origin(context.view))
+    if order.place is None:
+        return Plan(result=Ack.DENIED, text="origin: latitude and longitude are missing", messages=told)
+    if order.frame is not None and order.frame not in ABSOLUTE_FRAMES:
+        return Plan(result=Ack.UNSUPPORTED_FRAME, messages=told)
+    off = hypot(*at.to_local(*order.place, at.ground)[:2])
+    if off > ORIGIN_NEAR:
+        return Plan(result=Ack.DENIED, text=ORIGIN_FIXED, messages=told)
+    return Plan(messages=told)
+
+
 def _set_interval(order: Order, context: Context) -> Plan:
     """Parameter 2: us; -1 none, 0 the default.  For the station that asks."""
     number, micro = _whole(order.p[0]), order.p[1]
@@ -459,6 +481,7 @@ _HANDLERS: dict[int, Callable[[Order, Context], Plan]] = {
     512: _request_message,  # REQUEST_MESSAGE
     519: _version,  # REQUEST_PROTOCOL_VERSION
     520: _capabilities,  # REQUEST_AUTOPILOT_CAPABILITIES
+    611: _set_origin,  # DO_SET_GLOBAL_ORIGIN
 }
 KNOWN = frozenset(_HANDLERS)
 ONCE = frozenset({22, 420})  # that are not done again when an acknowledgement was lost

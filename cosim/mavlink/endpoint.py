@@ -8,14 +8,20 @@ from typing import NamedTuple
 
 from cosim.errors import InputError
 
-DEFAULT = (
-    "udpout:127.0.0.1:14550",
-    "udpout:127.0.0.1:14540",
-)  # QGroundControl listens on the first, MAVSDK on the other
+SYSTEMS = range(1, 251)  # ids of vehicles; ground stations take those above
+_SINGLE = 10  # MAVSDK's ports end with 14549, where all the others share the last one; PX4's simulation does the same
 NETWORK = ("udpout", "udpin", "tcp", "tcpin")
 LOOPBACK = "127.0.0.1"
 _BAUD = 57600  # of the usual telemetry radios
 _FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or serial:DEVICE[:BAUD]"
+
+
+def default(system: int = 1) -> tuple[str, str]:
+    """Where a vehicle sends to if nobody says otherwise, by its system id.
+
+    QGroundControl listens on 14550 to all vehicles; programs with MAVSDK to one each, 14540 the first.
+    """
+    return "udpout:127.0.0.1:14550", f"udpout:127.0.0.1:{14540 + min(system, _SINGLE) - 1}"
 
 
 class Endpoint(NamedTuple):

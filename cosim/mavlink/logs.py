@@ -15,7 +15,9 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from math import inf
 from pathlib import Path
+from threading import Thread
 
 from cosim.mavlink.dialect import Message
 from cosim.mavlink.dialect import mav as wire
@@ -25,6 +27,7 @@ from cosim.mavlink.service import MAX_CLIENTS, Client, Outgoing, Pace, Peer, Ser
 FIRST_LOGS = 20  # runs of before that are listed, the newest; chosen by us, as each has to be made
 MOST_LOGS = 200  # with those that come later
 RATE = 2500.0  # LOG_DATA a second and client: 225 kB/s, as fast as a flight at 250 Hz writes them; chosen by us
+LOOK_AGAIN = 2.0  # s before the folders are read again, however often somebody asks; chosen by us
 PATIENCE = 300.0  # s to make one log: thirty times what an hour of flight takes
 DATA = 90  # bytes in a LOG_DATA
 LOG_FOLDER = "log/"
@@ -67,8 +70,9 @@ class Log:
 class Shelf:
     """The logs of the finished runs.
 
-    ``runs``: the folders of every finished run, oldest first; asked for again at each list.  A log's number stays its
-    own: runs that come later get the next ones.
+    ``runs``: the folders of every finished run, oldest first.  It reads a file of each, so it is called in a thread of
+    its own, and again when somebody asks after a while.  A log's number stays its own: runs that come later get the
+    next ones.
     """
 
     def __init__(self, runs: Callable[[], Sequence[Path]]) -> None:
@@ -77,18 +81,42 @@ class Shelf:
         self._known: set[Path] = set()
         self._maker: tuple[subprocess.Popen[bytes], Log, float] | None = None
         self._made = 0  # how many of them are done with
+        self._search: Thread | None = None
+        self._found: Sequence[Path] = ()
+        self._looked = -inf
+        self._now = 0.0
         self.logs: list[Log] = []
 
-    def look(self) -> None:
-        """Take in the runs that are new."""
-        new = [run for run in self._runs() if run not in self._known]
+    def look(self, now: float) -> None:
+        """Set about taking in the runs that are new, if that has not just been done."""
+        if self._search is None and now - self._looked >= LOOK_AGAIN:
+            self._search = Thread(target=self._find, name="logs", daemon=True)
+            self._search.start()
+
+    @property
+    def looking(self) -> bool:
+        """Are new runs being looked for?"""
+        return self._search is not None
+
+    def _find(self) -> None:
+        with suppress(OSError):  # a folder that may not be read: as it was
+            self._found = self._runs()
+
+    def _take_in(self, now: float) -> None:
+        """What was found, once it has been found."""
+        if self._search is None or self._search.is_alive():
+            return
+        self._search, self._looked = None, now
+        new = [run for run in self._found if run not in self._known]
         first = not self._known
         self._known.update(new)
         for run in new[-FIRST_LOGS:] if first else new[: MOST_LOGS - len(self.logs)]:
             self.logs.append(Log(len(self.logs), run, _started(run)))
 
     def work(self, now: float) -> None:
-        """Take the log that is ready, and begin with the next one."""
+        """Take in the runs that were found, take the log that is ready, and begin with the next one."""
+        self._now = now
+        self._take_in(now)
         if self._maker is not None:
             process, log, began = self._maker
             code = process.poll()
@@ -114,13 +142,15 @@ class Shelf:
 
     def files(self) -> Mapping[str, File]:
         """The logs that are made as files, by path; asking for them sets about making the others."""
-        self.look()
+        self.look(self._now)
         return {f"{LOG_FOLDER}{_name(log)}": log.file for log in self.logs if log.file is not None and log.file.size}
 
     def close(self) -> None:
         """Stop, and remove every log that was made."""
         self._made = len(self.logs)
         self._stop()
+        if self._search is not None:
+            self._search.join()
         self._folder.cleanup()
 
     def _stop(self) -> None:
@@ -147,12 +177,9 @@ class LogService(Service):
         """The answers to one message; entries and data go out later."""
         kind = message.get_type()
         if kind == "LOG_REQUEST_LIST":
-            self._shelf.look()
-            last = min(message.end, len(self._shelf.logs) - 1)
-            if not self._shelf.logs:
-                return [wire.MAVLink_log_entry_message(0, 0, 0, 0, 0)]
-            if message.start <= last and (client in self._lists or len(self._lists) < MAX_CLIENTS):
-                self._lists[client] = (message.start, last)
+            self._shelf.look(now)
+            if message.start <= message.end and (client in self._lists or len(self._lists) < MAX_CLIENTS):
+                self._lists[client] = (message.start, message.end)
         elif kind == "LOG_REQUEST_DATA":
             return self._begin(message, client)
         elif kind == "LOG_REQUEST_END":
@@ -164,7 +191,10 @@ class LogService(Service):
         """Entries of the logs that are made, and the next part of every download."""
         self._shelf.work(now)
         out: Outgoing = []
-        for client, (first, last) in list(self._lists.items()):
+        for client, (first, last) in list(self._lists.items()) if not self._shelf.looking else ():
+            if not self._shelf.logs:
+                out.append((client.peer, wire.MAVLink_log_entry_message(0, 0, 0, 0, 0)))
+            last = min(last, len(self._shelf.logs) - 1)
             while first <= last and (entry := self._entry(first)) is not None:
                 out.append((client.peer, entry))
                 first += 1

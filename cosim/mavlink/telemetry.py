@@ -36,6 +36,7 @@ _BYTEWISE, _C_CAST = 16, 131072
 PARAMETER_ENCODING = {"px4": _BYTEWISE, "ardupilot": _C_CAST, "generic": 0}
 
 _LOCAL_NED, _BODY_FRD = 1, 12  # MAV_FRAME
+_LIQUID = 1  # MAV_FUEL_TYPE
 
 
 @dataclass
@@ -274,13 +275,19 @@ def battery_status(v: View) -> list[Message]:
 
 
 def fuel_status(v: View) -> list[Message]:
-    """Relative to a full tank: MAVLink's own units of fuel are volumes, and what is known here is mass."""
+    """Millilitres and millilitres a second of kerosene, as MAVLink has liquid fuel; what is known here is mass."""
     full, fuel = v.about.fuel_capacity, v.sample.fuel
     if isnan(full) or isnan(fuel):
         return []
     left = min(1.0, max(0.0, fuel / full))
     flow = sum(flow for flow in v.sample.engines.fuel_flow[: v.about.jets])
-    return [mav.MAVLink_fuel_status_message(0, 1.0, 1.0 - left, left, clamp(100.0 * left, 0, 100), flow / full, nan, 0)]
+    capacity, rate = (mass / KEROSENE * 1e6 for mass in (full, flow))
+    percent = clamp(100.0 * left, 0, 100)
+    return [
+        mav.MAVLink_fuel_status_message(
+            0, capacity, (1.0 - left) * capacity, left * capacity, percent, rate, nan, _LIQUID
+        )
+    ]
 
 
 def autopilot_version(v: View) -> list[Message]:
@@ -420,9 +427,6 @@ def esc_status(v: View) -> list[Message]:
 
 def esc_info(v: View) -> list[Message]:
     """Which engines are there and do as they are told; of temperatures only the exhaust's are known, and too hot."""
-    rpm = _spools(v)
-    if not any(isfinite(speed) for speed in rpm):
-        return []
     health = [1.0 if share > 0.0 else 0.0 for share in v.sample.health[: v.about.jets]]
     counter = v.sample.k & U16
     return [

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import hypot
 from typing import Any, NamedTuple, Protocol
 
 from cosim.errors import InputError
@@ -369,9 +370,16 @@ class Vehicle:
             self.send(sender.peer, (mav.MAVLink_timesync_message(now, message.ts1),))
 
     def _origin(self, message: Message, sender: Sender) -> None:
-        """The origin is where the flight began and stays there; this says where that is."""
-        if self._view is not None:
-            self.send(sender.peer, gps_global_origin(self._view))
+        """The origin is where the flight began and stays there; this says where that is, and that it was not moved."""
+        view = self._view
+        if view is None:
+            return
+        self.send(sender.peer, gps_global_origin(view))
+        at = view.about.geodesy
+        lat, lon = message.latitude * 1e-7, message.longitude * 1e-7
+        valid = abs(lat) <= 90.0 and abs(lon) <= 180.0
+        if not valid or hypot(*at.to_local(lat, lon, at.ground)[:2]) > commands.ORIGIN_NEAR:
+            self._complain(commands.ORIGIN_FIXED, sender.peer)
 
     def _nothing(self, message: Message, sender: Sender) -> None:
         """Taken and of no effect: rates are set message by message."""

@@ -178,6 +178,11 @@ class WebServer:
         if len(host) != 1 or host[0].lower() not in self._hosts:
             self.refused += 1
             return _response(HTTPStatus.MISDIRECTED_REQUEST, b"This is not the server you are looking for.\n")
+        if request.method != "GET":
+            self.refused += 1
+            refusal = _response(HTTPStatus.METHOD_NOT_ALLOWED, b"GET only.\n")
+            refusal.headers["Allow"] = "GET"
+            return refusal
         path = request.path.partition("?")[0]
         if path == "/live":
             if request.headers.get("Upgrade", "").lower() != "websocket":

@@ -50,7 +50,7 @@ function begin(told) {
   write(get("engine-name"), names.join(", "));
   get("mode-choice").replaceChildren(new Option("…", ""), ...told.modes.map((mode) => new Option(mode, mode)));
   if (!again) {
-    get("takeoff-height").value = told.takeoff_m;
+    get("takeoff-height").value = Number(told.takeoff_m.toFixed(1));
     track.clear();
     strip.clear();
   }
