@@ -1,8 +1,14 @@
 """The airframe: JSBSim behind SI units, FRD body axes and NED.
 
 The only module that imports ``jsbsim`` and the only place with lbf, ft and slug.  One control step is ``substeps``
-runs of JSBSim with every input held.  JSBSim moves the state with the accelerations of the run before, so a force
-written before a step changes the rates one run late: ``step / substeps`` seconds, listed in the delay ledger.
+runs of JSBSim with every input held.
+
+JSBSim moves the state first and evaluates forces after, so a force that is written before a step is first felt in the
+run after the next: the method from acceleration to velocity makes up half a run of this (Adams and Bashforth) or none
+(rectangular rule).  The rest is made up here: in the first of several runs force and moment carry :data:`MAKE_UP` of
+their change on top, which gives the velocities the impulse of forces that act from the step's beginning, exactly and
+within the step.  With a single run a step there is no first run to correct, and a force acts half a run late, which the
+delay ledger lists.
 """
 
 from __future__ import annotations
@@ -37,7 +43,18 @@ POUND_FOOT: Final = POUND_FORCE * FOOT  # N m
 JSBSIM_POUNDS_PER_SLUG: Final = 32.174049  # the constant with which JSBSim turns weights into masses
 
 NEAR_GROUND: Final = 2.0  # m: below this height the contacts are looked at
-_RECTANGULAR_EULER = 1.0  # JSBSim's default from moment to rate, made sure of because the delay ledger counts on it
+# JSBSim's methods, by the end of their property's name and its number for them
+RECTANGULAR: Final = 1.0
+ADAMS_BASHFORTH_2: Final = 3.0
+ADAMS_BASHFORTH_3: Final = 4.0
+BUSS_2: Final = 7.0  # augmented second order, exact for a rate that does not change
+POSITIONS: Final = {"rotational": BUSS_2, "translational": ADAMS_BASHFORTH_3}
+RATES: Final = ("rotational", "translational")
+IN_THE_AIR: Final = ADAMS_BASHFORTH_2  # of both rates
+# JSBSim's friction is the force that stops a contact within one run of the rectangular rule.  Adams and Bashforth's
+# method would take half as much again and leave the rates swinging from run to run, for good.
+ON_THE_GROUND: Final = RECTANGULAR  # of both rates, while anything touches
+MAKE_UP: Final = {IN_THE_AIR: 0.5, ON_THE_GROUND: 1.0}
 
 _POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
 _RANKINE: Final = 5.0 / 9.0  # K, exact
@@ -99,6 +116,7 @@ class Airframe:
         spools: bool = False,
     ) -> None:
         self.substeps = substeps
+        self.moving = True  # False: from the next reset on JSBSim does not run, to time what is around it
         self._spools = spools
         self._vehicle = vehicle
         self._environment = environment
@@ -125,12 +143,14 @@ class Airframe:
             raise InputError(f"{self._source}: JSBSim could not load the model")
         fdm.set_dt(self._dt)
         self._fdm = fdm
-        self._run = fdm.run
+        self._run: Callable[[], bool] = fdm.run if self.moving else _stand_still
         self._fresh = True
         self._sideways = False
         self._bind()
         self._set("atmosphere/randomseed", self._seed)
-        self._set("simulation/integrator/rate/rotational", _RECTANGULAR_EULER)
+        for kind, position_method in POSITIONS.items():
+            self._set(f"simulation/integrator/position/{kind}", position_method)
+        self._use(IN_THE_AIR)
 
     def _bind(self) -> None:
         node = self._node
@@ -146,10 +166,13 @@ class Airframe:
         self._jets = [_Write(node, f"{name}/{{}}", "xyz", POUND_FORCE) for name in names]
         self._push = _Write(node, "external_reactions/push/{}", "xyz", POUND_FORCE)
         self._twist = _Write(node, "external_reactions/twist/{}", "lmn", POUND_FOOT)
+        self._methods = [node(f"simulation/integrator/rate/{kind}").set_double_value for kind in RATES]
         for name in [*names, "external_reactions/push"]:
             node(f"{name}/magnitude").set_double_value(1.0)
             node(f"{name}/y").set_double_value(0.0)
         node("external_reactions/twist/magnitude-lbsft").set_double_value(1.0)
+        self._push.put(*ZERO3)  # instead of the directions that the model's file needs to state
+        self._twist.put(*ZERO3)
         self._legs, self._hull = self._contacts("leg"), self._contacts("hull")
         self._set_wind = _Write(node, "atmosphere/wind-{}-fps", _NED, FOOT)
         self._set_payload = node("inertia/pointmass-weight-lbs").set_double_value
@@ -206,13 +229,13 @@ class Airframe:
         for name, value in settings.items():
             self._set(name, value)
         self._disturbance = Disturbance()
-        self._moment = ZERO3
+        self._forces, self._pushed, self._twisted = forces, ZERO3, ZERO3
         self._burnt = 0.0
         self._full = self._mass = self._get_mass() * SLUG
         self._set("atmosphere/turb-type", 4.0 if place.turbulence_severity else 0.0)  # 4: MIL-F-8785C, Tustin form
         self._set("atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps", place.turbulence_wind_m_s / FOOT)
         self._set("atmosphere/turbulence/milspec/severity", float(place.turbulence_severity))
-        self._apply_forces(forces)
+        self._act(forces, ZERO3, ZERO3)
         self._apply(Disturbance(wind=wind))
         if momentum:
             self.set_momentum(momentum)
@@ -229,14 +252,19 @@ class Airframe:
         ``moment``: of the rotors on the frame, N m, body, without the gyroscopic part (see :meth:`set_momentum`).
         Raises FlightError when JSBSim stops or the state is no longer finite.
         """
-        self._apply_forces(forces)
+        if self._touching != (self._method == ON_THE_GROUND):
+            self._use(ON_THE_GROUND if self._touching else IN_THE_AIR)
         if disturbance is not self._disturbance:
             self._apply(disturbance)
-        if moment != self._moment:
-            self._moment = moment
-            self._apply_moment(disturbance.moment)
-        run = self._run
-        for _ in range(self.substeps):
+        push, twist = disturbance.force, _sum(disturbance.moment, moment)
+        run, runs = self._run, self.substeps
+        if runs > 1:
+            self._act_with(forces, push, twist, self._make_up)
+            if not run():
+                raise FlightError("JSBSim ended the run")
+            runs -= 1
+        self._act(forces, push, twist)
+        for _ in range(runs):
             if not run():
                 raise FlightError("JSBSim ended the run")
         return self._read()
@@ -245,7 +273,14 @@ class Airframe:
         """JSBSim's own ``run``, good until the next reset: one of its steps with everything held, to time it alone."""
         return self._run
 
-    def _apply_forces(self, forces: list[Vector3]) -> None:
+    def _use(self, method: float) -> None:
+        """From acceleration to velocity, of both kinds, from the next run on."""
+        for set_method in self._methods:
+            set_method(method)
+        self._method, self._make_up = method, MAKE_UP[method]
+
+    def _act(self, forces: list[Vector3], push: Vector3, twist: Vector3) -> None:
+        """Let these act from the end of the next run on: of the jets, and at the centre of gravity as built."""
         for number, jet in enumerate(self._jets):
             x, y, z = forces[number]
             if y != 0.0 or self._sideways:
@@ -254,17 +289,28 @@ class Airframe:
                 jet.put(x, y, z)
             else:
                 jet.put_in_plane(x, z)
+        if push != self._pushed:
+            self._push.put(*push)
+        if twist != self._twisted:
+            self._twist.put(*twist)
+        self._forces, self._pushed, self._twisted = forces, push, twist
 
-    def _apply_moment(self, outside: Vector3) -> None:
-        """The disturbance's and the rotors'."""
-        x, y, z = self._moment
-        self._twist.put(outside[0] + x, outside[1] + y, outside[2] + z)
+    def _act_with(self, forces: list[Vector3], push: Vector3, twist: Vector3, share: float) -> None:
+        """The same, with ``share`` of the change since the last on top."""
+        old = self._forces
+        ahead: list[Vector3] = []
+        for number, (x, y, z) in enumerate(forces):
+            a, b, c = old[number]
+            ahead.append((x + share * (x - a), y + share * (y - b), z + share * (z - c)))
+        if push != self._pushed:
+            push = _beyond(push, self._pushed, share)
+        if twist != self._twisted:
+            twist = _beyond(twist, self._twisted, share)
+        self._act(ahead, push, twist)
 
     def _apply(self, disturbance: Disturbance) -> None:
-        """Hand over what differs from the step before."""
+        """Hand over what differs from the step before, but for force and moment."""
         old = self._disturbance
-        self._push.put(*disturbance.force)
-        self._apply_moment(disturbance.moment)
         self._set_wind.put(*disturbance.wind)
         if any(disturbance.wind) or disturbance.gust:
             self._still = False
@@ -284,9 +330,9 @@ class Airframe:
     def set_momentum(self, momentum: Vector3) -> None:
         """Hold the spools' angular momentum (kg m^2/s, body, against the airframe) from the next run on.
 
-        At every run JSBSim then adds the gyroscopic moment ``momentum x omega``, with the inertial body rates omega at
-        the middle of the coming run, extrapolated from the last one's acceleration.  This makes the method of Adams and
-        Bashforth of second order out of JSBSim's rectangular rule, which would feed energy into a nutation.
+        At every run JSBSim then adds the gyroscopic moment ``momentum x omega`` with the inertial body rates omega, and
+        integrates it with all other moments, in the air by the method of Adams and Bashforth of second order: a
+        nutation neither grows nor dies to speak of, where the rectangular rule would feed energy into it.
         """
         assert self._momentum is not None
         self._momentum.put(*momentum)
@@ -326,6 +372,9 @@ class Airframe:
         if total - total != 0.0:  # NaN or infinite
             raise FlightError("the airframe's state is not finite")
         near = height < NEAR_GROUND
+        on_ground = near and any(touches() > 0.0 for touches in self._legs)
+        hull_contact = near and any(touches() > 0.0 for touches in self._hull)
+        self._touching = on_ground or hull_contact
         return State(
             (north, east, self._datum - up),
             velocity,
@@ -336,8 +385,8 @@ class Airframe:
             height,
             ZERO3 if self._still else self._wind.get(),
             self._mass,
-            near and any(touches() > 0.0 for touches in self._legs),
-            near and any(touches() > 0.0 for touches in self._hull),
+            on_ground,
+            hull_contact,
         )
 
     def external_wrench(self) -> tuple[Vector3, Vector3]:
@@ -367,6 +416,20 @@ class Airframe:
     def close(self) -> None:
         """Remove the temporary model; may be called twice."""
         self._file.unlink(missing_ok=True)
+
+
+def _stand_still() -> bool:
+    return True
+
+
+def _sum(a: Vector3, b: Vector3) -> Vector3:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def _beyond(new: Vector3, old: Vector3, share: float) -> Vector3:
+    """``new``, and ``share`` of the way from ``old`` to it further on."""
+    x, y, z = new
+    return (x + share * (x - old[0]), y + share * (y - old[1]), z + share * (z - old[2]))
 
 
 def standing_height(vehicle: Vehicle) -> float:
@@ -478,12 +541,9 @@ def _gyroscopic(axis: str, second: str, third: str) -> ET.Element:
 
     def product(momentum: str, rate: str) -> str:
         letter = "pqr"["xyz".index(rate)]
-        # omega at the middle of the coming run: omega + omega' dt / 2, with omega' of the run before
         return (
-            f"<product><property>{_MOMENTUM.format(momentum)}</property><sum>"
-            f"<property>velocities/{letter}i-rad_sec</property>"
-            f"<product><value>0.5</value><property>simulation/dt</property>"
-            f"<property>accelerations/{letter}idot-rad_sec2</property></product></sum></product>"
+            f"<product><property>{_MOMENTUM.format(momentum)}</property>"
+            f"<property>velocities/{letter}i-rad_sec</property></product>"
         )
 
     return ET.fromstring(

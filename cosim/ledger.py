@@ -54,7 +54,9 @@ def delay_ledger(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineS
         LedgerRow("transport delay", owner, "transport", _mean(delays, levers)),
         LedgerRow("spool lag, 1/(1 - a) at one internal step a control step", owner, "lag", _mean(lags, levers)),
         LedgerRow("thrust of the step's end acts over all of it", "engines, then airframe", "exchange", -1.0),
-        LedgerRow("force acts one JSBSim run late", "JSBSim", "transport", 1.0 / scenario.substeps),
+        LedgerRow("force acts from the step's beginning", "JSBSim", "transport", 0.0)
+        if scenario.substeps > 1
+        else LedgerRow("force acts half a JSBSim run late", "JSBSim", "transport", 0.5),
         LedgerRow("gyro low-pass a/(1 - a)", "sensors.gyro.filter_s", "lag", pole / (1.0 - pole)),
         LedgerRow("gyro latency", "sensors.gyro.latency_samples", "transport", float(gyro.latency_samples)),
     ]

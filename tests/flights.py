@@ -119,7 +119,7 @@ def setup(**changes: Any) -> Setup:
         "delay_ledger": [
             DelayRow(element="command held over the step", owner="control step", kind="hold", samples=0.5),
             DelayRow(element="transport delay", owner="engine edf-as-flown", kind="transport", samples=25.0),
-            DelayRow(element="force acts one JSBSim run late", owner="JSBSim", kind="transport", samples=0.25),
+            DelayRow(element="force acts half a JSBSim run late", owner="JSBSim", kind="transport", samples=0.5),
         ],
         "expectation": Expectation(
             controller="smith", engine="edf-as-flown", metrics={"roll.overshoot_percent": Range(max=35.0)}

@@ -94,7 +94,15 @@ class Loop:
         self.size = 0
         self.past = 1 + (int(model["delay_samples"]) if model else 0)
         self.slots: dict[str, slice] = {}
-        for name, n in (("thrust", len(engine.A)), ("force", 1), ("w", 1), ("gyro", 1), ("angle", 1), ("sum", 1)):
+        for name, n in (
+            ("thrust", len(engine.A)),
+            ("force", 1),
+            ("w", 1),
+            ("w_dot", 1),
+            ("gyro", 1),
+            ("angle", 1),
+            ("sum", 1),
+        ):
             self._slot(name, n)
         for name, n in (("slope", 1), ("before", 1), ("u", self.past), ("sent", engine.delay)):
             self._slot(name, n)
@@ -128,16 +136,20 @@ class Loop:
             u = C @ value["lead"] + D * u
         sent = np.concatenate([[u + w], value["sent"]])
         thrust = self.engine.A @ value["thrust"] + self.engine.B * sent[self.engine.delay]
-        force, rate, small = self.engine.C @ thrust, value["w"][0], T / body.substeps
+        force, old, rate, small = self.engine.C @ thrust, value["force"][0], value["w"][0], T / body.substeps
+        now, before = body.gain * old - body.damping * rate, value["w_dot"][0]
         for run in range(body.substeps):
-            acting = value["force"][0] if run == 0 else force
-            rate = rate + small * (body.gain * acting - body.damping * rate)
+            rate = rate + small * (1.5 * now - 0.5 * before)
+            # the first of several runs ends with half the change of the force on top
+            acting = force + 0.5 * (force - old) if run == 0 and body.substeps > 1 else force
+            now, before = body.gain * acting - body.damping * rate, now
         pole = exp(-T / body.gyro_s) if body.gyro_s else 0.0
         told = np.concatenate([[u], value["u"]])  # to the predictor, which does not know of w
         new = {
             "thrust": thrust,
             "force": force,
             "w": rate,
+            "w_dot": before,
             "gyro": pole * value["gyro"] + (1.0 - pole) * rate,
             "angle": value["angle"] + 0.5 * T * (value["w"][0] + rate),
             "sum": total,

@@ -250,7 +250,7 @@ def stepped(roll: Channel, chosen: Tuning, set_point: float, load: float, durati
     from cosim.control.rate import RateAxis
 
     rate_axis = RateAxis(chosen.gains, PREDICTORS[chosen.controller](chosen.model, chosen.predictor), roll.step)
-    thrust = old = rate = gyro = angle = 0.0
+    thrust = old = rate = gyro = angle = earlier = 0.0
     pole, step, m = 0.8748, roll.step, roll.substeps
     course = []
     for _ in range(round(duration / step)):
@@ -259,7 +259,10 @@ def stepped(roll: Channel, chosen: Tuning, set_point: float, load: float, durati
         thrust = pole * thrust + (1.0 - pole) * (u + load)
         before = rate
         for run in range(m):
-            rate += step / m * (roll.gain * (old if run == 0 else thrust) - roll.damping_1_s * rate)
+            felt = old if run == 0 else thrust + 0.5 * (thrust - old) if run == 1 else thrust
+            now = roll.gain * felt - roll.damping_1_s * rate
+            rate += step / m * (1.5 * now - 0.5 * earlier)
+            earlier = now
         old = thrust
         angle += 0.5 * step * (before + rate)
         gyro += (1.0 - roll.gyro_pole) * (rate - gyro)

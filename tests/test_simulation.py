@@ -83,6 +83,8 @@ def measured_delay(flown: Scenario) -> tuple[float, float]:
     [
         {},
         {"substeps": 1},
+        {"substeps": 2},
+        {"substeps": 3},
         {"engine": "edf"},
         {"engine": "edf-as-flown-fmi2"},
         {"vehicle": GYRO_LATENCY},
@@ -112,7 +114,12 @@ def test_ledger_owns_the_transport_delay_once() -> None:
     """25 samples, in the engine and nowhere else."""
     with build(scenario()) as simulation:
         transport = {row.owner: row.samples for row in simulation.ledger if row.kind == "transport" and row.samples}
-    assert transport == {"engine edf-as-flown": 25.0, "JSBSim": 0.25}
+    assert transport == {"engine edf-as-flown": 25.0}
+
+
+def test_a_single_run_a_step_is_half_a_step_late() -> None:
+    with build(scenario(substeps=1)) as simulation:
+        assert {row.samples for row in simulation.ledger if row.owner == "JSBSim"} == {0.5}
 
 
 # --- the paper's roll response ------------------------------------------------------------------------------------

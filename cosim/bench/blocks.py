@@ -174,7 +174,7 @@ class Replay:
         initial = simulation.scenario.initial
         jet_forces = simulation._jet_forces
         forces = [jet_forces(sample.thrust, sample.tilt) for sample in samples]
-        airframe.substeps = 0  # from here on it writes and reads, and JSBSim stands still
+        airframe.moving = False  # from here on it writes and reads, and JSBSim stands still
 
         def reset_servos() -> None:
             left.reset()

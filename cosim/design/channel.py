@@ -3,18 +3,18 @@
 For roll: share of thrust ``u`` -> engine -> moment -> rate -> gyro.  In steps of ``T`` with ``m`` JSBSim runs each,
 
     thrust   G_e(z) = b(z) / a(z) z^-d        the thrust of the step's end acts over the whole step
-    rate     K T (n z + b) / (z - p)              a force acts one run late;  K = moment per command / inertia
+    rate     K T f z / (z - p)                    held over the step, exactly;  K = moment per command / inertia
     gyro     (1 - c) z / (z - c), then its latency
     angle    T / 2 (z + 1) / (z - 1) of the rate, without the gyro
 
-``n, b, p`` are :attr:`Channel.turning`; without damping ``((m - 1) z + 1) / (m (z - 1))``.  The delay ledger lists the
-same elements.
+``p = exp(-D T)`` with the damping ``D``, and ``f = (1 - p) / (D T)``.  With one or two runs a step JSBSim's method
+shows: see :attr:`Channel.turning`.  The delay ledger lists the same elements.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import exp, inf, log
+from math import exp, expm1, inf, log
 
 import numpy as np
 
@@ -70,22 +70,27 @@ class Channel:
         return exp(-self.step / self.rate_filter_s) if self.rate_filter_s > 0.0 else 0.0
 
     @property
-    def turning(self) -> tuple[float, float, float]:
-        """What JSBSim's runs make of a moment: shares of this step's and of the one before, and the rate's pole.
+    def turning(self) -> tuple[tuple[float, float, float], float]:
+        """What JSBSim's runs make of a moment: shares of this step's and of the two before, and the rate's pole.
 
-        ``m`` runs of ``h`` each move the rate by ``h (moment - damping rate)``, the first with the moment of the step
-        before: ``rate_k+1 = a^m rate_k + step (now moment_k + before moment_k-1)``, ``a = 1 - damping h``.
+        ``rate_k+1 = p rate_k + step f (share_0 moment_k + share_1 moment_k-1 + share_2 moment_k-2)``.  A run moves the
+        rate by ``h (3 a_n - a_n-1) / 2`` with the accelerations at its beginning and one run before (Adams and
+        Bashforth); those of a step's moment begin with the second run, the first of them with half its change on top
+        (:mod:`cosim.airframe`).  Summed over three and more runs this is the moment's impulse over the step and nothing
+        else; two runs leave a quarter of a change to the step after, and one has no run to correct.
         """
-        m = self.substeps
-        a = 1.0 - self.damping_1_s * self.step / m
-        return sum(a**run for run in range(m - 1)) / m, a ** (m - 1) / m, a**m
+        fall = self.damping_1_s * self.step
+        pole = exp(-fall)
+        mean = -expm1(-fall) / fall if fall else 1.0
+        shares = {1: (0.0, 1.5, -0.5), 2: (1.125, -0.25, 0.125)}.get(self.substeps, (1.0, 0.0, 0.0))
+        return (mean * shares[0], mean * shares[1], mean * shares[2]), pole
 
     @property
     def transport_samples(self) -> float:
         """Pure delay from command to measured rate, without hold and lags: what a tolerance of the delay is of."""
         if self.identified is not None:
             return self.identified.delay_samples + self.added_delay
-        return self.actuator.model.delay_samples + self.added_delay + self.rate_latency + 1.0 / self.substeps
+        return self.actuator.model.delay_samples + self.added_delay + self.rate_latency + 0.5 * (self.substeps == 1)
 
     @property
     def lag_s(self) -> float:
@@ -106,12 +111,18 @@ class Channel:
         """
         if self.identified is not None:
             return self.identified
-        body, m = self.actuator.model, self.substeps
-        now, before, pole = self.turning
-        gain = body.gain * self.gain * self.step * (1.0 - self.gyro_pole) * (now if m > 1 else before)
-        zeros, poles = [*body.zeros], [*body.poles, pole]
-        if m > 1:
-            zeros.append(-before / now)
+        body = self.actuator.model
+        shares, pole = self.turning
+        first = next(share for share in shares if share)
+        gain = body.gain * self.gain * self.step * (1.0 - self.gyro_pole) * first
+        zeros, poles, pairs = [*body.zeros], [*body.poles, pole], [*body.zero_pairs]
+        if any(shares[1:]):
+            poles.append(0.0)
+            found = np.roots(shares)
+            zeros += [float(root.real) for root in found if not root.imag]
+            pairs += [(float(root.real), float(root.imag)) for root in found if root.imag > 0.0]
+        else:
+            zeros.append(0.0)
         delay = body.delay_samples + self.rate_latency
         if self.gyro_pole:
             zeros.append(0.0)
@@ -119,7 +130,7 @@ class Channel:
         return RateModel(
             gain=gain,
             zeros=zeros,
-            zero_pairs=body.zero_pairs,
+            zero_pairs=pairs,
             poles=sorted(poles, reverse=True),
             pole_pairs=body.pole_pairs,
             delay_samples=delay,
@@ -134,8 +145,8 @@ class Channel:
         if self.identified is not None:
             rate = delayed_response(self.identified, z) * late
             return rate, rate * integral * z**-self.angle_latency, rate * integral
-        now, before, pole = self.turning
-        body = (now * z + before) / (z - pole)
+        (now, before, earlier), pole = self.turning
+        body = (now * z + before + earlier / z) / (z - pole)
         rate = self.gain * self.step * delayed_response(self.actuator.model, z) * body * late
         return (
             np.asarray(rate * self.measuring(z)),
