@@ -20,7 +20,8 @@ enum { COMMAND_ATTITUDE, COMMAND_ALTITUDE, COMMAND_RATE, COMMAND_COLLECTIVE, COM
        COMMAND_FIELDS };
 enum { POSITION, VELOCITY, ATTITUDE, EULER, RATE, SPECIFIC_FORCE, ALTITUDE, WIND, MASS, ON_GROUND, HULL_CONTACT,
        STATE_FIELDS };
-enum { MEASURED_RATE, MEASURED_ATTITUDE, MEASURED_POSITION, MEASURED_VELOCITY, MEASURED_ALTITUDE, MEASURED_FIELDS };
+enum { MEASURED_RATE, MEASURED_ATTITUDE, MEASURED_POSITION, MEASURED_VELOCITY, MEASURED_ALTITUDE,
+       MEASURED_FORCE, MEASURED_FIELDS };
 enum { THROTTLE, TILT_COMMAND, REFUSED, ACTUATION_FIELDS };
 enum { THRUST, SPOOL_SPEED, EXHAUST_TEMPERATURE, FUEL_FLOW, ENGINE_FIELDS };
 enum { FORCE, MOMENT, TORQUE_ADDED, DISTURBING_WIND, PAYLOAD, GUST, TORQUE_OUTPUT, TORQUE_SEEN, DISTURBANCE_FIELDS };
@@ -29,7 +30,7 @@ enum { JETS = 6, SERVOS = 2, SENSORS = 4, AXES = 3, PLACE = 2, QUATERNION = 4 };
 
 /* The columns of cosim.columns, and behind them what the angles of the measured quaternion are made from: opposite and
  * adjacent of roll, of yaw, and the sine of pitch.  The angles are numpy's, whose functions are not the C library's. */
-enum { COLUMNS = 125, ANGLES = 5, WIDTH = COLUMNS + ANGLES };
+enum { COLUMNS = 128, ANGLES = 5, WIDTH = COLUMNS + ANGLES };
 
 /* --- one row --- */
 
@@ -204,6 +205,7 @@ static bool read_sample(Row *row, PyObject *sample)
     vector(row, p.measured, MEASURED_POSITION, "measured.position");
     vector(row, p.measured, MEASURED_VELOCITY, "measured.velocity");
     vector(row, p.state, SPECIFIC_FORCE, "state.specific_force");
+    vector(row, p.measured, MEASURED_FORCE, "measured.specific_force");
     vector(row, p.state, WIND, "state.wind");
     number(row, p.state, MASS);
     number(row, p.state, ON_GROUND);

@@ -71,6 +71,7 @@ COLUMNS: tuple[Column, ...] = (
     *_each(_NED, "{}_measured_m", "m", "NED", "position {} as GNSS gives it"),
     *_each(_NED, "velocity_{}_measured_m_s", "m/s", "NED", "velocity {} as GNSS gives it"),
     *_each(_XYZ, "specific_force_{}_m_s2", "m/s^2", "body", "what an accelerometer at the centre of gravity feels, {}"),
+    *_each(_XYZ, "specific_force_{}_measured_m_s2", "m/s^2", "body", "specific force {} as the accelerometer gives it"),
     *_each(_NED, "wind_{}_m_s", "m/s", "NED", "where the air moves to, {}, gusts and turbulence included"),
     Column("mass_kg", "kg", "", "mass, payload included"),
     Column("on_ground", "0/1", "", "a leg touches the ground"),

@@ -36,6 +36,8 @@ MODULES = (
     "faults.py",
     "frames.py",
     "fuel.py",
+    "pilot/inertial.py",
+    "pilot/vertical.py",
     "rundown.py",
     "sensors.py",
     "servo.py",

@@ -49,7 +49,7 @@ def fly(
     with build(scenario) as simulation:
         replay = pilot = None
         if scenario.requests is not None:
-            pilot = with_autopilot(simulation)
+            pilot = with_autopilot(simulation, not scenario.initial.on_ground)
             replay = Replay(pilot, read_requests(scenario.folder / scenario.requests))
         folder = None if out is None else Path(out)
         recording = record(simulation, folder, sink=sink)

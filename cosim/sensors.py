@@ -1,6 +1,7 @@
-"""What the controller is told: rate gyro, attitude, GNSS and barometer, with noise, bias, lag and latency.
+"""What the controller is told: gyro, attitude, GNSS, barometer and accelerometer, with noise, bias, lag and latency.
 
-The noise comes from a generator of its own, seeded by the scenario, so that a change elsewhere does not change it.
+The noise comes from a generator of its own, seeded by the scenario, so that a change elsewhere does not change it; the
+accelerometer's from another one, so that what the other sensors give is the same with it as it was without.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ T = TypeVar("T")
 Fix = tuple[Any, Any]  # position and velocity: vectors that are handed on as they are
 
 _DRAWS = 13  # standard normals a step: gyro 3, attitude 3, position 3, velocity 3, height 1
+_FORCE_DRAWS = 3  # of the accelerometer
 _BLOCK = 256  # steps drawn at once
 
 
@@ -71,12 +73,18 @@ class SensorSuite:
         self._gnss_line: Latency[Fix] = Latency(gnss.latency_samples)
         self._height_line: Latency[float] = Latency(barometer.latency_samples)
         self._late = gyro.latency_samples + attitude.latency_samples + barometer.latency_samples > 0
+        accelerometer = sensors.accelerometer
+        self._force_noise = accelerometer.noise_m_s2 * on
+        self._force_bias = _scaled(accelerometer.bias_m_s2, on)
+        self._force_line: Latency[Vector3] = Latency(accelerometer.latency_samples)
         self._draws: list[list[float]] = []
+        self._force_draws: list[list[float]] = []
 
     def reset(self, state: State) -> Measured:
         """Start again as if the vehicle had been in ``state`` forever; the same noise follows."""
         self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(0,)))
-        self._draws = []
+        self._force_rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(1,)))
+        self._draws, self._force_draws = [], []
         self._count = 0
         self._rate = state.rate
         self._fix: Fix = (state.position, state.velocity)
@@ -84,7 +92,9 @@ class SensorSuite:
         self._attitude_line.reset(state.attitude)
         self._gnss_line.reset(self._fix)
         self._height_line.reset(state.altitude)
-        return Measured(state.rate, state.attitude, state.position, state.velocity, state.altitude)
+        force = state.specific_force
+        self._force_line.reset(force)
+        return Measured(state.rate, state.attitude, state.position, state.velocity, state.altitude, force)
 
     def sample(self, state: State) -> Measured:
         """The measurements at the end of a step, from the true ``state`` there."""
@@ -93,6 +103,7 @@ class SensorSuite:
         altitude = state.altitude
         self._count += 1
         new_fix = self._count % self._period == 0
+        force = state.specific_force
         position, velocity = state.position, state.velocity
         if self._noisy:
             n = self._next_draws()
@@ -107,6 +118,11 @@ class SensorSuite:
                 multiply(attitude, (1.0, s * n[3] + 0.5 * ax, s * n[4] + 0.5 * ay, s * n[5] + 0.5 * az))
             )
             altitude += self._height_noise * n[12] + self._height_bias
+            m = self._next_force_draws()
+            s = self._force_noise
+            x, y, z = force
+            bx, by, bz = self._force_bias
+            force = (x + s * m[0] + bx, y + s * m[1] + by, z + s * m[2] + bz)
             if new_fix:
                 s, t = self._position_noise, self._velocity_noise
                 x, y, z = position
@@ -123,13 +139,19 @@ class SensorSuite:
             attitude = self._attitude_line.update(attitude)
             altitude = self._height_line.update(altitude)
         held_position, held_velocity = self._gnss_line.update(self._fix)
-        return Measured(rate, attitude, held_position, held_velocity, altitude)
+        return Measured(rate, attitude, held_position, held_velocity, altitude, self._force_line.update(force))
 
     def _next_draws(self) -> list[float]:
         if not self._draws:
             self._draws = self._rng.standard_normal((_BLOCK, _DRAWS)).tolist()
             self._draws.reverse()
         return self._draws.pop()
+
+    def _next_force_draws(self) -> list[float]:
+        if not self._force_draws:
+            self._force_draws = self._force_rng.standard_normal((_BLOCK, _FORCE_DRAWS)).tolist()
+            self._force_draws.reverse()
+        return self._force_draws.pop()
 
 
 def _scaled(vector: Vector3, factor: float) -> Vector3:

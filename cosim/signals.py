@@ -76,6 +76,7 @@ class Measured(NamedTuple):
     position: Vector3  # m, NED
     velocity: Vector3  # m/s, NED
     altitude: float  # m above the ground
+    specific_force: Vector3 = UNKNOWN3  # m/s^2, body, by the accelerometer; NaN where there is none
 
 
 @quick

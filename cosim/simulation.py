@@ -75,6 +75,10 @@ class Pilot(Protocol):
     def engines(self) -> EngineState:
         """What the engines do with the command of the last update."""
 
+    @property
+    def seen(self) -> Measured:
+        """What the loops fly the step of the last update with: the sensors, or what stands in for them."""
+
     def reset(self, measured: Measured) -> None: ...
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
@@ -199,7 +203,7 @@ class Simulation:
         self.state = self.airframe.reset(initial, self._jet_forces(delivered.thrust, (0.0, 0.0)), wind, momentum)
         self.measured = self.sensors.reset(self.state)
         self._collective = 0.0
-        self._stopped = False
+        self._stopped = self._forgiven = False
         if self.pilot is not None:
             self.pilot.reset(self.measured)
 
@@ -210,16 +214,21 @@ class Simulation:
             self._change_faults(k)
         pilot = self.pilot
         command = self.commander.at(k) if pilot is None else self._ask(pilot, k)
+        seen = measured if pilot is None else pilot.seen
         disturbance = self.disturber.at(k)
-        rate_setpoint = self.attitude.update(command, measured)
-        torque = self.rate.update(rate_setpoint, measured.rate, self.refused)
+        rate_setpoint = self.attitude.update(command, seen)
+        torque = self.rate.update(rate_setpoint, seen.rate, self.refused)
         burnt = self.tank.burnt if self.tank is not None else 0.0
-        collective = self.altitude.update(command, measured, self.refused, burnt)
+        collective = self.altitude.update(command, seen, self.refused, burnt)
         if pilot is not None and pilot.engines is not EngineState.FLY:
             torque, collective = self._stand()
-        actuation = self._allocate(collective, self._delayed(torque, disturbance), disturbance)
+            actuation = self._idle()
+        else:
+            actuation = self._allocate(collective, self._delayed(torque, disturbance), disturbance)
         engines = self._drive(k, actuation.throttle, state)
         health = self._watch(actuation.throttle, engines) if self.monitor is not None else ALL_WELL
+        if self._forgiven and pilot is not None and pilot.engines is not EngineState.FLY:
+            self._forgive(actuation.throttle, engines)
         tilt = self._standing = self._tilt(actuation.tilt)
         fuel = self._burn(engines.fuel_flow) if self.tank is not None else nan
         moment, spool_moment = self._rotor_moment(engines, tilt, state)
@@ -275,7 +284,24 @@ class Simulation:
         """Least throttle and no torque, with loops that remember nothing when they are needed again."""
         for block in (self.attitude, self.rate, self.altitude):
             block.reset()
+        self.added_delay.reset()
         return ZERO3, 0.0
+
+    def _idle(self) -> Actuation:
+        """Every engine at its least throttle, the banks upright, whatever has been planned around a lost engine."""
+        low = self.vehicle.control.allocation.throttle_min
+        self._collective = low
+        throttle = (low,) * len(self._left)
+        return Actuation(self.thrust_map.throttle(throttle), (0.0, 0.0), Refused(0.0, 0.0, 0.0, -low))
+
+    def _forgive(self, throttle: PerJet, engines: EngineOutput) -> None:
+        """Once all engines are back at idle after a repair, take none for lost any more."""
+        monitor = self.monitor
+        if monitor is None or monitor.settled(throttle, engines):
+            self._forgiven = False
+            if monitor is not None:
+                monitor.reset(throttle)
+            self.allocator.reset()
 
     def inject(self, fault: Fault) -> None:
         """Let ``fault`` begin at the next step, whatever its ``start_s``.
@@ -286,7 +312,11 @@ class Simulation:
         self._state_faults(self.faults.inject(fault, self.k))
 
     def clear_faults(self) -> None:
-        """Let every fault that acts end at the next step; those still to come stay."""
+        """Let every fault that acts end at the next step; those still to come stay.
+
+        The vehicle is repaired: an engine that the monitor took for lost is believed again as soon as all stand idle.
+        """
+        self._forgiven = True
         self._state_faults(self.faults.clear(self.k))
 
     def _state_faults(self, faults: Sequence[Fault]) -> None:

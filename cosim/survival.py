@@ -174,7 +174,7 @@ def survival(
 
     vehicle, _ = load_vehicle(aircraft)
     engine = engine or vehicle.engine or Scenario.model_fields["engine"].default
-    step = _step(aircraft)
+    step = step_of(aircraft)
     chosen = [case for case in cases(vehicle) if not kinds or case.kind.startswith(tuple(kinds))]
     if not chosen:
         names = ", ".join(dict.fromkeys(case.kind for case in cases(vehicle)))
@@ -203,7 +203,7 @@ def survival(
     return Survival(aircraft, engine, rows, sets, moments, found)
 
 
-def _step(aircraft: str) -> float:
+def step_of(aircraft: str) -> float:
     """The control step that the aircraft's models are stated at, s."""
     vehicle, _ = load_vehicle(aircraft)
     steps = {model.sample_time_s for axes in vehicle.identified.values() for model in axes.values()}

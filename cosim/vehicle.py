@@ -109,11 +109,25 @@ class AltitudeSensor(Model):
     latency_samples: Samples
 
 
+class ForceSensor(Model):
+    """Accelerometer at the centre of gravity: specific force with white noise and constant bias, body axes.
+
+    The defaults are a small MEMS sensor's (TDK ICM-42688-P, data sheet DS-000347): 70 ug per root Hz make 0.008 m/s^2
+    of noise in 125 Hz, to which the engines add; 0.05 m/s^2 with them is chosen by us.  Its zero moves by 0.15 mg/K,
+    hence 0.03 m/s^2 at 20 K from where it was calibrated.
+    """
+
+    noise_m_s2: NotNegative = 0.05
+    bias_m_s2: Vector = (0.03, 0.03, 0.03)
+    latency_samples: Samples = 0
+
+
 class Sensors(Model):
     gyro: GyroSensor
     attitude: AttitudeSensor
     gnss: PositionSensor
     barometer: AltitudeSensor
+    accelerometer: ForceSensor = ForceSensor()
 
 
 class AttitudeGains(Model):

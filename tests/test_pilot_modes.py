@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_pilot_requests import ANY, REST
 
-from cosim.control.altitude import AltitudeController
+from cosim.control.altitude import GRAVITY, AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.predictor import NoPredictor
 from cosim.control.rate import RateController
@@ -77,13 +77,16 @@ class World:
         """Step on, with something about the vehicle changed from now on."""
         self.place |= changes
         p = self.place
+        if {"altitude", "sink", "roll"} & set(changes):
+            # put there by hand: what it estimates is taken along
+            self.pilot._senses.reset(None)
         attitude = from_euler(p["roll"], 0.0, 0.0)
         report = Report(p["legs"], p["collective"], p["lost"], p["remaining"])
         for _ in range(round(duration / DT)):
             # a receiver that works never says the same twice
             north = p["north"] + 1e-9 * (self.k // 25 % 2)
             place, velocity = (north, p["east"], -p["altitude"]), (0.0, 0.0, p["sink"])
-            measured = Measured(p["rate"], attitude, place, velocity, p["altitude"])
+            measured = Measured(p["rate"], attitude, place, velocity, p["altitude"], (0.0, 0.0, -GRAVITY))
             self.command = self.pilot.update(self.k, measured, report)
             self.k += 1
         assert self.command is not None
@@ -558,10 +561,16 @@ def test_messages_are_numbered_without_gaps() -> None:
 
 
 def touched(
-    touchdown: Touchdown, seconds: float, legs: bool, sink: float, collective: float, descending: bool = True
+    touchdown: Touchdown,
+    seconds: float,
+    legs: bool,
+    sink: float,
+    collective: float,
+    descending: bool = True,
+    lift: float | None = 1.0,
 ) -> None:
     for _ in range(round(seconds / DT)):
-        touchdown.update(sink, Report(legs, collective), descending)
+        touchdown.update(sink, lift, Report(legs, collective), descending)
 
 
 def test_contact_counts_only_when_it_lasts() -> None:

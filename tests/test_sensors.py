@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import exp
+from math import exp, sqrt
 
 import numpy as np
 import pytest
@@ -60,7 +60,22 @@ def test_without_filter_and_noise_the_truth_comes_through() -> None:
     truth = state(1.0)
     sensors.reset(state())
     seen = sensors.sample(truth)
-    assert seen == Measured(truth.rate, truth.attitude, truth.position, truth.velocity, truth.altitude)
+    force = truth.specific_force
+    assert seen == Measured(truth.rate, truth.attitude, truth.position, truth.velocity, truth.altitude, force)
+
+
+def test_the_accelerometer_draws_its_noise_apart() -> None:
+    """Stated noise and bias; and what the other sensors say is the same, whatever the accelerometer does."""
+    quiet = suite(True, accelerometer={"noise_m_s2": 0.0, "bias_m_s2": (0.0, 0.0, 0.0)})
+    loud = suite(True, accelerometer={"noise_m_s2": 0.5, "bias_m_s2": (0.1, 0.2, -0.3), "latency_samples": 1})
+    states = [state()] * 4001
+    one, other = record(quiet, states), record(loud, states)
+    assert [each[:5] for each in one] == [each[:5] for each in other]
+    felt = np.array([each.specific_force for each in other[1:]]) - np.array(states[0].specific_force)
+    # the mean of 4000 draws is within 4 of its own deviations, and so is their deviation
+    assert felt.mean(axis=0) == pytest.approx((0.1, 0.2, -0.3), abs=4 * 0.5 / sqrt(4000))
+    assert felt.std(axis=0) == pytest.approx((0.5,) * 3, rel=4 / sqrt(8000))
+    assert other[0].specific_force == states[0].specific_force
 
 
 def test_latency_is_whole_samples() -> None:

@@ -142,6 +142,11 @@ class EngineMonitor:
         """Engine ``i`` is shut off on purpose: take it for lost."""
         self._found(i, 0.0, 0.0)
 
+    def settled(self, throttle: PerJet, output: EngineOutput) -> bool:
+        """Every engine's report is within the threshold of what it gives at rest at its ``throttle``, or of nothing."""
+        reports = zip(self._references, throttle, output.thrust, output.spool_speed, strict=True)
+        return all(each.thrust_of(f, w) <= each.thrust_at(u) + self._threshold for each, u, f, w in reports)
+
     def _judge(self, i: int, x: float) -> bool:
         """Decide what an engine is that has been outside for long enough; False while it cannot be told."""
         reference, gain = 0.5 * (self._low[i] + self._high[i]), self.gains[i]

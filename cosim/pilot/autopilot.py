@@ -72,6 +72,7 @@ from cosim.pilot.requests import (
     Takeoff,
     quaternion_of,
 )
+from cosim.pilot.senses import Senses
 from cosim.pilot.shaper import AttitudeLimits, Shaper, angular_authority, attitude_limits
 from cosim.pilot.touchdown import Touchdown
 from cosim.pilot.watch import OUTSIDE, Watch
@@ -86,6 +87,7 @@ _STICK_LOW = 0.05  # throttle below this is "off" on the ground
 _STICK_UP = 0.6  # throttle above this asks to leave the ground
 _STICK_DEAD = 0.05  # of full stick around the centre
 _LIFT_M = 0.3  # above the ground with no leg in contact is in the air
+_CLEAR_M = 1.0  # above the ground by three deviations more than this is in the air, whatever the legs say
 _LIFT_S = 10.0  # after spooling up without leaving the ground, the take-off is given up
 _REACHED_M = 0.4  # of height; a take-off or climb is over, or a waypoint's height is reached
 _NEAR_HOME_M = 2.0  # no climb and no flight is needed to land here
@@ -178,7 +180,8 @@ class Autopilot:
         self._guide = Guide(tracker, position, self.parameters, step)
         self._vehicle, self._idle = vehicle, idle
         self._shaper = Shaper(self._attitude_limits(), step)
-        self._touchdown = Touchdown(hover, step)
+        self._senses = Senses(vehicle.sensors, step)
+        self._touchdown = Touchdown(hover, step, idle, settings.spool_s)
         self._watch = Watch(self.parameters, hover, step, self._failsafe)
         self._inject, self._clear = inject, clear
         self._airborne = airborne
@@ -197,6 +200,7 @@ class Autopilot:
         self._said = 0
         self._k = -1
         self._measured = measured
+        self._senses.reset(measured)
         if measured is not None:
             self._estimator.reset((measured.position[0], measured.position[1]))
         self._report = Report(not self._airborne, 0.0)
@@ -210,6 +214,7 @@ class Autopilot:
         self._began = 0  # the step of arming, of the begin of a take-off, or of standing again
         self._takeoff_to: float | None = None  # height above home
         self._settling: float | None = None  # collective while the thrust is taken away
+        self._disarming = False  # as soon as it stands
         self._flew = self._airborne  # since arming
         self._ground = 0.0  # height of the ground below the last take-off
         self._left: Pair | None = None  # where that was
@@ -284,6 +289,7 @@ class Autopilot:
             found.append("no home: waiting for the position")
         if self.landed is not LandedState.ON_GROUND:
             found.append("it is in the air")
+        found.extend(self._senses.failed)
         if self.mode in BY_STICK:
             if not self._sticks_fresh():
                 found.append(f"mode {self.mode.value} needs sticks, and there are none")
@@ -296,15 +302,26 @@ class Autopilot:
     def _disarm(self, request: Disarm, k: int) -> Answer:
         if not self.armed:
             return _yes("already disarmed")
-        if self.landed is not LandedState.ON_GROUND:
-            if not request.force:
-                return _no(Result.DENIED, "disarming refused: it is in the air")
+        if self.landed is LandedState.ON_GROUND or self._on_legs():
+            self._stand_down(k, "disarmed")
+            return _yes()
+        if request.force:
             return self._shut_off(k)
-        self._stand_down(k, "disarmed")
-        return _yes()
+        if self._touchdown.touching:
+            # the legs say so, and nothing else yet: the thrust goes first
+            self._enter(Mode.LAND, k)
+            self._settling, self._disarming = self._report.collective, True
+            return _yes("disarms when it stands")
+        return _no(Result.DENIED, "disarming refused: it is in the air")
+
+    def _on_legs(self) -> bool:
+        """On the ground by more than the switch's word, whatever the engines do."""
+        if self.landed is LandedState.TAKING_OFF:
+            return not self._touchdown.off and self._altitude() < self._ground + _LIFT_M
+        return self._touchdown.touching and self._touchdown.carried
 
     def _kill(self, request: Kill, k: int) -> Answer:
-        if self.landed is not LandedState.ON_GROUND and not request.force:
+        if self.landed is not LandedState.ON_GROUND and not request.force and not self._on_legs():
             return _no(Result.DENIED, "kill refused: it is in the air, and force was not given")
         return self._shut_off(k)
 
@@ -524,6 +541,8 @@ class Autopilot:
 
     def _decide(self, k: int, measured: Measured, report: Report) -> Command:
         """What is asked for at step ``k``, steps and all."""
+        still = self.landed is LandedState.ON_GROUND
+        measured = self._senses.update(k, measured, still)
         self._k, self._measured, self._report = k, measured, report
         self._euler = to_euler(measured.attitude)
         flying = self._flying()
@@ -537,7 +556,8 @@ class Autopilot:
             # the flight began in the air
             self.home = Home(*self._fix.position, 0.0)
         self._guide.begin(k, measured, self._euler[2], self._fix)
-        self._touchdown.update(measured.velocity[2], report, self._descending)
+        sure = self.landed is LandedState.IN_AIR and not self._descending
+        self._touchdown.update(measured.velocity[2], self._senses.lift, report, self._descending, sure)
         self._watch.consume(report, self.engines is EngineState.FLY)
         self._look(k, measured, report)
         self._descending = False
@@ -565,6 +585,7 @@ class Autopilot:
             # what was taken over is watched anew
             acting = self.failsafe.startswith(OUTSIDE)
             self._watch.update(k, measured, self._fix, self.home, report, acting)
+            self._watch.sensors(self._senses.failed)
             if self._estimator.silent > _BLIND_S and self.mode not in (*DIRECT, Mode.ALTCTL, Mode.LAND):
                 self._failsafe(LAND, "position lost")
         if self.mode in BY_STICK and self._flying() and not self._sticks_fresh():
@@ -626,10 +647,14 @@ class Autopilot:
 
     def _taking_off(self, k: int) -> Command:
         """From idle to the air: thrust up to that of hover, then a climb, level until the legs are free."""
-        if self._touchdown.off and self._altitude() > self._ground + _LIFT_M:
+        above = self._altitude() - self._ground
+        clear = above - 3.0 * self._senses.vertical.deviation[0] > _CLEAR_M
+        if clear or (self._touchdown.off and above > _LIFT_M):
+            stuck = not self._touchdown.off
             self.landed = LandedState.IN_AIR
             self._flew = True
             self._touchdown.reset()
+            self._touchdown.switch_failed = stuck
             return self._in_air(k)
         if not self._wants_up():
             return self._give_up(k, "")
@@ -659,10 +684,13 @@ class Autopilot:
     def _in_air(self, k: int) -> Command:
         measured = self._now()
         sink = measured.velocity[2]
+        if self._settling is None and self.mode is Mode.HOLD and self._place is None and self._touchdown.touching:
+            # nobody asked it to leave the ground
+            self._settling, self.landed = self._report.collective, LandedState.LANDING
         if self._settling is not None:
             if self._touchdown.touching and sink < _SETTLE_SINK:
                 return self._settle(k, self._settling)
-            self._settling = None
+            self._settling, self._disarming = None, False
         command = self._by_mode(k)
         if self._flies_thrust():
             if self._touchdown.standing:
@@ -680,8 +708,11 @@ class Autopilot:
         low = self._limits.throttle_min
         self._settling = collective = max(low, collective - self._dt * self._hover / _SETTLE_S)
         yaw = self._guide.to_yaw(None)
-        if collective <= low and self._touchdown.standing:
+        if collective <= low and (self._touchdown.standing or self._touchdown.borne):
+            disarm = self._disarming
             self._touch_ground(k)
+            if disarm:
+                self._stand_down(k, "disarmed")
         return Command((0.0, 0.0, yaw), self._altitude(), None, collective)
 
     def _touch_ground(self, k: int) -> None:
@@ -903,7 +934,7 @@ class Autopilot:
             self._say(k, Severity.INFO, f"mode {mode.value}")
         self.mode = mode
         self.failsafe = ""
-        self._settling = None
+        self._settling, self._disarming = None, False
         self._phase = 0
         self._takeoff_to = None
         self._new_place(None, None, None)
@@ -915,9 +946,9 @@ class Autopilot:
 
     def _stand_down(self, k: int, text: str) -> None:
         self.armed = False
-        self.engines = EngineState.IDLE
+        self.engines = EngineState.OFF
         self.landed = LandedState.ON_GROUND
-        self._settling = None
+        self._settling, self._disarming = None, False
         self._flew = False
         if self.mode in (Mode.TAKEOFF, Mode.LAND, Mode.RTL, Mode.MISSION):
             self._enter(Mode.HOLD, k)
@@ -957,11 +988,17 @@ class Autopilot:
         return max(stop, min(here, self._ground + _LOWEST_M))
 
     def _low(self) -> bool:
-        """So near to the ground that a landing slows down.
+        """So near to the ground that a landing slows down, as far as the height is known.
 
         The ground is where it took off, or home where that is higher: there is no sensor for the height above it.
         """
-        return self._altitude() - max(self._home_altitude(), self._ground) < self.parameters["HJ_LAND_SLOW_H"]
+        least = self._altitude() - 2.0 * self._senses.vertical.deviation[0]
+        return least - max(self._home_altitude(), self._ground) < self.parameters["HJ_LAND_SLOW_H"]
+
+    @property
+    def seen(self) -> Measured:
+        """What the loops are to fly the present step with."""
+        return self._now()
 
     def _speed(self) -> float:
         return self._cruise if self._cruise is not None else self.parameters["MPC_XY_VEL_MAX"]

@@ -86,7 +86,7 @@ class Estimator:
         past.popleft()
         if k > self._latency and (k - self._latency) % self._period == 0:
             # a receiver that has nothing new repeats itself to the last bit; then the lean alone carries on
-            fix = (*measured.position, *measured.velocity)
+            fix = (*measured.position, *measured.velocity[:2])
             fresh = still or fix != self._last
             self.silent = 0.0 if fresh else self.silent + self._period * dt
             if fresh:

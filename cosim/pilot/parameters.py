@@ -305,6 +305,7 @@ def _failsafes(pilot: PilotSettings) -> Iterator[Parameter]:
     yield action("HJ_FUEL_ACT", RETURN, "when fuel or battery are low")
     yield line("HJ_ENDURANCE", pilot.endurance_s, 1e5, "s", "hover on a full battery, 0: not estimated")
     yield action("HJ_ENG_ACT", LAND, "when an engine fails in the air")
+    yield action("HJ_SENS_ACT", RETURN, "when the barometer fails or the gyro is biased")
     yield line("HJ_ARM_LEAN", 10.0, 30.0, "deg", "most lean that may be armed at", 1.0)
     yield line("HJ_TIP_LEAN", 60.0, 90.0, "deg", "a lean for half a second that counts as lost control", 20.0)
     yield line("HJ_DISARM_LAND", 2.0, 60.0, "s", "from landing to disarming")

@@ -19,6 +19,7 @@ _MOST_WIND = 0.7
 _FURTHER_M = 2.0  # outside the fence: beyond where it was taken over; GNSS noise is less
 _PATIENCE_S = 10.0  # outside the fence, taken over, and nothing was done to come back: it acts again
 OUTSIDE = "outside the fence"
+_TO_GROUND = ("attitude lost", "gyro lost")  # what stands in for these gets worse with time
 
 
 class Watch:
@@ -42,6 +43,7 @@ class Watch:
         self._acted = False  # what the fence asked for is being done
         self._waited = 0.0  # s outside, taken over
         self._lost: tuple[int, ...] = ()
+        self._failed: tuple[str, ...] = ()
         self._leaning = self._pushed = 0.0
 
     def lost_link(self, k: int) -> None:
@@ -111,6 +113,13 @@ class Watch:
         self._lost = report.lost
         if new:
             self._act(int(self._parameters["HJ_ENG_ACT"]), f"engine {', '.join(new)} failed")
+
+    def sensors(self, failed: tuple[str, ...]) -> None:
+        """What is wrong with the sensors; without its own attitude or rates it is not to fly on."""
+        new = [text for text in failed if text not in self._failed]
+        self._failed = failed
+        for text in new:
+            self._act(LAND if text in _TO_GROUND else int(self._parameters["HJ_SENS_ACT"]), text)
 
     def _fuel(self) -> None:
         if self.remaining is None:
