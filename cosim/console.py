@@ -491,6 +491,8 @@ def print_session(runs: Sequence[Run], counts: Mapping[str, Any], to_stderr: boo
 
 def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
     """Flights and how the last one ended, steps that were late, what the links refused, and how to fly it again."""
+    from shlex import quote
+
     last = runs[-1]
     paced = [run.summary.pacing for run in runs if run.summary.pacing is not None]
     refused = {reason.replace("_", " "): count for reason, count in counts["refused"].items() if count}
@@ -505,7 +507,7 @@ def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
             f"{signatures} bad signatures",
             *([f"{sum(faults.values())} faults of the links, the first: {next(iter(faults))}"] if faults else []),
             f"recorded in {' '.join(str(run.folder) for run in runs)}",
-            f"again: hexjet fly {last.folder}/scenario.toml",
+            f"again: hexjet fly {quote(f'{last.folder}/scenario.toml')}",
         ]
     )
 
@@ -556,7 +558,7 @@ def _state(links: Links) -> str:
     state = "armed" if status.armed else "disarmed"
     speed = "" if pace.reached is None else f"  {pace.reached:.2f} x"
     missed = f"  deadlines missed {pace.missed} of {pace.steps}" if pace.factor else ""
-    count = sum(links.link.refused.values())
+    count = sum(list(links.link.refused.values()))  # a list at once: another thread counts
     refused = f"  frames refused {count}" if count else ""
     return (
         f"{snapshot.time:8.1f} s  {status.mode.value} {state}  {snapshot.measured.altitude:6.1f} m"

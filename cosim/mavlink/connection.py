@@ -33,6 +33,7 @@ class Stream:
         self._read = read
         self._write = write
         self.open = True
+        self.stalled = False  # it was closed because it took nothing
         self.why = ""
         self.peer = link.peer(name, self._transmit, link.parser(whole=False), whole=False, line=line)
         self._tap = Tap(link, item, self._ready)
@@ -74,7 +75,8 @@ class Stream:
         self._tap.poll(peer, now)
         if peer.blocked(now) > STALL or (peer.stuck and peer.line is None):
             self._link.refused["stuck"] += 1
-            self.close(f"it has taken nothing for {STALL:g} s" if not peer.stuck else "too much waits for it")
+            self.stalled = True
+            self.close("too much waits for it" if peer.stuck else f"it has taken nothing for {STALL:g} s")
 
     def close(self, why: str = "") -> None:
         """May be called twice."""

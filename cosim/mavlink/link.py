@@ -33,7 +33,7 @@ _LOUD = {
     "signature": "frames with a wrong signature refused",
     "unsigned": "frames without a signature refused",
     "replay": "frames with the signature of an earlier time refused",
-    "too many stations": "stations turned away: there is no place",
+    "too many stations": "stations turned away because there is no place",
 }
 
 
@@ -184,7 +184,7 @@ class Link:
             told, when = self._said.get(reason, (0, -inf))
             if count > told and now - when >= _COMPLAIN:
                 self._said[reason] = count, now
-                self.say(f"{count - told} {_LOUD[reason]}" if reason in _LOUD else f"a fault of its own: {reason}")
+                self.say(f"{_LOUD.get(reason, reason)}: {count - told}")
 
     def _rung(self, mask: int) -> None:
         with contextlib.suppress(OSError):

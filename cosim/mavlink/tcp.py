@@ -76,6 +76,8 @@ class TcpIn:
     def poll(self, now: float) -> None:
         for stream in self._streams:
             stream.poll(now)
+            if stream.stalled:
+                self._link.say(f"{stream.peer.name} is dropped: {stream.why}")
         self._streams = [stream for stream in self._streams if stream.open]
 
     def close(self) -> None:
@@ -116,6 +118,8 @@ class Tcp:
             self._stream.poll(now)
             if self._stream.open:
                 return
+            if self._stream.stalled:
+                self._link.say(f"{self._endpoint.url} is dropped: {self._stream.why}")
             self._stream = None
         if now < self._next or self._attempt is not None:
             return
