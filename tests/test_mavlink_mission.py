@@ -14,17 +14,21 @@ from mavlink_bench import TICK, Bench, Station, refuse
 from cosim.airframe import Airframe
 from cosim.errors import InputError
 from cosim.geodesy import Geodesy
-from cosim.mavlink.missions import Item, ItemError, MissionService, to_flown, to_item
+from cosim.mavlink.items import Item, ItemError, to_flown, to_item
+from cosim.mavlink.missions import MissionService
 from cosim.pilot.modes import Home, Mode
 from cosim.pilot.requests import (
     Answer,
+    FenceUpload,
     ItemKind,
     MissionClear,
     MissionItem,
     MissionSetCurrent,
     MissionUpload,
+    RallyUpload,
     Request,
     Result,
+    ZoneKind,
 )
 from cosim.scenario import Environment, Initial
 from cosim.signals import ZERO3, Disturbance
@@ -78,6 +82,8 @@ class Vehicle:
             mode=Mode.HOLD,
             armed=False,
             home=Home(0.0, 0.0, HOME),
+            zones=(),
+            rally=(),
         )
         self.service = MissionService(lambda: self.items, lambda: self.status, self.bench.ask, PLACE)
         self.bench.services.append(self.service)
@@ -90,6 +96,10 @@ class Vehicle:
             self.items = request.items
         elif isinstance(request, MissionClear):
             self.items = ()
+        elif isinstance(request, FenceUpload):
+            self.status.zones = request.zones
+        elif isinstance(request, RallyUpload):
+            self.status.rally = request.points
         elif isinstance(request, MissionSetCurrent) and request.index >= len(self.items):
             return refuse(f"mission item {request.index}: there are {len(self.items)}")
         elif isinstance(request, MissionSetCurrent):
@@ -105,10 +115,10 @@ def send_item(station: Station, index: int, item: Item, old: bool = False, kind:
     station.send(name, *TO, index, item.frame, item.command, index == 0, 1, *item.params, *place, item.z, kind)
 
 
-def upload(station: Station, items: list[Item], old: bool = False) -> int:
+def upload(station: Station, items: list[Item], old: bool = False, kind: int = 0) -> int:
     """As MAVSDK and QGroundControl: the count until the first request, then what is asked for; the final result."""
     for _ in range(20):
-        station.send("MISSION_COUNT", *TO, len(items), 0)
+        station.send("MISSION_COUNT", *TO, len(items), kind)
         answer = station.wait("MISSION_REQUEST_INT", "MISSION_ACK", seconds=0.5)
         if answer is not None:
             break
@@ -117,16 +127,16 @@ def upload(station: Station, items: list[Item], old: bool = False) -> int:
             return int(answer.type)
         if answer is not None:
             index = answer.seq
-        send_item(station, index, items[index], old)  # and again what was sent last, if nothing comes
+        send_item(station, index, items[index], old, kind)  # and again what was sent last, if nothing comes
         answer = station.wait("MISSION_REQUEST_INT", "MISSION_ACK", seconds=1.0)
     raise AssertionError("the upload does not end")
 
 
-def download(station: Station) -> list[Any]:
-    count = station.insist(("MISSION_REQUEST_LIST", *TO, 0), "MISSION_COUNT").count
+def download(station: Station, kind: int = 0) -> list[Any]:
+    count = station.insist(("MISSION_REQUEST_LIST", *TO, kind), "MISSION_COUNT").count
     items = []
     for index in range(count):
-        request = ("MISSION_REQUEST_INT", *TO, index, 0)
+        request = ("MISSION_REQUEST_INT", *TO, index, kind)
         items.append(station.insist(request, "MISSION_ITEM_INT", match=lambda m, i=index: m.seq == i))
     station.send("MISSION_ACK", *TO, ACCEPTED, 0)
     return items
@@ -248,7 +258,7 @@ BAD = [
     (do(177, 0.0, -1.0), P2),  # for ever
     (do(177, 0.0, 1e9), P2),
     (do(17), UNSUPPORTED),  # loiter without end
-    (do(2000), UNSUPPORTED),  # take a picture
+    (do(211, 1.0, 1.0), UNSUPPORTED),  # open a gripper
     (do(65535), UNSUPPORTED),
 ]
 
@@ -411,30 +421,112 @@ def test_a_count_that_comes_again_begins_again() -> None:
 # --- fence, rally, the rest ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", [1, 2])
-def test_fence_and_rally_are_empty_lists_of_their_kind(kind: int) -> None:
+CORNERS = [(40.0, -40.0), (40.0, 60.0), (-40.0, 60.0), (-40.0, -40.0)]
+FENCE = [
+    *(at(n, e, 0.0, command=5001, p1=4.0) for n, e in CORNERS),
+    at(10.0, 10.0, 0.0, command=5004, p1=5.0),
+    *(at(n + 100.0, e, 0.0, command=5002, p1=3.0) for n, e in CORNERS[:3]),
+]
+POINTS = [at(20.0, 30.0, 15.0, command=5100), at(-20.0, 0.0, 40.0, SEA, command=5100)]
+
+
+def test_a_fence_travels_both_ways() -> None:
     vehicle = Vehicle()
     upload(vehicle.station, SQUARE)
     before = vehicle.items
-    for message, answer, field, value in (
-        (("MISSION_REQUEST_LIST", *TO, kind), "MISSION_COUNT", "count", 0),
-        (("MISSION_COUNT", *TO, 0, kind), "MISSION_ACK", "type", ACCEPTED),
-        (("MISSION_CLEAR_ALL", *TO, kind), "MISSION_ACK", "type", ACCEPTED),
-        (("MISSION_COUNT", *TO, 4, kind), "MISSION_ACK", "type", UNSUPPORTED),
-        (("MISSION_REQUEST_INT", *TO, 0, kind), "MISSION_ACK", "type", SEQUENCE),
-    ):
-        vehicle.station.send(*message)
-        got = vehicle.station.wait(answer)
-        assert (getattr(got, field), got.mission_type) == (value, kind)
-    send_item(vehicle.station, 0, SQUARE[0], kind=kind)
-    assert vehicle.station.wait("MISSION_ACK").type == UNSUPPORTED
+    assert upload(vehicle.station, FENCE, kind=1) == ACCEPTED
+    polygon, circle, other = vehicle.status.zones
+    assert polygon.kind is ZoneKind.STAY_IN_POLYGON
+    assert [pytest.approx(corner, abs=0.02) for corner in CORNERS] == list(polygon.points)  # 1e-7 deg are 1 cm
+    assert (circle.kind, circle.radius) == (ZoneKind.STAY_OUT_OF_CIRCLE, 5.0)
+    assert (other.kind, len(other.points)) == (ZoneKind.STAY_OUT_OF_POLYGON, 3)
+    back = download(vehicle.station, 1)
+    assert [(m.command, m.param1, m.mission_type) for m in back] == [(i.command, i.params[0], 1) for i in FENCE]
+    # a hundredth of a second of arc there and back
+    assert all(abs(m.x - i.x) <= 1 and abs(m.y - i.y) <= 1 for m, i in zip(back, FENCE, strict=True))
     assert vehicle.items is before
+    vehicle.station.send("MISSION_CLEAR_ALL", *TO, 1)
+    assert vehicle.station.wait("MISSION_ACK").mission_type == 1
+    assert vehicle.status.zones == ()
+    assert vehicle.items is before
+
+
+def test_rally_points_travel_both_ways() -> None:
+    vehicle = Vehicle()
+    assert upload(vehicle.station, POINTS, kind=2) == ACCEPTED
+    assert [point.altitude for point in vehicle.status.rally] == pytest.approx([15.0 + HOME, 40.0 - PLACE.ground])
+    back = download(vehicle.station, 2)
+    assert [m.command for m in back] == [5100, 5100]
+    assert [m.z for m in back] == pytest.approx([15.0 + HOME + PLACE.ground, 40.0], abs=1e-5)
+    vehicle.station.send("MISSION_COUNT", *TO, 0, 2)
+    assert vehicle.station.wait("MISSION_ACK").type == ACCEPTED
+    assert vehicle.status.rally == ()
+
+
+def test_all_lists_are_cleared_at_once() -> None:
+    vehicle = Vehicle()
+    upload(vehicle.station, SQUARE)
+    upload(vehicle.station, FENCE, kind=1)
+    upload(vehicle.station, POINTS, kind=2)
+    vehicle.station.take()
+    vehicle.station.send("MISSION_CLEAR_ALL", *TO, 255)
+    ack = vehicle.station.wait("MISSION_ACK")
+    assert (ack.type, ack.mission_type) == (ACCEPTED, 255)
+    assert (vehicle.items, vehicle.status.zones, vehicle.status.rally) == ((), (), ())
+    assert vehicle.station.wait("MISSION_ACK", seconds=0.5) is None  # one is enough
+
+
+@pytest.mark.parametrize(
+    ("kind", "items", "code", "text"),
+    [
+        (1, [at(0.0, 0.0, 0.0)], UNSUPPORTED, "fence item 0 refused: command 16 is not one of a fence"),
+        (1, [at(0.0, 0.0, 0.0, command=5003, p1=0.0)], P1, "radius 0: more than 0 m is needed"),
+        (1, FENCE[:3], P1, "fence refused: item 2: a polygon of 4 corners ends after 3"),
+        (1, [FENCE[0], FENCE[4]], P1, "a polygon of 4 corners ends after 1"),
+        (1, [at(n, 0.0, 0.0, command=5001, p1=2.0) for n in (0.0, 9.0)], P1, "2 corners, a polygon has 3 to"),
+        (2, [at(0.0, 0.0, 9.0)], UNSUPPORTED, "rally item 0 refused: command 16 is no rally point"),
+        (2, [at(0.0, 0.0, 9.0, frame=8, command=5100)], FRAME, "frame 8 is not known here"),
+    ],
+)
+def test_what_is_no_fence_and_no_rally_point_is_refused(kind: int, items: list[Item], code: int, text: str) -> None:
+    vehicle = Vehicle()
+    assert upload(vehicle.station, items, kind=kind) == code
+    assert text in said(vehicle)
+    assert (vehicle.status.zones, vehicle.status.rally) == ((), ())
+
+
+def test_an_item_of_another_list_is_none_of_this_upload() -> None:
+    vehicle = Vehicle()
+    vehicle.station.send("MISSION_COUNT", *TO, 8, 1)
+    assert vehicle.station.wait("MISSION_REQUEST_INT").mission_type == 1
+    send_item(vehicle.station, 0, SQUARE[0], kind=0)
+    assert vehicle.station.wait("MISSION_ACK").type == ERROR
+    assert upload(vehicle.station, FENCE, kind=1) == ACCEPTED
+
+
+def test_a_mission_with_a_camera_flies_the_rest_and_says_what_it_left_out() -> None:
+    vehicle = Vehicle()
+    survey = [SQUARE[0], do(206, 25.0), *SQUARE[1:4], do(195), do(2000, 0.0, 1.0), do(206, 0.0), SQUARE[7]]
+    assert upload(vehicle.station, survey) == ACCEPTED
+    kinds = [item.kind for item in vehicle.items]
+    assert kinds.count(ItemKind.LEFT_OUT) == 4
+    assert len(kinds) == len(survey)  # every other keeps its number
+    text = "4 items left out, no such payload: DO_SET_CAM_TRIGG_DIST, DO_SET_ROI_LOCATION, IMAGE_START_CAPTURE"
+    assert text in said(vehicle)
+    assert [m.command for m in download(vehicle.station)] == [item.command for item in survey]
+
+
+def said(vehicle: Vehicle) -> str:
+    """The status texts so far, parts of one put together."""
+    vehicle.bench.tick(0.05)
+    return "".join(m.text for m in vehicle.station.take("STATUSTEXT"))
 
 
 def test_unknown_kinds_and_partial_lists_are_unsupported() -> None:
     vehicle = Vehicle()
     for message in (
         ("MISSION_REQUEST_LIST", *TO, 77),
+        ("MISSION_CLEAR_ALL", *TO, 77),
         ("MISSION_REQUEST_LIST", *TO, 255),
         ("MISSION_COUNT", *TO, 3, 255),
         ("MISSION_WRITE_PARTIAL_LIST", *TO, 0, 1, 0),

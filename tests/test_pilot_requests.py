@@ -47,6 +47,8 @@ def items(draw: st.DrawFn) -> rq.MissionItem:
 
 
 vector = st.tuples(metres, metres, metres)
+place = st.tuples(metres, metres)
+POLYGONS, CIRCLES = list(rq.ZoneKind)[:2], list(rq.ZoneKind)[2:]
 ANY: dict[type[Any], st.SearchStrategy[Any]] = {
     rq.Arm: st.builds(rq.Arm, st.booleans()),
     rq.Disarm: st.builds(rq.Disarm, st.booleans()),
@@ -63,6 +65,17 @@ ANY: dict[type[Any], st.SearchStrategy[Any]] = {
     rq.OffboardPosition: st.builds(rq.OffboardPosition, metres, metres, metres, maybe(angle)),
     rq.MissionUpload: st.builds(rq.MissionUpload, st.tuples(items(), items(), items())),
     rq.MissionSetCurrent: st.builds(rq.MissionSetCurrent, st.integers(0, 10_000)),
+    rq.FenceUpload: st.builds(
+        rq.FenceUpload,
+        st.lists(
+            st.builds(rq.FenceZone, st.sampled_from(POLYGONS), st.lists(place, min_size=3, max_size=6).map(tuple))
+            | st.builds(rq.FenceZone, st.sampled_from(CIRCLES), st.tuples(place), number(1e-3, 1e5)),
+            max_size=3,
+        ).map(tuple),
+    ),
+    rq.RallyUpload: st.builds(
+        rq.RallyUpload, st.lists(st.builds(rq.RallyPoint, metres, metres, metres), max_size=3).map(tuple)
+    ),
     rq.SetParameter: st.builds(rq.SetParameter, st.text(), metres),
     rq.InjectFault: st.builds(
         rq.InjectFault,

@@ -4,31 +4,50 @@ The vehicle is the one who asks for every item of an upload, again after a quart
 here at all.  What was uploaded is given back as it came; a mission from elsewhere is written as items.
 https://mavlink.io/en/services/mission.html
 
-Only missions are kept.  A list of fence or rally points is answered as an empty one of its kind.
+Fence and rally points travel the same way and are :mod:`cosim.mavlink.plans`'s.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import degrees, isfinite, isnan, nan, pi, radians
-from typing import NamedTuple
+from math import nan
 
 from cosim.errors import InputError
 from cosim.geodesy import Geodesy
 from cosim.mavlink.dialect import Message
 from cosim.mavlink.dialect import mav as wire
+from cosim.mavlink.items import (
+    ACCEPTED,
+    CANCELLED,
+    DENIED,
+    ERROR,
+    LEFT_OUT,
+    NO_SPACE,
+    NOWHERE,
+    PARAM1,
+    SEQUENCE,
+    UNSUPPORTED,
+    Item,
+    ItemError,
+    received,
+    to_flown,
+    to_item,
+)
+from cosim.mavlink.plans import CHECKS, from_fence, from_rally, to_fence, to_rally
 from cosim.mavlink.service import Answers, Ask, Client, Outgoing, Peer, Service, status_text
 from cosim.pilot.autopilot import Status
 from cosim.pilot.modes import Mode
 from cosim.pilot.requests import (
     LONGEST_MISSION,
     Answer,
-    ItemKind,
+    FenceUpload,
     MissionClear,
     MissionItem,
     MissionSetCurrent,
     MissionUpload,
+    RallyUpload,
+    Request,
     Result,
 )
 
@@ -38,48 +57,14 @@ TELL_AGAIN = 1.0  # s between two MISSION_CURRENT without a change
 REPEATS = 3  # times that a finished item is told, because nobody acknowledges it
 
 MISSION, ALL = wire.MAV_MISSION_TYPE_MISSION, wire.MAV_MISSION_TYPE_ALL
-_OTHERS = (wire.MAV_MISSION_TYPE_FENCE, wire.MAV_MISSION_TYPE_RALLY)
-ACCEPTED, ERROR = wire.MAV_MISSION_ACCEPTED, wire.MAV_MISSION_ERROR
-WRONG_FRAME, UNSUPPORTED = wire.MAV_MISSION_UNSUPPORTED_FRAME, wire.MAV_MISSION_UNSUPPORTED
-NO_SPACE, INVALID = wire.MAV_MISSION_NO_SPACE, wire.MAV_MISSION_INVALID
-PARAM1, PARAM2 = wire.MAV_MISSION_INVALID_PARAM1, wire.MAV_MISSION_INVALID_PARAM2
-PARAM4 = wire.MAV_MISSION_INVALID_PARAM4
-PARAM5, PARAM6, PARAM7 = (
-    wire.MAV_MISSION_INVALID_PARAM5_X,
-    wire.MAV_MISSION_INVALID_PARAM6_Y,
-    wire.MAV_MISSION_INVALID_PARAM7,
-)
-SEQUENCE, DENIED = wire.MAV_MISSION_INVALID_SEQUENCE, wire.MAV_MISSION_DENIED
-CANCELLED = wire.MAV_MISSION_OPERATION_CANCELLED
+FENCE, RALLY = wire.MAV_MISSION_TYPE_FENCE, wire.MAV_MISSION_TYPE_RALLY
+_KINDS = (MISSION, FENCE, RALLY)
 
-WAYPOINT, LOITER_TIME = wire.MAV_CMD_NAV_WAYPOINT, wire.MAV_CMD_NAV_LOITER_TIME
-RETURN, LAND, TAKEOFF = wire.MAV_CMD_NAV_RETURN_TO_LAUNCH, wire.MAV_CMD_NAV_LAND, wire.MAV_CMD_NAV_TAKEOFF
-DELAY, JUMP, SPEED = wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_DO_JUMP, wire.MAV_CMD_DO_CHANGE_SPEED
-
-_SEA = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)  # z above the sea
-_HOME = (wire.MAV_FRAME_GLOBAL_RELATIVE_ALT, wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # z above home
-_NONE = 2**31 - 1  # x or y that is not given
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5  # MISSION_STATE
 
 
-class Item(NamedTuple):
-    """An item as it travels: ``x``, ``y`` in 1e-7 deg, ``z`` in m."""
-
-    frame: int
-    command: int
-    params: tuple[float, float, float, float]
-    x: int
-    y: int
-    z: float
-    autocontinue: int = 1
-
-
-class ItemError(Exception):
-    """An item that cannot be flown; ``code`` is the MAV_MISSION_RESULT that says why."""
-
-    def __init__(self, code: int, text: str) -> None:
-        super().__init__(text)
-        self.code = code
+_NAMES = {MISSION: "mission", FENCE: "fence", RALLY: "rally"}
+_CLEARING: dict[int, Request] = {MISSION: MissionClear(), FENCE: FenceUpload(()), RALLY: RallyUpload(())}
 
 
 @dataclass
@@ -88,6 +73,7 @@ class _Upload:
     count: int
     asked: float  # when the present item was last asked for
     moved: float  # when anything last came
+    which: int = MISSION
     items: list[Item] = field(default_factory=list)
     flown: list[MissionItem] = field(default_factory=list)
     waiting: bool = False  # for the pilot's answer
@@ -125,7 +111,7 @@ class MissionService(Service):
         self._items, self._status, self._geodesy = items, status, geodesy
         self._answers = Answers(ask)
         self._upload: _Upload | None = None
-        self._last: tuple[Client, int, int] | None = None  # who uploaded, how many items, with which end
+        self._last: tuple[Client, int, int, int] | None = None  # who uploaded, how many items, of what, with which end
         self._flown: tuple[MissionItem, ...] = ()  # what the pilot got of the last upload
         self._sent: list[Item] = []  # and what came
         self._told: tuple[int, ...] = ()
@@ -145,18 +131,21 @@ class MissionService(Service):
         if kind == "MISSION_ACK":
             self._acknowledged(message, client)
             return []
-        if message.mission_type != MISSION:
-            return self._other(kind, message, client)
+        which = message.mission_type
+        if kind == "MISSION_CLEAR_ALL" and which == ALL:
+            return self._clear_all(client)
+        if which not in _KINDS:
+            return [_ack(client, UNSUPPORTED, which)]
         if kind == "MISSION_REQUEST_LIST":
-            count = len(self._items())
-            return [wire.MAVLink_mission_count_message(client.system, client.component, count, MISSION)]
+            count = len(self._list(which))
+            return [wire.MAVLink_mission_count_message(client.system, client.component, count, which)]
         if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
-            return [self._give(message.seq, client, kind == "MISSION_REQUEST")]
+            return [self._give(message.seq, client, kind == "MISSION_REQUEST", which)]
         if kind == "MISSION_COUNT":
-            return self._begin(message.count, client)
+            return self._begin(message.count, client, which)
         if kind == "MISSION_CLEAR_ALL":
-            return self._clear(client)
-        return self._take(message, client)
+            return self._clear(client, which)
+        return self._take(message, client, which)
 
     def poll(self, now: float) -> Outgoing:
         """Answers of the pilot, items asked for again, and where the mission stands."""
@@ -166,7 +155,7 @@ class MissionService(Service):
         if upload is not None and not upload.waiting:
             if now - upload.moved > GIVE_UP:
                 self._upload = None
-                out.append((upload.client.peer, _ack(upload.client, CANCELLED)))
+                out.append((upload.client.peer, _ack(upload.client, CANCELLED, upload.which)))
             elif now - upload.asked > ASK_AGAIN:
                 upload.asked = now
                 out.append((upload.client.peer, self._wanted(upload)))
@@ -183,18 +172,29 @@ class MissionService(Service):
 
     # ---- down
 
-    def _give(self, index: int, client: Client, old: bool) -> Message:
+    def _list(self, which: int) -> list[Item]:
+        """What there is of a kind, as it travels."""
+        if which == MISSION:
+            return self._as_items()
+        status = self._status()
+        if status is None:
+            return []
+        if which == FENCE:
+            return from_fence(status.zones, self._geodesy)
+        return from_rally(status.rally, self._geodesy)
+
+    def _give(self, index: int, client: Client, old: bool, which: int) -> Message:
         """An item; ``old``: in degrees as 32-bit floats (half a metre), as who asks so expects it."""
-        items = self._as_items()
+        items = self._list(which)
         if not 0 <= index < len(items):
-            return _ack(client, SEQUENCE)
+            return _ack(client, SEQUENCE, which)
         item, status = items[index], self._status()
-        current = int(status is not None and status.mission_current == index)
+        current = int(which == MISSION and status is not None and status.mission_current == index)
         if not old:
             place: tuple[float, float] = (item.x, item.y)
             make, frame = wire.MAVLink_mission_item_int_message, item.frame
         else:
-            place = (nan if item.x == _NONE else item.x * 1e-7, nan if item.y == _NONE else item.y * 1e-7)
+            place = (nan if item.x == NOWHERE else item.x * 1e-7, nan if item.y == NOWHERE else item.y * 1e-7)
             old_frames = {
                 wire.MAV_FRAME_GLOBAL_INT: wire.MAV_FRAME_GLOBAL,
                 wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
@@ -211,7 +211,7 @@ class MissionService(Service):
             *item.params,
             *place,
             item.z,
-            MISSION,
+            which,
         )
 
     def _as_items(self) -> list[Item]:
@@ -224,67 +224,84 @@ class MissionService(Service):
 
     # ---- up
 
-    def _begin(self, count: int, client: Client) -> list[Message]:
+    def _begin(self, count: int, client: Client, which: int) -> list[Message]:
         upload = self._upload
         if upload is not None and upload.client != client:
-            return [_ack(client, ERROR)]  # another upload is under way
+            return [_ack(client, ERROR, which)]  # another upload is under way
         if upload is not None and upload.waiting:
             return []
         self._upload = None
         if count == 0:
-            return self._clear(client)
+            return self._clear(client, which)
         if count > LONGEST_MISSION:
-            return [_ack(client, NO_SPACE), *_say(f"mission refused: {count} items, {LONGEST_MISSION} are allowed")]
-        self._upload = _Upload(client, count, self._now, self._now)
+            said = _say(f"{_NAMES[which]} refused: {count} items, {LONGEST_MISSION} are allowed")
+            return [_ack(client, NO_SPACE, which), *said]
+        self._upload = _Upload(client, count, self._now, self._now, which)
         return [self._wanted(self._upload)]
 
-    def _take(self, message: Message, client: Client) -> list[Message]:
+    def _take(self, message: Message, client: Client, which: int) -> list[Message]:
         """An item of an upload; what is not the one that was asked for is dropped and asked for again in time."""
         upload = self._upload
-        if upload is None or upload.client != client:
-            if self._last is not None and self._last[:2] == (client, message.seq + 1):
-                return [_ack(client, self._last[2])]  # the acknowledgement was lost
-            return [_ack(client, ERROR)]
+        if upload is None or upload.client != client or upload.which != which:
+            if self._last is not None and self._last[:3] == (client, message.seq + 1, which):
+                return [_ack(client, self._last[3], which)]  # the acknowledgement was lost
+            return [_ack(client, ERROR, which)]
         if upload.waiting or message.seq != len(upload.items):
             return []
-        item = _received(message)
+        item = received(message)
         try:
-            upload.flown.append(to_flown(item, self._geodesy, self._home_altitude()))
+            if which == MISSION:
+                upload.flown.append(to_flown(item, self._geodesy, self._home_altitude()))
+            else:
+                CHECKS[which](item)
         except ItemError as error:
-            return self._refuse(upload, error.code, f"mission item {message.seq} refused: {error}")
+            return self._refuse(upload, error.code, f"{_NAMES[which]} item {message.seq} refused: {error}")
         upload.items.append(item)
         upload.asked = upload.moved = self._now
         if len(upload.items) < upload.count:
             return [self._wanted(upload)]
         try:
-            request = MissionUpload(tuple(upload.flown))
+            request = self._request(upload)
         except InputError as error:  # a jump to nowhere: nothing else is left to check
             return self._refuse(upload, PARAM1, f"mission refused: {error}")
+        except ItemError as error:
+            return self._refuse(upload, error.code, f"{_NAMES[which]} refused: {error}")
         upload.waiting = True
         if not self._answers.request(request, upload.client, lambda answer: self._uploaded(upload, request, answer)):
-            return self._refuse(upload, ERROR, "mission refused: too many requests")
+            return self._refuse(upload, ERROR, f"{_NAMES[which]} refused: too many requests")
         return []
 
-    def _uploaded(self, upload: _Upload, request: MissionUpload, answer: Answer) -> Outgoing:
+    def _request(self, upload: _Upload) -> MissionUpload | FenceUpload | RallyUpload:
+        """What the pilot is asked when all items are there.  Raises InputError, ItemError."""
+        if upload.which == FENCE:
+            return to_fence(upload.items, self._geodesy)
+        if upload.which == RALLY:
+            return to_rally(upload.items, self._geodesy, self._home_altitude())
+        return MissionUpload(tuple(upload.flown))
+
+    def _uploaded(self, upload: _Upload, request: Request, answer: Answer) -> Outgoing:
         peer = upload.client.peer
         if not answer.accepted:
             code = ERROR if answer.result is Result.FAILED else DENIED
             return [(peer, message) for message in self._refuse(upload, code, answer.text)]
         self._upload = None
-        self._flown, self._sent = request.items, upload.items
-        return [(peer, self._end(upload, ACCEPTED))]
+        out: Outgoing = [(peer, self._end(upload, ACCEPTED))]
+        if isinstance(request, MissionUpload):
+            self._flown, self._sent = request.items, upload.items
+            out += [(peer, message) for message in _say(_left_out(upload.items))]
+        return out
 
     def _refuse(self, upload: _Upload, code: int, text: str) -> list[Message]:
         self._upload = None
         return [self._end(upload, code), *_say(text)]
 
     def _end(self, upload: _Upload, code: int) -> Message:
-        self._last = (upload.client, len(upload.items), code)
-        return _ack(upload.client, code)
+        self._last = (upload.client, len(upload.items), upload.which, code)
+        return _ack(upload.client, code, upload.which)
 
     def _wanted(self, upload: _Upload) -> Message:
-        client = upload.client
-        return wire.MAVLink_mission_request_int_message(client.system, client.component, len(upload.items), MISSION)
+        client, at = upload.client, len(upload.items)
+        return wire.MAVLink_mission_request_int_message(client.system, client.component, at, upload.which)
 
     def _acknowledged(self, message: Message, client: Client) -> None:
         """The end of a download, of which nothing is kept, or of an upload that its sender gave up."""
@@ -292,26 +309,28 @@ class MissionService(Service):
         if upload is not None and upload.client == client and not upload.waiting and message.type != ACCEPTED:
             self._upload = None
 
-    def _other(self, kind: str, message: Message, client: Client) -> list[Message]:
-        """Fence and rally points, of which there are none, and all lists at once."""
-        which = message.mission_type
-        if kind == "MISSION_CLEAR_ALL" and which == ALL:
-            return self._clear(client, ALL)
-        if which not in _OTHERS:
-            return [_ack(client, UNSUPPORTED, which)]
-        if kind == "MISSION_REQUEST_LIST":
-            return [wire.MAVLink_mission_count_message(client.system, client.component, 0, which)]
-        if kind == "MISSION_CLEAR_ALL" or (kind == "MISSION_COUNT" and message.count == 0):
-            return [_ack(client, ACCEPTED, which)]
-        return [_ack(client, SEQUENCE if kind.startswith("MISSION_REQUEST") else UNSUPPORTED, which)]
-
     # ---- the rest
 
-    def _clear(self, client: Client, which: int = MISSION) -> list[Message]:
-        def then(answer: Answer) -> Outgoing:
-            return [(client.peer, _ack(client, ACCEPTED if answer.accepted else DENIED, which))]
+    def _clear(self, client: Client, which: int) -> list[Message]:
+        return self._ask_to_clear(client, [_CLEARING[which]], which)
 
-        self._answers.request(MissionClear(), client, then)
+    def _clear_all(self, client: Client) -> list[Message]:
+        return self._ask_to_clear(client, list(_CLEARING.values()), ALL)
+
+    def _ask_to_clear(self, client: Client, requests: list[Request], which: int) -> list[Message]:
+        """One acknowledgement when every request is answered."""
+        refused: list[str] = []
+        left = len(requests)
+
+        def then(answer: Answer) -> Outgoing:
+            nonlocal left
+            left -= 1
+            if not answer.accepted:
+                refused.append(answer.text)
+            return [] if left else [(client.peer, _ack(client, DENIED if refused else ACCEPTED, which))]
+
+        for request in requests:
+            self._answers.request(request, client, then)
         return []
 
     def _set_current(self, index: int, client: Client) -> list[Message]:
@@ -353,156 +372,6 @@ class MissionService(Service):
         return status.home.altitude if status is not None and status.home is not None else 0.0
 
 
-def to_flown(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
-    """What the pilot flies for an item; heights above home are taken from ``home_altitude``.  Raises ItemError."""
-    command, (p1, p2, _, p4) = item.command, item.params
-    try:
-        if command in (WAYPOINT, LOITER_TIME):
-            return _waypoint(item, geodesy, home_altitude)
-        if command == TAKEOFF:
-            altitude = _altitude(item, geodesy, home_altitude)
-            return MissionItem(ItemKind.TAKEOFF, altitude=altitude, yaw=_yaw(p4))
-        if command == LAND:
-            # no place, or 0, 0: where it is
-            somewhere = item.x not in (0, _NONE) or item.y not in (0, _NONE)
-            north, east = _place(item, geodesy, 0.0) if somewhere else (None, None)
-            return MissionItem(ItemKind.LAND, north, east, yaw=_yaw(p4))
-        if command == RETURN:
-            return MissionItem(ItemKind.RETURN)
-        if command == DELAY:
-            return MissionItem(ItemKind.DELAY, hold_s=_number(p1, PARAM1, "delay", 0.0))
-        if command == JUMP:
-            target = _whole(p1, PARAM1, "item to jump to")
-            return MissionItem(ItemKind.JUMP, target=target, repeat=_whole(p2, PARAM2, "number of jumps"))
-        if command == SPEED:
-            if p1 not in (0.0, 1.0):
-                raise ItemError(PARAM1, "only the horizontal speed can be set")
-            return MissionItem(ItemKind.SPEED, speed=_number(p2, PARAM2, "speed", 0.1))
-    except InputError as error:  # a number beyond what the pilot flies
-        raise ItemError(_code_of(str(error)), str(error)) from error
-    raise ItemError(UNSUPPORTED, f"command {command} is not known here")
-
-
-def to_item(item: MissionItem, geodesy: Geodesy) -> Item:
-    """A mission's item as it travels, heights above the sea."""
-    x = y = 0
-    if item.north is not None and item.east is not None:
-        latitude, longitude, _ = geodesy.to_geodetic(item.north, item.east, item.altitude or 0.0)
-        x, y = round(1e7 * latitude), round(1e7 * longitude)
-    z = 0.0 if item.altitude is None else geodesy.ground + item.altitude
-    yaw = nan if item.yaw is None else degrees(item.yaw)
-    there = wire.MAV_FRAME_GLOBAL_INT
-    nowhere = wire.MAV_FRAME_MISSION
-    kind = item.kind
-    if kind is ItemKind.WAYPOINT:
-        return Item(there, WAYPOINT, (item.hold_s, item.acceptance_m, 0.0, yaw), x, y, z)
-    if kind is ItemKind.TAKEOFF:
-        return Item(there, TAKEOFF, (0.0, 0.0, 0.0, yaw), _NONE, _NONE, z)
-    if kind is ItemKind.LAND:
-        return Item(there, LAND, (0.0, 0.0, 0.0, yaw), x, y, geodesy.ground)
-    if kind is ItemKind.SPEED:
-        return Item(nowhere, SPEED, (1.0, item.speed or 0.0, -1.0, 0.0), 0, 0, 0.0)
-    if kind is ItemKind.DELAY:
-        return Item(nowhere, DELAY, (item.hold_s, -1.0, -1.0, -1.0), 0, 0, 0.0)
-    if kind is ItemKind.JUMP:
-        return Item(nowhere, JUMP, (float(item.target or 0), float(item.repeat), 0.0, 0.0), 0, 0, 0.0)
-    return Item(nowhere, RETURN, (0.0, 0.0, 0.0, 0.0), 0, 0, 0.0)
-
-
-def _received(message: Message) -> Item:
-    """An item of MISSION_ITEM_INT or of the old MISSION_ITEM, whose place is in degrees."""
-    x, y = message.x, message.y
-    if message.get_type() == "MISSION_ITEM":
-        x, y = _degrees(x), _degrees(y)
-    params = (message.param1, message.param2, message.param3, message.param4)
-    return Item(message.frame, message.command, params, x, y, message.z, message.autocontinue)
-
-
-def _degrees(value: float) -> int:
-    """Degrees to 1e-7 deg; what is no angle becomes "not given"."""
-    return round(1e7 * value) if abs(value) <= 200.0 else _NONE
-
-
-def _waypoint(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
-    hold, radius, _, yaw = item.params
-    altitude = _altitude(item, geodesy, home_altitude)
-    north, east = _place(item, geodesy, altitude)
-    if item.command == LOITER_TIME:  # its other parameters are of circles
-        radius = 0.0
-    return MissionItem(
-        ItemKind.WAYPOINT,
-        north,
-        east,
-        altitude,
-        _yaw(yaw),
-        _number(hold, PARAM1, "time to hold", 0.0, 0.0),
-        _number(radius, PARAM2, "radius", 0.0, 0.0),
-    )
-
-
-def _place(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float]:
-    if not -900_000_000 <= item.x <= 900_000_000:
-        raise ItemError(PARAM5, "the latitude is none")
-    if not -1_800_000_000 <= item.y <= 1_800_000_000:
-        raise ItemError(PARAM6, "the longitude is none")
-    if item.frame not in (*_SEA, *_HOME):
-        raise ItemError(WRONG_FRAME, f"frame {item.frame} is not known here")
-    north, east, _ = geodesy.to_local(item.x * 1e-7, item.y * 1e-7, geodesy.ground + altitude)
-    return north, east
-
-
-def _altitude(item: Item, geodesy: Geodesy, home_altitude: float) -> float:
-    """Height above the ground at the start."""
-    if item.frame not in (*_SEA, *_HOME):
-        raise ItemError(WRONG_FRAME, f"frame {item.frame} is not known here")
-    if not isfinite(item.z):
-        raise ItemError(PARAM7, "it has no height")
-    return item.z - geodesy.ground if item.frame in _SEA else item.z + home_altitude
-
-
-def _yaw(angle: float) -> float | None:
-    """Degrees to rad within a turn; NaN is "as it is"."""
-    if isnan(angle):
-        return None
-    if abs(angle) > 360.0:
-        raise ItemError(PARAM4, "the heading is beyond 360 deg")
-    return (radians(angle) + pi) % (2.0 * pi) - pi
-
-
-def _number(value: float, code: int, what: str, least: float, missing: float | None = None) -> float:
-    """A parameter that must be at least ``least``; NaN is ``missing``."""
-    if isnan(value) and missing is not None:
-        return missing
-    if not (isfinite(value) and value >= least):
-        raise ItemError(code, f"{what} {value:g}: at least {least:g} is needed")
-    return value
-
-
-def _whole(value: float, code: int, what: str) -> int:
-    if not (isfinite(value) and value >= 0.0 and value == int(value)):
-        raise ItemError(code, f"{what} {value:g}: must be a whole number")
-    return int(value)
-
-
-_FIELDS: dict[str, int] = {
-    "north": PARAM5,
-    "east": PARAM6,
-    "altitude": PARAM7,
-    "hold_s": PARAM1,
-    "acceptance_m": PARAM2,
-    "speed": PARAM2,
-    "target": PARAM1,
-    "repeat": PARAM2,
-    "yaw": PARAM4,
-}
-
-
-def _code_of(text: str) -> int:
-    """The result for the field that an error of ``MissionItem`` names."""
-    name = text.removeprefix("MissionItem.").split(" ")[0]
-    return _FIELDS.get(name, int(INVALID))
-
-
 def mission_current(status: Status) -> Message:
     """MISSION_CURRENT: where the mission stands."""
     return wire.MAVLink_mission_current_message(*_standing(status))
@@ -533,3 +402,13 @@ def _ack(client: Client, code: int, which: int = MISSION) -> Message:
 
 def _say(text: str) -> list[Message]:
     return status_text(text, wire.MAV_SEVERITY_WARNING) if text else []
+
+
+def _left_out(items: list[Item]) -> str:
+    """What of a mission asks for a payload that is not here, in words; empty where nothing does."""
+    names = list(dict.fromkeys(LEFT_OUT[item.command] for item in items if item.command in LEFT_OUT))
+    count = sum(item.command in LEFT_OUT for item in items)
+    if not count:
+        return ""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return f"mission: {count} item{'s' if count > 1 else ''} left out, no such payload: {', '.join(names[:3])}{more}"

@@ -45,6 +45,8 @@ from cosim.pilot.requests import (
     Arm,
     ClearFaults,
     Disarm,
+    FenceUpload,
+    FenceZone,
     Goto,
     Hold,
     InjectFault,
@@ -61,6 +63,8 @@ from cosim.pilot.requests import (
     OffboardAttitude,
     OffboardPosition,
     OffboardVelocity,
+    RallyPoint,
+    RallyUpload,
     Request,
     Result,
     ReturnHome,
@@ -127,6 +131,8 @@ class Status(NamedTuple):
     remaining: float | None  # share of fuel or battery, None: not known
     sticks_fresh: bool
     link_lost: bool
+    zones: tuple[FenceZone, ...] = ()  # of the fence that was drawn
+    rally: tuple[RallyPoint, ...] = ()
 
 
 class Autopilot:
@@ -186,6 +192,7 @@ class Autopilot:
         self._inject, self._clear = inject, clear
         self._airborne = airborne
         self.mission = Mission()
+        self.rally: tuple[RallyPoint, ...] = ()
         self.reset()
 
     def reset(self, measured: Measured | None = None) -> None:
@@ -219,6 +226,7 @@ class Autopilot:
         self._ground = 0.0  # height of the ground below the last take-off
         self._left: Pair | None = None  # where that was
         self._phase = 0  # of RTL and of a mission's landing
+        self._return_to: Pair = (0.0, 0.0)  # where RTL lands
         self._climb_to: float | None = None  # height to reach before a mission leaves the place of its take-off
         self._descending = False
         self._place: Pair | None = None  # where to; None: where it comes to rest
@@ -466,6 +474,23 @@ class Autopilot:
                 if why:
                     return _no(Result.DENIED, f"mission item {index} refused: {why}")
         self.mission.load(request.items)
+        return _yes()
+
+    def _draw_fence(self, request: FenceUpload, k: int) -> Answer:
+        before, self._watch.zones = self._watch.zones, request.zones
+        if self._flying():
+            why = self._watch.outside(*self._fix.position, self._altitude(), self.home)
+            if why:
+                self._watch.zones = before
+                return _no(Result.DENIED, f"fence refused: it would be outside at once ({why})")
+        return _yes()
+
+    def _set_rally(self, request: RallyUpload, k: int) -> Answer:
+        for index, point in enumerate(request.points):
+            why = self._watch.outside(point.north, point.east, self._home_altitude(), self.home)
+            if why:
+                return _no(Result.DENIED, f"rally point {index} refused: {why}")
+        self.rally = request.points
         return _yes()
 
     def _start_mission(self, request: MissionStart, k: int) -> Answer:
@@ -775,11 +800,14 @@ class Autopilot:
     def _fly_home(self) -> Command:
         """RTL: up, home, down."""
         home = self.home or Home(*self._fix.position, self._home_altitude())
-        place = (home.north, home.east)
-        away = hypot(self._fix.position[0] - home.north, self._fix.position[1] - home.east)
+        if self._height is None:
+            self._return_to = self._nearest(home)
+        place = self._return_to
+        away = hypot(self._fix.position[0] - place[0], self._fix.position[1] - place[1])
         if self._height is None:
             near = away < _NEAR_HOME_M
             height = home.altitude + self.parameters["RTL_RETURN_ALT"]
+            height = max([height, *(p.altitude for p in self.rally if (p.north, p.east) == place)])
             self._height = self._stop_height() if near else max(self._stop_height(), height)
             self._phase = 1 if near else 0
         if self._phase == 0 and self._altitude() > self._height - _REACHED_M:
@@ -789,6 +817,12 @@ class Autopilot:
         if self._phase == 2:
             return self._descend(place)
         return self._fly(place if self._phase else None, self._height, self._heading)
+
+    def _nearest(self, home: Home) -> Pair:
+        """Home, or the rally point that is nearer."""
+        n, e = self._fix.position
+        places = [(home.north, home.east), *((point.north, point.east) for point in self.rally)]
+        return min(places, key=lambda place: hypot(place[0] - n, place[1] - e))
 
     def _fly_mission(self, k: int) -> Command:
         item = self.mission.item
@@ -1047,6 +1081,8 @@ class Autopilot:
             self._watch.remaining,
             self._sticks_fresh(),
             self._watch.link_lost >= 0,
+            self._watch.zones,
+            self.rally,
         )
 
 
@@ -1093,6 +1129,8 @@ _HANDLERS: dict[type[Any], Callable[[Autopilot, Any, int], Answer]] = {
     MissionStart: Autopilot._start_mission,
     MissionSetCurrent: Autopilot._set_current,
     MissionClear: Autopilot._clear_mission,
+    FenceUpload: Autopilot._draw_fence,
+    RallyUpload: Autopilot._set_rally,
     SetParameter: Autopilot._set_parameter,
     InjectFault: Autopilot._inject_fault,
     ClearFaults: Autopilot._clear_faults,

@@ -39,16 +39,19 @@ class Mission:
         return self.current >= len(self.items)
 
     def advance(self) -> MissionItem | None:
-        """The next item that is not a jump; None at the end or in a circle of jumps."""
+        """The next item to be flown; None at the end or in a circle of jumps."""
         self.reached = self.current
         self.since = -1
         self.current += 1
         return self.skip_jumps()
 
     def skip_jumps(self) -> MissionItem | None:
-        """Follow jumps from the present item."""
+        """Follow jumps from the present item, and pass what is left out."""
         for _ in range(_MOST_JUMPS):
             item = self.item
+            if item is not None and item.kind is ItemKind.LEFT_OUT:
+                self.current += 1
+                continue
             if item is None or item.kind is not ItemKind.JUMP or item.target is None:
                 return item
             made = self._jumps.get(self.current, 0)

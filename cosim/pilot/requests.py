@@ -38,6 +38,7 @@ Number = Annotated[float, Bounds(-1e9, 1e9)]
 Index = Annotated[int, Bounds(0, 10_000)]
 
 LONGEST_MISSION = 1000  # items; chosen by us
+MOST_ZONES, MOST_CORNERS, MOST_RALLY = 50, 500, 100  # of a fence, of one polygon; rally points; chosen by us
 
 
 class Result(Enum):
@@ -201,6 +202,7 @@ class ItemKind(Enum):
     SPEED = "speed"  # speed
     DELAY = "delay"  # hold_s
     JUMP = "jump"  # to item `target`, `repeat` times
+    LEFT_OUT = "left_out"  # of a payload that is not here: passed at once, so that the other items keep their numbers
 
 
 _NEEDS = {
@@ -267,6 +269,66 @@ class MissionClear(_Checked):
     """No mission."""
 
 
+class ZoneKind(Enum):
+    STAY_IN_POLYGON = "stay_in_polygon"
+    STAY_OUT_OF_POLYGON = "stay_out_of_polygon"
+    STAY_IN_CIRCLE = "stay_in_circle"
+    STAY_OUT_OF_CIRCLE = "stay_out_of_circle"
+
+
+_POLYGONS = (ZoneKind.STAY_IN_POLYGON, ZoneKind.STAY_OUT_OF_POLYGON)
+
+
+@dataclass(frozen=True)
+class FenceZone(_Checked):
+    """A polygon by its corners (north, east), or a circle by its centre and ``radius``, m."""
+
+    kind: ZoneKind
+    points: tuple[tuple[Metres, Metres], ...]
+    radius: Annotated[float, Bounds(0.0, 1e5)] = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        corners = len(self.points)
+        if self.kind in _POLYGONS and not 3 <= corners <= MOST_CORNERS:
+            raise InputError(f"FenceZone.points: {corners} corners, a polygon has 3 to {MOST_CORNERS}")
+        if self.kind not in _POLYGONS and (corners != 1 or self.radius <= 0.0):
+            raise InputError("FenceZone: a circle has one centre and a radius above 0")
+
+
+@dataclass(frozen=True)
+class FenceUpload(_Checked):
+    """A new fence in place of the old one; without zones there is none."""
+
+    zones: tuple[FenceZone, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.zones) > MOST_ZONES:
+            raise InputError(f"FenceUpload.zones: {len(self.zones)} zones, at most {MOST_ZONES} are allowed")
+
+
+@dataclass(frozen=True)
+class RallyPoint(_Checked):
+    """A place to return to where it is nearer than home; ``altitude``: of the flight there, at least."""
+
+    north: Metres
+    east: Metres
+    altitude: Metres
+
+
+@dataclass(frozen=True)
+class RallyUpload(_Checked):
+    """New rally points in place of the old ones."""
+
+    points: tuple[RallyPoint, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.points) > MOST_RALLY:
+            raise InputError(f"RallyUpload.points: {len(self.points)} points, at most {MOST_RALLY} are allowed")
+
+
 @dataclass(frozen=True)
 class SetParameter(_Checked):
     name: str
@@ -325,6 +387,8 @@ Request = (
     | MissionStart
     | MissionSetCurrent
     | MissionClear
+    | FenceUpload
+    | RallyUpload
     | SetParameter
     | InjectFault
     | ClearFaults

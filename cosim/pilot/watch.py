@@ -6,9 +6,11 @@ from collections.abc import Callable
 from math import cos, hypot, radians, tan
 
 from cosim.control.altitude import GRAVITY
+from cosim.pilot.fence import beyond
 from cosim.pilot.modes import Home, Report
 from cosim.pilot.navigation import Fix
 from cosim.pilot.parameters import LAND, NOTHING, Parameters
+from cosim.pilot.requests import FenceZone
 from cosim.signals import Measured
 
 Act = Callable[[int, str], None]  # an action of the parameters, and why
@@ -30,6 +32,7 @@ class Watch:
         self._hover = hover
         self._step = step
         self._act = act
+        self.zones: tuple[FenceZone, ...] = ()  # drawn by a ground station; they stay from flight to flight
         self.reset()
 
     def reset(self) -> None:
@@ -97,6 +100,12 @@ class Watch:
 
     def _beyond(self, north: float, east: float, altitude: float, home: Home | None) -> tuple[float, str]:
         """How far outside the fence a place is (m), and why; 0 and nothing where it is inside."""
+        drawn = beyond(self.zones, north, east)
+        around = self._beyond_radius(north, east, altitude, home)
+        return around if around[0] >= drawn[0] else drawn
+
+    def _beyond_radius(self, north: float, east: float, altitude: float, home: Home | None) -> tuple[float, str]:
+        """The same of the cylinder around home."""
         radius, ceiling = self._parameters["HJ_FENCE_RAD"], self._parameters["HJ_FENCE_ALT"]
         if home is None:
             return 0.0, ""
