@@ -2,6 +2,7 @@
  * speed and fuel flow follow the thrust without lag. */
 #include <math.h>
 
+#include "command.h"
 #include "p220.h"
 
 /* The data sheet's two ends; between them speed follows T = T_0 + a n^b, and fuel is a straight line. */
@@ -11,9 +12,8 @@ static const double IDLE_FUEL = 0.104 / 60.0, FULL_FUEL = 0.58 / 60.0; /* kg/s *
 static const double EXPONENT = 3.205;                             /* b, Momin et al. (2022) */
 
 typedef struct {
-    double T, D;                    /* thrust and its rate */
-    double held[DELAY_SAMPLES_MAX]; /* throttles on their way */
-    int32_t at;
+    double T, D; /* thrust and its rate, in the time of the identification */
+    Command command;
 } State;
 
 const size_t engine_state_size = sizeof(State);
@@ -35,10 +35,7 @@ static void outputs(Variables *v, const State *s)
 void engine_start(Variables *v, void *state)
 {
     State *s = state;
-    for (int32_t i = 0; i < DELAY_SAMPLES_MAX; i++)
-        s->held[i] = v->throttle_start;
-    s->at = 0;
-    s->T = thrust_at_rest(drive(v, v->throttle_start));
+    s->T = thrust_at_rest(drive(v, command_start(v, &s->command, v->throttle_start)));
     s->D = 0.0;
     outputs(v, s);
 }
@@ -46,8 +43,8 @@ void engine_start(Variables *v, void *state)
 void engine_step(Variables *v, void *state)
 {
     State *s = state;
-    const double u = drive(v, delay(s->held, &s->at, v->delay_samples, limit(v->throttle, 0.0, 1.0)));
-    const double h = ENGINE_STEP, T = s->T, D = s->D;
+    const double u = drive(v, command_step(v, &s->command, v->throttle));
+    const double h = ENGINE_STEP / v->time_factor, T = s->T, D = s->D; /* T' in the engine's own time */
     /* Runge-Kutta of fourth order, one step: the fastest mode takes 150 ms or longer, 40 steps */
     const double D1 = D, a1 = thrust_acceleration(T, D1, u);
     const double D2 = D + h / 2.0 * a1, a2 = thrust_acceleration(T + h / 2.0 * D1, D2, u);

@@ -8,7 +8,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "engine.h"
+#include "command.h"
 
 static const double R = 287.0, CP_AIR = 3.5 * 287.0, CP_GAS = 4.0 * 287.0; /* J/(kg K) */
 static const double P_STD = 101325.0, T_STD = 288.15;                      /* Pa, K */
@@ -20,8 +20,8 @@ typedef enum { OFF, CRANKING, SPOOLING, RUNNING } Phase;
 typedef struct {
     double w, fuel;             /* rotor speed [rad/s], fuel flow [kg/s] */
     double reference, integral; /* of the ECU: the speed that the rotor is led along, the integral of its error [kg/s] */
-    double held[DELAY_SAMPLES_MAX];
-    int32_t at, phase, waited;
+    Command command;
+    int32_t phase, waited;
     int32_t was_on;
     double full_rise, idle_share; /* of the parameters alone: T3 / T2 - 1 at full speed, idle over full thrust */
 } State;
@@ -140,16 +140,40 @@ static void sequence(const Plant *a, State *s, double throttle)
     }
 }
 
-/* Fuel: the integral of the speed's error less a share of the speed, within a leanest and a richest mixture; the
+/* The ECU's least and most fuel at speed w. */
+static double leanest_fuel(const Plant *a, double w) { return a->v->leanest_command * air_flow(a, w); }
+
+/* The most, for who asks for `command`: a richest mixture and, where it is limited, the temperature behind the turbine. */
+static double most_fuel(const Plant *a, double w, double command)
+{
+    const Variables *v = a->v;
+    const double richest = v->richest_command * air_flow(a, w);
+    double low = leanest_fuel(a, w), high = limit(command, low, richest);
+    if (v->exhaust_limit == 0.0 || gas_path(a, w, high, 1.0).T5 <= v->exhaust_limit)
+        return richest;
+    /* the fuel that burns at the limit, by halving: T5 rises with the fuel */
+    for (int i = 0; i < 60; i++) {
+        const double middle = (low + high) / 2.0;
+        if (gas_path(a, w, middle, 1.0).T5 <= v->exhaust_limit)
+            low = middle;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+static double richest_fuel(const Plant *a, double w) { return most_fuel(a, w, HUGE_VAL); }
+
+/* Fuel: the integral of the speed's error less a share of the speed, within the least and the most fuel; the
  * integral stands while the command is held. */
 static double fuel_command(const Plant *a, State *s)
 {
     const Variables *v = a->v;
     if (s->phase < SPOOLING)
         return 0.0;
-    const double air = air_flow(a, s->w), low = v->leanest_command * air, high = v->richest_command * air;
-    const double error = (s->reference - s->w) / (v->full_speed * RPM);
-    const double command = s->integral - damping(v, s);
+    const double low = leanest_fuel(a, s->w), off = (s->reference - s->w) / (v->full_speed * RPM);
+    const double error = fabs(off) <= v->speed_dead_band ? 0.0 : off - copysign(v->speed_dead_band, off);
+    const double command = s->integral - damping(v, s), high = most_fuel(a, s->w, command);
     if ((command > low || error > 0.0) && (command < high || error < 0.0))
         s->integral += ENGINE_STEP * v->integral_gain * error;
     return limit(command, low, high);
@@ -177,12 +201,12 @@ static double balancing_fuel(const Plant *a, double w, double low, double high)
     return low;
 }
 
-/* Speed for a balance of torques with a mixture, likewise. */
-static double balancing_speed(const Plant *a, double mixture, double slow, double fast)
+/* Speed for a balance of torques at a limit of the fuel, likewise. */
+static double balancing_speed(const Plant *a, double (*fuel)(const Plant *, double), double slow, double fast)
 {
     for (int i = 0; i < 60; i++) {
         const double middle = (slow + fast) / 2.0;
-        if (rotor(a, middle, mixture * air_flow(a, middle), RUNNING) > 0.0)
+        if (rotor(a, middle, fuel(a, middle), RUNNING) > 0.0)
             slow = middle;
         else
             fast = middle;
@@ -191,20 +215,19 @@ static double balancing_speed(const Plant *a, double mixture, double slow, doubl
 }
 
 /* The equilibrium at throttle_start: the speed demanded, or the nearest that the ECU's mixtures allow. */
-static void settle(const Plant *a, State *s)
+static void settle(const Plant *a, State *s, double throttle)
 {
     const Variables *v = a->v;
-    const double demand = demanded_speed(v, s, v->throttle_start), air = air_flow(a, demand);
-    const double leanest = v->leanest_command, richest = v->richest_command;
+    const double demand = demanded_speed(v, s, throttle);
     s->w = s->reference = demand;
-    if (rotor(a, demand, richest * air, RUNNING) < 0.0) { /* too little air to hold it */
-        s->w = balancing_speed(a, richest, v->light_speed * RPM, demand);
-        s->fuel = richest * air_flow(a, s->w);
-    } else if (rotor(a, demand, leanest * air, RUNNING) > 0.0) { /* too much to stay down */
-        s->w = balancing_speed(a, leanest, demand, 2.0 * demand);
-        s->fuel = leanest * air_flow(a, s->w);
+    if (rotor(a, demand, richest_fuel(a, demand), RUNNING) < 0.0) { /* too little air, or too hot, to hold it */
+        s->w = balancing_speed(a, richest_fuel, v->light_speed * RPM, demand);
+        s->fuel = richest_fuel(a, s->w);
+    } else if (rotor(a, demand, leanest_fuel(a, demand), RUNNING) > 0.0) { /* too much to stay down */
+        s->w = balancing_speed(a, leanest_fuel, demand, 2.0 * demand);
+        s->fuel = leanest_fuel(a, s->w);
     } else {
-        s->fuel = balancing_fuel(a, demand, leanest * air, richest * air);
+        s->fuel = balancing_fuel(a, demand, leanest_fuel(a, demand), v->richest_command * air_flow(a, demand));
     }
     s->integral = s->fuel + damping(v, s);
     s->phase = RUNNING;
@@ -217,11 +240,10 @@ void engine_start(Variables *v, void *state)
     memset(s, 0, sizeof(*s)); /* padding too: saved states are compared byte by byte */
     s->full_rise = (pow(v->pressure_ratio, 2.0 / 7.0) - 1.0) / v->compressor_efficiency;
     s->idle_share = pow(v->idle_speed / v->full_speed, v->thrust_exponent);
-    for (int32_t i = 0; i < DELAY_SAMPLES_MAX; i++)
-        s->held[i] = v->throttle_start;
+    const double throttle = command_start(v, &s->command, v->throttle_start);
     const Plant a = plant(v, s);
     if (v->cold_start == 0 && v->run >= 0.5)
-        settle(&a, s);
+        settle(&a, s, throttle);
     outputs(v, &a, s);
 }
 
@@ -230,7 +252,7 @@ void engine_step(Variables *v, void *state)
     State *s = state;
     const Plant a = plant(v, s);
     const double h = ENGINE_STEP, tau = v->pump_time_constant;
-    sequence(&a, s, delay(s->held, &s->at, v->delay_samples, limit(v->throttle, 0.0, 1.0)));
+    sequence(&a, s, command_step(v, &s->command, v->throttle));
     const double command = fuel_command(&a, s);
     const Phase phase = (Phase)s->phase;
 

@@ -160,6 +160,10 @@ class Turbine:
         low, high = p["leanest_command"] * air, p["richest_command"] * air
         error = (self.reference - self.w) / self.full
         command = self.integral - self.damping
+        hottest = p["exhaust_limit"]
+        asked = min(max(command, low), high)
+        if hottest and hottest < self.gas(self.w, asked).T5:
+            high = brentq(lambda fuel: self.gas(self.w, fuel).T5 - hottest, low, asked, xtol=1e-16, rtol=1e-15)
         if not (command <= low and error <= 0.0) and not (command >= high and error >= 0.0):
             self.integral += STEP * p["integral_gain"] * error
         return min(max(command, low), high)
