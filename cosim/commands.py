@@ -13,12 +13,14 @@ from cosim.errors import InputError
 from cosim.scenario import (
     SIGNALS,
     DoubletCommand,
+    PlaceCommand,
     RampCommand,
     Scenario,
     StepCommand,
     SticksCommand,
     SweepCommand,
     TableCommand,
+    VelocityCommand,
 )
 from cosim.signals import Command
 
@@ -33,7 +35,7 @@ class Commander:
 
     Before and between them the vehicle is asked to stay level, at its initial heading and height.  Any command of a
     body rate replaces the attitude loop for the whole flight (the other rates are 0); a command of the collective
-    replaces the altitude hold from its own start on.
+    replaces the altitude hold from its own start on.  Places and velocities are not its own: see :mod:`cosim.placed`.
     """
 
     def __init__(self, scenario: Scenario, height: float) -> None:
@@ -42,6 +44,8 @@ class Commander:
         for index, entry in enumerate(scenario.command):
             where = f"command.{index}"
             start = scenario.count(entry.start_s, f"{where}.start_s")
+            if isinstance(entry, (PlaceCommand, VelocityCommand)):
+                continue
             before = len(self._waves)
             if isinstance(entry, TableCommand):
                 self._waves += _table(entry, scenario, start, where)
@@ -54,6 +58,7 @@ class Commander:
             if any(signal == _COLLECTIVE for signal, _ in self._waves[before:]):
                 collective.append(start)
         commanded = {signal for signal, _ in self._waves}
+        self.signals = [SIGNALS[signal] for signal in sorted(commanded)]
         self._rate_mode = bool(commanded & {_P, _Q, _R})
         # the height is held until the first command of the collective begins
         self._collective_from = min(collective, default=None)

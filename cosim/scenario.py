@@ -111,8 +111,37 @@ class SticksCommand(Model):
     climb_m_s: Positive = 1.0
 
 
+class PlaceCommand(Model):
+    """From ``start_s`` on: fly to a place and hold it, by the autopilot's law; what is not stated is where it is then.
+
+    m, NED, from the place below the start.  Height and heading are those of other commands.
+    """
+
+    kind: Literal["place"]
+    start_s: Seconds = 0.0
+    north_m: Amplitude | None = None
+    east_m: Amplitude | None = None
+    speed_m_s: Positive | None = None  # at most on the way; not stated: the vehicle's [control.pilot]
+
+
+class VelocityCommand(Model):
+    """From ``start_s`` on: fly at a velocity over the ground, by the autopilot's law; m/s, NED."""
+
+    kind: Literal["velocity"]
+    start_s: Seconds = 0.0
+    north_m_s: Amplitude = 0.0
+    east_m_s: Amplitude = 0.0
+
+
 CommandEntry = Annotated[
-    StepCommand | DoubletCommand | RampCommand | SweepCommand | TableCommand | SticksCommand,
+    StepCommand
+    | DoubletCommand
+    | RampCommand
+    | SweepCommand
+    | TableCommand
+    | SticksCommand
+    | PlaceCommand
+    | VelocityCommand,
     Field(discriminator="kind"),
 ]
 

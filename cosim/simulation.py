@@ -33,6 +33,7 @@ from cosim.ledger import LedgerRow, delay_ledger
 from cosim.mismatch import as_flown, engines_as_flown
 from cosim.pace import Pace
 from cosim.pilot.modes import EngineState, Report
+from cosim.placed import PlacePilot, flies_to_places
 from cosim.reference import engine_reference
 from cosim.scenario import Fault, Scenario, Station, is_file
 from cosim.sensors import SensorSuite
@@ -69,7 +70,7 @@ class Resettable(Protocol):
 
 
 class Pilot(Protocol):
-    """Flies in place of the scenario's commands; see :mod:`cosim.piloted`."""
+    """Flies in place of the scenario's commands; see :mod:`cosim.piloted`, and :mod:`cosim.placed` for scripts."""
 
     @property
     def engines(self) -> EngineState:
@@ -548,7 +549,11 @@ def build(scenario: Scenario) -> Simulation:
         engines = EngineBank(stations, jets, scenario.step_s)
         engines = engines_as_flown(engines, scenario.mismatch, jets)
         ledger = delay_ledger(scenario, vehicle, stations)
-        return Simulation(scenario, vehicle, specs, airframe, engines, spools, control, ledger)
+        simulation = Simulation(scenario, vehicle, specs, airframe, engines, spools, control, ledger)
+        if flies_to_places(scenario):
+            simulation.pilot = PlacePilot(scenario, vehicle, simulation.commander)
+            simulation.pilot.reset(simulation.measured)
+        return simulation
     except BaseException:
         if engines is not None:
             engines.close()

@@ -363,7 +363,16 @@ class Here(Rule):
             yield fly_one(study, flight)
 
 
-GUST = {"vary": [f"{X}=0:400:5"], "settings": ["duration_s=5.0", "engine_parameters.delay_samples=25"], "seeds": 2}
+GUST = {
+    "vary": [f"{X}=0:400:5"],
+    "settings": [
+        "duration_s=5.0",
+        "engine_parameters.delay_samples=25",
+        "limits.drift_m=false",
+        "limits.speed_m_s=false",
+    ],
+    "seeds": 2,
+}
 
 
 def test_what_is_left_behind_flies_again_and_what_was_stopped_goes_on(tmp_path: Path) -> None:

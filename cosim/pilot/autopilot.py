@@ -560,9 +560,9 @@ class Autopilot:
             return command
         rate = command.rate
         if rate is not None:
-            return Command(command.attitude, command.altitude, self._shaper.rate(rate, self._euler), command.collective)
+            return command._replace(rate=self._shaper.rate(rate, self._euler))
         attitude = self._shaper.attitude(command.attitude, self._euler)
-        return Command(attitude, command.altitude, None, command.collective)
+        return command._replace(attitude=attitude)
 
     def _decide(self, k: int, measured: Measured, report: Report) -> Command:
         """What is asked for at step ``k``, steps and all."""

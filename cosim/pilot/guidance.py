@@ -78,7 +78,8 @@ class Guide:
 
     def command(self, lean: Pair, altitude: float, yaw: float) -> Command:
         """Everything by closed loops."""
-        return Command((lean[0], lean[1], yaw), altitude)
+        track = self.track
+        return Command((lean[0], lean[1], yaw), altitude, place=None if track is None else track.position)
 
     @property
     def track(self) -> Track | None:

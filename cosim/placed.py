@@ -1,0 +1,101 @@
+"""A flight that a script sends to places: the scenario's commands with the autopilot's position law below them.
+
+Until the first command of a place or a velocity begins, the script's leans are flown; from there on the law's.  Height
+and heading are the script's all the while.  The law, its estimate of the motion and its set-point's limits are those of
+the autopilot (:mod:`cosim.pilot.navigation`), with the vehicle's [control.position] and [control.pilot].
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import TYPE_CHECKING
+
+from cosim.commands import Commander
+from cosim.errors import InputError
+from cosim.frames import to_euler
+from cosim.pilot.modes import EngineState, Report
+from cosim.pilot.navigation import Estimator, Pair, PositionController, Track, Tracker, lean_for
+from cosim.scenario import PlaceCommand, Scenario, VelocityCommand
+from cosim.signals import Command, Measured
+
+if TYPE_CHECKING:
+    from cosim.vehicle import Vehicle
+
+LEANING = ("roll_deg", "pitch_deg", "rate_p_deg_s", "rate_q_deg_s", "rate_r_deg_s")
+
+
+class PlacePilot:
+    """Flies to the scenario's places and at its velocities, one after the other, each from its start on.
+
+    Raises InputError where the vehicle states no position law, where a command of a lean or a body rate stands beside
+    a place, or where two begin at the same step.
+    """
+
+    engines = EngineState.FLY
+
+    def __init__(self, scenario: Scenario, vehicle: Vehicle, commander: Commander) -> None:
+        gains, settings = vehicle.control.position, vehicle.control.pilot
+        if gains is None or settings is None:
+            missing = "position" if gains is None else "pilot"
+            raise InputError(
+                f"scenario {scenario.name}: command: {vehicle.name} has no [control.{missing}] to fly to a place with"
+            )
+        leaning = [signal for signal in commander.signals if signal in LEANING]
+        if leaning:
+            raise InputError(
+                f"scenario {scenario.name}: command: {', '.join(leaning)}: a place needs the lean to itself"
+            )
+        self._commander = commander
+        self._speed = settings.speed_m_s
+        self._aims: list[tuple[int, PlaceCommand | VelocityCommand]] = []
+        for index, entry in enumerate(scenario.command):
+            if isinstance(entry, (PlaceCommand, VelocityCommand)):
+                self._aims.append((scenario.count(entry.start_s, f"command.{index}.start_s"), entry))
+        self._aims.sort(key=lambda aim: aim[0])
+        self._starts = [start for start, _ in self._aims]
+        if len(set(self._starts)) < len(self._starts):
+            raise InputError(f"scenario {scenario.name}: command: two places or velocities begin at the same step")
+        self._estimator = Estimator(gains, vehicle.sensors.gnss, scenario.step_s)
+        self._tracker = Tracker(settings.acceleration_m_s2, settings.jerk_m_s3, scenario.step_s)
+        self._law = PositionController(gains, scenario.step_s)
+        self._number = -1
+        self._target: Pair = (0.0, 0.0)
+
+    def reset(self, measured: Measured) -> None:
+        """At rest where the sensors say."""
+        self._estimator.reset((measured.position[0], measured.position[1]))
+        self._law.reset()
+        self._number = -1
+
+    def update(self, k: int, measured: Measured, report: Report) -> Command:
+        """The command of step ``k``."""
+        fix = self._estimator.update(k, measured, report.legs)
+        command = self._commander.at(k)
+        number = bisect_right(self._starts, k) - 1
+        if number < 0:
+            return command
+        aim = self._aims[number][1]
+        if number != self._number:
+            if self._number < 0:
+                self._tracker.start(fix.position, fix.velocity)
+            self._number = number
+            north, east = self._tracker.ahead
+            if isinstance(aim, PlaceCommand):
+                self._target = (
+                    north if aim.north_m is None else aim.north_m,
+                    east if aim.east_m is None else aim.east_m,
+                )
+        track = self._towards(aim)
+        yaw = to_euler(measured.attitude)[2]
+        roll, pitch = lean_for(self._law.update(track, fix), yaw)
+        return Command((roll, pitch, command.attitude[2]), command.altitude, None, command.collective, track.position)
+
+    def _towards(self, aim: PlaceCommand | VelocityCommand) -> Track:
+        if isinstance(aim, PlaceCommand):
+            return self._tracker.towards(self._target, aim.speed_m_s or self._speed)
+        return self._tracker.at_velocity((aim.north_m_s, aim.east_m_s))
+
+
+def flies_to_places(scenario: Scenario) -> bool:
+    """Whether the script asks for a place or a velocity."""
+    return any(isinstance(entry, (PlaceCommand, VelocityCommand)) for entry in scenario.command)
