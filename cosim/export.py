@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from cosim import ulog_pilot
 from cosim.columns import RATES
 from cosim.errors import InputError
+from cosim.events import events_of
+from cosim.faults import SENSORS, SERVOS
 from cosim.files import one_line, replacing
 from cosim.pilot_record import read_pilot_record
 from cosim.run import RUN_FILES, Run, Summary, open_run
@@ -86,7 +88,11 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
             _message(b"A", struct.pack("<BH", 0, number) + name.encode())
             for number, name in enumerate([*topics, *pilot])
         )
-        events = [*_series_messages(pilot, len(topics), step), *_said(lines, run.summary, changes, step)]
+        events = [
+            *_series_messages(pilot, len(topics), step),
+            *_said(lines, run.summary, changes, step),
+            *_happened(run, step),
+        ]
         events.sort(key=lambda event: event[0])
         done, first = 0, 0
         estimates = ulog_pilot.estimates(lines)
@@ -175,6 +181,17 @@ def _said(
         yield k, _message(b"P", ulog_pilot.parameter(name, value))
     level = _INFO if summary.outcome == "completed" else _ERROR
     yield summary.steps, _logged(level, summary.duration_s, f"{summary.outcome}: {summary.reason}")
+    for text in summary.exceeded:
+        yield summary.steps, _logged(_ERROR, summary.duration_s, f"beyond its limit: {text}")
+
+
+def _happened(run: Run, step: float) -> Iterator[_Timed]:
+    """Faults, the engine monitor's verdicts, what came from outside and contacts, and where one of them ends."""
+    for event in events_of(run):
+        if event.kind != "pilot":
+            yield round(event.time_s / step), _logged(event.severity, event.time_s, event.text)
+            if event.end_s is not None:
+                yield round(event.end_s / step), _logged(_INFO, event.end_s, f"over: {event.text}")
 
 
 def _logged(severity: int, time: float, text: str) -> bytes:
@@ -242,6 +259,17 @@ def _columns(kind: str, name: str, *columns: str) -> Field:
 def _column(kind: str, name: str, column: str, factor: float = 1.0) -> Field:
     """A scalar field: a column times a factor."""
     return Field(kind, name, 0, lambda block: factor * block[column])
+
+
+def _known(kind: str, name: str, *columns: str, length: int = 0) -> Field:
+    """A field of columns as they are, NaN for those that an older log has not."""
+
+    def values(block: Block) -> Array:
+        missing = np.full(len(block["time_s"]), np.nan)
+        found = [block.get(column, missing) for column in columns]
+        return np.stack(found, axis=1) if length else found[0]
+
+    return Field(kind, name, length, values)
 
 
 def _constant(kind: str, name: str, value: float) -> Field:
@@ -338,7 +366,7 @@ TOPICS: dict[str, list[Field]] = {
     "vehicle_local_position": _local_position("_measured"),
     "vehicle_local_position_groundtruth": _local_position(""),
     "vehicle_local_position_setpoint": [
-        *(_constant("float", name, np.nan) for name in ("x", "y")),
+        *(_known("float", xy, f"{place}_setpoint_m") for xy, place in (("x", "north"), ("y", "east"))),
         _column("float", "z", "altitude_setpoint_m", -1.0),
         *(_constant("float", name, np.nan) for name in ("vx", "vy", "vz", "yaw")),
     ],
@@ -393,6 +421,12 @@ TOPICS: dict[str, list[Field]] = {
         _columns("float", "torque", *(f"disturbance_torque_{axis}" for axis in AXES)),
         _column("float", "payload_kg", "payload_kg"),
         _column("float", "mass_kg", "mass_kg"),
+    ],
+    "hexjet_fault": [  # 1 where a fault acts; and what the engine monitor believes of each jet, 1 for healthy
+        _known("float", "jet", *(f"fault_jet_{jet}" for jet in range(1, JETS + 1)), length=JETS),
+        _known("float", "servo", *(f"fault_servo_{side}" for side in SERVOS), length=len(SERVOS)),
+        _known("float", "sensor", *(f"fault_{name}" for name in SENSORS), length=len(SENSORS)),
+        _known("float", "health", *(f"health_{jet}" for jet in range(1, JETS + 1)), length=JETS),
     ],
 }
 

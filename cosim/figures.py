@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.columns import RATES
+from cosim.events import Event
 from cosim.recorder import Log
 from cosim.run import Run, Summary
 from cosim.signals import AXES, JETS
@@ -22,6 +23,7 @@ Figure = dict[str, Any]
 
 MOST_POINTS = 4000  # per trace; more cannot be seen and makes the page slow
 MOST_SHADES = 30  # per figure
+MOST_MARKS = 60
 PANEL_PX = 165
 DEG = 180.0 / pi
 
@@ -140,6 +142,19 @@ HEIGHT = [
     ),
     Panel("Climb rate", "m/s", [Trace("velocity_down_m_s", "true", BLUE)], scale=-1.0, least_span=1.0),
 ]
+PLACE = [
+    Panel(
+        name.capitalize(),
+        "m",
+        [
+            Trace(f"{name}_measured_m", "measured", ORANGE, width=1.2),
+            Trace(f"{name}_m", "true", BLUE),
+            _setpoint(f"{name}_setpoint_m"),
+        ],
+        least_span=2.0,
+    )
+    for name in ("north", "east")
+]
 OUTSIDE = [  # a panel is left out where it is 0 throughout
     Panel("Force", "N", _vector("disturbance_force_{}_N", ("x", "y", "z"))),
     Panel("Moment", "N m", _vector("disturbance_moment_{}_N_m", ("x", "y", "z"))),
@@ -163,26 +178,45 @@ SPOOLS = Panel("Moment of the spools", "N m", _vector("spool_moment_{}_N_m", ("x
 TANK = Panel("Fuel on board", "kg", [Trace("fuel_kg", "fuel", BLUE)])
 
 
-def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
-    """The figures of one run, by the name of their place on the page."""
+def run_figures(log: Log, summary: Summary, events: Sequence[Event] = ()) -> dict[str, Figure]:
+    """The figures of one run, by the name of their place on the page; ``events`` are marked in all over time."""
     reader = Reader(log, summary.step_s)
-    upsets = reader.upsets()
+    marks = [*reader.upsets(), *event_marks(events, len(log) * summary.step_s)]
     figures = {
-        "attitude": stacked(reader, ATTITUDE, upsets),
-        "rate": stacked(reader, RATE, upsets),
-        "thrust": thrust_figure(reader, summary),
-        "tilt": stacked(reader, TILT),
-        "effort": stacked(reader, EFFORT, upsets),
-        "height": stacked(reader, HEIGHT, upsets),
+        "attitude": stacked(reader, ATTITUDE, marks),
+        "rate": stacked(reader, RATE, marks),
+        "thrust": thrust_figure(reader, summary, marks),
+        "tilt": stacked(reader, TILT, marks),
+        "effort": stacked(reader, EFFORT, marks),
+        "height": stacked(reader, HEIGHT, marks),
         "track": track_figure([reader], ["track"], [BLUE]),
     }
+    if any(reader.known(trace.column) for panel in PLACE for trace in panel.traces if trace.label == "set-point"):
+        figures["place"] = stacked(reader, PLACE, marks)
     outside = [panel for panel in OUTSIDE if any(reader.moves(trace.column) for trace in panel.traces)]
     if outside:
-        figures["outside"] = stacked(reader, outside)
+        figures["outside"] = stacked(reader, outside, marks)
     inside = engine_panels(reader)
     if inside:
-        figures["engines"] = stacked(reader, inside)
+        figures["engines"] = stacked(reader, inside, marks)
     return figures
+
+
+def event_marks(events: Sequence[Event], end: float) -> list[Figure]:
+    """Shades over faults, gusts and changes of the wind, and a line where the monitor or the autopilot says something.
+
+    Other disturbances are shaded from the log.
+    """
+    shades, lines = [], []
+    for event in events:
+        if event.kind == "fault" and event.banded:
+            shades.append(_shade(event.time_s, end if event.end_s is None else event.end_s, RED))
+        elif event.kind == "disturbance" and event.banded and event.text.startswith(("gust", "wind")):
+            shades.append(_shade(event.time_s, end if event.end_s is None else event.end_s))
+        elif event.kind in ("monitor", "pilot"):
+            lines.append(_mark(event.time_s, ORANGE if event.kind == "monitor" else BLUE))
+    unlike = {tuple(sorted((key, str(value)) for key, value in mark.items())): mark for mark in [*shades, *lines]}
+    return list(unlike.values())[:MOST_MARKS]
 
 
 def engine_panels(reader: Reader) -> list[Panel]:
@@ -194,6 +228,10 @@ def engine_panels(reader: Reader) -> list[Panel]:
         known = [trace for trace in traces if reader.known(trace.column)]
         if known:
             panels.append(Panel(title, unit, known, scale))
+    healths = [Trace(f"health_{jet}", f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in range(1, JETS + 1)]
+    given_up = [trace for trace in healths if reader.known(trace.column) and np.nanmin(reader.log[trace.column]) < 1.0]
+    if given_up:
+        panels.append(Panel("Health, as monitored", "1", given_up, least_span=1.2))
     return panels + [panel for panel in (SPOOLS, TANK) if reader.known(panel.traces[0].column)]
 
 
@@ -301,7 +339,7 @@ def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[
     return {"data": _named_once(data), "layout": _stacked_layout(panels, data)}
 
 
-def thrust_figure(reader: Reader, summary: Summary) -> Figure:
+def thrust_figure(reader: Reader, summary: Summary, marks: Sequence[Figure] = ()) -> Figure:
     """A panel for each jet, where the jet sits: the thrust at rest for its throttle, and the thrust it delivered.
 
     All six have one scale.
@@ -336,6 +374,7 @@ def thrust_figure(reader: Reader, summary: Summary) -> Figure:
             "anchor": _axis("y", count - 2 + side),
             **({"matches": "x"} if side else {}),
         }
+    layout["shapes"] = [mark | {"xref": _axis("x", side)} for side in range(2) for mark in marks]
     return {"data": _named_once(data), "layout": layout}
 
 
@@ -479,11 +518,19 @@ def _heading(text: str, x: float, y: float) -> Figure:
     return {"text": f"<b>{text}</b>", "showarrow": False, **place}
 
 
-def _shade(start: float, end: float) -> Figure:
+def _mark(at: float, colour: str) -> Figure:
+    return {
+        "type": "line",
+        **{"xref": "x", "yref": "paper", "x0": at, "x1": at, "y0": 0, "y1": 1, "layer": "below"},
+        "line": {"width": 1.2, "color": colour, "dash": "dot"},
+    }
+
+
+def _shade(start: float, end: float, colour: str = GREY) -> Figure:
     return {
         "type": "rect",
         **{"xref": "x", "yref": "paper", "x0": start, "x1": end, "y0": 0, "y1": 1, "layer": "below"},
-        "fillcolor": GREY,
+        "fillcolor": colour,
         "opacity": 0.14,
         "line": {"width": 0},
     }

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.errors import FlightError
+from cosim.events import Event, events_of
 from cosim.figures import comparison_figures, run_colour, run_figures
 from cosim.files import one_line, replacing
 from cosim.metrics import AxisMetrics, metric_names
@@ -34,18 +35,29 @@ if TYPE_CHECKING:
     from cosim.paper.reproduce import Reproduction
     from cosim.survival import Survival
 
+KINDS = {
+    "fault": "fault",
+    "monitor": "engine monitor",
+    "disturbance": "from outside",
+    "contact": "ground",
+    "pilot": "autopilot",
+}
+GRAVE = 3  # severities up to this, errors, are set off
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 
 
 def write_report(run: Run, path: Path) -> None:
     """Write the page of one run.  Raises FlightError if the file cannot be written."""
     summary = run.summary
-    figures = run_figures(run.log, summary) if summary.steps else {}
+    events = events_of(run)
+    figures = run_figures(run.log, summary, events) if summary.steps else {}
     _render(
         "report.html",
         path,
         figures,
         shaded=bool(figures and figures["attitude"]["layout"]["shapes"]),
+        events=event_rows(events),
+        kinds={event.kind for event in events},
         refused=any(trace["name"] == "refused" for trace in figures.get("effort", {"data": []})["data"]),
         summary=summary,
         verdict=verdict(summary),
@@ -257,6 +269,20 @@ def whole_rows(summary: Summary) -> list[dict[str, Any]]:
                 {"label": label, "value": cell, "unit": of.unit, "limit": limit, "beyond": name in summary.beyond}
             )
     return rows
+
+
+def event_rows(events: Sequence[Event]) -> list[dict[str, str]]:
+    """What happened, as texts: when, until when, of which kind, and what."""
+    return [
+        {
+            "time": f"{event.time_s:.3f}",
+            "until": "" if not event.lasts else "the end" if event.end_s is None else f"{event.end_s:.3f}",
+            "kind": KINDS[event.kind],
+            "text": event.text,
+            "grave": "unmet" if event.severity <= GRAVE else "",
+        }
+        for event in events
+    ]
 
 
 def comparison_rows(summaries: Sequence[Summary]) -> list[dict[str, Any]]:

@@ -19,12 +19,13 @@ from campaigns import DELAY, GAIN, MASS, NOISE, TURBULENCE, WIND, campaign, loop
 from scipy import stats
 from scipy.stats import qmc
 
+from cosim.arrow import read_table, write_table
 from cosim.campaign.cases import eccentricity, worst, write_case
 from cosim.campaign.figures import distribution, group_medians
 from cosim.campaign.flown import KINDS, criterion, metric, read, short_names
 from cosim.campaign.one import fly_one
 from cosim.campaign.plan import Flight, flights
-from cosim.campaign.report import page, write_campaign_report
+from cosim.campaign.report import metric_rows, page, write_campaign_report
 from cosim.campaign.sensitivity import (
     first_order,
     joint,
@@ -47,8 +48,10 @@ from cosim.campaign.statistics import (
     share,
     wilson,
 )
+from cosim.campaign.store import Campaign
 from cosim.campaign.summary import campaign_summary, comparisons, plain, reasons, summary_lines
 from cosim.digest import log_digest
+from cosim.errors import InputError
 from cosim.flight import fly
 from cosim.report import figure_json
 from cosim.scenario import Range, Scenario
@@ -333,12 +336,58 @@ def test_a_flight_that_did_not_complete_has_no_metric(tmp_path: Path) -> None:
     summary = campaign_summary(made)
     assert summary["controllers"]["baseline"]["outcomes"]["crashed"] == 25
     spread = summary["controllers"]["smith"]["metrics"]["roll.rmse_rad"]
-    assert (spread["flights"], spread["without"]) == (50, 0)
+    assert (spread["flights"], spread["without"], spread["of"]) == (50, 0, 50)
     assert spread["p95"] <= 0.03
+    survivors = summary["controllers"]["baseline"]["metrics"]["roll.rmse_rad"]
+    assert (survivors["flights"], survivors["without"], survivors["of"]) == (25, 0, 50)
+    lines = list(summary_lines(summary))
+    assert any(line.startswith("    roll RMSE: median ") and line.endswith("over 25 of 50 flights") for line in lines)
+    (row,) = metric_rows(flown)
+    assert [(cell["flights"], cell["of"]) for cell in row["cells"]] == [(25, 50), (50, 50)]
+    assert "25 of 50" in write_campaign_report(made).read_text()
     # of 50 baseline flights 25 are lost: the curve ends at 50 %
     curve = distribution(flown, metric("roll.rmse_rad"))["data"][0]
     assert curve["y"][-1] == 50.0
     assert max(curve["x"]) == pytest.approx(np.degrees(0.03), rel=1e-3)  # four digits on the page
+
+
+def test_a_flight_beyond_its_own_limits_is_missed_and_says_by_which(tmp_path: Path) -> None:
+    def outcome(flight: Flight, chance: np.random.Generator) -> dict[str, Any]:
+        away = flight.number % 5 == 0
+        return {"beyond": "position.drift_m speed.max_m_s" if away else "", "success": not away}
+
+    flown = read(campaign(tmp_path, study(runs=50, success={}), outcome))
+    missed = flown.kind == KINDS.index("missed")
+    assert np.count_nonzero(missed) == 20
+    (found,) = reasons(flown, flown.of(0), {}).items()
+    assert found == (
+        "drift from the start beyond the flight's own limit and largest ground speed beyond the flight's own limit",
+        10,
+    )
+
+
+def test_a_row_of_a_flight_beyond_its_limits_is_no_success() -> None:
+    away = study(
+        scenario="hover", runs=1, controllers=["smith"], success={}, vary=[{"key": WIND, "range": [14.9, 15.0]}]
+    )
+    row = fly_one(away, flights(away)[0])
+    assert (row["outcome"], row["success"]) == ("completed", False)
+    assert row["beyond"] == "position.drift_m speed.max_m_s"
+    assert row["position.drift_m"] > 100.0  # type: ignore[operator]
+
+
+def test_a_campaign_from_before_there_were_limits_is_read(tmp_path: Path) -> None:
+    made = campaign(tmp_path, study(runs=10, success={}))
+    old = {
+        name: values for name, values in made.columns.items() if name != "beyond" and not name.startswith("position")
+    }
+    flown = read(Campaign(made.folder, made.study, old, made.of))
+    assert flown.beyond == [[] for _ in flown.reason]
+    table = tmp_path / "part.parquet"
+    write_table(table, {"flight": [1, 2]})
+    assert read_table(table, ("flight", "beyond"), lacking=True) == {"flight": [1, 2], "beyond": [None, None]}
+    with pytest.raises(InputError, match="beyond"):
+        read_table(table, ("beyond",))
 
 
 def test_the_summary_counts_every_flight(tmp_path: Path) -> None:

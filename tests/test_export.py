@@ -118,7 +118,9 @@ def test_the_other_topics(run: Run, ulog: ULog) -> None:
             "heading": log["yaw_measured_rad"],
         },
         "vehicle_local_position_groundtruth": {"x": log["north_m"], "z": log["down_m"], "vy": log["velocity_east_m_s"]},
-        "vehicle_local_position_setpoint": {"z": -log["altitude_setpoint_m"], "x": np.full(STEPS, nan)},
+        "vehicle_local_position_setpoint": {"z": -log["altitude_setpoint_m"], "x": log["north_setpoint_m"]},
+        "hexjet_fault": {"jet[2]": log["fault_jet_3"], "servo[1]": log["fault_servo_right"]}
+        | {"sensor[3]": log["fault_barometer"], "health[5]": log["health_6"]},
         "sensor_combined": {
             "gyro_rad[0]": log["rate_p_measured_rad_s"],
             "accelerometer_m_s2[2]": log["specific_force_z_m_s2"],

@@ -393,13 +393,14 @@ def metric_rows(flown: Flown) -> list[dict[str, Any]]:
         for place in places(flown):
             found = spread(flown, place, metric.name)
             cells.append(
-                {"text": NONE, "none": 0, "flights": 0}
+                {"text": NONE, "none": 0, "flights": 0, "of": int(np.sum(flown.of(place)))}
                 if found is None
                 else {
                     "text": f"{metric.factor * found.median:.3g}",
                     "span": _span((metric.factor * found.low, metric.factor * found.high), ".3g"),
                     "none": found.none,
                     "flights": found.flights,
+                    "of": found.of,
                 }
             )
         rows.append({"metric": metric, "figure": f"metric-{number}", "cells": cells})

@@ -54,6 +54,7 @@ class Spread(NamedTuple):
 
     flights: int
     none: int  # completed without having it: never settled, say
+    of: int  # flights in all, lost ones too: the rest of them is in no figure here
     low: float  # 5 % of the flights lie below
     median: float
     high: float  # 5 % lie above
@@ -77,12 +78,14 @@ def kinds(flown: Flown, controller: int) -> dict[str, int]:
 
 def spread(flown: Flown, controller: int, name: str) -> Spread | None:
     """How a metric of a controller is spread; None if no flight has it."""
-    values = flown.values[name][flown.of(controller) & flown.completed]
+    mine = flown.of(controller)
+    values = flown.values[name][mine & flown.completed]
     known = values[np.isfinite(values)]
     if not known.size:
         return None
     low, median, high = np.quantile(known, [0.05, 0.5, 0.95])
-    return Spread(known.size, values.size - known.size, float(low), float(median), float(high))
+    of = int(np.count_nonzero(mine))
+    return Spread(known.size, values.size - known.size, of, float(low), float(median), float(high))
 
 
 def comparisons(flown: Flown) -> list[Comparison]:
@@ -197,7 +200,7 @@ def _controller(flown: Flown, place: int, found: Share) -> dict[str, Any]:
         "clopper_pearson_95": None if flown.grid or not found.of else list(found.exact),
         "metrics": {
             name: {
-                "flights": each.flights, "without": each.none,
+                "flights": each.flights, "without": each.none, "of": each.of,
                 "p05": each.low, "median": each.median, "p95": each.high,
             }
             for name, each in spreads.items()
@@ -254,6 +257,8 @@ def summary_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     yield f"{summary['flights']} flights{whole}; success: {summary['success_is']}"
     for name, found in summary["controllers"].items():
         yield f"  {name}: {_probability(found)}{_others(found['outcomes'])}"
+        for label, each in found["metrics"].items():
+            yield f"    {_spread_line(label, each)}"
     for each in summary["comparisons"]:
         yield f"  {_compared_line(each)}"
     for name, found in summary["drives_success"].items():
@@ -261,6 +266,15 @@ def summary_lines(summary: Mapping[str, Any]) -> Iterator[str]:
         if keys:
             listed = ", ".join(f"{key['key']} {100.0 * key['first_order']:.0f} %" for key in keys[:4])
             yield f"  {name}, what drives success: {listed} of its variance"
+
+
+def _spread_line(name: str, each: Mapping[str, Any]) -> str:
+    """A median with the flights that it is of: lost ones have no part in it."""
+    of = metric(name)
+    low, median, high = (f"{of.factor * each[key]:.3g}" for key in ("p05", "median", "p95"))
+    without = f", {each['without']} completed without it" if each["without"] else ""
+    behind = f"over {each['flights']} of {each['of']} flights{without}"
+    return f"{of.label}: median {median} {of.unit} ({low} to {high} in the middle 90 %), {behind}"
 
 
 def _probability(found: Mapping[str, Any]) -> str:

@@ -1,0 +1,160 @@
+"""What happened in a flight: read from log and scenario, shown on the page, carried by ULog."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyulog import ULog
+
+from cosim.events import contacts, disturbances, events_of, fault_text, faults, spans, verdicts
+from cosim.export import export_ulog
+from cosim.figures import MOST_MARKS, event_marks, run_figures
+from cosim.flight import fly
+from cosim.recorder import MemoryLog
+from cosim.report import write_report
+from cosim.run import Run, open_run
+from cosim.scenario import Scenario
+
+STEP = 0.004
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """An engine that goes out for a second and is given up, a gust, and a jam that lasts to the end."""
+    return fly(
+        Scenario.load("fault-relight").replace(
+            duration_s=4.0,
+            expect=[],
+            environment={"wind_ned_m_s": (3.0, 0.0, 0.0)},
+            disturbance=[
+                {
+                    "kind": "gust", "start_s": 2.5, "velocity_ned_m_s": (0.0, 3.0, 4.0),
+                    "rise_s": 0.2, "hold_s": 0.1, "fall_s": 0.2,
+                },
+            ],
+            fault=[
+                {"kind": "flame_out", "start_s": 1.0, "duration_s": 1.0, "jet": 6},
+                {"kind": "servo_jam", "start_s": 3.0, "servo": "left"},
+            ],
+        ),
+        tmp_path_factory.mktemp("runs") / "run",
+    )  # fmt: skip
+
+
+def test_everything_is_there_in_the_order_of_time(run: Run) -> None:
+    found = [(event.kind, event.text) for event in events_of(run)]
+    assert found == [
+        ("disturbance", "wind of 3 m/s"),
+        ("fault", "jet 6: flame-out"),
+        ("monitor", "jet 6 given up"),
+        ("disturbance", "gust of 5 m/s"),
+        ("fault", "left servo: jammed"),
+    ]
+    by_text = {event.text: event for event in events_of(run)}
+    assert (by_text["jet 6: flame-out"].time_s, by_text["jet 6: flame-out"].end_s) == (1.0, 2.0)
+    assert (by_text["gust of 5 m/s"].time_s, by_text["gust of 5 m/s"].end_s) == (2.5, 3.0)
+    assert by_text["left servo: jammed"].end_s is None
+    given_up = run.log["health_6"] < 1.0
+    assert by_text["jet 6 given up"].time_s == pytest.approx(STEP * np.flatnonzero(given_up)[0])
+
+
+def test_the_log_alone_tells_of_faults(run: Run) -> None:
+    """A flight that was killed has not written down the faults that came by command."""
+    assert [(each.time_s, each.end_s, each.text) for each in faults(run.log, STEP)] == [
+        (1.0, 2.0, "jet 6: a fault acts"),
+        (3.0, None, "left servo: a fault acts"),
+    ]
+
+
+def test_spans_of_a_mask() -> None:
+    mask = np.array([1, 1, 0, 0, 1, 0, 1], dtype=bool)
+    assert spans(mask, 0.5) == [(0.0, 1.0), (2.0, 2.5), (3.0, None)]
+    assert spans(np.zeros(3, dtype=bool), 0.5) == []
+
+
+def test_contacts_without_bounces() -> None:
+    second = round(1.0 / STEP)
+    ground = np.repeat([1.0, 0.0, 1.0, 0.0, 1.0], [second, second, 10, 10, second])
+    log = MemoryLog([np.stack((ground, np.zeros_like(ground)))], ("on_ground", "hull_contact"))
+    found = [(each.time_s, each.text) for each in contacts(log, STEP)]
+    assert found == [(1.0, "leaves the ground"), (pytest.approx(2.08), "touches the ground")]
+
+
+def test_what_the_monitor_believes_in_words() -> None:
+    health = np.array([1.0, 1.0, 0.5, 0.5, 1.0, 0.0])
+    log = MemoryLog([health[None, :]], ("health_2",))
+    assert [(each.time_s, each.text) for each in verdicts(log, 1.0)] == [
+        (2.0, "jet 2 taken for weak: 50 % of what it is told"),
+        (4.0, "jet 2 taken for healthy again"),
+        (5.0, "jet 2 given up"),
+    ]
+
+
+def test_every_fault_and_disturbance_has_words() -> None:
+    stated = [
+        ({"kind": "stuck_throttle", "jet": 1}, "throttle stuck"),
+        ({"kind": "stuck_throttle", "jet": 1, "throttle": 0.7}, "throttle stuck at 70 %"),
+        ({"kind": "thrust_loss", "jet": 1, "share": 0.5}, "50 % of the thrust lost"),
+        ({"kind": "slow_spool", "jet": 1, "lag_s": 0.06}, "slower by a lag of 0.06 s"),
+        ({"kind": "delay_growth", "jet": 1, "delay_s": 0.04}, "later by 0.04 s"),
+        ({"kind": "servo_jam", "servo": "left", "angle_deg": 5.0}, "jammed at 5 deg"),
+        ({"kind": "sensor_bias", "sensor": "barometer", "bias": [1.0]}, "biased by 1"),
+        ({"kind": "sensor_dropout", "sensor": "gyro"}, "silent"),
+    ]
+    scenario = Scenario.load("hover").replace(
+        fault=[{"start_s": 1.0, **table} for table, _ in stated],
+        disturbance=[
+            {"kind": "force", "start_s": 1.0, "duration_s": 1.0, "force_n": (3.0, 4.0, 0.0)},
+            {"kind": "moment", "start_s": 1.0, "duration_s": 1.0, "moment_n_m": (0.0, 0.0, 2.0)},
+            {"kind": "torque_command", "axis": "roll", "start_s": 1.0, "duration_s": 1.0, "amplitude": 0.1},
+            {"kind": "payload", "start_s": 1.0, "mass_kg": 0.5, "offset_m": (0.0, 0.0, 0.0)},
+            {"kind": "wind", "start_s": 1.0, "duration_s": 50.0, "velocity_ned_m_s": (0.0, 6.0, 8.0)},
+            {"kind": "force", "start_s": 30.0, "duration_s": 1.0, "force_n": (1.0, 0.0, 0.0)},
+        ],
+    )
+    assert [fault_text(fault) for fault in scenario.fault] == [text for _, text in stated]
+    found = [(each.text, each.end_s) for each in disturbances(scenario, 20.0)]
+    assert found == [
+        ("force of 5 N", 2.0),
+        ("moment of 2 N m", 2.0),
+        ("step on the roll command", 2.0),
+        ("load of 0.5 kg", None),
+        ("wind changes by 10 m/s", None),
+    ]
+
+
+def test_the_figures_have_their_bands(run: Run) -> None:
+    figures = run_figures(run.log, run.summary, events_of(run))
+    for name in ("attitude", "rate", "thrust", "tilt", "effort", "height", "engines", "outside"):
+        shapes = figures[name]["layout"]["shapes"]
+        bands = {(shape["x0"], shape["x1"]) for shape in shapes if shape["type"] == "rect"}
+        assert bands == {(1.0, 2.0), (2.5, 3.0), (3.0, 4.0)}, name
+        assert [shape["x0"] for shape in shapes if shape["type"] == "line"], name
+    many = [event.model_copy(update={"time_s": 0.01 * k}) for k, event in enumerate(events_of(run) * 100)]
+    assert len(event_marks(many, 4.0)) == MOST_MARKS
+
+
+def test_the_page_tells_of_them(run: Run) -> None:
+    assert run.folder is not None
+    write_report(open_run(run.folder), run.folder / "again.html")
+    page = (run.folder / "again.html").read_text()
+    assert "What happened" in page
+    for event in events_of(run):
+        assert event.text in page
+    assert "Nothing disturbed" not in page
+
+
+def test_ulog_carries_them(run: Run, tmp_path: Path) -> None:
+    assert run.folder is not None
+    export_ulog(run.folder, tmp_path / "x.ulg")
+    log = ULog(str(tmp_path / "x.ulg"))
+    said = [(message.timestamp, message.message) for message in log.logged_messages]
+    assert (1_000_000, "jet 6: flame-out") in said
+    assert (2_000_000, "over: jet 6: flame-out") in said
+    assert (3_000_000, "left servo: jammed") in said
+    assert [time for time, _ in said] == sorted(time for time, _ in said)
+    data = log.get_dataset("hexjet_fault").data
+    np.testing.assert_array_equal(data["jet[5]"], run.log["fault_jet_6"].astype(np.float32))
+    np.testing.assert_array_equal(data["health[5]"], run.log["health_6"].astype(np.float32))
