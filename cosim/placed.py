@@ -31,7 +31,8 @@ class PlacePilot:
     a place, or where two begin at the same step.
     """
 
-    engines = EngineState.FLY
+    engines: EngineState = EngineState.FLY
+    seen: Measured  # what the loops fly with: the sensors as they are, as in any script
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle, commander: Commander) -> None:
         gains, settings = vehicle.control.position, vehicle.control.pilot
@@ -63,12 +64,14 @@ class PlacePilot:
 
     def reset(self, measured: Measured) -> None:
         """At rest where the sensors say."""
+        self.seen = measured
         self._estimator.reset((measured.position[0], measured.position[1]))
         self._law.reset()
         self._number = -1
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
         """The command of step ``k``."""
+        self.seen = measured
         fix = self._estimator.update(k, measured, report.legs)
         command = self._commander.at(k)
         number = bisect_right(self._starts, k) - 1
