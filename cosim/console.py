@@ -515,7 +515,8 @@ def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
 def _where(url: str) -> str:
     kind, _, place = url.partition(":")
     port = place.rpartition(":")[2]
-    known = {"14550": " (QGroundControl and MAVProxy listen there)", "14540": " (MAVSDK listens there)"}
+    known = {f"{14540 + n}": " (MAVSDK listens there)" for n in range(10)}
+    known["14550"] = " (QGroundControl and MAVProxy listen there)"
     if kind == "udpout":
         return f"sends to udp {place}{known.get(port, '')}"
     return {"udpin": f"listens at udp {place}", "tcpin": f"listens at tcp {place}"}.get(kind, f"{kind} {place}")
