@@ -717,7 +717,7 @@ def paper(out: Path, workers: int, pages: tuple[Path, ...], as_json: bool) -> in
     "--engine-out",
     is_flag=True,
     help="Instead: one engine out in hover, at every station, of every aircraft (or --aircraft) with every engine (or "
-    "--engine) that lifts it, each with the gains designed for it, beside what no control could do better.",
+    "--engine) that lifts it, each with the gains designed for it, beside the lean that no throttles avoid.",
 )
 @click.option(
     "--designs",
@@ -730,7 +730,8 @@ def paper(out: Path, workers: int, pages: tuple[Path, ...], as_json: bool) -> in
     "--docs",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
     metavar="DIR",
-    help="Of --engine-out: also write the tables between the marks of faults.md and full-scale.md there.",
+    help="Write the tables between the marks of faults.md, and with --engine-out of full-scale.md, there; of all "
+    "that they hold.",
 )
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
@@ -756,7 +757,8 @@ def faults(
     """
     from cosim.console import part_progress, print_survival
     from cosim.flight import new_folder
-    from cosim.survival import survival, write
+    from cosim.marks import check_marks
+    from cosim.survival import PARTS, survival, write, write_page
 
     if engine_out:
         _refuse_others(
@@ -767,13 +769,18 @@ def faults(
         return _engine_out(
             (aircraft,) if stated else (), (engine,) if engine else (), folder, designs, docs, workers, as_json
         )
-    for name, given in (("--designs", designs), ("--docs", docs)):
-        if given is not None:
-            raise InputError(f"{name} goes with --engine-out")
+    if designs is not None:
+        raise InputError("--designs goes with --engine-out")
+    page = None if docs is None else docs / "faults.md"
+    if page is not None:
+        _refuse_others(context, "docs", "docs", "limits", "workers", "out", "as_json")
+        check_marks(page, PARTS)
 
     with part_progress("faults", quiet=as_json) as say:
         found = survival(aircraft, engine, controllers, kinds, workers, say, limits)
     paths = write(found, out if out is not None else new_folder(Path("runs"), f"faults-{aircraft}"))
+    if page is not None:
+        write_page(found, page)
     if as_json:
         click.echo(json.dumps(found.to_dict(), allow_nan=False))
     else:

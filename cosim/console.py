@@ -454,9 +454,9 @@ def print_engine_out(found: EngineOut, paths: Sequence[Path]) -> None:
         if lines:
             console.print(table)
     console.print(
-        "each jet: verdict, largest lean, height lost, furthest drift; bounds: the lean that no throttles, or no "
-        "throttles and tilts, avoid, told of it at once; the second table: the bound for throttles alone "
-        "with one thing changed, and when the opposite engine has to be shut off for a bound at the limit of lean",
+        "each jet: verdict, largest lean, height lost, furthest drift; bounds: the lean that no throttles avoid, "
+        "and while it does not spin no tilts either, told of it at once; the second table: the bound for throttles "
+        "alone with one thing changed, and when the opposite engine has to be shut off for a bound at the limit",
         highlight=False,
     )
     for path in paths:

@@ -1,7 +1,8 @@
-"""One engine out in hover: what becomes of every vehicle that an engine lifts, and what any control could do about it.
+"""One engine out in hover: what becomes of every vehicle that an engine lifts, and what any throttle could do about it.
 
 The flights use the gains that ``hexjet design`` finds for each engine.  Beside each of them stands a bound: the lean
-that no throttle and no tilt could have kept the vehicle from, however they were chosen (:func:`least_lean`).
+that no throttles keep the vehicle from, however they are chosen, and no tilts either while it does not spin
+(:meth:`Roller.least_lean`).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ AFTER_S = 10.0  # flown with the engine out: long enough for the slowest engines
 LEAST_HOVER = 0.2  # of the range of thrust, chosen by us: below it an engine is the wrong one, slow near its idle
 FURTHEST_DEG = 180.0  # beyond it the bound is not followed: it has gone over
 STEP_S = 0.004
+SINK_M_S = 0.5  # at the end: who sinks faster than an autopilot lands has not held; chosen by us
 Means = Literal["planned around", "opposite shut off", "opposite, found sooner"]
 PLANNED: Means = "planned around"
 OPPOSITE: Means = "opposite shut off"
@@ -41,7 +43,7 @@ SOONER_THRESHOLD = 0.1  # of hover thrust, for the monitor: 3 to 4 % of the spoo
 
 @dataclass(frozen=True)
 class Bound:
-    """The least lean that any control could have reached, and when."""
+    """The least lean that was within reach, and when."""
 
     lean_deg: float  # inf: beyond FURTHEST_DEG
     time_s: float  # from the flame-out to the moment at which it is reached
@@ -64,6 +66,7 @@ class Flight:
     lean_deg: float  # largest, from upright, from the fault on
     lost_m: float  # of height, from the fault on
     drift_m: float  # furthest over the ground from where it went out
+    sink_m_s: float  # at the end
     detected_s: float | None  # from the fault to the monitor's first verdict
     reason: str
     throttles_deg: float  # no throttles lean less; with the opposite engine shut off when this flight did it
@@ -180,7 +183,7 @@ class Roller:
     inertia: float = 1.0  # over that of the vehicle
 
     def least_lean(self, jet: int, after: int = 0, shut_at: int | None = None, tilting: bool = False) -> Bound:
-        """The lean that no control avoids with jet ``jet`` (from 1) out, knowing it from step ``after`` on.
+        """The lean that no throttles avoid with jet ``jet`` (from 1) out, knowing it from step ``after`` on.
 
         Roll obeys ``J p' = M - c p``, ``phi' = p``, with ``M = -sum y_i T_i cos(tilt_i)`` and damping c.  Full throttle
         beside the engine that is out and least throttle across from it, with ``tilting`` also the largest tilt there,
@@ -189,7 +192,8 @@ class Roller:
         or at a smaller phi.
 
         Optimistic: whatever else throttles and tilts do (pitch, yaw, height, the way back) costs nothing.  Left out: a
-        vehicle that turns about its other axes while it leans (the product of pitch and yaw rate).
+        vehicle that spins about its vertical axis meanwhile, by banks tilted apart.  It carries its lean round with
+        it, and can lean less than either bound; throttles alone cannot make it spin.
         ``shut_at``: the opposite engine is shut off from that step on.
         """
         vehicle, courses = self.vehicle, self.courses
@@ -296,7 +300,8 @@ def engine_out(
     tasks: list[tuple[Scenario, int, Means]] = []
     left, levers = [], []
     for vehicle in aircraft:
-        load_vehicle(vehicle)
+        if load_vehicle(vehicle)[0].servo is None:
+            raise InputError(f"aircraft {vehicle}: it has no tilting banks, and no plan for an engine that is lost")
         for engine in engines:
             why = unfit(vehicle, engine)
             if not why:
@@ -344,17 +349,17 @@ def _controller(aircraft: str, engine: str, designs: Path, say: Say) -> Controll
     from cosim.design.make import design
     from cosim.design.tune import Requirements
 
-    for path in (designs / f"{engine}.toml", designs / f"{engine}-{aircraft}.toml"):
+    name = Path(engine).name
+    for path in (designs / f"{name}.toml", designs / f"{name}-{aircraft}.toml"):
         if path.is_file():
             file = read_controller(path)
-            if file.design.aircraft == aircraft:
+            if (file.design.aircraft, Path(file.design.engine).name) == (aircraft, name):
                 return file
     say(f"designing {aircraft} with {engine}", 0, 1)
-    spec_share = {"noise_share": 0.02} if engine.startswith("turbine") else {}
-    found = design(engine, aircraft, need=Requirements(**spec_share))
+    found = design(engine, aircraft, need=Requirements())
     if not found.ok:
         return f"no controller keeps the requirements of hexjet design: {found.reason}"
-    path = designs / f"{engine}-{aircraft}.toml"
+    path = designs / f"{name}-{aircraft}.toml"
     try:
         designs.mkdir(parents=True, exist_ok=True)
         write_controller(found, path)
@@ -396,6 +401,10 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
     lean, lost, detected = judge(run.log, begin)
     north, east = (run.log[name][begin:] for name in ("north_m", "east_m"))
     drift = max((hypot(n - north[0], e - east[0]) for n, e in zip(north, east, strict=True)), default=nan)
+    sink = float(run.log["velocity_down_m_s"][-1])
+    verdict = verdict_of(run.outcome, run.log, STEP_S)
+    if verdict == "held" and sink > SINK_M_S:
+        verdict = "airborne"
     found = None if detected is None else detected - begin + 1
     with build(scenario) as simulation:
         shut_at = found if means != PLANNED else None
@@ -409,10 +418,11 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
         controller=scenario.controller,
         jet=jet,
         means=means,
-        verdict=verdict_of(run.outcome, run.log, STEP_S),
+        verdict=verdict,
         lean_deg=lean,
         lost_m=lost,
         drift_m=float(drift),
+        sink_m_s=sink,
         detected_s=None if found is None else found * STEP_S,
         reason=run.reason,
         throttles_deg=throttles.lean_deg,
@@ -530,6 +540,7 @@ def _row(flights: Sequence[Flight]) -> tuple[str, ...]:
     cells = [
         f"{each.verdict}: {each.lean_deg:.0f}°"
         + ("" if each.verdict == "lost" else f", {each.lost_m:.1f} m, {each.drift_m:.1f} m")
+        + (f", sinks at {each.sink_m_s:.1f} m/s" if each.verdict == "airborne" else "")
         for each in flights
     ]
     bounds = (_lean([each.throttles_deg for each in flights]), _lean([each.bound_deg for each in flights]))

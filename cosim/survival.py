@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from cosim.control.altitude import GRAVITY
 from cosim.control.replan import Attainable, attainable_sets
 from cosim.errors import FlightError, InputError
+from cosim.marks import table, write_marks
 from cosim.metrics import wrap
 from cosim.scenario import Scenario
 from cosim.signals import AXES
@@ -346,14 +347,66 @@ def write(found: Survival, folder: Path) -> dict[str, Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with open(paths["table"], "w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file)
+            lines = csv.writer(file)
             names = [field.name for field in fields(Row)]
-            table.writerow(names)
-            table.writerows([getattr(row, name) for name in names] for row in found.rows)
+            lines.writerow(names)
+            lines.writerows([getattr(row, name) for name in names] for row in found.rows)
         survival_report(found, paths["report"])
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror or error}") from error
     return paths
+
+
+PARTS = ("faults", "faults-attainable")  # the marks of docs/faults.md
+
+
+def write_page(found: Survival, path: Path) -> None:
+    """The table, and what the engines left can do, between the marks of a page; see :mod:`cosim.marks`."""
+    write_marks(path, page_parts(found))
+
+
+def page_parts(found: Survival) -> dict[str, str]:
+    """What :func:`write_page` writes, by mark."""
+    controllers, lines = summary(found)
+    return {
+        "faults": table(
+            ("fault", "from", *controllers, "detected after"),
+            (
+                (kind, start, *map(_cell_text, cells), _times(_predicting(controllers, cells)))
+                for kind, start, cells in lines
+            ),
+            left=2,
+        ),
+        "faults-attainable": table(("lost jets", "thrust over weight", "roll moment left in hover"), _left(found)),
+    }
+
+
+def _cell_text(cell: Cell) -> str:
+    airborne = f", {cell.airborne} airborne" if cell.airborne else ""
+    return f"{cell.held} of {cell.flown}{airborne}; {cell.lean_deg:.0f}°, {cell.lost_m:.1f} m"
+
+
+def _predicting(controllers: Sequence[str], cells: Sequence[Cell]) -> Sequence[Cell]:
+    """The cells of the controllers that predict; all where none does."""
+    return [cell for name, cell in zip(controllers, cells, strict=True) if name != "baseline"] or cells
+
+
+def _times(cells: Sequence[Cell]) -> str:
+    """First to last."""
+    times = [1e3 * time for cell in cells if cell.detected_s for time in cell.detected_s]
+    if not times:
+        return "-"
+    return f"{min(times):.0f} ms" if max(times) - min(times) < 0.5 else f"{min(times):.0f} to {max(times):.0f} ms"
+
+
+def _left(found: Survival) -> Iterator[tuple[str, ...]]:
+    """The attainable sets, those that come to the same on one line."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for each in found.attainable:
+        roll = "cannot hover" if each.roll is None else f"{100.0 * each.roll:.0f} %"
+        alike.setdefault((f"{each.thrust:.2f}", roll), []).append(" and ".join(map(str, each.lost)) or "none")
+    for (thrust, roll), lost in alike.items():
+        yield "; ".join(lost), thrust, roll
 
 
 @dataclass(frozen=True)
@@ -371,11 +424,11 @@ class Cell:
 def summary(found: Survival) -> tuple[list[str], list[tuple[str, str, list[Cell]]]]:
     """The controllers, and for each kind and start what became of all its places with each of them."""
     controllers = list(dict.fromkeys(row.controller for row in found.rows))
-    table = []
+    lines = []
     for kind, start in dict.fromkeys((row.kind, row.start) for row in found.rows):
         rows = [row for row in found.rows if (row.kind, row.start) == (kind, start)]
-        table.append((kind, start, [_cell([row for row in rows if row.controller == name]) for name in controllers]))
-    return controllers, table
+        lines.append((kind, start, [_cell([row for row in rows if row.controller == name]) for name in controllers]))
+    return controllers, lines
 
 
 def _cell(rows: Sequence[Row]) -> Cell:

@@ -32,9 +32,10 @@ from cosim.scenario import (
     scenario_names,
 )
 from cosim.servo import TiltServo
+from cosim.shutoff import Shutoff
 from cosim.signals import EngineOutput, PerJet, Sample
 from cosim.simulation import Simulation, build
-from cosim.survival import Case, cases, judge, scenario_of, summary, survival, write
+from cosim.survival import PARTS, Case, cases, judge, scenario_of, summary, survival, write, write_page
 from cosim.vehicle import MonitorSettings, load_vehicle
 
 STEP = 0.004
@@ -183,6 +184,25 @@ def test_the_law_of_a_flame_out_is_that_of_the_gas_path_of_its_class(engine: str
     assert thrust == pytest.approx(law.left * slowed**law.exponent, abs=0.015)
     assert speed == pytest.approx(slowed, abs=0.03)
     assert thrust[0] < 0.45
+
+
+def test_an_engine_shut_off_goes_out_by_its_law_too_and_a_fan_at_once() -> None:
+    law = FlameOutLaw(left=0.4, run_down=1.2, exponent=2.5, relight=13.0)
+    shutoff = Shutoff(Bank(), [law, ELECTRIC, law], STEP)
+    shutoff.set(0, False)
+    shutoff.set(1, False)
+    for k in range(5):
+        given = shutoff.throttle((0.5, 0.5, 0.5))
+        assert given == ((0.5 if k == 0 else 0.0), 0.0, 0.5)
+        output = shutoff.delivered(
+            EngineOutput(tuple(10.0 * u for u in given), (100.0,) * 3, (900.0,) * 3, (1e-3,) * 3)
+        )
+        slowed = 1.0 / (1.0 + (k + 1) * STEP / 1.2)
+        assert output.thrust == (pytest.approx(5.0 * 0.4 * slowed**2.5), 0.0, 5.0)
+        assert output.spool_speed == (pytest.approx(100.0 * slowed), 100.0, 100.0)
+        assert output.fuel_flow == (0.0, 0.0, 1e-3)
+    shutoff.set(0, True)
+    assert shutoff.throttle((0.5, 0.5, 0.5)) == (0.5, 0.0, 0.5)
 
 
 @pytest.mark.parametrize("aircraft", ["hexjet-p220", "hexjet"])
@@ -703,5 +723,13 @@ def test_a_small_table(tmp_path: Path) -> None:
     assert "gyro bias 3 deg/s" in paths["report"].read_text()
     assert found.moments is not None
     assert found.moments.moment == pytest.approx(5.525 * 9.80665 / 6 * 0.15)
+    page = tmp_path / "page.md"
+    marks = "".join(f"<!-- measured: {name} -->\n<!-- end -->\n" for name in PARTS)
+    page.write_text(f"# Before\n{marks}after\n", encoding="utf-8")
+    write_page(found, page)
+    text = page.read_text(encoding="utf-8")
+    assert "| fault | from | baseline | smith | detected after |" in text
+    assert "| none | hover | 1 of 1; " in text
+    assert "| 1 and 2; 3 and 4 | 1.48 | 39 % |" in text
     with pytest.raises(InputError, match="no fault begins with 'flat'"):
         survival("hexjet", kinds=("flat",))
