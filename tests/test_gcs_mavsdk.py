@@ -249,7 +249,7 @@ def test_what_cannot_be_done_is_said_at_once(drone: Drone) -> None:
         (action.land, denied),
         (action.return_to_launch, denied),
         (lambda: action.goto_location(*PLACE, 20.0, 0.0), denied),
-        (lambda: action.do_orbit(5.0, 1.0, act.OrbitYawBehavior(0), *PLACE, 10.0), unsupported),
+        (lambda: action.do_orbit(5.0, 1.0, act.OrbitYawBehavior(0), *PLACE, 10.0), denied),  # it stands
         (lambda: action.set_actuator(1, 0.5), unsupported),
         (lambda: action.set_relay(0, act.RelayCommand.ON), unsupported),
         (action.transition_to_fixedwing, act.ActionResult.NO_VTOL_TRANSITION_SUPPORT),

@@ -32,6 +32,8 @@ from cosim.pilot.requests import (
     OffboardAttitude,
     OffboardPosition,
     OffboardVelocity,
+    Orbit,
+    OrbitYaw,
     Request,
     Result,
     ReturnHome,
@@ -83,6 +85,8 @@ FLIGHT: list[tuple[int, tuple[float, ...], list[Request]]] = [
     (20, (), [ReturnHome()]),
     (17, (), [Hold()]),
     (192, (-1.0, 1.0, 0.0, nan, nan, nan, nan), [Hold()]),
+    (34, (-8.0, nan, nan, nan, nan, nan, nan), [Orbit(8.0, False)]),
+    (34, (20.0, 2.5, 3.0, 2.0 * pi, nan, nan, 42.0), [Orbit(20.0, True, 2.5, altitude=28.0, yaw=OrbitYaw.TANGENT, turns=1.0)]),
     (193, (0.0,), [Hold()]),
     (193, (1.0,), [MissionStart()]),
     (300, (0.0, 0.0), [MissionStart()]),
@@ -339,7 +343,7 @@ def test_the_list_of_modes(desk: Desk) -> None:
     assert line.mode_index == 3
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("mode", [mode for mode in Mode if mode is not Mode.ORBIT])
 def test_set_mode_has_no_acknowledgement_and_shows_at_once(desk: Desk, mode: Mode) -> None:
     custom = {line.mode: line for line in LIST}[mode]
     _, *lines = desk.ask(command(512, 435.0))

@@ -1,9 +1,9 @@
-"""The fence that is drawn, and rally points: geometry against others, and in flight."""
+"""The fence that is drawn, rally points and circles: geometry against others, and in flight."""
 
 from __future__ import annotations
 
 import itertools
-from math import hypot, sqrt
+from math import atan2, hypot, pi, sqrt
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from test_pilot_flight import Flight
 from cosim.pilot import requests as rq
 from cosim.pilot.fence import beyond, depth
 from cosim.pilot.modes import LandedState, Mode
+from cosim.pilot.navigation import Tracker, wrap
 from cosim.pilot.requests import FenceUpload, FenceZone, RallyPoint, RallyUpload, ZoneKind
 
 IN, OUT, CIRCLE, HOLE = ZoneKind
@@ -133,3 +134,70 @@ def test_a_mission_passes_what_it_left_out() -> None:
         flight.fly(80.0, lambda: flight.pilot.landed is LandedState.ON_GROUND and flight.now > 10.0)
         north, east, _ = flight.samples[-1].state.position
         assert hypot(north - 6.0, east) < 1.0
+
+
+# --- round a centre --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("start", [(0.0, 0.0), (12.0, 0.0), (-40.0, 25.0), (5.0, 6.0)])
+@pytest.mark.parametrize("clockwise", [True, False])
+def test_a_set_point_on_a_circle(start: tuple[float, float], clockwise: bool) -> None:
+    """From anywhere to the circle without passing it, then along it at the speed asked for."""
+    tracker = Tracker(2.0, 4.0, 0.004)
+    tracker.start(start, (0.0, 0.0))
+    centre, radius, speed = (5.0, 6.0), 10.0, 2.5
+    tracks = [tracker.around(centre, radius, speed, clockwise) for _ in range(round(60.0 / 0.004))]
+    away = np.array([hypot(t.position[0] - centre[0], t.position[1] - centre[1]) for t in tracks])
+    first = hypot(start[0] - centre[0], start[1] - centre[1])
+    assert np.all(away <= max(first, radius) + 0.6)
+    assert np.all(away >= min(first, radius) - 0.6)
+    late = tracks[-4000:]
+    # the mean over 0.5 s cuts the corner: sin(x) / x with x = 0.25 s 0.25 rad/s
+    assert away[-4000:] == pytest.approx(radius, abs=0.05)
+    assert [hypot(*t.velocity) for t in late] == pytest.approx([speed] * 4000, abs=0.02)
+    assert [hypot(*t.acceleration) for t in late] == pytest.approx([speed**2 / radius] * 4000, abs=0.02)
+    n, e = late[-1].position[0] - centre[0], late[-1].position[1] - centre[1]
+    turning = n * late[-1].velocity[1] - e * late[-1].velocity[0]
+    assert (turning > 0.0) is clockwise  # north to east is to the right
+
+
+def test_a_small_circle_is_flown_slower() -> None:
+    """Half of the acceleration is left for what is off: v^2 / R = a / 2."""
+    tracker = Tracker(2.0, 4.0, 0.004)
+    tracker.start((2.0, 0.0), (0.0, 0.0))
+    tracks = [tracker.around((0.0, 0.0), 2.0, 9.0, True) for _ in range(8000)]
+    # the mean over 0.5 s: x = 0.25 s sqrt(1 / 2) rad/s
+    assert hypot(*tracks[-1].velocity) == pytest.approx(sqrt(2.0), rel=0.01)
+
+
+@pytest.mark.parametrize("yaw", list(rq.OrbitYaw))
+def test_an_orbit_is_flown(yaw: rq.OrbitYaw) -> None:
+    with Flight() as flight:
+        flight.take_off(6.0)
+        flight.ok(rq.Orbit(8.0, True, 2.0, 10.0, 0.0, 7.0, yaw, 1.0))
+        assert flight.pilot.status.orbit is not None
+        begin = len(flight.samples)
+        flight.fly(90.0, lambda: flight.pilot.mode is Mode.HOLD)
+        assert "orbit complete" in [message.text for message in flight.pilot.messages]
+        flown = [sample.state for sample in flight.samples[begin:]]
+        on = [state for state in flown if abs(hypot(state.position[0] - 10.0, state.position[1]) - 8.0) < 0.5]
+        assert len(on) * flight.simulation.dt > 20.0  # 2 pi 8 m at 2 m/s are 25 s
+        assert on[-1].altitude == pytest.approx(7.0, abs=0.3)
+        n, e, heading = flown[-1].position[0] - 10.0, flown[-1].position[1], flown[-1].euler[2]
+        bearing = atan2(e, n)
+        wanted = {rq.OrbitYaw.CENTRE: bearing + pi, rq.OrbitYaw.TANGENT: bearing + 0.5 * pi, rq.OrbitYaw.AS_IT_IS: 0.0}
+        assert abs(wrap(heading - wanted[yaw])) < 0.35
+        assert flight.pilot.status.orbit is None
+
+
+def test_orbits_that_cannot_be_flown_are_refused() -> None:
+    with Flight() as flight:
+        flight.fly(1.1)
+        assert "on the ground" in flight.ask(rq.Orbit(5.0)).text
+        flight.take_off(5.0)
+        flight.ok(FenceUpload((SQUARE,)))
+        assert "orbit refused: 5 m outside" in flight.ask(rq.Orbit(15.0)).text
+        assert "m/s" in flight.ask(rq.Orbit(5.0, speed=99.0)).text
+        assert "above the ground" in flight.ask(rq.Orbit(5.0, altitude=0.2)).text
+        assert not flight.ask(rq.SetMode("ORBIT")).accepted
+        assert flight.pilot.mode is Mode.HOLD

@@ -199,8 +199,8 @@ def test_what_is_allowed_when(row: Any, state: str) -> None:
 def test_every_mode_is_entered_by_name() -> None:
     """From the air, with what each needs."""
     for mode in Mode:
-        if mode is Mode.TAKEOFF:
-            continue  # only from the ground
+        if mode in (Mode.TAKEOFF, Mode.ORBIT):
+            continue  # only from the ground; by a request that names the centre
         w = World(airborne=True)
         for each in (STICKS, rq.OffboardVelocity(0.0, 0.0, 0.0), rq.MissionUpload(POINTS)):
             w.ok(each)

@@ -747,3 +747,26 @@ def test_nothing_is_wider_than_the_screen(browser: Any, flown: Flown, width: int
         )
         assert nameless == []
         assert not screen.errors
+
+
+def test_every_colour_of_words_stands_out() -> None:
+    """At least 4.5 to 1 (WCAG 2.2, 1.4.3), light and dark, for every colour of words on what it is written on."""
+    css = (STATIC / "page.css").read_text(encoding="utf-8")
+    light = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", css.split("@media", 1)[0]))
+    dark = dict(
+        re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", css.split("prefers-color-scheme: dark", 1)[1].split("}", 1)[0])
+    )
+    assert light.keys() >= {"good", "bad", "warn", "ink", "dim"}
+
+    def luminance(colour: str) -> float:
+        parts = [int(colour[at : at + 2], 16) / 255.0 for at in (1, 3, 5)]
+        r, g, b = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
+        return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+    for colours in (light, dark):
+        pairs = [(word, f"{word}-back") for word in ("good", "bad", "warn")]
+        pairs += [(word, back) for word in ("ink", "dim") for back in ("page", "card", "field")]
+        pairs += [(word, "card") for word in ("good", "bad", "warn")]
+        for word, back in pairs:
+            high, low = sorted((luminance(colours[word]), luminance(colours[back])), reverse=True)
+            assert (high + 0.05) / (low + 0.05) >= 4.5, (word, back)

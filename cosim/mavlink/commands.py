@@ -29,6 +29,8 @@ from cosim.pilot.requests import (
     Land,
     MissionSetCurrent,
     MissionStart,
+    Orbit,
+    OrbitYaw,
     Request,
     Result,
     ReturnHome,
@@ -227,6 +229,32 @@ def _reposition(order: Order, context: Context) -> Plan:
             speed if speed is not None and speed > 0.0 else None,
         )
     )
+
+
+def _orbit(order: Order, context: Context) -> Plan:
+    """DO_ORBIT: a negative radius turns to the left; parameter 4 is an angle, 0 without end."""
+    radius, speed, yaw, angle = order.p[:4]
+    if radius is None:
+        return _refuse("orbit: parameter 1, the radius, is missing")
+    if order.frame is not None and order.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
+        return _refuse("", Ack.UNSUPPORTED_FRAME)
+    above = None if order.p[6] is None else _altitude(order, order.p[6], context)
+    north, east = (None, None) if order.place is None else _local(order.place, context, above)
+    return _do(
+        Orbit(
+            abs(radius),
+            radius > 0.0,
+            speed if speed is not None and speed > 0.0 else None,
+            north,
+            east,
+            above,
+            _ORBIT_YAW.get(0 if yaw is None else int(yaw), OrbitYaw.AS_IT_IS),
+            0.0 if angle is None else abs(angle) / tau,
+        )
+    )
+
+
+_ORBIT_YAW = {0: OrbitYaw.CENTRE, 3: OrbitYaw.TANGENT}  # ORBIT_YAW_BEHAVIOUR; all others keep the heading
 
 
 def _yaw(order: Order, context: Context) -> Plan:
@@ -466,6 +494,7 @@ _HANDLERS: dict[int, Callable[[Order, Context], Plan]] = {
     178: _change_speed,  # DO_CHANGE_SPEED
     179: _set_home,  # DO_SET_HOME
     185: _terminate,  # DO_FLIGHTTERMINATION
+    34: _orbit,  # DO_ORBIT
     192: _reposition,  # DO_REPOSITION
     193: _pause,  # DO_PAUSE_CONTINUE
     224: _set_item,  # DO_SET_MISSION_CURRENT

@@ -26,6 +26,7 @@ _PX4: dict[Mode, tuple[int, int]] = {
     Mode.LAND: (_AUTO, 6),
     Mode.OFFBOARD: (6, 0),
     Mode.STABILIZED: (7, 0),
+    Mode.ORBIT: (3, 1),  # a sub mode of position control there
 }
 # What flies to places on request is GUIDED there; it is also where a take-off is flown.
 _COPTER: dict[Mode, int] = {
@@ -39,6 +40,7 @@ _COPTER: dict[Mode, int] = {
     Mode.RTL: 6,
     Mode.LAND: 9,
     Mode.OFFBOARD: 20,
+    Mode.ORBIT: 7,  # CIRCLE
 }
 _FROM_PX4 = {value: mode for mode, value in _PX4.items()}
 _FROM_COPTER = {

@@ -351,6 +351,16 @@ def home_position(v: View) -> list[Message]:
     ]
 
 
+def orbit_execution_status(v: View) -> list[Message]:
+    """While it flies round a centre: where, and with which radius (negative: to the left)."""
+    orbit, centre = v.status.orbit, v.status.target
+    if orbit is None or centre is None:
+        return []
+    lat, lon, height = v.about.geodesy.to_geodetic(*centre)
+    radius = orbit.radius if orbit.clockwise else -orbit.radius
+    return [mav.MAVLink_orbit_execution_status_message(v.us, radius, 5, e7(lat), e7(lon), height)]
+
+
 def gps_global_origin(v: View) -> list[Message]:
     start = v.about.geodesy
     return [
@@ -599,6 +609,7 @@ STREAMS = (
     Stream("ESTIMATOR_STATUS", 1.0, estimator_status),
     Stream("WIND_COV", 1.0, wind_cov),
     Stream("HOME_POSITION", 0.5, home_position),
+    Stream("ORBIT_EXECUTION_STATUS", 2.0, orbit_execution_status),
     Stream("EXTENDED_SYS_STATE", 2.0, extended_sys_state),
     Stream("DEBUG_VECT", 0.0, debug_vect),
     Stream("NAMED_VALUE_FLOAT", 10.0, named_values),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from math import cos, degrees, hypot, radians, sin
+from math import atan2, cos, degrees, hypot, pi, radians, sin
 from typing import Any, NamedTuple
 
 from cosim.control.altitude import AltitudeController
@@ -29,7 +29,7 @@ from cosim.pilot.modes import (
     Report,
     Severity,
 )
-from cosim.pilot.navigation import Estimator, Fix, Pair, PositionController, Tracker, limited
+from cosim.pilot.navigation import Estimator, Fix, Pair, PositionController, Tracker, limited, wrap
 from cosim.pilot.parameters import (
     HOLD,
     LAND,
@@ -63,6 +63,8 @@ from cosim.pilot.requests import (
     OffboardAttitude,
     OffboardPosition,
     OffboardVelocity,
+    Orbit,
+    OrbitYaw,
     RallyPoint,
     RallyUpload,
     Request,
@@ -102,6 +104,7 @@ _BLIND_S = 1.0  # s without a fix: the lean alone is off by half a metre by then
 _OFFBOARD_UP = 0.1  # m/s: a climb or descent that is meant
 _RETURNED_M = 0.7  # from home and slower than 0.5 m/s: the descent begins
 _SLOW = 0.5  # m/s
+_ORBIT_CHECKED = 36  # places of a circle that must be inside the fence
 _MESSAGES = 200  # kept
 
 Fault = Callable[[InjectFault], None]
@@ -133,6 +136,7 @@ class Status(NamedTuple):
     link_lost: bool
     zones: tuple[FenceZone, ...] = ()  # of the fence that was drawn
     rally: tuple[RallyPoint, ...] = ()
+    orbit: Orbit | None = None  # that it flies; ``target`` is its centre
 
 
 class Autopilot:
@@ -227,6 +231,9 @@ class Autopilot:
         self._left: Pair | None = None  # where that was
         self._phase = 0  # of RTL and of a mission's landing
         self._return_to: Pair = (0.0, 0.0)  # where RTL lands
+        self._orbit: Orbit | None = None
+        self._turned = 0.0  # rad round the centre, on the circle
+        self._bearing: float | None = None  # from the centre a step ago; None: not on the circle
         self._climb_to: float | None = None  # height to reach before a mission leaves the place of its take-off
         self._descending = False
         self._place: Pair | None = None  # where to; None: where it comes to rest
@@ -356,6 +363,8 @@ class Autopilot:
             return self._start_mission(MissionStart(), k)
         if mode is Mode.HOLD:
             return self._stop(Hold(), k)
+        if mode is Mode.ORBIT:
+            return _no(Result.DENIED, "ORBIT is begun by a command that names its radius")
         if mode is Mode.OFFBOARD and not self._setpoint_fresh():
             return _no(Result.TEMPORARILY_REJECTED, "OFFBOARD needs a set-point that is not old, send those first")
         if mode in BY_STICK and self._flying() and not self._sticks_fresh():
@@ -430,6 +439,58 @@ class Autopilot:
             self._enter(Mode.HOLD, k)
         self._new_place(place, altitude, heading)
         return _yes()
+
+    def _begin_orbit(self, request: Orbit, k: int) -> Answer:
+        if not self._flying():
+            return _no(Result.TEMPORARILY_REJECTED, "orbit refused: it is on the ground")
+        limit = self.parameters.table["MPC_XY_VEL_MAX"]
+        if request.speed is not None and not limit.least <= request.speed <= limit.most:
+            return _no(
+                Result.DENIED, f"orbit refused: speed {request.speed:g} m/s, from {limit.least:g} to {limit.most:g} m/s"
+            )
+        here = self._fix.position
+        centre = here if request.north is None or request.east is None else (request.north, request.east)
+        altitude = request.altitude if request.altitude is not None else self._stop_height()
+        ground = min(self._home_altitude(), self._ground)
+        if altitude < ground + _LOWEST_M:
+            return _no(Result.DENIED, f"orbit refused: at least {_LOWEST_M:g} m above the ground are needed")
+        for n in range(_ORBIT_CHECKED):
+            angle = 2.0 * pi * n / _ORBIT_CHECKED
+            place = (centre[0] + request.radius * cos(angle), centre[1] + request.radius * sin(angle))
+            if why := self._watch.outside(*place, altitude, self.home):
+                return _no(Result.DENIED, f"orbit refused: {why}")
+        self._enter(Mode.ORBIT, k)
+        self._orbit = request
+        self._new_place(centre, altitude, self._euler[2])
+        self._turned, self._bearing = 0.0, None
+        return _yes()
+
+    def _fly_orbit(self, k: int) -> Command:
+        """Round the centre; the turns count once it is on the circle."""
+        assert self._orbit is not None
+        assert self._place is not None
+        assert self._height is not None
+        orbit, guide, (north, east) = self._orbit, self._guide, self._fix.position
+        n, e = north - self._place[0], east - self._place[1]
+        speed = orbit.speed if orbit.speed is not None else self._speed()
+        lean = guide.around(self._place, orbit.radius, speed, orbit.clockwise)
+        held = guide.to_height(self._height, self.parameters["HJ_CLIMB_AUTO"], self.parameters["HJ_DESC_AUTO"])
+        self._descending = self._height < held
+        bearing = atan2(e, n)
+        if orbit.yaw is OrbitYaw.CENTRE:
+            heading = atan2(-e, -n)
+        elif orbit.yaw is OrbitYaw.TANGENT:
+            heading = wrap(bearing + (0.5 * pi if orbit.clockwise else -0.5 * pi))
+        else:
+            heading = self._heading if self._heading is not None else self._euler[2]
+        command = guide.command(lean, held, guide.to_yaw(heading))
+        if self._bearing is not None:
+            self._turned += wrap(bearing - self._bearing) * (1.0 if orbit.clockwise else -1.0)
+        self._bearing = bearing if abs(hypot(n, e) - orbit.radius) < max(1.0, 0.1 * orbit.radius) else None
+        if orbit.turns and self._turned >= 2.0 * pi * orbit.turns:
+            self._say(k, Severity.INFO, "orbit complete")
+            self._enter(Mode.HOLD, k)
+        return command
 
     def _stop(self, request: Hold, k: int) -> Answer:
         if self.mode is Mode.HOLD and self._place is None:
@@ -766,6 +827,8 @@ class Autopilot:
             return self._fly_home()
         if mode is Mode.MISSION:
             return self._fly_mission(k)
+        if mode is Mode.ORBIT:
+            return self._fly_orbit(k)
         if mode is Mode.TAKEOFF:
             return self._climb_out(k)
         return self._stay()
@@ -1083,6 +1146,7 @@ class Autopilot:
             self._watch.link_lost >= 0,
             self._watch.zones,
             self.rally,
+            self._orbit if self.mode is Mode.ORBIT else None,
         )
 
 
@@ -1118,6 +1182,7 @@ _HANDLERS: dict[type[Any], Callable[[Autopilot, Any, int], Answer]] = {
     Land: Autopilot._land,
     ReturnHome: Autopilot._return,
     Goto: Autopilot._goto,
+    Orbit: Autopilot._begin_orbit,
     Hold: Autopilot._stop,
     SetSpeed: Autopilot._set_speed,
     SetHome: Autopilot._set_home,

@@ -44,6 +44,11 @@ class Guide:
         self._take_up_track()
         return self._lean(self.tracker.towards(place, speed))
 
+    def around(self, centre: Pair, radius: float, speed: float, clockwise: bool) -> Pair:
+        """Roll and pitch (rad) that fly round a centre."""
+        self._take_up_track()
+        return self._lean(self.tracker.around(centre, radius, speed, clockwise))
+
     def at_velocity(self, velocity: Pair) -> Pair:
         """Roll and pitch (rad) that fly at a velocity."""
         self._take_up_track()

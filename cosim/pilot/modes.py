@@ -19,6 +19,7 @@ class Mode(Enum):
     RTL = "RTL"
     MISSION = "MISSION"
     OFFBOARD = "OFFBOARD"
+    ORBIT = "ORBIT"  # round a centre; begun by a request that names it, not by the mode alone
 
 
 BY_STICK = frozenset({Mode.MANUAL, Mode.STABILIZED, Mode.ALTCTL, Mode.POSCTL})

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from functools import lru_cache
-from math import atan2, ceil, cos, hypot, pi, sin, sqrt, tan
+from math import atan2, ceil, copysign, cos, hypot, pi, sin, sqrt, tan
 from typing import NamedTuple
 
 import numpy as np
@@ -226,6 +226,21 @@ class Tracker:
     def point(self) -> Pair:
         """Where the point is that runs ahead of the set-point."""
         return (self._p[0], self._p[1])
+
+    def around(self, centre: Pair, radius: float, speed: float, clockwise: bool) -> Track:
+        """One step along a circle, towards it first; ``clockwise`` as seen from above.
+
+        The speed is at most that at which half of the acceleration holds the point on the circle: v^2 / R = a / 2.
+        """
+        n, e = self._p[0] - centre[0], self._p[1] - centre[1]
+        distance = hypot(n, e)
+        n, e = (n / distance, e / distance) if distance > 0.0 else (1.0, 0.0)
+        speed = min(speed, sqrt(0.5 * self._a / self._step * radius))
+        off = radius - distance
+        # inwards or outwards no faster than a quarter of the acceleration brakes, the rest along the circle
+        across = copysign(min(speed, sqrt(0.5 * self._a / self._step * abs(off)), abs(off) / self._step), off)
+        along = sqrt(max(0.0, speed * speed - across * across)) * (1.0 if clockwise else -1.0)
+        return self._move(across * n - along * e, across * e + along * n)
 
     @property
     def ahead(self) -> Pair:

@@ -116,6 +116,36 @@ class Goto(_Checked):
     speed: Speed | None = None
 
 
+class OrbitYaw(Enum):
+    """Where the nose points on a circle."""
+
+    CENTRE = "centre"
+    AS_IT_IS = "as_it_is"
+    TANGENT = "tangent"
+
+
+@dataclass(frozen=True)
+class Orbit(_Checked):
+    """Fly round a centre until something else is asked, or ``turns`` times; what is not given is as where it is.
+
+    ``speed``, m/s, may come out less: the vehicle has to lean into the circle.
+    """
+
+    radius: Annotated[float, Bounds(1.0, 1e4)]
+    clockwise: bool = True
+    speed: Speed | None = None
+    north: Metres | None = None
+    east: Metres | None = None
+    altitude: Metres | None = None
+    yaw: OrbitYaw = OrbitYaw.CENTRE
+    turns: Annotated[float, Bounds(0.0, 1e4)] = 0.0  # 0: without end
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.north is None) != (self.east is None):
+            raise InputError("Orbit: give north and east, or neither")
+
+
 @dataclass(frozen=True)
 class Hold(_Checked):
     """Stop and stay."""
@@ -375,6 +405,7 @@ Request = (
     | Land
     | ReturnHome
     | Goto
+    | Orbit
     | Hold
     | SetSpeed
     | SetHome

@@ -34,7 +34,7 @@ def flight(facts: Facts) -> dict[str, Any]:
         "engines": [{"name": spec.name, "most_N": _plain(spec.curve.thrust[-1])} for spec in facts.stations],
         "watched": scenario.monitored,
         "takeoff_m": facts.parameters["MIS_TAKEOFF_ALT"],
-        "modes": [mode.value for mode in Mode],
+        "modes": [mode.value for mode in Mode if mode is not Mode.ORBIT],
         "direct": [mode.value for mode in Mode if mode in DIRECT],
     }
 

@@ -59,7 +59,7 @@ function begin(told) {
 function message({ number: count, t, severity, text }) {
   if (count <= heard) return;
   heard = count;
-  const list = get("messages"), line = document.createElement("li"), at = document.createElement("time");
+  const list = get("messages"), line = document.createElement("div"), at = document.createElement("time");
   const bottom = list.scrollHeight - list.scrollTop - list.clientHeight < 40;
   line.className = severity;
   at.textContent = `${t.toFixed(1)} s`;
