@@ -1,0 +1,1 @@
+"""How exact the airframe is: ``python -m benchmarks.accuracy``."""

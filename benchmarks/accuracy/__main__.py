@@ -1,0 +1,114 @@
+"""``python -m benchmarks.accuracy``: the airframe against NASA's check cases, and its error on our own flights.
+
+    python -m benchmarks.accuracy --data FOLDER            both; FOLDER has NASA's trajectories, Atmos_02_sim_01.csv...
+    python -m benchmarks.accuracy --only flights           this part alone; it needs no data
+    python -m benchmarks.accuracy --data FOLDER --page docs/accuracy.md      and write the tables into the page
+
+The status is 1 if a check case lies outside the spread of NASA's simulators.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from benchmarks.accuracy.check_cases import CASES, Compared, compare, fly_case, read_simulators
+from benchmarks.accuracy.flights import CLOSED, RUNS, SCHEMES, closed_loop, courses, error, exact, fly_again
+from cosim.errors import InputError
+from cosim.marks import check_marks, table, write_marks
+
+CASE_MARK, FLIGHT_MARK, CLOSED_MARK = "check cases", "flights", "closed loop"
+
+
+def case_table(folder: Path) -> tuple[str, list[Compared]]:
+    """Of the five cases, and its rows as data; quantities in which all agree to the last digit are left out."""
+    found = [
+        row
+        for number, case in CASES.items()
+        for row in compare(number, fly_case(case), read_simulators(folder, number))
+    ]
+    told = [row for row in found if row.spread > 1e-9 or not row.inside]
+    rows = [
+        [
+            f"{row.case} {CASES[row.case].title}",
+            row.quantity,
+            str(row.simulators),
+            f"{row.spread:.1e}",
+            f"{row.nearest:.1e}",
+            f"{row.beyond:.1e}",
+            "inside" if row.inside else "**outside**",
+        ]
+        for row in told
+    ]
+    columns = ["case", "quantity", "simulators", "their spread", "ours from the nearest", "ours beyond all", ""]
+    return table(columns, rows), found
+
+
+def flight_table() -> str:
+    """The study of methods and runs on the project's own flights."""
+    rows = []
+    for flown in courses():
+        truth = exact(flown, 1)
+        for scheme in SCHEMES.values():
+            for runs in RUNS:
+                # the others at the number of runs that flights use
+                if runs != 4 and scheme is not SCHEMES["flown"]:
+                    continue
+                wrong = error(fly_again(flown, scheme, runs)[1], truth)
+                rows.append(
+                    [
+                        f"{flown.title}, {len(flown.held) * flown.step:.1f} s",
+                        scheme.title,
+                        str(runs),
+                        f"{wrong.attitude_deg:.1e}",
+                        f"{wrong.rate_deg_s:.1e}",
+                        f"{wrong.velocity_mm_s:.1e}",
+                        f"{wrong.place_mm:.1e}",
+                    ]
+                )
+    return table(["flight", "method", "runs", "attitude, deg", "rate, deg/s", "velocity, mm/s", "place, mm"], rows)
+
+
+def closed_table() -> str:
+    """Whole flights with their controllers, at the number of runs that flights use."""
+    rows = []
+    for name in CLOSED:
+        angle, place = closed_loop(name, 4)
+        rows.append([name, f"{angle:.1e}", f"{place:.1e}"])
+    return table(["flight, four runs against 64", "Euler angles, deg", "place, mm"], rows)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The exit status."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description="How exact the airframe is.")
+    parser.add_argument("--data", type=Path, help="folder with the trajectories of NASA's simulators")
+    parser.add_argument("--only", choices=["cases", "flights"], help="this part alone")
+    parser.add_argument("--page", type=Path, help="write the tables between the marks of this page")
+    asked = parser.parse_args(arguments)
+    if asked.data is None and asked.only != "flights":
+        parser.error("--data FOLDER is needed for the check cases; without it: --only flights")
+    try:
+        parts = {}
+        if asked.page:
+            flights = [FLIGHT_MARK, CLOSED_MARK]
+            check_marks(asked.page, [CASE_MARK] * (asked.only != "flights") + flights * (asked.only != "cases"))
+        outside = 0
+        if asked.only != "flights":
+            parts[CASE_MARK], rows = case_table(asked.data)
+            outside = sum(not row.inside for row in rows)
+        if asked.only != "cases":
+            parts[FLIGHT_MARK], parts[CLOSED_MARK] = flight_table(), closed_table()
+        if asked.page:
+            write_marks(asked.page, parts)
+    except InputError as problem:
+        print(f"accuracy: {problem}", file=sys.stderr)
+        return 2
+    print("\n".join(parts.values()))
+    if outside:
+        print(f"{outside} quantities outside the spread of NASA's simulators", file=sys.stderr)
+    return 1 if outside else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,287 @@
+"""Five of NASA's atmospheric check cases, flown by :class:`cosim.airframe.Airframe` at the step that flights use.
+
+Source: NASA/TM-2015-218675, "Check-Cases for Verification of 6-Degree-of-Freedom Flight Vehicle Simulations".  The
+trajectories of NASA's simulators are those published with SimuPy-Flight (nasa/simupy-flight on GitHub), in files
+``Atmos_<case>_sim_<simulator>.csv``.  The Earth is WGS 84, turns at 7.292115e-5 rad/s and has a gravity with J2; the
+air is the US Standard Atmosphere 1976.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from math import cos, degrees, radians, sin
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.airframe import FOOT, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2, Airframe
+from cosim.errors import InputError
+from cosim.scenario import Environment, Initial, Scenario
+from cosim.signals import ZERO3, Disturbance, Vector3
+from cosim.vehicle import Vehicle, load_vehicle
+
+EARTH_RATE = 7.292115e-5  # rad/s
+SECONDS, EVERY = 30.0, 0.1  # of the trajectories that are compared, and between their rows
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A body and its start at latitude and longitude 0, in the units of the source."""
+
+    title: str
+    slug: float
+    inertia_slug_ft2: Vector3
+    height_ft: float = 30_000.0
+    velocity_ned_ft_s: Vector3 = ZERO3  # over the ground
+    yaw_deg: float = 0.0
+    inertial_rate_deg_s: Vector3 | None = None  # None: at rest against the ground
+    wind_ned_ft_s: Vector3 = ZERO3
+    drag_area_ft2: float = 0.0  # CD S
+    damping_ft4: Vector3 = ZERO3  # 0.25 S b^2 of roll and so on, for Clp = Cmq = Cnr = -1
+
+
+_BRICK = 0.155404754, (0.001894220, 0.006211019, 0.007194665)
+_SPHERE = 1.0, (3.6, 3.6, 3.6)
+_CDS = 0.1 * 0.1963495
+_SPIN = (10.0, 20.0, 30.0)
+CASES = {
+    "02": Case("tumbling brick", *_BRICK, inertial_rate_deg_s=_SPIN),
+    "03": Case(
+        "tumbling brick, damped",
+        *_BRICK,
+        inertial_rate_deg_s=_SPIN,
+        damping_ft4=(0.25 * 0.22222 / 9.0, 0.25 * 0.22222 * 4.0 / 9.0, 0.25 * 0.22222 / 9.0),
+    ),
+    "06": Case("falling sphere", *_SPHERE, inertial_rate_deg_s=ZERO3, drag_area_ft2=_CDS),
+    "07": Case(
+        "falling sphere, steady wind",
+        *_SPHERE,
+        inertial_rate_deg_s=ZERO3,
+        drag_area_ft2=_CDS,
+        wind_ned_ft_s=(0.0, 20.0, 0.0),
+    ),
+    "09": Case(
+        "sphere fired east and up",
+        *_SPHERE,
+        height_ft=0.0,
+        velocity_ned_ft_s=(0.0, 1000.0, -1000.0),
+        yaw_deg=90.0,
+        drag_area_ft2=_CDS,
+    ),
+}
+QUANTITIES = (
+    "feVelocity_ft_s_X",
+    "feVelocity_ft_s_Y",
+    "feVelocity_ft_s_Z",
+    "altitudeMsl_ft",
+    "longitude_deg",
+    "latitude_deg",
+    "eulerAngle_deg_Yaw",
+    "eulerAngle_deg_Pitch",
+    "eulerAngle_deg_Roll",
+    "bodyAngularRateWrtEi_deg_s_Roll",
+    "bodyAngularRateWrtEi_deg_s_Pitch",
+    "bodyAngularRateWrtEi_deg_s_Yaw",
+    "ambientPressure_lbf_ft2",
+    "ambientTemperature_dgR",
+    "aero_bodyForce_lbf_X",
+    "aero_bodyForce_lbf_Y",
+    "aero_bodyForce_lbf_Z",
+)
+# What double precision leaves of 30,000 runs on an Earth of 2e7 ft; no simulator prints as many digits of all it gives
+FLOOR = 1e-9
+ABOUT = 10  # rows
+
+
+def body(case: Case) -> Vehicle:
+    """The body as a vehicle: jets that never push, one contact on top, the case's constants as body.xml has them."""
+    vehicle, _ = load_vehicle("hexjet")
+    area = case.drag_area_ft2 * FOOT**2
+    roll, pitch, yaw = (term * POUND_FOOT for term in case.damping_ft4)
+    x, y, z = (moment * SLUG_FT2 for moment in case.inertia_slug_ft2)
+    top = vehicle.contacts[0].model_copy(update={"name": "top", "kind": "hull", "position_m": (0.0, 0.0, -0.1)})
+    return vehicle.model_copy(
+        update={
+            "name": "body",
+            "model": "body.xml",
+            "mass_kg": case.slug * SLUG,
+            "inertia_kg_m2": (x, y, z),
+            "contacts": [top],
+            "jets": [jet.model_copy(update={"position_m": ZERO3}) for jet in vehicle.jets],
+            "aero": vehicle.aero.model_copy(
+                update={"span_m": FOOT, "drag_area_m2": (area,) * 3, "damping_n_m_s": (roll, pitch, yaw)}
+            ),
+        }
+    )
+
+
+def fly_case(case: Case, step: float | None = None, substeps: int | None = None) -> dict[str, Array]:
+    """The trajectory, by quantity, a row every 0.1 s; without ``step`` and ``substeps`` with those of every flight."""
+    usual = Scenario(name="usual", duration_s=1.0)
+    step, substeps = step or usual.step_s, substeps or usual.substeps
+    yaw = radians(case.yaw_deg)
+    rate = ZERO3
+    if case.inertial_rate_deg_s is not None:
+        # at latitude 0 the Earth turns about north
+        p, q, r = case.inertial_rate_deg_s
+        rate = (p - degrees(EARTH_RATE * cos(yaw)), q + degrees(EARTH_RATE * sin(yaw)), r)
+    n, e, d = (speed * FOOT for speed in case.velocity_ned_ft_s)
+    initial = Initial(
+        altitude_m=case.height_ft * FOOT,
+        attitude_deg=(0.0, 0.0, case.yaw_deg),
+        velocity_ned_m_s=(n, e, d),
+        rate_deg_s=rate,
+    )
+    wn, we, wd = (speed * FOOT for speed in case.wind_ned_ft_s)
+    vehicle, calm = body(case), Disturbance(wind=(wn, we, wd))
+    place = Environment(latitude_deg=0.0, longitude_deg=0.0)
+    frame = Airframe(vehicle, Path(__file__).parent, place, step, substeps, 1)
+    off = [ZERO3] * len(vehicle.jets)
+    rows = []
+    try:
+        state = frame.reset(initial, off, calm.wind)
+        for row in range(round(SECONDS / EVERY) + 1):
+            if row:
+                for _ in range(round(EVERY / step)):
+                    state = frame.step(off, calm)
+            latitude, longitude = frame.latitude_longitude_deg()
+            pressure, temperature = frame.air()
+            roll, pitch, heading = state.euler
+            rows.append(
+                [
+                    *(speed / FOOT for speed in state.velocity),
+                    state.altitude / FOOT,
+                    longitude,
+                    latitude,
+                    *(degrees(angle) for angle in (heading, pitch, roll)),
+                    *(degrees(turning) for turning in frame.inertial_rate()),
+                    pressure / POUND_FORCE * FOOT**2,
+                    temperature * 1.8,
+                    *(felt * vehicle.mass_kg / POUND_FORCE for felt in state.specific_force),
+                ]
+            )
+    finally:
+        frame.close()
+    return dict(zip(QUANTITIES, np.array(rows).T, strict=True))
+
+
+def read_simulators(folder: Path, number: str) -> dict[str, dict[str, tuple[Array, Array]]]:
+    """By simulator and quantity: its numbers, and half a unit of the last digit that it prints of each.
+
+    Raises InputError if there are none.
+    """
+    found: dict[str, dict[str, tuple[Array, Array]]] = {}
+    for path in sorted(folder.glob(f"Atmos_{number}_sim_*.csv")):
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        found[path.stem[-2:]] = {
+            name: (np.array([float(row[name]) for row in rows]), np.array([_half_digit(row[name]) for row in rows]))
+            for name in QUANTITIES
+            if name in rows[0]
+        }
+    if not found:
+        raise InputError(f"{folder}: no files Atmos_{number}_sim_*.csv of the check cases")
+    return found
+
+
+def _half_digit(text: str) -> float:
+    mantissa, _, exponent = text.upper().partition("E")
+    return 0.5 * 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One quantity of one case, greatest values over the flight."""
+
+    case: str
+    quantity: str
+    simulators: int
+    spread: float  # of NASA's simulators: the greatest less the least at the same time
+    nearest: float  # ours from the nearest of them
+    beyond: float  # ours beyond the outermost of them
+    inside: bool  # at every time no further from the nearest of them than they are from each other about that time
+
+
+def compare(number: str, ours: dict[str, Array], theirs: dict[str, dict[str, tuple[Array, Array]]]) -> list[Compared]:
+    """Ours beside NASA's simulators, time by time, for what at least two of them give.
+
+    What they are from each other about a time is the greatest spread within a second of it, because their curves cross,
+    and half a unit of the last digit printed.
+    """
+    found = []
+    for name in QUANTITIES:
+        given = [columns[name] for columns in theirs.values() if name in columns]
+        if len(given) < 2:
+            continue
+        values = np.array([value for value, _ in given])
+        digits = np.max([digit for _, digit in given], axis=0) + FLOOR
+        own = ours[name]
+        if name.startswith("eulerAngle"):
+            values = own + (values - own + 180.0) % 360.0 - 180.0
+        low, high = values.min(axis=0), values.max(axis=0)
+        nearest = np.abs(values - own).min(axis=0)
+        spread = high - low
+        about = np.array([spread[max(0, row - ABOUT) : row + ABOUT + 1].max() for row in range(len(spread))])
+        beyond = np.maximum(np.maximum(low - own, own - high), 0.0)
+        found.append(
+            Compared(
+                number,
+                name,
+                len(given),
+                float(spread.max()),
+                float(nearest.max()),
+                float(beyond.max()),
+                bool((nearest <= about + digits).all()),
+            )
+        )
+    return found
+
+
+# Least and greatest of NASA's simulators after 30 s, from the same files, for where these are not at hand
+AFTER_30_S: dict[str, dict[str, tuple[float, float]]] = {
+    "02": {
+        "feVelocity_ft_s_Y": (2.100310896, 2.101011086627401),
+        "feVelocity_ft_s_Z": (960.292948985, 960.2930953),
+        "altitudeMsl_ft": (15598.90389, 15598.9059736),
+        "longitude_deg": (5.74e-05, 5.74552213287e-05),
+        "eulerAngle_deg_Yaw": (-4.28935504226, -4.146742),
+        "eulerAngle_deg_Pitch": (-3.821955266387911, -3.505810107),
+        "eulerAngle_deg_Roll": (-59.85663392, -56.150304320773394),
+        "bodyAngularRateWrtEi_deg_s_Roll": (12.61839077566776, 12.620844062702608),
+        "bodyAngularRateWrtEi_deg_s_Pitch": (-17.3974747619, -17.394550197091117),
+        "bodyAngularRateWrtEi_deg_s_Yaw": (31.1195888868, 31.12073831148526),
+    },
+    "03": {
+        "feVelocity_ft_s_Y": (2.100310896, 2.1010110866266887),
+        "feVelocity_ft_s_Z": (960.293064507, 960.2930953),
+        "altitudeMsl_ft": (15598.90389, 15598.9046837),
+        "longitude_deg": (5.74e-05, 5.74552233006e-05),
+        "eulerAngle_deg_Yaw": (-111.66967658395333, -111.35836388895274),
+        "eulerAngle_deg_Pitch": (-39.35000687, -38.69970978266794),
+        "eulerAngle_deg_Roll": (-5.148413928481029, -5.083261585),
+        "bodyAngularRateWrtEi_deg_s_Roll": (-0.001187561045469286, -2.778098017255249e-23),
+        "bodyAngularRateWrtEi_deg_s_Pitch": (-1.5985522484127e-06, 0.003790049812324711),
+        "bodyAngularRateWrtEi_deg_s_Yaw": (1.7355824190446156e-05, 0.0013143371217074406),
+    },
+    "06": {
+        "feVelocity_ft_s_Y": (1.842320739, 1.84318916077271),
+        "feVelocity_ft_s_Z": (863.969620489, 864.1107492138067),
+        "altitudeMsl_ft": (16283.8269023858, 16284.7227329),
+        "longitude_deg": (5.33700208807e-05, 5.34e-05),
+    },
+    "07": {
+        "feVelocity_ft_s_Y": (4.70595712808921, 4.70984159128),
+        "feVelocity_ft_s_Z": (863.925662411, 864.0668375323617),
+        "altitudeMsl_ft": (16284.5440914928, 16285.440553),
+        "longitude_deg": (0.0001284744802148, 0.000128580722916),
+    },
+    "09": {
+        "feVelocity_ft_s_Y": (610.549656587, 610.746581927),
+        "feVelocity_ft_s_Z": (181.748229037, 181.903793657),
+        "altitudeMsl_ft": (10156.7197821401, 10160.9897645),
+        "longitude_deg": (0.0616343433543985, 0.0616478507138),
+    },
+}

@@ -1,0 +1,175 @@
+"""The airframe's error on the project's own flights, by method and by number of runs in a control step.
+
+A flight is flown once.  What acted on the airframe in each of its control steps is then held again, step by step, on
+the airframe with other methods and on an integration of its own (:mod:`benchmarks.accuracy.exact`): the same inputs at the
+same times, so that what differs is the method alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.accuracy.exact import Held, Motion, integrate, start
+from cosim.airframe import ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_3, BUSS_2, FOOT, RECTANGULAR, Airframe
+from cosim.flight import fly
+from cosim.frames import jet_axis, rotate
+from cosim.scenario import Environment, Initial, Scenario
+from cosim.signals import Sample, State, Vector3
+from cosim.simulation import build
+from cosim.vehicle import Vehicle, load_vehicle
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """JSBSim's methods, by its numbers, and the share of a change that the first run carries on top."""
+
+    title: str
+    rates: tuple[float, float] = (ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_2)  # rotational, translational
+    attitude: float = BUSS_2
+    make_up: float = 0.5
+
+
+SCHEMES = {
+    "flown": Scheme("as flown"),
+    "late": Scheme("without what the first run makes up", make_up=0.0),
+    "third": Scheme("rates of third order", (ADAMS_BASHFORTH_3, ADAMS_BASHFORTH_3)),
+    "jsbsim": Scheme("JSBSim's own choice", (RECTANGULAR, ADAMS_BASHFORTH_2), RECTANGULAR, 0.0),
+}
+RUNS = (1, 2, 4, 8)
+
+
+@dataclass(frozen=True)
+class Course:
+    """What acted on a vehicle, step by step, and where it began."""
+
+    title: str
+    vehicle: Vehicle
+    folder: Any
+    step: float
+    initial: Initial
+    held: list[Held]
+    momentum: Vector3 = (0.0, 0.0, 0.0)
+
+
+class _Rows:
+    def __init__(self) -> None:
+        self.samples: list[Sample] = []
+
+    def observe(self, sample: Sample) -> None:
+        self.samples.append(sample)
+
+
+def course(title: str, name: str, changes: dict[str, Any], momentum: Vector3 = (0.0, 0.0, 0.0)) -> Course:
+    """Thrusts, tilts and disturbances of a flight; of gusts and turbulence there must be none."""
+    scenario = Scenario.load(name).replace(**changes, expect=[])
+    rows = _Rows()
+    with build(scenario) as simulation:
+        ending = simulation.run([rows])
+    samples = rows.samples if ending.outcome == "completed" else rows.samples[:-1]
+    vehicle, folder = load_vehicle(scenario.aircraft, scenario.vehicle)
+    left = [jet.servo == "left" for jet in vehicle.jets]
+    held = []
+    for sample in samples:
+        axes = [jet_axis(sample.tilt[0 if on_left else 1]) for on_left in left]
+        forces = tuple((n * x, n * y, n * z) for n, (x, y, z) in zip(sample.engines.thrust, axes, strict=False))
+        held.append(Held(forces, sample.disturbance))
+    return Course(title, vehicle, folder, scenario.step_s, scenario.initial, held, momentum)
+
+
+def courses(seconds: float | None = None) -> list[Course]:
+    """The flights of the study; ``seconds``: the beginning alone."""
+    short = {} if seconds is None else {"duration_s": seconds}
+    return [
+        course("roll doublet", "roll-doublet", short),
+        course("the same, lost without a predictor", "roll-doublet", {"controller": "baseline", **short}),
+        course("payload dropped", "payload-drop", short),
+        course("full scale, roll doublet", "full-scale-roll-doublet", short),
+        course("roll doublet, a rotor of 0.1 kg m²/s upright", "roll-doublet", short, (0.0, 0.0, -0.1)),
+    ]
+
+
+def seen(state: State, place: tuple[float, float, float]) -> Motion:
+    """The airframe's state as the other integration states it."""
+    axes: list[Vector3] = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
+    turn = np.array([rotate(state.attitude, axis) for axis in axes]).T
+    return Motion(turn, np.array(state.rate), np.array(state.velocity), np.array(place))
+
+
+def fly_again(flown: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[Motion]]:
+    """The start, and the motion after every step, of the airframe."""
+    place = Environment()
+    spins = any(flown.momentum)
+    frame = Airframe(flown.vehicle, flown.folder, place, flown.step, runs, 1, spins)
+
+    def where() -> tuple[float, float, float]:
+        x, y, z = (frame._fdm.get_property_value(f"position/ecef-{axis}-ft") * FOOT for axis in "xyz")
+        return (x, y, z)
+
+    try:
+        first = flown.held[0]
+        state = frame.reset(
+            flown.initial, list(first.forces), first.disturbance.wind, flown.momentum if spins else None
+        )
+        begin = seen(state, where())
+        for kind, method in zip(("rotational", "translational"), scheme.rates, strict=True):
+            frame._set(f"simulation/integrator/rate/{kind}", method)
+        frame._set("simulation/integrator/position/rotational", scheme.attitude)
+        frame._make_up = scheme.make_up
+        found = [seen(frame.step(list(held.forces), held.disturbance), where()) for held in flown.held]
+    finally:
+        frame.close()
+    return begin, found
+
+
+@dataclass(frozen=True)
+class Error:
+    """Greatest over a flight."""
+
+    attitude_deg: float
+    rate_deg_s: float
+    velocity_mm_s: float
+    place_mm: float
+
+
+def exact(flown: Course, parts: int = 2) -> list[Motion]:
+    """The independent integration of a course."""
+    place = Environment()
+    begin, _ = fly_again(replace(flown, held=flown.held[:1]), SCHEMES["flown"], 1)
+    state = start(place.latitude_deg, place.longitude_deg, place.ground_m + flown.initial.altitude_m, begin)
+    return integrate(flown.vehicle, state, flown.held, flown.step, flown.momentum, parts)
+
+
+CLOSED = ("roll-doublet", "payload-drop", "climb-and-land", "full-scale-roll-doublet")
+
+
+def closed_loop(name: str, runs: int, fine: int = 64) -> tuple[float, float]:
+    """Greatest differences of a flight's Euler angles [deg] and place [mm] from the same with ``fine`` runs."""
+    logs = [fly(Scenario.load(name).replace(substeps=each, expect=[])).log for each in (runs, fine)]
+    last = min(len(log) for log in logs)
+
+    def apart(columns: tuple[str, ...]) -> float:
+        return max(float(np.abs(logs[0][each][:last] - logs[1][each][:last]).max()) for each in columns)
+
+    angles, places = ("roll_rad", "pitch_rad", "yaw_rad"), ("north_m", "east_m", "down_m")
+    return float(np.degrees(apart(angles))), 1e3 * apart(places)
+
+
+def error(one: list[Motion], other: list[Motion]) -> Error:
+    """Between two integrations of the same course."""
+    angles, rates, speeds, places = [], [], [], []
+    for a, b in zip(one, other, strict=True):
+        turn = a.attitude.T @ b.attitude
+        sine = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        angles.append(np.linalg.norm(sine))
+        rates.append(np.linalg.norm(a.rate - b.rate))
+        speeds.append(np.linalg.norm(a.velocity - b.velocity))
+        places.append(np.linalg.norm(a.place - b.place))
+    return Error(
+        float(np.degrees(max(angles))),
+        float(np.degrees(max(rates))),
+        1e3 * float(max(speeds)),
+        1e3 * float(max(places)),
+    )
