@@ -1,8 +1,8 @@
 """The airframe's error on the project's own flights, by method and by number of runs in a control step.
 
 A flight is flown once.  What acted on the airframe in each of its control steps is then held again, step by step, on
-the airframe with other methods and on an integration of its own (:mod:`benchmarks.accuracy.exact`): the same inputs at the
-same times, so that what differs is the method alone.
+the airframe with other methods and on an integration of its own (:mod:`benchmarks.accuracy.exact`): the same inputs at
+the same times, so that what differs is the method alone.
 """
 
 from __future__ import annotations
