@@ -158,7 +158,7 @@ def gps_raw_int(v: View) -> list[Message]:
     height = mm(metres)
     return [
         mav.MAVLink_gps_raw_int_message(
-            v.us, 3, e7(lat), e7(lon), height, U16, U16,
+            v.us, 3 if v.status.positioned else 1, e7(lat), e7(lon), height, U16, U16,
             clamp(hypot(vn, ve) * 100.0, 0, U16 - 1), clamp(course, 0, 35999), U8, height,
             clamp(about.position_noise * 1e3, 0, I32), clamp(about.position_noise * 1e3, 0, I32),
             clamp(about.velocity_noise * 1e3, 0, I32), 0, 0,

@@ -137,6 +137,7 @@ class Status(NamedTuple):
     zones: tuple[FenceZone, ...] = ()  # of the fence that was drawn
     rally: tuple[RallyPoint, ...] = ()
     orbit: Orbit | None = None  # that it flies; ``target`` is its centre
+    positioned: bool = True  # fixes of the GNSS come
 
 
 class Autopilot:
@@ -1147,6 +1148,7 @@ class Autopilot:
             self._watch.zones,
             self.rally,
             self._orbit if self.mode is Mode.ORBIT else None,
+            self._estimator.silent <= _BLIND_S,
         )
 
 
