@@ -1,6 +1,6 @@
-"""Flies and computes what docs/full-scale.md says, and writes its tables and its picture.
+"""Flies and computes what docs/full-scale.md says: tables between marks, others printed, and its picture.
 
-    python docs/full_scale.py [--out runs/full-scale] [--workers 2]
+    python docs/full_scale.py [--out runs/full-scale] [--workers 2] [--only two-engines ecu]
 
 A part that is already in the folder is taken up, so that an interrupted call goes on where it ended.
 """
@@ -19,14 +19,15 @@ from typing import Any
 import numpy as np
 
 from cosim import Scenario, fly
+from cosim.config import read_toml
 from cosim.design.file import read_controller, write_controller
 from cosim.design.make import WITH_LEAD, design
 from cosim.design.tune import NOISE_SHARE, Requirements
+from cosim.marks import check_marks, table, write_marks
 
 AIRCRAFT = "hexjet-p220"
+PAGE = Path(__file__).parent / "full-scale.md"
 PICTURES = Path(__file__).parent / "pictures"
-# The paper's turbojet at 220 N, with the delay as identified and without; the lag is the same in both.
-PAPER = "engine_parameters.newton_per_unit=142.66"  # 220 N / 1.5422, the gain at rest
 NAMES = ("hover", "roll-doublet", "pitch-doublet", "yaw-doublet", "gust", "payload-drop", "manual", "climb-and-land")
 PLAIN = ("baseline", "smith", "filtered-smith", "state-disturbance")
 CANDIDATES = (*PLAIN, "baseline" + WITH_LEAD, "state-disturbance" + WITH_LEAD)
@@ -54,9 +55,30 @@ CASES = (
     Case("p220", "p220"),
     # at the default there is none
     Case("p220 without lead", "p220", lead=False, least_hz=0.1),
+    Case("p220-2025", "p220-2025"),
     Case("turbine-220", "turbine-220", noise_share=0.02),
-    Case("turbojet", "turbojet", (PAPER,)),
 )
+# Two identifications of one engine, each flown with what was designed for it and for the other.
+BOTH = ("p220", "p220-2025")
+DESIGNS = Path(__file__).parents[1] / "tests" / "designs"
+
+# Limits of an ECU, with the gains that the vehicle ships: what the table calls them, and the engine's parameters.
+LIMITS: dict[str, dict[str, float]] = {
+    "none, as published": {},
+    "48 ms late": {"delay_samples": 12},
+    "100 ms late": {"delay_samples": 25},
+    "reads every 20 ms": {"command_interval": 5},
+    "reads every 100 ms": {"command_interval": 25},
+    "resolves 0.1 %": {"command_resolution": 0.001},
+    "resolves 1 %": {"command_resolution": 0.01},
+    "dead band 0.5 %": {"command_dead_band": 0.005},
+    "dead band 1 %": {"command_dead_band": 0.01},
+    "dead band 2 %": {"command_dead_band": 0.02},
+    "200 % a second": {"command_rate": 2.0},
+    "100 % a second": {"command_rate": 1.0},
+}
+BANDS = (0.005, 0.01, 0.02)  # of those, the dead bands
+CYCLE_S = 10.0  # of a hover, its last part, in which a limit cycle stands
 
 
 def designed(case: Case, out: Path) -> dict[str, Any]:
@@ -99,6 +121,39 @@ def flown(name: str, case: Case, out: Path) -> dict[str, Any]:
     return {"outcome": run.outcome, "reason": run.reason, **run.summary.flat_metrics}
 
 
+def crossed(name: str, designed_for: str, engine: str, out: Path) -> dict[str, Any]:
+    """One flight of an engine with the controller that ``tests/designs`` keeps for the one or the other."""
+    file = read_controller(DESIGNS / f"{designed_for}.toml")
+    flight = Scenario.load(f"full-scale-{name}")
+    run = fly(flight.replace(engine=engine, controller=file.controller, vehicle=file.vehicle, expect=[]))
+    return {"outcome": run.outcome, "reason": run.reason, **run.summary.flat_metrics}
+
+
+def limited(engine: str, limit: str, out: Path) -> dict[str, Any]:
+    """What a limit of the ECU makes of the roll doublet, and of hover with the sensors' noise and without."""
+    changed = {"engine": engine, "engine_parameters": LIMITS[limit], "expect": []}
+    doublet = fly(Scenario.load("full-scale-roll-doublet").replace(**changed))
+    found: dict[str, Any] = {
+        "outcome": doublet.outcome,
+        "overshoot": doublet.summary.flat_metrics.get("roll.overshoot_percent"),
+        "settling": doublet.summary.flat_metrics.get("roll.settling_time_s"),
+    }
+    for noise in (True, False):
+        run = fly(Scenario.load("full-scale-hover").replace(sensor_noise=noise, **changed))
+        last = slice(-round(CYCLE_S / run.scenario.step_s), None)
+        roll, throttle = np.degrees(run.log["roll_rad"][last]), run.log["throttle_1"][last]
+        power = np.abs(np.fft.rfft((throttle - throttle.mean()) * np.hanning(len(throttle)))) ** 2
+        hertz = np.fft.rfftfreq(len(throttle), run.scenario.step_s)
+        found["noisy" if noise else "quiet"] = {
+            "outcome": run.outcome,
+            "roll_rms_deg": float(roll.std()),
+            "roll_swing_deg": float(np.ptp(roll)),
+            "throttle_amplitude": float(np.sqrt(2.0) * throttle.std()),
+            "hz": float(hertz[1:][int(np.argmax(power[1:]))]),
+        }
+    return found
+
+
 def with_intakes(flight: Scenario, height: float) -> Scenario:
     """The same vehicle with its jets higher: the intakes ``height`` [m] above the centre of gravity."""
     raised = {str(jet): {"position_m": {"2": 0.1535 - height}} for jet in range(6)}
@@ -126,8 +181,51 @@ def largest_gust(case: Case, height: float, limit_deg: float, out: Path) -> floa
     return low
 
 
-def study(out: Path, workers: int) -> dict[str, Any]:
-    """Everything, from the folder where it is there."""
+def dead_band(amplitude: float, samples: int = 4000) -> complex:
+    """Describing function of a dead band of 1 for a sine of this amplitude: fundamental out over sine in.
+
+    What is kept stands on whole steps of the band, about the sine's middle.
+    """
+    steps = int(2.0 * amplitude)
+    low, high = -0.5 * steps, 0.5 * steps
+    angle = np.linspace(0.0, 2.0 * np.pi, samples, endpoint=False)
+    held, out = low, np.empty(samples)
+    for _ in range(2):  # the first turn is the transient
+        for k, u in enumerate(amplitude * np.sin(angle)):
+            while u >= held + 1.0 - 1e-12 and held < high:
+                held += 1.0
+            while u <= held - 1.0 + 1e-12 and held > low:
+                held -= 1.0
+            out[k] = held
+    return complex(2j / samples * np.sum(out * np.exp(-1j * angle)) / amplitude)
+
+
+def predicted(engine: str, out: Path) -> dict[str, Any]:
+    """Amplitude in dead bands and frequency [Hz] of the limit cycle: where the roll loop times that function is -1."""
+    from cosim.design.channel import Actuator, channels
+    from cosim.design.closed import Closed, Points
+    from cosim.design.make import _dynamics, _identify, _scenario, shipped
+    from cosim.engine import load_engine
+
+    flight, vehicle = _scenario(engine, AIRCRAFT, ())
+    spec = load_engine(engine, {}, flight.step_s)
+    dynamics = Actuator.of(engine, _dynamics(_identify(flight, vehicle, spec, None)))
+    channel = channels(flight, vehicle, spec, dynamics)["roll"]
+    points = Points(channel)
+    loop = Closed(points, shipped(channel, vehicle, spec)).open_loop
+    hertz = np.angle(points.z) / flight.step_s / 2.0 / np.pi
+    inside = (hertz > 0.2) & (hertz < 3.0)
+    misses = []
+    for amplitude in np.arange(0.51, 1.5, 0.01):
+        away = np.abs(1.0 + dead_band(float(amplitude)) * loop[inside])
+        k = int(np.argmin(away))
+        misses.append((float(away[k]), float(amplitude), float(hertz[inside][k])))
+    miss, amplitude, frequency = min(misses)
+    return {"miss": miss, "amplitude": amplitude, "hz": frequency}
+
+
+def study(out: Path, workers: int, only: Sequence[str] = ()) -> dict[str, Any]:
+    """Everything, or those of the tables, from the folder where it is there."""
     out.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(workers) as pool:
 
@@ -141,18 +239,90 @@ def study(out: Path, workers: int) -> dict[str, Any]:
                 print(f"{what}: {name}", flush=True)
             return found
 
-        designs = all_of("designs", designed, {case.name: (case,) for case in CASES})
-        held = [case for case in CASES if designs[case.name]["ok"]]
+        wanted = only or PARTS
+        needed = CASES if "gains" in wanted or "flights" in wanted else ()
+        designs = all_of("designs", designed, {case.name: (case,) for case in needed})
+        held = [case for case in needed if designs[case.name]["ok"]]
+        found: dict[str, Any] = {"designs": designs}
+        if "two-engines" in wanted:
+            jobs = {f"{name}|{a}|{b}": (name, a, b) for name in NAMES for a in BOTH for b in BOTH}
+            found["crossed"] = all_of("crossed", crossed, jobs)
+        if "ecu" in wanted:
+            found["limited"] = all_of("limited", limited, {f"{e}|{n}": (e, n) for e in BOTH for n in LIMITS})
+            found["predicted"] = all_of("predicted", predicted, {engine: (engine,) for engine in BOTH})
+        if "flights" not in wanted:
+            return found
         flights = all_of("flights", flown, {f"{case.name}|{name}": (name, case) for case in held for name in NAMES})
         limits = {f"{c.name}|{h}|{a}": (c, h, a) for c in held for h in HEIGHTS for a in LEANS}
         gusts = all_of("gusts", largest_gust, limits)
-    return {"designs": designs, "flights": flights, "gusts": gusts}
+    return {**found, "flights": flights, "gusts": gusts}
 
 
-def tables(found: dict[str, Any]) -> str:
-    """The page's tables."""
-    designs, flights, gusts = found["designs"], found["flights"], found["gusts"]
-    held = [case for case in CASES if designs[case.name]["ok"]]
+def lean(cell: dict[str, Any]) -> str:
+    """The greatest deviation of roll, or how the flight ended."""
+    return f"{degrees(cell['roll.max_abs_error_rad']):.1f}°" if cell["outcome"] == "completed" else "lost"
+
+
+def two_engines(found: dict[str, Any]) -> str:
+    """Each engine with either design."""
+    cells = found["crossed"]
+    pairs = [(a, b) for a in BOTH for b in BOTH]
+    rows = [[name, *(lean(cells[f"{name}|{a}|{b}"]) for a, b in pairs)] for name in NAMES]
+    doublet = [cells[f"roll-doublet|{a}|{b}"] for a, b in pairs]
+    for title, key, form in (
+        ("roll doublet: overshoot", "roll.overshoot_percent", "{:.1f} %"),
+        ("roll doublet: settles in", "roll.settling_time_s", "{:.2f} s"),
+    ):
+        said = [form.format(c[key]) if c["outcome"] == "completed" and c.get(key) is not None else "-" for c in doublet]
+        rows.append([title, *said])
+    made = {a: read_toml(DESIGNS / f"{a}.toml")["design"]["axes"]["roll"]["bandwidth_hz"] for a in BOTH}
+    rows.append(["bandwidth of roll as designed", *(f"{made[a]:.2f} Hz" if a == b else "-" for a, b in pairs)])
+    return table(["flight", *(f"{a} gains on {b}" for a, b in pairs)], rows)
+
+
+def ecu(found: dict[str, Any]) -> str:
+    """What the limits cost, for both engines."""
+    columns = [
+        "ECU",
+        *(f"{e}: {what}" for e in BOTH for what in ("doublet's overshoot", "settles in", "hover", "without noise")),
+    ]
+    rows = []
+    for limit in LIMITS:
+        cells = [limit]
+        for engine in BOTH:
+            each = found["limited"][f"{engine}|{limit}"]
+            flew = each["outcome"] == "completed"
+            cells.append(f"{each['overshoot']:.0f} %" if flew else "lost")
+            cells.append("-" if not flew else f"{each['settling']:.1f} s" if each["settling"] is not None else "never")
+            for kind in ("noisy", "quiet"):
+                hover = each[kind]
+                cells.append(f"{hover['roll_swing_deg']:.2f}°" if hover["outcome"] == "completed" else "lost")
+        rows.append(cells)
+    return table(columns, rows)
+
+
+def cycles(found: dict[str, Any]) -> str:
+    """The limit cycle of a dead band, by its describing function and as flown."""
+    rows = []
+    for engine in BOTH:
+        each = found["predicted"][engine]
+        rows.append([engine, "describing function", f"{each['amplitude']:.2f}", f"{each['hz']:.2f} Hz"])
+        for band in BANDS:
+            flown = found["limited"][f"{engine}|dead band {100 * band:g} %"]["quiet"]
+            rows.append(
+                [
+                    engine,
+                    f"flown, {100 * band:g} %",
+                    f"{flown['throttle_amplitude'] / band:.2f}",
+                    f"{flown['hz']:.2f} Hz",
+                ]
+            )
+    return table(["engine", "", "amplitude of the throttle, in dead bands", "frequency"], rows, left=2)
+
+
+def gains(found: dict[str, Any]) -> str:
+    """What each part of a controller gains."""
+    designs = found["designs"]
     rows = [["engine", "answers with", "bandwidth", "without delay", "without lag", *CANDIDATES]]
     for case in CASES:
         each = designs[case.name]
@@ -164,37 +334,43 @@ def tables(found: dict[str, Any]) -> str:
         rows.append(
             [case.name, each["dynamics"], *(f"{value:.2f} Hz" if value else "none" for value in hertz), *reached]
         )
-    text = [_table(rows)]
-    rows = [
-        [
-            "flight",
-            *(
-                f"{case.name}, {designs[case.name]['controller']}{WITH_LEAD if designs[case.name]['lead'] else ''}"
-                for case in held
-            ),
-        ]
+    return table(rows[0], rows[1:])
+
+
+def flights(found: dict[str, Any]) -> str:
+    """The greatest deviation of roll, and the fastest gust that each stands."""
+    designs, flown_, gusts = found["designs"], found["flights"], found["gusts"]
+    held = [case for case in CASES if designs[case.name]["ok"]]
+    controllers = [
+        f"{case.name}, {designs[case.name]['controller']}{WITH_LEAD if designs[case.name]['lead'] else ''}"
+        for case in held
     ]
-    for name in NAMES:
-        cells = [flights[f"{case.name}|{name}"] for case in held]
-        leans = (f"{degrees(c['roll.max_abs_error_rad']):.1f}°" for c in cells)
-        rows.append(
-            [
-                name,
-                *(lean if c["outcome"] == "completed" else c["outcome"] for lean, c in zip(leans, cells, strict=True)),
-            ]
-        )
-    text.append(_table(rows))
-    rows = [["intakes above the centre of gravity", *(case.name for case in held)]]
+    rows = [[name, *(lean(flown_[f"{case.name}|{name}"]) for case in held)] for name in NAMES]
     for height in HEIGHTS:
-        limits = [" / ".join(f"{gusts[f'{case.name}|{height}|{lean}']:.1f}" for lean in LEANS) for case in held]
-        rows.append([f"{1e3 * height:.0f} mm", *limits])
-    text.append(_table(rows))
-    return "\n\n".join(text)
+        for lean_deg in LEANS:
+            limits = [f"{gusts[f'{case.name}|{height}|{lean_deg}']:.0f} m/s" for case in held]
+            rows.append([f"side gust within {lean_deg:.0f}°, intakes {1e3 * height:.0f} mm up", *limits])
+    return table(["flight", *controllers], rows)
 
 
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    head, *body = (f"| {' | '.join(row)} |" for row in rows)
-    return "\n".join([head, "| --- " * len(rows[0]) + "|", *body])
+# What is made: the first two are printed, the others written between their marks.
+PRINTED = ("gains", "flights")
+PARTS = (*PRINTED, "two-engines", "ecu")
+
+
+def written(found: dict[str, Any], only: Sequence[str]) -> dict[str, str]:
+    """The page's parts."""
+    parts = {}
+    wanted = only or PARTS
+    if "gains" in wanted:
+        parts["gains"] = gains(found)
+    if "flights" in wanted:
+        parts["flights"] = flights(found)
+    if "two-engines" in wanted:
+        parts["two-engines"] = two_engines(found)
+    if "ecu" in wanted:
+        parts |= {"ecu": ecu(found), "limit-cycles": cycles(found)}
+    return parts
 
 
 def picture(out: Path) -> None:
@@ -226,14 +402,23 @@ def picture(out: Path) -> None:
 
 
 def main() -> None:
-    """Everything into the folder, the tables to standard output."""
+    """Everything into the folder, the tables into the page and to standard output."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/full-scale"))
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=[], help="parts of the page")
     given = parser.parse_args()
-    found = study(given.out, given.workers)
-    picture(given.out)
-    print(tables(found))
+    only = tuple(given.only)
+    marks = [name for name in (only or PARTS) if name not in PRINTED]
+    check_marks(PAGE, [*marks, *(["limit-cycles"] if "ecu" in marks else [])])
+    found = study(given.out, given.workers, only)
+    if not only:
+        picture(given.out)
+    parts = written(found, only)
+    for name in PRINTED:
+        if name in parts:
+            print(parts.pop(name))
+    write_marks(PAGE, parts)
 
 
 if __name__ == "__main__":

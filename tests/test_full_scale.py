@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from math import exp, log, sqrt
+from math import degrees, exp, log, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,9 @@ from cosim.airframe import Airframe, standing_height
 from cosim.cli import cli, load_scenario
 from cosim.config import read_toml
 from cosim.control.altitude import GRAVITY
+from cosim.design.file import read_controller
 from cosim.errors import InputError
-from cosim.flight import check_expected, expectation
+from cosim.flight import check_expected, expectation, fly
 from cosim.frames import jet_axis
 from cosim.paths import data_folder
 from cosim.scaling import _LAW, length_scale, scaled
@@ -414,3 +415,61 @@ def test_the_margins_the_readme_states(aircraft: str, engine: str) -> None:
             f"{made['bandwidth_hz']:.2f} Hz",
             f"{made['tolerated']:.2f}",
         ]
+
+
+# --- two reports of one engine, and what an ECU may add ---------------------------------------------------------------
+
+PAGE = (Path(__file__).parents[1] / "docs" / "full-scale.md").read_text(encoding="utf-8")
+
+
+def cells(title: str) -> list[str]:
+    """A row of the page's tables."""
+    found = re.search(rf"^\| {re.escape(title)} \| (.*) \|$", PAGE, re.MULTILINE)
+    assert found, title
+    return [cell.strip() for cell in found[1].split("|")]
+
+
+@pytest.mark.parametrize(
+    ("column", "gains", "engine"),
+    [(0, "p220", "p220"), (1, "p220", "p220-2025"), (2, "p220-2025", "p220"), (3, "p220-2025", "p220-2025")],
+)
+def test_either_design_on_either_engine_flies_as_the_page_says(column: int, gains: str, engine: str) -> None:
+    """The doublet: the gains for the engine of 2025 lose that of 2020, the other way round they hold."""
+    file = read_controller(DESIGNS / f"{gains}.toml")
+    flight = Scenario.load("full-scale-roll-doublet").replace(
+        engine=engine, controller=file.controller, vehicle=file.vehicle, expect=[]
+    )
+    run = fly(flight)
+    said = cells("roll-doublet")[column]
+    if run.outcome != "completed":
+        assert (said, gains, engine) == ("lost", "p220-2025", "p220")
+        return
+    # the page has the design as the command writes it today, the files are those that ship
+    assert float(said.rstrip("°")) == pytest.approx(degrees(run.metrics["roll"].max_abs_error_rad), abs=0.3)
+
+
+@pytest.mark.parametrize(("engine", "column"), [("p220", 0), ("p220-2025", 4)])
+@pytest.mark.parametrize(
+    ("limit", "parameters"),
+    [("none, as published", {}), ("48 ms late", {"delay_samples": 12}), ("100 % a second", {"command_rate": 1.0})],
+)
+def test_the_limits_of_an_ecu_cost_what_the_page_says(
+    engine: str, column: int, limit: str, parameters: dict[str, float]
+) -> None:
+    flight = Scenario.load("full-scale-roll-doublet").replace(engine=engine, engine_parameters=parameters, expect=[])
+    run = fly(flight)
+    said = cells(limit)[column]
+    assert (said == "lost") == (run.outcome != "completed")
+    if said != "lost":
+        # to rounding, and a tenth of it for a flight that swings
+        found = run.summary.flat_metrics["roll.overshoot_percent"]
+        assert float(said.removesuffix(" %")) == pytest.approx(found, abs=0.6, rel=0.1)
+
+
+def test_the_faster_engine_is_lost_late_and_the_slower_is_not() -> None:
+    """100 ms of ECU, in hover, with the gains that the vehicle ships."""
+    outcomes = {}
+    for engine in ("p220", "p220-2025"):
+        late = {"engine": engine, "engine_parameters": {"delay_samples": 25}, "expect": []}
+        outcomes[engine] = fly(Scenario.load("full-scale-hover").replace(**late)).outcome
+    assert outcomes["p220"] == "completed" != outcomes["p220-2025"]
