@@ -815,6 +815,54 @@ def _engine_out(
     return DONE
 
 
+@cli.command(epilog=_example("hexjet failsafes --failsafe GNSS --height 10 --wind 5"))
+@click.option("--aircraft", default="hexjet", show_default=True, help="One that has an autopilot.")
+@click.option("--engine", metavar="NAME|FILE", help="See: hexjet list engines.  [default: the aircraft's own]")
+@click.option("--controller", metavar="NAME", help="[default: smith, or baseline where there is no model]")
+@click.option("kinds", "--failsafe", metavar="NAME", multiple=True, help="Only those that begin so.  [default: all]")
+@click.option("heights", "--height", type=float, metavar="M", multiple=True, help="[default: 3, 10 and 30 m]")
+@click.option("winds", "--wind", type=float, metavar="M/S", multiple=True, help="[default: 0, 5 and 10 m/s]")
+@click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("--page", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write the table there.")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+def failsafes(
+    aircraft: str,
+    engine: str | None,
+    controller: str | None,
+    kinds: tuple[str, ...],
+    heights: tuple[float, ...],
+    winds: tuple[float, ...],
+    workers: int,
+    out: Path | None,
+    page: Path | None,
+    as_json: bool,
+) -> int:
+    """Let everything fail that the autopilot has an answer to, and tell how each flight ended.
+
+    Flown from every height in every wind, with the touch-down speed and the thrust ten seconds after disarming.  Leaves
+    failsafes.csv in DIR, and in DIR/flights every flight as a scenario with its requests: hexjet fly flies it again.
+    """
+    from cosim.console import part_progress, print_failsafes
+    from cosim.failsafes import HEIGHTS_M, WINDS_M_S, mark, markdown, write
+    from cosim.failsafes import failsafes as fly_all
+    from cosim.flight import new_folder
+    from cosim.marks import check_marks, write_marks
+
+    if page is not None:
+        check_marks(page, [mark(aircraft)])
+    with part_progress("failsafes", quiet=as_json) as say:
+        found = fly_all(aircraft, engine, controller, kinds, heights or HEIGHTS_M, winds or WINDS_M_S, workers, say)
+    table = write(found, out if out is not None else new_folder(Path("runs"), f"failsafes-{aircraft}"))
+    if page is not None:
+        write_marks(page, {mark(aircraft): markdown(found)})
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+    else:
+        print_failsafes(found, table)
+    return DONE
+
+
 @cli.command(epilog=_example("hexjet sweep roll-doublet --vary vehicle.mass_kg=5:6.5 --runs 100 --controller smith"))
 @click.argument("name", metavar="SCENARIO|STUDY|DIR")
 @click.option(

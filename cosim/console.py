@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cosim.design.make import Design
     from cosim.engine import CheckReport
     from cosim.engine_out import EngineOut
+    from cosim.failsafes import Failsafes
     from cosim.gcs import Session
     from cosim.identify import Identification
     from cosim.links import Links
@@ -461,6 +462,33 @@ def print_engine_out(found: EngineOut, paths: Sequence[Path]) -> None:
     )
     for path in paths:
         console.print(str(path), highlight=False, soft_wrap=True)
+
+
+def print_failsafes(found: Failsafes, table: Path) -> None:
+    """What became of each failsafe in each wind, and where the flights are."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.failsafes import summary
+
+    console = _console()
+    shown = Table(box=box.SIMPLE_HEAD)
+    for title in ("failsafe", "wind, m/s", "ended", "touch-down, m/s", "thrust 10 s later, N"):
+        shown.add_column(title, justify="left" if title in ("failsafe", "ended") else "right")
+    for row in summary(found):
+        numbers = [
+            "-" if value != value else f"{value:{form}}"
+            for value, form in ((row.touchdown_m_s, ".2f"), (row.thrust_n, ".1f"))
+        ]
+        shown.add_row(row.failsafe, f"{row.wind_m_s:g}", row.ends, *numbers)
+    console.print(shown)
+    console.print(
+        f"{found.aircraft}, {found.engine}, {found.controller}: the fastest touch-down and the most thrust of all "
+        f"heights; a leg that touches faster than {found.limit_m_s:.2f} m/s counts as a crash",
+        highlight=False,
+        soft_wrap=True,
+    )
+    console.print(f"every flight: {table}", highlight=False, soft_wrap=True)
 
 
 def print_gcs(session: Session, links: Links, to_stderr: bool) -> None:

@@ -14,6 +14,7 @@ from math import hypot, isnan, nan, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from cosim import marks
 from cosim.errors import InputError
 from cosim.pilot.modes import LandedState, Mode
 from cosim.pilot.requests import (
@@ -349,3 +350,63 @@ def write(found: Failsafes, folder: Path) -> Path:
 def file_name(row: Row) -> str:
     """Of the flight's files, without what they end in."""
     return f"{row.failsafe.lower().replace(' ', '-')}-{row.height_m:g}m-{row.wind_m_s:g}m_s"
+
+
+@dataclass(frozen=True)
+class Summed:
+    """One failsafe in one wind, all heights together."""
+
+    failsafe: str
+    wind_m_s: float
+    ends: str  # what became of the flights, the same words once
+    touchdown_m_s: float  # the fastest; NaN: none touched
+    thrust_n: float  # the most; NaN: none was disarmed
+
+
+def summary(found: Failsafes) -> list[Summed]:
+    """For each failsafe and wind what became of it at all heights."""
+    table = []
+    for name, wind in dict.fromkeys((row.failsafe, row.wind_m_s) for row in found.rows):
+        rows = [row for row in found.rows if (row.failsafe, row.wind_m_s) == (name, wind)]
+        verdicts = [row.verdict for row in rows]
+        known = dict.fromkeys(verdicts)
+        if len(known) == 1:
+            ends: str = verdicts[0]
+        else:
+            ends = ", ".join(
+                f"{verdict} from {', '.join(f'{row.height_m:g}' for row in rows if row.verdict == verdict)} m"
+                for verdict in known
+            )
+        speeds = [row.touchdown_m_s for row in rows if not isnan(row.touchdown_m_s)]
+        thrusts = [row.thrust_n for row in rows if not isnan(row.thrust_n)]
+        table.append(Summed(name, wind, ends, max(speeds, default=nan), max(thrusts, default=nan)))
+    return table
+
+
+def mark(aircraft: str) -> str:
+    """The name of the mark in a page between which a vehicle's table goes."""
+    return f"failsafes, {aircraft}"
+
+
+def markdown(found: Failsafes) -> str:
+    """The part of a page: the table by failsafe and wind, every flight of it in the columns of the heights."""
+    heights = list(dict.fromkeys(row.height_m for row in found.rows))
+    winds = list(dict.fromkeys(row.wind_m_s for row in found.rows))
+    cells = {(row.failsafe, row.height_m, row.wind_m_s): row for row in found.rows}
+    columns = ["failsafe", *(f"{height:g} m, {wind:g} m/s" for height in heights for wind in winds)]
+    rows = []
+    for name in dict.fromkeys(row.failsafe for row in found.rows):
+        rows.append([name, *(_cell(cells[name, height, wind]) for height in heights for wind in winds)])
+    return (
+        f"Engine `{found.engine}`, controller `{found.controller}`; a leg that touches faster than "
+        f"{found.limit_m_s:.2f} m/s counts as a crash.\n\n" + marks.table(columns, rows)
+    )
+
+
+def _cell(row: Row) -> str:
+    parts: list[str] = [row.verdict]
+    if not isnan(row.touchdown_m_s):
+        parts.append(f"{row.touchdown_m_s:.2f} m/s")
+    if not isnan(row.thrust_n):
+        parts.append(f"{row.thrust_n:.1f} N")
+    return ", ".join(parts)

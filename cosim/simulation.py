@@ -60,6 +60,9 @@ from cosim.signals import (
 from cosim.spools import Spools
 from cosim.vehicle import Limits, Vehicle, load_vehicle
 
+# s from switching engines on to where they must run: chosen by us, longer than a jet takes to spool up to idle
+_LONGEST_START = 10.0
+
 Outcome = Literal["completed", "crashed", "diverged", "failed"]
 
 
@@ -205,6 +208,8 @@ class Simulation:
         self.measured = self.sensors.reset(self.state)
         self._collective = 0.0
         self._stopped = self._forgiven = False
+        self._starting = 0.0  # s for which engines that were off may still be coming up
+        self._across = -1  # the engine that was shut off because the one opposite was lost, from 0
         if self.pilot is not None:
             self.pilot.reset(self.measured)
 
@@ -265,8 +270,8 @@ class Simulation:
         """The pilot's command for step ``k``, and the engines off or on as it says."""
         lost: tuple[int, ...] = ()
         if self.monitor is not None and self.monitor.gains != ALL_WELL[: len(self._left)]:
-            off = self.shutoff.off  # on purpose
-            lost = tuple(jet for jet, gain in enumerate(self.monitor.gains, 1) if gain < 1.0 and jet - 1 not in off)
+            off = self._across  # on purpose
+            lost = tuple(jet for jet, gain in enumerate(self.monitor.gains, 1) if gain < 1.0 and jet - 1 != off)
         tank, fuel = self.tank, self.vehicle.fuel
         remaining = tank.left / fuel.mass_kg if tank and fuel else None
         command = pilot.update(k, self.measured, Report(self.state.on_ground, self._collective, lost, remaining))
@@ -299,7 +304,7 @@ class Simulation:
         """Once all engines are back at idle after a repair, take none for lost any more."""
         monitor = self.monitor
         if monitor is None or monitor.settled(throttle, engines):
-            self._forgiven = False
+            self._forgiven, self._across = False, -1
             if monitor is not None:
                 monitor.reset(throttle)
             self.allocator.reset()
@@ -334,6 +339,16 @@ class Simulation:
     def _watch(self, throttle: PerJet, engines: EngineOutput) -> PerJet:
         """Let the monitor look at the engines, and allocate around those it has given up from the next step on."""
         assert self.monitor is not None
+        if self._stopped:
+            # nothing can be told of engines that are off on purpose, nor of those that have yet to come up
+            self._starting = _LONGEST_START
+            return self.monitor.gains
+        if self._starting > 0.0:
+            self._starting -= self.dt
+            if self.monitor.started(throttle, engines):
+                self._starting = 0.0
+            self.monitor.resume(throttle)
+            return self.monitor.gains
         if self.monitor.update(throttle, engines):
             if self._opposite:
                 self._shut_opposite(self.monitor)
@@ -345,6 +360,7 @@ class Simulation:
         ill = [i for i, gain in enumerate(monitor.gains) if gain < 1.0]
         if len(ill) == 1 and monitor.health[ill[0]] == JetHealth(0.0):
             other = self._opposite[ill[0]]
+            self._across = other
             self.shutoff.set(other, False)
             monitor.give_up(other)
 

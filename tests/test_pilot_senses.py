@@ -269,7 +269,7 @@ def test_without_a_gyro_the_rate_is_that_of_the_attitude() -> None:
 
 def test_nothing_is_wrong_where_nothing_moves() -> None:
     """Without noise, standing: every sensor repeats itself, and none has failed."""
-    one = Senses(STATED, STEP)
+    one = Senses(STATED, STEP, 3.5)
     rest = Measured((0.0, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.125, (0.0, 0.0, -GRAVITY))
     one.reset(rest)
     for k in range(1, 1000):

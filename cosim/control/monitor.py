@@ -89,6 +89,14 @@ class EngineMonitor:
 
     def reset(self, throttle: Sequence[float]) -> None:
         """All engines healthy, settled at ``throttle``."""
+        count = len(self._references)
+        self._fixed = [0.0] * count  # N, of an engine that does not follow its command
+        self.health: tuple[JetHealth, ...] = (JetHealth(),) * count
+        self.gains: PerJet = (1.0,) * count
+        self.resume(throttle)
+
+    def resume(self, throttle: Sequence[float]) -> None:
+        """Look again after engines were off on purpose: settled at ``throttle``, as well or ill as they were."""
         at_rest = tuple(each.thrust_at(u) for each, u in zip(self._references, throttle, strict=True))
         count = len(at_rest)
         self._past = [at_rest] * (self._late + 1)  # thrust that the commands ask for at rest, oldest first
@@ -96,9 +104,6 @@ class EngineMonitor:
         self._high, self._low = list(at_rest), list(at_rest)
         self._outside = [0] * count
         self._agreed = [(x, x) for x in at_rest]  # report and reference when they last agreed
-        self._fixed = [0.0] * count  # N, of an engine that does not follow its command
-        self.health: tuple[JetHealth, ...] = (JetHealth(),) * count
-        self.gains: PerJet = (1.0,) * count
 
     def update(self, throttle: PerJet, output: EngineOutput) -> bool:
         """Look at one step: the throttles held over it, the engines' report at its end.  True if a verdict changed."""
@@ -141,6 +146,14 @@ class EngineMonitor:
     def give_up(self, i: int) -> None:
         """Engine ``i`` is shut off on purpose: take it for lost."""
         self._found(i, 0.0, 0.0)
+
+    def started(self, throttle: PerJet, output: EngineOutput) -> bool:
+        """Every engine that is not given up reports what it gives at rest at its ``throttle``, within the threshold."""
+        reports = zip(self._references, self.gains, throttle, output.thrust, output.spool_speed, strict=True)
+        return all(
+            gain == 0.0 or abs(each.thrust_of(f, w) - each.thrust_at(u)) <= self._threshold
+            for each, gain, u, f, w in reports
+        )
 
     def settled(self, throttle: PerJet, output: EngineOutput) -> bool:
         """Every engine's report is within the threshold of what it gives at rest at its ``throttle``, or of nothing."""

@@ -191,7 +191,7 @@ class Autopilot:
         self._guide = Guide(tracker, position, self.parameters, step)
         self._vehicle, self._idle = vehicle, idle
         self._shaper = Shaper(self._attitude_limits(), step)
-        self._senses = Senses(vehicle.sensors, step)
+        self._senses = Senses(vehicle.sensors, step, slowest)
         self._touchdown = Touchdown(hover, step, idle, settings.spool_s)
         self._watch = Watch(self.parameters, hover, step, self._failsafe)
         self._inject, self._clear = inject, clear
@@ -323,10 +323,10 @@ class Autopilot:
             return _yes()
         if request.force:
             return self._shut_off(k)
-        if self._touchdown.touching:
+        if self._touchdown.bouncing:
             # the legs say so, and nothing else yet: the thrust goes first
             self._enter(Mode.LAND, k)
-            self._settling, self._disarming = self._report.collective, True
+            self._disarming = True
             return _yes("disarms when it stands")
         return _no(Result.DENIED, "disarming refused: it is in the air")
 
@@ -777,7 +777,7 @@ class Autopilot:
         if self._settling is not None:
             if self._touchdown.touching and sink < _SETTLE_SINK:
                 return self._settle(k, self._settling)
-            self._settling, self._disarming = None, False
+            self._settling = None
         command = self._by_mode(k)
         if self._flies_thrust():
             if self._touchdown.standing:

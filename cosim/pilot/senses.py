@@ -19,8 +19,9 @@ class Senses:
     height and climb rate are always estimates.
     """
 
-    def __init__(self, sensors: Sensors, step: float) -> None:
-        self.inertial = InertialEstimator(sensors, step)
+    def __init__(self, sensors: Sensors, step: float, gain: float) -> None:
+        """``gain``: of the attitude loop, 1/s, the slowest of roll and pitch."""
+        self.inertial = InertialEstimator(sensors, step, gain)
         self.vertical = VerticalEstimator(sensors, step)
 
     def reset(self, measured: Measured | None) -> None:

@@ -12,6 +12,7 @@ from cosim.pilot.modes import Report
 # Chosen by us; times are long against the bounce of a leg (damping ratio 0.6 at 7 Hz: gone in 0.1 s).
 _TOUCH_S = 0.2  # contact for so long counts
 _BOUNCE_S = 0.1  # no contact for so long ends it
+_BOUNCING_S = 1.0  # since the last contact: with nearly its weight in thrust it hops for so long at landing speed
 _STAND_S = 0.5  # with the thrust gone
 _FELT_S = 1.0  # for the touch that is felt without a switch
 _FALLING = 1.0  # m/s: faster than any landing, so a switch that reports contact here is broken
@@ -43,6 +44,7 @@ class Touchdown:
         """A new flight: the switch is believed."""
         self._contact = self._apart = self._felt = self._light = 0.0
         self._bearing = self._hanging = self._resting = 0.0
+        self._since = _BOUNCING_S  # the legs last reported contact
         self._thrust = 1.0  # over weight, no less than the engines give
         self._hover = 1.0  # of the nominal thrust of hover, what the vehicle hovers with
         self.switch_failed = False
@@ -68,6 +70,7 @@ class Touchdown:
         if legs and ((sink > _FALLING and self._contact > _TOUCH_S) or self._hanging > _CARRIED_S):
             self.switch_failed = True
             legs = False
+        self._since = 0.0 if legs else self._since + dt
         if legs or self._felt > _FELT_S:
             self._contact += dt
             self._apart = 0.0
@@ -88,6 +91,11 @@ class Touchdown:
     def touching(self) -> bool:
         """On the ground with some weight, for a moment at least."""
         return self._contact > _TOUCH_S
+
+    @property
+    def bouncing(self) -> bool:
+        """The legs have touched the ground a moment ago."""
+        return self._since < _BOUNCING_S
 
     @property
     def off(self) -> bool:

@@ -1,0 +1,267 @@
+"""Every failsafe to the ground: what crashed, ran on or took off again, flown; and the table that tells it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_tools import Hexjet
+
+from cosim import failsafes as table
+from cosim.flight import fly
+from cosim.pilot import requests as rq
+from cosim.pilot.modes import EngineState, LandedState, Mode
+from cosim.piloted import with_autopilot
+from cosim.scenario import Scenario
+from cosim.simulation import build
+from cosim.survival import step_of
+from cosim.vehicle import load_vehicle
+
+HEXJETS = ("hexjet", "hexjet-p220")
+
+
+def case(name: str) -> table.Case:
+    return next(each for each in table.cases(load_vehicle("hexjet")[0]) if each.name == name)
+
+
+def flown(name: str, aircraft: str = "hexjet", height: float = 3.0, wind: float = 0.0) -> table.Flown:
+    vehicle = load_vehicle(aircraft)[0]
+    engine, step = vehicle.engine or "edf-as-flown", step_of(aircraft)
+    scenario = table.scenario_of(aircraft, engine, "smith", step, height, wind)
+    return table.fly_case((case(name), height, wind, scenario))
+
+
+class Flight:
+    """A hover in still air over the ground, with an autopilot that is asked things."""
+
+    def __init__(self, aircraft: str = "hexjet", height: float = 3.0, **changes: Any) -> None:
+        vehicle = load_vehicle(aircraft)[0]
+        engine = vehicle.engine or "edf-as-flown"
+        scenario = table.scenario_of(aircraft, engine, "smith", step_of(aircraft), height, 0.0).replace(**changes)
+        self.simulation = build(scenario)
+        self.pilot = with_autopilot(self.simulation, airborne=not scenario.initial.on_ground)
+        self.ok(rq.SetParameter("SYS_FAILURE_EN", 1.0))
+
+    def __enter__(self) -> Flight:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.simulation.close()
+
+    def ask(self, request: Any) -> rq.Answer:
+        return self.pilot.handle(request, self.simulation.k)
+
+    def ok(self, *requests: Any) -> None:
+        for request in requests:
+            answer = self.ask(request)
+            assert answer.accepted, (request, answer)
+
+    def fly(self, seconds: float, until: Any = None) -> float:
+        """Step on; the thrust of the last step, N."""
+        thrust = 0.0
+        for _ in range(round(seconds / self.simulation.dt)):
+            thrust = sum(self.simulation.step().engines.thrust)
+            assert self.simulation.judge.look(self.simulation.state, 0.0) is None
+            if until is not None and until():
+                return thrust
+        assert until is None, f"not within {seconds} s: {self.pilot.status}"
+        return thrust
+
+
+# --- sensors -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("aircraft", HEXJETS)
+@pytest.mark.parametrize(("height", "wind"), [(3.0, 0.0), (10.0, 5.0), (30.0, 10.0)])
+def test_losing_the_gnss_lands(aircraft: str, height: float, wind: float) -> None:
+    """It crashed at 2.3 to 17 m/s: the climb rate was the receiver's and stood still with it."""
+    row = flown("GNSS lost", aircraft, height, wind).row
+    assert (row.verdict, row.reason) == ("landed", "position lost")
+    # the last metres are flown at the landing's rate; more than that is what the legs touch with in wind
+    assert row.touchdown_m_s < 2.0 * load_vehicle(aircraft)[0].control.pilot.land_m_s  # type: ignore[union-attr]
+    assert row.thrust_n == 0.0
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        f"{gnss}{other}"
+        for gnss in ("", "GNSS and ")
+        for other in ("barometer lost", "attitude lost", "gyro biased", "gyro lost")
+    ],
+)
+def test_every_other_sensor_lands_alone_and_with_the_gnss(name: str) -> None:
+    row = flown(name).row
+    assert row.verdict == "landed"
+    assert row.reason in name
+    assert row.touchdown_m_s < 1.0
+    assert row.thrust_n == 0.0
+
+
+def test_nothing_disarms_in_the_air_whatever_the_sensors_say() -> None:
+    """GNSS and barometer stopped in a climb: where it thought to feel the ground it was at 67 m, and disarmed."""
+    with Flight(height=10.0) as flight:
+        flight.ok(rq.Goto(altitude=30.0))
+        flight.fly(4.0)
+        for sensor in ("gnss", "barometer"):
+            flight.ok(rq.InjectFault("sensor_dropout", sensor=sensor))
+        flight.fly(120.0, lambda: not flight.pilot.armed or flight.simulation.state.on_ground)
+        assert flight.pilot.armed
+        assert flight.simulation.state.on_ground
+
+
+# --- engines -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("jet", range(1, 7))
+def test_with_any_engine_lost_the_landing_is_recognised_and_everything_is_off(jet: int) -> None:
+    """Half of them stood armed for ever, the others gave 31 N disarmed: idle went through the plan."""
+    row = flown(f"engine {jet} out", height=10.0).row
+    assert (row.verdict, row.reason) == ("landed", f"engine {jet} failed")
+    assert row.touchdown_m_s < 1.0
+    assert row.thrust_n == 0.0
+    assert row.drift_m < 2.0
+
+
+def test_idle_does_not_go_through_the_plan_and_the_repair_is_believed() -> None:
+    with Flight() as flight:
+        flight.fly(1.0)
+        flight.ok(rq.InjectFault("flame_out", (3,)))
+        flight.fly(30.0, lambda: flight.pilot.landed is LandedState.ON_GROUND)
+        assert flight.pilot.engines is EngineState.IDLE
+        sample = flight.simulation.step()
+        least = flight.simulation.vehicle.control.allocation.throttle_min
+        assert set(sample.actuation.throttle) == {least}
+        assert sample.actuation.tilt == (0.0, 0.0)
+        flight.fly(2.1)
+        assert not flight.pilot.armed
+        assert flight.pilot.engines is EngineState.OFF
+        assert flight.fly(1.0) == 0.0
+        answer = flight.ask(rq.Arm())
+        assert not answer.accepted
+        assert "engine 3 failed" in answer.text
+        flight.ok(rq.ClearFaults())
+        flight.fly(0.5)
+        flight.ok(rq.Arm(), rq.Takeoff(3.0))
+        flight.fly(30.0, lambda: flight.pilot.mode is Mode.HOLD)
+        assert flight.simulation.state.altitude > 2.0
+
+
+# --- on the ground -------------------------------------------------------------------------------------------------
+
+
+def test_disarming_is_obeyed_while_it_spools_up() -> None:
+    with Flight(initial={"on_ground": True}) as flight:
+        flight.fly(1.1)
+        flight.ok(rq.Arm(), rq.Takeoff(3.0))
+        for seconds in (0.02, 1.5):
+            flight.fly(seconds)
+            assert flight.pilot.landed is LandedState.TAKING_OFF
+            flight.ok(rq.Disarm())
+            assert flight.fly(1.0) == 0.0
+            assert flight.simulation.state.on_ground
+            flight.ok(rq.Arm(), rq.Takeoff(3.0))
+        flight.fly(20.0, lambda: flight.pilot.landed is LandedState.IN_AIR)
+        assert not flight.ask(rq.Disarm()).accepted
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_neither_hold_nor_disarm_takes_off_from_where_it_has_landed(lost: bool) -> None:
+    """HOLD, which a pause is, while the legs touch and the thrust is still there: it flew up a metre."""
+    for request in (rq.Hold(), rq.Disarm()):
+        with Flight() as flight:
+            flight.fly(1.0)
+            if lost:
+                flight.ok(rq.InjectFault("flame_out", (2,)))
+            flight.ok(rq.Land())
+            flight.fly(30.0, lambda: flight.simulation.state.on_ground)
+            flight.fly(0.5 if isinstance(request, rq.Disarm) else 0.25)  # it bounces at first
+            flight.ok(request)
+            heights = []
+            for _ in range(round(2.0 / flight.simulation.dt)):
+                flight.simulation.step()
+                heights.append(flight.simulation.state.altitude)
+            assert max(heights) < heights[0] + 0.1
+            assert flight.pilot.landed is LandedState.ON_GROUND
+            assert flight.pilot.armed is (not isinstance(request, rq.Disarm))
+
+
+def test_a_leg_switch_that_is_stuck_neither_disarms_nor_stops_a_take_off() -> None:
+    """It reports contact all the time; the thrust and the accelerometer do not."""
+    with Flight(height=10.0) as flight:
+        pilot = flight.pilot
+        update = pilot.update
+        pilot.update = lambda k, seen, report: update(k, seen, report._replace(legs=True))  # type: ignore[method-assign]
+        flight.fly(6.0)
+        assert pilot.armed
+        assert pilot.engines is EngineState.FLY
+        assert flight.simulation.state.altitude > 8.0
+        flight.ok(rq.Land())
+        flight.fly(60.0, lambda: not pilot.armed)
+        assert flight.simulation.state.on_ground
+
+
+# --- the table -----------------------------------------------------------------------------------------------------
+
+
+def test_every_flight_of_the_table_flies_again_bit_for_bit(tmp_path: Path) -> None:
+    one = flown("GNSS and barometer lost", wind=5.0)
+    again = flown("GNSS and barometer lost", wind=5.0)
+    assert repr(again) == repr(one)
+    found = table.Failsafes("hexjet", "edf-as-flown", "smith", 2.0, [one])
+    table.write(found, tmp_path)
+    name = table.file_name(one.row)
+    run = fly(Scenario.load(str(tmp_path / "flights" / f"{name}.toml")))
+    assert run.outcome == "completed"
+    assert "otherwise" not in run.reason
+    down, ground = run.log["velocity_down_m_s"], run.log["on_ground"]
+    touches = [float(v) for v, (a, b) in zip(down, itertools.pairwise(ground), strict=False) if b > a]
+    assert max(touches) == one.row.touchdown_m_s
+    begin = one.entries[-1].step
+    x, y = run.log["north_m"], run.log["east_m"]
+    assert float(((x[-1] - x[begin]) ** 2 + (y[-1] - y[begin]) ** 2) ** 0.5) == pytest.approx(one.row.drift_m, abs=1e-3)
+
+
+def test_the_command_writes_the_table_and_the_part_of_a_page(tmp_path: Path, hexjet: Hexjet) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("Text.\n\n<!-- measured: failsafes, hexjet -->\n<!-- end -->\n\nMore.\n", encoding="utf-8")
+    done = hexjet(
+        *("failsafes", "--failsafe", "sticks", "--height", "3", "--wind", "0", "--workers", "1", "--json"),
+        *("--out", str(tmp_path / "out"), "--page", str(page)),
+    )
+    assert done.status == 0, done.err
+    found = json.loads(done.out)
+    assert [(row["failsafe"], row["verdict"], row["thrust_n"]) for row in found["rows"]] == [
+        ("sticks lost", "holds", None)
+    ]
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("Text.\n\n<!-- measured: failsafes, hexjet -->\nEngine `edf-as-flown`")
+    assert "| sticks lost | holds |" in text
+    assert (tmp_path / "out" / "failsafes.csv").read_text().count("\n") == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--failsafe", "rain"], "no failsafe begins with 'rain'; there are: GNSS lost, barometer lost"),
+        (["--height", "0.2"], "height 0.2 m: must be from 1 to 1000 m"),
+        (["--wind", "-1"], "wind -1 m/s: must be from 0 to 50 m/s"),
+        (["--aircraft", "zeppelin"], "unknown aircraft 'zeppelin'"),
+        (["--page", "nowhere.md"], "nowhere.md: No such file or directory"),
+    ],
+)
+def test_wrong_input_is_one_line(options: list[str], complaint: str, hexjet: Hexjet) -> None:
+    done = hexjet("failsafes", *options)
+    assert done.status == 2
+    assert complaint in done.err
+    assert len(done.err.strip().splitlines()) == 1
+    assert done.out == ""
+
+
+def test_every_vehicle_with_an_autopilot_has_its_table_on_the_page() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "failsafes.md").read_text(encoding="utf-8")
+    for name in table.pilotable():
+        assert f"<!-- measured: {table.mark(name)} -->" in page
