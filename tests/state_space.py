@@ -109,23 +109,30 @@ class Loop:
         if self.lead is not None:
             self._slot("lead", len(self.lead[0]))
         self.predict = self._predictor(controller, model, tuning)
-        identity = np.eye(self.size + 1)
-        columns = [self.advance(column[:-1], column[-1]) for column in identity]
-        self.A = np.array([after for after, _ in columns[:-1]]).T
-        self.C = np.array([total for _, total in columns[:-1]])
-        self.B, self.D = columns[-1]
+        identity = np.eye(self.size + 2)
+        columns = [self.advance(column[:-2], column[-2], column[-1]) for column in identity]
+        self.A = np.array([after for after, _ in columns[:-2]]).T
+        self.C = np.array([total for _, total in columns[:-2]])
+        self.B, self.D = columns[-2]
+        self.of_set_point = columns[-1][0]
+
+    def closed(self, step: float) -> Any:
+        """Set-point to angle, as python-control has it."""
+        angle = np.zeros((1, self.size))
+        angle[0, self.slots["angle"]] = 1.0
+        return control.ss(self.A, self.of_set_point[:, None], angle, 0.0, step)
 
     def _slot(self, name: str, n: int) -> None:
         self.slots[name] = slice(self.size, self.size + n)
         self.size += n
 
-    def advance(self, x: Array, w: float) -> tuple[Array, float]:
-        """State after a step in which ``w`` is added to the command, and what reached the plant."""
+    def advance(self, x: Array, w: float, r: float) -> tuple[Array, float]:
+        """State after a step with ``w`` added to the command and a set-point ``r``, and what reached the plant."""
         body, slots, T = self.body, self.slots, self.body.step
         value = {name: x[where] for name, where in slots.items()}
         after = np.zeros_like(x)
         predicted = self.predict(value, after)
-        error = -self.attitude * value["angle"][0] - predicted
+        error = self.attitude * (r - value["angle"][0]) - predicted
         total = value["sum"][0] + self.rate["i"] * T * error
         share = T / (self.rate["d_filter_s"] + T)
         slope = value["slope"][0] + share * ((predicted - value["before"][0]) / T - value["slope"][0])

@@ -318,7 +318,7 @@ def first_unstable(controller: str) -> int:
     return next(
         later
         for later in range(60)
-        if Closed(Points(channel.with_delay(25.0 + later), close=2000, even=2), tuning).unstable_poles
+        if Closed(Points(channel.with_delay(25.0 + later), close=2000), tuning).unstable_poles
     )
 
 

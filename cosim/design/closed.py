@@ -11,77 +11,33 @@ A lead behind the PID multiplies ``C_e`` and ``D``; the predictor reads the comm
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
-from math import inf, pi
+from math import ceil, inf, nan, pi
 
 import numpy as np
 
 from cosim.control.lead import lead_polynomials
 from cosim.design.channel import Channel, angles
-from cosim.design.loop import Array, Complex, Pair, observer_response, pid_response, predictor_response, zeros_outside
-from cosim.vehicle import EngineLead, PredictorTuning, RateGains, RateModel
+from cosim.design.loop import Array, Complex, Pair, pid_response, zeros_outside
+from cosim.design.space import Space, Steps
+from cosim.design.tuning import Tuning
 
 LEFT = 1e-3  # of the largest response to a load: less at almost no frequency is nothing
-CANDIDATES = ("baseline", "smith", "filtered-smith", "state-model", "state-disturbance")
-TUNED = {
-    "filtered-smith": "filter_s",
-    "state-model": "model_observer_rad_s",
-    "state-disturbance": "disturbance_observer_rad_s",
-}  # what of the predictor's tuning a controller has of its own
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """A controller with everything that can be chosen about it on one channel."""
-
-    controller: str
-    angle_gain: float  # 1/s
-    gains: RateGains
-    predictor: PredictorTuning
-    model: RateModel  # what the predictor believes
-    lead: EngineLead | None = None
-
-    def answer(self) -> Callable[[Complex], Pair]:
-        """``P_y`` and ``P_u`` of the predictor."""
-        if self.controller == "state-model":
-            return observer_response(self.model, self.predictor.model_observer_rad_s, disturbance=False)
-        if self.controller == "state-disturbance":
-            return observer_response(self.model, self.predictor.disturbance_observer_rad_s, disturbance=True)
-        return predictor_response(self.controller, self.model, self.predictor)
+WINDOW = 50.0  # times the channel's delay at low frequency, over which responses in time are looked at
+BAND = 0.05  # of a step, for the settling time, as in the metrics of a flight
 
 
 class Points:
-    """Points of the unit circle with a channel's response there: close together, and even for the time response.
+    """Points of the unit circle with a channel's response there, close together where a loop turns."""
 
-    ``z[:even]`` are evenly spaced up to ``pi / thin``: the response in time is had from them, every ``thin`` steps,
-    over ``slowness`` times the channel's delay.
-    """
-
-    def __init__(self, channel: Channel, close: int = 500, even: int = 750, slowness: float = 50.0) -> None:
+    def __init__(self, channel: Channel, close: int = 600) -> None:
         self.channel = channel
-        step = channel.step
-        length = slowness * channel.slowness_s
-        self.thin = max(1, round(length / (2 * even * step)))
-        self.even = even + 1
-        self.sample_s = self.thin * step
-        evenly = np.arange(even + 1) * pi / (even * self.thin)
-        evenly[0] = 1e-3 * evenly[1]  # instead of 0, where the integrators are
-        lowest = min(1e-3 * step / channel.slowness_s, 1e-3)
+        lowest = min(1e-3 * channel.step / channel.slowness_s, 1e-3)
         closely = np.union1d(np.geomspace(lowest, pi, close - close // 4), np.linspace(pi / close, pi, close // 4))
-        self.z: Complex = np.exp(1j * np.concatenate([evenly, closely]))
-        self.closely = slice(even + 1, None)
+        self.z: Complex = np.exp(1j * closely)
         self.theta: Array = angles(self.z)
         self.rate, self.measured_angle, self.angle = channel.responses(self.z)
         self.measuring = channel.measuring(self.z) if channel.identified is None else np.ones_like(self.z)
-
-    def in_time(self, response: Complex) -> Array:
-        """The samples, every ``thin`` steps, of a signal that ends within the window."""
-        even = response[: self.even].copy()
-        even[0] = even[0].real
-        even[-1] = even[-1].real
-        return np.asarray(np.fft.irfft(even)) / self.thin
 
 
 class Closed:
@@ -92,12 +48,10 @@ class Closed:
         z, channel = points.z, points.channel
         self._of_rate, of_command = answer or tuning.answer()(z)
         self._error, slope = pid_response(tuning.gains, channel.step, z)
-        self._begin = tuning.gains.p + tuning.gains.i * channel.step
         if tuning.lead is not None:
             over, under = lead_polynomials(tuning.lead, channel.step)
             lead = np.polyval(over, z) / np.polyval(under, z)
             self._error, slope = self._error * lead, slope * lead
-            self._begin *= over[0]
         self._both = self._error + slope
         self.inner: Complex = 1.0 + self._both * of_command
         self.outer: Complex = (
@@ -108,11 +62,11 @@ class Closed:
     @cached_property
     def unstable_poles(self) -> int:
         """Closed-loop poles outside the unit circle."""
-        z = self.points.z[self.points.closely]
+        z = self.points.z
         gains, channel = self.tuning.gains, self.points.channel
         at_one = (1 if gains.i else 0) + (1 if self.tuning.angle_gain else 0)
         at_one += 1 if channel.identified is None and channel.damping_1_s == 0.0 else 0
-        return zeros_outside((1.0 - 1.0 / z) ** at_one * self.characteristic[self.points.closely])
+        return zeros_outside((1.0 - 1.0 / z) ** at_one * self.characteristic)
 
     @property
     def open_loop(self) -> Complex:
@@ -135,29 +89,46 @@ class Closed:
         critical = -self.inner / self.outer
         x = (np.abs(critical) - 1.0) / max(gain, 1e-9)
         y = -np.angle(critical) / self.points.theta / max(delay, 1e-9)
-        parts = (slice(1, self.points.even), self.points.closely)
-        return min(_nearest(x[part], y[part], np.angle(critical[part])) for part in parts)
+        return _nearest(x, y, np.angle(critical))
 
     @property
     def angle_response(self) -> Complex:
         """Set-point to angle."""
         return np.asarray(self._error * self.tuning.angle_gain * self.points.angle / self.characteristic)
 
+    @cached_property
+    def space(self) -> Space:
+        """The same loop in state space."""
+        return Space(self.points.channel, self.tuning)
+
+    @cached_property
+    def steps(self) -> Steps:
+        """Unit steps of set-point and load over :data:`WINDOW` times the channel's delay, exactly."""
+        channel = self.points.channel
+        return self.space.steps(ceil(WINDOW * channel.slowness_s / channel.step))
+
     @property
     def overshoot(self) -> float:
         """Share of a step by which the angle goes beyond it."""
-        return max(0.0, -float(self.error_in_time.min()))
+        return max(0.0, float(self.steps.angle.max()) - 1.0)
 
-    @cached_property
-    def error_in_time(self) -> Array:
-        """Error after a unit step of the set-point, rad per rad, every ``points.sample_s``."""
-        return self.points.in_time((1.0 - self.angle_response) / (1.0 - 1.0 / self.points.z))
+    @property
+    def settling_s(self) -> float:
+        """From a step of the set-point until the angle stays within :data:`BAND` of it, s; NaN if it does not."""
+        outside = np.flatnonzero(np.abs(1.0 - self.steps.angle) > BAND)
+        if len(outside) and outside[-1] == len(self.steps.angle) - 1:
+            return nan
+        return float(outside[-1] + 1) * self.points.channel.step if len(outside) else 0.0
 
-    def load_in_time(self) -> Array:
-        """Angle after a unit step of load at the plant's input, rad per unit of the command."""
-        left = self.load_left
-        change = self._load_response - left if left else self._load_response
-        return self.points.in_time(change / (1.0 - 1.0 / self.points.z)) + left
+    @property
+    def step_error(self) -> float:
+        """Integrated absolute error after a unit step of the set-point, over the window, rad s per rad."""
+        return float(np.abs(1.0 - self.steps.angle).sum()) * self.points.channel.step
+
+    @property
+    def load_error(self) -> float:
+        """The same of the angle after a unit step of load, rad s per unit of the command."""
+        return float(np.abs(self.steps.load).sum()) * self.points.channel.step
 
     @property
     def load_left(self) -> float:
@@ -165,9 +136,8 @@ class Closed:
 
         A state predictor whose observer knows of no disturbance takes one for a rate, and no integral removes that.
         """
-        response = self._load_response[: self.points.even]
-        left = float(response[0].real)
-        return left if abs(left) > LEFT * np.abs(response).max() else 0.0
+        left = float(self._load_response[0].real)
+        return left if abs(left) > LEFT * float(np.abs(self._load_response).max()) else 0.0
 
     @cached_property
     def _load_response(self) -> Complex:
@@ -175,10 +145,8 @@ class Closed:
 
     @property
     def step_peak(self) -> float:
-        """Largest command that a unit step of the set-point asks for, the first one exactly."""
-        response = self._error * self.tuning.angle_gain / self.characteristic
-        later = float(np.abs(self.points.in_time(response / (1.0 - 1.0 / self.points.z))).max())
-        return max(self._begin * self.tuning.angle_gain, later)
+        """Largest command that a unit step of the set-point asks for."""
+        return float(np.abs(self.steps.command).max())
 
     @property
     def noise(self) -> float:
@@ -188,19 +156,17 @@ class Closed:
         of_angle = self._error * self.tuning.angle_gain / self.characteristic
         power = channel.rate_hold * (channel.rate_noise * np.abs(of_rate)) ** 2
         power += (channel.angle_noise * np.abs(of_angle)) ** 2
-        part = self.points.closely
-        return float(np.sqrt(np.trapezoid(power[part], points.theta[part]) / pi))
+        return float(np.sqrt(np.trapezoid(power, points.theta) / pi))
 
     @property
     def bandwidth(self) -> float:
         """Hz, up to which the angle follows within 3 dB."""
-        part = self.points.closely
-        size = np.abs(self.angle_response[part])
+        size = np.abs(self.angle_response)
         below = np.flatnonzero(size < 10.0 ** (-3.0 / 20.0))
         if not len(below) or below[0] == 0:
             return 0.0 if len(below) else inf
         k = int(below[0])
-        theta = self.points.theta[part]
+        theta = self.points.theta
         share = (10.0 ** (-3.0 / 20.0) - size[k - 1]) / (size[k] - size[k - 1])
         at = np.log(theta[k - 1]) + share * np.log(theta[k] / theta[k - 1])
         return float(np.exp(at) / (2.0 * pi * self.points.channel.step))

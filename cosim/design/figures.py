@@ -6,15 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from cosim.design.closed import Closed, Points, Tuning
+from cosim.design.closed import Closed, Points
 from cosim.design.loop import Array
 from cosim.design.make import AxisDesign, Design
+from cosim.design.tuning import Tuning
 from cosim.figures import BLUE, GREY, ORANGE, RED
 
 Figure = dict[str, Any]
 
 POINTS = 1500
-EVEN, WINDOW = 75_000, 5_000.0  # points in time, and delays of the channel that they reach
+DRAWN = 1500  # points in time
 FAR = 3.0  # of Nyquist's plane
 TIMES = 25.0  # delays of the channel that are drawn in time
 
@@ -32,8 +33,7 @@ def design_figures(found: Design) -> dict[str, Figure]:
 
 
 def _loops(each: AxisDesign) -> list[tuple[str, str, Closed, bool]]:
-    # a load may take minutes to go; a response that outlasts its window would be folded back into it
-    points = Points(each.channel, close=POINTS, even=EVEN, slowness=WINDOW)
+    points = Points(each.channel, close=POINTS)
     found = []
     states: list[tuple[str, str, Tuning, bool]] = [("shipped", ORANGE, each.before.tuning, each.before.stable)]
     if each.after is not None:
@@ -44,8 +44,7 @@ def _loops(each: AxisDesign) -> list[tuple[str, str, Closed, bool]]:
 
 
 def _hertz(loop: Closed) -> Array:
-    part = loop.points.closely
-    return np.asarray(loop.points.theta[part] / (2.0 * np.pi * loop.points.channel.step))
+    return np.asarray(loop.points.theta / (2.0 * np.pi * loop.points.channel.step))
 
 
 def _trace(label: str, colour: str, x: Array, y: Array, panel: int = 0, **more: Any) -> Figure:
@@ -86,7 +85,7 @@ def _layout(height: int, x: str, titles: list[str], log: bool) -> Figure:
 def _bode(loops: list[tuple[str, str, Closed, bool]]) -> Figure:
     data = []
     for label, colour, loop, _ in loops:
-        value = loop.open_loop[loop.points.closely]
+        value = loop.open_loop
         hertz = _hertz(loop)
         phase = np.degrees(np.unwrap(np.angle(value)))
         phase -= 360.0 * np.round((phase[0] + 180.0) / 360.0)
@@ -100,7 +99,7 @@ def _nyquist(loops: list[tuple[str, str, Closed, bool]], found: Design) -> Figur
     radius = 1.0 / found.need.max_sensitivity
     data = [_trace(f"|S| = {found.need.max_sensitivity:g}", RED, radius * np.cos(turn) - 1.0, radius * np.sin(turn))]
     for label, colour, loop, _ in loops:
-        value = loop.open_loop[loop.points.closely]
+        value = loop.open_loop
         near = np.where(np.abs(value) < 2.0 * FAR, value, np.nan)
         keep = np.isfinite(near)
         data.append(_trace(label, colour, value.real[keep], value.imag[keep]))
@@ -117,9 +116,8 @@ def _sensitivity(loops: list[tuple[str, str, Closed, bool]], found: Design) -> F
     data.append(_trace("limit", RED, hertz[[0, -1]], np.array([limit, limit]), line={"color": RED, "dash": "dash"}))
     for label, colour, loop, stable in loops:
         if stable:
-            part = loop.points.closely
-            data.append(_trace(label, colour, hertz, np.abs(loop.inner / loop.characteristic)[part]))
-            data.append(_trace(label, colour, hertz, np.abs(loop.angle_response[part]), 1))
+            data.append(_trace(label, colour, hertz, np.abs(loop.inner / loop.characteristic)))
+            data.append(_trace(label, colour, hertz, np.abs(loop.angle_response), 1))
     titles = ["|S|", "|angle / set-point|"]
     layout = _layout(420, "frequency [Hz]", titles, True)
     return {"data": data, "layout": layout}
@@ -131,12 +129,14 @@ def _step(loops: list[tuple[str, str, Closed, bool]], each: AxisDesign) -> Figur
     for label, colour, loop, stable in loops:
         if not stable:
             continue
-        error, load = loop.error_in_time, loop.load_in_time()
-        time = np.arange(len(error), dtype=np.float64) * loop.points.sample_s
+        # every millisecond of a long response is more than a page shows
+        every = max(1, round(end / DRAWN / each.channel.step))
+        angle, load = loop.steps.angle[::every], loop.steps.load[::every]
+        time = np.arange(len(angle), dtype=np.float64) * every * each.channel.step
         keep = time <= end
         if not data:
             data.append(_trace("set-point", GREY, time[keep][[0, -1]], np.ones(2)))
-        data.append(_trace(label, colour, time[keep], 1.0 - error[keep]))
+        data.append(_trace(label, colour, time[keep], angle[keep]))
         if loop.tuning.gains.i:
             data.append(_trace(label, colour, time[keep], load[keep], 1))
     unit = "m" if each.channel.name == "altitude" else "rad"

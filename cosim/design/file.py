@@ -23,11 +23,14 @@ class AxisRecord(Model):
 
     controller: str
     peak_sensitivity: float
-    gain_margin_db: float | None = None
+    gain_margin_db: float | None = None  # of more gain
+    gain_margin_down_db: float | None = None  # of less, below 0; None: none, or a file from before it was stated
     phase_margin_deg: float | None = None
     delay_margin_s: float | None = None
     bandwidth_hz: float
     tolerated: float  # times the tolerances until instability
+    overshoot: float | None = None  # share of a step; None in a file from before it was stated, as the next
+    settling_s: float | None = None  # of a step, within 5 %
 
 
 class Purpose(Model):
@@ -148,10 +151,13 @@ def _record(each: AxisDesign) -> AxisRecord:
             "controller": after.controller,
             "peak_sensitivity": after.peak_sensitivity,
             "gain_margin_db": after.margins.gain_db,
+            "gain_margin_down_db": after.margins.gain_down_db,
             "phase_margin_deg": after.margins.phase_deg,
             "delay_margin_s": after.margins.delay_s,
             "bandwidth_hz": after.bandwidth_hz,
             "tolerated": after.tolerated,
+            "overshoot": after.overshoot,
+            "settling_s": after.settling_s,
         }
     )
 

@@ -12,9 +12,10 @@ import numpy as np
 
 from cosim.config import nearest, parse_setting, set_path
 from cosim.design.channel import Actuator, Channel, channels, hover_share
-from cosim.design.closed import CANDIDATES, Closed, Points, Tuning
+from cosim.design.closed import Closed, Points
 from cosim.design.dynamics import Dynamics, fit_dynamics, lags
-from cosim.design.tune import Found, Requirements, tune
+from cosim.design.tune import FINE, Found, Requirements, settle, tune
+from cosim.design.tuning import CANDIDATES, Tuning
 from cosim.engine import EngineSpec, load_engine
 from cosim.errors import InputError
 from cosim.identify import Identification, identify_engine
@@ -24,7 +25,6 @@ from cosim.vehicle import EngineLead, RateGains, RateModel, Vehicle, load_vehicl
 AXES = ("roll", "pitch", "yaw", "altitude")
 SWING = 0.005  # of the throttle, around hover: what an engine's limits on its acceleration do not see
 MISFIT = 0.005  # of one lag and a delay, above which more is fitted
-FINE = 4000  # points of the circle with which a design is checked
 GAINS = 7  # in the grid of the tolerance
 BISECTIONS = 5
 WORTH = 0.06  # of the objective: a more complex controller must answer 3 % faster to be chosen
@@ -58,9 +58,10 @@ class Assessment:
     bandwidth_hz: float | None
     tolerated: float | None  # times the tolerances until instability
     noise: float | None  # of the command, one standard deviation, its unit
-    step_error: float | None  # integrated absolute error, rad s per rad (m s per m)
+    step_error: float | None  # integrated absolute error over fifty times the delay, rad s per rad (m s per m)
     load_error: float | None  # rad s (m s) per unit of load at the plant's input
     overshoot: float | None  # share of a step
+    settling_s: float | None  # within 5 % of a step; None where that takes longer than is looked at
     step_peak: float | None  # command per unit of a step of the set-point
 
 
@@ -257,7 +258,7 @@ def _axis(
     best = _simplest({key: each.objective for key, each in tried.items()})
     if not isfinite(tried[best].objective):
         return AxisDesign(channel, before, {name: each.objective for name, each in tried.items()}, None, {}, {})
-    after = assess(channel, tried[best].tuning, need)
+    after = assess(channel, settle(channel, tried[best].tuning, need, free) or tried[best].tuning, need)
     limits = {}
     if channel.name == "roll":
         say("what limits it")
@@ -324,9 +325,7 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
     """Everything that is reported of a tuning, with more points than the search takes."""
     closed = Closed(Points(channel, close=FINE), tuning)
     if closed.unstable_poles:
-        return Assessment(tuning.controller, tuning, False, *[None] * 9)
-    error, load = closed.error_in_time, closed.load_in_time()
-    sample = closed.points.sample_s
+        return Assessment(tuning.controller, tuning, False, *[None] * 10)
     settled = bool(tuning.gains.i) and not closed.load_left
     return Assessment(
         tuning.controller,
@@ -337,9 +336,10 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
         closed.bandwidth,
         closed.tolerated(need.delay_samples(channel), need.gain_tolerance),
         closed.noise,
-        float(np.abs(error).sum() * sample),
-        float(np.abs(load).sum() * sample) if settled else None,
+        closed.step_error,
+        closed.load_error if settled else None,
         closed.overshoot,
+        closed.settling_s if isfinite(closed.settling_s) else None,
         closed.step_peak,
     )
 
@@ -348,9 +348,8 @@ def margins(closed: Closed) -> Margins:
     """Gain, phase and delay margins by python-control, from the loop's response."""
     import control  # type: ignore[import-untyped]
 
-    part = closed.points.closely
-    loop = closed.open_loop[part]
-    omega = closed.points.theta[part] / closed.points.channel.step
+    loop = closed.open_loop
+    omega = closed.points.theta / closed.points.channel.step
     keep = omega < pi / closed.points.channel.step * (1.0 - 1e-9)
     size, phase = np.abs(loop[keep]), np.degrees(np.unwrap(np.angle(loop[keep])))
     gain, turn, _, _, crossings, _ = control.stability_margins((size, phase, omega[keep]), returnall=True)
@@ -410,7 +409,7 @@ def _whole(low: float, high: float) -> list[float]:
 
 
 def _stable(channel: Channel, tuning: Tuning) -> bool:
-    return Closed(Points(channel, close=2000, even=2), tuning).unstable_poles == 0
+    return Closed(Points(channel, close=2000), tuning).unstable_poles == 0
 
 
 # ---- where there is none

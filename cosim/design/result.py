@@ -210,11 +210,13 @@ COLUMNS = (
     "I",
     "D",
     "peak |S|",
-    "gain dB",
+    "gain up dB",
+    "gain down dB",
     "phase deg",
     "delay ms",
     "bandwidth Hz",
     "overshoot %",
+    "settled s",
     "tolerated",
 )
 
@@ -237,16 +239,18 @@ def _cells(state: Assessment) -> list[str]:
         *(f"{value:.3g}" for value in (gains.p, gains.i, gains.d)),
     ]
     if not state.stable or state.margins is None:
-        return [*first, "unstable", *[""] * 6]
+        return [*first, "unstable", *[""] * 8]
     m = state.margins
     return [
         *first,
         _number(state.peak_sensitivity, 2),
         _number(m.gain_db, 1),
+        _number(m.gain_down_db, 1),
         _number(m.phase_deg, 1),
         _number(None if m.delay_s is None else 1e3 * m.delay_s, 0),
         _number(state.bandwidth_hz, 2),
-        _number(None if state.overshoot is None else 100.0 * state.overshoot, 0),
+        _number(None if state.overshoot is None else 100.0 * state.overshoot, 1),
+        _number(state.settling_s, 2),
         _number(state.tolerated, 2),
     ]
 

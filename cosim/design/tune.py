@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import inf, log
 
 import numpy as np
 
 from cosim.config import Model, NotNegative
 from cosim.design.channel import Channel
-from cosim.design.closed import TUNED, Closed, Points, Tuning
+from cosim.design.closed import Closed, Points
 from cosim.design.loop import Array
+from cosim.design.tuning import TUNED, Tuning
 from cosim.vehicle import EngineLead, RateModel
 
 NOISE_SHARE = 0.0833  # of the room of the command: three standard deviations of noise take a quarter of it
@@ -24,7 +26,12 @@ POPULATION = 6  # times the number of parameters
 GENERATIONS = 40
 ROUNDS = 200  # evaluations of a search
 FASTEST_LEAD = 10.0  # times the poles of the engine: more adds no phase, only noise; nor faster than two steps
+FINE = 4000  # points of the circle with which a tuning is checked
+LEAST_GAIN = 1e-6  # of the objective, for which a digit is changed
 SPARE = 0.004  # by which the search stays inside the requirements, for what lies between its points
+
+
+Digits = tuple[int, int]  # 100 to 999, and a power of ten
 
 
 class Requirements(Model):
@@ -58,8 +65,7 @@ def objective(closed: Closed) -> float:
     The logarithm needs no units and no sizes of the steps.  At a bandwidth w the first goes with 1/w, the second with
     1/w^3, so the third makes both count as bandwidth.
     """
-    step, load = np.abs(closed.error_in_time).sum(), np.abs(closed.load_in_time()).sum()
-    return float(np.log(step) + np.log(load) / 3.0)
+    return float(np.log(closed.step_error) + np.log(closed.load_error) / 3.0)
 
 
 def excess(closed: Closed, need: Requirements, spare: float = 0.0) -> float:
@@ -135,8 +141,7 @@ class Box:
         if self._predicts:
             own = float(value[4]) * (tau if self._controller == "filtered-smith" else 1.0 / tau)
             predictor = predictor.model_copy(update={TUNED[self._controller]: own})
-        # a derivative is filtered at a tenth of what it leads by, as far as the step allows
-        smooth = max(self._channel.step, 0.1 * float(d)) if d else self._fixed.gains.d_filter_s
+        smooth = _smooth(float(d), self._channel.step) if d else self._fixed.gains.d_filter_s
         gains = self._fixed.gains.model_copy(
             update={"p": float(p), "i": float(p * i), "d": float(p * d), "d_filter_s": smooth}
         )
@@ -201,10 +206,90 @@ def tune(
         found = minimize(cost, x, method="Nelder-Mead", options=options)
         if found.fun < value:
             x, value = found.x, float(found.fun)
-    fine = Points(channel, close=4000)
+    fine = Points(channel, close=FINE)
     for point in (x, inside[1]):
         if point is not None:
             closed = Closed(fine, box.tuning(point))
             if acceptable(closed, need):
                 return Found(closed.tuning, objective(closed), count)
     return Found(box.tuning(x), inf, count)
+
+
+def settle(channel: Channel, start: Tuning, need: Requirements, predictor: bool = True) -> Tuning | None:
+    """The tuning in numbers of three digits near ``start`` that no change of a last digit improves.
+
+    More digits are not meant, and where the optimum is flat a search does not tell them from its own error: what is
+    written down is where this descent stops, and from there it stops at once.  None where no such tuning near
+    ``start`` keeps the requirements.
+    """
+    points = Points(channel, close=FINE)
+
+    def cost(values: Mapping[str, Digits]) -> float:
+        closed = Closed(points, _written(start, values, channel.step))
+        return objective(closed) + DEAR * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
+
+    values = {name: digits(value) for name, value in _searched(channel, start, predictor).items()}
+    best, moved = cost(values), True
+    while moved:
+        moved = False
+        for name in values:
+            for way in (1, -1):
+                trial = {**values, name: _beside(values[name], way)}
+                if (value := cost(trial)) < best - LEAST_GAIN:
+                    values, best, moved = trial, value, True
+    found = _written(start, values, channel.step)
+    return found if acceptable(Closed(points, found), need) else None
+
+
+def digits(value: float) -> Digits:
+    """A number above 0 to three digits: 100 to 999, and the power of ten that they are times."""
+    mantissa, _, power = f"{value:.2e}".partition("e")
+    return int(mantissa.replace(".", "")), int(power) - 2
+
+
+def _number(number: Digits) -> float:
+    return float(f"{number[0]}e{number[1]}")
+
+
+def _beside(number: Digits, way: int) -> Digits:
+    """The next number of three digits, up or down."""
+    figures, power = number[0] + way, number[1]
+    if figures == 1000:
+        return 100, power + 1
+    return (999, power - 1) if figures == 99 else (figures, power)
+
+
+def _searched(channel: Channel, tuning: Tuning, predictor: bool) -> dict[str, float]:
+    """What is searched on a channel, by name; a part that is 0 is not there and stays away."""
+    gains = tuning.gains
+    found = {"angle_gain": tuning.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
+    if predictor and tuning.controller in TUNED:
+        found["own"] = getattr(tuning.predictor, TUNED[tuning.controller])
+    if tuning.lead is not None:
+        found["pole_rad_s"] = tuning.lead.pole_rad_s
+    return {name: value for name, value in found.items() if value > 0.0}
+
+
+def _written(start: Tuning, values: Mapping[str, Digits], step: float) -> Tuning:
+    """``start`` with other numbers in place of those that were searched."""
+    value = {name: _number(number) for name, number in values.items()}
+    gains: dict[str, float] = {name: value[name] for name in ("p", "i", "d") if name in value}
+    if "d" in gains:
+        gains["d_filter_s"] = _number(digits(_smooth(gains["d"] / gains["p"], step)))
+    predictor, lead = start.predictor, start.lead
+    if "own" in value:
+        predictor = predictor.model_copy(update={TUNED[start.controller]: value["own"]})
+    if lead is not None and "pole_rad_s" in value:
+        lead = lead.model_copy(update={"pole_rad_s": value["pole_rad_s"]})
+    return replace(
+        start,
+        angle_gain=value.get("angle_gain", start.angle_gain),
+        gains=start.gains.model_copy(update=gains),
+        predictor=predictor,
+        lead=lead,
+    )
+
+
+def _smooth(leads_by: float, step: float) -> float:
+    """A derivative is filtered at a tenth of what it leads by, as far as the step allows, s."""
+    return max(step, 0.1 * leads_by)
