@@ -203,10 +203,17 @@ class Airframe:
     def _set(self, name: str, value: float) -> None:
         self._node(name).set_double_value(value)
 
-    def reset(self, initial: Initial, forces: list[Vector3], wind: Vector3, momentum: Vector3 | None = None) -> State:
+    def reset(
+        self,
+        initial: Initial,
+        forces: list[Vector3],
+        wind: Vector3,
+        momentum: Vector3 | None = None,
+        burnt: float = 0.0,
+    ) -> State:
         """Put the vehicle at its initial state with ``forces`` (N, body, one per jet) already acting.
 
-        ``momentum``: of the spools, as for :meth:`set_momentum`.
+        ``momentum``: of the spools, as for :meth:`set_momentum`; ``burnt``: fuel [kg] that it lacks from the start.
         """
         if not self._fresh:
             # JSBSim's own reset leaves traces in the initial state; a new one is the same to the last bit
@@ -230,8 +237,10 @@ class Airframe:
             self._set(name, value)
         self._disturbance = Disturbance()
         self._forces, self._pushed, self._twisted = forces, ZERO3, ZERO3
-        self._burnt = 0.0
         self._full = self._mass = self._get_mass() * SLUG
+        self._burnt = 0.0
+        if burnt:
+            self.burn(burnt)
         self._set("atmosphere/turb-type", 4.0 if place.turbulence_severity else 0.0)  # 4: MIL-F-8785C, Tustin form
         self._set("atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps", place.turbulence_wind_m_s / FOOT)
         self._set("atmosphere/turbulence/milspec/severity", float(place.turbulence_severity))

@@ -582,6 +582,18 @@ for _axis in ("roll", "pitch", "yaw"):
     help="One standard deviation of sensor noise in a command, as a share of its room.",
 )
 @click.option("--lead/--no-lead", default=True, help="Try a lead against the engine's lag.  [default: --lead]")
+@click.option(
+    "--schedule/--no-schedule",
+    "scheduled",
+    default=True,
+    help="Let gains follow the thrust where fuel burns and a full tank's do not fit.  [default: --schedule]",
+)
+@click.option(
+    "--start",
+    type=click.Path(path_type=Path),
+    metavar="FILE.toml",
+    help="A controller file: search from its gains on, for its candidate alone; seconds.",
+)
 @click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly, over a plain hover.")
 @click.option("--out", type=click.Path(path_type=Path), metavar="FILE.toml", help="[default: a new folder in runs/]")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
@@ -597,6 +609,8 @@ def design(
     min_bandwidth: float,
     noise_share: float,
     lead: bool,
+    scheduled: bool,
+    start: Path | None,
     settings: tuple[str, ...],
     out: Path | None,
     as_json: bool,
@@ -628,6 +642,8 @@ def design(
             model=model,
             amplitude=amplitude,
             lead=lead,
+            scheduled=scheduled,
+            start=start,
             say=lambda text: tell(text, 0, 1),
         )
     paths = write(found, out)

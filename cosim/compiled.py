@@ -30,6 +30,7 @@ MODULES = (
     "control/monitor.py",
     "control/predictor.py",
     "control/rate.py",
+    "control/schedule.py",
     "control/state_predictor.py",
     "control/thrust.py",
     "disturbances.py",

@@ -12,14 +12,15 @@ class Tank:
     none fills the tank.
     """
 
-    def __init__(self, mass: float, step: float) -> None:
+    def __init__(self, mass: float, step: float, full: float = 1.0) -> None:
         self._mass = mass
+        self._full = full
         self._step = step
         self.reset()
 
     def reset(self) -> None:
-        """Full."""
-        self.burnt = 0.0  # kg
+        """As full as it was at the start."""
+        self.burnt = (1.0 - self._full) * self._mass  # kg, of a full tank
 
     @property
     def left(self) -> float:

@@ -49,6 +49,7 @@ _LAW: dict[str, Any] = {
             "integral_1_s2": 2 * _RATE,
         },
         "lead": {"roll": _LEAD, "pitch": _LEAD, "yaw": _LEAD, "altitude": _LEAD},
+        "schedule": {"filter_s": _TIME, "level": {"roll": _LEAD, "altitude": _LEAD}},
         "position": {
             "position_1_s": _RATE,
             "velocity_1_s": _RATE,

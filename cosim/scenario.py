@@ -352,6 +352,7 @@ class Initial(Model):
     attitude_deg: Vector = (0.0, 0.0, 0.0)
     velocity_ned_m_s: Vector = (0.0, 0.0, 0.0)
     rate_deg_s: Vector = (0.0, 0.0, 0.0)
+    fuel: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0  # of the tank, where the aircraft has one
 
 
 class Environment(Model):

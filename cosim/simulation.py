@@ -22,6 +22,7 @@ from cosim.control.monitor import EngineMonitor
 from cosim.control.predictor import DelayLine, NoPredictor, Predictor
 from cosim.control.rate import RateController
 from cosim.control.replan import get_ready
+from cosim.control.schedule import GainSchedule, Scheduled
 from cosim.control.thrust import StaticCurve, ThrustMap
 from cosim.disturbances import Disturber
 from cosim.engine import Air, EngineBank, EngineSpec, load_engine
@@ -142,6 +143,7 @@ class Simulation:
         self.monitor = control.monitor
         settings = vehicle.control.monitor
         self._opposite = opposites(vehicle) if settings is not None and settings.shut_opposite else ()
+        self.schedule = control.schedule
         self.faults = Faults(
             scenario,
             engines,
@@ -160,7 +162,7 @@ class Simulation:
         self._reactions = tuple(jet.reaction_m for jet in vehicle.jets)
         self._reacting = any(self._reactions)
         self.spools = spools if spools.any else None
-        self.tank = Tank(vehicle.fuel.mass_kg, self.dt) if vehicle.fuel else None
+        self.tank = Tank(vehicle.fuel.mass_kg, self.dt, scenario.initial.fuel) if vehicle.fuel else None
         self.streams = Airstreams(vehicle.airflow, flown.jets) if vehicle.airflow else None
         self._height = start_height(flown, scenario.initial)
         self.commander = Commander(scenario, self._height)
@@ -184,7 +186,16 @@ class Simulation:
         for block in blocks:
             block.reset()
         limits = self.vehicle.control.allocation
-        share = limits.throttle_min if self.scenario.initial.on_ground else self.allocator.hover
+        burnt = 0.0
+        if self.tank:
+            self.tank.reset()
+            burnt = self.tank.burnt
+        hover = self.allocator.hover
+        if burnt:
+            hover = self.thrust_map.share((self.vehicle.mass_kg - burnt) * GRAVITY / len(self._left))
+        share = limits.throttle_min if self.scenario.initial.on_ground else hover
+        if self.schedule is not None:
+            self._schedule(self.schedule.reset(hover))
         initial, wind = self.scenario.initial, self.disturber.at(0).wind
         self._standing = (0.0, 0.0)  # the servos
         ambient = None
@@ -201,10 +212,8 @@ class Simulation:
         if self.spools:
             self.spools.reset(delivered.spool_speed)
             momentum = self.spools.momentum
-        if self.tank:
-            self.tank.reset()
         self.judge.reset(initial.on_ground)
-        self.state = self.airframe.reset(initial, self._jet_forces(delivered.thrust, (0.0, 0.0)), wind, momentum)
+        self.state = self.airframe.reset(initial, self._jet_forces(delivered.thrust, (0.0, 0.0)), wind, momentum, burnt)
         self.measured = self.sensors.reset(self.state)
         self._collective = 0.0
         self._stopped = self._forgiven = False
@@ -231,6 +240,10 @@ class Simulation:
             actuation = self._idle()
         else:
             actuation = self._allocate(collective, self._delayed(torque, disturbance), disturbance)
+        if self.schedule is not None:
+            scheduled = self.schedule.update(self._collective)
+            if scheduled is not None:
+                self._schedule(scheduled)
         engines = self._drive(k, actuation.throttle, state)
         health = self._watch(actuation.throttle, engines) if self.monitor is not None else ALL_WELL
         if self._forgiven and pilot is not None and pilot.engines is not EngineState.FLY:
@@ -335,6 +348,13 @@ class Simulation:
 
     def _use_faulty(self) -> None:
         self.engines, self.servos, self.sensors = self.faults.engines, self.faults.servos, self.faults.sensors
+
+    def _schedule(self, at: Scheduled) -> None:
+        """The gains and leads of the thrust level from the next step on."""
+        roll, altitude = at.roll, at.altitude
+        self.attitude.follow(roll.angle)
+        self.rate.follow_roll(roll.p, roll.i, roll.d, roll.lead)
+        self.altitude.follow(altitude.angle, altitude.p, altitude.i, altitude.lead)
 
     def _watch(self, throttle: PerJet, engines: EngineOutput) -> PerJet:
         """Let the monitor look at the engines, and allocate around those it has given up from the next step on."""
@@ -542,6 +562,7 @@ class Control:
     allocator: Allocator
     thrust_map: ThrustMap
     monitor: EngineMonitor | None
+    schedule: GainSchedule | None
 
 
 def build(scenario: Scenario) -> Simulation:
@@ -642,6 +663,7 @@ def _control(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, stations:
         else RotorAllocator(vehicle.jets, gains.allocation, hover),
         thrust_map,
         _monitor(scenario, vehicle, stations) if scenario.monitored else None,
+        GainSchedule(gains.schedule, gains.lead, step) if gains.schedule else None,
     )
 
 

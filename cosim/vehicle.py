@@ -5,6 +5,7 @@ Body frame: forward-right-down (FRD), origin at the centre of gravity of the veh
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -170,6 +171,47 @@ class Leads(Model):
     altitude: EngineLead | Literal[False] | None = None
 
 
+class ScheduledGains(Model):
+    """What a thrust level makes of one command's gains: factors on those stated, and its lead there."""
+
+    angle: Positive = 1.0  # on the attitude gain; of the height, on position_1_s
+    p: Positive = 1.0  # of the height, on velocity_1_s
+    i: Positive = 1.0  # of the height, on integral_1_s2
+    d: Positive = 1.0
+    natural_rad_s: Positive | None = None  # the engine's at this thrust, as in EngineLead
+    damping: Positive | None = None
+    pole_rad_s: Positive | None = None
+
+    @property
+    def lead(self) -> EngineLead | None:
+        """The lead at this level, where it states one."""
+        if self.natural_rad_s is None or self.pole_rad_s is None:
+            return None
+        return EngineLead(natural_rad_s=self.natural_rad_s, damping=self.damping, pole_rad_s=self.pole_rad_s)
+
+
+class ThrustLevel(Model):
+    """One level of a schedule."""
+
+    share: Annotated[float, Field(ge=0.0, le=1.0)]  # the collective, in shares of the engines' range
+    roll: ScheduledGains = ScheduledGains()
+    altitude: ScheduledGains = ScheduledGains()
+
+
+class Schedule(Model):
+    """Gains and leads that follow the thrust level: linear between levels, held beyond the first and the last."""
+
+    filter_s: Positive  # lag with which the collective is followed
+    level: Annotated[list[ThrustLevel], Field(min_length=2)]  # the least share first
+
+    @model_validator(mode="after")
+    def _rising(self) -> Schedule:
+        shares = [each.share for each in self.level]
+        if any(b <= a for a, b in pairwise(shares)):
+            raise ValueError(f"level: every share must be above the one before it, not {shares}")
+        return self
+
+
 class AltitudeGains(Model):
     """Height: P to climb rate, PI to vertical acceleration, with the hover throttle fed forward."""
 
@@ -247,9 +289,27 @@ class Control(Model):
     allocation: AllocationLimits
     predictor: PredictorTuning
     lead: Leads | None = None
+    schedule: Schedule | Literal[False] | None = None  # false: none, also where the aircraft states one
     monitor: MonitorSettings | None = None
     position: PositionGains | None = None
     pilot: PilotSettings | None = None
+
+    @model_validator(mode="after")
+    def _leads_at_every_level(self) -> Control:
+        """A lead is divided out in the same form at every level; without one, what the levels say of it is not read."""
+        for number, level in enumerate(self.schedule.level if self.schedule else ()):
+            for name, stated in (("roll", level.roll), ("altitude", level.altitude)):
+                lead = getattr(self.lead, name, None)
+                if not lead:
+                    continue
+                where = f"schedule.level.{number}.{name}"
+                if stated.lead is None:
+                    raise ValueError(f"{where}: control.lead.{name} needs natural_rad_s and pole_rad_s at every level")
+                if (stated.damping is None) != (lead.damping is None):
+                    raise ValueError(
+                        f"{where}: damping must be stated where control.lead.{name} has one, and only there"
+                    )
+        return self
 
 
 def _with_pairs(real: list[float], pairs: list[tuple[float, float]]) -> list[float] | list[complex]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from cosim.control.blend import Fade
 from cosim.control.lead import Lead
 from cosim.signals import Command, Measured, Refused
-from cosim.vehicle import AltitudeGains
+from cosim.vehicle import AltitudeGains, EngineLead
 
 GRAVITY = 9.80665  # m/s^2, standard
 _LEAST_UPRIGHT = 0.5  # thrust is not raised further for a lean beyond 60 degrees
@@ -30,6 +30,7 @@ class AltitudeController:
     ) -> None:
         self._step = step
         self._lead = lead
+        self._factors = (1.0, 1.0, 1.0)
         self._set(gains)
         self._mass = mass
         self._throttle_for = throttle_for
@@ -37,11 +38,19 @@ class AltitudeController:
 
     def _set(self, gains: AltitudeGains) -> None:
         self._gains = gains
-        self._position = gains.position_1_s
+        position, velocity, integral = self._factors
+        self._position = position * gains.position_1_s
         self._up, self._down = gains.climb_limit_m_s, -gains.descent_limit_m_s
-        self._velocity = gains.velocity_1_s
+        self._velocity = velocity * gains.velocity_1_s
         self._limit = gains.integral_limit_m_s2
-        self._i = gains.integral_1_s2 * self._step
+        self._i = integral * (gains.integral_1_s2 * self._step)
+
+    def follow(self, position: float, velocity: float, integral: float, lead: EngineLead | None) -> None:
+        """The gains stated, times these, from the next update on, and the lead; see :mod:`cosim.control.schedule`."""
+        self._factors = (position, velocity, integral)
+        self._set(self._gains)
+        if lead is not None and self._lead is not None:
+            self._lead.follow(lead)
 
     def reset(self) -> None:
         """No integral."""
@@ -95,7 +104,8 @@ class AltitudeController:
             return left
         old = self._left
         self._left = None
-        climb = max(-old.descent_limit_m_s, min(old.climb_limit_m_s, old.position_1_s * off))
-        difference = GRAVITY + old.velocity_1_s * (climb + sink) + self._integral + left - new
+        position, velocity, _ = self._factors
+        climb = max(-old.descent_limit_m_s, min(old.climb_limit_m_s, position * old.position_1_s * off))
+        difference = GRAVITY + velocity * old.velocity_1_s * (climb + sink) + self._integral + left - new
         fade.begin(difference)
         return difference

@@ -18,6 +18,8 @@ class AttitudeController:
     def __init__(self, gains: AttitudeGains) -> None:
         self._gain = gains.gain_1_s
         self._limit = gains.rate_limit_rad_s
+        self._stated = gains.gain_1_s
+        self._roll_factor = 1.0
         self._euler: Vector3 = (0.0, 0.0, 0.0)
         self._setpoint = from_euler(0.0, 0.0, 0.0)
         self.reset()
@@ -31,8 +33,15 @@ class AttitudeController:
         """Other gains from the next update on, without a bump: the difference fades; ``step`` s between updates."""
         if self._left is None:
             self._left = (self._gain, self._limit)
-        self._gain, self._limit = gains.gain_1_s, gains.rate_limit_rad_s
+        self._stated, self._limit = gains.gain_1_s, gains.rate_limit_rad_s
+        self.follow(self._roll_factor)
         self._fades = self._fades or (Fade(step), Fade(step), Fade(step))
+
+    def follow(self, roll: float) -> None:
+        """The gain of roll times this from the next update on; see :mod:`cosim.control.schedule`."""
+        self._roll_factor = roll
+        x, y, z = self._stated
+        self._gain = (roll * x, y, z)
 
     def update(self, command: Command, measured: Measured) -> Vector3:
         """Body rate set-point, rad/s."""

@@ -46,11 +46,16 @@ class Lead:
     """
 
     def __init__(self, lead: EngineLead, step: float) -> None:
-        over, under = lead_polynomials(lead, step)
+        self._step = step
+        self.follow(lead)
+        self.settle(0.0)
+
+    def follow(self, lead: EngineLead) -> None:
+        """Another lead of the same form from the next update on: what is wanted for long is still given as it is."""
+        over, under = lead_polynomials(lead, self._step)
         # a single lag is the same with nothing two steps ago
         self._most, self._b1, self._b2 = (*over, 0.0)[:3]
         self._a1, self._a2 = (*under, 0.0)[1:3]
-        self.settle(0.0)
 
     def settle(self, value: float) -> None:
         """As if ``value`` had always been wanted."""

@@ -11,7 +11,7 @@ from cosim.control.blend import Fade
 from cosim.control.lead import Lead
 from cosim.control.predictor import Inside, Predictor
 from cosim.signals import Refused, Vector3
-from cosim.vehicle import RateGains
+from cosim.vehicle import EngineLead, RateGains
 
 _NOTHING: Inside = (nan, nan, nan)
 
@@ -39,6 +39,8 @@ class RateAxis:
     """
 
     def __init__(self, gains: RateGains, predictor: Predictor, step: float, lead: Lead | None = None) -> None:
+        self._stated = gains
+        self._factors = (1.0, 1.0, 1.0)
         self._p = gains.p
         self._i = gains.i * step
         self._d = gains.d
@@ -88,6 +90,17 @@ class RateAxis:
             self._command = self._lead.update(self._command, refused)
         return self._command
 
+    def follow(self, p: float, i: float, d: float, lead: EngineLead | None) -> None:
+        """The gains stated, times these, from the next update on, and the lead; see :mod:`cosim.control.schedule`.
+
+        The integral is kept in the command's unit and the lead keeps its past, so small changes make no bump.
+        """
+        self._factors = (p, i, d)
+        gains = self._stated
+        self._p, self._i, self._d = p * gains.p, i * (gains.i * self._step), d * gains.d
+        if lead is not None and self._lead is not None:
+            self._lead.follow(lead)
+
     def remember(self, samples: int) -> None:
         """Keep this many steps, so that a predictor that comes in flight can catch up with them."""
         self._past = deque(maxlen=samples)
@@ -100,7 +113,9 @@ class RateAxis:
         if self._left is None:
             self._left = _Law(self._p, self._i, self._d, self._limit, self._share, self._predictor)
         step = self._step
-        self._p, self._i, self._d = gains.p, gains.i * step, gains.d
+        p, i, d = self._factors
+        self._stated = gains
+        self._p, self._i, self._d = p * gains.p, i * (gains.i * step), d * gains.d
         self._limit = gains.integral_limit
         self._share = step / (gains.d_filter_s + step)
         if predictor is not None:
@@ -173,6 +188,10 @@ class RateController:
             self._pitch.update(setpoint[1], measured[1], refused.pitch),
             self._yaw.update(setpoint[2], measured[2], refused.yaw),
         )
+
+    def follow_roll(self, p: float, i: float, d: float, lead: EngineLead | None) -> None:
+        """As :meth:`RateAxis.follow`, on roll."""
+        self._roll.follow(p, i, d, lead)
 
     def remember(self, samples: int) -> None:
         """As :meth:`RateAxis.remember`, on all axes."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from pydantic import Field
 from cosim.config import Model, merge, nearest, parse_setting, read_toml, set_path, validate
 from cosim.control.choice import PREDICTORS
 from cosim.design.channel import Channel
-from cosim.design.make import Assessment, AxisDesign, Design
+from cosim.design.make import Assessment, Design
 from cosim.design.tune import Requirements
 from cosim.errors import FlightError, InputError
 from cosim.scenario import Scenario, find_scenario
@@ -31,6 +32,18 @@ class AxisRecord(Model):
     tolerated: float  # times the tolerances until instability
     overshoot: float | None = None  # share of a step; None in a file from before it was stated, as the next
     settling_s: float | None = None  # of a step, within 5 %
+    candidates: dict[str, float] = Field(default_factory=dict)  # that kept the requirements: what the search minimised
+
+
+class LevelRecord(Model):
+    """What a design says about the channels that engines answer, with a part of the fuel."""
+
+    fuel: float  # share of the tank
+    mass_kg: float
+    share: float  # of the engines' range, in hover
+    designed: bool  # or between two levels of the schedule that are
+    held: dict[str, float] = Field(default_factory=dict)  # peak sensitivity with the gains of a full tank, where stable
+    axes: dict[str, AxisRecord]
 
 
 class Purpose(Model):
@@ -48,6 +61,7 @@ class Purpose(Model):
     model: str  # where the model comes from
     requirements: Requirements
     axes: dict[str, AxisRecord]
+    levels: list[LevelRecord] = Field(default_factory=list)
 
 
 class ControllerFile(Model):
@@ -101,6 +115,10 @@ def controller_table(found: Design) -> dict[str, Any]:
             axis: {key: _rounded(value) for key, value in lead.model_dump(exclude_none=True).items()} if lead else False
             for axis, lead in leads.items()
         }
+    if found.schedule is not None:
+        vehicle["control"]["schedule"] = found.schedule.model_dump(mode="json", exclude_none=True)
+    elif found.vehicle.control.schedule:
+        vehicle["control"]["schedule"] = False  # overrules the aircraft's
     if roll.controller != "baseline":
         vehicle["identified"] = {
             found.engine.family: {
@@ -122,7 +140,18 @@ def controller_table(found: Design) -> dict[str, Any]:
         added_delay_samples=scenario.added_delay_samples,
         model=found.model_source,
         requirements=found.need,
-        axes={axis: _record(each) for axis, each in found.axes.items()},
+        axes={axis: _record(each.after, each.candidates) for axis, each in found.axes.items() if each.after},
+        levels=[
+            LevelRecord(
+                fuel=each.level.fuel,
+                mass_kg=_rounded(each.level.mass_kg),
+                share=_rounded(each.level.share),
+                designed=each.designed,
+                held={axis: state.peak_sensitivity for axis, state in each.held.items() if state.peak_sensitivity},
+                axes={axis: _record(state) for axis, state in each.after.items() if state.stable},
+            )
+            for each in found.levels
+        ],
     )
     return {
         "controller": roll.controller,
@@ -142,9 +171,7 @@ def _model(channel: Channel, chosen: Assessment, source: str) -> RateModel:
     return own.model_copy(update={"delay_samples": own.delay_samples - channel.added_delay, "source": source})
 
 
-def _record(each: AxisDesign) -> AxisRecord:
-    after = each.after
-    assert after is not None
+def _record(after: Assessment, candidates: Mapping[str, float] | None = None) -> AxisRecord:
     assert after.margins is not None
     return AxisRecord.model_validate(
         {
@@ -158,6 +185,7 @@ def _record(each: AxisDesign) -> AxisRecord:
             "tolerated": after.tolerated,
             "overshoot": after.overshoot,
             "settling_s": after.settling_s,
+            "candidates": {name: value for name, value in (candidates or {}).items() if isfinite(value)},
         }
     )
 
@@ -168,6 +196,11 @@ def read_controller(path: Path) -> ControllerFile:
     if found.controller not in PREDICTORS:
         raise InputError(f"{path}: controller = {found.controller!r}; {nearest(found.controller, PREDICTORS)}")
     load_vehicle(found.design.aircraft, found.vehicle, f"{path}: vehicle")
+    control = found.vehicle.get("control", {})
+    if "schedule" not in control and load_vehicle(found.design.aircraft)[0].control.schedule:
+        # from before there were schedules: its gains are for every thrust, and the aircraft's own factors not for them
+        without = merge(found.vehicle, {"control": {"schedule": False}})
+        found = found.model_copy(update={"vehicle": without})
     return found
 
 

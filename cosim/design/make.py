@@ -4,23 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil, floor, isfinite, pi
+from math import ceil, floor, inf, isfinite, pi
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.config import nearest, parse_setting, set_path
+from cosim.config import merge, nearest, parse_setting, set_path
 from cosim.design.channel import Actuator, Channel, channels, hover_share
 from cosim.design.closed import Closed, Points
 from cosim.design.dynamics import Dynamics, fit_dynamics, lags
-from cosim.design.tune import FINE, Found, Requirements, settle, tune
+from cosim.design.levels import AXES as LEVELLED
+from cosim.design.levels import DESIGNED, Level, at_share, follow, keeps, lead_there, levels, schedule
+from cosim.design.tune import FINE, Found, Requirements, near, objective, settle, tune
 from cosim.design.tuning import CANDIDATES, Tuning
 from cosim.engine import EngineSpec, load_engine
 from cosim.errors import InputError
 from cosim.identify import Identification, identify_engine
 from cosim.scenario import Scenario, is_file
-from cosim.vehicle import EngineLead, RateGains, RateModel, Vehicle, load_vehicle, read_models
+from cosim.vehicle import EngineLead, RateGains, RateModel, Schedule, Vehicle, load_vehicle, read_models
 
 AXES = ("roll", "pitch", "yaw", "altitude")
 SWING = 0.005  # of the throttle, around hover: what an engine's limits on its acceleration do not see
@@ -78,6 +80,17 @@ class AxisDesign:
 
 
 @dataclass(frozen=True)
+class LevelDesign:
+    """One amount of fuel: the channels that engines answer, with the gains of a full tank and with the schedule's."""
+
+    level: Level
+    designed: bool  # or between two levels that are
+    held: Mapping[str, Assessment]
+    after: Mapping[str, Assessment]  # the same where nothing is scheduled
+    kept: Mapping[str, bool]  # whether ``after`` keeps the requirements
+
+
+@dataclass(frozen=True)
 class Design:
     """All channels of a vehicle with an engine."""
 
@@ -88,6 +101,8 @@ class Design:
     identification: Identification | None  # of the engine; None where a model was given
     model_source: str
     axes: Mapping[str, AxisDesign]
+    levels: Sequence[LevelDesign]  # while fuel burns, a full tank first; empty without a tank
+    schedule: Schedule | None  # what follows the thrust level; None where the gains of a full tank do
     reason: str  # why it is not acceptable; empty where it is
     allowing: Mapping[str, float]  # what would allow one: "delay_s", "lag_factor"
 
@@ -113,6 +128,8 @@ def design(
     model: Path | None = None,
     amplitude: float | None = None,
     lead: bool = True,
+    scheduled: bool = True,
+    start: Path | None = None,
     say: Say = lambda text: None,
 ) -> Design:
     """Design controller, predictor and gains of an aircraft for an engine.
@@ -122,6 +139,9 @@ def design(
     response of an axis, taken instead of what engine and airframe make together.  ``amplitude`` of the sweep of the
     engine, in throttle: larger for an engine whose limits the flight will reach.  The air is the standard atmosphere's
     at sea level.
+
+    ``start`` a controller file: its candidate alone is searched for, from its gains on.  ``scheduled``: whether gains
+    may follow the thrust level where the vehicle burns fuel.
 
     Raises InputError for an unknown name, a vehicle that the engines do not lift, or an engine that does not answer.
     """
@@ -148,11 +168,138 @@ def design(
     for axis, table in given.items():
         wanted[axis] = replace(wanted[axis], identified=RateModel(**table))
     source = f"{found.source}; with the airframe of {vehicle.name}"
+    begin = None if start is None else _begin(start, wanted, vehicle, spec)
     names = CANDIDATES if controller == "auto" else (controller,)
-    axes = _axes(wanted, vehicle, scenario, spec, names, need, source, say, lead)
+    if begin is None:
+        axes = _axes(wanted, vehicle, scenario, spec, names, need, source, say, lead)
+    else:
+        axes = _again(wanted, vehicle, spec, need, source, begin, say)
     reason = _why_not(axes, need)
-    allowing = _allowing(axes["roll"], names, need, say, lead) if reason else {}
-    return Design(spec, vehicle, scenario, need, found, source, axes, reason, allowing)
+    allowing = _allowing(axes["roll"], names, need, say, lead) if reason and start is None else {}
+    burning: list[LevelDesign] = []
+    plan: Schedule | None = None
+    if vehicle.fuel is not None and not reason and not model:
+        there = _levels(scenario, vehicle, spec, dynamics, amplitude, say)
+        plan, burning, reason = _burn(axes, there, need, begin, scheduled, say)
+    return Design(spec, vehicle, scenario, need, found, source, axes, burning, plan, reason, allowing)
+
+
+def needed(axis: str, need: Requirements) -> Requirements:
+    """What is asked of one channel: a bandwidth of roll and pitch alone."""
+    return need if axis in ("roll", "pitch") else need.model_copy(update={"min_bandwidth_hz": 0.0})
+
+
+def _levels(
+    scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, full: Actuator, amplitude: float | None, say: Say
+) -> list[Level]:
+    def dynamics(there: Vehicle) -> Actuator:
+        if there.mass_kg == vehicle.mass_kg:
+            return full
+        say(f"identifying {spec.name} at {there.mass_kg:.4g} kg")
+        return Actuator.of(spec.name, _dynamics(_identify(scenario, there, spec, amplitude)))
+
+    return levels(scenario, vehicle, spec, dynamics)
+
+
+def _burn(
+    axes: Mapping[str, AxisDesign],
+    found: Sequence[Level],
+    need: Requirements,
+    begin: Mapping[str, Mapping[float, Tuning]] | None,
+    scheduled: bool,
+    say: Say,
+) -> tuple[Schedule | None, list[LevelDesign], str]:
+    """The schedule, where one is needed, every level, and what is wrong with them."""
+    full = {axis: each.after.tuning for axis, each in axes.items() if axis in LEVELLED and each.after is not None}
+    plan: Schedule | None = None
+    fits = all(keeps(level.channels[axis], full[axis], needed(axis, need)) for level in found for axis in LEVELLED)
+    if scheduled and not fits:
+        tunings = {}
+        for axis in LEVELLED:
+            say(f"{axis}: with less fuel")
+            own = follow(axis, found, full[axis], needed(axis, need), (begin or {}).get(axis, {}))
+            if own is None:
+                return None, [], f"{axis}: no gains keep the requirements with less fuel"
+            tunings[axis] = own
+        plan = schedule(found, tunings)
+    burning = []
+    for level in found:
+        acting = (
+            at_share(plan, {a: t.lead for a, t in full.items()}, full, level.share, axes["roll"].channel.step)
+            if (plan)
+            else full
+        )
+        held = {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in LEVELLED}
+        after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
+        kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
+        burning.append(LevelDesign(level, level.fuel in DESIGNED, held, after, kept))
+    missed = [f"{axis} with {each.level.fuel:.0%} of the fuel" for each in burning for axis in each.kept
+              if plan and not each.kept[axis]]  # fmt: skip
+    return plan, burning, f"between the levels of the schedule: {', '.join(missed)}" if missed else ""
+
+
+def _begin(
+    start: Path, wanted: Mapping[str, Channel], vehicle: Vehicle, spec: EngineSpec
+) -> dict[str, dict[float, Tuning]]:
+    """Where a search begins that goes on from a controller file: by axis, and by fuel."""
+    from cosim.design.file import read_controller
+
+    file = read_controller(start)
+    if file.design.aircraft != vehicle.name:
+        raise InputError(f"{start}: designed for aircraft {file.design.aircraft!r}, not for {vehicle.name!r}")
+    stated = merge(file.vehicle, {"mass_kg": vehicle.mass_kg})
+    designed, _ = load_vehicle(file.design.aircraft, stated, f"{start}: vehicle")
+    found: dict[str, dict[float, Tuning]] = {}
+    for axis, channel in wanted.items():
+        own = shipped(channel, designed, spec)
+        found[axis] = {1.0: replace(own, controller=file.design.axes[axis].controller)}
+    plan = designed.control.schedule
+    if plan and designed.fuel:
+        step = wanted["roll"].step
+        full = {axis: found[axis][1.0] for axis in LEVELLED}
+        for level, fuel in zip(reversed(plan.level), DESIGNED, strict=False):
+            there = at_share(plan, {axis: each.lead for axis, each in full.items()}, full, level.share, step)
+            for axis in LEVELLED:
+                found[axis][fuel] = there[axis]
+    return found
+
+
+def _again(
+    wanted: Mapping[str, Channel],
+    vehicle: Vehicle,
+    spec: EngineSpec,
+    need: Requirements,
+    source: str,
+    begin: Mapping[str, Mapping[float, Tuning]],
+    say: Say,
+) -> dict[str, AxisDesign]:
+    """Every axis from where a search begins, with the candidate that it has there."""
+    found: dict[str, AxisDesign] = {}
+    for axis in AXES:
+        channel, asked, start = wanted[axis], needed(axis, need), begin[axis][1.0]
+        say(f"{axis}: {start.controller}")
+        roll = found["roll"].after if found else None
+        predictor = roll.tuning.predictor if roll else start.predictor
+        start = replace(
+            start, model=believed(channel, source), lead=lead_there(start.lead, channel), predictor=predictor
+        )
+        free = axis == "roll" or vehicle.servo is not None or axis == "altitude"
+        tuned = near(channel, start, asked, free)
+        before = assess(channel, shipped(channel, vehicle, spec), asked)
+        key = start.controller + (WITH_LEAD if start.lead else "")
+        if tuned is None:
+            found[axis] = AxisDesign(channel, before, {key: inf}, None, {}, {})
+            continue
+        after = assess(channel, tuned, asked)
+        value = objective(Closed(Points(channel, close=FINE), tuned))
+        found[axis] = AxisDesign(channel, before, {key: value}, after, {}, tolerance_checks(channel, tuned, asked))
+    return found
+
+
+def believed(channel: Channel, source: str) -> RateModel:
+    """A channel's model as its predictor has it: the flight adds to it the delay that the controller adds itself."""
+    own = channel.model(source)
+    return own.model_copy(update={"delay_samples": own.delay_samples + channel.added_delay})
 
 
 def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scenario, Vehicle]:
@@ -221,9 +368,9 @@ def _axes(
         predicted = chosen is not None and axis != "altitude" and vehicle.servo is None
         names = (chosen.controller,) if predicted and chosen else ("baseline",)
         predictor = chosen.predictor if chosen else vehicle.control.predictor
-        needed = need if axis == "pitch" else need.model_copy(update={"min_bandwidth_hz": 0.0})
         found[axis] = _axis(
-            channel, vehicle, scenario, spec, names, needed, source, predictor, say, leads[axis], free=not predicted
+            channel, vehicle, scenario, spec, names, needed(axis, need), source, predictor, say, leads[axis],
+            free=not predicted,
         )  # fmt: skip
     return found
 
@@ -243,9 +390,7 @@ def _axis(
 ) -> AxisDesign:
     fixed = shipped(channel, vehicle, spec)
     before = assess(channel, fixed, need)
-    own = channel.model(source)
-    # the flight adds to the predictor's model the delay that the controller adds itself
-    believed = own.model_copy(update={"delay_samples": own.delay_samples + channel.added_delay})
+    model = believed(channel, source)
     start = replace(fixed, predictor=predictor)
     tried: dict[str, Found] = {}
     for with_lead in (None,) if lead is None else (None, lead):
@@ -254,7 +399,7 @@ def _axis(
                 continue
             key = name + WITH_LEAD if with_lead else name
             say(f"{channel.name}: {key}")
-            tried[key] = tune(channel, name, believed, start, need, free, with_lead)
+            tried[key] = tune(channel, name, model, start, need, free, with_lead)
     best = _simplest({key: each.objective for key, each in tried.items()})
     if not isfinite(tried[best].objective):
         return AxisDesign(channel, before, {name: each.objective for name, each in tried.items()}, None, {}, {})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from math import degrees, exp, isfinite
+from math import degrees, exp, inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,19 @@ def to_dict(found: Design, paths: Mapping[str, Path] | None = None) -> dict[str,
         "model_source": found.model_source,
         "identification": identification.to_dict() if identification else None,
         "axes": {axis: _axis_dict(each) for axis, each in found.axes.items()},
+        "levels": [
+            {
+                "fuel": each.level.fuel,
+                "mass_kg": each.level.mass_kg,
+                "share": each.level.share,
+                "designed": each.designed,
+                "held": {axis: _assessment_dict(state) for axis, state in each.held.items()},
+                "after": {axis: _assessment_dict(state) for axis, state in each.after.items()},
+                "kept": dict(each.kept),
+            }
+            for each in found.levels
+        ],
+        "schedule": found.schedule.model_dump(exclude_none=True) if found.schedule else None,
         "file": controller_table(found) if found.ok else None,
         "paths": {name: str(path) for name, path in (paths or {}).items()},
     }
@@ -112,6 +125,7 @@ def summary_lines(found: Design) -> list[str]:
     ]
     lines += _limit_lines(roll)
     lines.append(_reach(found))
+    lines += _level_lines(found)
     for axis, each in found.axes.items():
         lines += [f"{axis}: {'stable' if fine else 'NOT stable'} for {what}" for what, fine in each.checks.items()]
     return lines
@@ -174,6 +188,30 @@ def _limit_lines(roll: AxisDesign) -> list[str]:
     return lines
 
 
+def _level_lines(found: Design) -> list[str]:
+    """What burning the fuel does, and what answers it."""
+    if not found.levels:
+        return []
+    least = found.levels[-1]
+    held = ", ".join(
+        f"{axis} {state.peak_sensitivity:.2f}" if state.peak_sensitivity else f"{axis} unstable"
+        for axis, state in least.held.items()
+    )
+    said = (
+        f"with an empty tank ({least.level.mass_kg:.4g} kg) the gains of a full one have a peak sensitivity of {held}"
+    )
+    if found.schedule is None:
+        return [f"{said}; they are kept"]
+    shares = " to ".join(f"{each.share:.3f}" for each in (found.schedule.level[0], found.schedule.level[-1]))
+    between = max(
+        state.peak_sensitivity or inf for each in found.levels if not each.designed for state in each.after.values()
+    )
+    return [
+        f"{said}: gains and leads follow the collective from {shares} of the engines' range; between the levels that "
+        f"are designed the peak sensitivity is at most {between:.2f}"
+    ]
+
+
 def _reach(found: Design) -> str:
     roll = found.axes["roll"]
     after = roll.after
@@ -222,12 +260,18 @@ COLUMNS = (
 
 
 def rows(found: Design) -> list[list[str]]:
-    """Before and after of every channel, as :data:`COLUMNS`."""
+    """Before and after of every channel, and while fuel burns, as :data:`COLUMNS`."""
     table = []
     for axis, each in found.axes.items():
         for when, state in (("shipped", each.before), ("designed", each.after)):
             if state is not None:
                 table.append([f"{axis}, {when}", *_cells(state)])
+    for level in found.levels:
+        for axis in level.held:
+            where = f"{axis}, {level.level.fuel:.0%} of fuel"
+            table.append([f"{where}, held", *_cells(level.held[axis])])
+            if found.schedule is not None:
+                table.append([f"{where}, scheduled", *_cells(level.after[axis])])
     return table
 
 

@@ -27,6 +27,9 @@ GENERATIONS = 40
 ROUNDS = 200  # evaluations of a search
 FASTEST_LEAD = 10.0  # times the poles of the engine: more adds no phase, only noise; nor faster than two steps
 FINE = 4000  # points of the circle with which a tuning is checked
+CLOSE = 0.02  # relative, by which the requirements may be missed where a search begins at its own answer
+WRITTEN = 1500  # points of the circle while digits are changed
+TOLD = 0.003  # of the objective: a search finds as much again when it is begun from its own answer
 LEAST_GAIN = 1e-6  # of the objective, for which a digit is changed
 SPARE = 0.004  # by which the search stays inside the requirements, for what lies between its points
 
@@ -215,20 +218,22 @@ def tune(
     return Found(box.tuning(x), inf, count)
 
 
-def settle(channel: Channel, start: Tuning, need: Requirements, predictor: bool = True) -> Tuning | None:
+def settle(
+    channel: Channel, start: Tuning, need: Requirements, predictor: bool = True, level: bool = False
+) -> Tuning | None:
     """The tuning in numbers of three digits near ``start`` that no change of a last digit improves.
 
     More digits are not meant, and where the optimum is flat a search does not tell them from its own error: what is
     written down is where this descent stops, and from there it stops at once.  None where no such tuning near
-    ``start`` keeps the requirements.
+    ``start`` keeps the requirements.  At a ``level`` of a schedule only what follows the level is changed.
     """
-    points = Points(channel, close=FINE)
+    points = Points(channel, close=WRITTEN)
 
     def cost(values: Mapping[str, Digits]) -> float:
-        closed = Closed(points, _written(start, values, channel.step))
+        closed = Closed(points, _written(start, values, channel.step, level))
         return objective(closed) + DEAR * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
 
-    values = {name: digits(value) for name, value in _searched(channel, start, predictor).items()}
+    values = {name: digits(value) for name, value in _searched(start, predictor and not level).items()}
     best, moved = cost(values), True
     while moved:
         moved = False
@@ -237,8 +242,45 @@ def settle(channel: Channel, start: Tuning, need: Requirements, predictor: bool 
                 trial = {**values, name: _beside(values[name], way)}
                 if (value := cost(trial)) < best - LEAST_GAIN:
                     values, best, moved = trial, value, True
-    found = _written(start, values, channel.step)
-    return found if acceptable(Closed(points, found), need) else None
+    found = _written(start, values, channel.step, level)
+    return found if acceptable(Closed(Points(channel, close=FINE), found), need) else None
+
+
+def near(
+    channel: Channel, start: Tuning, need: Requirements, predictor: bool = True, level: bool = False
+) -> Tuning | None:
+    """The tuning in three digits that a simplex finds from ``start``; where it is no better, ``start`` in three digits.
+
+    So a second call finds what the first one did.  None where nothing near ``start`` keeps the requirements.
+    """
+    from scipy.optimize import minimize
+
+    points = Points(channel)
+    names = list(_searched(start, predictor and not level))
+
+    def at(x: Array) -> Tuning:
+        value = dict(zip(names, np.exp(x), strict=True))
+        return _with(start, {name: float(each) for name, each in value.items()}, channel.step, level)
+
+    def cost(x: Array) -> float:
+        closed = Closed(points, at(x))
+        return objective(closed) + DEAR * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
+
+    x = np.log([_searched(start, True)[name] for name in names])
+    value = cost(x)
+    for size in (0.1, 0.03):
+        simplex = np.vstack([x, x + size * np.eye(len(x))])
+        options = {"maxfev": ROUNDS, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
+        found = minimize(cost, x, method="Nelder-Mead", options=options)
+        if found.fun < value:
+            x, value = found.x, float(found.fun)
+    there = settle(channel, at(x), need, predictor, level)
+    # from far off the requirements, digit by digit would be a long way
+    fine = Points(channel, close=FINE)
+    here = settle(channel, start, need, predictor, level) if excess(Closed(fine, start), need) < CLOSE else None
+    if here is None or there is None:
+        return here or there
+    return there if objective(Closed(fine, there)) < objective(Closed(fine, here)) - TOLD else here
 
 
 def digits(value: float) -> Digits:
@@ -259,7 +301,7 @@ def _beside(number: Digits, way: int) -> Digits:
     return (999, power - 1) if figures == 99 else (figures, power)
 
 
-def _searched(channel: Channel, tuning: Tuning, predictor: bool) -> dict[str, float]:
+def _searched(tuning: Tuning, predictor: bool) -> dict[str, float]:
     """What is searched on a channel, by name; a part that is 0 is not there and stays away."""
     gains = tuning.gains
     found = {"angle_gain": tuning.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
@@ -270,12 +312,18 @@ def _searched(channel: Channel, tuning: Tuning, predictor: bool) -> dict[str, fl
     return {name: value for name, value in found.items() if value > 0.0}
 
 
-def _written(start: Tuning, values: Mapping[str, Digits], step: float) -> Tuning:
+def _written(start: Tuning, values: Mapping[str, Digits], step: float, level: bool) -> Tuning:
+    """``start`` with numbers of three digits in place of those that were searched."""
+    found = _with(start, {name: _number(number) for name, number in values.items()}, step, level)
+    smooth = _number(digits(found.gains.d_filter_s))
+    return found if level else replace(found, gains=found.gains.model_copy(update={"d_filter_s": smooth}))
+
+
+def _with(start: Tuning, value: Mapping[str, float], step: float, level: bool) -> Tuning:
     """``start`` with other numbers in place of those that were searched."""
-    value = {name: _number(number) for name, number in values.items()}
     gains: dict[str, float] = {name: value[name] for name in ("p", "i", "d") if name in value}
-    if "d" in gains:
-        gains["d_filter_s"] = _number(digits(_smooth(gains["d"] / gains["p"], step)))
+    if "d" in gains and not level:
+        gains["d_filter_s"] = _smooth(gains["d"] / gains["p"], step)
     predictor, lead = start.predictor, start.lead
     if "own" in value:
         predictor = predictor.model_copy(update={TUNED[start.controller]: value["own"]})

@@ -1,0 +1,150 @@
+"""The design while fuel burns: the channel at less thrust, what the gains of a full tank make of it, and a schedule.
+
+At less thrust an engine answers more slowly, and there is less room below the thrust of hover.  Where the gains of a
+full tank no longer keep the requirements, each level of fuel gets its own, searched from those of the level above; in
+flight :mod:`cosim.control.schedule` goes from one to the next with the collective.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from cosim.control.schedule import Factors, GainSchedule
+from cosim.design.channel import Actuator, Channel, channels, hover_share
+from cosim.design.closed import Closed, Points
+from cosim.design.tune import FINE, Requirements, acceptable, near
+from cosim.design.tuning import Tuning
+from cosim.engine import EngineSpec
+from cosim.scenario import Scenario
+from cosim.vehicle import EngineLead, Leads, Schedule, ScheduledGains, ThrustLevel, Vehicle
+
+DESIGNED = (1.0, 0.5, 0.0)  # of the fuel
+PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)
+FILTER_S = 2.0  # chosen: slow beside what the loops answer in, fast beside what fuel and payload change in
+AXES = ("roll", "altitude")  # that engines answer: a tilt means the same moment at every thrust
+
+
+@dataclass(frozen=True)
+class Level:
+    """One amount of fuel: the share of the engines' range that hovers there, and the channels."""
+
+    fuel: float
+    mass_kg: float
+    share: float
+    channels: Mapping[str, Channel]
+
+
+def lighter(vehicle: Vehicle, fuel: float) -> Vehicle:
+    """The vehicle with that share of its fuel: mass, and inertia about its own centre of gravity."""
+    assert vehicle.fuel is not None
+    burnt = (1.0 - fuel) * vehicle.fuel.mass_kg
+    whole, place = vehicle.mass_kg, vehicle.fuel.position_m
+    shift = burnt * whole / (whole - burnt)
+    squares = [x * x for x in place]
+    inertia = [j - shift * (sum(squares) - own) for j, own in zip(vehicle.inertia_kg_m2, squares, strict=True)]
+    return vehicle.model_copy(update={"mass_kg": whole - burnt, "inertia_kg_m2": tuple(inertia)})
+
+
+def levels(
+    scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, dynamics: Callable[[Vehicle], Actuator]
+) -> list[Level]:
+    """The levels at which a design is proved, a full tank first; ``dynamics`` of the engine that carries a vehicle.
+
+    With less thrust in hover there is less room below it, for a step as for noise, and the requirements stay the same.
+    """
+    found = []
+    for fuel in PROVED:
+        there = lighter(vehicle, fuel)
+        own = channels(scenario, there, spec, dynamics(there))
+        found.append(Level(fuel, there.mass_kg, hover_share(there, spec), {axis: own[axis] for axis in AXES}))
+    return found
+
+
+def keeps(channel: Channel, tuning: Tuning, need: Requirements) -> bool:
+    """Whether a tuning keeps the requirements on a channel."""
+    return acceptable(Closed(Points(channel, close=FINE), tuning), need)
+
+
+def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
+    """A lead of the same form against the engine's poles of a channel."""
+    if lead is None:
+        return None
+    slowest, *others = sorted(channel.actuator.dynamics.poles, key=abs)
+    if lead.damping is None:
+        return lead.model_copy(update={"natural_rad_s": abs(slowest)})
+    natural = (abs(slowest) * abs(others[0])) ** 0.5
+    damping = -(slowest + others[0]).real / (2.0 * natural)
+    return lead.model_copy(update={"natural_rad_s": natural, "damping": damping})
+
+
+def follow(
+    axis: str, found: Sequence[Level], full: Tuning, need: Requirements, begin: Mapping[float, Tuning]
+) -> dict[float, Tuning] | None:
+    """A tuning at each level that is designed for, by its fuel; None where one cannot keep the requirements.
+
+    ``begin``: where the search begins, for levels at which that is known.
+    """
+    tunings = {1.0: full}
+    last = full
+    for level in found:
+        if level.fuel == 1.0 or level.fuel not in DESIGNED:
+            continue
+        channel = level.channels[axis]
+        start = begin.get(level.fuel, last)
+        tuned = near(channel, replace(start, lead=lead_there(start.lead, channel)), need, level=True)
+        if tuned is None:
+            return None
+        tunings[level.fuel] = last = tuned
+    return tunings
+
+
+def schedule(found: Sequence[Level], tunings: Mapping[str, Mapping[float, Tuning]]) -> Schedule:
+    """The schedule of the tunings at each level, as a vehicle states it."""
+    rows = [level for level in reversed(found) if level.fuel in DESIGNED]
+    return Schedule(
+        filter_s=FILTER_S,
+        level=[
+            ThrustLevel(
+                share=_rounded(level.share),
+                **{axis: _factors(of[level.fuel], of[1.0]) for axis, of in tunings.items()},
+            )
+            for level in rows
+        ],
+    )
+
+
+def _factors(here: Tuning, full: Tuning) -> ScheduledGains:
+    lead = here.lead
+    stated = {
+        "angle": _rounded(here.angle_gain / full.angle_gain),
+        "p": _rounded(here.gains.p / full.gains.p),
+        "i": _rounded(here.gains.i / full.gains.i) if full.gains.i else 1.0,
+        "d": _rounded(here.gains.d / full.gains.d) if full.gains.d else 1.0,
+    }
+    if lead is not None:
+        stated |= {key: _rounded(value) for key, value in lead.model_dump(exclude_none=True).items()}
+    return ScheduledGains.model_validate(stated)
+
+
+def at_share(stated: Schedule, leads: Mapping[str, EngineLead | None], full: Mapping[str, Tuning], share: float,
+             step: float) -> dict[str, Tuning]:  # fmt: skip
+    """The tunings that act in flight at a collective."""
+    there = GainSchedule(stated, Leads(**{axis: lead or None for axis, lead in leads.items()}), step).at(share)
+    return {"roll": scaled(full["roll"], there.roll), "altitude": scaled(full["altitude"], there.altitude)}
+
+
+def scaled(full: Tuning, factors: Factors) -> Tuning:
+    """A tuning as the schedule has it."""
+    gains = full.gains
+    changed = {"p": factors.p * gains.p, "i": factors.i * gains.i, "d": factors.d * gains.d}
+    return replace(
+        full,
+        angle_gain=factors.angle * full.angle_gain,
+        gains=gains.model_copy(update=changed),
+        lead=factors.lead or full.lead,
+    )
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
