@@ -141,7 +141,7 @@ class Space:
         if self._between:
             self._slot("loaded", 1)
         if channel.identified is None:
-            self._slot("force", 1)
+            self._slot("force", 2)  # of the last two steps
             self._slot("rate", 1)
             self._slot("gyro", max(1, channel.rate_latency + channel.rate_hold))
         else:
@@ -226,9 +226,10 @@ class Space:
         self._keep("plant", state)
         force, before = plant.C @ state, x["rate"][0]
         if channel.identified is None:
-            now, late, pole = channel.turning
-            rate = pole * before + channel.gain * T * (now * force + late * x["force"][0])
-            self._keep("force", force)
+            (now, late, later), pole = channel.turning
+            acting = now * force + late * x["force"][0] + later * x["force"][1]
+            rate = pole * before + channel.gain * T * acting
+            self._shift("force", force)
             c = channel.gyro_pole
             self._shift("gyro", c * x["gyro"][0] + (1.0 - c) * rate)
         else:
