@@ -92,7 +92,10 @@ def follow(
             continue
         channel = level.channels[axis]
         start = begin.get(level.fuel, last)
-        tuned = near(channel, replace(start, lead=lead_there(start.lead, channel)), need, level=True)
+        # the derivative's filter, predictor and model stay those of a full tank
+        gains = start.gains.model_copy(update={"d_filter_s": full.gains.d_filter_s})
+        own = replace(full, angle_gain=start.angle_gain, gains=gains, lead=lead_there(start.lead, channel))
+        tuned = near(channel, own, need, level=True)
         if tuned is None:
             return None
         tunings[level.fuel] = last = tuned

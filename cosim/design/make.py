@@ -14,6 +14,7 @@ from cosim.config import merge, nearest, parse_setting, set_path
 from cosim.design.channel import Actuator, Channel, channels, hover_share
 from cosim.design.closed import Closed, Points
 from cosim.design.dynamics import Dynamics, fit_dynamics, lags
+from cosim.design.loop import Array, wrapped
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import DESIGNED, Level, at_share, follow, keeps, lead_there, levels, schedule
 from cosim.design.tune import FINE, Found, Requirements, near, objective, settle, tune
@@ -490,22 +491,30 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
 
 
 def margins(closed: Closed) -> Margins:
-    """Gain, phase and delay margins by python-control, from the loop's response."""
-    import control  # type: ignore[import-untyped]
+    """Gain, phase and delay margins from the loop's response, straight lines between its points."""
+    theta = closed.points.theta
+    inside = theta < pi * (1.0 - 1e-9)  # at half the sampling rate the response is real and crosses nothing
+    loop, omega = closed.open_loop[inside], theta[inside] / closed.points.channel.step
+    size, phase = np.log(np.abs(loop)), np.unwrap(np.angle(loop))
 
-    loop = closed.open_loop
-    omega = closed.points.theta / closed.points.channel.step
-    keep = omega < pi / closed.points.channel.step * (1.0 - 1e-9)
-    size, phase = np.abs(loop[keep]), np.degrees(np.unwrap(np.angle(loop[keep])))
-    gain, turn, _, _, crossings, _ = control.stability_margins((size, phase, omega[keep]), returnall=True)
-    gain, turn, crossings = np.atleast_1d(gain), np.atleast_1d(turn), np.atleast_1d(crossings)
-    up, down = gain[gain > 1.0], gain[(gain < 1.0) & (gain > 0.0)]
-    delays = [np.radians(angle % 360.0) / at for angle, at in zip(turn, crossings, strict=True)]
+    def crossings(value: Array) -> tuple[Array, Array]:
+        """Where ``value`` changes its sign: the point before, and the part of the way to the next."""
+        at = np.flatnonzero(np.sign(value[:-1]) * np.sign(value[1:]) < 0.0)
+        return at, value[at] / (value[at] - value[at + 1])
+
+    at, part = crossings(loop.imag)
+    real = loop.real[at] + part * np.diff(loop.real)[at]
+    gains = -1.0 / real[real < 0.0]
+    up, down = gains[gains > 1.0], gains[gains < 1.0]
+    at, part = crossings(size)
+    angle = phase[at] + part * np.diff(phase)[at] + pi
+    delays = angle % (2.0 * pi) / (omega[at] + part * np.diff(omega)[at])
+    turns = [wrapped(float(np.degrees(each))) for each in angle]
     return Margins(
         gain_db=float(20.0 * np.log10(up.min())) if len(up) else None,
         gain_down_db=float(20.0 * np.log10(down.max())) if len(down) else None,
-        phase_deg=float(min(turn, key=abs)) if len(turn) else None,
-        delay_s=float(min(delays)) if delays else None,
+        phase_deg=min(turns, key=abs, default=None),
+        delay_s=float(delays.min()) if len(delays) else None,
     )
 
 
