@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.config import merge, nearest, parse_setting, set_path
 from cosim.design.channel import Actuator, Channel, channels, hover_share
 from cosim.design.closed import Closed, Points
 from cosim.design.dynamics import Dynamics, fit_dynamics, lags
-from cosim.design.loop import Array, wrapped
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import DESIGNED, Level, at_share, follow, keeps, lead_there, levels, schedule
+from cosim.design.loop import Array, wrapped
 from cosim.design.tune import FINE, Found, Requirements, near, objective, settle, tune
 from cosim.design.tuning import CANDIDATES, Tuning
 from cosim.engine import EngineSpec, load_engine
@@ -497,7 +498,7 @@ def margins(closed: Closed) -> Margins:
     loop, omega = closed.open_loop[inside], theta[inside] / closed.points.channel.step
     size, phase = np.log(np.abs(loop)), np.unwrap(np.angle(loop))
 
-    def crossings(value: Array) -> tuple[Array, Array]:
+    def crossings(value: Array) -> tuple[NDArray[np.intp], Array]:
         """Where ``value`` changes its sign: the point before, and the part of the way to the next."""
         at = np.flatnonzero(np.sign(value[:-1]) * np.sign(value[1:]) < 0.0)
         return at, value[at] / (value[at] - value[at + 1])
