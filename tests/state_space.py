@@ -73,6 +73,9 @@ class Body:
     step: float
     substeps: int
     gyro_s: float
+    latency: int = 0  # steps until the rate is measured
+    hold: int = 1  # steps for which a measurement is kept; what that does on the mean
+    angle_latency: int = 0
 
 
 class Loop:
@@ -99,8 +102,8 @@ class Loop:
             ("force", 1),
             ("w", 1),
             ("w_dot", 1),
-            ("gyro", 1),
-            ("angle", 1),
+            ("gyro", body.latency + body.hold),
+            ("angle", 1 + body.angle_latency),
             ("sum", 1),
         ):
             self._slot(name, n)
@@ -119,7 +122,7 @@ class Loop:
     def closed(self, step: float) -> Any:
         """Set-point to angle, as python-control has it."""
         angle = np.zeros((1, self.size))
-        angle[0, self.slots["angle"]] = 1.0
+        angle[0, self.slots["angle"].start] = 1.0
         return control.ss(self.A, self.of_set_point[:, None], angle, 0.0, step)
 
     def _slot(self, name: str, n: int) -> None:
@@ -131,8 +134,10 @@ class Loop:
         body, slots, T = self.body, self.slots, self.body.step
         value = {name: x[where] for name, where in slots.items()}
         after = np.zeros_like(x)
+        line, angles = value["gyro"], value["angle"]
+        value["gyro"] = np.array([line[body.latency :].mean()])  # as it is measured
         predicted = self.predict(value, after)
-        error = self.attitude * (r - value["angle"][0]) - predicted
+        error = self.attitude * (r - angles[-1]) - predicted
         total = value["sum"][0] + self.rate["i"] * T * error
         share = T / (self.rate["d_filter_s"] + T)
         slope = value["slope"][0] + share * ((predicted - value["before"][0]) / T - value["slope"][0])
@@ -157,8 +162,8 @@ class Loop:
             "force": force,
             "w": rate,
             "w_dot": before,
-            "gyro": pole * value["gyro"] + (1.0 - pole) * rate,
-            "angle": value["angle"] + 0.5 * T * (value["w"][0] + rate),
+            "gyro": [pole * line[0] + (1.0 - pole) * rate, *line[:-1]],
+            "angle": [angles[0] + 0.5 * T * (value["w"][0] + rate), *angles[:-1]],
             "sum": total,
             "slope": slope,
             "before": predicted,
@@ -244,3 +249,28 @@ class Loop:
         # one solution a frequency: the eigenvectors of a delay chain are all but parallel
         states = np.linalg.solve(z[:, None, None] * np.eye(self.size) - self.A, self.B[:, None])
         return np.abs(self.D + states[:, :, 0] @ self.C)
+
+    def stable_with(self, factor: complex) -> bool:
+        """Whether the loop is stable with ``factor`` times what goes into the plant: a gain, or a turn of the phase."""
+        return bool(np.abs(np.linalg.eigvals(self.A + (factor - 1.0) * np.outer(self.B, self.C))).max() < 1.0)
+
+    def open_loop(self, theta: Array) -> Any:
+        """``L`` at ``theta`` rad a sample, broken at the plant's input."""
+        alone = self.A - np.outer(self.B, self.C)
+        z = np.exp(1j * theta)
+        states = np.linalg.solve(z[:, None, None] * np.eye(self.size) - alone, self.B[:, None])
+        return -states[:, :, 0] @ self.C
+
+    def delay_margin(self) -> float:
+        """Samples: the least angle from -1 at a crossing of ``|L| = 1``, over the frequency there."""
+        theta = np.geomspace(1e-4, 3.1, 3000)
+        size = np.log(np.abs(self.open_loop(theta)))
+        found = []
+        for k in np.flatnonzero(np.sign(size[:-1]) != np.sign(size[1:])):
+            low, high = theta[k], theta[k + 1]
+            for _ in range(30):
+                middle = 0.5 * (low + high)
+                inside = np.sign(np.log(abs(self.open_loop(np.array([middle]))[0]))) == np.sign(size[k])
+                low, high = (middle, high) if inside else (low, middle)
+            found.append((np.angle(self.open_loop(np.array([low]))[0]) + np.pi) % (2.0 * np.pi) / low)
+        return float(min(found))
