@@ -62,6 +62,7 @@ class Channel:
     angle_latency: int = 0
     angle_noise: float = 0.0
     added_delay: int = 0
+    reaction: float = 0.0  # of what tilts, 2 J / (K T^2) with the moment K per rad: it acts by (1 - 1/z)^2 of the tilt
     identified: RateModel | None = None  # command to measured rate, taken as it is instead of the chain
 
     @property
@@ -83,6 +84,9 @@ class Channel:
         pole = exp(-fall)
         mean = -expm1(-fall) / fall if fall else 1.0
         shares = {1: (0.0, 1.5, -0.5), 2: (1.125, -0.25, 0.125)}.get(self.substeps, (1.0, 0.0, 0.0))
+        if self.reaction and self.substeps > 2:  # with fewer runs a step the method's own shares hide it
+            c = self.reaction
+            shares = (1.0 + c, -2.0 * c, c)
         return (mean * shares[0], mean * shares[1], mean * shares[2]), pole
 
     @property
@@ -229,7 +233,17 @@ def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, d
         room,
         **_gyro(vehicle.sensors),  # type: ignore[arg-type]
         added_delay=scenario.added_delay_samples if axis == "roll" else 0,
+        reaction=_reaction(axis, vehicle, moment, scenario.step_s),
     )
+
+
+def _reaction(axis: str, vehicle: Vehicle, moment: float, step: float) -> float:
+    """What turns both banks alike turns the body the other way, in pitch; in yaw their reactions cancel."""
+    if axis != "pitch" or vehicle.servo is None:
+        return 0.0
+    inertia = float(getattr(vehicle.servo, "bank_inertia_kg_m2", 0.0))
+    height = sum(jet.position_m[2] for jet in vehicle.jets)  # below the centre of gravity thrust and reaction agree
+    return float(np.copysign(2.0 * inertia / (moment * step * step), height))
 
 
 def _gyro(sensors: Sensors) -> dict[str, float | int]:
