@@ -159,7 +159,7 @@ def test_a_flight_begins_with_part_of_the_fuel() -> None:
         mass, _, _ = simulation.airframe.mass_properties()
         assert mass == pytest.approx(61.97 - 9.0, abs=0.01)
         assert sum(first.engines.thrust) == pytest.approx((61.97 - 9.0) * 9.80665, rel=0.02)
-        assert first.fuel_kg == pytest.approx(9.0)
+        assert first.fuel == pytest.approx(9.0)
     for wrong in (0.0, 1.1):
         with pytest.raises(InputError, match=r"initial\.fuel"):
             Scenario.load("full-scale-hover").replace(initial={"fuel": wrong})

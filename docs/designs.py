@@ -1,0 +1,157 @@
+"""Writes what the designs in tests/designs state, and flights while fuel burns, into the pages that quote them.
+
+    python docs/designs.py [--no-flights]
+
+The tables of margins come from the files alone; a test compares them with the pages.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tomllib
+from collections.abc import Mapping
+from math import degrees
+from pathlib import Path
+from typing import Any
+
+from cosim import Scenario, fly
+from cosim.design.file import with_controller
+from cosim.marks import table, write_marks
+
+ROOT = Path(__file__).parent.parent
+DESIGNS = ROOT / "tests" / "designs"
+SHIPPED = {"hexjet-p220": "p220", "hexjet-100": "turbine-100"}
+COLUMNS = (
+    "peak sensitivity",
+    "gain up",
+    "gain down",
+    "phase",
+    "delay",
+    "bandwidth",
+    "overshoot",
+    "settled",
+    "tolerances times",
+)
+FUEL = (1.0, 0.5, 0.05)
+SHARE = {"turbine-20": 0.01, "turbine-100": 0.02, "turbine-220": 0.02}  # of the bound on noise, where not the default
+
+
+def stored(name: str) -> dict[str, Any]:
+    """A design's part of its controller file."""
+    found: dict[str, Any] = tomllib.loads((DESIGNS / f"{name}.toml").read_text(encoding="utf-8"))
+    return found
+
+
+def cells(made: Mapping[str, Any]) -> list[str]:
+    """The margins of one axis, as :data:`COLUMNS`."""
+
+    def db(key: str) -> str:
+        return f"{made[key]:+.1f} dB" if key in made else "-"
+
+    return [
+        f"{made['peak_sensitivity']:.2f}",
+        db("gain_margin_db"),
+        db("gain_margin_down_db"),
+        f"{made['phase_margin_deg']:.1f}°",
+        f"{1e3 * made['delay_margin_s']:.0f} ms",
+        f"{made['bandwidth_hz']:.2f} Hz",
+        f"{100.0 * made['overshoot']:.1f} %",
+        f"{made['settling_s']:.2f} s",
+        f"{made['tolerated']:.2f}",
+    ]
+
+
+def margins(name: str) -> str:
+    """All axes of one design."""
+    return table(("axis", *COLUMNS), [[axis, *cells(made)] for axis, made in stored(name)["design"]["axes"].items()])
+
+
+def designs() -> str:
+    """Roll of every design."""
+    rows = []
+    for path in sorted(DESIGNS.glob("*.toml")):
+        file = stored(path.stem)
+        made = file["design"]
+        lead = " + lead" if file["vehicle"]["control"].get("lead", {}).get("roll") else ""
+        follows = ", scheduled" if file["vehicle"]["control"].get("schedule") else ""
+        bound = f", --noise-share {SHARE[path.stem]:g}" if path.stem in SHARE else ""
+        rows.append([f"{made['engine']}, {made['aircraft']}", f"{file['controller']}{lead}{follows}{bound}",
+                     *cells(made["axes"]["roll"])])  # fmt: skip
+    return table(("engine, aircraft", "controller", *COLUMNS), rows, 2)
+
+
+def levels(name: str) -> str:
+    """Roll and height of one design while fuel burns: peak sensitivity held, and what the schedule makes of it."""
+    rows = []
+    for level in stored(name)["design"]["levels"]:
+        for axis in ("roll", "altitude"):
+            held = f"{level['held'][axis]:.2f}" if axis in level["held"] else "unstable"
+            where = f"{100.0 * level['fuel']:.0f} %, {level['mass_kg']:.1f} kg" + (
+                "" if level["designed"] else " (between)"
+            )
+            rows.append([where, axis, held, *cells(level["axes"][axis])])
+    return table(("fuel", "axis", "held at a full tank's", *COLUMNS), rows, 2)
+
+
+def flown(name: str) -> str:
+    """Doublet and gust with part of the fuel, gains of a full tank held and scheduled."""
+    rows = []
+    for fuel in FUEL:
+        for label, settings in (("held", ["vehicle.control.schedule=false"]), ("scheduled", [])):
+            given = [f'engine="{name}"', f"initial.fuel={fuel}", *settings]
+            path = DESIGNS / f"{name}.toml"
+            doublet = fly(with_controller("full-scale-roll-doublet", path, given))
+            gust = fly(with_controller("full-scale-gust", path, given))
+            roll = doublet.metrics["roll"]
+            if doublet.outcome == "completed":
+                settled = f"{roll.settling_time_s:.1f} s" if roll.settling_time_s is not None else "not in 3 s"
+                answer = [f"{roll.overshoot_percent:.0f} %", settled]
+            else:
+                answer = [doublet.outcome, "-"]
+            leaves = (
+                f"{degrees(gust.metrics['roll'].max_abs_error_rad):.1f}°"
+                if gust.outcome == "completed"
+                else gust.outcome
+            )
+            rows.append([f"{100.0 * fuel:.0f} %", label, *answer, leaves])
+    return table(("fuel", "gains", "doublet: overshoot", "settled", "gust: roll leaves its set-point by"), rows, 2)
+
+
+def late() -> str:
+    """The P220 as shipped with an ECU that answers 0.1 s late."""
+    rows = []
+    for samples in (0, 12, 25):
+        parameters = {"delay_samples": float(samples)} if samples else {}
+        doublet = Scenario.load("full-scale-roll-doublet")
+        run = fly(doublet.replace(engine="p220", engine_parameters=parameters, expect=[]))
+        roll = run.metrics["roll"]
+        settled = f"{roll.settling_time_s:.1f} s" if roll.settling_time_s is not None else "not in 3 s"
+        done = run.outcome == "completed"
+        rows.append(
+            [f"{4 * samples} ms", *([f"{roll.overshoot_percent:.0f} %", settled] if done else [run.outcome, "-"])]
+        )
+    return table(("delay of the ECU", "overshoot", "settled"), rows)
+
+
+def main() -> None:
+    """Write the tables into the pages."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--no-flights", action="store_true")
+    flights = not parser.parse_args().no_flights
+    for aircraft, name in SHIPPED.items():
+        parts = {"margins": margins(name), "fuel": levels(name)}
+        if flights:
+            parts["flights with part of the fuel"] = flown(name) if aircraft == "hexjet-p220" else ""
+            if aircraft == "hexjet-p220":
+                parts["a late ECU"] = late()
+            parts = {key: text for key, text in parts.items() if text}
+        write_marks(ROOT / "aircraft" / aircraft / "README.md", parts)
+    write_marks(ROOT / "docs" / "control-design.md", {"designs": designs()})
+    parts = {"fuel p220-2025": levels("p220-2025")}
+    if flights:
+        parts["flights p220-2025"] = flown("p220-2025")
+    write_marks(ROOT / "docs" / "full-scale.md", parts)
+
+
+if __name__ == "__main__":
+    main()
