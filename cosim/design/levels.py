@@ -22,8 +22,8 @@ from cosim.vehicle import EngineLead, Leads, Schedule, ScheduledGains, ThrustLev
 DESIGNED = (1.0, 0.5, 0.0)  # of the fuel
 PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)
 FILTER_S = 2.0  # chosen: slow beside what the loops answer in, fast beside what fuel and payload change in
-# By which straight lines between two levels may miss what is required at both.  Chosen: noise goes with the square of the
-# pole of a lead, which moves most.
+# By which straight lines between two levels may miss what is required at both.  Chosen: noise goes with the square of
+# the pole of a lead, which moves most.
 SLACK = 0.1
 AXES = ("roll", "altitude")  # that engines answer: a tilt means the same moment at every thrust
 
