@@ -11,6 +11,7 @@ import pytest
 from command_tools import Hexjet
 
 from cosim import failsafes as table
+from cosim.control.altitude import GRAVITY
 from cosim.flight import fly
 from cosim.pilot import requests as rq
 from cosim.pilot.modes import EngineState, LandedState, Mode
@@ -81,8 +82,10 @@ def test_losing_the_gnss_lands(aircraft: str, height: float, wind: float) -> Non
     row = flown("GNSS lost", aircraft, height, wind).row
     assert (row.verdict, row.reason) == ("landed", "position lost")
     # the last metres are flown at the landing's rate; more than that is what the legs touch with in wind
-    assert row.touchdown_m_s < 2.0 * load_vehicle(aircraft)[0].control.pilot.land_m_s  # type: ignore[union-attr]
-    assert row.thrust_n == 0.0
+    vehicle = load_vehicle(aircraft)[0]
+    assert row.touchdown_m_s < 2.0 * vehicle.control.pilot.land_m_s  # type: ignore[union-attr]
+    # a jet's rotor has not quite run down after ten seconds
+    assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
 
 
 @pytest.mark.parametrize(
