@@ -189,7 +189,7 @@ def test_the_loop_agrees_with_state_space(controller: str) -> None:
     at = np.interp(np.geomspace(1e-3, pi, 500), points.theta, mine)
     assert np.abs(at - theirs).max() < 5e-3  # of interpolation between 2000 points
     largest = [np.abs(np.linalg.eigvals(each.A)).max() for each in (closed.space, second)]
-    assert largest[0] == pytest.approx(largest[1], abs=1e-9)
+    assert largest[0] == pytest.approx(largest[1], abs=1e-7)  # of the second-order rule for the damped rate
 
 
 def by_hand(engine: str, roll: Channel, chosen: Tuning, gain: float = 1.0, later: int = 0) -> Loop:
@@ -281,14 +281,15 @@ def stepped(roll: Channel, chosen: Tuning, set_point: float, load: float, durati
 
 @pytest.mark.parametrize("controller", CANDIDATES)
 def test_the_time_response_is_the_blocks_response(controller: str) -> None:
-    """Angle after steps of set-point and load, in state space, against the flying blocks stepped in time: to rounding."""
+    """Angle after steps of set-point and load, in state space, against the flying blocks stepped in time."""
     roll = parts("edf")[3]["roll"]
     chosen = tuning(controller, roll, k=4.0, p=0.03)
     found = Closed(Points(roll), chosen).space.steps(2000)
     by_blocks = stepped(roll, chosen, 1.0, 0.0, 8.0)
-    assert np.abs(by_blocks - found.angle).max() < 1e-9
+    # the channel has a damped rate's exact decay, the blocks JSBSim's second-order rule for it
+    assert np.abs(by_blocks - found.angle).max() < 2e-6
     loaded = stepped(roll, chosen, 0.0, 0.01, 8.0)  # less than the integral's limit
-    assert np.abs(loaded - 0.01 * found.load).max() < 1e-9 * np.abs(found.load).max()
+    assert np.abs(loaded - 0.01 * found.load).max() < 2e-6 * np.abs(found.load).max()
 
 
 @pytest.mark.parametrize("delay", [25.0, 25.4])

@@ -71,3 +71,50 @@ def test_a_design_survives_its_tolerances_in_flight(share: float, later: int) ->
     )
     assert run.outcome == "completed"
     assert run.metrics["roll"].oscillation_rad < 0.02
+
+
+def growth(engine: str, seconds: float, *settings: str) -> float:
+    """From a degree of roll without noise: the largest roll of the flight's last sixth over that of the second.
+
+    A flight that is lost grew.
+    """
+    path = DESIGNS / f"{engine}.toml"
+    made = read_controller(path).design
+    given = [f'engine="{made.engine}"', f"step_s={made.step_s}", f"duration_s={seconds}", "sensor_noise=false",
+             "initial.attitude_deg=[1.0, 0.0, 0.0]", *settings]  # fmt: skip
+    run = fly(with_controller("hover", path, given, made.aircraft))
+    if run.outcome != "completed":
+        return 10.0
+    roll = np.abs(run.log["roll_rad"])
+    part = len(roll) // 6
+    return float(roll[-part:].max() / roll[part : 2 * part].max())
+
+
+@pytest.mark.parametrize(("share", "grows"), [(0.95, False), (1.05, True)])
+def test_a_flight_flips_at_the_delay_margin(share: float, grows: bool) -> None:
+    """Whole samples, to the inside or outside of 5 % off what the file states."""
+    engine = "turbojet"
+    made = read_controller(DESIGNS / f"{engine}.toml").design
+    margin = made.axes["roll"].delay_margin_s
+    assert margin is not None
+    later = share * margin / made.step_s
+    samples = 25 + (ceil(later) if grows else int(later))
+    assert (growth(engine, 30.0, f"engine_parameters.delay_samples={samples}") > 1.0) == grows
+
+
+@pytest.mark.parametrize("engine", ["edf", "p220"])
+@pytest.mark.parametrize(("share", "grows"), [(1.05, False), (0.95, True)])
+def test_a_flight_flips_at_the_lower_gain_margin(engine: str, share: float, grows: bool) -> None:
+    """Without a predictor the loop's gain is that of the rate controller: P, I and D at 5 % above and below the edge.
+
+    Fuel burns meanwhile; the gains are held.
+    """
+    file = read_controller(DESIGNS / f"{engine}.toml")
+    assert file.controller == "baseline"
+    margin = file.design.axes["roll"].gain_margin_down_db
+    assert margin is not None
+    factor = share * 10.0 ** (margin / 20.0)
+    rate = file.vehicle["control"]["rate"]["roll"]
+    changed = [f"vehicle.control.rate.roll.{key}={factor * rate[key]}" for key in "pid"]
+    changed += ["vehicle.control.schedule=false"] if engine == "p220" else []
+    assert (growth(engine, 60.0, *changed) > 1.0) == grows
