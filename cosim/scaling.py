@@ -30,7 +30,12 @@ _LAW: dict[str, Any] = {
         "spring_n_m": _MASS - 2 * _TIME,
         "damping_n_s_m": _MASS - _TIME,
     },
-    "servo": {"lag_s": _TIME, "rate_limit_rad_s": _RATE},
+    "servo": {
+        "lag_s": _TIME,
+        "rate_limit_rad_s": _RATE,
+        "bank_inertia_kg_m2": _MASS + 2 * _LENGTH,
+        "bank_imbalance_kg_m": _MASS + _LENGTH,
+    },
     "airflow": {"kg_s": _MASS - _TIME, "at_thrust_n": _MASS, "intake_m": _LENGTH, "exhaust_m": _LENGTH},
     "aero": {
         "span_m": _LENGTH,

@@ -77,7 +77,7 @@ def test_a_classic_smith_predictor_leans_under_a_constant_moment() -> None:
         ),
         (
             "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'stp'",
-            r"command\.0\.kind = 'stp': did you mean 'step'\? allowed: doublet, ramp, step, ",
+            r"command\.0\.kind = 'stp': did you mean 'step'\? allowed: doublet, place, ramp, step, ",
         ),
         (
             "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'step'\nsignal = 'rol_deg'\nstart_s = 0\namplitude = 1",
