@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from cosim.campaign.one import fly_one
@@ -28,6 +30,16 @@ def first_unstable_delay(controller: str) -> int:
     )
     loop = LoopMap(axis, points=1500)
     return next(delay for delay in range(26, 70) if loop.unstable_poles(1.0, delay))
+
+
+def test_the_limits_that_the_page_states() -> None:
+    """docs/campaigns.md: of filtered-smith and state-disturbance, of Smith's, of the state predictor's."""
+    page = " ".join((Path(__file__).resolve().parents[1] / "docs" / "campaigns.md").read_text("utf-8").split())
+    filtered, disturbance, smith, state = map(
+        first_unstable_delay, ("filtered-smith", "state-disturbance", "smith", "state")
+    )
+    said = f"at {filtered} and {disturbance} samples of delay, Smith's at {smith}, the state predictor's at {state}."
+    assert said in page
 
 
 @pytest.mark.parametrize("controller", ["smith", "filtered-smith"])

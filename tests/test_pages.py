@@ -1,0 +1,471 @@
+"""Figures on the pages that no command writes between marks: read from their sentences and found out again.
+
+A sentence is given with ``{}`` for each figure.  It must be on the page once, so that a page which is rewritten tells,
+and each figure must be what is found here, to its last printed digit.  What a README states of a vehicle or an engine
+must be what its file says.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_tools import Hexjet
+from engine_tools import PAPER, STEP, Array
+
+from cosim.campaign.study import Study
+from cosim.design.tune import Requirements
+from cosim.engine import build
+from cosim.identify import Identification, identify_axis
+from cosim.identify.fit import fit
+from cosim.identify.result import low_frequency_delay, rate_response
+from cosim.ledger import total_samples
+from cosim.marks import parts_of
+from cosim.paths import data_folder
+from cosim.scenario import Scenario
+from cosim.simulation import build as build_flight
+from cosim.vehicle import load_vehicle
+
+ROOT = Path(__file__).resolve().parents[1]
+NUMBER = r"([-+]?\d+(?:[ ,]\d{3})*(?:\.\d+)?(?:e[-+]?\d+)?)"
+G = 9.80665
+
+
+@cache
+def text(page: str) -> str:
+    """The page on one line, without emphasis."""
+    return " ".join((ROOT / page).read_text(encoding="utf-8").replace("**", "").split())
+
+
+def figures(page: str, sentence: str) -> list[str]:
+    """The figures that stand for ``{}`` in a sentence of the page."""
+    pattern = NUMBER.join(re.escape(part) for part in " ".join(sentence.split()).split("{}"))
+    found = list(re.finditer(r"(?<![\d.])" + pattern, text(page)))
+    assert len(found) == 1, f"{page}: {len(found)} times: {sentence}"
+    return list(found[0].groups())
+
+
+def last_digit(figure: str) -> float:
+    """What one unit of its last printed digit is."""
+    mantissa, _, exponent = figure.partition("e")
+    return 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+
+
+def value(figure: str) -> float:
+    return float(figure.replace(" ", "").replace(",", ""))
+
+
+def stated(page: str, sentence: str, *values: float) -> None:
+    """The sentence is on the page and its figures are these values, rounded to what is printed."""
+    for figure, found in zip(figures(page, sentence), values, strict=True):
+        # a value half-way between two may be rounded either way
+        assert abs(value(figure) - found) <= 0.5001 * last_digit(figure), f"{page}: {sentence}: {figure}, now {found}"
+
+
+def rows(page: str, columns: int = 3) -> dict[str, list[str]]:
+    """Tables of the page: the cells of each row by its first one."""
+    lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| ")]
+    return {row[0]: row[1:] for row in cells if len(row) == columns}
+
+
+def numbers(cell: str) -> list[str]:
+    return re.findall(r"-?\d+(?:\.\d+)?", cell)
+
+
+def row_states(page: str, name: str, *values: float) -> None:
+    """The first figures of a row's second cell are these values."""
+    said = numbers(rows(page)[name][0])
+    assert len(said) >= len(values), f"{page}: {name}"
+    for figure, found in zip(said, values, strict=False):
+        assert abs(abs(float(figure)) - abs(found)) <= 0.5001 * last_digit(figure), (
+            f"{page}: {name}: {figure}, now {found}"
+        )
+
+
+# --- every page is covered ------------------------------------------------------------------------------------------
+
+# "marks": a command writes figures between marks; a test's name: it, among others, compares the page with the product.
+COVERED: Mapping[str, tuple[str, ...]] = {
+    "README.md": ("marks", "test_pages.py", "test_reproduce.py"),
+    "CONTRIBUTING.md": ("test_pages.py",),
+    "aircraft/hexjet/README.md": ("test_pages.py", "test_simulation.py", "test_pilot_navigation.py"),
+    "aircraft/hexjet-100/README.md": ("test_pages.py", "test_full_scale.py"),
+    "aircraft/hexjet-p220/README.md": ("test_full_scale.py",),
+    "aircraft/quadrotor/README.md": ("test_pages.py", "test_quadrotor.py"),
+    "benchmarks/README.md": ("test_pages.py",),
+    "docs/accuracy.md": ("marks", "test_accuracy.py"),
+    "docs/benchmarks.md": ("marks", "test_bench.py"),
+    "docs/campaigns.md": ("test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py"),
+    "docs/control-design.md": ("marks", "test_pages.py"),
+    "docs/design.md": ("test_pages.py",),
+    "docs/engine-check.md": ("test_pages.py",),
+    "docs/faults.md": ("marks", "test_engine_out.py"),
+    "docs/full-scale.md": ("marks", "test_engine_out.py"),
+    "docs/ground-station.md": ("marks", "test_mavlink_lines.py"),
+    "docs/identification.md": ("test_pages.py",),
+    "docs/metrics.md": ("test_metrics_docs.py",),
+    "docs/own-engine.md": ("test_pages.py",),
+    "docs/paper.md": ("marks", "test_reproduce.py"),
+    "engines/README.md": ("test_pages.py",),
+    "engines/edf/README.md": ("test_pages.py",),
+    "engines/edf-as-flown/README.md": ("test_pages.py",),
+    "engines/motor/README.md": ("test_pages.py",),
+    "engines/p220/README.md": ("test_pages.py", "test_engine_p220.py"),
+    "engines/p220-2025/README.md": ("test_engine_p220_2025.py",),
+    "engines/turbine-20/README.md": ("test_engine_turbine.py",),
+    "engines/turbine-100/README.md": ("test_engine_turbine.py",),
+    "engines/turbine-220/README.md": ("test_pages.py", "test_engine_turbine.py"),
+    "engines/turbojet/README.md": ("test_pages.py",),
+    "fmus/README.md": ("test_pages.py",),
+}
+
+
+def pages() -> set[str]:
+    found = [
+        *ROOT.glob("*.md"),
+        *(ROOT / "docs").rglob("*.md"),
+        ROOT / "benchmarks" / "README.md",
+        ROOT / "fmus" / "README.md",
+    ]
+    for folder in ("aircraft", "engines", "scenarios", "studies"):
+        found += (ROOT / folder).rglob("*.md")
+    return {path.relative_to(ROOT).as_posix() for path in found}
+
+
+def test_every_page_says_how_its_figures_are_kept() -> None:
+    """A new page comes with the command that writes its figures, or with a test that asks for them."""
+    assert pages() == set(COVERED)
+
+
+@pytest.mark.parametrize("page", COVERED)
+def test_what_is_said_to_keep_a_page_exists(page: str) -> None:
+    parts = parts_of((ROOT / page).read_text(encoding="utf-8"), page)
+    assert parts or "marks" not in COVERED[page]
+    for name in set(COVERED[page]) - {"marks"}:
+        source = (ROOT / "tests" / name).read_text(encoding="utf-8")
+        assert Path(page).name in source or "README" in source, f"{name} does not name {page}"
+
+
+# --- README.md, CONTRIBUTING.md, docs/design.md ----------------------------------------------------------------------
+
+# A sentence that states how exactly something was tested, the test, and the tolerance in it.
+TESTED = [
+    ("README.md", "difference equations to {};", "test_engine_fmu.py", "atol=1e-12", (1e-12,)),
+    ("README.md", "r x F to {};", "test_airframe.py", "rel=1e-9", (1e-9,)),
+    ("README.md", "lies within {} dB and {} deg of the paper's G(z) from {} to {} Hz", "test_simulation.py",
+     "Within 1 dB and 6 deg of G(z) from 0.3 to 4 Hz", (1.0, 6.0, 0.3, 4.0)),
+    ("aircraft/quadrotor/README.md", "(a test wants {} dB and {} deg)", "test_quadrotor.py",
+     "Within 1 dB and 8 deg of G_n(z) from 0.5 to 12 Hz", (1.0, 8.0)),
+    ("aircraft/hexjet/README.md", "{} deg and {} dB at the lean command, peak sensitivity {}; {} deg, {} dB and {} where",
+     "test_pilot_navigation.py", "(54.0, 42.0), (10.0, 8.0), (1.5, 1.7)", (54.0, 10.0, 1.5, 42.0, 8.0, 1.7)),
+    ("aircraft/quadrotor/README.md", "but 1/{} of its gain", "test_paper.py", "approx(3660.0", (3660.0,)),
+    ("docs/design.md", "equals `vehicle.toml` to {}.", "test_airframe.py", "rel=1e-12", (1e-12,)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("page", "sentence", "test", "words", "values"), TESTED, ids=lambda part: str(part)[:40])
+def test_how_exactly_is_what_the_test_asks_for(
+    page: str, sentence: str, test: str, words: str, values: tuple[float, ...]
+) -> None:
+    stated(page, sentence, *values)
+    assert words in (ROOT / "tests" / test).read_text(encoding="utf-8")
+
+
+def test_the_readmes_own_figures() -> None:
+    page = "README.md"
+    robust = Study.load("predictor-robustness")
+    assert len(robust.controllers) == 5
+    stated(page, "# {} draws, five controllers", robust.runs or 0)
+    stated(page, "engines answer {} s late", delay("edf-as-flown") * STEP)
+    doublet = Scenario.load("roll-doublet")
+    (command,) = doublet.command
+    stated(page, "by `make demo`: {} deg of roll one way and the other, EDF engines with {} samples of added delay",
+           getattr(command, "amplitude", math.nan), delay("edf-as-flown") - delay("edf"))  # fmt: skip
+    stated(page, "fly full-scale-gust # {} kg on six JetCat P220", load_vehicle("hexjet-p220")[0].mass_kg)
+    # the largest gain that settles is among the numbers that `hexjet paper` fits
+    fitted = tomllib.loads((ROOT / "cosim" / "paper" / "calibration.toml").read_text(encoding="utf-8"))["parameters"]
+    ours = load_vehicle("hexjet")[0].control.rate.roll.p
+    (percent,) = figures(page, "some {} % above the largest with which the vehicle settles")
+    assert 100.0 * (ours / fitted["hexjet_p"] - 1.0) == pytest.approx(value(percent), abs=2.0)
+
+
+def test_the_width_of_a_line() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    stated("CONTRIBUTING.md", "ruff formats, {} columns", project["tool"]["ruff"]["line-length"])
+
+
+def test_pages_without_a_result() -> None:
+    """They state versions and times of a command; a figure of a flight would need a test."""
+    for page in ("fmus/README.md", "benchmarks/README.md"):
+        assert not re.search(r"\d\.\d+ (?:ms|us|m|deg|rad|%)", text(page)), page
+
+
+# --- docs/identification.md ------------------------------------------------------------------------------------------
+
+IDENTIFICATION = "docs/identification.md"
+
+
+def delay(name: str) -> int:
+    """Samples of transport delay that an engine of the library states."""
+    variables = build.read_engine(data_folder("engines") / name).variables
+    return int(next(v.start for v in variables if v.name == "delay_samples") or 0)
+
+
+def printed(command: str) -> list[list[str]]:
+    """What the page shows of a command: its lines as words."""
+    page = (ROOT / IDENTIFICATION).read_text(encoding="utf-8")
+    (block,) = re.findall(rf"^```\n\$ {re.escape(command)}\n(.*?)^(?:```|\$)", page, re.MULTILINE | re.DOTALL)
+    return words(block)
+
+
+def words(block: str) -> list[list[str]]:
+    lines = [re.sub(r"[()=^,:±]", " ", line).split() for line in block.splitlines()]
+    return [line for line in lines if line and "─" not in line[0] and line[0] not in ("report", "model")]
+
+
+@pytest.mark.parametrize("command", ["hexjet identify engine turbojet", "hexjet identify roll --out roll-model"])
+def test_identification_prints_what_the_page_shows(command: str, hexjet: Hexjet) -> None:
+    """Words alike, and figures to a unit of the last digit; of those that are rounding errors that they are."""
+    done = hexjet(*command.split()[1:])
+    assert done.status == 0
+    now, then = words(done.out), printed(command)
+    assert [len(line) for line in now] == [len(line) for line in then]
+    for found, said in zip(sum(now, []), sum(then, []), strict=True):
+        if re.fullmatch(NUMBER, said) and re.fullmatch(NUMBER, found):
+            rounding = 1e-9 if abs(float(said)) < 1e-9 else 0.0
+            assert float(found) == pytest.approx(float(said), abs=1.0001 * last_digit(said) + rounding), said
+        else:
+            assert found == said
+
+
+@pytest.fixture(scope="module")
+def roll() -> tuple[Identification, Identification]:
+    """With noise and without."""
+    return identify_axis("roll"), identify_axis("roll", settings=("sensor_noise=false",))
+
+
+def test_what_identification_says_about_the_hexjet(roll: tuple[Identification, Identification]) -> None:
+    noisy, clean = roll
+    page = IDENTIFICATION
+    one, held, two = noisy.fits
+    long, short = (sorted((1e3 * lag for lag in each.fits[2].model.lags), reverse=True) for each in roll)
+    stated(page, "fit the response to {} %, noise included. They come out as {} and {} ms ({} and {} ms without sensor "
+           "noise), {} ms ({} ms) together, and delay, lags and half a hold add up to what the [delay ledger]"
+           "(design.md#time) states, {} samples", 100.0 * two.misfit, *long, *short, sum(long), sum(short),
+           low_frequency_delay(two))  # fmt: skip
+    assert noisy.ledger_samples == pytest.approx(low_frequency_delay(two), abs=0.05)
+    paper = 433.1
+    stated(page, "It gives {} ms, and a gain of {} rad/s², {} % high", 1e3 * held.model.lags[0], held.model.gain,
+           100.0 * (held.model.gain / paper - 1.0))  # fmt: skip
+    lag = fit(noisy.response, 1, "held", {"lag_s": 0.03895})
+    stated(page, "(`--hold lag_s=0.03895`) gives a delay of {} samples", lag.model.delay_samples)
+    stated(page, "between lag and delay: {} ms and {} samples", 1e3 * one.model.lags[0], one.model.delay_samples)
+    vehicle, _ = load_vehicle("hexjet")
+    stated(page, "two lags, {} ms in the engine and {} ms in the gyro's filter", -4.0 / math.log(PAPER["edf"][1]),
+           1e3 * vehicle.sensors.gyro.filter_s)  # fmt: skip
+    late = low_frequency_delay(clean.fits[2])
+    stated(page, "vehicle's delay is {} samples ({} ms) less than that of the paper's G(z), {} against {};",
+           papers_delay() - late, 4.0 * (papers_delay() - late), late, papers_delay())  # fmt: skip
+    hertz, decibel, degrees = deviation(clean)
+    (agree,) = figures(page, "around {} Hz the two agree")
+    assert np.interp(0.0, -degrees[hertz > 3.0], hertz[hertz > 3.0]) == pytest.approx(value(agree), abs=0.15)
+    low, high, worst, most = map(value, figures(page, "Over {} to {} Hz the difference stays within {} dB and {} deg"))
+    within = (hertz > 0.98 * low) & (hertz < high)
+    assert 0.9 * worst < np.abs(decibel[within]).max() <= worst
+    assert 0.9 * most < np.abs(degrees[within]).max() <= most
+
+
+def papers_delay() -> float:
+    """Low-frequency delay of the paper's G(z), samples: of its zero, its lag, z^-25 and the held integral."""
+    return 25.0 - 1.0 / (1.0 + 1.4538) + 1.0 / (1.0 - 0.9024) + 0.5
+
+
+def deviation(found: Identification) -> tuple[Array, Array, Array]:
+    """Frequency [Hz], magnitude [dB] and phase [deg] of the response over the paper's G(z)."""
+    assert found.reference is not None
+    ratio = found.response.value / rate_response(found.reference, found.response.hertz)
+    return found.response.hertz, 20.0 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
+
+
+# --- docs/control-design.md ------------------------------------------------------------------------------------------
+
+
+def test_what_a_design_is_asked_for() -> None:
+    """The table of requirements has the defaults."""
+    page, asked = "docs/control-design.md", Requirements()
+    for name, value in {
+        "peak sensitivity at the plant's input, attitude and rate loop closed": asked.max_sensitivity,
+        "stable for delay and gain off together, either way": 100.0 * asked.delay_tolerance,
+        "overshoot of a step": asked.max_overshoot * (100.0 if asked.max_overshoot < 1.0 else 1.0),
+        "bandwidth of roll and pitch": asked.min_bandwidth_hz,
+    }.items():
+        row_states(page, name, value)
+    assert asked.gain_tolerance == asked.delay_tolerance
+    assert rows(page)["three standard deviations of noise in the command"][0].startswith("a quarter of")
+    assert asked.noise_share == 0.25
+
+
+# --- the aircraft's READMEs ------------------------------------------------------------------------------------------
+
+HEXJET = "aircraft/hexjet/README.md"
+
+
+def test_who_owns_the_delay(roll: tuple[Identification, Identification]) -> None:
+    """The table is the ledger's of a flight as shipped."""
+    with build_flight(Scenario.load("hover")) as simulation:
+        ledger = [row for row in simulation.ledger if row.element != "delay added to the roll output"]
+    said = [cells for name, *cells in owners() if name != "sum"]
+    assert [[f"{row.samples:.2f}", f"{4.0 * (row.samples or 0.0):.2f}"] for row in ledger] == [row[1:] for row in said]
+    (total,) = [cells for name, *cells in owners() if name == "sum"]
+    samples = total_samples(ledger)
+    assert samples is not None
+    assert total[1:] == [f"{samples:.2f}", f"{4.0 * samples:.2f}"]
+    stated(HEXJET, "The same count for the paper's G(z) gives {} samples", papers_delay())
+    hertz, decibel, degrees = deviation(roll[1])
+    low, high, worst, most = map(value, figures(
+        HEXJET, "Between {} and {} Hz the swept response of the co-simulation lies within {} dB and {} deg of G(z)"
+    ))  # fmt: skip
+    within = (hertz > 0.98 * low) & (hertz < 1.02 * high)
+    assert np.abs(decibel[within]).max() == pytest.approx(worst, abs=0.05)
+    assert np.abs(degrees[within]).max() == pytest.approx(most, abs=0.05)
+
+
+def owners() -> Iterator[list[str]]:
+    for line in (ROOT / HEXJET).read_text(encoding="utf-8").replace("**", "").splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if len(cells) == 4 and re.fullmatch(r"-?\d+\.\d\d", cells[2]):
+            yield cells
+
+
+def test_the_hexjets_numbers_are_its_files() -> None:
+    vehicle, _ = load_vehicle("hexjet")
+    control, pilot, sensors = vehicle.control, vehicle.control.pilot, vehicle.sensors
+    servo, position, contact = vehicle.servo, vehicle.control.position, vehicle.contacts[0]
+    assert servo is not None
+    assert position is not None
+    assert pilot is not None
+    lx, ly, lz = vehicle.jets[0].position_m
+    jxx, jyy, jzz = vehicle.inertia_kg_m2
+    corners = np.abs([each.position_m for each in vehicle.contacts]).max(axis=0)
+    for name, values in {
+        "mass": [vehicle.mass_kg],
+        "size": [2e3 * corners[0], 2e3 * corners[1], 2e3 * corners[2]],
+        "L_y": [ly],
+        "L_x": [lx],
+        "L_z": [lz],
+        "J_xx": [jxx],
+        "J_yy, J_zz": [jyy, jzz],
+        "servo lag, rate, range": [1e3 * servo.lag_s, servo.rate_limit_rad_s, math.degrees(servo.range_rad)],
+        "span": [vehicle.aero.span_m],
+        "drag areas": list(vehicle.aero.drag_area_m2),
+        "rate damping": list(vehicle.aero.damping_n_m_s),
+        "legs, hull points": [contact.spring_n_m, contact.damping_n_s_m],
+        "gyro filter": [1e3 * sensors.gyro.filter_s],
+        "gyro noise": [sensors.gyro.noise_rad_s],
+        "attitude noise": [sensors.attitude.noise_rad],
+        "GNSS": [
+            sensors.gnss.position_noise_m, sensors.gnss.velocity_noise_m_s, 1.0 / (STEP * sensors.gnss.period_samples),
+            STEP * sensors.gnss.latency_samples,
+        ],
+        "barometer": [sensors.barometer.noise_m],
+        "rate gain, roll": [control.rate.roll.p, control.rate.roll.i, control.rate.roll.integral_limit],
+        "attitude gain, roll": [control.attitude.gain_1_s[0]],
+        "attitude rate limits": list(control.attitude.rate_limit_rad_s),
+        "derivative filter": [1e3 * control.rate.roll.d_filter_s],
+        "predictor tuning": [
+            control.predictor.filter_s, control.predictor.observer_rad_s, control.predictor.model_observer_rad_s,
+            control.predictor.disturbance_observer_rad_s,
+        ],
+        "position and velocity gains": [position.position_1_s, position.velocity_1_s],
+        "catch-up speed, lean limit": [position.catch_up_m_s, math.degrees(position.lean_rad)],
+        "position filter": [position.acceleration_noise_m_s15],
+        "autopilot: speed, acceleration, jerk": [pilot.speed_m_s, pilot.acceleration_m_s2],
+        "autopilot: climb, descent, landing": [pilot.climb_m_s, pilot.descent_m_s, pilot.land_m_s],
+        "autopilot: turn rate, stick, heights, spool-up": [
+            math.degrees(pilot.yaw_rate_rad_s), math.degrees(pilot.stick_lean_rad), pilot.takeoff_height_m,
+            pilot.return_height_m, pilot.spool_s,
+        ],
+        "friction": [contact.friction_static, contact.friction_dynamic],
+        "end of flight": [vehicle.limits.tilt_deg, vehicle.limits.rate_deg_s, vehicle.limits.touchdown_m_s],
+        "throttle limits": [control.allocation.throttle_min, control.allocation.throttle_max],
+    }.items():  # fmt: skip
+        row_states(HEXJET, name, *values)
+
+
+def test_where_the_hexjets_numbers_come_from() -> None:
+    vehicle, _ = load_vehicle("hexjet")
+    control, position, pilot = vehicle.control, vehicle.control.position, vehicle.control.pilot
+    assert position is not None
+    assert pilot is not None
+    full = G * 0.2554 / (1.0 - 0.8748)
+    mass, (jxx, jyy, jzz) = vehicle.mass_kg, vehicle.inertia_kg_m2
+    gain = 6.0 * vehicle.jets[0].position_m[1] * full / jxx
+    stated(HEXJET, "6 L_y T / J_xx = {} rad/s² per unit of throttle, the gain of the paper's G(z), with T = {} · {} / "
+           "(1 - {}) = {} N", gain, G, 0.2554, 0.8748, full)  # fmt: skip
+    stated(HEXJET, "radii of gyration of {} and {} mm beside {} mm about x",
+           *(1e3 * math.sqrt(each / mass) for each in (jyy, jzz, jxx)))  # fmt: skip
+    stated(HEXJET, "six times {} is the table's {} kg", full / G, 12.0)
+    legs = [each for each in vehicle.contacts if each.kind == "leg"]
+    stiffness, damping = sum(leg.spring_n_m for leg in legs), sum(leg.damping_n_s_m for leg in legs)
+    stated(HEXJET, "{} mm of sink at rest, damping ratio about {} |", 1e3 * mass * G / stiffness,
+           damping / 2.0 / math.sqrt(stiffness * mass))  # fmt: skip
+    stated(HEXJET, "the roll lag of G(z) is {} ms, the EDF's {} ms", -4.0 / math.log(0.9024), -4.0 / math.log(0.8748))
+    stated(HEXJET, "a climb loop of {} rad/s, a third of what {} s of delay would allow, height slower by {} |",
+           control.altitude.velocity_1_s, delay("edf-as-flown") * STEP,
+           control.altitude.velocity_1_s / control.altitude.position_1_s)  # fmt: skip
+    stated(HEXJET, "chosen: {} Hz; the derivative gains are {}", 0.5 / math.pi / control.rate.roll.d_filter_s,
+           control.rate.roll.d)  # fmt: skip
+    lean = G * math.tan(position.lean_rad)
+    stated(HEXJET, "{} deg give {} m/s², twice the pull of {} m/s of wind and {} m/s² together",
+           math.degrees(position.lean_rad), lean, 8.0, pilot.acceleration_m_s2)  # fmt: skip
+    pull = 0.5 * 1.225 * 8.0**2 * vehicle.aero.drag_area_m2[1] / mass
+    assert lean / (pull + pilot.acceleration_m_s2) == pytest.approx(2.0, abs=0.2)
+    stated(HEXJET, "lean of {} deg, and changes of lean that take a second",
+           math.degrees(math.atan(pilot.acceleration_m_s2 / G)))  # fmt: skip
+    assert pilot.acceleration_m_s2 / pilot.jerk_m_s3 == pytest.approx(1.0)
+    stated(HEXJET, "recovers; a drop of {} m", vehicle.limits.touchdown_m_s**2 / 2.0 / G)
+    # what a Smith predictor leaves
+    attitude = control.attitude.gain_1_s[0]
+    stated(HEXJET, "(K = {} rad/s², h T = {} s,", gain, delay("edf-as-flown") * STEP)
+    stated(HEXJET, "{} % of throttle costs {} degrees", 1.0,
+           math.degrees(gain * delay("edf-as-flown") * STEP * 0.01 / attitude))  # fmt: skip
+    stated(HEXJET, "the model's pole is {} and not 1, the offset fades with a time constant of {} s", 0.9999,
+           STEP / (1.0 - 0.9999))  # fmt: skip
+
+
+QUADROTOR = "aircraft/quadrotor/README.md"
+
+
+def test_the_quadrotors_numbers_are_its_files() -> None:
+    vehicle, _ = load_vehicle("quadrotor")
+    motor = {v.name: v.start or 0.0 for v in build.read_engine(data_folder("engines") / "motor").variables}
+    thrust = motor["newton_per_unit"] * motor["gain"] / (1.0 - motor["pole"])
+    position = vehicle.control.position
+    assert position is not None
+    x, _, z = vehicle.jets[0].position_m
+    jxx = vehicle.inertia_kg_m2[0]
+    gain, damping = 4.0 * x * thrust / jxx, vehicle.aero.damping_n_m_s[0]
+    row_states(QUADROTOR, "mass, payload", 1e3 * vehicle.mass_kg)
+    row_states(QUADROTOR, "full thrust", thrust)
+    row_states(QUADROTOR, "rotor places", 1e3 * x, 1e3 * z)
+    row_states(QUADROTOR, "J_xx = J_yy", jxx)
+    row_states(QUADROTOR, "roll and pitch damping", damping)
+    row_states(QUADROTOR, "motor lag, delay", -2.5 / math.log(motor["pole"]), motor["delay_samples"])
+    row_states(QUADROTOR, "position and velocity gains", position.position_1_s, position.velocity_1_s)
+    stated(QUADROTOR, "chosen: thrust to weight {} |", 4.0 * thrust / vehicle.mass_kg / G)
+    stated(QUADROTOR, "{} · {} m · {} N / J_xx = {} rad/s² per unit command", 4.0, x, thrust, gain)
+    stated(QUADROTOR, "derived: {} 1/s times J_xx", damping / jxx)
+    stated(QUADROTOR, "derived: with {} and {} above", gain, damping / jxx)
+    stated(QUADROTOR, "P near {} gives", vehicle.control.rate.roll.p)
+    stated(QUADROTOR, "of the roll loop's {} 1/s", vehicle.control.attitude.gain_1_s[0])
+    stated(QUADROTOR, "on a quadrotor of {} g before it flies", 1e3 * vehicle.mass_kg)
+    poles = np.log(np.roots([1.0, -1.8770, 0.8786])) / 0.0025
+    stated(QUADROTOR, "poles at {} and {} rad/s, gain at rest {}, and a zero", *sorted(poles, reverse=True),
+           (-0.7549 + 0.9393) / (1.0 - 1.8770 + 0.8786))  # fmt: skip
