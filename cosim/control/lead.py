@@ -53,19 +53,27 @@ class Lead:
     def follow(self, lead: EngineLead) -> None:
         """Another lead of the same form from the next update on: what is wanted for long is still given as it is."""
         over, under = lead_polynomials(lead, self._step)
-        # a single lag is the same with nothing two steps ago
-        self._most, self._b1, self._b2 = (*over, 0.0)[:3]
-        self._a1, self._a2 = (*under, 0.0)[1:3]
+        # C = c_0 + c_1 L + c_2 L^2 with the low-pass L = (1 - p) / (z - p): states that are as large as what is wanted,
+        # whatever the lead becomes.  Past answers for states would be, with a change, a push that two lags add up.
+        p = exp(complex(-lead.pole_rad_s * self._step)).real
+        b0, b1, b2 = (*over, 0.0)[:3]
+        self._most, self._p, self._q = b0, p, 1.0 - p
+        if len(under) == 2:
+            self._c1, self._c2 = (b1 + p * b0) / self._q, 0.0
+        else:
+            self._c1 = (b1 + 2.0 * p * b0) / self._q
+            self._c2 = (b0 * p * p + b1 * p + b2) / (self._q * self._q)
 
     def settle(self, value: float) -> None:
         """As if ``value`` had always been wanted."""
-        self._wanted, self._given = (value, value), (value, value)  # one and two steps ago
+        self._once = self._twice = value  # what was wanted, through one low-pass and through two
 
     def update(self, wanted: float, refused: float) -> float:
         """What to ask for; ``refused`` is what allocation could not give of the answer before."""
-        (v1, v2), (u1, u2) = self._wanted, self._given
+        p, q, once = self._p, self._q, self._once
         if refused:
-            v1, u1 = v1 - refused / self._most, u1 - refused
-        u = self._most * wanted + self._b1 * v1 + self._b2 * v2 - self._a1 * u1 - self._a2 * u2
-        self._wanted, self._given = (wanted, v1), (u, u1)
-        return u
+            once -= q * refused / self._most
+        twice = self._twice
+        self._twice = p * twice + q * once
+        self._once = p * once + q * wanted
+        return self._most * wanted + self._c1 * once + self._c2 * twice
