@@ -11,6 +11,7 @@ import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from itertools import chain
 from pathlib import Path
@@ -18,11 +19,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_tools import Hexjet
-from engine_tools import PAPER, STEP, Array
+from engine_tools import NEWTON_PER_KGF, PAPER, STEP, Array, Driven, archive, driven
+from scipy.optimize import brentq
 
+from cosim.atmosphere import standard_air
+from cosim.campaign.one import fly_one
+from cosim.campaign.options import open_study
+from cosim.campaign.plan import flights
+from cosim.campaign.statistics import wilson
 from cosim.campaign.study import Study
 from cosim.design.tune import Requirements
-from cosim.engine import build
+from cosim.engine import build, build_engines, check, container, response, trial
 from cosim.identify import Identification, identify_axis
 from cosim.identify.fit import fit
 from cosim.identify.result import low_frequency_delay, rate_response
@@ -471,3 +478,346 @@ def test_the_quadrotors_numbers_are_its_files() -> None:
     poles = np.log(np.roots([1.0, -1.8770, 0.8786])) / 0.0025
     stated(QUADROTOR, "poles at {} and {} rad/s, gain at rest {}, and a zero", *sorted(poles, reverse=True),
            (-0.7549 + 0.9393) / (1.0 - 1.8770 + 0.8786))  # fmt: skip
+
+
+# --- docs/engine-check.md, docs/own-engine.md ------------------------------------------------------------------------
+
+CHECK = "docs/engine-check.md"
+
+
+def test_what_a_check_of_an_engine_does_and_allows() -> None:
+    stated(
+        CHECK,
+        "{} s under a throttle that jumps between {} values",
+        trial.RUN_S,
+        len({trial.zigzag(k) for k in range(100)}),
+    )
+    stated(CHECK, "static thrust at {} throttles", response.CURVE_POINTS)
+    stated(
+        CHECK,
+        "{} and {} steps | {} bytes of memory a step",
+        trial.TIMED_STEPS,
+        trial.TIMED_STEPS + trial.GROWTH_STEPS,
+        trial.LEAST_LEAK,
+    )
+    stated(CHECK, "more than {} MB printed in the trial", check.MOST_PRINTED / 2**20)
+    stated(CHECK, "| archive | {} MB; {} files; {} GB unpacked, and not more than {} times the archive once that is {} MB |",
+           container.MOST_PACKED / 2**20, container.MOST_FILES, container.MOST_UNPACKED / 2**30, container.MOST_INFLATION,
+           container.INFLATION_FROM / 2**20)  # fmt: skip
+    stated(CHECK, "| XML | {} MB, {} elements deep", container.MOST_XML / 2**20, container.DEEPEST_XML)
+    stated(CHECK, "| time | {} s in all (`--time-limit`), {} s without", check.LIMITS.seconds, check.LIMITS.silence)
+    stated(CHECK, "| memory | {} GB resident", check.LIMITS.megabytes / 1024.0)
+    assert response.LITTLE_CHANGE == 1e-6
+    assert "by less than a millionth" in text(CHECK)
+
+
+def test_how_a_turbine_creeps_before_it_accelerates() -> None:
+    build_engines(["turbine-20"])
+    found = check.check_fmu("turbine-20")
+    assert found.ok
+    assert None not in (found.tenth_up, found.rise_time_up, found.tenth_down, found.rise_time_down)
+    stated(CHECK, "`turbine-20` takes {} samples, {} s and {} s upward, {} samples, {} s and {} s downward",
+           *(each or 0.0 for each in (found.delay_samples_up, found.tenth_up, found.rise_time_up,
+                                      found.delay_samples_down, found.tenth_down, found.rise_time_down)))  # fmt: skip
+
+
+def test_an_engine_of_your_own_in_thin_air(tmp_path: Path) -> None:
+    page = "docs/own-engine.md"
+    with engine("turbine-220", tmp_path) as jet:
+        for port, at in zip(("ambient_pressure", "ambient_temperature"), standard_air(2000.0), strict=True):
+            jet.set(port, at)
+        jet.start(throttle_start=1.0)
+        thrust = jet.get("thrust")
+    stated(page, "{} km up `turbine-220` gives {} N of its {} N", 2.0, thrust, 220.0)
+    stated(page, "the loops have {} of the gain", thrust / 220.0)
+    source = (ROOT / "cosim" / "engine" / "_bank.c").read_text(encoding="utf-8")
+    stated(page, "makes more than {} parts of a step", float(re.findall(r"MOST_PARTS = (\d+)", source)[0]))
+
+
+# --- the engines' READMEs --------------------------------------------------------------------------------------------
+
+LINEAR = ("turbojet", "edf", "edf-as-flown", "motor")
+TURBINES = {"turbine-220": "220 N", "turbine-100": "100 N", "turbine-20": "20 N"}
+ENGINES = "engines/README.md"
+
+
+@contextmanager
+def engine(name: str, folder: Path) -> Iterator[Driven]:
+    build_engines([name])
+    with driven(archive(name, 3), folder / name) as it:
+        yield it
+
+
+def parameters(name: str) -> dict[str, float]:
+    variables = build.read_engine(data_folder("engines") / name).variables
+    return {v.name: v.start for v in variables if v.causality == "parameter" and v.start is not None}
+
+
+def step_of(name: str) -> float:
+    return float(build.read_engine(data_folder("engines") / name).internal_step)
+
+
+def rise(thrust: Array) -> float:
+    """From 10 to 90 % of the way from the first to the last [s]."""
+    share = (thrust - thrust[0]) / (thrust[-1] - thrust[0])
+    return float(np.argmax(share >= 0.9) - np.argmax(share >= 0.1)) * STEP
+
+
+def lag_at_half(name: str, folder: Path) -> float:
+    """Area between a small step of the throttle and its answer, without the delay [s]."""
+    with engine(name, folder) as jet:
+        jet.start(throttle_start=0.5, delay_samples=0.0)
+        before = jet.get("thrust")
+        thrust = jet.run(np.full(5000, 0.501))
+    left = 1.0 - (thrust - before) / (thrust[-1] - before)
+    return STEP * (0.5 + float(left.sum()))
+
+
+def ends(name: str, folder: Path) -> list[float]:
+    with engine(name, folder) as jet:
+        found = []
+        for throttle in (0.0, 1.0):
+            jet.fmu.reset()
+            jet.start(throttle_start=throttle)
+            found.append(jet.get("thrust"))
+    return found
+
+
+@pytest.mark.parametrize("name", [*LINEAR, "p220", "p220-2025", *TURBINES])
+def test_the_table_of_engines(name: str, tmp_path: Path) -> None:
+    """Delay, lag at half throttle, thrust from idle to full."""
+    _, late, lag, thrust = rows(ENGINES, 5)[f"[`{name}`]({name}/README.md)"]
+    samples, step = delay(name), step_of(name)
+    if samples:
+        said, seconds = numbers(late)
+        assert int(said) == samples
+        assert float(seconds) * (1e-3 if late.endswith("ms") else 1.0) == pytest.approx(samples * step)
+    else:
+        assert late == "none"
+    here = -step / math.log(parameters(name)["pole"]) if name in LINEAR else lag_at_half(name, tmp_path)
+    figure = numbers(lag)[0]
+    assert abs(float(figure) - here * (1e3 if lag.endswith("ms") else 1.0)) <= 0.5001 * last_digit(figure), here
+    for figure, found in zip(numbers(thrust), ends(name, tmp_path), strict=True):
+        assert abs(float(figure) - found) <= 0.5001 * last_digit(figure), found
+
+
+@pytest.mark.parametrize("name", ["turbojet", "edf", "edf-as-flown"])
+def test_an_engine_of_the_paper_in_numbers(name: str) -> None:
+    page, (gain, pole, samples) = f"engines/{name}/README.md", PAPER[name]
+    stated(page, "G(z) = {} / (z - {})", gain, pole)
+    stated(page, "y[k+1] = {} y[k] + {} u[k", pole, gain)
+    stated(page, "K = {} / (1 - {}) = {}", gain, pole, gain / (1.0 - pole))
+    cells = {name: row[0] for name, row in rows(page, 2).items()}
+    full = NEWTON_PER_KGF * gain / (1.0 - pole)
+    for figure, found in (
+        (numbers(cells["thrust at rest"])[0], full),
+        (
+            numbers(cells["time constant"].partition("=")[2])[0],
+            -STEP / math.log(pole) * (1.0 if name == "turbojet" else 1e3),
+        ),
+        (
+            numbers(cells["10 to 90 %"])[0],
+            -STEP * math.log(9.0) / math.log(pole) * (1.0 if name == "turbojet" else 1e3),
+        ),
+    ):
+        assert abs(float(figure) - found) <= 0.5001 * last_digit(figure), (figure, found)
+    if samples:
+        row_states_two(cells["delay"], samples, samples * STEP)
+    else:
+        assert cells["delay"].startswith("none")
+    if name != "edf-as-flown":
+        (six,) = figures(page, "come to {} kgf")
+        assert float(six) == pytest.approx(6.0 * 0.2554 / (1.0 - 0.8748), abs=0.005)
+
+
+def row_states_two(cell: str, first: float, second: float) -> None:
+    assert [float(figure) for figure in numbers(cell)] == pytest.approx([first, second])
+
+
+def test_the_motor_in_numbers() -> None:
+    page, p = "engines/motor/README.md", parameters("motor")
+    stated(page, "y[k+1] = {} y[k] + {} u[k-5] thrust = {} N · y, internal step {} ms", p["pole"], p["gain"],
+           p["newton_per_unit"], 1e3 * step_of("motor"))  # fmt: skip
+    full = p["newton_per_unit"] * p["gain"] / (1.0 - p["pole"])
+    stated(page, "A lag of {} ms behind {} samples ({} ms) of delay", -2.5 / math.log(p["pole"]), p["delay_samples"],
+           2.5 * p["delay_samples"])  # fmt: skip
+    stated(page, "nothing for {} steps, then {} N · u · (1 - {}^n)", p["delay_samples"], full, p["pole"])
+    stated(page, "the gain is {} N per unit", full)
+
+
+@pytest.mark.parametrize("name", TURBINES)
+def test_the_hottest_exhaust_without_a_limit(name: str, tmp_path: Path) -> None:
+    """Idle to full; and of the largest how long it takes, with a limit and without."""
+    hot = dict(zip(("turbine-220", "turbine-100", "turbine-20"), figures(
+        ENGINES, "than the 720 °C at which it rests: {} °C (220 N), {} °C (100 N), {} °C (20 N)"
+    ), strict=True))  # fmt: skip
+    with engine(name, tmp_path) as jet:
+        jet.start(throttle_start=0.0, exhaust_limit=0.0)
+        jet.set("throttle", 1.0)
+        thrust, found = [jet.get("thrust")], 0.0
+        for k in range(3000):
+            jet.fmu.doStep(k * STEP, STEP)
+            thrust.append(jet.get("thrust"))
+            found = max(found, jet.get("exhaust_temperature") - 273.15)
+        closed = jet.run(np.zeros(3000), first=3000)
+    assert abs(float(hot[name]) - found) < 0.501
+    assert parameters(name)["exhaust_limit"] == pytest.approx(950.0 + 273.15)
+    if name == "turbine-220":
+        with engine(name, tmp_path) as jet:
+            jet.start(throttle_start=0.0, exhaust_limit=750.0 + 273.15)
+            kept = jet.run(np.ones(4000))
+        stated(
+            ENGINES,
+            "at {} °C `turbine-220` takes {} s from 10 to 90 %, without {} s",
+            750.0,
+            rise(kept),
+            rise(np.array(thrust)),
+        )
+        page = "engines/turbine-220/README.md"
+        stated(
+            page,
+            "Idle to full takes {} s from 10 to 90 % and full to idle {} s; the P220",
+            rise(np.array(thrust)),
+            rise(closed),
+        )
+
+
+def test_what_was_found_for_the_turbines(tmp_path: Path) -> None:
+    """The numbers that no sheet states, the law of speed, and what wind costs."""
+    page = "engines/turbine-220/README.md"
+    table = rows(page, 4) | rows(page, 5)
+    for n, name in enumerate(TURBINES):
+        p = parameters(name)
+        head = p["pressure_ratio"] ** (2.0 / 7.0) - 1.0
+        power = p["air_flow"] * 1004.5 * 288.15 * head / p["compressor_efficiency"]
+        for row, values in {
+            "turbine efficiency η_t": [p["turbine_efficiency"]],
+            "combustion efficiency η_b at full speed, idle": [
+                p["combustion_efficiency"],
+                p["idle_combustion_efficiency"],
+            ],
+            "nozzle area A [cm²]": [1e4 * p["nozzle_area"]],
+            "flow droop d": [p["flow_droop"]],
+            "air flow [kg/s]": [p["air_flow"]],
+            "pressure ratio": [p["pressure_ratio"]],
+            "η_c": [p["compressor_efficiency"]],
+            "λ, r": [p["pressure_loss"], p["ram_recovery"]],
+        }.items():
+            for figure, found in zip(numbers(table[row][n]), values, strict=True):
+                assert abs(float(figure) - found) <= 0.5001 * last_digit(figure), (name, row)
+        watts, percent = numbers(table["windage at full speed [W], share of the compressor's power"][n])
+        assert float(watts) == pytest.approx(p["windage_power"], rel=5e-3)  # three digits
+        assert abs(float(percent) - 100.0 * p["windage_power"] / power) <= 0.5001
+    lost = []
+    for name in TURBINES:
+        still, moving = (at_speed(name, tmp_path, speed) for speed in (0.0, 70.0))
+        lost.append(100.0 * (1.0 - moving / still))
+    stated(page, "({} % at {} m/s, {} % with the 100 N, {} % with the 20 N)", lost[0], 70.0, *lost[1:])
+    off = []
+    with engine("turbine-220", tmp_path) as jet:
+        for throttle in np.linspace(0.0, 1.0, 41):
+            jet.fmu.reset()
+            jet.start(throttle_start=float(throttle))
+            speed = jet.get("spool_speed")
+            law = 9.0 + 211.0 * (speed**3.205 - 35e3**3.205) / (117e3**3.205 - 35e3**3.205)
+            off.append(abs(jet.get("thrust") - law) / 2.2)
+    stated(page, "the thrust over speed keeps within {} % of full thrust", max(off))
+
+
+def at_speed(name: str, folder: Path, speed: float) -> float:
+    with engine(name, folder) as jet:
+        jet.set("air_speed", speed)
+        jet.start(throttle_start=1.0)
+        return jet.get("thrust")
+
+
+def test_the_p220_up_and_down(tmp_path: Path) -> None:
+    page = "engines/p220/README.md"
+    with engine("p220", tmp_path) as jet:
+        jet.start(throttle_start=1.0)
+        chopped = jet.run(np.zeros(10_000))
+        jet.fmu.reset()
+        jet.start(throttle_start=0.0)
+        opened = jet.run(np.ones(4000))
+        rest = jet.run(np.zeros(15_000), first=4000)
+    stated(page, "From idle to full it takes {} s from 10 to 90 %, from full to idle {} s", rise(opened), rise(rest))
+    stated(page, "At u = {} the equation rests at {} N", 100.0, opened[-1])
+    lowest = int(chopped.argmin())
+    least, within = figures(page, "thrust runs down to {} N within {} s")
+    assert abs(float(least) - chopped[lowest]) <= 0.005
+    assert float(within) - 1.0 < lowest * STEP <= float(within)
+    # creeps for half a minute
+    assert (
+        chopped[lowest + round(10.0 / STEP)] < 0.75 * rest[-1] < 0.98 * rest[-1] < chopped[lowest + round(30.0 / STEP)]
+    )
+    stated(page, "only then rises to the {} N at which it rests", rest[-1])
+
+
+# --- aircraft/hexjet-100/README.md, docs/campaigns.md ----------------------------------------------------------------
+
+
+def test_how_long_the_middle_size_hovers(tmp_path: Path) -> None:
+    """Fuel by the straight line over the falling mass, and what the turbine burns at first."""
+    page = "aircraft/hexjet-100/README.md"
+    vehicle, _ = load_vehicle("hexjet-100")
+    slope = (0.312 - 0.064) / 98.0  # kg/min per N
+    rest = 6.0 * (0.064 - 2.0 * slope)
+    rate = slope * G  # kg/min per kg of vehicle
+    burnt = (vehicle.mass_kg + rest / rate) * (1.0 - math.exp(-10.0 * rate))
+    stated(
+        page,
+        "between {} kg/min at 2 N and {} kg/min at 100 N comes to {} kg in 10 minutes of hover",
+        0.064,
+        0.312,
+        burnt,
+    )
+    with engine("turbine-100", tmp_path) as jet:
+
+        def thrust(throttle: float) -> float:
+            jet.fmu.reset()
+            jet.start(throttle_start=throttle)
+            return jet.get("thrust") - vehicle.mass_kg * G / 6.0
+
+        brentq(thrust, 0.0, 1.0, xtol=1e-9)
+        grams = 6e3 * jet.get("fuel_flow")
+    stated(page, "turbine-100 burns {} g/s at first", grams)
+    assert vehicle.servo is not None
+    stated(page, "have {} kg m² about the tilt axis, and {} rad/s² take 5 N m", 0.03,
+           round(vehicle.servo.rate_limit_rad_s / vehicle.servo.lag_s, -1))  # fmt: skip
+
+
+CAMPAIGNS = "docs/campaigns.md"
+
+
+def test_what_campaigns_say_of_studies_and_statistics() -> None:
+    robust, envelope, full = (Study.load(name) for name in ("predictor-robustness", "payload-and-gust", "full-scale"))
+    stated(
+        CAMPAIGNS, "--out runs/robustness # {} flights, all processors", (robust.runs or 0) * len(robust.controllers)
+    )
+    stated(CAMPAIGNS, "the roll doublet with {} vehicles that are not the model", robust.runs or 0)
+    levels = math.prod(len(vary.values) if vary.values else vary.levels or 1 for vary in envelope.vary)
+    stated(CAMPAIGNS, "(../studies/payload-and-gust.toml): {} combinations", levels)
+    stated(CAMPAIGNS, "of {} succeed (", full.runs or 0)
+    # exact: none of a hundred, 0.975 of the probability
+    stated(
+        CAMPAIGNS, "a hundred flights without a failure leave room for {} % of failures", 100.0 * (1.0 - 0.025**0.01)
+    )
+    low, high = wilson(np.array([200]), np.array([400]))
+    assert 50.0 * float(high[0] - low[0]) == pytest.approx(5.0, abs=0.5)
+    assert "After 400 flights they reach five points either way" in text(CAMPAIGNS)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "settings", "success"),
+    [
+        ("the first command finds {} more samples for Smith's predictor", [], []),
+        ("as in the command further below, find {}.", ["duration_s=40"], ["roll.oscillation_rad<=0.0175"]),
+    ],
+    ids=["lost", "swings"],
+)
+def test_how_much_delay_a_search_finds(sentence: str, settings: list[str], success: list[str]) -> None:
+    """So many samples more than the model has break Smith's predictor, and one less does not."""
+    more = int(figures(CAMPAIGNS, sentence)[0])
+    vary = [f"mismatch.delay_samples={more - 1},{more}"]
+    study = open_study("roll-doublet", vary=vary, controllers=["smith"], settings=settings, success=success)
+    assert [fly_one(study, flight)["success"] for flight in flights(study)] == [True, False]
