@@ -19,7 +19,7 @@ enum { K, TIME, COMMAND, STATE, MEASURED, RATE_SETPOINT, RATE_PREDICTED, TORQUE_
 enum { COMMAND_ATTITUDE, COMMAND_ALTITUDE, COMMAND_RATE, COMMAND_COLLECTIVE, COMMAND_PLACE,
        COMMAND_FIELDS };
 enum { POSITION, VELOCITY, ATTITUDE, EULER, RATE, SPECIFIC_FORCE, ALTITUDE, WIND, MASS, ON_GROUND, HULL_CONTACT,
-       STATE_FIELDS };
+       AIR_RATE, STATE_FIELDS };
 enum { MEASURED_RATE, MEASURED_ATTITUDE, MEASURED_POSITION, MEASURED_VELOCITY, MEASURED_ALTITUDE,
        MEASURED_FORCE, MEASURED_FIELDS };
 enum { THROTTLE, TILT_COMMAND, REFUSED, ACTUATION_FIELDS };
@@ -30,7 +30,7 @@ enum { JETS = 6, SERVOS = 2, SENSORS = 4, AXES = 3, PLACE = 2, QUATERNION = 4 };
 
 /* The columns of cosim.columns, and behind them what the angles of the measured quaternion are made from: opposite and
  * adjacent of roll, of yaw, and the sine of pitch.  The angles are numpy's, whose functions are not the C library's. */
-enum { COLUMNS = 128, ANGLES = 5, WIDTH = COLUMNS + ANGLES };
+enum { COLUMNS = 131, ANGLES = 5, WIDTH = COLUMNS + ANGLES };
 
 /* --- one row --- */
 
@@ -207,6 +207,7 @@ static bool read_sample(Row *row, PyObject *sample)
     vector(row, p.state, SPECIFIC_FORCE, "state.specific_force");
     vector(row, p.measured, MEASURED_FORCE, "measured.specific_force");
     vector(row, p.state, WIND, "state.wind");
+    vector(row, p.state, AIR_RATE, "state.air_rate");
     number(row, p.state, MASS);
     number(row, p.state, ON_GROUND);
     number(row, p.state, HULL_CONTACT);

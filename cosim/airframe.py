@@ -161,6 +161,7 @@ class Airframe:
         self._felt = _Read(node, "accelerations/a-pilot-{}-ft_sec2", "xyz", FOOT)
         self._height: Callable[[], float] = node("position/h-agl-ft").get_double_value
         self._wind = _Read(node, "atmosphere/total-wind-{}-fps", _NED, FOOT)
+        self._air_rate = _Read(node, "atmosphere/{}-turb-rad_sec", "pqr")
         self._get_mass: Callable[[], float] = node("inertia/mass-slugs").get_double_value
         names = [f"external_reactions/jet{jet}" for jet in range(1, len(self._vehicle.jets) + 1)]
         self._jets = [_Write(node, f"{name}/{{}}", "xyz", POUND_FORCE) for name in names]
@@ -251,6 +252,7 @@ class Airframe:
         if not self._fdm.run_ic():
             raise FlightError("JSBSim could not start from the initial state")
         self._still = not (place.turbulence_severity or any(wind))
+        self._turbulent = place.turbulence_severity > 0
         # JSBSim counts "up" from a datum of its own; ours is the ground below the start
         self._datum = self._place.get()[2] - height
         return self._read()
@@ -396,6 +398,7 @@ class Airframe:
             self._mass,
             on_ground,
             hull_contact,
+            self._air_rate.get() if self._turbulent else ZERO3,
         )
 
     def external_wrench(self) -> tuple[Vector3, Vector3]:

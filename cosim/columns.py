@@ -73,6 +73,9 @@ COLUMNS: tuple[Column, ...] = (
     *_each(_XYZ, "specific_force_{}_m_s2", "m/s^2", "body", "what an accelerometer at the centre of gravity feels, {}"),
     *_each(_XYZ, "specific_force_{}_measured_m_s2", "m/s^2", "body", "specific force {} as the accelerometer gives it"),
     *_each(_NED, "wind_{}_m_s", "m/s", "NED", "where the air moves to, {}, gusts and turbulence included"),
+    *_each(
+        RATES, "air_rate_{}_rad_s", "rad/s", "body", "turbulence turns the air; rate {} of it; 0 without turbulence"
+    ),
     Column("mass_kg", "kg", "", "mass, payload included"),
     Column("on_ground", "0/1", "", "a leg touches the ground"),
     Column("hull_contact", "0/1", "", "anything but a leg touches the ground"),

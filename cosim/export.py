@@ -421,6 +421,7 @@ TOPICS: dict[str, list[Field]] = {
         _columns("float", "torque", *(f"disturbance_torque_{axis}" for axis in AXES)),
         _column("float", "payload_kg", "payload_kg"),
         _column("float", "mass_kg", "mass_kg"),
+        _known("float", "air_rate_rad_s", *(f"air_rate_{rate}_rad_s" for rate in RATES), length=len(RATES)),
     ],
     "hexjet_fault": [  # 1 where a fault acts; and what the engine monitor believes of each jet, 1 for healthy
         _known("float", "jet", *(f"fault_jet_{jet}" for jet in range(1, JETS + 1)), length=JETS),

@@ -65,6 +65,7 @@ class State(NamedTuple):
     mass: float  # kg
     on_ground: bool  # a leg touches
     hull_contact: bool  # anything but a leg touches
+    air_rate: Vector3 = ZERO3  # rad/s, body: at which turbulence turns the air; aerodynamic damping sees rate less this
 
 
 @quick

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 from math import nan
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from flights import samples, scenario, setup
 from pyulog import ULog
@@ -14,7 +16,8 @@ from cosim.columns import NAMES
 from cosim.errors import InputError
 from cosim.export import TOPICS, export_csv, export_ulog, quaternions
 from cosim.frames import from_euler, to_euler
-from cosim.run import LOG, Run, begin_run
+from cosim.report import write_report
+from cosim.run import LOG, Run, begin_run, open_run
 from cosim.signals import Command, EngineOutput
 
 STEPS = 700
@@ -35,6 +38,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
                 engines=EngineOutput(sample.thrust, *said),
                 fuel=9.0 - 0.01 * sample.k,
                 spool_moment=(0.1, -0.2, sample.time),
+                state=sample.state._replace(air_rate=(0.3, -0.4, 0.1 * sample.time)),
             )
         recording.observe(sample)
     return recording.finish("diverged", "leaned past 90 deg", report=False)
@@ -65,6 +69,25 @@ def test_csv_has_every_digit(run: Run, tmp_path: Path) -> None:
     for index, name in enumerate(NAMES):
         np.testing.assert_array_equal(table[:, index], run.log[name], err_msg=name)  # NaN equals NaN here
     assert np.isnan(table[:100, NAMES.index("roll_setpoint_rad")]).all()
+
+
+def test_a_run_older_than_a_column_opens_reports_and_exports(run: Run, tmp_path: Path) -> None:
+    """Without the rate of the air: the report needs none, CSV has the columns there are, and ULog says NaN."""
+    assert run.folder is not None
+    folder = tmp_path / "run"
+    shutil.copytree(run.folder, folder)
+    table = pq.read_table(folder / LOG)
+    pq.write_table(table.drop_columns([f"air_rate_{axis}_rad_s" for axis in "pqr"]), folder / LOG)
+    old = open_run(folder)
+    assert len(old.log) == STEPS
+    write_report(old, tmp_path / "report.html")
+    assert (tmp_path / "report.html").stat().st_size > 1e5
+    export_csv(folder, tmp_path / "old.csv")
+    assert len((tmp_path / "old.csv").read_text().splitlines()[0].split(",")) == len(NAMES) - 3
+    export_ulog(folder, tmp_path / "old.ulg")
+    data = ULog(str(tmp_path / "old.ulg")).get_dataset("hexjet_disturbance").data
+    assert all(np.isnan(data[f"air_rate_rad_s[{i}]"]).all() for i in range(3))
+    assert (data["mass_kg"] > 0.0).all()
 
 
 def test_times_are_microseconds_from_the_start(run: Run, ulog: ULog) -> None:
@@ -143,7 +166,8 @@ def test_the_other_topics(run: Run, ulog: ULog) -> None:
             "collective": log["collective"],
             "refused_collective": log["refused_collective"],
         },
-        "hexjet_disturbance": {"moment_n_m[0]": log["disturbance_moment_x_N_m"], "mass_kg": log["mass_kg"]},
+        "hexjet_disturbance": {"moment_n_m[0]": log["disturbance_moment_x_N_m"], "mass_kg": log["mass_kg"]}
+        | {f"air_rate_rad_s[{i}]": log[f"air_rate_{axis}_rad_s"] for i, axis in enumerate("pqr")},
         "hexjet_height": {"true_m": log["altitude_m"], "measured_m": log["altitude_measured_m"]},
     }
     for topic, fields in expected.items():

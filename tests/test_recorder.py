@@ -43,7 +43,7 @@ def numbered() -> tuple[Sample, dict[str, float]]:
     sample = Sample(
         k=7,
         time=1.0,
-        command=Command((2.0, 3.0, 4.0), 5.0),
+        command=Command((2.0, 3.0, 4.0), 5.0, place=(5.25, 5.5)),
         state=State(
             position=(6.0, 7.0, 8.0),
             velocity=(9.0, 10.0, 11.0),
@@ -56,6 +56,7 @@ def numbered() -> tuple[Sample, dict[str, float]]:
             mass=25.0,
             on_ground=True,
             hull_contact=False,
+            air_rate=(24.25, 24.5, 24.75),
         ),
         measured=Measured(
             (26.0, 27.0, 28.0),
@@ -96,12 +97,14 @@ def numbered() -> tuple[Sample, dict[str, float]]:
     row = {
         "time_s": 1,
         **{"roll_setpoint_rad": 2, "pitch_setpoint_rad": 3, "yaw_setpoint_rad": 4, "altitude_setpoint_m": 5},
+        **{"north_setpoint_m": 5.25, "east_setpoint_m": 5.5},
         **{"north_m": 6, "east_m": 7, "down_m": 8},
         **{"velocity_north_m_s": 9, "velocity_east_m_s": 10, "velocity_down_m_s": 11},
         **{"roll_rad": 12, "pitch_rad": 13, "yaw_rad": 14},
         **{"rate_p_rad_s": 15, "rate_q_rad_s": 16, "rate_r_rad_s": 17},
         **{"specific_force_x_m_s2": 18, "specific_force_y_m_s2": 19, "specific_force_z_m_s2": 20, "altitude_m": 21},
         **{"wind_north_m_s": 22, "wind_east_m_s": 23, "wind_down_m_s": 24},
+        **{"air_rate_p_rad_s": 24.25, "air_rate_q_rad_s": 24.5, "air_rate_r_rad_s": 24.75},
         **{"mass_kg": 25, "on_ground": 1, "hull_contact": 0},
         **{"rate_p_measured_rad_s": 26, "rate_q_measured_rad_s": 27, "rate_r_measured_rad_s": 28},
         # (1, 1, 1, 1) / 2 turns x to y, y to z and z to x: roll 90 deg, then yaw 90 deg
@@ -174,7 +177,8 @@ def test_setpoints_are_nan_where_their_loop_is_replaced() -> None:
     sample, _ = numbered()
     log = recorded([sample._replace(command=Command((2.0, 3.0, 4.0), 5.0, rate=(0.0, 0.0, 0.0), collective=0.5))]).log()
     missing = {name for name in NAMES if isnan(log[name][0])}
-    assert missing == {"roll_setpoint_rad", "pitch_setpoint_rad", "yaw_setpoint_rad", "altitude_setpoint_m"}
+    angles = {"roll_setpoint_rad", "pitch_setpoint_rad", "yaw_setpoint_rad"}
+    assert missing == angles | {"altitude_setpoint_m", "north_setpoint_m", "east_setpoint_m"}
 
 
 def test_every_column_is_described_once() -> None:

@@ -48,7 +48,7 @@ def any_sample(draw: st.DrawFn) -> Sample:
     names = {"command": Command, "state": State, "measured": Measured}
     fields: dict[str, list[st.SearchStrategy[Any]]] = {
         "command": [vector, number, st.none() | vector, st.none() | number, st.none() | tuples(2)],
-        "state": [vector, vector, tuples(4), vector, vector, vector, number, vector, number, number, number],
+        "state": [vector, vector, tuples(4), vector, vector, vector, number, vector, number, number, number, vector],
         "measured": [vector, tuples(4, st.floats(-1.0, 1.0)), vector, vector, number, vector],
     }
     made = {name: record(*draw(st.tuples(*fields[name]))) for name, record in names.items()}  # type: ignore[operator]
@@ -123,6 +123,7 @@ def expected(sample: Sample) -> dict[str, Any]:
         **named("specific_force_{}_m_s2", xyz, state.specific_force),
         **named("specific_force_{}_measured_m_s2", xyz, measured.specific_force),
         **named("wind_{}_m_s", ned, state.wind),
+        **named("air_rate_{}_rad_s", rates, state.air_rate),
         "mass_kg": state.mass,
         "on_ground": state.on_ground,
         "hull_contact": state.hull_contact,

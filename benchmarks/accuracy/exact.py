@@ -23,12 +23,16 @@ POLAR = 6356752.314245  # m
 Array = NDArray[np.float64]
 
 
+Air = tuple[Vector3, Vector3]  # wind, m/s, NED, and rate at which turbulence turns the air, rad/s, body
+
+
 @dataclass(frozen=True)
 class Held:
     """What acts over one control step."""
 
     forces: tuple[Vector3, ...]  # N, body, at the jets' stations
     disturbance: Disturbance
+    air: tuple[Air, Air] | None = None  # at both ends of the step, linear between; None: the disturbance's wind
 
 
 @dataclass(frozen=True)
@@ -157,22 +161,30 @@ def motion_of(state: Array, t: float) -> Motion:
     return Motion(to_ned @ turn, state[10:] - turn.T @ EARTH_RATE, to_ned @ (v - cross(EARTH_RATE, r)), place)
 
 
-def derivative(state: Array, t: float, body: Body, held: Held, momentum: Array) -> Array:
-    """Of the state, while ``held`` acts."""
+def air_at(held: Held, share: float) -> tuple[Array, Array]:
+    """Wind and rate of the air when this share of the step is over."""
+    if held.air is None:
+        return np.array(held.disturbance.wind), np.zeros(3)
+    begin, end = np.array(held.air)
+    wind, turning = begin + share * (end - begin)
+    return wind, turning
+
+
+def derivative(state: Array, t: float, body: Body, held: Held, momentum: Array, share: float) -> Array:
+    """Of the state, while ``held`` acts, when ``share`` of the step is over."""
+    wind, air_rate = air_at(held, share)
     r, v, q, w = state[:3], state[3:6], state[6:10], state[10:]
     turn = matrix(q)
     to_earth = earth(t)
     latitude, longitude, height = geodetic(to_earth @ r)
-    through = turn.T @ (
-        v - cross(EARTH_RATE, r) - to_earth.T @ local(latitude, longitude) @ np.array(held.disturbance.wind)
-    )
+    through = turn.T @ (v - cross(EARTH_RATE, r) - to_earth.T @ local(latitude, longitude) @ wind)
     drag = -0.5 * density(height) * body.drag_area * np.abs(through) * through
     push = np.array(held.disturbance.force)
     force, moment = drag + push, cross(body.drag_arm, drag) - cross(body.centre, push)
     for arm, jet in zip(body.arms, held.forces, strict=True):
         newtons = np.array(jet)
         force, moment = force + newtons, moment + cross(arm, newtons)
-    moment = moment + np.array(held.disturbance.moment) - body.damping * (w - turn.T @ EARTH_RATE)
+    moment = moment + np.array(held.disturbance.moment) - body.damping * (w - turn.T @ EARTH_RATE - air_rate)
     spin = body.inverse @ (moment - cross(w, body.inertia @ w + momentum))
     a, (x, y, z) = q[0], q[1:].tolist()
     p, qq, rr = w.tolist()
@@ -199,11 +211,11 @@ def integrate(
             payload = held.disturbance.payload
             body = Body(vehicle, payload)
         for part in range(parts):
-            t = k * step + part * h
-            one = derivative(state, t, body, held, spin)
-            two = derivative(state + 0.5 * h * one, t + 0.5 * h, body, held, spin)
-            three = derivative(state + 0.5 * h * two, t + 0.5 * h, body, held, spin)
-            four = derivative(state + h * three, t + h, body, held, spin)
+            t, begin, middle, end = k * step + part * h, part / parts, (part + 0.5) / parts, (part + 1) / parts
+            one = derivative(state, t, body, held, spin, begin)
+            two = derivative(state + 0.5 * h * one, t + 0.5 * h, body, held, spin, middle)
+            three = derivative(state + 0.5 * h * two, t + 0.5 * h, body, held, spin, middle)
+            four = derivative(state + h * three, t + h, body, held, spin, end)
             state = state + h / 6.0 * (one + 2.0 * two + 2.0 * three + four)
         found.append(motion_of(state, (k + 1) * step))
     return found

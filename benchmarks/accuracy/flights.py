@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.exact import Held, Motion, integrate, start
+from benchmarks.accuracy.exact import Air, Held, Motion, integrate, start
 from cosim.airframe import ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_3, BUSS_2, FOOT, RECTANGULAR, Airframe
 from cosim.flight import fly
-from cosim.frames import jet_axis, rotate
+from cosim.frames import from_euler, jet_axis, rotate
+from cosim.recorder import Log
 from cosim.scenario import Environment, Initial, Scenario
-from cosim.signals import Sample, State, Vector3
+from cosim.signals import Disturbance, Sample, State, Vector3
 from cosim.simulation import build
 from cosim.vehicle import Vehicle, load_vehicle
 
@@ -155,6 +156,57 @@ def closed_loop(name: str, runs: int, fine: int = 64) -> tuple[float, float]:
 
     angles, places = ("roll_rad", "pitch_rad", "yaw_rad"), ("north_m", "east_m", "down_m")
     return float(np.degrees(apart(angles))), 1e3 * apart(places)
+
+
+WINDOW = 0.5  # s: from the log again and again, so that a residual is a residual of the equations
+
+
+def from_the_log(log: Log, scenario: Scenario, air_turns: bool = True) -> tuple[float, float]:
+    """Greatest residuals of a flight's rate [rad/s] and velocity [m/s], :data:`WINDOW` after a row of its log.
+
+    From each such row's motion the equations are integrated with nothing but the log's thrusts, tilts, disturbances,
+    wind and rate of the air, and compared with the row at the end.  ``air_turns`` False leaves the last out.  The first
+    step is left out: the air is at rest in JSBSim's first evaluation and blows in the next, a run later, between rows.
+    """
+    vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle)
+
+    def rows(*names: str) -> list[tuple[float, ...]]:
+        return [tuple(map(float, row)) for row in np.stack([log[name] for name in names], axis=1)]
+
+    def of(pattern: str, parts: Any) -> list[Any]:
+        return rows(*(pattern.format(part) for part in parts))
+
+    ned, xyz = ("north", "east", "down"), "xyz"
+    angles, rates, velocities = (
+        of("{}_rad", ("roll", "pitch", "yaw")),
+        of("rate_{}_rad_s", "pqr"),
+        of("velocity_{}_m_s", ned),
+    )
+    heights, thrusts = log["altitude_m"], of("thrust_{}_N", range(1, len(vehicle.jets) + 1))
+    tilts, winds, turning = of("tilt_{}_rad", ("left", "right")), of("wind_{}_m_s", ned), of("air_rate_{}_rad_s", "pqr")
+    pushes, twists = of("disturbance_force_{}_N", xyz), of("disturbance_moment_{}_N_m", xyz)
+    payloads = rows("payload_kg", *(f"payload_{axis}_m" for axis in xyz))
+    calm = (0.0, 0.0, 0.0)
+    air: list[Air] = [(wind, turn if air_turns else calm) for wind, turn in zip(winds, turning, strict=True)]
+    left = [jet.servo == "left" for jet in vehicle.jets]
+    held = []
+    for k in range(len(log) - 1):
+        axes = [jet_axis(tilts[k][0 if on_left else 1]) for on_left in left]
+        forces = tuple((n * x, n * y, n * z) for n, (x, y, z) in zip(thrusts[k], axes, strict=True))
+        held.append(Held(forces, Disturbance(pushes[k], twists[k], payload=payloads[k]), (air[k], air[k + 1])))
+    place = scenario.environment
+    steps, worst = round(WINDOW / scenario.step_s), (0.0, 0.0)
+    for first in range(1, len(held) - steps + 1, steps):
+        turn = np.array([rotate(from_euler(*angles[first]), axis) for axis in np.eye(3).tolist()]).T
+        motion = Motion(turn, np.array(rates[first]), np.array(velocities[first]), np.zeros(3))
+        state = start(place.latitude_deg, place.longitude_deg, place.ground_m + float(heights[first]), motion)
+        end = integrate(vehicle, state, held[first : first + steps], scenario.step_s)[-1]
+        last = first + steps
+        worst = (
+            max(worst[0], float(np.linalg.norm(end.rate - rates[last]))),
+            max(worst[1], float(np.linalg.norm(end.velocity - velocities[last]))),
+        )
+    return worst
 
 
 def error(one: list[Motion], other: list[Motion]) -> Error:
