@@ -21,6 +21,7 @@ PACKAGE = Path(__file__).resolve().parent
 MODULES = (
     "airframe.py",
     "airflow.py",
+    "banks.py",
     "commands.py",
     "control/allocation.py",
     "control/altitude.py",

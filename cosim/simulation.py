@@ -11,6 +11,7 @@ from typing import Literal, Protocol
 from cosim.airflow import Airstreams
 from cosim.airframe import Airframe, start_height
 from cosim.atmosphere import standard_air
+from cosim.banks import Banks
 from cosim.commands import Commander
 from cosim.config import nearest
 from cosim.control.allocation import Allocator, RotorAllocator, TiltAllocator
@@ -163,6 +164,8 @@ class Simulation:
         self._reacting = any(self._reactions)
         self.spools = spools if spools.any else None
         self.tank = Tank(vehicle.fuel.mass_kg, self.dt, scenario.initial.fuel) if vehicle.fuel else None
+        banks = Banks(vehicle.servo, vehicle.jets, self.dt) if vehicle.servo else None
+        self.banks = banks if banks is not None and banks.any else None
         self.streams = Airstreams(vehicle.airflow, flown.jets) if vehicle.airflow else None
         self._height = start_height(flown, scenario.initial)
         self.commander = Commander(scenario, self._height)
@@ -198,6 +201,8 @@ class Simulation:
             self._schedule(self.schedule.reset(hover))
         initial, wind = self.scenario.initial, self.disturber.at(0).wind
         self._standing = (0.0, 0.0)  # the servos
+        if self.banks is not None:
+            self.banks.reset()
         ambient = None
         self._airy = self.engines.wants_ambient
         if self._airy:
@@ -254,6 +259,9 @@ class Simulation:
         forces = self._jet_forces(engines.thrust, tilt)
         if self.streams is not None:
             forces, (x, y, z) = self.streams.act(forces, engines.thrust, tilt, state)
+            moment = (moment[0] + x, moment[1] + y, moment[2] + z)
+        if self.banks is not None:
+            forces, (x, y, z) = self.banks.act(forces, tilt, state.rate)
             moment = (moment[0] + x, moment[1] + y, moment[2] + z)
         self.state = self.airframe.step(forces, disturbance, moment)
         self.measured = self.sensors.sample(self.state)

@@ -36,6 +36,8 @@ class Servo(Model):
     lag_s: NotNegative
     rate_limit_rad_s: Positive
     range_rad: Positive  # either way from straight up
+    bank_inertia_kg_m2: NotNegative = 0.0  # of one bank about its tilt axis; 0: turning it does not turn the body
+    bank_imbalance_kg_m: float = 0.0  # mass of one bank times how far its centre is from that axis along the thrust
 
 
 class Fuel(Model):
@@ -398,6 +400,15 @@ class Vehicle(Model):
         if a + b < c:
             raise ValueError(
                 f"inertia_kg_m2 {list(self.inertia_kg_m2)}: no body has one moment above the sum of the others"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _banks_are_a_part(self) -> Vehicle:
+        if self.servo and 2.0 * self.servo.bank_inertia_kg_m2 >= self.inertia_kg_m2[1]:
+            raise ValueError(
+                f"servo.bank_inertia_kg_m2 {self.servo.bank_inertia_kg_m2:g}: two banks are a part of the vehicle and "
+                f"must have less than its moment of inertia about y, {self.inertia_kg_m2[1]:g} kg m^2"
             )
         return self
 

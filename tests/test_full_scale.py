@@ -281,7 +281,10 @@ def test_intake_drag_is_the_momentum_of_the_air() -> None:
             "velocity_ned_m_s": [3.0, 1.0, 0.5],
             "attitude_deg": [5.0, 8.0, 40.0],
         },
-        vehicle={"jets": {str(jet): {"spin": 0} for jet in range(6)}, "fuel": {"position_m": [0.0, 0.0, 0.0]}},
+        vehicle={
+            "jets": {str(jet): {"spin": 0} for jet in range(6)},
+            "fuel": {"position_m": [0.0, 0.0, 0.0]},
+        },
         expect=[],
     )
     with build(scenario) as simulation:
