@@ -6,13 +6,13 @@ accelerometer's from another one, so that what the other sensors give is the sam
 
 from __future__ import annotations
 
-from math import exp
+from math import atan2, cos, exp, hypot, sin, sqrt
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from cosim.frames import multiply, normalize
-from cosim.signals import Measured, Quaternion, State, Vector3
+from cosim.frames import IDENTITY, multiply, normalize, rotate
+from cosim.signals import ZERO3, Measured, Quaternion, State, Vector3
 from cosim.vehicle import Sensors
 
 T = TypeVar("T")
@@ -46,6 +46,48 @@ class Latency(Generic[T]):
         return old
 
 
+class LeanError:
+    """The error of an AHRS's lean: a complementary filter that takes the specific force for the vertical.
+
+    The gyro carries the attitude on, and it is turned back about a horizontal axis to where the specific force is
+    straight up, with the time constant ``tau``: of the angle between, ``1 - exp(-T/tau)`` in each step ``T``. The
+    law is that of Mahony, Hamel and Pflimlin ("Nonlinear Complementary Filters on the Special Orthogonal Group",
+    IEEE Trans. Automatic Control 53, 2008) with gain ``1/tau``, no integral term, and the angle in place of its
+    sine. A horizontal acceleration ``a`` that lasts thus becomes a lean of ``atan(a/g)``, approached as ``1 -
+    exp(-t/tau)``, and a gyro's bias ``b`` one of ``b tau``. The heading has no error: a magnetometer turns it back
+    about the vertical, at once. No acceleration is refused for its size.
+
+    Held is the rotation from the true attitude to the estimated one, in NED: a gyro without error leaves it as it is.
+    """
+
+    def __init__(self, tau: float, step: float) -> None:
+        self._dt = step
+        self._share = 1.0 - exp(-step / tau)
+        self.reset()
+
+    def reset(self) -> None:
+        """Aligned with the truth."""
+        self._error: Quaternion = IDENTITY
+
+    def update(self, attitude: Quaternion, gyro: Vector3, force: Vector3) -> Quaternion:
+        """The estimate of ``attitude``; ``gyro``: its error, rad/s, body; ``force``: as the accelerometer has it."""
+        dt, (p, q, r) = self._dt, gyro
+        n, e, d = rotate(attitude, (0.5 * dt * p, 0.5 * dt * q, 0.5 * dt * r))
+        error = normalize(multiply(self._error, (1.0, n, e, d)))
+        x, y, z = force
+        size = sqrt(x * x + y * y + z * z)
+        if size > 0.0:  # in free fall nothing is felt, and the gyro is alone
+            n, e, d = rotate(multiply(error, attitude), (-x / size, -y / size, -z / size))
+            across = hypot(n, e)
+            if across > 0.0:
+                half = 0.5 * self._share * atan2(across, d)
+                sine = sin(half) / across
+                error = multiply((cos(half), e * sine, -n * sine, 0.0), error)
+        w, x, y, z = error
+        self._error = normalize((w * w + z * z, w * x + z * y, w * y - z * x, 0.0))  # without its turn about down
+        return multiply(self._error, attitude)
+
+
 class SensorSuite:
     """All sensors of the vehicle, sampled once a control step.
 
@@ -63,6 +105,8 @@ class SensorSuite:
         self._gyro_bias = _scaled(gyro.bias_rad_s, on)
         self._attitude_noise = attitude.noise_rad * on
         self._attitude_bias = _scaled(attitude.bias_rad, on)
+        tau = attitude.ahrs_time_constant_s
+        self._lean = LeanError(tau, step) if tau > 0.0 else None
         self._position_noise = gnss.position_noise_m * on
         self._velocity_noise = gnss.velocity_noise_m_s * on
         self._height_noise = barometer.noise_m * on
@@ -94,6 +138,8 @@ class SensorSuite:
         self._height_line.reset(state.altitude)
         force = state.specific_force
         self._force_line.reset(force)
+        if self._lean:
+            self._lean.reset()
         return Measured(state.rate, state.attitude, state.position, state.velocity, state.altitude, force)
 
     def sample(self, state: State) -> Measured:
@@ -106,29 +152,34 @@ class SensorSuite:
         force = state.specific_force
         position, velocity = state.position, state.velocity
         if self._noisy:
+            m = self._next_force_draws()
+            s = self._force_noise
+            x, y, z = force
+            bx, by, bz = self._force_bias
+            force = (x + s * m[0] + bx, y + s * m[1] + by, z + s * m[2] + bz)
             n = self._next_draws()
             s = self._gyro_noise
             bp, bq, br = self._gyro_bias
-            p += s * n[0] + bp
-            q += s * n[1] + bq
-            r += s * n[2] + br
+            off = (s * n[0] + bp, s * n[1] + bq, s * n[2] + br)
+            p += off[0]
+            q += off[1]
+            r += off[2]
+            if self._lean:
+                attitude = self._lean.update(attitude, off, force)
             s = 0.5 * self._attitude_noise
             ax, ay, az = self._attitude_bias
             attitude = normalize(
                 multiply(attitude, (1.0, s * n[3] + 0.5 * ax, s * n[4] + 0.5 * ay, s * n[5] + 0.5 * az))
             )
             altitude += self._height_noise * n[12] + self._height_bias
-            m = self._next_force_draws()
-            s = self._force_noise
-            x, y, z = force
-            bx, by, bz = self._force_bias
-            force = (x + s * m[0] + bx, y + s * m[1] + by, z + s * m[2] + bz)
             if new_fix:
                 s, t = self._position_noise, self._velocity_noise
                 x, y, z = position
                 u, v, w = velocity
                 position = (x + s * n[6], y + s * n[7], z + s * n[8])
                 velocity = (u + t * n[9], v + t * n[10], w + t * n[11])
+        elif self._lean:
+            attitude = self._lean.update(attitude, ZERO3, force)
         fp, fq, fr = self._rate
         share = self._share
         self._rate = rate = (fp + share * (p - fp), fq + share * (q - fq), fr + share * (r - fr))

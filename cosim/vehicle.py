@@ -88,11 +88,16 @@ class GyroSensor(Model):
 
 
 class AttitudeSensor(Model):
-    """Attitude estimate: small-angle white noise and constant bias, whole samples of latency."""
+    """Attitude estimate: small-angle white noise and constant bias, whole samples of latency.
+
+    ``ahrs_time_constant_s`` is that of a complementary filter, whose lean follows the direction of the specific force;
+    0: the lean is the true one.
+    """
 
     noise_rad: NotNegative
     bias_rad: Vector
     latency_samples: Samples
+    ahrs_time_constant_s: NotNegative = 0.0
 
 
 class PositionSensor(Model):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from math import exp, sqrt
+from math import atan2, exp, sin, sqrt
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cosim import frames
+from cosim import Scenario, fly, frames
 from cosim.sensors import Latency, SensorSuite
 from cosim.servo import TiltServo
 from cosim.signals import Measured, State
@@ -128,6 +129,126 @@ def test_noise_follows_the_seed_alone() -> None:
     rates = [[m.rate for m in record(suite(True, seed), [state()] * 600)] for seed in (1, 1, 2)]
     assert rates[0] == rates[1]
     assert rates[0] != rates[2]
+
+
+# --- the error of an AHRS's lean ---------------------------------------------------------------------------------------
+
+G = 9.80665
+
+
+def moving(acceleration: tuple[float, float, float], euler: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> State:
+    """With this acceleration, m/s^2, NED, at this attitude; the rates are none."""
+    attitude = frames.from_euler(*euler)
+    north, east, down = acceleration
+    force = frames.rotate(frames.conjugate(attitude), (north, east, down - G))
+    return state()._replace(attitude=attitude, euler=euler, rate=(0.0,) * 3, specific_force=force)  # type: ignore[arg-type]
+
+
+def lean_error(measured: Measured, truth: State) -> tuple[float, float, float]:
+    """The rotation vector, rad, NED, from the true attitude to the measured one."""
+    w, *axis = frames.multiply(measured.attitude, frames.conjugate(truth.attitude))
+    size = sqrt(sum(part * part for part in axis))
+    angle = 2.0 * atan2(size, w)
+    x, y, z = (part / size * angle if size else 0.0 for part in axis)
+    return (x, y, z)
+
+
+@pytest.mark.parametrize("euler", [(0.0, 0.0, 0.0), (0.3, -0.2, 2.0)])
+@pytest.mark.parametrize(("north", "east"), [(3.0, 0.0), (0.0, -2.0), (1.5, 4.0)])
+def test_an_acceleration_that_lasts_becomes_a_lean(
+    north: float, east: float, euler: tuple[float, float, float]
+) -> None:
+    """atan(a/g) (1 - exp(-t/tau)) about the horizontal axis across it, whatever the attitude: exact at the samples."""
+    tau = 0.5
+    sensors = suite(attitude={"ahrs_time_constant_s": tau})
+    truth = moving((north, east, 0.0), euler)
+    a = sqrt(north * north + east * east)
+    for n, seen in enumerate(record(sensors, [truth] * 2000), 1):
+        lean = atan2(a, G) * (1.0 - exp(-n * STEP / tau))
+        # forward is taken for nose up, to the right for the right wing down: about (-east, north, 0)
+        assert lean_error(seen, truth) == pytest.approx((-east / a * lean, north / a * lean, 0.0), abs=1e-9)
+    assert lean == pytest.approx(atan2(a, G), rel=1e-6)
+
+
+def test_no_acceleration_no_error() -> None:
+    """Turning about all axes without acceleration, and climbing harder: the vertical stays where it is."""
+    sensors = suite(attitude={"ahrs_time_constant_s": 0.2})
+    states = [moving((0.0, 0.0, -2.0), (0.5 * sin(0.01 * n), 0.3 * sin(0.02 * n), 0.003 * n)) for n in range(1000)]
+    for seen, truth in zip(record(sensors, states), states, strict=True):
+        assert lean_error(seen, truth) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("bias", [(0.01, -0.02, 0.0), (0.0, 0.0, 0.05), (0.01, -0.02, 0.05)])
+def test_a_bias_of_the_gyro_leans_and_leaves_the_heading(bias: tuple[float, float, float]) -> None:
+    """b tau: of a first-order lag driven by b T a step, b T (1 - s) / s with s = 1 - exp(-T / tau).
+
+    The magnetometer turns the estimate, lean included, back about the vertical by what the bias in yaw has turned it, so
+    the error e = x + i y obeys e' = b - e / tau - i b_z e.
+    """
+    quiet = {"noise_rad": 0.0, "bias_rad": (0.0, 0.0, 0.0)}
+    sensors = suite(
+        True,
+        gyro={"noise_rad_s": 0.0, "bias_rad_s": bias},
+        accelerometer={"noise_m_s2": 0.0, "bias_m_s2": (0.0, 0.0, 0.0)},
+        attitude={**quiet, "ahrs_time_constant_s": 2.0},
+    )
+    truth = moving((0.0, 0.0, 0.0))
+    found = lean_error(record(sensors, [truth] * 10_000)[-1], truth)
+    s = 1.0 - exp(-STEP / 2.0)
+    held = STEP * (1.0 - s) / s
+    assert held == pytest.approx(2.0, rel=2e-3)
+    lean = complex(bias[0], bias[1]) / (1.0 / held + 1j * bias[2])
+    # of second order in the lean, and a step in the time constant
+    assert found == pytest.approx((lean.real, lean.imag, 0.0), abs=0.045 * (0.045**2 + STEP / 2.0 * 0.1))
+    if not (bias[0] or bias[1]):
+        assert found == (0.0, 0.0, 0.0)
+
+
+def test_a_bias_of_the_accelerometer_leans() -> None:
+    sensors = suite(
+        True,
+        gyro={"noise_rad_s": 0.0},
+        accelerometer={"noise_m_s2": 0.0, "bias_m_s2": (0.0, 0.05, 0.0)},
+        attitude={"noise_rad": 0.0, "ahrs_time_constant_s": 0.5},
+    )
+    truth = moving((0.0, 0.0, 0.0))
+    assert lean_error(record(sensors, [truth] * 3000)[-1], truth) == pytest.approx(
+        (-atan2(0.05, G), 0.0, 0.0), abs=1e-9
+    )
+
+
+def test_in_free_fall_the_gyro_is_alone() -> None:
+    sensors = suite(attitude={"ahrs_time_constant_s": 0.5})
+    truth = moving((2.0, 0.0, 0.0))
+    falling = truth._replace(specific_force=(0.0, 0.0, 0.0))
+    seen = record(sensors, [truth] * 100 + [falling] * 100)
+    assert lean_error(seen[99], truth)[1] > 0.1
+    assert seen[100].attitude == pytest.approx(seen[99].attitude, abs=1e-12)
+    assert seen[-1].attitude == pytest.approx(seen[99].attitude, abs=1e-12)
+
+
+def test_without_the_time_constant_the_lean_is_the_true_one() -> None:
+    """Zero is the default; a second reset forgets."""
+    states = [moving((3.0, 1.0, 0.0), (0.1, 0.0, 0.0))] * 300
+    assert record(suite(True, attitude={"ahrs_time_constant_s": 0.0}), states) == record(suite(True), states)
+    sensors = suite(attitude={"ahrs_time_constant_s": 1.0})
+    assert record(sensors, states) == record(sensors, states)
+    with pytest.raises(ValueError, match="ahrs_time_constant_s"):
+        suite(attitude={"ahrs_time_constant_s": -1.0})
+
+
+@pytest.mark.parametrize("name", ["gust", "roll-doublet"])
+def test_flights_with_an_ahrs_are_as_the_page_says(name: str) -> None:
+    """docs/design.md: greatest error of roll, and how far the vehicle goes, by time constant."""
+    cells = []
+    for tau in (0.0, 5.0, 1.0):
+        flight = Scenario.load(name)
+        asked = dict(flight.vehicle) | {"sensors": {"attitude": {"ahrs_time_constant_s": tau}}}
+        log = fly(flight.replace(vehicle=asked, expect=[])).log
+        wrong = np.degrees(np.abs(log["roll_rad"] - log["roll_measured_rad"]).max())
+        cells.append(f"{wrong:.1f}°, {np.hypot(log['north_m'], log['east_m']).max():.0f} m")
+    page = (Path(__file__).parent.parent / "docs" / "design.md").read_text()
+    assert f"| `{name}` | {' | '.join(cells)} |" in page
 
 
 # --- servo ---------------------------------------------------------------------------------------------------------
