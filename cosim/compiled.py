@@ -38,6 +38,7 @@ MODULES = (
     "faults.py",
     "frames.py",
     "fuel.py",
+    "ground_effect.py",
     "pilot/inertial.py",
     "pilot/vertical.py",
     "rundown.py",

@@ -37,6 +37,7 @@ _LAW: dict[str, Any] = {
         "bank_imbalance_kg_m": _MASS + _LENGTH,
     },
     "airflow": {"kg_s": _MASS - _TIME, "at_thrust_n": _MASS, "intake_m": _LENGTH, "exhaust_m": _LENGTH},
+    "ground_effect": {"planform_m": _LENGTH, "jet_m": _LENGTH, "planform_z_m": _LENGTH, "hot_gas_height_m": _LENGTH},
     "aero": {
         "span_m": _LENGTH,
         "drag_area_m2": 2 * _LENGTH,

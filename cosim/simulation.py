@@ -31,6 +31,7 @@ from cosim.errors import EngineError, FlightError, InputError
 from cosim.faults import SERVOS, Engines, Faults, Sensing, Servo
 from cosim.frames import conjugate, cross, jet_axis, rotate
 from cosim.fuel import Tank
+from cosim.ground_effect import GroundJets
 from cosim.ledger import LedgerRow, delay_ledger
 from cosim.mismatch import as_flown, engines_as_flown
 from cosim.pace import Pace
@@ -167,6 +168,10 @@ class Simulation:
         banks = Banks(vehicle.servo, vehicle.jets, self.dt) if vehicle.servo else None
         self.banks = banks if banks is not None and banks.any else None
         self.streams = Airstreams(vehicle.airflow, flown.jets) if vehicle.airflow else None
+        ground = vehicle.ground_effect
+        near = GroundJets(ground, flown.jets) if ground else None
+        self.suckdown = near if near is not None and near.suckdown else None
+        self.hot_gas = near if near is not None and near.hot_gas else None
         self._height = start_height(flown, scenario.initial)
         self.commander = Commander(scenario, self._height)
         self.pilot: Pilot | None = None
@@ -257,6 +262,9 @@ class Simulation:
         fuel = self._burn(engines.fuel_flow) if self.tank is not None else nan
         moment, spool_moment = self._rotor_moment(engines, tilt, state)
         forces = self._jet_forces(engines.thrust, tilt)
+        if self.suckdown is not None:  # of the thrust alone
+            forces, (x, y, z) = self.suckdown.act(forces, state)
+            moment = (moment[0] + x, moment[1] + y, moment[2] + z)
         if self.streams is not None:
             forces, (x, y, z) = self.streams.act(forces, engines.thrust, tilt, state)
             moment = (moment[0] + x, moment[1] + y, moment[2] + z)
@@ -441,6 +449,8 @@ class Simulation:
             along, (by_x, by_y, by_z) = left if on_left else right
             speeds.append(along + by_x * x + by_y * y + by_z * z)
         pressure, temperature = self.airframe.air()
+        if self.hot_gas is not None:
+            temperature += self.hot_gas.rise(state.altitude)
         return Ambient(pressure, temperature, tuple(speeds))
 
     def _rotor_moment(self, engines: EngineOutput, tilt: tuple[float, float], state: State) -> tuple[Vector3, Vector3]:

@@ -57,6 +57,33 @@ class Airflow(Model):
     exhaust_m: float  # the same for where it leaves
 
 
+class GroundEffect(Model):
+    """What jets do to the vehicle near the ground; see :mod:`cosim.ground_effect`.  Each effect has its switch."""
+
+    suckdown: bool = False  # lift loss by Wyatt's correlation
+    planform_m: Positive  # angular mean diameter of what is above the jets: (1 / pi) times the integral of its radius
+    jet_m: Positive  # diameter of one round jet with the area of all
+    planform_z_m: float = 0.0  # body: how far the planform lies below the centre of gravity
+    hot_gas: bool = False  # warmed intakes, of engines that take the ambient temperature
+    hot_gas_height_m: list[NotNegative] = Field(default_factory=list)  # of the centre of gravity, the least first
+    hot_gas_rise_k: list[NotNegative] = Field(default_factory=list)  # at each; the last is 0
+
+    @model_validator(mode="after")
+    def _complete(self) -> GroundEffect:
+        if self.jet_m >= self.planform_m:
+            raise ValueError(f"jet_m {self.jet_m:g} must be below planform_m {self.planform_m:g}")
+        heights, rises = self.hot_gas_height_m, self.hot_gas_rise_k
+        if len(heights) != len(rises):
+            raise ValueError(f"hot_gas_rise_k: needs one value for each of the {len(heights)} of hot_gas_height_m")
+        if self.hot_gas and len(heights) < 2:
+            raise ValueError("hot_gas: needs two or more heights in hot_gas_height_m, and their hot_gas_rise_k")
+        if any(b <= a for a, b in pairwise(heights)):
+            raise ValueError(f"hot_gas_height_m: every height must be above the one before it, not {heights}")
+        if rises and rises[-1] != 0.0:
+            raise ValueError(f"hot_gas_rise_k: the last must be 0, not {rises[-1]:g}: above it nothing is swallowed")
+        return self
+
+
 class Aero(Model):
     """Body drag, one drag area per axis, and linear damping of the rates."""
 
@@ -386,6 +413,7 @@ class Vehicle(Model):
     servo: Servo | None = None
     fuel: Fuel | None = None
     airflow: Airflow | None = None  # None: no intake drag
+    ground_effect: GroundEffect | None = None  # None: the ground does nothing to the jets
     aero: Aero
     sensors: Sensors
     control: Control
