@@ -9,6 +9,7 @@ from cosim.control.predictor import Predictor
 from cosim.errors import InputError
 from cosim.pilot.autopilot import Autopilot
 from cosim.pilot.requests import InjectFault
+from cosim.reference import engine_reference
 from cosim.scenario import Fault
 from cosim.simulation import Simulation, predictors
 from cosim.vehicle import PredictorTuning
@@ -46,6 +47,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
         flown = scenario.model_copy(update={"controller": controller, "added_delay_samples": 0})
         return predictors(flown, changed, engine)
 
+    references = [engine_reference(spec, scenario.step_s) for spec in simulation.stations]
     pilot = Autopilot(
         vehicle,
         scenario.step_s,
@@ -60,6 +62,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
         simulation.clear_faults,
         airborne,
         simulation.thrust_map.idle,
+        max(each.delay + each.longest for each in references),
     )
     pilot.reset(simulation.measured)
     simulation.pilot = pilot

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from math import acos, radians
+from math import acos, degrees, hypot, radians
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,8 +14,11 @@ from hypothesis import strategies as st
 from test_pilot_flight import Flight
 
 from cosim.catalogue import catalogue
+from cosim.frames import from_euler
 from cosim.pilot import requests as rq
-from cosim.pilot.shaper import AttitudeLimits, Shaper, angular_authority, attitude_limits, descent_for
+from cosim.pilot.descent import Floor, descent_for, height_limits, thrust_margins
+from cosim.pilot.modes import LandedState
+from cosim.pilot.shaper import AttitudeLimits, Shaper, angular_authority, attitude_limits
 from cosim.signals import Sample, Vector3
 from cosim.vehicle import load_vehicle
 
@@ -152,10 +156,74 @@ def test_the_torque_that_there_is_follows_from_the_vehicle() -> None:
     assert yaw == pytest.approx(0.25 * radians(30.0) * weight * 0.15 / 0.070 / (1.0 + 3.0 * 0.02))
 
 
-@given(st.floats(0.0, 500.0), st.floats(0.1, 20.0), st.floats(0.0, 5.0))
-def test_a_descent_ends_where_it_must(height: float, braking: float, late: float) -> None:
-    speed = descent_for(height, braking, late)
-    assert speed * late + speed * speed / (2.0 * braking) == pytest.approx(height, rel=1e-6, abs=1e-9)
+@settings(deadline=None)
+@given(st.floats(0.0, 500.0), st.floats(0.1, 20.0), st.floats(0.0, 5.0), st.floats(0.0, 2.0))
+def test_a_descent_slows_down_where_it_must(height: float, braking: float, late: float, end: float) -> None:
+    speed = descent_for(height, braking, late, end)
+    way = (speed - end) * late + (speed * speed - end * end) / (2.0 * braking)
+    assert way == pytest.approx(height, rel=1e-6, abs=1e-9)
+    assert descent_for(-1.0, braking, late, end) == pytest.approx(end)
+
+
+def test_the_height_moves_as_the_thrust_and_its_loop_allow() -> None:
+    up, down = thrust_margins(0.45, 0.05, 0.05, 1.0)
+    assert (up, down) == pytest.approx((9.80665 * 0.55 / 0.5, 9.80665 * 0.4 / 0.5))
+    slow = height_limits(0.5, 0.8, 1.5, up, down)
+    assert slow == pytest.approx((1.2, 1.2 * 0.8 / 0.5, 0.9, 2.0 + 1.25 / 0.8))
+    assert height_limits(0.5, 10.0, 1.5, up, down).acceleration == pytest.approx(0.25 * down)
+
+
+@pytest.mark.parametrize("weight", [0.7, 1.0])
+@pytest.mark.parametrize("answer", [0.13, 1.0, 3.0])
+def test_a_fall_is_caught_before_the_ground(answer: float, weight: float) -> None:
+    """A point mass behind an engine with a lag, its throttle let go: it comes down, and slowly.
+
+    ``weight`` is what the floor does not know of: it is told 1.  With a lag of seconds two to three times the speed for
+    the ground is what is left at it.
+    """
+    hover, dt, end = 0.4, 0.004, 0.5
+    floor = Floor(hover, 0.05, 0.05, 1.0, answer, dt)
+    floor.level(hover)
+    height, sink, given_ = 60.0, 0.0, hover
+    for _ in range(100_000):
+        collective = floor.under(0.05, height, sink, end, 1.0, 1.0)
+        given_ += dt / answer * (collective - given_)
+        sink += dt * 9.80665 * (1.0 - (given_ + 0.05) / (0.45 * weight))
+        height -= dt * sink
+        if height <= 0.0:
+            break
+    assert height <= 0.0
+    assert 0.0 < sink < 3.0 * end
+
+
+def envelope_rows() -> list[str]:
+    """The table of docs/ground-station.md, computed: one row a vehicle."""
+    rows = []
+    for aircraft in dict.fromkeys(each for each, _ in FLOWN):
+        with in_the_air(aircraft, "baseline", 10.0) as flight:
+            control = flight.simulation.vehicle.control
+            assert control.pilot is not None
+            a, h = flight.pilot._attitude_limits(), flight.pilot._height_limits()
+            cells = [
+                f"{degrees(control.pilot.stick_lean_rad):.0f} deg",
+                f"{degrees(a.rate):.0f} deg/s",
+                f"{degrees(a.acceleration):.0f} deg/s²",
+                f"{degrees(a.yaw_rate):.0f} deg/s",
+                f"{degrees(a.yaw_acceleration):.0f} deg/s²",
+                f"{h.acceleration:.1f} m/s²",
+                f"{descent_for(0.0, h.braking, h.late, control.pilot.land_m_s):.2f} m/s",
+                f"{flight.pilot._floor.allowed(5.0, control.pilot.land_m_s):.1f} m/s",
+                f"{flight.pilot._floor.allowed(30.0, control.pilot.land_m_s):.1f} m/s",
+            ]
+            rows.append(f"| {aircraft} | " + " | ".join(cells) + " |")
+    return rows
+
+
+def test_the_page_states_the_limits_of_every_vehicle() -> None:
+    """docs/ground-station.md, the table of what may be asked."""
+    page = (Path(__file__).parent.parent / "docs" / "ground-station.md").read_text(encoding="utf-8")
+    for row in envelope_rows():
+        assert row in page
 
 
 # --- flights -----------------------------------------------------------------------------------------------------------
@@ -178,3 +246,137 @@ def test_full_reversals_of_all_sticks_lose_no_vehicle(aircraft: str, controller:
         assert max(map(lean, samples)) < OVER * most
         assert all(sample.actuation.refused[:3] == (0.0, 0.0, 0.0) for sample in samples)
         assert max(abs(sample.state.altitude - 30.0) for sample in samples) < 1.0
+
+
+HALF = st.sampled_from([-1.0, 0.0, 1.0]) | st.floats(-1.0, 1.0)
+PATTERN = st.lists(st.tuples(HALF, HALF, HALF, HALF, st.floats(0.1, 3.0)), min_size=2, max_size=8)
+
+
+def sticks_of(pattern: list[tuple[float, float, float, float, float]], level: bool) -> Callable[[float], rq.Sticks]:
+    """The pattern over and over; ``level``: its throttle alone."""
+
+    def sticks(t: float) -> rq.Sticks:
+        t %= sum(each[4] for each in pattern)
+        for roll, pitch, yaw, up, seconds in pattern:
+            if t < seconds:
+                return (
+                    rq.Sticks(0.0, 0.0, 0.0, 0.5 + 0.5 * up) if level else rq.Sticks(roll, pitch, yaw, 0.5 + 0.5 * up)
+                )
+            t -= seconds
+        return rq.Sticks(0.0, 0.0, 0.0, 0.5)
+
+    return sticks
+
+
+@pytest.mark.parametrize("mode", ["ALTCTL", "POSCTL", "STABILIZED"])
+@pytest.mark.parametrize(("aircraft", "controller"), FLOWN)
+@settings(deadline=None, max_examples=2, derandomize=True)
+@given(pattern=PATTERN)
+def test_no_pattern_of_the_sticks_loses_a_vehicle(
+    aircraft: str, controller: str, mode: str, pattern: list[tuple[float, float, float, float, float]]
+) -> None:
+    with in_the_air(aircraft, controller, 150.0) as flight:
+        most = flight.simulation.vehicle.control.pilot.stick_lean_rad  # type: ignore[union-attr]
+        flight.ok(rq.Sticks(0.0, 0.0, 0.0, 0.5), rq.SetMode(mode))
+        samples = with_sticks(flight, 6.0, sticks_of(pattern, level=False))
+        assert flight.ending is None
+        assert max(map(lean, samples)) < OVER * most
+
+
+@pytest.mark.parametrize("mode", ["ALTCTL", "STABILIZED"])
+@pytest.mark.parametrize(("aircraft", "controller"), FLOWN)
+@settings(deadline=None, max_examples=2, derandomize=True)
+@given(pattern=PATTERN)
+def test_no_throttle_hits_the_ground(
+    aircraft: str, controller: str, mode: str, pattern: list[tuple[float, float, float, float, float]]
+) -> None:
+    """First any pattern of the throttle near the ground, then all the way down.
+
+    Height controlled: never faster than one and a half times the speed of a landing.  By throttle: never faster than
+    the legs stand.
+    """
+    with in_the_air(aircraft, controller, 8.0) as flight:
+        vehicle = flight.simulation.vehicle
+        land, legs = vehicle.control.pilot.land_m_s, vehicle.limits.touchdown_m_s  # type: ignore[union-attr]
+        flight.ok(rq.Sticks(0.0, 0.0, 0.0, 0.5), rq.SetMode(mode))
+        with_sticks(flight, 6.0, sticks_of(pattern, level=True))
+        with_sticks(flight, 6.0, lambda t: rq.Sticks(0.0, 0.0, 0.0, 0.0))
+        assert flight.ending is None
+        assert flight.descent(0) < (1.5 * land if mode == "ALTCTL" else legs)
+
+
+@pytest.mark.parametrize(("aircraft", "controller"), FLOWN)
+def test_the_throttle_let_go_at_a_height_is_caught(aircraft: str, controller: str) -> None:
+    """In STABILIZED, from 40 m with the throttle at its stop; it lands, and is found to have landed."""
+    with in_the_air(aircraft, controller, 40.0) as flight:
+        limit = flight.simulation.vehicle.limits.touchdown_m_s
+        flight.ok(rq.Sticks(0.0, 0.0, 0.0, 0.5), rq.SetMode("STABILIZED"))
+        with_sticks(flight, 45.0, lambda t: rq.Sticks(0.0, 0.0, 0.0, 0.0))
+        assert flight.ending is None
+        assert flight.pilot.landed is LandedState.ON_GROUND
+        assert 0.0 < flight.descent(0) < 0.5 * limit
+
+
+def test_reversals_of_the_throttle_do_not_hit_the_ground() -> None:
+    """The scaled Hex-Jet in STABILIZED, from stop to stop: without the floor it touched at 6 m/s."""
+    for half in (1.0, 2.0, 5.0):
+        with in_the_air("hexjet", "smith", 10.0) as flight:
+            flight.ok(rq.Sticks(0.0, 0.0, 0.0, 0.5), rq.SetMode("STABILIZED"))
+            with_sticks(flight, 20.0, lambda t, half=half: rq.Sticks(0.0, 0.0, 0.0, 0.5 - 0.5 * square(t, half)))
+            assert flight.ending is None
+            assert flight.descent(0) < 1.0
+
+
+@pytest.mark.parametrize(("aircraft", "controller"), FLOWN)
+def test_set_points_from_outside_are_bounded_too(aircraft: str, controller: str) -> None:
+    """Attitudes, velocities, places and rates that jump from one end to the other."""
+    with in_the_air(aircraft, controller, 60.0) as flight:
+        most = flight.simulation.vehicle.control.pilot.stick_lean_rad  # type: ignore[union-attr]
+
+        def wanted(kind: str, s: float) -> Any:
+            if kind == "attitude":
+                return rq.OffboardAttitude(from_euler(s, s, s), None, 0.42)
+            if kind == "velocity":
+                return rq.OffboardVelocity(9.0 * s, -9.0 * s, 5.0 * s, None, s)
+            return rq.OffboardPosition(100.0 * s, 50.0 * s, -60.0, s)
+
+        for kind in ("velocity", "position", "attitude"):
+            flight.ok(wanted(kind, 1.0), rq.SetMode("OFFBOARD"))
+            begun = len(flight.samples)
+            for n in range(12):
+                flight.fly(0.5, every=wanted(kind, 1.0 if n % 2 else -1.0))
+                assert flight.ending is None
+            assert max(map(lean, flight.samples[begun:])) < OVER * most
+
+
+def test_the_full_scale_vehicle_holds_its_place_in_a_wind_that_it_did_not_know_of() -> None:
+    """A push of 5 m/s from one step to the next; see the aircraft's README for what is attainable."""
+    with in_the_air("hexjet-p220", "baseline", 20.0, environment={"wind_ned_m_s": [0.0, 5.0, 0.0]}) as flight:
+        flight.fly(30.0)
+        away = [hypot(*sample.state.position[:2]) for sample in flight.samples]
+        assert max(away) < 2.6
+        assert max(away[-1000:]) < 0.5
+
+
+def test_the_full_scale_vehicle_takes_off_in_wind_and_comes_to_hold_above_its_place() -> None:
+    wind = {"environment": {"wind_ned_m_s": [0.0, 8.0, 0.0]}}
+    with Flight(aircraft="hexjet-p220", engine="p220", controller="baseline", **wind) as flight:
+        flight.take_off(5.0)
+        # two time constants of the position's loop, 1 / 0.14 s
+        flight.fly(15.0)
+        assert max(hypot(*sample.state.position[:2]) for sample in flight.samples) < 3.2
+        assert flight.away(0.0, 0.0) < 1.0
+
+
+def test_the_same_sticks_are_the_same_flight() -> None:
+    """To the last bit, through the shaper, the floor under the collective and back to a controlled height."""
+
+    def run() -> list[Sample]:
+        with in_the_air("hexjet-p220", "baseline", 12.0) as flight:
+            flight.ok(rq.Sticks(0.0, 0.0, 0.0, 0.5), rq.SetMode("STABILIZED"))
+            with_sticks(flight, 2.0, lambda t: rq.Sticks(square(t, 0.3), 0.5, -1.0, 0.0))
+            flight.ok(rq.SetMode("ALTCTL"))
+            with_sticks(flight, 1.0, lambda t: rq.Sticks(0.0, 1.0, 0.0, 1.0))
+            return flight.samples
+
+    assert repr(run()) == repr(run())

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from cosim.control.altitude import GRAVITY
+from cosim.control.lead import lead_polynomials
 from cosim.control.predictor import polynomial
 from cosim.frames import IDENTITY, from_euler, rotate
 from cosim.pilot.navigation import (
@@ -27,7 +28,7 @@ from cosim.pilot.navigation import (
     wrap,
 )
 from cosim.signals import Measured
-from cosim.vehicle import PositionGains, load_vehicle
+from cosim.vehicle import EngineLead, PositionGains, Vehicle, load_vehicle
 
 DT = 0.004
 VEHICLE, _ = load_vehicle("hexjet")
@@ -387,3 +388,34 @@ def test_the_loop_of_the_real_blocks_is_stable(lean_gain: float, extra: int) -> 
     early, last = np.max(np.abs(track[: steps // 4])), np.max(np.abs(track[-steps // 4 :]))
     assert early < 1.5
     assert last < 0.25 * early
+
+
+def led_roll_answer(vehicle: Vehicle, engine: str, z: Complex) -> Complex:
+    """Roll set-point to roll of a vehicle that flies with a lead and no predictor, at the points ``z``."""
+    model, law, leads = vehicle.identified[engine]["roll"], vehicle.control.rate.roll, vehicle.control.lead
+    assert leads is not None
+    assert isinstance(leads.roll, EngineLead)
+    over, under = lead_polynomials(leads.roll, DT)
+    plant = model.gain * np.polyval(np.poly(model.all_zeros), z) / np.polyval(np.poly(model.all_poles), z)
+    led = plant * np.polyval(over, z) / np.polyval(under, z) * z**-model.delay_samples
+    share = DT / (law.d_filter_s + DT)
+    pi = law.p + law.i * DT * z / (z - 1.0)
+    d = law.d / DT * share * (z - 1.0) / (z - (1.0 - share))
+    rate = pi * led / (1.0 + (pi + d) * led)
+    attitude = vehicle.control.attitude.gain_1_s[0] * rate * DT / 2.0 * (z + 1.0) / (z - 1.0)
+    return np.asarray(attitude / (1.0 + attitude))
+
+
+def test_margins_of_the_full_scale_position_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stated in the README of hexjet-p220: 55 degrees and 16 dB at the command, 42 and 11 at the plant."""
+    vehicle, _ = load_vehicle("hexjet-p220")
+    gains = vehicle.control.position
+    assert gains is not None
+    monkeypatch.setattr("test_pilot_navigation.SENSOR", vehicle.sensors.gnss)
+    w = np.geomspace(0.01, 30.0, 900)
+    monkeypatch.setattr("test_pilot_navigation.roll_answer", lambda: lambda z: led_roll_answer(vehicle, "p220", z))
+    for loop, phase, gain, peak in zip(loops(gains, w), (55.0, 42.0), (16.0, 11.0), (1.3, 1.5), strict=True):
+        gm, pm, _, _, _, _ = ct.stability_margins(ct.frd(loop, w, smooth=True))
+        assert 20 * np.log10(gm) > gain
+        assert pm > phase
+        assert np.max(np.abs(1 / (1 + loop))) < peak

@@ -16,6 +16,7 @@ from cosim.control.attitude import AttitudeController
 from cosim.control.rate import RateController
 from cosim.errors import InputError
 from cosim.frames import to_euler
+from cosim.pilot.descent import Floor, HeightLimits, descent_for, height_limits, thrust_margins
 from cosim.pilot.guidance import Guide
 from cosim.pilot.mission import Mission
 from cosim.pilot.modes import (
@@ -146,7 +147,8 @@ class Autopilot:
     ``hover``: the collective at which it hovers.  ``controller`` and ``delay`` (samples; None without a model) are
     what the rate loops fly with at the start; ``predictors`` makes others.  ``inject`` and ``clear`` are called for
     faults by command, and may raise InputError.  ``airborne``: the flight begins in the air, armed, holding.
-    ``idle``: thrust of an engine without throttle, as a share of what full throttle adds to it.
+    ``idle``: thrust of an engine without throttle, as a share of what full throttle adds to it.  ``answer``: the
+    longest delay and lag [s] with which the thrust answers.
     """
 
     def __init__(
@@ -164,6 +166,7 @@ class Autopilot:
         clear: Callable[[], None] | None = None,
         airborne: bool = False,
         idle: float = 0.0,
+        answer: float = 0.2,
     ) -> None:
         gains, settings = vehicle.control.position, vehicle.control.pilot
         if gains is None or settings is None:
@@ -188,7 +191,10 @@ class Autopilot:
         self._live = Live(self.parameters, vehicle.control, blocks, step)
         self._estimator = Estimator(gains, vehicle.sensors.gnss, step)
         self._settled = round(_SETTLED_EPOCHS_S / step)
-        self._guide = Guide(tracker, position, self.parameters, step)
+        self._margins = thrust_margins(hover, idle, self._limits.throttle_min, self._limits.throttle_max)
+        self._heights = self._height_limits()
+        self._guide = Guide(tracker, position, self.parameters, self._heights, step)
+        self._floor = Floor(hover, idle, self._limits.throttle_min, self._limits.throttle_max, answer, step)
         self._vehicle, self._idle = vehicle, idle
         self._shaper = Shaper(self._attitude_limits(), step)
         self._senses = Senses(vehicle.sensors, step, slowest)
@@ -242,6 +248,7 @@ class Autopilot:
         self._heading: float | None = None  # None: as it is
         self._guide.reset()
         self._shaper.reset()
+        self._floor.reset()
         self._touchdown.reset()
         self._watch.reset()
 
@@ -585,6 +592,9 @@ class Autopilot:
         self._live.set(request.name, request.value)
         if request.name.startswith(_SHAPING):
             self._shaper.limit(self._attitude_limits())
+        if request.name in _CLIMBING:
+            self._heights = self._height_limits()
+            self._guide.limit(self._heights)
         return _yes()
 
     def _inject_fault(self, request: InjectFault, k: int) -> Answer:
@@ -619,12 +629,35 @@ class Autopilot:
         command = self._decide(k, measured, report)
         if self.engines is not EngineState.FLY:
             self._shaper.reset()
+            self._floor.reset()
             return command
-        rate = command.rate
+        attitude, rate = command.attitude, command.rate
         if rate is not None:
-            return command._replace(rate=self._shaper.rate(rate, self._euler))
-        attitude = self._shaper.attitude(command.attitude, self._euler)
-        return command._replace(attitude=attitude)
+            rate = self._shaper.rate(rate, self._euler)
+        else:
+            attitude = self._shaper.attitude(attitude, self._euler)
+        return command._replace(attitude=attitude, rate=rate, collective=self._caught(command.collective))
+
+    def _caught(self, collective: float | None) -> float | None:
+        """The collective that was asked for, or what it takes not to hit the ground."""
+        if collective is None or self._settling is not None or not self._flies_thrust():
+            self._floor.level(self._report.collective)
+            return collective
+        if not self._touchdown.off:
+            return self._floor.slowed(collective)
+        measured, fuel, remaining = self._now(), self._vehicle.fuel, self._report.remaining
+        _, x, y, _ = measured.attitude
+        weight = 1.0
+        if fuel is not None and remaining is not None:
+            weight -= fuel.mass_kg * (1.0 - remaining) / self._vehicle.mass_kg
+        return self._floor.under(
+            collective,
+            measured.altitude - self._ground,
+            measured.velocity[2],
+            self.parameters["MPC_LAND_SPEED"],
+            1.0 - 2.0 * (x * x + y * y),
+            weight,
+        )
 
     def _decide(self, k: int, measured: Measured, report: Report) -> Command:
         """What is asked for at step ``k``, steps and all."""
@@ -642,7 +675,7 @@ class Autopilot:
         elif self.home is None and flying:
             # the flight began in the air
             self.home = Home(*self._fix.position, 0.0)
-        self._guide.begin(k, measured, self._euler[2], self._fix)
+        self._guide.begin(k, measured, self._euler[2], self._fix, self._sink_allowed())
         sure = self.landed is LandedState.IN_AIR and not self._descending
         self._touchdown.update(measured.velocity[2], self._senses.lift, report, self._descending, sure)
         self._watch.consume(report, self.engines is EngineState.FLY)
@@ -711,7 +744,7 @@ class Autopilot:
             self._climb_to = height if item.altitude is None else min(height, item.altitude)
         self._touchdown.reset()
         self._guide.reset()
-        self._guide.begin(k, self._now(), self._euler[2], self._fix)
+        self._guide.begin(k, self._now(), self._euler[2], self._fix, self._sink_allowed())
 
     def _wants_up(self) -> bool:
         """Does what is asked for need the vehicle to leave the ground?"""
@@ -836,8 +869,6 @@ class Autopilot:
 
     def _stay(self) -> Command:
         """HOLD: stop, or fly to where a goto has asked."""
-        if self._height is None:
-            self._height = self._stop_height()
         return self._fly(self._place, self._height, self._heading)
 
     def _climb_out(self, k: int) -> Command:
@@ -857,7 +888,7 @@ class Autopilot:
         """Down where it is, or at ``place``."""
         self.landed = LandedState.LANDING
         self._descending = True
-        rate = self.parameters["MPC_LAND_SPEED" if self._low() else "HJ_DESC_AUTO"]
+        rate = self.parameters["HJ_DESC_AUTO"]
         lean = self._guide.towards(place, self._speed()) if place else self._guide.at_velocity((0.0, 0.0))
         return self._guide.command(lean, self._guide.at_climb(-rate), self._guide.to_yaw(self._heading))
 
@@ -972,8 +1003,6 @@ class Autopilot:
             lean = guide.at_velocity((forward * c - right * s, forward * s + right * c))
         climb = _dead(2.0 * sticks.throttle - 1.0)
         rate = climb * parameters["HJ_CLIMB_AUTO" if climb > 0.0 else "HJ_DESC_AUTO"]
-        if self._low():
-            rate = max(rate, -parameters["MPC_LAND_SPEED"])
         self._descending = rate < 0.0
         return guide.command(lean, guide.at_climb(rate), yaw)
 
@@ -993,12 +1022,15 @@ class Autopilot:
         yaw = guide.to_yaw(wanted.yaw) if wanted.yaw_rate is None else guide.at_turn(wanted.yaw_rate)
         return guide.command(lean, guide.at_climb(climb), yaw)
 
-    def _fly(self, place: Pair | None, altitude: float, yaw: float | None) -> Command:
-        """To a place (None: stop) at a height, with a heading (None: as it is)."""
+    def _fly(self, place: Pair | None, altitude: float | None, yaw: float | None) -> Command:
+        """To a place (None: stop) at a height (None: where climbing or sinking stops), with a heading (None: as is)."""
         guide = self._guide
         lean = guide.towards(place, self._speed()) if place is not None else guide.at_velocity((0.0, 0.0))
-        held = guide.to_height(altitude, self.parameters["HJ_CLIMB_AUTO"], self.parameters["HJ_DESC_AUTO"])
-        self._descending = altitude < held
+        if altitude is None:
+            held = guide.at_climb(0.0)
+        else:
+            held = guide.to_height(altitude, self.parameters["HJ_CLIMB_AUTO"], self.parameters["HJ_DESC_AUTO"])
+            self._descending = altitude < held
         return guide.command(lean, held, guide.to_yaw(yaw))
 
     def _attitude_limits(self) -> AttitudeLimits:
@@ -1008,6 +1040,12 @@ class Autopilot:
         most = [radians(p[f"HJ_RLIM_{axis.upper()}"]) for axis in AXES]
         authority = angular_authority(self._vehicle, self._hover, self._idle, gain)
         return attitude_limits(gain, authority, radians(p["HJ_STICK_LEAN"]), radians(p["HJ_YAW_RATE"]), most)
+
+    def _height_limits(self) -> HeightLimits:
+        """What the height that is asked for may do with the gains of now."""
+        p = self.parameters
+        speed = max(p["HJ_CLIMB_AUTO"], p["HJ_DESC_AUTO"])
+        return height_limits(p["HJ_ALT_P"], p["HJ_CLIMB_P"], speed, *self._margins)
 
     # --- small things ----------------------------------------------------------------------------------------------
 
@@ -1083,15 +1121,19 @@ class Autopilot:
             return 0.0
         here = self._altitude()
         stop = here - self._measured.velocity[2] / max(self.parameters["HJ_ALT_P"], 0.1)
+        if self._guide.holds_height:
+            stop = self._guide.rest
         return max(stop, min(here, self._ground + _LOWEST_M))
 
-    def _low(self) -> bool:
-        """So near to the ground that a landing slows down, as far as the height is known.
+    def _sink_allowed(self) -> float:
+        """The most rate of descent [m/s] at this height, as far as it is known, where the height is controlled.
 
         The ground is where it took off, or home where that is higher: there is no sensor for the height above it.
         """
+        p, limits = self.parameters, self._heights
         least = self._altitude() - 2.0 * self._senses.vertical.deviation[0]
-        return least - max(self._home_altitude(), self._ground) < self.parameters["HJ_LAND_SLOW_H"]
+        above = least - max(self._home_altitude(), self._ground)
+        return descent_for(above - p["HJ_LAND_SLOW_H"], limits.braking, limits.late, p["MPC_LAND_SPEED"])
 
     @property
     def seen(self) -> Measured:
@@ -1153,6 +1195,7 @@ class Autopilot:
 
 
 _SHAPING = ("HJ_ATT_", "HJ_RLIM_", "HJ_STICK_LEAN", "HJ_YAW_RATE")  # parameters that the limits follow from
+_CLIMBING = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_AUTO", "HJ_DESC_AUTO")
 _CENTRED = Sticks(0.0, 0.0, 0.0, 0.5)
 _DOES = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from math import pi
+from math import inf, pi
 
+from cosim.pilot.descent import HeightLimits
 from cosim.pilot.navigation import Fix, Pair, PositionController, Track, Tracker, lean_for, wrap
 from cosim.pilot.parameters import Parameters
 from cosim.signals import Command, Measured
@@ -18,8 +19,16 @@ class Guide:
     not step the command of anything but the acceleration.
     """
 
-    def __init__(self, tracker: Tracker, position: PositionController, parameters: Parameters, step: float) -> None:
+    def __init__(
+        self,
+        tracker: Tracker,
+        position: PositionController,
+        parameters: Parameters,
+        limits: HeightLimits,
+        step: float,
+    ) -> None:
         self.tracker = tracker
+        self._height = Tracker(limits.acceleration, limits.jerk, step)
         self._position = position
         self._parameters = parameters
         self._step = step
@@ -29,15 +38,22 @@ class Guide:
         """No set-point is in use."""
         self._k = -1
         self._tracked = self._held = self._aimed = -2
-        self.altitude = self.yaw = 0.0
+        self.altitude = self.yaw = self._climb = 0.0
         self._position.reset()
 
-    def begin(self, k: int, measured: Measured, yaw: float, fix: Fix) -> None:
-        """The instant for the calls that follow."""
+    def limit(self, limits: HeightLimits) -> None:
+        """Other bounds of the height; what is asked for goes on from where it is."""
+        self._height.limit(limits.acceleration, limits.jerk)
+        track = self._height.track
+        self._height.start(track.position, track.velocity)
+
+    def begin(self, k: int, measured: Measured, yaw: float, fix: Fix, sink: float = inf) -> None:
+        """The instant for the calls that follow; ``sink``: the most rate of descent [m/s] that may be asked for."""
         self._k = k
         self._measured = measured
         self._yaw = yaw
         self._fix = fix
+        self._sink = sink
 
     def towards(self, place: Pair, speed: float) -> Pair:
         """Roll and pitch (rad) that fly to a place."""
@@ -55,16 +71,21 @@ class Guide:
         return self._lean(self.tracker.at_velocity(velocity))
 
     def to_height(self, altitude: float, up: float, down: float) -> float:
-        """The height asked for, on its way to ``altitude`` at these rates."""
+        """The height asked for, on its way to ``altitude`` at these rates at most."""
         self._take_up_height()
-        dt = self._step
         off = altitude - self.altitude
-        return self._raise(min(max(off, -down * dt), up * dt))
+        if self._waits(off):
+            return self.altitude
+        speed = up if off > 0.0 else min(down, self._sink)
+        return self._raised(self._height.towards((altitude, 0.0), speed))
 
     def at_climb(self, rate: float) -> float:
         """The height asked for, moving at ``rate``."""
         self._take_up_height()
-        return self._raise(rate * self._step)
+        rate = max(rate, -self._sink)
+        if self._waits(rate):
+            return self.altitude
+        return self._raised(self._height.at_velocity((rate, 0.0)))
 
     def to_yaw(self, yaw: float | None) -> float:
         """The heading asked for, on its way to ``yaw`` the short way round; None stays."""
@@ -95,6 +116,11 @@ class Guide:
     def holds_height(self) -> bool:
         return self._held == self._k
 
+    @property
+    def rest(self) -> float:
+        """The height at which the set-point comes to rest if climbing or sinking ends now."""
+        return self._height.ahead[0]
+
     def _lean(self, track: Track) -> Pair:
         return lean_for(self._position.update(track, self._fix), self._yaw)
 
@@ -105,8 +131,12 @@ class Guide:
 
     def _take_up_height(self) -> None:
         if self._held not in (self._k, self._k - 1):
+            # the loop itself asks for no more than these: a fall is caught by it, not by the set-point
+            up, down = self._parameters["HJ_SPEED_UP"], self._parameters["HJ_SPEED_DN"]
+            self._climb = min(max(-self._measured.velocity[2], -down), up)
             # where the law asks for the climb rate that there is
-            self.altitude = self._measured.altitude - self._measured.velocity[2] / self._gain()
+            self.altitude = self._measured.altitude + self._climb / self._gain()
+            self._height.start((self.altitude, 0.0), (self._climb, 0.0))
         self._held = self._k
 
     def _take_up_yaw(self) -> None:
@@ -114,15 +144,18 @@ class Guide:
             self.yaw = self._yaw
         self._aimed = self._k
 
-    def _raise(self, change: float) -> float:
-        lead = abs(change) / self._step / self._gain() + _LEAD
-        here = self._measured.altitude
-        wanted = self.altitude + change
-        if abs(wanted - here) > lead and (wanted - here) * change > 0.0:
-            # the vehicle does not follow: wait for it
-            return self.altitude
-        self.altitude = wanted
-        return wanted
+    def _waits(self, change: float) -> bool:
+        """Does the vehicle not follow, so that the height asked for has to wait for it?"""
+        ahead = self.altitude - self._measured.altitude
+        if abs(ahead) < _LEAD + abs(self._climb) / self._gain() or ahead * change <= 0.0:
+            return False
+        self._climb = 0.0
+        self._height.start((self.altitude, 0.0), (0.0, 0.0))
+        return True
+
+    def _raised(self, track: Track) -> float:
+        self.altitude, self._climb = track.position[0], track.velocity[0]
+        return self.altitude
 
     def _gain(self) -> float:
         return max(self._parameters["HJ_ALT_P"], 0.1)

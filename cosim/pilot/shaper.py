@@ -10,7 +10,6 @@ the torque that there is: :func:`attitude_limits`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import sqrt
 from typing import NamedTuple
 
 from cosim.control.altitude import GRAVITY
@@ -19,8 +18,8 @@ from cosim.signals import Vector3
 from cosim.vehicle import EngineLead, Vehicle
 
 # Chosen by us.
-_SHARE = 0.25  # of the torque's room goes to what is asked for; the rest is for wind, noise and overshoot
-_MEAN = 0.5  # of the attitude loop's time constant: the acceleration asked for takes this long to build up
+SHARE = 0.25  # of the torque's room goes to what is asked for; the rest is for wind, noise and overshoot
+MEAN = 0.5  # of the attitude loop's time constant: the acceleration asked for takes this long to build up
 _SLOWEST = 0.1  # 1/s: an attitude loop with less gain than this is not flown
 
 
@@ -55,7 +54,7 @@ def attitude_limits(
     turn = min(yaw_rate, rate_limit[2])
     a_yaw = min(turn * k_yaw, authority[2])
     return AttitudeLimits(
-        min(k * lean, rate_limit[0], rate_limit[1]), a, a * k / _MEAN, turn, a_yaw, a_yaw * k_yaw / _MEAN
+        min(k * lean, rate_limit[0], rate_limit[1]), a, a * k / MEAN, turn, a_yaw, a_yaw * k_yaw / MEAN
     )
 
 
@@ -82,11 +81,11 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
             else:
                 moment = weight * sum(abs(jet.position_m[1]) for jet in jets) / len(jets)
             extra = 1.0 + gain[axis] * servo.lag_s
-            found.append(_SHARE * servo.range_rad * moment / inertia[axis] / extra)
+            found.append(SHARE * servo.range_rad * moment / inertia[axis] / extra)
             continue
         lever = sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[axis]) for jet in jets)
         lead = getattr(control.lead, name, None)
-        found.append(_SHARE * room * lever * per_jet / inertia[axis] / _extra(lead, gain[axis]))
+        found.append(SHARE * room * lever * per_jet / inertia[axis] / _extra(lead, gain[axis]))
     return (found[0], found[1], found[2])
 
 
@@ -155,15 +154,3 @@ class Shaper:
         self._lean.start((now[0], now[1]), rates[0])
         self._yaw.start((now[2], 0.0), rates[1])
         self._used = True
-
-
-def descent_for(height: float, braking: float, late: float) -> float:
-    """The rate of descent [m/s] from which the vehicle stops within ``height`` [m].
-
-    It sinks on for ``late`` [s] before the thrust answers and then brakes with ``braking`` [m/s^2]:
-    ``h = v t + v^2 / (2 a)``, so ``v = sqrt((a t)^2 + 2 a h) - a t``.
-    """
-    if height <= 0.0:
-        return 0.0
-    at = braking * late
-    return sqrt(at * at + 2.0 * braking * height) - at
