@@ -62,7 +62,10 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
         simulation.clear_faults,
         airborne,
         simulation.thrust_map.idle,
-        max(each.delay + each.longest for each in references),
+        (
+            max(each.delay + each.lag for each in references),
+            max(each.delay + each.longest for each in references),
+        ),
     )
     pilot.reset(simulation.measured)
     simulation.pilot = pilot

@@ -147,8 +147,8 @@ class Autopilot:
     ``hover``: the collective at which it hovers.  ``controller`` and ``delay`` (samples; None without a model) are
     what the rate loops fly with at the start; ``predictors`` makes others.  ``inject`` and ``clear`` are called for
     faults by command, and may raise InputError.  ``airborne``: the flight begins in the air, armed, holding.
-    ``idle``: thrust of an engine without throttle, as a share of what full throttle adds to it.  ``answer``: the
-    longest delay and lag [s] with which the thrust answers.
+    ``idle``: thrust of an engine without throttle, as a share of what full throttle adds to it.  ``answer``: delay
+    and lag [s] with which the thrust answers, about hover and the longest.
     """
 
     def __init__(
@@ -166,7 +166,7 @@ class Autopilot:
         clear: Callable[[], None] | None = None,
         airborne: bool = False,
         idle: float = 0.0,
-        answer: float = 0.2,
+        answer: tuple[float, float] = (0.2, 0.2),
     ) -> None:
         gains, settings = vehicle.control.position, vehicle.control.pilot
         if gains is None or settings is None:
@@ -194,7 +194,7 @@ class Autopilot:
         self._margins = thrust_margins(hover, idle, self._limits.throttle_min, self._limits.throttle_max)
         self._heights = self._height_limits()
         self._guide = Guide(tracker, position, self.parameters, self._heights, step)
-        self._floor = Floor(hover, idle, self._limits.throttle_min, self._limits.throttle_max, answer, step)
+        self._floor = Floor(hover, idle, self._limits.throttle_min, self._limits.throttle_max, *answer, step)
         self._vehicle, self._idle = vehicle, idle
         self._shaper = Shaper(self._attitude_limits(), step)
         self._senses = Senses(vehicle.sensors, step, slowest)
@@ -248,7 +248,7 @@ class Autopilot:
         self._heading: float | None = None  # None: as it is
         self._guide.reset()
         self._shaper.reset()
-        self._floor.reset()
+        self._floor.level(self._hover if self._airborne else self._limits.throttle_min)
         self._touchdown.reset()
         self._watch.reset()
 
@@ -629,19 +629,21 @@ class Autopilot:
         command = self._decide(k, measured, report)
         if self.engines is not EngineState.FLY:
             self._shaper.reset()
-            self._floor.reset()
+            self._floor.level(self._limits.throttle_min)
             return command
         attitude, rate = command.attitude, command.rate
         if rate is not None:
             rate = self._shaper.rate(rate, self._euler)
         else:
             attitude = self._shaper.attitude(attitude, self._euler)
-        return command._replace(attitude=attitude, rate=rate, collective=self._caught(command.collective))
+        return command._replace(attitude=attitude, rate=rate, collective=self._caught(k, command.collective))
 
-    def _caught(self, collective: float | None) -> float | None:
+    def _caught(self, k: int, collective: float | None) -> float | None:
         """The collective that was asked for, or what it takes not to hit the ground."""
         if collective is None or self._settling is not None or not self._flies_thrust():
-            self._floor.level(self._report.collective)
+            # nothing was allocated before the first step
+            if k > 0:
+                self._floor.level(self._report.collective)
             return collective
         if not self._touchdown.off:
             return self._floor.slowed(collective)

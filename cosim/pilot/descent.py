@@ -62,7 +62,8 @@ class Floor:
     """The least collective, where it is not the height that is asked for.
 
     With ``v`` from :func:`descent_for` at the present height (a = half of the thrust beyond the weight, t = four times
-    the time T in which the engines and the sensed climb rate answer), the vehicle sinking at ``s``, ``k = 1/(2 T)``:
+    the longest time in which engines and sensed climb rate answer), the vehicle sinking at ``s``, and ``k = 1/(2 T)``
+    with T that time about hover, where the floor keeps the engines:
 
         acceleration upwards = s dv/dh + k (s - v) + (k/4) k integral(s - v)
 
@@ -74,15 +75,16 @@ class Floor:
     limit of their acceleration have none left between them to keep the vehicle level with.
     """
 
-    def __init__(self, hover: float, idle: float, least: float, most: float, answer: float, step: float) -> None:
-        """``answer``: delay and lag of the engines, s."""
+    def __init__(
+        self, hover: float, idle: float, least: float, most: float, near: float, answer: float, step: float
+    ) -> None:
+        """Delay and lag [s] of the engines: ``near`` hover, and ``answer`` the longest anywhere in their range."""
         self._hover, self._idle = hover, idle
         self._least, self._most = least, most
         self._step = step
         self._braking = _CATCH_SHARE * thrust_margins(hover, idle, least, most)[0]
-        late = answer + _SENSED_S
-        self._late = 4.0 * late
-        self._k = 0.5 / late
+        self._late = 4.0 * (answer + _SENSED_S)
+        self._k = 0.5 / (near + _SENSED_S)
         self._most_change = (most - least) * step / max(answer, step)
         self.reset()
 
@@ -116,6 +118,8 @@ class Floor:
         if self.acting:
             self._trim += 0.25 * k * k * (sink - v) * self._step
             self._trim = min(max(self._trim, -_TRIM), _TRIM)
+        else:
+            self._trim = 0.0
         return self.slowed(max(asked, least))
 
     def slowed(self, asked: float) -> float:
