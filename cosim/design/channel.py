@@ -241,7 +241,7 @@ def _reaction(axis: str, vehicle: Vehicle, moment: float, step: float) -> float:
     """What turns both banks alike turns the body the other way, in pitch; in yaw their reactions cancel."""
     if axis != "pitch" or vehicle.servo is None:
         return 0.0
-    inertia = vehicle.servo.bank_inertia_kg_m2 if vehicle.servo else 0.0
+    inertia = vehicle.servo.bank_inertia_kg_m2
     height = sum(jet.position_m[2] for jet in vehicle.jets)  # below the centre of gravity thrust and reaction agree
     return float(np.copysign(2.0 * inertia / (moment * step * step), height))
 
