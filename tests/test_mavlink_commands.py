@@ -86,7 +86,7 @@ FLIGHT: list[tuple[int, tuple[float, ...], list[Request]]] = [
     (17, (), [Hold()]),
     (192, (-1.0, 1.0, 0.0, nan, nan, nan, nan), [Hold()]),
     (34, (-8.0, nan, nan, nan, nan, nan, nan), [Orbit(8.0, False)]),
-    (34, (20.0, 2.5, 3.0, 2.0 * pi, nan, nan, 42.0), [Orbit(20.0, True, 2.5, altitude=28.0, yaw=OrbitYaw.TANGENT, turns=1.0)]),
+    (34, (20.0, 2.5, 3.0, 0.0, nan, nan, 42.0), [Orbit(20.0, True, 2.5, altitude=30.0, yaw=OrbitYaw.TANGENT)]),
     (193, (0.0,), [Hold()]),
     (193, (1.0,), [MissionStart()]),
     (300, (0.0, 0.0), [MissionStart()]),
