@@ -602,13 +602,13 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
             until(lambda: to_euler(flight.now.measured.attitude)[0] > 0.7 * lean)
             until(lambda: screen.number("#roll") > 0.7 * math.degrees(lean))
             page.mouse.up()
-            until(lambda: commanded(flight) == 0.0)
+            until(lambda: commanded(flight) == pytest.approx(0.0, abs=1e-9))
             assert page.inner_text("#rate-measured") != "–"
             assert page.inner_text("#rate-predicted") != "–"
             page.keyboard.down("ArrowLeft")
             until(lambda: commanded(flight) == pytest.approx(-0.5 * lean, abs=1e-9))
             page.keyboard.up("ArrowLeft")
-            until(lambda: commanded(flight) == 0.0)
+            until(lambda: commanded(flight) == pytest.approx(0.0, abs=1e-9))
             page.click("#hold")
             screen.shows("#mode", "HOLD")
             page.uncheck("#sticks-on")
