@@ -615,7 +615,7 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
 
             page.click("#land")
             screen.shows("#landed", "on ground", 60.0)
-            screen.shows("#armed", "ready", 60.0)
+            screen.shows("#armed", "engines off", 60.0)  # disarmed is off
             assert flight.now.status.landed is LandedState.ON_GROUND
             assert flight.now.status.mode is Mode.HOLD
             assert "landed" in page.inner_text("#messages")
