@@ -28,8 +28,13 @@ def test_every_engine_of_the_library_has_a_design() -> None:
     assert sorted(engine_names()) == ENGINES
 
 
-@pytest.mark.xfail(reason="known: turbine-220 settles to 5.1 percent where 5 are asked for, after its new design")
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    "engine",
+    [
+        pytest.param(each, marks=pytest.mark.xfail(reason="known: turbine-220 settles to 5.1 percent where 5 are asked for, after its new design")) if each == "turbine-220" else each
+        for each in ENGINES
+    ],
+)
 def test_a_design_flies_the_roll_doublet(engine: str) -> None:
     """A side of the doublet lasts 3 s, or twenty time constants of a loop that is slower; it has arrived at its end.
 

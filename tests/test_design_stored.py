@@ -103,8 +103,13 @@ def test_a_stored_design_is_what_todays_command_makes(name: str) -> None:
         assert model["gain"] == pytest.approx(fresh.gain, rel=1e-5)
 
 
-@pytest.mark.xfail(reason="known: turbine-100 was made before the last change of the lead; its last digit differs")
-@pytest.mark.parametrize("name", BURNING)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(each, marks=pytest.mark.xfail(reason="known: turbine-100 was made before the last change of the lead; its last digit differs")) if each == "turbine-100" else each
+        for each in BURNING
+    ],
+)
 def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
     """With less fuel, too: each level stays where it is, and every level keeps what the file says of it."""
     made, scenario, vehicle, spec, actuator, _, begin, _ = today(name)
