@@ -430,6 +430,21 @@ def test_ctrl_c_ends_it_at_once_and_says_how_to_go_on(tmp_path: Path, sent: sign
     assert not psutil.wait_procs(workers, timeout=PATIENCE)[1]
 
 
+def test_a_flight_that_was_kept_when_ctrl_c_came_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[int] = []
+    add = Store.add
+
+    def interrupted(store: Store, row: Any) -> None:
+        add(store, row)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Store, "add", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(tools.study(), tmp_path / "c", 1, progress=lambda tally, done, of: told.append(done))
+    assert told == [0, 1]
+    assert len(open_campaign(tmp_path / "c")) == 1
+
+
 def test_a_workers_error_that_ends_it_says_what_is_kept(tmp_path: Path) -> None:
     class Broken:
         def fly(self, study: Any, planned: Any) -> Any:

@@ -52,15 +52,18 @@ def run_campaign(
     begun = study is None or (resume and folder.is_dir() and any(folder.iterdir()))
     with Store.resume(folder, study) if begun else Store.create(folder, study) as store:  # type: ignore[arg-type]
         tell = progress or (lambda tally, done, of: None)
-        tell(store.tally, len(store.done), len(store.flights))
+        tell(store.tally, store.kept, len(store.flights))
         left = (flight for flight in store.flights if flight.number not in store.done)
         with _at_work(workers) as flying:
             try:
                 for row in flying.fly(store.study, left):
                     store.add(row)
-                    tell(store.tally, len(store.done), len(store.flights))
+                    tell(store.tally, store.kept, len(store.flights))
             except FlightError as error:
                 raise FlightError(f"{error}; {kept(store)}") from error
+            except KeyboardInterrupt:  # it may have come between keeping a flight and telling of it
+                tell(store.tally, store.kept, len(store.flights))
+                raise
     return open_campaign(folder)
 
 
@@ -112,7 +115,7 @@ def processors() -> int:
 
 def kept(store: Store) -> str:
     """What there is after an end before the end, and how to go on."""
-    return f"{len(store.done)} of {len(store.flights)} flights are kept: hexjet sweep {store.folder} --resume goes on"
+    return f"{store.kept} of {len(store.flights)} flights are kept: hexjet sweep {store.folder} --resume goes on"
 
 
 @dataclass(frozen=True)

@@ -183,6 +183,11 @@ class Store:
             _sync(self._journal, self.folder / JOURNAL)
             self._last_sync = now
 
+    @property
+    def kept(self) -> int:
+        """How many flights the folder has when it is closed; the last may be held and not noted yet, if Ctrl-C came."""
+        return len(self.done) + sum(_number(row) not in self.done for row in self._rows[-1:])
+
     def flush(self) -> None:
         """Put what is in the journal into the last part.  Raises FlightError if it cannot be written."""
         if len(self._rows) > self._written:
