@@ -48,6 +48,12 @@ RECTANGULAR: Final = 1.0
 ADAMS_BASHFORTH_2: Final = 3.0
 ADAMS_BASHFORTH_3: Final = 4.0
 BUSS_2: Final = 7.0  # augmented second order, exact for a rate that does not change
+METHODS: Final = {  # as a run's summary and page call them
+    RECTANGULAR: "rectangular rule",
+    ADAMS_BASHFORTH_2: "Adams-Bashforth 2",
+    ADAMS_BASHFORTH_3: "Adams-Bashforth 3",
+    BUSS_2: "Buss 2",
+}
 POSITIONS: Final = {"rotational": BUSS_2, "translational": ADAMS_BASHFORTH_3}
 RATES: Final = ("rotational", "translational")
 IN_THE_AIR: Final = ADAMS_BASHFORTH_2  # of both rates

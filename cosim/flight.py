@@ -9,6 +9,7 @@ from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
 
+from cosim.airframe import IN_THE_AIR, METHODS, ON_THE_GROUND, POSITIONS
 from cosim.config import nearest, read_toml
 from cosim.control.choice import PREDICTORS
 from cosim.engine import EngineSpec, engine_names
@@ -20,7 +21,18 @@ from cosim.pilot_record import PilotRecord
 from cosim.piloted import with_autopilot
 from cosim.recorder import KeepingSink
 from cosim.replay import REQUESTS, Replay, read_requests
-from cosim.run import AUTOPILOT, DelayRow, Recording, Run, Setup, StationEngine, begin_run, now, versions
+from cosim.run import (
+    AUTOPILOT,
+    DelayRow,
+    Integration,
+    Recording,
+    Run,
+    Setup,
+    StationEngine,
+    begin_run,
+    now,
+    versions,
+)
 from cosim.scenario import Expectation, Scenario, SticksCommand, TableCommand, is_file
 from cosim.simulation import Ending, Observer, Simulation, build
 from cosim.vehicle import aircraft_names
@@ -178,6 +190,7 @@ def _setup(simulation: Simulation) -> Setup:
         controller=scenario.controller,
         seed=scenario.seed,
         step_s=scenario.step_s,
+        integration=integration(scenario),
         planned_s=scenario.duration_s,
         started=now(),
         engine_curve=list(zip(engine.curve.throttle, engine.curve.thrust, strict=True)),
@@ -193,6 +206,19 @@ def _setup(simulation: Simulation) -> Setup:
             f"{simulation.vehicle.model} as flown": simulation.airframe.sha256,
             **_engine_hashes([engine, *simulation.stations]),
         },
+    )
+
+
+def integration(scenario: Scenario) -> Integration:
+    """How the airframe of a flight is integrated: see :mod:`cosim.airframe`."""
+    return Integration(
+        runs=scenario.substeps,
+        run_s=scenario.step_s / scenario.substeps,
+        rates=METHODS[IN_THE_AIR],
+        velocities=METHODS[IN_THE_AIR],
+        attitude=METHODS[POSITIONS["rotational"]],
+        position=METHODS[POSITIONS["translational"]],
+        on_ground=METHODS[ON_THE_GROUND],
     )
 
 

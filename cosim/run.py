@@ -76,6 +76,28 @@ class StationEngine(Record):
     curve: tuple[tuple[float, float], ...] = ()
 
 
+class Integration(Record):
+    """How the airframe is integrated: JSBSim's runs, and its methods by name."""
+
+    runs: int  # in a control step
+    run_s: float  # the time that each covers
+    rates: str  # angular acceleration to body rate
+    velocities: str
+    attitude: str
+    position: str
+    on_ground: str  # of rates and velocities instead, while anything touches the ground
+
+    @property
+    def methods(self) -> str:
+        """In words."""
+        air = [f"rates {self.rates}", f"velocities {self.velocities}"]
+        if self.rates == self.velocities:
+            air = [f"rates and velocities {self.rates}"]
+        if self.on_ground != self.rates or self.on_ground != self.velocities:
+            air[-1] += f" ({self.on_ground} while anything touches the ground)"
+        return ", ".join([*air, f"attitude {self.attitude}", f"position {self.position}"])
+
+
 class Setup(BaseModel):
     """What is known of a run before its first step."""
 
@@ -89,6 +111,7 @@ class Setup(BaseModel):
     controller: str
     seed: int
     step_s: float
+    integration: Integration | None = None  # None: of a run from before it was written down
     planned_s: float  # how long the flight is meant to be
     started: str = ""  # UTC, ISO 8601
     engine_curve: list[tuple[float, float]] = []  # throttle, thrust of one engine at rest [N]

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cosim.airframe import Airframe, render, standing_height
+from cosim.airframe import METHODS, Airframe, render, standing_height
 from cosim.errors import InputError
+from cosim.flight import integration
 from cosim.frames import jet_axis
-from cosim.scenario import Environment, Initial
+from cosim.scenario import Environment, Initial, Scenario
 from cosim.signals import ZERO3, Disturbance, Vector3
 from cosim.vehicle import Vehicle, load_vehicle
 
@@ -322,6 +323,26 @@ def test_stands_still_on_its_legs() -> None:
         assert state.altitude == pytest.approx(standing_height(vehicle), abs=1e-4)
         assert state.velocity == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
         assert state.euler == pytest.approx((0.0, 0.0, 0.0), abs=1e-4)
+
+
+def test_what_a_run_says_of_its_integration_is_what_jsbsim_does() -> None:
+    """Its properties read back, in the air and once the vehicle stands; the runs by JSBSim's own clock."""
+    said = integration(Scenario(name="x", duration_s=1.0, step_s=STEP, substeps=7))
+    with airframe(substeps=7) as (frame, _):
+
+        def methods_now() -> list[str]:
+            names = ("rate/rotational", "rate/translational", "position/rotational", "position/translational")
+            return [METHODS[frame._fdm.get_property_value(f"simulation/integrator/{name}")] for name in names]
+
+        frame.reset(Initial(), OFF, ZERO3)
+        before = frame._fdm.get_sim_time()
+        frame.step(OFF, CALM)
+        assert methods_now() == [said.rates, said.velocities, said.attitude, said.position]
+        assert frame._fdm.get_sim_time() - before == pytest.approx(said.runs * said.run_s, rel=1e-12)
+        frame.reset(Initial(on_ground=True), OFF, ZERO3)
+        for _ in range(50):
+            frame.step(OFF, CALM)
+        assert methods_now() == [said.on_ground, said.on_ground, said.attitude, said.position]
 
 
 @pytest.mark.parametrize("name", ["hexjet", "hexjet-p220"])

@@ -221,12 +221,14 @@ def test_a_summary_from_before_limits_is_still_read(tmp_path: Path) -> None:
     assert run.folder is not None
     path = run.folder / "summary.json"
     data: dict[str, Any] = json.loads(path.read_text())
-    for key in ("verdict", "limits", "beyond", "position", "speed", "effort", "fuel_burnt_kg", "reach", "yardstick"):
+    later = ("verdict", "limits", "beyond", "position", "speed", "effort", "fuel_burnt_kg", "reach", "yardstick")
+    for key in (*later, "integration"):
         del data[key]
     del data["altitude"]["final_error_m"]
     path.write_text(json.dumps(data))
     old = open_run(run.folder).summary
     assert old.verdict is None
+    assert old.integration is None
     assert old.as_planned
     assert old.flat_metrics["position.drift_m"] is None
 

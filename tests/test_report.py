@@ -21,6 +21,7 @@ from flights import STEP, samples, scenario, setup
 from cosim.columns import NAMES
 from cosim.errors import FlightError
 from cosim.figures import ATTITUDE, Reader, comparison_figures, jet_rows, run_figures, stacked, thinned
+from cosim.flight import integration
 from cosim.recorder import MemoryLog
 from cosim.report import compare_report, figure_json, run_labels, verdict, write_report
 from cosim.run import DelayRow, Run, begin_run
@@ -251,6 +252,17 @@ def test_the_page_says_what_there_is_to_say(run: Run, tmp_path: Path) -> None:
         assert name in text
         assert value in text
     assert "flown in memory" in text
+
+
+def test_the_page_says_how_the_airframe_was_integrated(run: Run, tmp_path: Path) -> None:
+    """Where the step is; a run from before it was written down says nothing of it."""
+    assert "integration" not in page_of(run, tmp_path).text
+    text = page_of(flown(10, integration=integration(scenario(substeps=5))), tmp_path).text
+    assert "steps of 4 ms, 5 JSBSim runs each" in text
+    assert (
+        "rates and velocities Adams-Bashforth 2 (rectangular rule while anything touches the ground), "
+        "attitude Buss 2, position Adams-Bashforth 3"
+    ) in text
 
 
 def test_a_run_in_a_folder_says_how_to_fly_it_again(tmp_path: Path) -> None:
