@@ -341,7 +341,8 @@ def gcs(
     """A vehicle on the ground that waits for a ground station: QGroundControl, MAVProxy, MAVSDK.
 
     Every flight leaves a run's folder, with telemetry.tlog and with requests.jsonl: hexjet fly on its scenario.toml
-    repeats it without a ground station.  Status 1: the last flight failed.
+    repeats it without a ground station.  Status as of hexjet fly, for the last flight: 0 flown as planned; 1 it failed
+    or went beyond its limits; 2 wrong input.
     """
     from cosim.console import live_line, output_to_stderr, print_gcs, print_session
     from cosim.gcs import Session, place_at, stopped_by_signals, vehicle_key
@@ -376,7 +377,7 @@ def gcs(
     if as_json:
         found = {"runs": [run.summary.model_dump(mode="json") for run in runs], "links": counts}
         click.echo(json.dumps(found, allow_nan=False))
-    return DONE if runs[-1].outcome == "completed" else FLIGHT_FAILED
+    return DONE if runs[-1].summary.as_planned else FLIGHT_FAILED
 
 
 @cli.command("list", epilog=_example("hexjet list engines"))
