@@ -114,13 +114,16 @@ class SticksCommand(Model):
 class PlaceCommand(Model):
     """From ``start_s`` on: fly to a place and hold it, by the autopilot's law; what is not stated is where it is then.
 
-    m, NED, from the place below the start.  Height and heading are those of other commands.
+    m, NED, from the place below the start; ``altitude_m`` above the ground there.  Height and heading that no place has
+    stated yet are those of other commands.
     """
 
     kind: Literal["place"]
     start_s: Seconds = 0.0
     north_m: Amplitude | None = None
     east_m: Amplitude | None = None
+    altitude_m: Annotated[float, Field(ge=0.0, le=20000.0)] | None = None
+    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None  # from north, the short way round
     speed_m_s: Positive | None = None  # at most on the way; not stated: the vehicle's [control.pilot]
 
 

@@ -606,7 +606,8 @@ def build(scenario: Scenario) -> Simulation:
         ledger = delay_ledger(scenario, vehicle, stations)
         simulation = Simulation(scenario, vehicle, specs, airframe, engines, spools, control, ledger)
         if flies_to_places(scenario):
-            simulation.pilot = PlacePilot(scenario, vehicle, simulation.commander)
+            hover, idle = simulation.allocator.hover, simulation.thrust_map.idle
+            simulation.pilot = PlacePilot(scenario, vehicle, simulation.commander, hover, idle)
             simulation.pilot.reset(simulation.measured)
         return simulation
     except BaseException:
