@@ -142,13 +142,20 @@ class TiltAllocator:
         up = collective - plan.centre
         # rounding may leave the two apart by nothing
         above = least if up < least else (most if up > most else up)
-        c = collective if above == up else plan.centre + above
-        throttle = tuple([_between(low, at_roll[i] + above * ups[i], high) if frees[i] else at_roll[i] for i in jets])
+        lifted = [at_roll[i] + above * ups[i] for i in jets]
+        missing = up - above if up > most else 0.0
+        extra = self._beyond(plan, lifted, missing)
+        if extra > 0.0:
+            lifted = [lifted[i] + extra * plan.boost[i] for i in jets]
+        # what fits is refused exactly nothing
+        c = collective if up >= least and extra == missing else plan.centre + above + extra
+        throttle = tuple([_between(low, lifted[i], high) if frees[i] else at_roll[i] for i in jets])
 
         share = max(_LEAST_SHARE, (c + self._idle) / self._hover_thrust)
-        constant, per_up, per_roll = plan.pitch
+        constant, per_up, per_roll, per_boost = plan.pitch
+        left = constant + above * per_up + r * per_roll + extra * per_boost
         # what the throttles leave of pitch is tilted away
-        balance = -(constant + above * per_up + r * per_roll) / (self._lever * max(_LEAST_SHARE, self._idle + c))
+        balance = -left / (self._lever * max(_LEAST_SHARE, self._idle + c))
         wanted = self._pitch_sign * pitch / share + balance
         p = _within(self._range, wanted)
         y = _within(self._range - abs(p), yaw / share)
@@ -162,6 +169,16 @@ class TiltAllocator:
                 collective - c,
             ),
         )
+
+    def _beyond(self, plan: Plan, lifted: list[float], wanted: float) -> float:
+        """How much of the collective ``wanted`` beyond the plan's own the engines at ``lifted`` can still give."""
+        room = wanted
+        for slope, at in zip(plan.boost, lifted, strict=True):
+            if slope > _FLAT:
+                room = min(room, (self._high - at) / slope)
+            elif slope < -_FLAT:
+                room = min(room, (self._low - at) / slope)
+        return max(room, 0.0) if wanted > 0.0 and any(plan.boost) else 0.0
 
 
 class RotorAllocator:

@@ -9,7 +9,8 @@ are what a plan gives with the engines that are left:
 
 so that the rest of the controller, its identified models and its hover feed-forward stay as they are.  The commands are
 affine in collective and roll, ``u = trim + up (c - c0) + roll r``; their weights come from a linear program that leaves
-the most roll either way around hover.
+the most roll either way around hover.  What those weights cannot give of a large collective the engines that are kept
+free for roll give too, as far as roll does not ask for them: ``boost`` leads on from there to the most that is left.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ _KEPT = 0.15  # of hover thrust, kept either way for height while roll is used; 
 _PARTS_KEPT = (1.0, 0.5, 0.25, 0.1)  # of that, tried in turn: an engine that runs away leaves little room downward
 _EXCESS_COST = 0.05  # of the most any jet departs from its usual command, against roll authority: spreads the load
 _ROUNDING = 1e-9  # share m
+_LEAST_GAIN = 1e-6  # of collective, less than which is not worth a second direction
+_FLAT = 1e-9  # of throttle per collective: does not follow it
 _RESIDUAL_COST = 1e3  # of pitch left to the tilt, against roll authority: throttle balances pitch where it can
 
 
@@ -38,7 +41,8 @@ _RESIDUAL_COST = 1e3  # of pitch left to the tilt, against roll authority: throt
 class Plan:
     """Commands of all jets as an affine function of collective and roll; see the module's text.
 
-    ``pitch`` is the pitch moment that the throttles leave, in share m: constant, per collective, per roll.
+    ``boost`` is what each jet adds for collective beyond the largest that ``up`` reaches.  ``pitch`` is the pitch
+    moment that the throttles leave, in share m: constant, per collective, per roll, per collective of ``boost``.
     """
 
     centre: float
@@ -47,7 +51,8 @@ class Plan:
     up: tuple[float, ...]
     roll: tuple[float, ...]
     roll_range: tuple[float, float]  # beyond it no collective is left
-    pitch: tuple[float, float, float]
+    boost: tuple[float, ...]
+    pitch: tuple[float, float, float, float]
 
 
 class Attainable(NamedTuple):
@@ -84,9 +89,10 @@ def plan(
     stands = rows @ fixed + given.sum(axis=1) * idle  # without any command
     per_collective, per_roll = rows.sum(axis=1), rows @ side
     at_zero = per_collective * idle - stands  # what the commands must add for c = 0
-    most = _most_collective(given, at_zero, per_collective, low, high, hover * (1.0 + 2.0 * _KEPT))
-    if most is None:
+    top = _most_collective(given, at_zero, per_collective, low, high)
+    if top is None:
         return None
+    most = min(top[0], hover * (1.0 + 2.0 * _KEPT))
     centre, kept = (hover, min(_KEPT * hover, 0.5 * (most - hover))) if most > hover else (0.9 * most, 0.05 * most)
     found = None
     for part in _PARTS_KEPT:
@@ -113,17 +119,20 @@ def plan(
             (roll, per_roll),
         )
     )
+    boost = _boost(trim, up, centre, top, high, low)
     left = [
         float(residual[2])
         for residual in (
             given @ trim - at_zero - per_collective * centre,
             given @ up - per_collective,
             given @ roll - per_roll,
+            given @ boost - per_collective if boost.any() else np.zeros(3),
         )
     ]
-    constant, per_up, per_reach = (0.0 if abs(value) < _ROUNDING else value for value in left)
-    everything = np.array([[each.command for each in health], np.zeros(len(jets)), np.zeros(len(jets))])
-    everything[:, free] = (trim, up, roll)
+    constant, per_up, per_reach, per_boost = (0.0 if abs(value) < _ROUNDING else value for value in left)
+    everything = np.zeros((4, len(jets)))
+    everything[0] = [each.command for each in health]
+    everything[:, free] = (trim, up, roll, boost)
     return Plan(
         centre=centre,
         free=tuple(each.gain > 0.0 for each in health),
@@ -131,7 +140,8 @@ def plan(
         up=tuple(everything[1].tolist()),
         roll=tuple(everything[2].tolist()),
         roll_range=_roll_range(trim, up, roll, low, high),
-        pitch=(constant, per_up, per_reach),
+        boost=tuple(everything[3].tolist()),
+        pitch=(constant, per_up, per_reach, per_boost),
     )
 
 
@@ -212,9 +222,9 @@ def _linprog(cost: Any, ub: Any = None, eq: Any = None, bounds: Any = None) -> A
 
 
 def _most_collective(
-    given: Array, at_zero: Array, per_collective: Array, low: float, high: float, enough: float
-) -> float | None:
-    """The largest collective up to ``enough`` that the free jets give in balance; None if there is none above 0."""
+    given: Array, at_zero: Array, per_collective: Array, low: float, high: float
+) -> tuple[float, Array] | None:
+    """The largest collective that the free jets give in balance, and their commands; None if there is none above 0."""
     import numpy as np
 
     count = given.shape[1]
@@ -222,9 +232,30 @@ def _most_collective(
     found = _linprog(
         cost,
         eq=(np.column_stack([given, -per_collective]), at_zero),
-        bounds=[(low, high)] * count + [(0.0, enough)],
+        bounds=[(low, high)] * count + [(0.0, None)],
     )
-    return None if found is None or found.x[-1] <= 1e-6 else float(found.x[-1])
+    return None if found is None or found.x[-1] <= 1e-6 else (float(found.x[-1]), found.x[:count])
+
+
+def _boost(trim: Array, up: Array, centre: float, top: tuple[float, Array], high: float, low: float) -> Array:
+    """Commands per collective on the straight line from the most that ``up`` gives without roll to ``top``.
+
+    Both ends give their collective in balance, and so does everything between them.
+    """
+    import numpy as np
+
+    room = [
+        ((high if slope > 0.0 else low) - base) / slope
+        for base, slope in zip(trim, up, strict=True)
+        if abs(slope) > _FLAT
+    ]
+    reached = min(room, default=0.0)
+    gain = top[0] - centre - reached
+    if gain <= _LEAST_GAIN:
+        return np.zeros(len(trim))
+    boost: Array = (top[1] - trim - reached * up) / gain
+    boost[np.abs(boost) < _FLAT] = 0.0
+    return boost
 
 
 def _weights(
