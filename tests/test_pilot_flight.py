@@ -204,6 +204,23 @@ def test_a_mission_of_four_waypoints() -> None:
         assert flight.ending is None
 
 
+def test_a_mission_returns_home_and_not_to_where_the_flight_began() -> None:
+    """At the height of a return; a second one as well, which does not go where the first has been."""
+    with Flight(airborne=True) as flight:
+        pilot = flight.pilot
+        back = (MissionItem("waypoint", 5.0, 0.0, 10.0), MissionItem("return"))
+        flight.ok(rq.SetParameter("RTL_RETURN_ALT", 12.0), rq.SetParameter("HJ_DESC_AUTO", 2.0))
+        for north, east in ((12.0, 4.0), (0.0, -6.0)):
+            begun = len(flight.samples)
+            flight.ok(rq.SetHome(north, east, 0.0), rq.MissionUpload(back), rq.MissionStart())
+            flight.fly(60.0, lambda: pilot.mission.current == 1)
+            flight.fly(60.0, lambda: flight.simulation.state.altitude < 5.0)
+            assert flight.away(north, east) < 1.0
+            highest = max(sample.state.altitude for sample in flight.samples[begun:])
+            assert highest == pytest.approx(12.0, abs=0.6)
+            flight.ok(rq.Hold())
+
+
 def test_the_same_requests_at_the_same_steps_are_the_same_flight() -> None:
     """To the last bit, with noise, turbulence, a parameter, a predictor and a fault changed on the way."""
 

@@ -237,7 +237,7 @@ class Autopilot:
         self._ground = 0.0  # height of the ground below the last take-off
         self._left: Pair | None = None  # where that was
         self._phase = 0  # of RTL and of a mission's landing
-        self._return_to: Pair = (0.0, 0.0)  # where RTL lands
+        self._return_to: Pair | None = None  # where the return lands; None: it has not begun
         self._orbit: Orbit | None = None
         self._turned = 0.0  # rad round the centre, on the circle
         self._bearing: float | None = None  # from the centre a step ago; None: not on the circle
@@ -897,11 +897,10 @@ class Autopilot:
     def _fly_home(self) -> Command:
         """RTL: up, home, down."""
         home = self.home or Home(*self._fix.position, self._home_altitude())
-        if self._height is None:
-            self._return_to = self._nearest(home)
-        place = self._return_to
+        begins = self._return_to is None
+        place = self._return_to = self._return_to or self._nearest(home)
         away = hypot(self._fix.position[0] - place[0], self._fix.position[1] - place[1])
-        if self._height is None:
+        if begins or self._height is None:
             near = away < _NEAR_HOME_M
             height = home.altitude + self.parameters["RTL_RETURN_ALT"]
             height = max([height, *(p.altitude for p in self.rally if (p.north, p.east) == place)])
@@ -973,6 +972,7 @@ class Autopilot:
             self._new_place(there, self._height, item.yaw)
         elif item.kind is ItemKind.RETURN:
             self._new_place(None, None, None)
+            self._return_to = None
 
     def _reached(self, item: MissionItem, k: int) -> bool:
         """Is the item done?  Waiting begins when its place is reached."""
@@ -1074,7 +1074,7 @@ class Autopilot:
         self.failsafe = ""
         self._settling, self._disarming = None, False
         self._phase = 0
-        self._takeoff_to = None
+        self._takeoff_to = self._return_to = None
         self._new_place(None, None, None)
         if self.landed is LandedState.LANDING:
             self.landed = LandedState.IN_AIR
