@@ -70,7 +70,8 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
     """Write a run's log as ULog, with what its autopilot did if one flew it.
 
     ``rates``: ``all`` writes every step, ``px4`` each topic about as often as PX4's default profile does
-    (:data:`EVERY_S`), which is a tenth of it.  Raises InputError if there is no run or the file cannot be written.
+    (:data:`EVERY_S`), which is a tenth of it, and at the last step.  Raises InputError if there is no run or the file
+    cannot be written.
     """
     run = open_run(folder)
     step, lines = run.summary.step_s, read_pilot_record(folder)
@@ -95,11 +96,13 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
         ]
         events.sort(key=lambda event: event[0])
         done, first = 0, 0
-        estimates = ulog_pilot.estimates(lines)
+        estimates, last = ulog_pilot.estimates(lines), len(run.log) - 1
         for block in run.log.blocks(run.log.columns, ROWS):
             if estimates is not None:
                 block = block | _held(estimates, first, len(block["time_s"]))
-            found = [each for n, topic in enumerate(topics.values()) for each in _messages(topic, n, block, first)]
+            found = [
+                each for n, topic in enumerate(topics.values()) for each in _messages(topic, n, block, first, last)
+            ]
             first += len(block["time_s"])
             while done < len(events) and events[done][0] < first:
                 found.append(events[done])
@@ -134,15 +137,18 @@ def _topic(fields: list[Field], seconds: float, step: float) -> _Topic:
     return _Topic(fields, max(1, round(seconds / step)), _message_type(fields))
 
 
-def _messages(topic: _Topic, number: int, block: Block, first: int) -> Iterator[_Timed]:
-    """The data messages of one topic in a block whose first row is step ``first``."""
-    start = -first % topic.every
-    rows = {name: values[start :: topic.every] for name, values in block.items()}
-    made = np.zeros(len(rows["time_s"]), dtype=topic.kind)
+def _messages(topic: _Topic, number: int, block: Block, first: int, last: int) -> Iterator[_Timed]:
+    """The data messages of one topic in a block whose first row is step ``first``; that of the ``last`` step always."""
+    count = len(block["time_s"])
+    steps = [*range(first + -first % topic.every, first + count, topic.every)]
+    if first <= last < first + count and last % topic.every:
+        steps.append(last)
+    rows = {name: values[np.array(steps, dtype=np.intp) - first] for name, values in block.items()}
+    made = np.zeros(len(steps), dtype=topic.kind)
     _fill(made, number, topic.fields, rows)
     content, size = made.tobytes(), topic.kind.itemsize
-    for n in range(len(made)):
-        yield first + start + n * topic.every, content[n * size : (n + 1) * size]
+    for n, k in enumerate(steps):
+        yield k, content[n * size : (n + 1) * size]
 
 
 def _held(estimates: ulog_pilot.Series, first: int, count: int) -> Block:

@@ -114,8 +114,10 @@ class Links:
             self._parameters.replace(facts.parameters)
 
     def end(self) -> None:
-        """A flight is done with."""
+        """A flight is done with; its run is among the logs."""
         self._record(None)
+        if self._shelf is not None:
+            self._shelf.renew()
 
     def onlookers(self) -> Onlookers:
         """Lets a flight that nobody can change be watched on these links."""

@@ -71,8 +71,8 @@ class Shelf:
     """The logs of the finished runs.
 
     ``runs``: the folders of every finished run, oldest first.  It reads a file of each, so it is called in a thread of
-    its own, and again when somebody asks after a while.  A log's number stays its own: runs that come later get the
-    next ones.
+    its own, and again when somebody asks after a while or after :meth:`renew`.  A log's number stays its own: runs that
+    come later get the next ones.
     """
 
     def __init__(self, runs: Callable[[], Sequence[Path]]) -> None:
@@ -84,14 +84,20 @@ class Shelf:
         self._search: Thread | None = None
         self._found: Sequence[Path] = ()
         self._looked = -inf
+        self._stale = True  # a run has been finished since the last search began
         self._now = 0.0
         self.logs: list[Log] = []
 
     def look(self, now: float) -> None:
         """Set about taking in the runs that are new, if that has not just been done."""
-        if self._search is None and now - self._looked >= LOOK_AGAIN:
+        if self._search is None and (self._stale or now - self._looked >= LOOK_AGAIN):
+            self._stale = False
             self._search = Thread(target=self._find, name="logs", daemon=True)
             self._search.start()
+
+    def renew(self) -> None:
+        """A run has just been finished: who asks from now on is not told what was found before.  From any thread."""
+        self._stale = True
 
     @property
     def looking(self) -> bool:
@@ -112,6 +118,8 @@ class Shelf:
         self._known.update(new)
         for run in new[-FIRST_LOGS:] if first else new[: MOST_LOGS - len(self.logs)]:
             self.logs.append(Log(len(self.logs), run, _started(run)))
+        if self._stale:  # finished while it was being looked for: who waits for the list wants it too
+            self.look(now)
 
     def work(self, now: float) -> None:
         """Take in the runs that were found, take the log that is ready, and begin with the next one."""
