@@ -150,7 +150,6 @@ def test_a_payload_off_to_the_side_is_carried_alike() -> None:
 PAYLOAD = FALL.held[0].disturbance._replace(payload=(0.5, 0.1, -0.05, 0.04))
 
 
-@pytest.mark.xfail(reason="known: hands a list to a compiled function; passes from source")
 def test_a_gust_in_turbulence_is_integrated_from_its_log() -> None:
     """The whole of ``gust``, damping, gust and drag off the centre included; docs/accuracy.md has the figures.
 

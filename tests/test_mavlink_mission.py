@@ -481,6 +481,8 @@ def test_all_lists_are_cleared_at_once() -> None:
     [
         (1, [at(0.0, 0.0, 0.0)], UNSUPPORTED, "fence item 0 refused: command 16 is not one of a fence"),
         (1, [at(0.0, 0.0, 0.0, command=5003, p1=0.0)], P1, "radius 0: more than 0 m is needed"),
+        (1, [at(n, e, 0.0, command=5001, p1=nan) for n, e in CORNERS], P1, "nan corners: a whole number is needed"),
+        (1, [at(n, e, 0.0, command=5002, p1=3.5) for n, e in CORNERS], P1, "3.5 corners: a whole number is needed"),
         (1, FENCE[:3], P1, "fence refused: item 2: a polygon of 4 corners ends after 3"),
         (1, [FENCE[0], FENCE[4]], P1, "a polygon of 4 corners ends after 1"),
         (1, [at(n, 0.0, 0.0, command=5001, p1=2.0) for n in (0.0, 9.0)], P1, "2 corners, a polygon has 3 to"),

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.exact import Air, Held, Motion, integrate, start
+from benchmarks.accuracy.exact import Air, Array, Held, Motion, integrate, start
 from cosim.airframe import ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_3, BUSS_2, FOOT, RECTANGULAR, Airframe
 from cosim.flight import fly
 from cosim.frames import from_euler, jet_axis, rotate
 from cosim.recorder import Log
 from cosim.scenario import Environment, Initial, Scenario
-from cosim.signals import Disturbance, Sample, State, Vector3
+from cosim.signals import Disturbance, Quaternion, Sample, State, Vector3
 from cosim.simulation import build
 from cosim.vehicle import Vehicle, load_vehicle
 
@@ -92,11 +92,17 @@ def courses(seconds: float | None = None) -> list[Course]:
     ]
 
 
+AXES: tuple[Vector3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def turn_of(attitude: Quaternion) -> Array:
+    """The same rotation, body to NED, as a matrix."""
+    return np.array([rotate(attitude, axis) for axis in AXES]).T
+
+
 def seen(state: State, place: tuple[float, float, float]) -> Motion:
     """The airframe's state as the other integration states it."""
-    axes: list[Vector3] = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
-    turn = np.array([rotate(state.attitude, axis) for axis in axes]).T
-    return Motion(turn, np.array(state.rate), np.array(state.velocity), np.array(place))
+    return Motion(turn_of(state.attitude), np.array(state.rate), np.array(state.velocity), np.array(place))
 
 
 def fly_again(flown: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[Motion]]:
@@ -197,7 +203,7 @@ def from_the_log(log: Log, scenario: Scenario, air_turns: bool = True) -> tuple[
     place = scenario.environment
     steps, worst = round(WINDOW / scenario.step_s), (0.0, 0.0)
     for first in range(1, len(held) - steps + 1, steps):
-        turn = np.array([rotate(from_euler(*angles[first]), axis) for axis in np.eye(3).tolist()]).T
+        turn = turn_of(from_euler(*angles[first]))
         motion = Motion(turn, np.array(rates[first]), np.array(velocities[first]), np.zeros(3))
         state = start(place.latitude_deg, place.longitude_deg, place.ground_m + float(heights[first]), motion)
         end = integrate(vehicle, state, held[first : first + steps], scenario.step_s)[-1]

@@ -330,7 +330,8 @@ class MissionService(Service):
             return [] if left else [(client.peer, _ack(client, DENIED if refused else ACCEPTED, which))]
 
         for request in requests:
-            self._answers.request(request, client, then)
+            if not self._answers.request(request, client, then):
+                return [_ack(client, ERROR, which)]  # once: ``left`` does not come to 0 any more
         return []
 
     def _set_current(self, index: int, client: Client) -> list[Message]:

@@ -33,8 +33,11 @@ def fence_item(item: Item) -> None:
     """Refuse what is no item of a fence.  Raises ItemError."""
     if item.command not in (*_POLYGONS, *_CIRCLES, _RETURN_POINT):
         raise ItemError(UNSUPPORTED, f"command {item.command} is not one of a fence")
-    if item.command in _CIRCLES and not (isfinite(item.params[0]) and item.params[0] > 0.0):
-        raise ItemError(PARAM1, f"radius {item.params[0]:g}: more than 0 m is needed")
+    first = item.params[0]
+    if item.command in _CIRCLES and not (isfinite(first) and first > 0.0):
+        raise ItemError(PARAM1, f"radius {first:g}: more than 0 m is needed")
+    if item.command in _POLYGONS and not (isfinite(first) and first == int(first)):
+        raise ItemError(PARAM1, f"{first:g} corners: a whole number is needed")
 
 
 def to_fence(items: Sequence[Item], geodesy: Geodesy) -> FenceUpload:
