@@ -437,8 +437,8 @@ def fmu_check(
     from cosim.config import parse_numbers
     from cosim.console import print_check
     from cosim.engine import check_fmu, limits_of
+    from cosim.engine.figure import write_check
     from cosim.flight import new_folder
-    from cosim.report import write_check
 
     found = check_fmu(engine, step, parse_numbers(settings, "--set"), limits_of(time_limit))
     page = write_check(found, out if out is not None else new_folder(Path("runs"), f"check-{Path(engine).stem}"))
@@ -707,7 +707,8 @@ def paper(out: Path, workers: int, pages: tuple[Path, ...], as_json: bool) -> in
     from cosim.console import part_progress, print_paper
     from cosim.marks import check_marks
     from cosim.paper.pages import write_page
-    from cosim.paper.reproduce import DATA, REPORT, reproduce
+    from cosim.paper.reproduce import reproduce
+    from cosim.paper.result import DATA, REPORT
 
     for page in pages:
         check_marks(page, ())

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from cosim.campaign.campaign import Again
     from cosim.campaign.keys import Key
-    from cosim.campaign.search_folder import Searched
+    from cosim.campaign.search_result import Searched
     from cosim.campaign.store import Campaign, Tally
     from cosim.design.make import Design
     from cosim.engine import CheckReport
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cosim.gcs import Session
     from cosim.identify import Identification
     from cosim.links import Links
-    from cosim.paper.reproduce import Reproduction
+    from cosim.paper.result import Reproduction
     from cosim.run import Run
     from cosim.scenario import Scenario
     from cosim.signals import Sample

@@ -23,6 +23,7 @@ from cosim.recorder import KeepingSink
 from cosim.replay import REQUESTS, Replay, read_requests
 from cosim.run import (
     AUTOPILOT,
+    REPORT,
     DelayRow,
     Integration,
     Recording,
@@ -89,7 +90,17 @@ def fly(
             reason += f"; {len(replay.otherwise)} requests were answered otherwise, the first: {replay.otherwise[0]}"
         if simulation.scenario is not scenario and replay is None:  # faults came by command
             recording.restate(resolve(simulation)[0])
-        return recording.finish(ending.outcome, reason, wall, report, pace.report if realtime_factor else None)
+        run = recording.finish(ending.outcome, reason, wall, pace.report if realtime_factor else None)
+        return with_page(run) if report else run
+
+
+def with_page(run: Run) -> Run:
+    """The run, with its page beside its log where it has a folder.  Raises FlightError if that cannot be written."""
+    if run.folder is not None:
+        from cosim.report import write_report
+
+        write_report(run, run.folder / REPORT)
+    return run
 
 
 def record(

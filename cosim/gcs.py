@@ -21,7 +21,7 @@ from typing import Any
 
 from cosim.errors import FlightError, InputError
 from cosim.exchange import Asked, Exchange, Facts, Restart, Shutdown
-from cosim.flight import record, reserve_folder
+from cosim.flight import record, reserve_folder, with_page
 from cosim.geodesy import Geodesy
 from cosim.pace import Pace
 from cosim.pilot.autopilot import Autopilot, Status
@@ -306,7 +306,8 @@ class _Flight:
         assert self.recording is not None
         self.close_record()
         self.recording.shorten(self.simulation.k)
-        return self.recording.finish(ending.outcome, ending.reason, wall, report, self.pace.report)
+        run = self.recording.finish(ending.outcome, ending.reason, wall, self.pace.report)
+        return with_page(run) if report else run
 
     def close(self) -> None:
         if self.log is not None:

@@ -1,39 +1,21 @@
-"""A finished run as one HTML page that opens offline, and several runs laid over each other.
-
-The only module that touches ``plotly``, and of it only the JavaScript, which goes into the page.
-"""
+"""A finished run as one HTML page that opens offline, and several runs laid over each other."""
 
 from __future__ import annotations
 
-import base64
-import json
 import os
 import shlex
 from collections.abc import Sequence
-from importlib.resources import files
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from cosim.errors import FlightError
 from cosim.events import Event, events_of
 from cosim.figures import comparison_figures, run_colour, run_figures
-from cosim.files import one_line, replacing
 from cosim.metrics import AxisMetrics, metric_names
+from cosim.page import TEMPLATES, render
 from cosim.run import LOG, REPORT, SCENARIO, Run, Summary
 from cosim.signals import AXES
 from cosim.wording import AXIS_ROWS, NONE, WHOLE_ROWS, metric, shown
-
-if TYPE_CHECKING:
-    from cosim.campaign.search_folder import Searched
-    from cosim.campaign.store import Campaign
-    from cosim.design.make import Design
-    from cosim.engine import CheckReport
-    from cosim.identify import Identification
-    from cosim.paper.reproduce import Reproduction
-    from cosim.survival import Survival
 
 KINDS = {
     "fault": "fault",
@@ -43,7 +25,6 @@ KINDS = {
     "pilot": "autopilot",
 }
 GRAVE = 3  # severities up to this, errors, are set off
-TEMPLATES = Path(__file__).resolve().parent / "templates"
 
 
 def write_report(run: Run, path: Path) -> None:
@@ -51,10 +32,11 @@ def write_report(run: Run, path: Path) -> None:
     summary = run.summary
     events = events_of(run)
     figures = run_figures(run.log, summary, events) if summary.steps else {}
-    _render(
-        "report.html",
+    render(
+        TEMPLATES / "report.html",
         path,
         figures,
+        axis_rows=AXIS_ROWS,
         shaded=bool(figures and figures["attitude"]["layout"]["shapes"]),
         events=event_rows(events),
         kinds={event.kind for event in events},
@@ -75,8 +57,8 @@ def write_report(run: Run, path: Path) -> None:
 def compare_report(runs: Sequence[Run], path: Path) -> None:
     """Write one page with several runs laid over each other.  Raises FlightError if the file cannot be written."""
     labels = run_labels([run.summary for run in runs])
-    _render(
-        "compare.html",
+    render(
+        TEMPLATES / "compare.html",
         path,
         comparison_figures(runs, labels),
         runs=[
@@ -91,114 +73,6 @@ def compare_report(runs: Sequence[Run], path: Path) -> None:
         ],
         rows=comparison_rows([run.summary for run in runs]),
     )
-
-
-def identification_report(found: Identification, path: Path) -> None:
-    """Write the page of an identification.  Raises FlightError if the file cannot be written."""
-    from cosim.identify.figure import response_figure
-    from cosim.identify.result import equations, fit_rows
-
-    _render(
-        "identify.html",
-        path,
-        {"response": response_figure(found)},
-        found=found,
-        columns=[fit.label for fit in found.fits],
-        rows=fit_rows(found),
-        equation="\n       ".join(equations(found)),
-        source=found.source,
-    )
-
-
-def design_report(found: Design, path: Path) -> None:
-    """Write the page of a control design.  Raises FlightError if the file cannot be written."""
-    from cosim.design.figures import design_figures
-    from cosim.design.result import COLUMNS, rows, summary_lines
-
-    _render(
-        "design.html",
-        path,
-        design_figures(found),
-        found=found,
-        lines=summary_lines(found),
-        columns=COLUMNS,
-        rows=rows(found),
-        axes=list(found.axes),
-    )
-
-
-def survival_report(found: Survival, path: Path) -> None:
-    """Write the page of a survival table.  Raises FlightError if the file cannot be written."""
-    from cosim.survival import STARTS, summary
-
-    controllers, table = summary(found)
-    _render("survival.html", path, {}, found=found, controllers=controllers, table=table, starts=STARTS)
-
-
-def campaign_report(campaign: Campaign, path: Path) -> None:
-    """Write the page of a campaign.  Raises FlightError if the file, or one that it links to, cannot be written."""
-    from cosim.campaign.report import page
-
-    figures, values = page(campaign)
-    _render("campaign.html", path, figures, **values)
-
-
-def search_report(searched: Searched, path: Path) -> None:
-    """Write the page of a search.  Raises FlightError if the file cannot be written."""
-    from cosim.campaign.search_show import figures, how_fine, joint_lines, label, table
-
-    found = searched.found
-    columns, rows = table(found)
-    cases = []
-    for case in searched.cases:
-        folder = searched.folder / "cases" / case.name
-        flown = (folder / REPORT).is_file()
-        values = ", ".join(f"{key} = {value}" for key, value in case.values.items())
-        link = Path(os.path.relpath(folder / REPORT, path.parent)).as_posix() if flown else ""
-        command = shlex.quote((folder / SCENARIO).as_posix())
-        told = {"what": values, "report": link, "command": command}
-        cases.append({name: getattr(case, name) for name in ("name", "seed", "outcome", "reason", "same")} | told)
-    _render(
-        "search.html",
-        path,
-        figures(found, searched.looked),
-        found=found,
-        base=found.study.base(),
-        controllers=[label(name) for name in found.study.flown_with],
-        labels={name: label(name) for name in found.study.flown_with},
-        columns=columns,
-        rows=rows,
-        fine=[how_fine(span) for span in found.plan.spans],
-        together=joint_lines(found),
-        cases=cases,
-    )
-
-
-def paper_report(found: Reproduction, path: Path) -> None:
-    """Write the page of the paper's reproduction.  Raises FlightError if the file cannot be written."""
-    from cosim.paper.figures import paper_figures
-    from cosim.paper.page import page_values
-
-    _render("paper.html", path, paper_figures(found), **page_values(found))
-
-
-def write_check(found: CheckReport, folder: Path) -> Path:
-    """Write ``check.json`` and the page of a checked engine, and return the page's path.
-
-    Raises FlightError if a file cannot be written.
-    """
-    from cosim.engine.figure import check_figures
-    from cosim.engine.response import NO_CHANGE
-
-    path, data = folder / REPORT, folder / "check.json"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with replacing(data) as temporary:
-            temporary.write_text(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise FlightError(f"{data}: {one_line(error)}") from error
-    _render("check.html", path, check_figures(found), report=found, still=f"{NO_CHANGE:.0e}")
-    return path
 
 
 # ---- words and tables
@@ -388,42 +262,3 @@ def _link(run: Run, path: Path) -> str:
     if run.folder is None or not (run.folder / REPORT).is_file():
         return ""
     return Path(os.path.relpath(run.folder / REPORT, path.parent)).as_posix()
-
-
-# ---- the page
-
-
-def _render(template: str, path: Path, figures: dict[str, Any], **values: Any) -> None:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    page = environment.get_template(template).render(
-        figures={name: figure_json(figure) for name, figure in figures.items()},
-        plotly_js=(files("plotly") / "package_data" / "plotly.min.js").read_text(encoding="utf-8"),
-        axis_rows=AXIS_ROWS,
-        **values,
-    )
-    try:
-        with replacing(path) as temporary:
-            temporary.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise FlightError(f"{path}: {one_line(error)}") from error
-
-
-def figure_json(figure: dict[str, Any]) -> str:
-    """A figure as JSON that may stand in a script element; arrays in Plotly's base64 form, bit for bit."""
-    text = json.dumps(figure, default=_array_json, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _array_json(value: Any) -> dict[str, str]:
-    if not isinstance(value, np.ndarray):
-        raise TypeError(f"{type(value).__name__} in a figure")
-    codes = {np.dtype(np.float32): "f4", np.dtype(np.float64): "f8"}
-    return {"dtype": codes[value.dtype], "bdata": base64.b64encode(value.tobytes()).decode()}

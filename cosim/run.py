@@ -246,7 +246,6 @@ class Recording:
         outcome: Outcome,
         reason: str,
         wall_s: float | None = None,
-        report: bool = True,
         pace: PaceReport | None = None,
     ) -> Run:
         """Put the run's files into place; ``wall_s`` is the time spent on the steps.
@@ -271,12 +270,7 @@ class Recording:
         finally:
             self._sink.close()
         self._sink.path.unlink()
-        run = Run(summary, log, folder, self._scenario)
-        if report:
-            from cosim.report import write_report
-
-            write_report(run, folder / REPORT)
-        return run
+        return Run(summary, log, folder, self._scenario)
 
 
 def begin_run(

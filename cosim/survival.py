@@ -23,6 +23,7 @@ from cosim.control.replan import Attainable, attainable_sets
 from cosim.errors import FlightError, InputError
 from cosim.marks import table, write_marks
 from cosim.metrics import wrap
+from cosim.page import render
 from cosim.scenario import Scenario
 from cosim.signals import AXES
 from cosim.vehicle import Vehicle, load_vehicle
@@ -37,6 +38,7 @@ Say = Callable[[str, int, int], None]
 
 CONTROLLERS = ("baseline", "smith", "filtered-smith", "state-disturbance")
 STARTS = ("hover", "roll")
+TEMPLATE = Path(__file__).parent / "campaign" / "templates" / "survival.html"
 ROLL_DEG = 10.0
 HEIGHT_M = 30.0
 SETTLED_S = {"hover": 1.0, "roll": 3.0}  # before the fault: in the roll, a step at 0.5 s has settled by then
@@ -341,8 +343,6 @@ def _moments(vehicle: Vehicle, delay: float | None) -> Moments | None:
 
 def write(found: Survival, folder: Path) -> dict[str, Path]:
     """``survival.csv`` and ``survival.html`` in ``folder``.  Raises InputError if they cannot be written."""
-    from cosim.report import survival_report
-
     paths = {"table": folder / "survival.csv", "report": folder / "survival.html"}
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -351,7 +351,8 @@ def write(found: Survival, folder: Path) -> dict[str, Path]:
             names = [field.name for field in fields(Row)]
             lines.writerow(names)
             lines.writerows([getattr(row, name) for name in names] for row in found.rows)
-        survival_report(found, paths["report"])
+        controllers, table = summary(found)
+        render(TEMPLATE, paths["report"], {}, found=found, controllers=controllers, table=table, starts=STARTS)
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror or error}") from error
     return paths

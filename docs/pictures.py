@@ -12,7 +12,8 @@ from cosim import Scenario, fly
 from cosim.paper.beyond import ROBUST
 from cosim.paper.experiments import COMPARED
 from cosim.paper.figures import COLOURS, NAMES, SHORT
-from cosim.paper.reproduce import Reproduction, reproduce
+from cosim.paper.reproduce import reproduce
+from cosim.paper.result import Reproduction
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -20,7 +20,7 @@ HOMES = {
     "jsbsim": ["airframe.py"],
     "fmpy": ["engine/"],
     "pymavlink": ["mavlink/"],
-    "plotly": ["report.py"],
+    "plotly": ["page.py"],
     "pyarrow": ["arrow.py"],
     "control": ["design/"],
     "websockets": ["web/"],
@@ -39,6 +39,7 @@ OUR_FILE_READERS = {
     "cosim.paths",
     "cosim.cli",
     "cosim.report",
+    "cosim.page",
     "cosim.recorder",
     "cosim.simulation",
     "cosim.arrow",
@@ -176,7 +177,14 @@ def test_nothing_imports_the_command_line() -> None:
 def test_the_simulation_knows_no_output() -> None:
     """It calls observers; which ones there are is the business of whoever starts a flight."""
     outputs = importers(
-        "cosim.report", "cosim.recorder", "cosim.arrow", "cosim.digest", "cosim.metrics", "cosim.cli", "cosim.mavlink"
+        "cosim.report",
+        "cosim.page",
+        "cosim.recorder",
+        "cosim.arrow",
+        "cosim.digest",
+        "cosim.metrics",
+        "cosim.cli",
+        "cosim.mavlink",
     )
     assert not [where for where in outputs if where.startswith("simulation.py:")]
 

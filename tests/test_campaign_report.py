@@ -53,7 +53,7 @@ from cosim.campaign.summary import campaign_summary, comparisons, plain, reasons
 from cosim.digest import log_digest
 from cosim.errors import InputError
 from cosim.flight import fly
-from cosim.report import figure_json
+from cosim.page import figure_json
 from cosim.scenario import Range, Scenario
 from cosim.simulation import build
 

@@ -92,7 +92,7 @@ def test_one_digest_in_memory_on_disk_and_in_passing(
             observers[2].flush()  # type: ignore[attr-defined]
     for recorder in observers[1:]:
         recorder.flush()  # type: ignore[attr-defined]
-    run = recording.finish("completed", "", report=False)
+    run = recording.finish("completed", "")
     assert log_digest(run.log) == log_digest(memory.log()) == passing.hexdigest()
     assert flight_metrics(passing.log(), STEP) == flight_metrics(run.log, STEP)
 

@@ -17,10 +17,10 @@ from engine_tools import NEWTON_PER_KGF, PAPER, STEP, archive, edit_description,
 
 from cosim.engine import CheckReport, build_engines, check_fmu, engine_names, load_engine
 from cosim.engine.build import build_all
+from cosim.engine.figure import write_check
 from cosim.engine.response import Hold, ResponseError, settle, static_curve, step_response, window_for
 from cosim.errors import InputError
 from cosim.paths import data_folder
-from cosim.report import write_check
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -41,7 +41,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
                 state=sample.state._replace(air_rate=(0.3, -0.4, 0.1 * sample.time)),
             )
         recording.observe(sample)
-    return recording.finish("diverged", "leaned past 90 deg", report=False)
+    return recording.finish("diverged", "leaned past 90 deg")
 
 
 @pytest.fixture(scope="module")
@@ -207,7 +207,7 @@ def test_flights_of_next_to_nothing(tmp_path: Path, rows: int) -> None:
     recording = begin_run(setup(), scenario(), tmp_path / "run")
     for sample in samples(rows):
         recording.observe(sample)
-    recording.finish("failed", "Triebwerk läuft nicht", report=False)
+    recording.finish("failed", "Triebwerk läuft nicht")
     export_ulog(tmp_path / "run", tmp_path / "x.ulg")
     export_csv(tmp_path / "run", tmp_path / "x.csv")
     assert len((tmp_path / "x.csv").read_text().splitlines()) == 1 + rows

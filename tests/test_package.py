@@ -109,8 +109,8 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     code = {path.relative_to(ROOT).as_posix() for path in (ROOT / "cosim").rglob("*.py")}
     templates = {
         path.relative_to(ROOT).as_posix()
-        for folder in ("templates", "web/static")
-        for path in (ROOT / "cosim" / folder).rglob("*")
+        for pattern in ("**/templates/*", "web/static/**/*")
+        for path in (ROOT / "cosim").glob(pattern)
         if path.is_file()
     }
     assert templates

@@ -153,7 +153,7 @@ def fly(folder: Path | None, steps: int, seed: int = 1) -> Run:
     recording = begin_run(setup(), scenario(), folder)
     for sample in samples(steps, seed=seed):
         recording.observe(sample)
-    return recording.finish("completed", f"flew {steps} steps", wall_s=2.0, report=False)
+    return recording.finish("completed", f"flew {steps} steps", wall_s=2.0)
 
 
 @pytest.fixture(scope="module")
@@ -356,7 +356,7 @@ def test_every_complete_batch_of_a_torn_stream_is_recovered(tmp_path: Path) -> N
     assert len(content) == ends[-1]
     assert len(ends) == 5
     toml = (tmp_path / "whole" / SCENARIO).read_bytes()
-    expected = begun.finish("completed", "", report=False).log["roll_rad"]
+    expected = begun.finish("completed", "").log["roll_rad"]
     random = Random(2)
     cuts = {end + shift for end in ends for shift in (-9, -8, -1, 0, 1, 4, 8, 9, 200)} | {
         random.randrange(ends[0], ends[-1]) for _ in range(25)
@@ -379,7 +379,7 @@ def test_every_complete_batch_of_a_torn_stream_is_recovered(tmp_path: Path) -> N
 def test_a_stream_torn_before_its_first_row_is_said_in_one_line(tmp_path: Path, cut: int) -> None:
     begun = begin_run(setup(), scenario(), tmp_path / "whole")
     content = (tmp_path / "whole" / STREAM).read_bytes()
-    begun.finish("completed", "", report=False)
+    begun.finish("completed", "")
     (tmp_path / STREAM).write_bytes(content[:cut])
     with pytest.raises(InputError, match=r"torn before its first row") as complaint:
         open_run(tmp_path)
@@ -439,7 +439,7 @@ def test_killed_between_summary_and_clearing_up(tmp_path: Path) -> None:
     for sample in samples(600):
         begun.observe(sample)
     stream = (tmp_path / "other" / STREAM).read_bytes()
-    begun.finish("completed", "", report=False)
+    begun.finish("completed", "")
     (tmp_path / "run" / STREAM).write_bytes(stream)
     before = (tmp_path / "run" / LOG).read_bytes()
     assert open_run(tmp_path / "run").summary == run.summary
@@ -481,7 +481,7 @@ def test_the_scenario_can_be_flown_from_the_folder(tmp_path: Path) -> None:
     sticks.parent.mkdir()
     sticks.write_text("time_s,roll\n0,0\n")
     flown = scenario(command=[{"kind": "table", "file": "sticks.csv"}], vehicle={"mass_kg": 6.0})
-    begin_run(setup(), flown, tmp_path / "run", {"sticks.csv": sticks}).finish("completed", "", report=False)
+    begin_run(setup(), flown, tmp_path / "run", {"sticks.csv": sticks}).finish("completed", "")
     assert (tmp_path / "run" / "sticks.csv").read_text() == sticks.read_text()
     run = open_run(tmp_path / "run")
     assert run.scenario.model_dump() == flown.model_dump()
@@ -599,7 +599,7 @@ if {roomy}:
 else:
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
 try:
-    run = recording.finish("completed", "", report=False)
+    run = recording.finish("completed", "")
     print(run.outcome, run.reason)
 except FlightError as error:
     print(error)
@@ -633,7 +633,7 @@ def test_a_log_that_fails_to_the_end_makes_the_run_failed(tmp_path: Path, monkey
         raise FlightError("flight.arrows: Input/output error")
 
     monkeypatch.setattr(StreamSink, "write", refuse)
-    run = begun.finish("completed", "", report=False)
+    run = begun.finish("completed", "")
     assert (run.outcome, run.reason, len(run.log)) == ("failed", "flight.arrows: Input/output error", 500)
 
 
@@ -642,7 +642,7 @@ def test_an_unreadable_value_survives(tmp_path: Path) -> None:
     odd = sample._replace(engines=sample.engines._replace(thrust=(nan, float("inf"), -0.0, 5e-324, 1e308, -1.0)))
     recording = begin_run(setup(), scenario(), tmp_path / "run")
     recording.observe(odd)
-    run = recording.finish("failed", "engine 1", report=False)
+    run = recording.finish("failed", "engine 1")
     thrust = np.array([run.log[f"thrust_{jet}_N"][0] for jet in range(1, 7)])
     assert bits(thrust) == bits(np.array(odd.thrust))
     assert isinstance(run.log, ParquetLog)

@@ -21,9 +21,10 @@ from flights import STEP, samples, scenario, setup
 from cosim.columns import NAMES
 from cosim.errors import FlightError
 from cosim.figures import ATTITUDE, Reader, comparison_figures, jet_rows, run_figures, stacked, thinned
-from cosim.flight import integration
+from cosim.flight import integration, with_page
+from cosim.page import figure_json
 from cosim.recorder import MemoryLog
-from cosim.report import compare_report, figure_json, run_labels, verdict, write_report
+from cosim.report import compare_report, run_labels, verdict, write_report
 from cosim.run import DelayRow, Run, begin_run
 from cosim.signals import Command, Sample
 
@@ -41,7 +42,7 @@ def flown(
     recording = begin_run(setup(**known), scenario(), folder)
     for sample in samples(steps):
         recording.observe(change(sample))
-    return recording.finish(outcome, reason, wall_s=0.1)
+    return with_page(recording.finish(outcome, reason, wall_s=0.1))
 
 
 @pytest.fixture(scope="module")

@@ -25,6 +25,7 @@ from cosim.design.loop import margins
 from cosim.errors import InputError
 from cosim.flight import fly
 from cosim.marks import parts_of
+from cosim.page import figure_json
 from cosim.paper import calibration, reproduce
 from cosim.paper.beyond import DelayPoint, Offset, Reach, RobustnessMap
 from cosim.paper.claims import Condition, Evidence, claim_rows, gain_at
@@ -33,10 +34,10 @@ from cosim.paper.experiments import COMPARED, Result, experiments, linear, quadr
 from cosim.paper.figures import panels, paper_figures
 from cosim.paper.loops import measured_sweep, open_loop, sweep
 from cosim.paper.page import counts_in_words, page_values, tally
+from cosim.paper.page import write_page as paper_report
 from cosim.paper.pages import CONSTRUCTED as CONSTRUCTED_PART
 from cosim.paper.pages import COUNTS, NAMED, write_page
-from cosim.paper.reproduce import Manual, Reproduction
-from cosim.report import figure_json, paper_report
+from cosim.paper.result import Manual, Reproduction
 from cosim.scenario import Scenario
 from cosim.vehicle import load_vehicle
 

@@ -47,7 +47,7 @@ class Flown:
     def close(self) -> None:
         """Finish the last recording."""
         if self._recording is not None:
-            self._recording.finish("completed", "timed", report=False)
+            self._recording.finish("completed", "timed")
             self._recording = None
 
     def plain(self, name: str) -> Job:

@@ -30,6 +30,7 @@ from cosim.campaign.summary import (
 )
 from cosim.errors import InputError
 from cosim.figures import run_colour
+from cosim.page import render
 from cosim.wording import Metric
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ INTERVALS = {
     ),
 }
 NONE = "–"
+TEMPLATE = Path(__file__).parent / "templates" / "campaign.html"
 
 
 def write_campaign_report(campaign: Campaign) -> Path:
@@ -62,10 +64,9 @@ def write_campaign_report(campaign: Campaign) -> Path:
 
     Raises FlightError if a file cannot be written.
     """
-    from cosim.report import campaign_report
-
     path = campaign.folder / REPORT
-    campaign_report(campaign, path)
+    figures, values = page(campaign)
+    render(TEMPLATE, path, figures, **values)
     return path
 
 

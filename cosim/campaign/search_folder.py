@@ -10,19 +10,19 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from cosim.campaign.folder import Frozen, freeze
 from cosim.campaign.folder import load as load_study
-from cosim.campaign.keys import Value
 from cosim.campaign.one import Row
 from cosim.campaign.options import open_study
 from cosim.campaign.plan import scenario_of
 from cosim.campaign.probe import Journal, Point, Prober
 from cosim.campaign.search import Edge, Found, Joint, Over, Plan, search, why
+from cosim.campaign.search_result import Case, Searched, question
+from cosim.campaign.search_show import write_page
 from cosim.campaign.span import span
 from cosim.campaign.study import Study, is_path
 from cosim.campaign.values import check_vary, levels
@@ -42,53 +42,6 @@ STUDY, QUESTION, JOURNAL, RESULT, REPORT, CASES = (
     "search.html",
     "cases",
 )
-
-
-@dataclass(frozen=True)
-class Case:
-    """A flight of the result, flown again from its own scenario file."""
-
-    name: str  # of its folder in cases/
-    controller: str
-    breaks: bool
-    values: Mapping[str, Value]
-    seed: int
-    outcome: str
-    reason: str  # in words
-    same: bool  # as in the search, bit for bit
-
-
-@dataclass(frozen=True)
-class Searched:
-    """A finished search and its folder."""
-
-    folder: Path
-    found: Found
-    cases: tuple[Case, ...]
-    looked: list[tuple[Point, bool]]  # every point that was flown, and whether it breaks
-
-    @property
-    def confirmed(self) -> bool:
-        """Whether every case came out as it had in the search."""
-        return all(case.same for case in self.cases)
-
-    def to_dict(self) -> dict[str, Any]:
-        """What ``search.json`` says."""
-        found, base = self.found, self.found.study.base()
-        return {
-            "folder": str(self.folder),
-            "scenario": base.name,
-            "aircraft": base.aircraft,
-            "engine": base.engine,
-            "controllers": found.study.flown_with,
-            "criterion": found.criterion,
-            **question(found.plan),
-            "flights": found.flights,
-            "alone": [asdict(edge) | {"comes_back": edge.comes_back} for edge in found.edges],
-            "together": [asdict(joint) for joint in found.joints],
-            "cases": [asdict(case) for case in self.cases],
-            "confirmed": self.confirmed,
-        }
 
 
 def opened(
@@ -193,31 +146,6 @@ def run_search(
     return searched
 
 
-def question(plan: Plan) -> dict[str, Any]:
-    """A plan as a table."""
-    table: dict[str, Any] = {
-        "seeds": list(plan.seeds),
-        "share": plan.share,
-        "budget": plan.budget,
-        "keys": [
-            {
-                "key": each.key.path,
-                "unit": each.key.unit,
-                "low": each.low,
-                "high": each.high,
-                "start": each.start,
-                "points": each.points,
-                "tolerance": each.tolerance,
-                "logarithmic": each.logarithmic,
-            }
-            for each in plan.spans
-        ],
-    }
-    if plan.over:
-        table["over"] = {"key": plan.over.key.path, "unit": plan.over.key.unit, "levels": list(plan.over.levels)}
-    return table
-
-
 def _begun(out: Path, frozen: Frozen, plan: Plan, resume: bool) -> bool:
     """Whether the folder holds this very search, to be gone on with; InputError if it holds anything else."""
     if not out.exists() or not any(out.iterdir()):
@@ -302,8 +230,6 @@ def _more_than_one(joint: Joint) -> bool:
 
 
 def _write(searched: Searched) -> None:
-    from cosim.report import search_report
-
     with replacing(searched.folder / RESULT) as temporary:
         temporary.write_text(json.dumps(searched.to_dict(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    search_report(searched, searched.folder / REPORT)
+    write_page(searched, searched.folder / REPORT)

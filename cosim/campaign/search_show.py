@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shlex
 from math import cos, log10, pi, sin
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,11 +11,16 @@ from typing import Any, NamedTuple
 from cosim.campaign.keys import Value
 from cosim.campaign.probe import Point
 from cosim.campaign.search import Edge, Found, Joint, Plan
+from cosim.campaign.search_result import Searched
 from cosim.campaign.span import Span
 from cosim.campaign.study import is_path
 from cosim.figures import GREEN, GREY, RED, run_colour
+from cosim.page import render
+from cosim.run import REPORT, SCENARIO
 
 Figure = dict[str, Any]
+
+TEMPLATE = Path(__file__).parent / "templates" / "search.html"
 
 ROW_PX = 44
 MOST_POINTS = 1500  # of a controller, in a figure
@@ -33,6 +40,35 @@ class Row(NamedTuple):
 
 
 COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change", "then")
+
+
+def write_page(searched: Searched, path: Path) -> None:
+    """Write the page of a search.  Raises FlightError if the file cannot be written."""
+    found = searched.found
+    columns, rows = table(found)
+    cases = []
+    for case in searched.cases:
+        folder = searched.folder / "cases" / case.name
+        flown = (folder / REPORT).is_file()
+        values = ", ".join(f"{key} = {value}" for key, value in case.values.items())
+        link = Path(os.path.relpath(folder / REPORT, path.parent)).as_posix() if flown else ""
+        command = shlex.quote((folder / SCENARIO).as_posix())
+        told = {"what": values, "report": link, "command": command}
+        cases.append({name: getattr(case, name) for name in ("name", "seed", "outcome", "reason", "same")} | told)
+    render(
+        TEMPLATE,
+        path,
+        figures(found, searched.looked),
+        found=found,
+        base=found.study.base(),
+        controllers=[label(name) for name in found.study.flown_with],
+        labels={name: label(name) for name in found.study.flown_with},
+        columns=columns,
+        rows=rows,
+        fine=[how_fine(span) for span in found.plan.spans],
+        together=joint_lines(found),
+        cases=cases,
+    )
 
 
 def label(controller: str) -> str:

@@ -8,11 +8,14 @@ from math import degrees, exp, inf, isfinite
 from pathlib import Path
 from typing import Any
 
+from cosim.design.figures import design_figures
 from cosim.design.file import controller_table, write_controller
 from cosim.design.make import WITH_LEAD, Assessment, AxisDesign, Design
+from cosim.page import render
 from cosim.vehicle import EngineLead
 
 PAGE = "design.html"
+TEMPLATE = Path(__file__).parent / "templates" / PAGE
 NOTHING = 3.0  # %: less than this a search does not tell from its own error
 
 
@@ -22,7 +25,6 @@ def write(found: Design, out: Path | None) -> dict[str, Path]:
     Raises FlightError if a file cannot be written.
     """
     from cosim.flight import new_folder
-    from cosim.report import design_report
 
     name = f"{found.vehicle.name}-{found.engine.name}"
     file = out if out is not None else new_folder(Path("runs"), f"design-{name}") / "controller.toml"
@@ -32,7 +34,16 @@ def write(found: Design, out: Path | None) -> dict[str, Path]:
         write_controller(found, file)
         paths["controller"] = file
     paths["report"] = file.with_suffix(".html") if out is not None else file.parent / PAGE
-    design_report(found, paths["report"])
+    render(
+        TEMPLATE,
+        paths["report"],
+        design_figures(found),
+        found=found,
+        lines=summary_lines(found),
+        columns=COLUMNS,
+        rows=rows(found),
+        axes=list(found.axes),
+    )
     return paths
 
 

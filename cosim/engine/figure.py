@@ -1,17 +1,40 @@
-"""The pictures of a checked engine: thrust at rest over throttle, and thrust after the throttle was moved."""
+"""The page of a checked engine: thrust at rest over throttle, and thrust after the throttle was moved."""
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.engine.check import CheckReport
+from cosim.engine.response import NO_CHANGE
+from cosim.errors import FlightError
 from cosim.figures import BLUE, ORANGE
+from cosim.files import one_line, replacing
+from cosim.page import TEMPLATES, render
+from cosim.run import REPORT
 
 Figure = dict[str, Any]
 
 WAYS = (("up", "opened, 0 to 1", ORANGE), ("down", "closed, 1 to 0", BLUE))
+
+
+def write_check(found: CheckReport, folder: Path) -> Path:
+    """Write ``check.json`` and the page of a checked engine, and return the page's path.
+
+    Raises FlightError if a file cannot be written.
+    """
+    path, data = folder / REPORT, folder / "check.json"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with replacing(data) as temporary:
+            temporary.write_text(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise FlightError(f"{data}: {one_line(error)}") from error
+    render(TEMPLATES / "check.html", path, check_figures(found), report=found, still=f"{NO_CHANGE:.0e}")
+    return path
 
 
 def check_figures(report: CheckReport) -> dict[str, Figure]:

@@ -1,24 +1,42 @@
-"""The figure of an identification: measured, fitted and stated, how far off, and the coherence."""
+"""The page of an identification and its figure: measured, fitted and stated, how far off, and the coherence."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.figures import BLUE, GREEN, GREY, MAGENTA, ORANGE
 from cosim.identify.response import Array, Complex
-from cosim.identify.result import Identification, rate_response
+from cosim.identify.result import Identification, equations, fit_rows, rate_response
+from cosim.page import render
 
 Figure = dict[str, Any]
+
+TEMPLATE = Path(__file__).parent / "templates" / "identify.html"
 
 _POINTS = 300
 _COLOURS = (BLUE, GREEN, MAGENTA)
 _DOMAINS = ((0.76, 1.0), (0.5, 0.73), (0.32, 0.47), (0.14, 0.29), (0.0, 0.11))
 _TITLES = ("Magnitude [dB]", "Phase [deg]", "Off by [dB]", "Off by [deg]", "Coherence")
 _COHERENCE = 4
+
+
+def write_page(found: Identification, path: Path) -> None:
+    """Write the page of an identification.  Raises FlightError if the file cannot be written."""
+    render(
+        TEMPLATE,
+        path,
+        {"response": response_figure(found)},
+        found=found,
+        columns=[fit.label for fit in found.fits],
+        rows=fit_rows(found),
+        equation="\n       ".join(equations(found)),
+        source=found.source,
+    )
 
 
 def response_figure(found: Identification) -> Figure:

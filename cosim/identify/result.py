@@ -180,7 +180,7 @@ def write(found: Identification, folder: Path) -> dict[str, Path]:
     """
     import tomli_w
 
-    from cosim.report import identification_report
+    from cosim.identify.figure import write_page
 
     paths = {"json": folder / "identification.json", "response": folder / "response.csv"}
     texts = {
@@ -197,7 +197,7 @@ def write(found: Identification, folder: Path) -> dict[str, Path]:
     except OSError as error:
         raise FlightError(f"{folder}: {error.strerror or error}") from error
     paths["report"] = folder / "report.html"
-    identification_report(found, paths["report"])
+    write_page(found, paths["report"])
     return paths
 
 

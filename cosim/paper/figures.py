@@ -22,7 +22,7 @@ from cosim.paper.linear import STATE_AS_PRINTED
 from cosim.paper.loops import Sweep
 
 if TYPE_CHECKING:
-    from cosim.paper.reproduce import Reproduction
+    from cosim.paper.result import Reproduction
 
 Figure = dict[str, Any]
 

@@ -5,26 +5,30 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from math import degrees
+from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from cosim.page import render
 from cosim.paper import numbers
 from cosim.paper.beyond import ROBUST
 from cosim.paper.claims import ClaimRow, Judged
 from cosim.paper.comparison import Row
-from cosim.paper.figures import FIDELITIES, NAMES
+from cosim.paper.figures import FIDELITIES, NAMES, paper_figures
+from cosim.paper.result import COMPARISON, DATA, Reproduction
 from cosim.run import versions
 
-if TYPE_CHECKING:
-    from cosim.paper.reproduce import Reproduction
-
+TEMPLATE = Path(__file__).parent / "templates" / "paper.html"
 VERDICTS = ("holds", "under a condition", "by construction", "does not hold", "not flown")
+
+
+def write_page(found: Reproduction, path: Path) -> None:
+    """Write the page of the paper's reproduction.  Raises FlightError if the file cannot be written."""
+    render(TEMPLATE, path, paper_figures(found), **page_values(found))
 
 
 def page_values(found: Reproduction) -> dict[str, Any]:
     """What the template asks for."""
-    from cosim.paper.reproduce import COMPARISON, DATA
-
     part = found.linear
     predicted = [row for row in found.rows if row.origin == "predicted" and (row.linear or row.flight) is not None]
     return {

@@ -15,7 +15,7 @@ from cosim.paper.figures import FIDELITIES, NAMES
 from cosim.paper.page import counts_in_words
 
 if TYPE_CHECKING:
-    from cosim.paper.reproduce import Reproduction
+    from cosim.paper.result import Reproduction
 
 COUNTS, DOUBLET, HELD, DIFFERS, CONSTRUCTED, TURBOJET = (
     "paper: " + part for part in ("counts", "doublet", "held", "differs", "by construction", "turbojet")

@@ -13,7 +13,7 @@ import signal
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,12 +25,24 @@ from cosim.files import replacing
 from cosim.flight import fly
 from cosim.paper import calibration, numbers
 from cosim.paper.beyond import Reach, turbojet_plant
-from cosim.paper.claims import LOW_END_HZ, ClaimRow, Evidence, claim_rows
-from cosim.paper.comparison import LinearPart, Row, as_data, comparison_rows, linear_part, write_csv
+from cosim.paper.claims import LOW_END_HZ, Evidence, claim_rows
+from cosim.paper.comparison import LinearPart, as_data, comparison_rows, linear_part, write_csv
 from cosim.paper.experiments import CONTROLLERS, Experiment, Result, experiments, quadrotor_axis
 from cosim.paper.flight import flight, scenario
 from cosim.paper.linear import STATE_AS_PRINTED
 from cosim.paper.loops import Sweep, controllers_response, measured_sweep
+from cosim.paper.page import write_page
+from cosim.paper.result import (
+    COMPARISON,
+    DATA,
+    REPORT,
+    Identified,
+    Manual,
+    Offset,
+    Reproduction,
+    Response,
+    TurbojetFlight,
+)
 from cosim.paths import data_folder
 from cosim.recorder import Log
 from cosim.run import versions
@@ -42,79 +54,10 @@ if TYPE_CHECKING:
 
 FLOWN_LOOPS = ("baseline", "smith", "state")
 OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))
-COMPARISON, REPORT, DATA = "comparison.csv", "report.html", "comparison.json"
 SCENARIOS = "scenarios"
 WORKERS = 2
 
 Say = Callable[[str, int, int], None]  # what is done, how much of it, of how much
-
-
-@dataclass(frozen=True)
-class Offset:
-    """A flight with half a kilogram 1 cm to the right of the centre of gravity: roll over time."""
-
-    controller: str
-    time: list[float]  # s after the load came on board
-    roll: list[float]  # rad
-    late: float  # rad, mean over the last second
-
-
-Tracked = dict[str, tuple[list[float], list[float]]]  # by axis: set-point and what was flown
-
-
-@dataclass(frozen=True)
-class Manual:
-    """The Hex-Jet's manual flight."""
-
-    numbers: dict[str, float]  # by the printed numbers' keys
-    time: list[float]  # s
-    angle: Tracked  # rad
-    rate: Tracked  # rad/s, as the gyro gives them
-
-
-@dataclass(frozen=True)
-class TurbojetFlight:
-    """The Hex-Jet on true turbojets, flown through its roll doublet at the gains that the linear search found."""
-
-    controller: str
-    outcome: str
-    overshoot_percent: float | None
-    settling_s: float | None
-    rmse: float | None  # rad
-
-
-@dataclass(frozen=True)
-class Response:
-    """A measured frequency response of the identification, thrust in kgf, rate in rad/s, per unit command."""
-
-    hertz: list[float]
-    gain: list[float]  # dB
-    phase: list[float]  # deg
-
-
-@dataclass(frozen=True)
-class Identified:
-    """What the identification found: numbers by the printed ones' keys, and the responses they were fitted to."""
-
-    numbers: dict[str, float]
-    responses: dict[str, Response]  # turbojet, edf, roll
-
-
-@dataclass(frozen=True)
-class Reproduction:
-    """Everything that the report shows."""
-
-    linear: LinearPart
-    flown: dict[str, Result]
-    flown_evidence: Evidence
-    flown_sweeps: dict[str, Sweep]
-    offsets: list[Offset]
-    turbojet: list[TurbojetFlight]
-    manual: Manual
-    extra: dict[str, float]
-    rows: list[Row]
-    claims: list[ClaimRow]
-    responses: dict[str, Response] = field(default_factory=dict)
 
 
 def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int = WORKERS) -> Reproduction:
@@ -122,8 +65,6 @@ def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int
 
     Raises InputError if the folder cannot be written to.
     """
-    from cosim.report import paper_report
-
     _check_writable(folder)
     tasks = _tasks()
     parts = _run(tasks, folder / "parts", say, workers)
@@ -134,7 +75,7 @@ def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int
     with replacing(folder / DATA) as temporary:
         data = as_data(found.linear, found.rows, found.claims) | {"flight": _flight_data(found)}
         temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    paper_report(found, folder / REPORT)
+    write_page(found, folder / REPORT)
     return found
 
 
