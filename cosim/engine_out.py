@@ -32,6 +32,7 @@ AFTER_S = 10.0  # flown with the engine out: long enough for the slowest engines
 LEAST_HOVER = 0.2  # of the range of thrust, chosen by us: below it an engine is the wrong one, slow near its idle
 FURTHEST_DEG = 180.0  # beyond it the bound is not followed: it has gone over
 STEP_S = 0.004
+FOLLOWED_S = 2.0  # the slowest engine of the library needs less than 1.5 s to 180 deg, or to come back
 SINK_M_S = 0.5  # at the end: who sinks faster than an autopilot lands has not held; chosen by us
 Means = Literal["planned around", "opposite shut off", "opposite, found sooner"]
 PLANNED: Means = "planned around"
@@ -260,21 +261,21 @@ def opposite_of(vehicle: Vehicle, jet: int) -> int:
     return opposites(vehicle)[jet - 1] + 1
 
 
+def courses_of(simulation: Simulation, share: float, seconds: float = FOLLOWED_S) -> Courses:
+    """Of the engines of a built flight, all alike, from a ``share`` of their range of thrust on."""
+    limits = simulation.vehicle.control.allocation
+    count = len(simulation.vehicle.jets)
+    hover, least, most = (
+        simulation.thrust_map.throttle((each,) * count)[0] for each in (share, limits.throttle_min, limits.throttle_max)
+    )
+    return Courses(simulation.engine, hover, least, most, round(seconds / STEP_S))
+
+
 def roller(simulation: Simulation) -> Roller:
     """For the vehicle of a built flight, all of whose engines are alike."""
     vehicle = simulation.vehicle
-    limits = vehicle.control.allocation
-    count = len(vehicle.jets)
-
-    def throttle(share: float) -> float:
-        return simulation.thrust_map.throttle((share,) * count)[0]
-
-    hover = throttle(simulation.allocator.hover)
-    # the slowest of the library needs less than 1.5 s to 180 deg, or to come back
-    courses = Courses(
-        simulation.engine, hover, throttle(limits.throttle_min), throttle(limits.throttle_max), round(2.0 / STEP_S)
-    )
-    return Roller(vehicle, courses, vehicle.mass_kg * GRAVITY / count)
+    courses = courses_of(simulation, simulation.allocator.hover)
+    return Roller(vehicle, courses, vehicle.mass_kg * GRAVITY / len(vehicle.jets))
 
 
 # ---- the flights
@@ -465,23 +466,10 @@ def _levers(scenario: Scenario) -> Lever:
 
 def _half(simulation: Simulation, whole: Roller) -> Roller | None:
     """Half the mass and inertia on the same engines; None where these cannot go so low."""
-    limits = simulation.vehicle.control.allocation
-    count = len(simulation.vehicle.jets)
     share = simulation.thrust_map.share(0.5 * whole.hover)
-    if share <= limits.throttle_min:
+    if share <= simulation.vehicle.control.allocation.throttle_min:
         return None
-
-    def throttle(value: float) -> float:
-        return simulation.thrust_map.throttle((value,) * count)[0]
-
-    courses = Courses(
-        simulation.engine,
-        throttle(share),
-        throttle(limits.throttle_min),
-        throttle(limits.throttle_max),
-        round(2.0 / STEP_S),
-    )
-    return Roller(simulation.vehicle, courses, 0.5 * whole.hover, 0.5)
+    return Roller(simulation.vehicle, courses_of(simulation, share), 0.5 * whole.hover, 0.5)
 
 
 def _inertia_for(whole: Roller, jet: int, limit: float) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from command_tools import Hexjet
 
+from cosim.control.altitude import GRAVITY
 from cosim.design.file import read_controller
 from cosim.engine import EngineBank, engine_names, load_engine
 from cosim.engine_out import (
@@ -28,6 +29,7 @@ from cosim.engine_out import (
     Roller,
     _fly,
     _scenario,
+    courses_of,
     engine_out,
     opposite_of,
     roller,
@@ -107,6 +109,23 @@ def test_no_throttles_take_an_engine_out_of_the_strip_of_its_two_extremes(engine
                 course = [bank.step(k, (float(levels[k // hold]),)).thrust[0] for k in range(count)]
             assert (np.array(course) <= np.array(courses.up) + slack).all()
             assert (np.array(course) >= np.array(courses.down) - slack).all()
+
+
+def test_what_the_flame_out_costs_in_height_at_least() -> None:
+    """The figure that the scenario's bound of the height rests on: level, and full throttle once it is found."""
+    scenario = Scenario.load("fault-flame-out-full-scale")
+    with build(scenario) as simulation:
+        mass = simulation.vehicle.mass_kg
+        courses = courses_of(simulation, simulation.allocator.hover, seconds=4.0)
+    weight, found = mass * GRAVITY, round(0.144 / STEP_S)
+    waiting = [weight / 6.0] * found
+    thrust = [
+        4.0 * u + a + b for u, a, b in zip(waiting + courses.up, courses.out, waiting + courses.out, strict=False)
+    ]
+    fallen = -np.cumsum(np.cumsum(np.array(thrust) - weight)) * STEP_S**2 / mass
+    assert fallen[-1] < fallen.max() == pytest.approx(2.9, abs=0.05)
+    assert "No throttles lose less than 2.9 m" in (scenario.folder / "fault-flame-out-full-scale.toml").read_text()
+    assert scenario.limits.height_error_m == pytest.approx(4.0 * 2.9, rel=0.05)
 
 
 @pytest.mark.parametrize("engine", ["edf-as-flown", "turbojet"])
