@@ -56,6 +56,7 @@ SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
 TELEMETRY = "telemetry.tlog"
 AUTOPILOT = "autopilot.jsonl"
 RUN_FILES = (SUMMARY, SCENARIO, LOG, STREAM, REPORT, TELEMETRY, AUTOPILOT)
+_WIDTH = 120  # characters of a table or list on one line of the summary
 PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")
 
 
@@ -490,7 +491,7 @@ def _toml(scenario: Scenario) -> bytes:
 
 
 def _json(summary: Summary) -> str:
-    """The summary with what is asked for first on top; what is in a table or list has a line of its own."""
+    """The summary with what is asked for first on top; a table or list is one line, a long one a line an entry."""
     data = summary.model_dump(mode="json")
     first: tuple[str, ...] = (
         "outcome",
@@ -507,10 +508,10 @@ def _json(summary: Summary) -> str:
     lines = []
     for key, value in ({name: data[name] for name in first} | data).items():
         text = json.dumps(value, allow_nan=False)
-        if isinstance(value, dict) and value:
+        if isinstance(value, dict) and len(text) > _WIDTH:
             inner = (f"    {json.dumps(name)}: {json.dumps(part, allow_nan=False)}" for name, part in value.items())
             text = "{\n" + ",\n".join(inner) + "\n  }"
-        elif isinstance(value, list) and len(text) > 100:
+        elif isinstance(value, list) and len(text) > _WIDTH:
             text = "[\n" + ",\n".join(f"    {json.dumps(part, allow_nan=False)}" for part in value) + "\n  ]"
         lines.append(f"  {json.dumps(key)}: {text}")
     return "{\n" + ",\n".join(lines) + "\n}\n"

@@ -522,7 +522,7 @@ def test_the_summary_says_what_the_design_asks_for(tmp_path: Path) -> None:
         "kind": "transport",
         "samples": 25.0,
     }
-    assert len(text.splitlines()) < 100  # for people too: limits and whole-flight figures are a line each
+    assert len(text.splitlines()) < 80  # for people too
 
 
 def test_an_unmet_expectation_is_said() -> None:
