@@ -312,6 +312,14 @@ def _thrust_body(block: Block) -> Array:
     return np.stack((still, still, -block["collective"]), axis=1)
 
 
+def _accelerometer(block: Block) -> Array:
+    """What the accelerometer gives; the true specific force stands in where a log is older than its model."""
+    names = [f"specific_force_{axis}_measured_m_s2" for axis in _XYZ]
+    if names[0] not in block:
+        names = [f"specific_force_{axis}_m_s2" for axis in _XYZ]
+    return np.stack([block[name] for name in names], axis=1)
+
+
 def _motors(block: Block) -> Array:
     """Twelve throttles, of which six exist."""
     control = np.full((len(block["time_s"]), 12), np.nan)
@@ -376,11 +384,10 @@ TOPICS: dict[str, list[Field]] = {
         _column("float", "z", "altitude_setpoint_m", -1.0),
         *(_constant("float", name, np.nan) for name in ("vx", "vy", "vz", "yaw")),
     ],
-    # the vehicle carries no accelerometer model: the true specific force stands in
     "sensor_combined": [
         _columns("float", "gyro_rad", *_rates("_measured")),
         _constant("int32_t", "accelerometer_timestamp_relative", 0.0),
-        _columns("float", "accelerometer_m_s2", *(f"specific_force_{axis}_m_s2" for axis in _XYZ)),
+        Field("float", "accelerometer_m_s2", 3, _accelerometer),
     ],
     "actuator_motors": [_sampled(), Field("float", "control", 12, _motors)],
     "vehicle_status": [

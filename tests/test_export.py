@@ -39,6 +39,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
                 fuel=9.0 - 0.01 * sample.k,
                 spool_moment=(0.1, -0.2, sample.time),
                 state=sample.state._replace(air_rate=(0.3, -0.4, 0.1 * sample.time)),
+                measured=sample.measured._replace(specific_force=(0.1, 0.2, -9.7 - 0.1 * sample.time)),
             )
         recording.observe(sample)
     return recording.finish("diverged", "leaned past 90 deg")
@@ -146,7 +147,7 @@ def test_the_other_topics(run: Run, ulog: ULog) -> None:
         | {"sensor[3]": log["fault_barometer"], "health[5]": log["health_6"]},
         "sensor_combined": {
             "gyro_rad[0]": log["rate_p_measured_rad_s"],
-            "accelerometer_m_s2[2]": log["specific_force_z_m_s2"],
+            "accelerometer_m_s2[2]": log["specific_force_z_measured_m_s2"],
         },
         "actuator_motors": {f"control[{i}]": log[f"throttle_{i + 1}"] for i in range(6)}
         | {"control[6]": np.full(STEPS, nan)},
