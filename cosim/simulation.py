@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from math import cos, degrees, hypot, nan, radians
+from math import cos, degrees, hypot, inf, nan, radians
 from operator import mul
 from typing import Literal, Protocol
 
@@ -677,13 +677,31 @@ def _control(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, stations:
             step,
             [_lead(vehicle, axis, step) for axis in AXES],
         ),
-        TiltAllocator(vehicle.jets, gains.allocation, vehicle.servo.range_rad, hover, thrust_map.idle)
+        TiltAllocator(
+            vehicle.jets,
+            gains.allocation,
+            vehicle.servo.range_rad,
+            hover,
+            thrust_map.idle,
+            _lift(scenario, vehicle, stations) if scenario.monitored else inf,
+        )
         if vehicle.servo
         else RotorAllocator(vehicle.jets, gains.allocation, hover),
         thrust_map,
         _monitor(scenario, vehicle, stations) if scenario.monitored else None,
         GainSchedule(gains.schedule, gains.lead, step) if gains.schedule else None,
     )
+
+
+def _lift(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> float:
+    """How far a throttle may go up in a step for the height that is lost with an engine.
+
+    From least to most in no less than the longest lag of the engines: told to go faster they are at the limit of their
+    acceleration, all alike, and what roll asks for between them is lost.
+    """
+    limits, step = vehicle.control.allocation, scenario.step_s
+    longest = max(engine_reference(spec, step).longest for spec in stations)
+    return (limits.throttle_max - limits.throttle_min) * step / max(longest, step)
 
 
 def opposites(vehicle: Vehicle) -> tuple[int, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from math import cos, sin
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 
 from cosim.control.allocation import RotorAllocator, TiltAllocator
 from cosim.control.replan import attainable, attainable_sets, plan
-from cosim.signals import Actuation, JetHealth
+from cosim.signals import ZERO3, Actuation, JetHealth
 from cosim.vehicle import load_vehicle
 
 HEXJET = load_vehicle("hexjet")[0]
@@ -151,6 +152,19 @@ def test_what_roll_asks_for_is_taken_from_the_rest_of_the_collective() -> None:
     assert rolling.throttle[5] - rolling.throttle[4] == pytest.approx(0.3, abs=1e-9)
     assert max(rolling.throttle) == pytest.approx(1.0, abs=1e-12)
     assert rolling.refused.collective - level.refused.collective == pytest.approx(0.3 / 6.0, abs=1e-9)
+
+
+def test_what_lifts_beyond_the_plan_comes_no_faster_than_the_engines_do() -> None:
+    """Up by ``lift`` each time, down at once: without the bound turbines lost their roll while all of them sped up."""
+    tool = TiltAllocator(JETS, LIMITS, RANGE, HOVER, lift=0.01)
+    assert tool.replan(without(1, 2))
+    throttles = [tool.allocate(1.0, ZERO3).throttle for _ in range(80)]
+    steps = [b[4] - a[4] for a, b in itertools.pairwise(throttles)]
+    assert steps[:40] == pytest.approx([0.01] * 40, abs=1e-12)
+    assert throttles[-1][2:] == pytest.approx((1.0,) * 4, abs=1e-12)
+    plain = tool.allocate(HOVER, ZERO3)
+    assert plain.refused.collective == 0.0
+    assert tool.allocate(1.0, ZERO3).throttle == throttles[0]
 
 
 def test_a_stuck_jet_is_balanced_by_the_others() -> None:

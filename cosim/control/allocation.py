@@ -43,15 +43,24 @@ class TiltAllocator:
 
     ``hover`` is the throttle at which the vehicle hovers: tilt commands are stated at hover thrust and are enlarged
     or reduced in inverse proportion to the collective, so that their moment stays the same.  ``idle`` is the thrust of
-    a jet without throttle, over what full throttle adds to it.
+    a jet without throttle, over what full throttle adds to it.  ``lift``: how far a jet's throttle may go up in one
+    allocation for collective beyond the plan's own, see :meth:`_beyond`.
     Raises InputError where the banks leave no lever for roll or pitch.
     """
 
     def __init__(
-        self, jets: Sequence[Jet], limits: AllocationLimits, tilt_range: float, hover: float, idle: float = 0.0
+        self,
+        jets: Sequence[Jet],
+        limits: AllocationLimits,
+        tilt_range: float,
+        hover: float,
+        idle: float = 0.0,
+        lift: float = inf,
     ) -> None:
         self._jets, self._limits, self._idle = jets, limits, idle
         self._plan: Plan | None = None
+        self._lift = lift
+        self._extra = 0.0  # of the last allocation
         self._low, self._high = limits.throttle_min, limits.throttle_max
         self._range = tilt_range
         self.hover = hover
@@ -73,12 +82,14 @@ class TiltAllocator:
 
     def reset(self) -> None:
         self._plan = None
+        self._extra = 0.0
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
         found = plan(self._jets, self._limits, self.hover, self._idle, health)
         if found is None:
             return False
         self._plan = found
+        self._extra = 0.0
         return True
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
@@ -144,7 +155,7 @@ class TiltAllocator:
         above = least if up < least else (most if up > most else up)
         lifted = [at_roll[i] + above * ups[i] for i in jets]
         missing = up - above if up > most else 0.0
-        extra = self._beyond(plan, lifted, missing)
+        extra = self._extra = self._beyond(plan, lifted, missing)
         if extra > 0.0:
             lifted = [lifted[i] + extra * plan.boost[i] for i in jets]
         # what fits is refused exactly nothing
@@ -171,14 +182,23 @@ class TiltAllocator:
         )
 
     def _beyond(self, plan: Plan, lifted: list[float], wanted: float) -> float:
-        """How much of the collective ``wanted`` beyond the plan's own the engines at ``lifted`` can still give."""
-        room = wanted
+        """How much of the collective ``wanted`` beyond the plan's own the engines at ``lifted`` can still give.
+
+        It grows no faster than ``lift`` allows: engines that are all on their way up as fast as they go have none left
+        between them to keep the vehicle level with, whatever their throttles say.
+        """
+        if wanted <= 0.0:
+            return 0.0
+        room, steepest = wanted, 0.0
         for slope, at in zip(plan.boost, lifted, strict=True):
             if slope > _FLAT:
                 room = min(room, (self._high - at) / slope)
+                steepest = max(steepest, slope)
             elif slope < -_FLAT:
                 room = min(room, (self._low - at) / slope)
-        return max(room, 0.0) if wanted > 0.0 and any(plan.boost) else 0.0
+        if steepest == 0.0:
+            return 0.0
+        return max(0.0, min(room, self._extra + self._lift / steepest))
 
 
 class RotorAllocator:
