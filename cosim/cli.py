@@ -140,7 +140,8 @@ def fly(
     scenario expects, or is not the same; 2: wrong input.
     """
     if flight is not None:
-        _refuse_others(context, "scenario", "flight", "out", "as_json")
+        why = "a flight of a campaign is flown as it was; leave it out with --flight"
+        _refuse_others(context, why, "scenario", "flight", "out", "as_json")
         return _fly_again(Path(scenario), flight, out, as_json)
     from cosim.console import flight_progress, output_to_stderr, print_run
     from cosim.flight import fly as fly_scenario
@@ -193,13 +194,13 @@ def _fly_again(folder: Path, number: int, out: Path | None, as_json: bool) -> in
     return DONE if again.same else FLIGHT_FAILED
 
 
-def _refuse_others(context: click.Context, *allowed: str) -> None:
-    """Refuse what was given on the command line and is not allowed beside the rest."""
+def _refuse_others(context: click.Context, why: str, *allowed: str) -> None:
+    """Refuse what was given on the command line and is not allowed beside the rest, and say ``why``."""
     for parameter in context.command.params:
         name = parameter.name or ""
         if name not in allowed and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
             given = max(parameter.opts, key=len)
-            raise InputError(f"{given}: a flight of a campaign is flown as it was; leave it out with --flight")
+            raise InputError(f"{given}: {why}")
 
 
 def load_scenario(
@@ -779,9 +780,8 @@ def faults(
     from cosim.survival import PARTS, survival, write, write_page
 
     if engine_out:
-        _refuse_others(
-            context, "engine_out", "aircraft", "engine", "engine_out", "designs", "docs", "workers", "out", "as_json"
-        )
+        own = ("aircraft", "engine", "engine_out", "designs", "docs", "workers", "out", "as_json")
+        _refuse_others(context, "does not go with --engine-out", *own)
         stated = context.get_parameter_source("aircraft") is ParameterSource.COMMANDLINE
         folder = out if out is not None else new_folder(Path("runs"), "engine-out")
         return _engine_out(
@@ -791,7 +791,8 @@ def faults(
         raise InputError("--designs goes with --engine-out")
     page = None if docs is None else docs / "faults.md"
     if page is not None:
-        _refuse_others(context, "docs", "docs", "limits", "workers", "out", "as_json")
+        why = "the page holds every fault of the default vehicle with every controller; leave it out with --docs"
+        _refuse_others(context, why, "docs", "limits", "workers", "out", "as_json")
         check_marks(page, PARTS)
 
     with part_progress("faults", quiet=as_json) as say:

@@ -7,12 +7,15 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cosim.errors import InputError
 from cosim.memory import Memory
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 
 class Model(BaseModel):
@@ -173,8 +176,11 @@ def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> N
 
 def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
     complaints = error.errors()
+    if not _is_off(complaints[0]):
+        # a table that may also be false: nobody who states one means that
+        complaints = [each for each in complaints if not _is_off(each)]
     first = complaints[0]
-    key = ".".join(_path(first["loc"]))
+    key = ".".join(_path(model, first["loc"]))
     kind, value = first["type"], first["input"]
     rest = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
     if kind == "extra_forbidden":
@@ -188,6 +194,8 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
         context = first["ctx"]
         kinds = context["expected_tags"].replace("'", "").split(", ")
         return f"{key}.kind = {context['tag']!r}: {nearest(context['tag'], kinds)}{rest}"
+    if kind == "model_type":
+        return f"{key} = {value!r}: must be a table{rest}"
     if kind == "too_short":
         return f"{key}: needs at least {first['ctx']['min_length']}{rest}"
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
@@ -195,13 +203,33 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
     return f"{key}{shown}: {message}{rest}" if key else f"{message}{rest}"
 
 
-def _path(location: tuple[int | str, ...]) -> list[str]:
-    """The keys as the file has them: pydantic names the kind of a list's entry behind its number."""
+def _is_off(complaint: ErrorDetails) -> bool:
+    """Whether it is the complaint that a value is not false."""
+    return complaint["loc"][-1:] == ("literal[False]",)
+
+
+def _path(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """The keys as the file has them: pydantic names the kind of a list's entry behind its number, and of a value that
+    may be of several kinds the one that it tried.
+    """
+    names = {each.__name__ for each in _all_models(model)}
     return [
         str(part)
         for before, part in zip((None, *location), location, strict=False)
         if not (isinstance(before, int) and isinstance(part, str) and _is_kind(location, part))
+        and not (isinstance(part, str) and (part in names or part.startswith(("function-", "literal["))))
     ]
+
+
+def _all_models(model: type[BaseModel]) -> set[type[BaseModel]]:
+    """A model and those below it."""
+    found, waiting = {model}, [model]
+    while waiting:
+        for each in waiting.pop().model_fields.values():
+            new = set(_models_in(each.annotation)) - found
+            found |= new
+            waiting += new
+    return found
 
 
 def _is_kind(location: tuple[int | str, ...], part: str) -> bool:

@@ -282,7 +282,8 @@ def test_the_command_flies_a_pair_and_says_what_each_verdict_rests_on(hexjet: He
         (("--engine-out", "--aircraft", "quadrotor"), "aircraft quadrotor: it has no tilting banks"),
         (("--engine-out", "--docs", ".", "--engine", "edf"), "--docs: the pages hold every aircraft and engine"),
         (("--engine-out", "--docs", "."), "faults.md: "),
-        (("--engine-out", "--limits"), "--limits"),
+        (("--engine-out", "--limits"), "--limits: does not go with --engine-out"),
+        (("--docs", ".", "--engine", "edf"), "--engine: the page holds every fault"),
     ],
 )
 def test_wrong_input_is_one_line(hexjet: Hexjet, arguments: tuple[str, ...], words: str) -> None:

@@ -128,8 +128,10 @@ def test_a_change_of_the_stated_gains_counts_at_every_level() -> None:
 @pytest.mark.parametrize(
     ("schedule", "said"),
     [
-        ({"filter_s": 0.0, "level": []}, "filter_s"),
-        ({"filter_s": 1.0, "level": [{"share": 0.3}]}, "level"),
+        (3, r"control\.schedule = 3: must be a table$"),
+        ({"filter_s": 1.0}, r"control\.schedule\.level is missing$"),
+        ({"filter_s": 0.0, "level": []}, r"control\.schedule\.filter_s = 0\.0: should be greater than 0 \(and 1 more\)$"),
+        ({"filter_s": 1.0, "level": [{"share": 0.3}]}, r"control\.schedule\.level: needs at least 2$"),
         ({"filter_s": 1.0, "level": [{"share": 0.3}, {"share": 0.3}]}, "every share must be above"),
         ({"filter_s": 1.0, "level": [{"share": 0.3}, {"share": 1.3}]}, "share"),
         ({"filter_s": 1.0, "level": [{"share": 0.3}, {"share": 0.4, "yaw": {}}]}, "yaw"),
@@ -140,7 +142,7 @@ def test_a_change_of_the_stated_gains_counts_at_every_level() -> None:
         ),
     ],
 )  # fmt: skip
-def test_a_wrong_schedule_is_refused(schedule: dict[str, Any], said: str) -> None:
+def test_a_wrong_schedule_is_refused(schedule: Any, said: str) -> None:
     control = {"lead": {"roll": FULL.model_dump(), "altitude": False}, "schedule": schedule}
     with pytest.raises(InputError, match=said):
         load_vehicle("hexjet", {"control": control})
