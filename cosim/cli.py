@@ -1104,6 +1104,7 @@ def bench(
     from cosim.bench import make_plan, measure
     from cosim.bench.page import check_page, write_page
     from cosim.bench.show import print_result, progress
+    from cosim.bench.targets import to_dict
 
     plan = make_plan(full, campaign, parts, amounts)
     if page is not None:
@@ -1113,7 +1114,7 @@ def bench(
     if page is not None:
         write_page(page, result, _as_given(context))
     if as_json:
-        click.echo(json.dumps(result.to_dict(), allow_nan=False))
+        click.echo(json.dumps(to_dict(result), allow_nan=False))
     else:
         print_result(result)
     return FLIGHT_FAILED if result.failed else DONE

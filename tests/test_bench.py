@@ -38,8 +38,8 @@ from cosim.bench.page import ABSENT, NAMES, check_page, write_page
 from cosim.bench.show import print_result
 from cosim.bench.suite import CAMPAIGN, MEMORY, PARTS, QUICK
 from cosim.bench.tables import spread
+from cosim.bench.targets import Judged, judge, to_dict
 from cosim.bench.timing import Clocked, Cost, Job, Pair, Spread, interleave
-from cosim.bench.wanted import Judged, judge
 from cosim.cli import cli
 from cosim.errors import FlightError, InputError
 from cosim.run import open_run
@@ -77,7 +77,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Result:
 @pytest.fixture(scope="module")
 def result(measured: Result) -> dict[str, Any]:
     """The same as JSON has it."""
-    text = json.dumps(measured.to_dict(), allow_nan=False)
+    text = json.dumps(to_dict(measured), allow_nan=False)
     found: dict[str, Any] = json.loads(text)
     return found
 
@@ -565,7 +565,7 @@ def test_options_make_the_plan(
     answer = CliRunner().invoke(cli, ["bench", *arguments, "--json", "--page", "page.md"])
     assert answer.exit_code == 0, answer.output
     assert plans == [plan]
-    assert json.loads(answer.stdout) == json.loads(json.dumps(measured.to_dict()))
+    assert json.loads(answer.stdout) == json.loads(json.dumps(to_dict(measured)))
     (typed,) = (line for line in Path("page.md").read_text().splitlines() if line.startswith("hexjet bench"))
     assert sorted(typed.split()) == sorted(["hexjet", "bench", *arguments, "--json", "--page", "page.md"])
 

@@ -25,9 +25,12 @@ from fmpy.fmi3 import FMU3Slave
 import cosim
 from cosim import airframe, config, fly, vehicle
 from cosim.airframe import render
-from cosim.engine import archive, build_engines, check, load_engine, spec, unpacked
+from cosim.engine import archive, build_engines, check, load_engine, unpacked
+from cosim.engine import measure as engine_measure
 from cosim.engine.archive import library_of
+from cosim.engine.measure import Measured
 from cosim.engine.ports import STANDARD_AIR
+from cosim.engine.response import NO_CHANGE, Response
 from cosim.engine.spec import find_source
 from cosim.engine.unpacked import unpack
 from cosim.errors import InputError
@@ -91,7 +94,7 @@ def test_a_second_flight_repeats_no_work(monkeypatch: pytest.MonkeyPatch) -> Non
         (ElementTree, "fromstring"),  # of models, and of what describes engines
         (ElementTree, "tostring"),
         (archive, "_read"),
-        (spec, "measure"),
+        (engine_measure, "measure"),
         (vehicle, "_read"),
         (FMU3Slave, "_loadFunctions"),
     ):
@@ -251,7 +254,7 @@ def test_what_is_measured_here_is_judged_as_in_a_trial(tmp_path: Path, monkeypat
     falling = known.curve._replace(thrust=tuple(reversed(known.curve.thrust)))
     source = check.find_source(str(path))
     monkeypatch.setattr(check, "_fit", {(source.archive.sha256, source.mapping.model_dump_json(), STEP)})
-    measured = spec.Measured(falling, spec.Response(7, 0.1, 0.0, 20.0), None, spec.NO_CHANGE)
+    measured = Measured(falling, Response(7, 0.1, 0.0, 20.0), None, NO_CHANGE)
     monkeypatch.setattr(check, "measure_once", lambda *_: measured)
     with pytest.raises(InputError, match=r"theirs.fmu: is not fit to fly: its thrust does not rise with the throttle"):
         check.measure_apart(str(path), {"delay_samples": 7.0}, STEP, STANDARD_AIR)

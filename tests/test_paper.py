@@ -13,9 +13,9 @@ import pytest
 
 from cosim.design.loop import margins
 from cosim.errors import InputError
-from cosim.paper import beyond, calibration, numbers
-from cosim.paper.calibration import STAGES, Frozen, hexjet_ratios, load
-from cosim.paper.claims import CLAIMS, LOW_END_HZ, ClaimRow, Evidence, claim_rows, conditions, gain_at
+from cosim.paper import beyond, calibration, frozen, numbers
+from cosim.paper.calibration import STAGES
+from cosim.paper.claims import CLAIMS, ClaimRow, Evidence, claim_rows, conditions
 from cosim.paper.comparison import Row, comparison_rows, figures, write_csv
 from cosim.paper.experiments import (
     COMPARED,
@@ -25,13 +25,15 @@ from cosim.paper.experiments import (
     experiments,
     flown_payload_gain,
     hexjet_axis,
+    hexjet_ratios,
     linear,
     quadrotor_axis,
     result,
     swings,
 )
+from cosim.paper.frozen import Frozen, load
 from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, make_predictor, simulate
-from cosim.paper.loops import LoopMap, open_loop, sweep, unstable_poles
+from cosim.paper.loops import LOW_END_HZ, LoopMap, gain_at, open_loop, sweep, unstable_poles
 from cosim.vehicle import RateGains
 
 FROZEN = load()
@@ -322,7 +324,7 @@ def test_the_frozen_calibration_says_what_it_gives_and_is_the_best_nearby(stage:
 
 def test_a_calibration_file_is_written_as_it_is_read(tmp_path: Path) -> None:
     calibration.write(FROZEN, tmp_path / "again.toml")
-    assert (tmp_path / "again.toml").read_bytes() == calibration.FILE.read_bytes()
+    assert (tmp_path / "again.toml").read_bytes() == frozen.FILE.read_bytes()
     assert isinstance(load(tmp_path / "again.toml"), Frozen)
 
 

@@ -26,13 +26,14 @@ from cosim.errors import InputError
 from cosim.flight import fly
 from cosim.marks import parts_of
 from cosim.page import figure_json
-from cosim.paper import calibration, reproduce
+from cosim.paper import frozen as calibration
+from cosim.paper import reproduce
 from cosim.paper.beyond import DelayPoint, Offset, Reach, RobustnessMap
-from cosim.paper.claims import Condition, Evidence, claim_rows, gain_at
+from cosim.paper.claims import Condition, Evidence, claim_rows
 from cosim.paper.comparison import LinearPart, comparison_rows
 from cosim.paper.experiments import COMPARED, Result, experiments, linear, quadrotor_axis
 from cosim.paper.figures import panels, paper_figures
-from cosim.paper.loops import measured_sweep, open_loop, sweep
+from cosim.paper.loops import gain_at, measured_sweep, open_loop, sweep
 from cosim.paper.page import counts_in_words, page_values, tally
 from cosim.paper.page import write_page as paper_report
 from cosim.paper.pages import CONSTRUCTED as CONSTRUCTED_PART

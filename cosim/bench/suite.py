@@ -113,12 +113,10 @@ class Result:
     campaign: CampaignCost | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """As it goes into JSON, with what is asked for."""
-        from cosim.bench.wanted import judge
-
+        """As it goes into JSON."""
         data: dict[str, Any] = asdict(self)
         del data["plan"]["folder"]
-        return data | {"asked": [asdict(row) | {"met": row.met} for row in judge(self)]}
+        return data
 
 
 def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda what, done, total: None) -> Result:

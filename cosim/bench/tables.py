@@ -27,8 +27,8 @@ from cosim.bench.suite import (
     TIME,
     Result,
 )
+from cosim.bench.targets import judge, runs_a_step
 from cosim.bench.timing import Cost, Spread
-from cosim.bench.wanted import judge, runs_a_step
 
 ASKED, MACHINE = "asked", "machine"
 KEYS = (ASKED, STEP, BLOCKS, OTHERS, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN, MACHINE)

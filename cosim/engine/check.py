@@ -22,10 +22,11 @@ from typing import Any
 
 from cosim.engine.archive import Archive
 from cosim.engine.container import DAMAGE
+from cosim.engine.measure import Measured, measure_once
 from cosim.engine.ports import KINDS, STANDARD_AIR, Air, Port, Variable, plain
 from cosim.engine.probe import Apart, Limits, run_apart
 from cosim.engine.response import NO_CHANGE, Curve, Response, curve_problems
-from cosim.engine.spec import EngineSource, Measured, find_source, measure_once, need_whole_steps, resolve_parameters
+from cosim.engine.spec import EngineSource, find_source, need_whole_steps, resolve_parameters
 from cosim.engine.unpacked import unpack
 from cosim.errors import InputError
 

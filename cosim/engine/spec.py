@@ -1,19 +1,19 @@
-"""What is known of an engine before it runs: its archive, its parameters, its static curve, its share of the delay."""
+"""What is known of an engine before it runs: where it comes from, its parameters, its static curve, its share of the
+delay.
+"""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 from cosim.config import nearest
-from cosim.engine import _bank, build
+from cosim.engine import build
 from cosim.engine.archive import INTEGERS, Archive, read_archive
 from cosim.engine.ports import (
-    AMBIENT,
     STANDARD_AIR,
     Air,
     MappingFile,
@@ -24,23 +24,14 @@ from cosim.engine.ports import (
     read_mapping,
 )
 from cosim.engine.response import (
-    LITTLE_CHANGE,
     NO_CHANGE,
     Curve,
-    Response,
-    ResponseError,
-    RestlessError,
-    settle,
-    static_curve,
-    step_response,
-    window_for,
 )
-from cosim.engine.slave import Setting, Slave, SlaveError
-from cosim.engine.unpacked import unpack
+from cosim.engine.slave import Setting
 from cosim.errors import InputError
 from cosim.memory import Memory
 from cosim.paths import data_folder
-from cosim.rundown import OWN, FlameOutLaw, law_of
+from cosim.rundown import FlameOutLaw
 
 
 @dataclass(frozen=True)
@@ -76,7 +67,7 @@ class EngineSpec:
     @property
     def behaviour(self) -> tuple[Hashable, ...]:
         """What the engine does depends on this, and on how it is stepped."""
-        return *_behaviour(self.archive, self.settings, self.air), self.start, self.window, self.quiet
+        return *behaviour_of(self.archive, self.settings, self.air), self.start, self.window, self.quiet
 
     @property
     def family(self) -> str:
@@ -136,102 +127,13 @@ def build_engines(names: list[str] | None = None) -> list[Path]:
         raise InputError(str(error)) from error
 
 
-def load_engine(
-    name_or_path: str,
-    parameters: Mapping[str, float],
-    step: float,
-    *,
-    unchecked: bool = False,
-    measured: Measured | None = None,
-    air: Air = STANDARD_AIR,
-) -> EngineSpec:
-    """Find, validate and measure an engine that will be stepped by ``step`` seconds.
-
-    The engine is an FMI 2.0 or 3.0 co-simulation FMU, by its name in the library, by path, or by the path of a mapping
-    file; see ``cosim.engine.ports`` for how its ports are found.
-
-    An engine that is not of the library is tried in another process before this one loads it, and refused if
-    ``hexjet fmu check`` finds it unfit; ``unchecked`` leaves that out.  What is ``measured`` already is taken as it is.
-
-    ``air``: in which it is measured, if it has a port for any of it; without one it is the same in every air.
-
-    Raises InputError: one line that names the engine, what is wrong, and what is allowed.
-    """
-    source = find_source(name_or_path)
-    archive, engine, mapping = source.archive, source.engine, source.mapping
-    need_whole_steps(archive, engine, step)
-    if not any(port in archive.ports for port in AMBIENT):
-        air = STANDARD_AIR
-    start = archive.ports["start"].variable.name if "start" in archive.ports else None
-    resolved, settings = resolve_parameters(archive, {**mapping.parameters, **parameters}, start)
-    ledger = engine.ledger if engine else {}
-    delay = resolved.get(ledger.get("delay", ""))
-    try:
-        if measured is None and (engine or unchecked):
-            measured = measure_once(archive, settings, start, step, air)
-        elif measured is None:
-            from cosim.engine.check import measure_apart
-
-            measured = measure_apart(name_or_path, parameters, step, air)
-    except (SlaveError, ResponseError) as error:
-        raise InputError(f"{archive.path}: {error}") from error
-    return EngineSpec(
-        name=name_or_path if engine else source.path.stem,
-        title=engine.title if engine else mapping.title or archive.model,
-        library=engine is not None,
-        path=archive.path,
-        fmi=archive.version,
-        sha256=archive.sha256,
-        parameters=resolved,
-        curve=measured.curve,
-        internal_step=engine.internal_step if engine else archive.internal_step,
-        pole=resolved.get(ledger.get("pole", "")),
-        delay_samples=None if delay is None else round(delay),
-        start=measured.start,
-        rotor_inertia=engine.rotor_inertia if engine else mapping.rotor.inertia_kg_m2,
-        flame_out=_flame_out(source),
-        stated_delay=mapping.ledger.delay_s,
-        mapping=source.path if is_mapping(source.path) else None,
-        archive=archive,
-        settings=settings,
-        window=window_for(measured.response.delay),
-        quiet=measured.quiet,
-        air=air,
-    )
-
-
-def _flame_out(source: EngineSource) -> FlameOutLaw | None:
-    if "run" in source.archive.ports:
-        return OWN
-    if source.engine is not None:
-        return law_of(source.engine.flame_out) if source.engine.flame_out else None
-    return source.mapping.flame_out.law() if source.mapping.flame_out else None
-
-
-class Measured(NamedTuple):
-    """What stepping an engine tells about it."""
-
-    curve: Curve
-    response: Response  # to the throttle opened from 0 to 1
-    start: str | None  # the start parameter, if it does what it should
-    quiet: float  # to what share of itself the thrust stands still at rest
-
-
-_measured: Memory[Measured] = Memory(256)
 _definitions: Memory[build.Engine] = Memory(64)
 
 
-def _behaviour(archive: Archive, settings: tuple[Setting, ...], air: Air) -> tuple[Hashable, ...]:
+def behaviour_of(archive: Archive, settings: tuple[Setting, ...], air: Air) -> tuple[Hashable, ...]:
+    """What decides how an FMU with these settings answers, in this air."""
     values = tuple((variable.name, value.hex()) for variable, value in settings)
     return archive.sha256, tuple(sorted(archive.ports.items())), values, air
-
-
-def measure_once(
-    archive: Archive, settings: tuple[Setting, ...], start: str | None, step: float, air: Air = STANDARD_AIR
-) -> Measured:
-    """As :func:`measure`, once per process for the same contents of the archive and the same question."""
-    key = (*_behaviour(archive, settings, air), start, step)
-    return _measured.get(key, lambda: measure(archive, settings, start, step, air=air))
 
 
 @dataclass(frozen=True)
@@ -325,82 +227,3 @@ def _need_value(archive: Archive, variable: Variable, value: float) -> None:
     if not math.isfinite(value) or not low <= value <= high or (whole and value != round(value)):
         kind = "a whole number" if whole else "a number"
         raise InputError(f"{archive.path}: {variable.name} = {value:g}: must be {kind} from {low:g} to {high:g}")
-
-
-def measure(
-    archive: Archive,
-    settings: tuple[Setting, ...],
-    start: str | None,
-    step: float,
-    alive: Callable[[], object] = lambda: None,
-    air: Air = STANDARD_AIR,
-) -> Measured:
-    """Static curve and step response of an engine in ``air``, and its start parameter if that does what it should.
-
-    An engine that goes on trembling at rest is measured once more with more patience.  ``alive`` is called every now
-    and then while it lasts.
-    Raises SlaveError or ResponseError if it fails, never settles or never answers.
-    """
-    try:
-        return _measure(archive, settings, start, step, alive, NO_CHANGE, air)
-    except RestlessError:
-        return _measure(archive, settings, start, step, alive, LITTLE_CHANGE, air)
-
-
-def _measure(
-    archive: Archive,
-    settings: tuple[Setting, ...],
-    start: str | None,
-    step: float,
-    alive: Callable[[], object],
-    quiet: float,
-    air: Air,
-) -> Measured:
-    with unpack(archive) as folder:
-        slave = Slave(archive, folder, "measured")
-        try:
-            slave.initialize(settings, 0.0, air)
-            native = _bank.Bank([slave.row()], step)
-
-            def hold(throttle: float, steps: int) -> list[float]:
-                alive()
-                return native.hold(0, throttle, steps)
-
-            at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet)
-            response = step_response(hold, at_rest, 1.0, step, quiet)
-            curve = static_curve(hold, window_for(response.delay), step, quiet)
-        except _bank.FailureError as failure:
-            raise SlaveError(slave.explain(failure, "while its thrust was measured")) from failure
-        finally:
-            slave.close()
-        if start is not None and not _starts_level(archive, folder, settings, step, curve, response, air):
-            start = None
-    return Measured(curve, response, start, quiet)
-
-
-def _starts_level(
-    archive: Archive,
-    folder: Path,
-    settings: tuple[Setting, ...],
-    step: float,
-    curve: Curve,
-    response: Response,
-    air: Air,
-) -> bool:
-    """Whether the start parameter starts the engine on its static curve and keeps it there, tried at half throttle."""
-    middle = len(curve.throttle) // 2
-    throttle, thrust = curve.throttle[middle], curve.thrust[middle]
-    slave = Slave(archive, folder, "started")
-    try:
-        port = archive.ports["start"]
-        first = slave.initialize([*settings, (port.variable, port.value(throttle))], throttle, air)
-        rest = _bank.Bank([slave.row()], step).hold(0, throttle, window_for(response.delay))
-    except SlaveError:
-        return False
-    except _bank.FailureError as failure:
-        slave.explain(failure, "")
-        return False
-    finally:
-        slave.close()
-    tolerance = 1e-6 * max(1.0, abs(response.after))
-    return all(abs(value - thrust) <= tolerance for value in [first, *rest])

@@ -21,6 +21,8 @@ from cosim.engine import _bank
 from cosim.engine.archive import library_of, validate
 from cosim.engine.bank import EngineBank
 from cosim.engine.check import NEEDED
+from cosim.engine.load import load_unchecked
+from cosim.engine.measure import Measured, measure
 from cosim.engine.ports import STANDARD_AIR, Air
 from cosim.engine.response import (
     NO_CHANGE,
@@ -34,7 +36,7 @@ from cosim.engine.response import (
     window_for,
 )
 from cosim.engine.slave import Slave, SlaveError
-from cosim.engine.spec import EngineSource, EngineSpec, Measured, find_source, load_engine, measure, resolve_parameters
+from cosim.engine.spec import EngineSource, EngineSpec, find_source, resolve_parameters
 from cosim.engine.unpacked import contents, unpack
 from cosim.errors import FlightError, InputError
 from cosim.signals import EngineOutput
@@ -363,7 +365,7 @@ def _shifted(k: int, count: int) -> tuple[float, ...]:
 def _spec(trial: Trial) -> EngineSpec:
     trial.say({"at": "while its thrust was measured"})
     task = trial.task
-    return load_engine(task.name, task.parameters, task.step, unchecked=True, measured=trial.measured)
+    return load_unchecked(task.name, task.parameters, task.step, measured=trial.measured)
 
 
 def _reset(trial: Trial) -> Found:

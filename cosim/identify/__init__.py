@@ -6,9 +6,10 @@
 
 from cosim.identify.axis import identify_axis
 from cosim.identify.engine import identify_engine
+from cosim.identify.figure import write
 from cosim.identify.fit import Fit, Model, fit
 from cosim.identify.response import FrequencyResponse, Record, estimate
-from cosim.identify.result import Identification, Sweep, write
+from cosim.identify.result import Identification, Sweep
 
 __all__ = [
     "Fit",

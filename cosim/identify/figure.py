@@ -1,14 +1,19 @@
-"""The page of an identification and its figure: measured, fitted and stated, how far off, and the coherence."""
+"""What an identification leaves in a folder, and the figure of its page.
+
+In it: measured, fitted and stated, how far off, and the coherence.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cosim.errors import FlightError
 from cosim.figures import BLUE, GREEN, GREY, MAGENTA, ORANGE
 from cosim.identify.response import Array, Complex
 from cosim.identify.result import Identification, equations, fit_rows, rate_response
@@ -23,6 +28,46 @@ _COLOURS = (BLUE, GREEN, MAGENTA)
 _DOMAINS = ((0.76, 1.0), (0.5, 0.73), (0.32, 0.47), (0.14, 0.29), (0.0, 0.11))
 _TITLES = ("Magnitude [dB]", "Phase [deg]", "Off by [dB]", "Off by [deg]", "Coherence")
 _COHERENCE = 4
+
+
+def write(found: Identification, folder: Path) -> dict[str, Path]:
+    """Write ``identification.json``, ``response.csv``, ``report.html`` and, for an axis, ``model.toml``.
+
+    Raises FlightError if a file cannot be written.
+    """
+    import tomli_w
+
+    paths = {"json": folder / "identification.json", "response": folder / "response.csv"}
+    texts = {
+        "json": json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n",
+        "response": _csv(found),
+    }
+    if found.kind == "axis":
+        paths["model"] = folder / "model.toml"
+        texts["model"] = tomli_w.dumps(found.model_table())
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, path in paths.items():
+            path.write_text(texts[name], encoding="utf-8")
+    except OSError as error:
+        raise FlightError(f"{folder}: {error.strerror or error}") from error
+    paths["report"] = folder / "report.html"
+    write_page(found, paths["report"])
+    return paths
+
+
+def _csv(found: Identification) -> str:
+    response = found.response
+    columns: Mapping[str, Array] = {
+        "frequency_hz": response.hertz,
+        "magnitude_db": response.magnitude_db,
+        "phase_deg": response.phase_deg,
+        "coherence": response.coherence,
+        "relative_spread": response.spread,
+    }
+    lines = [",".join(columns)]
+    lines += [",".join(f"{value:.9g}" for value in row) for row in zip(*columns.values(), strict=True)]
+    return "\n".join(lines) + "\n"
 
 
 def write_page(found: Identification, path: Path) -> None:

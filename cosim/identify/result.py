@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import ceil
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.errors import FlightError, InputError
+from cosim.errors import InputError
 from cosim.identify.fit import LEAST_COHERENCE, Fit
 from cosim.identify.response import Array, Complex, FrequencyResponse, shortest_record
 from cosim.vehicle import RateModel
@@ -171,48 +168,6 @@ def need_coherence(response: FrequencyResponse, what: str, amplitude: float) -> 
             f"({first.min():.2g} to {first.max():.2g} Hz)"
         ]
     return []
-
-
-def write(found: Identification, folder: Path) -> dict[str, Path]:
-    """Write ``identification.json``, ``response.csv``, ``report.html`` and, for an axis, ``model.toml``.
-
-    Raises FlightError if a file cannot be written.
-    """
-    import tomli_w
-
-    from cosim.identify.figure import write_page
-
-    paths = {"json": folder / "identification.json", "response": folder / "response.csv"}
-    texts = {
-        "json": json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n",
-        "response": _csv(found),
-    }
-    if found.kind == "axis":
-        paths["model"] = folder / "model.toml"
-        texts["model"] = tomli_w.dumps(found.model_table())
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, path in paths.items():
-            path.write_text(texts[name], encoding="utf-8")
-    except OSError as error:
-        raise FlightError(f"{folder}: {error.strerror or error}") from error
-    paths["report"] = folder / "report.html"
-    write_page(found, paths["report"])
-    return paths
-
-
-def _csv(found: Identification) -> str:
-    response = found.response
-    columns: Mapping[str, Array] = {
-        "frequency_hz": response.hertz,
-        "magnitude_db": response.magnitude_db,
-        "phase_deg": response.phase_deg,
-        "coherence": response.coherence,
-        "relative_spread": response.spread,
-    }
-    lines = [",".join(columns)]
-    lines += [",".join(f"{value:.9g}" for value in row) for row in zip(*columns.values(), strict=True)]
-    return "\n".join(lines) + "\n"
 
 
 # ---- words

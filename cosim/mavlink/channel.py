@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 from cosim.errors import InputError
 from cosim.mavlink.endpoint import Endpoint
+from cosim.mavlink.frames import Frame, Parser
 from cosim.mavlink.peer import Peer
-
-if TYPE_CHECKING:
-    from cosim.mavlink.link import Link
 
 # Chosen by us.
 MOST_PEERS = 16  # on one server
@@ -24,6 +23,43 @@ RETRY = 1.0  # s between two attempts to have it back
 _RESUME = 100.0  # frames of credit with which a station that flooded is read again
 
 Address = Any
+
+
+class Hub(Protocol):
+    """What an endpoint needs of the link that opened it."""
+
+    refused: Counter[str]  # frames and bytes that were not taken, by reason
+
+    def watch(self, item: Any, ready: Callable[[int], None], events: int = ...) -> None:
+        """Call ``ready`` whenever ``item``, a socket or a descriptor, has something."""
+        ...
+
+    def ignore(self, item: Any) -> None:
+        """Watch it no more."""
+        ...
+
+    def peer(
+        self,
+        name: str,
+        transmit: Callable[[bytes], int],
+        parser: Parser,
+        whole: bool,
+        line: float | None = None,
+    ) -> Peer:
+        """A new station."""
+        ...
+
+    def parser(self, whole: bool) -> Parser: ...
+
+    def take(self, frames: Sequence[Frame], peer: Peer, now: float) -> None:
+        """Frames that came from a station."""
+        ...
+
+    def now(self) -> float: ...
+
+    def say(self, text: str) -> None:
+        """Tell the people on the ground."""
+        ...
 
 
 class Channel(Protocol):
@@ -40,7 +76,7 @@ class Channel(Protocol):
 class Tap:
     """A socket that is read only while its station has credit: a flood stays in the operating system."""
 
-    def __init__(self, link: Link, item: Any, ready: Callable[[int], None]) -> None:
+    def __init__(self, link: Hub, item: Any, ready: Callable[[int], None]) -> None:
         self._link, self._item, self._ready = link, item, ready
         self._open = True
         link.watch(item, ready)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from cosim.mavlink.channel import STALL, Tap
-
-if TYPE_CHECKING:
-    from cosim.mavlink.link import Link
+from cosim.mavlink.channel import STALL, Hub, Tap
 
 
 class Stream:
@@ -21,7 +18,7 @@ class Stream:
 
     def __init__(
         self,
-        link: Link,
+        link: Hub,
         name: str,
         item: Any,
         read: Callable[[], bytes],

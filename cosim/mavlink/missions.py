@@ -36,8 +36,8 @@ from cosim.mavlink.items import (
 )
 from cosim.mavlink.plans import CHECKS, from_fence, from_rally, to_fence, to_rally
 from cosim.mavlink.service import Answers, Ask, Client, Outgoing, Peer, Service, status_text
+from cosim.mavlink.telemetry import mission_progress, mission_standing
 from cosim.pilot.autopilot import Status
-from cosim.pilot.modes import Mode
 from cosim.pilot.requests import (
     LONGEST_MISSION,
     Answer,
@@ -59,8 +59,6 @@ REPEATS = 3  # times that a finished item is told, because nobody acknowledges i
 MISSION, ALL = wire.MAV_MISSION_TYPE_MISSION, wire.MAV_MISSION_TYPE_ALL
 FENCE, RALLY = wire.MAV_MISSION_TYPE_FENCE, wire.MAV_MISSION_TYPE_RALLY
 _KINDS = (MISSION, FENCE, RALLY)
-
-_NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5  # MISSION_STATE
 
 
 _NAMES = {MISSION: "mission", FENCE: "fence", RALLY: "rally"}
@@ -357,11 +355,11 @@ class MissionService(Service):
         if status.mission_reached != self._reached:
             self._reached = status.mission_reached
             self._repeats = REPEATS if self._reached >= 0 else 0
-        new = _standing(status)
+        new = mission_standing(status)
         due = now - self._told_at >= TELL_AGAIN
         if new != self._told or due:
             self._told, self._told_at = new, now
-            out.append(mission_current(status))
+            out.append(mission_progress(status))
         if self._repeats and (self._repeats == REPEATS or due):
             self._repeats -= 1
             out.append(wire.MAVLink_mission_item_reached_message(self._reached))
@@ -371,30 +369,6 @@ class MissionService(Service):
         """Of home, as it is when the mission comes; of the ground at the start in the second before home is known."""
         status = self._status()
         return status.home.altitude if status is not None and status.home is not None else 0.0
-
-
-def mission_current(status: Status) -> Message:
-    """MISSION_CURRENT: where the mission stands."""
-    return wire.MAVLink_mission_current_message(*_standing(status))
-
-
-def _standing(status: Status) -> tuple[int, int, int, int]:
-    """The present item, how many there are (65535: none), the state, and whether it is being flown."""
-    count = status.mission_count
-    return (max(0, min(status.mission_current, count - 1)), count or 65535, *_state(status))
-
-
-def _state(status: Status) -> tuple[int, int]:
-    """MISSION_STATE, and whether the mission is being flown (1) or not (2)."""
-    flies = status.mode is Mode.MISSION and status.armed
-    if not status.mission_count:
-        return _NO_MISSION, 2
-    if status.mission_done:
-        return _COMPLETE, 1 if flies else 2
-    if flies:
-        return _ACTIVE, 1
-    begun = status.mission_current > 0 or status.mission_reached >= 0
-    return (_PAUSED if begun else _NOT_STARTED), 2
 
 
 def _ack(client: Client, code: int, which: int = MISSION) -> Message:

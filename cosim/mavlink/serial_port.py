@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cosim.errors import InputError
-from cosim.mavlink.channel import DATAGRAM, RETRY, STALL
+from cosim.mavlink.channel import DATAGRAM, RETRY, STALL, Hub
 from cosim.mavlink.connection import Stream
 from cosim.mavlink.endpoint import Endpoint
 from cosim.mavlink.peer import Peer
-
-if TYPE_CHECKING:
-    from cosim.mavlink.link import Link
 
 _BITS = 10  # of a byte on the line: start, eight, stop
 _BEHIND_S = 0.05  # of the line's bytes that may lie in the driver; chosen by us: twice what is handed over at once
@@ -73,7 +70,7 @@ class Serial:
 
     port = 0
 
-    def __init__(self, link: Link, endpoint: Endpoint) -> None:
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
         self._endpoint = endpoint
         self._stream: Stream | None = None

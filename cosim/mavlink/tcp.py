@@ -5,15 +5,11 @@ from __future__ import annotations
 import contextlib
 import selectors
 import socket
-from typing import TYPE_CHECKING
 
-from cosim.mavlink.channel import DATAGRAM, MOST_PEERS, RETRY, bound, makes_room, named
+from cosim.mavlink.channel import DATAGRAM, MOST_PEERS, RETRY, Hub, bound, makes_room, named
 from cosim.mavlink.connection import Stream
 from cosim.mavlink.endpoint import Endpoint
 from cosim.mavlink.peer import Peer
-
-if TYPE_CHECKING:
-    from cosim.mavlink.link import Link
 
 # bytes that may lie in a connection, and those of them that are not on their way yet: old telemetry is worth nothing to
 # a slow reader
@@ -22,7 +18,7 @@ _UNSENT = 4096
 _UNSENT_OPTION = getattr(socket, "TCP_NOTSENT_LOWAT", None)
 
 
-def _connection(link: Link, name: str, connection: socket.socket) -> Stream:
+def _connection(link: Hub, name: str, connection: socket.socket) -> Stream:
     connection.setblocking(False)
     with contextlib.suppress(OSError):
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -35,7 +31,7 @@ def _connection(link: Link, name: str, connection: socket.socket) -> Stream:
 class TcpIn:
     """A server for several connections."""
 
-    def __init__(self, link: Link, endpoint: Endpoint) -> None:
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
         self._socket = bound(endpoint, socket.SOCK_STREAM, bind=True)
         self._socket.listen(MOST_PEERS)
@@ -92,7 +88,7 @@ class Tcp:
 
     port = 0
 
-    def __init__(self, link: Link, endpoint: Endpoint) -> None:
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
         self._endpoint = endpoint
         self._attempt: socket.socket | None = None

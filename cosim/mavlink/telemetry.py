@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from math import atan2, ceil, degrees, hypot, isfinite, isnan, nan, pi
 
 from cosim.frames import conjugate, from_euler, rotate, to_euler
-from cosim.mavlink import missions
 from cosim.mavlink.dialect import Message, mav
 from cosim.mavlink.modes import AUTOPILOT, HEXAROTOR, LANDED, LIST, STANDARD, base_mode, custom_mode
 from cosim.mavlink.snapshot import About, Snapshot
-from cosim.pilot.modes import Home, LandedState
+from cosim.pilot.autopilot import Status
+from cosim.pilot.modes import Home, LandedState, Mode
 
 U8, U16, I16, U32, I32 = 0xFF, 0xFFFF, 0x7FFF, 0xFFFFFFFF, 0x7FFFFFFF
 KELVIN = 273.15
@@ -37,6 +37,7 @@ PARAMETER_ENCODING = {"px4": _BYTEWISE, "ardupilot": _C_CAST, "generic": 0}
 
 _LOCAL_NED, _BODY_FRD = 1, 12  # MAV_FRAME
 _LIQUID = 1  # MAV_FUEL_TYPE
+_NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5  # MISSION_STATE
 
 
 @dataclass
@@ -408,8 +409,32 @@ def mode_line(about: About, index: int) -> Message:
     )
 
 
+def mission_progress(status: Status) -> Message:
+    """MISSION_CURRENT: where the mission stands."""
+    return mav.MAVLink_mission_current_message(*mission_standing(status))
+
+
+def mission_standing(status: Status) -> tuple[int, int, int, int]:
+    """The present item, how many there are (65535: none), the state, and whether it is being flown."""
+    count = status.mission_count
+    return (max(0, min(status.mission_current, count - 1)), count or 65535, *_state(status))
+
+
+def _state(status: Status) -> tuple[int, int]:
+    """MISSION_STATE, and whether the mission is being flown (1) or not (2)."""
+    flies = status.mode is Mode.MISSION and status.armed
+    if not status.mission_count:
+        return _NO_MISSION, 2
+    if status.mission_done:
+        return _COMPLETE, 1 if flies else 2
+    if flies:
+        return _ACTIVE, 1
+    begun = status.mission_current > 0 or status.mission_reached >= 0
+    return (_PAUSED if begun else _NOT_STARTED), 2
+
+
 def mission_current(v: View) -> list[Message]:
-    return [missions.mission_current(v.status)]
+    return [mission_progress(v.status)]
 
 
 def _engines(v: View) -> list[int]:

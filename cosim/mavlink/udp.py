@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
-from cosim.mavlink.channel import DATAGRAM, MOST_PEERS, READS, Address, Tap, bound, makes_room, named
+from cosim.mavlink.channel import DATAGRAM, MOST_PEERS, READS, Address, Hub, Tap, bound, makes_room, named
 from cosim.mavlink.endpoint import Endpoint
 from cosim.mavlink.peer import Peer
-
-if TYPE_CHECKING:
-    from cosim.mavlink.link import Link
 
 FORGET = 30.0  # s: a station behind a UDP server that is silent for so long is gone; chosen by us
 
@@ -44,7 +40,7 @@ class UdpOut:
 
     port = 0
 
-    def __init__(self, link: Link, endpoint: Endpoint) -> None:
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
         self._socket = bound(endpoint, socket.SOCK_DGRAM, bind=False)
         self._target = (endpoint.host, endpoint.port)
@@ -80,7 +76,7 @@ class Datagrams:
     """
 
     def __init__(
-        self, link: Link, server: socket.socket, address: Address, stray: Callable[[bytes, Address], None]
+        self, link: Hub, server: socket.socket, address: Address, stray: Callable[[bytes, Address], None]
     ) -> None:
         self._link = link
         self._address = address
@@ -139,7 +135,7 @@ class Datagrams:
 class Shared:
     """One station behind a UDP server where the system has no sockets of their own for them."""
 
-    def __init__(self, link: Link, server: socket.socket, address: Address) -> None:
+    def __init__(self, link: Hub, server: socket.socket, address: Address) -> None:
         parser = link.parser(whole=True)
         self.peer = link.peer(named("udpin", address), _sendto(server, address), parser, whole=True)
 
@@ -153,7 +149,7 @@ class Shared:
 class UdpIn:
     """A server; stations are known by the address from which a frame that was right has come."""
 
-    def __init__(self, link: Link, endpoint: Endpoint) -> None:
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
         self._socket = bound(endpoint, socket.SOCK_DGRAM, bind=True)
         self.port = int(self._socket.getsockname()[1])

@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.design.loop import Complex, grid, model_response
 from cosim.paper import numbers
-from cosim.paper.calibration import Calibration
 from cosim.paper.experiments import hexjet_axis, quadrotor_axis
+from cosim.paper.frozen import Calibration
 from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, simulate
 from cosim.paper.loops import LoopMap, controllers_response, predictor_response
 from cosim.vehicle import PredictorTuning, RateModel

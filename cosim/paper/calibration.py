@@ -11,56 +11,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
-from cosim.config import Model, read_toml, validate
+from cosim.design.loop import margins
 from cosim.paper import numbers
-
-FILE = Path(__file__).with_name("calibration.toml")
-
-
-class Calibration(BaseModel):
-    """The unknowns of the paper."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    # quadrotor, found
-    p: float  # command per rad/s
-    i: float  # command per rad
-    d: float  # command per rad/s^2
-    attitude_gain_1_s: float
-    disturbance_each_s: float  # length of either half of the disturbance doublet
-    observer_rad_s: float  # both poles of the double-integrator observer
-    payload_gain: float  # of the plant's gain, with 230 g more
-    # Hex-Jet, found; rate integral in proportion to vehicle.toml
-    hexjet_p: float
-    hexjet_attitude_gain_1_s: float
-    # chosen
-    predictor_sees_disturbance: bool = True  # it enters before the predictor's tap; see the claims
-    extra_delay_samples: float = 0.0  # nothing printed asks for any that it could be told from d
-    d_filter_s: float = 0.0053  # PX4's 30 Hz
-    gyro_noise_rad_s: float = 0.02  # small MEMS gyro at 400 Hz; no printed number tells it
-    filter_s: float = 0.05  # filtered Smith
-    model_observer_rad_s: float = 60.0
-    disturbance_observer_rad_s: float = 40.0
-
-
-class Used(Model):
-    """A printed number that the calibration was fitted to, and what came of it."""
-
-    key: str
-    paper: float
-    ours: float
-    scale: float  # the residual is (ours - paper) / scale
-    stage: str
-
-
-class Frozen(Model):
-    """The file: unknowns, the numbers that were used, and how they were met."""
-
-    parameters: Calibration
-    used: list[Used]
-
+from cosim.paper.experiments import Experiment, hexjet_axis, hexjet_ratios, linear, quadrotor_axis
+from cosim.paper.frozen import FILE, Calibration, Frozen, Used
+from cosim.paper.linear import STATE_AS_PRINTED
+from cosim.paper.loops import LOW_END_HZ, gain_at, open_loop, unstable_poles
 
 START = Calibration(
     p=0.05,
@@ -75,17 +32,7 @@ START = Calibration(
 )
 
 
-def load(path: Path = FILE) -> Frozen:
-    """The frozen calibration.  Raises InputError for a file that does not fit."""
-    return validate(Frozen, read_toml(path), str(path))
-
-
 def _margins(trial: Calibration) -> dict[str, float]:
-    from cosim.design.loop import margins
-    from cosim.paper.claims import LOW_END_HZ, gain_at
-    from cosim.paper.experiments import quadrotor_axis
-    from cosim.paper.loops import open_loop
-
     loop = quadrotor_axis(trial, "baseline", 5)
     found = margins(open_loop(loop), loop.step, points=800)
     prefix = "frequency.baseline."
@@ -102,9 +49,6 @@ def _quadrotor(trial: Calibration) -> dict[str, float]:
 
     The state predictor runs with the matrices as printed: they are what the paper says it used.
     """
-    from cosim.paper.experiments import Experiment, linear
-    from cosim.paper.linear import STATE_AS_PRINTED
-
     run = linear(trial, noisy=False, whole=False)
     times = [run(Experiment("step", c, 5)).metrics.time_constant_s or 1.0 for c in ("baseline", "smith")]
     found = {"step.time_constant": sum(times) / len(times)}
@@ -121,9 +65,6 @@ def _quadrotor(trial: Calibration) -> dict[str, float]:
 
 def _hexjet(trial: Calibration) -> dict[str, float]:
     """Both ratios; none for a baseline that does not settle, which has neither overshoot nor settling time."""
-    from cosim.paper.experiments import Experiment, hexjet_axis, linear
-    from cosim.paper.loops import unstable_poles
-
     if unstable_poles(hexjet_axis(trial, "baseline", "calibrated", noisy=False)):
         return {"hexjet.less_overshoot": 0.0, "hexjet.faster_settling": 0.0}
     run = linear(trial, noisy=False, whole=False)
@@ -132,16 +73,6 @@ def _hexjet(trial: Calibration) -> dict[str, float]:
         for controller in ("baseline", "smith")
     )
     return hexjet_ratios(a.overshoot_percent, b.overshoot_percent, a.settling_s, b.settling_s)
-
-
-def hexjet_ratios(
-    overshoot: float | None, smith_overshoot: float | None, settling: float | None, smith_settling: float | None
-) -> dict[str, float]:
-    """How much less overshoot and how much faster settling Smith's predictor gives, in percent."""
-    less = 100.0 * (1.0 - (smith_overshoot or 0.0) / overshoot) if overshoot else 0.0
-    # a baseline that has not settled by the next edge settles at least that much slower: no ratio
-    faster = 100.0 * (1.0 - smith_settling / settling) if settling and smith_settling else 0.0
-    return {"hexjet.less_overshoot": less, "hexjet.faster_settling": faster}
 
 
 class Stage(NamedTuple):

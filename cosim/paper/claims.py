@@ -19,16 +19,17 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.design.loop import Margins, margins
 from cosim.paper import numbers
-from cosim.paper.calibration import Calibration, hexjet_ratios
 from cosim.paper.experiments import (
     Experiment,
     Metrics,
     flown_payload_gain,
     hexjet_axis,
+    hexjet_ratios,
     linear,
     quadrotor_axis,
 )
-from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, simulate
+from cosim.paper.frozen import Calibration
+from cosim.paper.linear import STATE_AS_PRINTED, Plant, doublet, simulate
 from cosim.paper.loops import LoopMap, open_loop, predictor_response, unstable_poles
 from cosim.paper.numbers import Basis
 
@@ -37,7 +38,6 @@ NO_EVIDENCE: tuple[Basis, ...] = ("calibrated", "chosen by us")
 
 SIMILAR = 15.0  # percent, chosen by us: a smaller spread is similar, a smaller growth is little
 DISTINCT = 10.0  # percent of overshoot, chosen by us: less is not distinct
-LOW_END_HZ = 1.0  # taken for the low end of the paper's Bode diagrams: with an integral there is no gain at 0 Hz
 PRINTED_MATRICES = "holds for the state predictor run with the printed matrices, not with G_n(z) realised"
 WAITING = "holds if the wait itself is left out: the answer comes 20 samples later and is otherwise no worse"
 SEEN = "holds where the disturbance enters before the predictor's tap, so that the predictor is told of it"
@@ -627,9 +627,3 @@ def _first_unstable(calibration: Calibration) -> Condition:
         "with 10 at the latest, in an experiment on the rate",
         values={"rate_loop": float(alone), "with_attitude_loop": float(closed)},
     )
-
-
-def gain_at(loop: Axis, frequency: float) -> float:
-    """Gain of ``C G*`` at a frequency (Hz), dB."""
-    z = np.exp(np.array([2j * np.pi * frequency * loop.step]))
-    return float(20.0 * np.log10(np.abs(open_loop(loop)(z)[0])))

@@ -18,12 +18,12 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.design.loop import margins
 from cosim.paper import beyond, numbers
-from cosim.paper.calibration import Frozen, hexjet_ratios, load
-from cosim.paper.claims import LOW_END_HZ, ClaimRow, Condition, Evidence, conditions, gain_at
-from cosim.paper.experiments import COMPARED, Experiment, Metrics, Result, experiments, quadrotor_axis
+from cosim.paper.claims import ClaimRow, Condition, Evidence, conditions
+from cosim.paper.experiments import COMPARED, Experiment, Metrics, Result, experiments, hexjet_ratios, quadrotor_axis
 from cosim.paper.experiments import linear as on_linear_plant
+from cosim.paper.frozen import Frozen, load
 from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import Sweep, open_loop, sweep
+from cosim.paper.loops import LOW_END_HZ, Sweep, gain_at, open_loop, sweep
 from cosim.paper.numbers import Basis
 from cosim.signals import AXES
 

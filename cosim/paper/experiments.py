@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.metrics import overshoot, settling_time
 from cosim.paper import numbers
-from cosim.paper.calibration import Calibration
+from cosim.paper.frozen import Calibration
 from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, Signal, doublet, nothing, simulate
 from cosim.vehicle import PredictorTuning, RateGains, load_vehicle
 
@@ -305,3 +305,13 @@ def _rise(angle: Array, first: int, end: int, step: float) -> float | None:
     k = first + int(past[0])
     share = (level - angle[k - 1]) / (angle[k] - angle[k - 1])
     return float((k - 1 - first + share) * step)
+
+
+def hexjet_ratios(
+    overshoot: float | None, smith_overshoot: float | None, settling: float | None, smith_settling: float | None
+) -> dict[str, float]:
+    """How much less overshoot and how much faster settling Smith's predictor gives, in percent."""
+    less = 100.0 * (1.0 - (smith_overshoot or 0.0) / overshoot) if overshoot else 0.0
+    # a baseline that has not settled by the next edge settles at least that much slower: no ratio
+    faster = 100.0 * (1.0 - smith_settling / settling) if settling and smith_settling else 0.0
+    return {"hexjet.less_overshoot": less, "hexjet.faster_settling": faster}

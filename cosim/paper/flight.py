@@ -11,8 +11,8 @@ from typing import Any
 
 from cosim.flight import fly
 from cosim.paper import numbers
-from cosim.paper.calibration import Calibration
 from cosim.paper.experiments import PAYLOAD_PLACE, Experiment, Fidelity, Result, result
+from cosim.paper.frozen import Calibration
 from cosim.run import Run
 from cosim.scenario import Scenario
 from cosim.vehicle import load_vehicle

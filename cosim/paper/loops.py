@@ -35,6 +35,8 @@ from cosim.errors import InputError
 from cosim.paper.linear import Axis, Plant, make_predictor, simulate
 from cosim.vehicle import PredictorTuning, RateModel
 
+LOW_END_HZ = 1.0  # taken for the low end of the paper's Bode diagrams: with an integral there is no gain at 0 Hz
+
 
 def plant_response(plant: Plant, z: Complex, delay: int) -> Complex:
     """Command to rate, added delay included."""
@@ -202,3 +204,9 @@ def unstable_poles(axis: Axis) -> int:
     if extra != int(extra):
         raise InputError(f"unstable poles: an extra delay of {extra:g} samples must be whole")
     return LoopMap(axis).unstable_poles(1.0, axis.delay_samples + int(extra))
+
+
+def gain_at(loop: Axis, frequency: float) -> float:
+    """Gain of ``C G*`` at a frequency (Hz), dB."""
+    z = np.exp(np.array([2j * np.pi * frequency * loop.step]))
+    return float(20.0 * np.log10(np.abs(open_loop(loop)(z)[0])))

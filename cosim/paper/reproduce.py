@@ -23,14 +23,15 @@ import numpy as np
 from cosim.errors import FlightError, InputError
 from cosim.files import replacing
 from cosim.flight import fly
-from cosim.paper import calibration, numbers
+from cosim.paper import numbers
 from cosim.paper.beyond import Reach, turbojet_plant
-from cosim.paper.claims import LOW_END_HZ, Evidence, claim_rows
+from cosim.paper.claims import Evidence, claim_rows
 from cosim.paper.comparison import LinearPart, as_data, comparison_rows, linear_part, write_csv
 from cosim.paper.experiments import CONTROLLERS, Experiment, Result, experiments, quadrotor_axis
 from cosim.paper.flight import flight, scenario
+from cosim.paper.frozen import load
 from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import Sweep, controllers_response, measured_sweep
+from cosim.paper.loops import LOW_END_HZ, Sweep, controllers_response, measured_sweep
 from cosim.paper.page import write_page
 from cosim.paper.result import (
     COMPARISON,
@@ -143,7 +144,7 @@ def write_scenarios(folder: Path) -> None:
     import tomli_w
 
     folder.mkdir(parents=True, exist_ok=True)
-    frozen = calibration.load().parameters
+    frozen = load().parameters
     for experiment in flown_experiments():
         made = scenario(experiment, frozen)
         text = tomli_w.dumps(made.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
@@ -153,7 +154,7 @@ def write_scenarios(folder: Path) -> None:
 
 def fly_experiment(experiment: Experiment) -> Result:
     """One experiment in six degrees of freedom."""
-    return flight(calibration.load().parameters)(experiment)
+    return flight(load().parameters)(experiment)
 
 
 def fly_sweep(controller: str) -> Sweep:
@@ -162,7 +163,7 @@ def fly_sweep(controller: str) -> Sweep:
     A chirp is added to the rate controller's output; ``G* = y^ / u`` is the ratio of the Fourier transforms of the
     predicted rate and the command with the chirp in it (the record begins and ends at rest), ``C`` is known.
     """
-    frozen = calibration.load().parameters
+    frozen = load().parameters
     experiment = Experiment("step", controller, 5)
     chirp = {
         "kind": "torque_command",

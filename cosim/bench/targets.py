@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from cosim.bench.speed import ENGINES, OUTSIDE, RECORDED
 from cosim.bench.suite import Result
@@ -42,6 +43,11 @@ class Judged:
 def judge(result: Result) -> list[Judged]:
     """Everything that is asked for and was measured."""
     return [*_step(result), *_processes(result), *_campaign(result)]
+
+
+def to_dict(result: Result) -> dict[str, Any]:
+    """A result as it goes into JSON, with what is asked for."""
+    return result.to_dict() | {"asked": [asdict(row) | {"met": row.met} for row in judge(result)]}
 
 
 def runs_a_step(runs: int) -> str:

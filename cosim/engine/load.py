@@ -1,0 +1,83 @@
+"""From an engine's name or file to one that can be put into a bank."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from cosim.engine.measure import Measured, measure_once
+from cosim.engine.ports import AMBIENT, STANDARD_AIR, Air, is_mapping
+from cosim.engine.response import ResponseError, window_for
+from cosim.engine.slave import SlaveError
+from cosim.engine.spec import EngineSource, EngineSpec, find_source, need_whole_steps, resolve_parameters
+from cosim.errors import InputError
+from cosim.rundown import OWN, FlameOutLaw, law_of
+
+
+def load_unchecked(
+    name_or_path: str,
+    parameters: Mapping[str, float],
+    step: float,
+    *,
+    measured: Measured | None = None,
+    air: Air = STANDARD_AIR,
+    foreign: Callable[[str, Mapping[str, float], float, Air], Measured] | None = None,
+) -> EngineSpec:
+    """Find, validate and measure an engine that will be stepped by ``step`` seconds.
+
+    The engine is an FMI 2.0 or 3.0 co-simulation FMU, by its name in the library, by path, or by the path of a mapping
+    file; see ``cosim.engine.ports`` for how its ports are found.
+
+    What is ``measured`` already is taken as it is; ``foreign`` measures an engine that is not of the library, from what
+    is asked for and the air, where this process should not.
+
+    ``air``: in which it is measured, if it has a port for any of it; without one it is the same in every air.
+
+    Raises InputError: one line that names the engine, what is wrong, and what is allowed.
+    """
+    source = find_source(name_or_path)
+    archive, engine, mapping = source.archive, source.engine, source.mapping
+    need_whole_steps(archive, engine, step)
+    if not any(port in archive.ports for port in AMBIENT):
+        air = STANDARD_AIR
+    start = archive.ports["start"].variable.name if "start" in archive.ports else None
+    resolved, settings = resolve_parameters(archive, {**mapping.parameters, **parameters}, start)
+    ledger = engine.ledger if engine else {}
+    delay = resolved.get(ledger.get("delay", ""))
+    try:
+        if measured is None and foreign is not None and engine is None:
+            measured = foreign(name_or_path, parameters, step, air)
+        elif measured is None:
+            measured = measure_once(archive, settings, start, step, air)
+    except (SlaveError, ResponseError) as error:
+        raise InputError(f"{archive.path}: {error}") from error
+    return EngineSpec(
+        name=name_or_path if engine else source.path.stem,
+        title=engine.title if engine else mapping.title or archive.model,
+        library=engine is not None,
+        path=archive.path,
+        fmi=archive.version,
+        sha256=archive.sha256,
+        parameters=resolved,
+        curve=measured.curve,
+        internal_step=engine.internal_step if engine else archive.internal_step,
+        pole=resolved.get(ledger.get("pole", "")),
+        delay_samples=None if delay is None else round(delay),
+        start=measured.start,
+        rotor_inertia=engine.rotor_inertia if engine else mapping.rotor.inertia_kg_m2,
+        flame_out=_flame_out(source),
+        stated_delay=mapping.ledger.delay_s,
+        mapping=source.path if is_mapping(source.path) else None,
+        archive=archive,
+        settings=settings,
+        window=window_for(measured.response.delay),
+        quiet=measured.quiet,
+        air=air,
+    )
+
+
+def _flame_out(source: EngineSource) -> FlameOutLaw | None:
+    if "run" in source.archive.ports:
+        return OWN
+    if source.engine is not None:
+        return law_of(source.engine.flame_out) if source.engine.flame_out else None
+    return source.mapping.flame_out.law() if source.mapping.flame_out else None

@@ -1,0 +1,125 @@
+"""An engine stepped to learn what it does: its static curve, its step response, whether it can be started at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from cosim.engine import _bank
+from cosim.engine.archive import Archive
+from cosim.engine.ports import STANDARD_AIR, Air
+from cosim.engine.response import (
+    LITTLE_CHANGE,
+    NO_CHANGE,
+    Curve,
+    Response,
+    RestlessError,
+    settle,
+    static_curve,
+    step_response,
+    window_for,
+)
+from cosim.engine.slave import Setting, Slave, SlaveError
+from cosim.engine.spec import behaviour_of
+from cosim.engine.unpacked import unpack
+from cosim.memory import Memory
+
+
+class Measured(NamedTuple):
+    """What stepping an engine tells about it."""
+
+    curve: Curve
+    response: Response  # to the throttle opened from 0 to 1
+    start: str | None  # the start parameter, if it does what it should
+    quiet: float  # to what share of itself the thrust stands still at rest
+
+
+_measured: Memory[Measured] = Memory(256)
+
+
+def measure_once(
+    archive: Archive, settings: tuple[Setting, ...], start: str | None, step: float, air: Air = STANDARD_AIR
+) -> Measured:
+    """As :func:`measure`, once per process for the same contents of the archive and the same question."""
+    key = (*behaviour_of(archive, settings, air), start, step)
+    return _measured.get(key, lambda: measure(archive, settings, start, step, air=air))
+
+
+def measure(
+    archive: Archive,
+    settings: tuple[Setting, ...],
+    start: str | None,
+    step: float,
+    alive: Callable[[], object] = lambda: None,
+    air: Air = STANDARD_AIR,
+) -> Measured:
+    """Static curve and step response of an engine in ``air``, and its start parameter if that does what it should.
+
+    An engine that goes on trembling at rest is measured once more with more patience.  ``alive`` is called every now
+    and then while it lasts.
+    Raises SlaveError or ResponseError if it fails, never settles or never answers.
+    """
+    try:
+        return _measure(archive, settings, start, step, alive, NO_CHANGE, air)
+    except RestlessError:
+        return _measure(archive, settings, start, step, alive, LITTLE_CHANGE, air)
+
+
+def _measure(
+    archive: Archive,
+    settings: tuple[Setting, ...],
+    start: str | None,
+    step: float,
+    alive: Callable[[], object],
+    quiet: float,
+    air: Air,
+) -> Measured:
+    with unpack(archive) as folder:
+        slave = Slave(archive, folder, "measured")
+        try:
+            slave.initialize(settings, 0.0, air)
+            native = _bank.Bank([slave.row()], step)
+
+            def hold(throttle: float, steps: int) -> list[float]:
+                alive()
+                return native.hold(0, throttle, steps)
+
+            at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet)
+            response = step_response(hold, at_rest, 1.0, step, quiet)
+            curve = static_curve(hold, window_for(response.delay), step, quiet)
+        except _bank.FailureError as failure:
+            raise SlaveError(slave.explain(failure, "while its thrust was measured")) from failure
+        finally:
+            slave.close()
+        if start is not None and not _starts_level(archive, folder, settings, step, curve, response, air):
+            start = None
+    return Measured(curve, response, start, quiet)
+
+
+def _starts_level(
+    archive: Archive,
+    folder: Path,
+    settings: tuple[Setting, ...],
+    step: float,
+    curve: Curve,
+    response: Response,
+    air: Air,
+) -> bool:
+    """Whether the start parameter starts the engine on its static curve and keeps it there, tried at half throttle."""
+    middle = len(curve.throttle) // 2
+    throttle, thrust = curve.throttle[middle], curve.thrust[middle]
+    slave = Slave(archive, folder, "started")
+    try:
+        port = archive.ports["start"]
+        first = slave.initialize([*settings, (port.variable, port.value(throttle))], throttle, air)
+        rest = _bank.Bank([slave.row()], step).hold(0, throttle, window_for(response.delay))
+    except SlaveError:
+        return False
+    except _bank.FailureError as failure:
+        slave.explain(failure, "")
+        return False
+    finally:
+        slave.close()
+    tolerance = 1e-6 * max(1.0, abs(response.after))
+    return all(abs(value - thrust) <= tolerance for value in [first, *rest])

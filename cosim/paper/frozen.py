@@ -1,0 +1,59 @@
+"""The unknowns of the paper as they were found and frozen: ``calibration.toml`` beside this file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from cosim.config import Model, read_toml, validate
+
+FILE = Path(__file__).with_name("calibration.toml")
+
+
+class Calibration(BaseModel):
+    """The unknowns of the paper."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # quadrotor, found
+    p: float  # command per rad/s
+    i: float  # command per rad
+    d: float  # command per rad/s^2
+    attitude_gain_1_s: float
+    disturbance_each_s: float  # length of either half of the disturbance doublet
+    observer_rad_s: float  # both poles of the double-integrator observer
+    payload_gain: float  # of the plant's gain, with 230 g more
+    # Hex-Jet, found; rate integral in proportion to vehicle.toml
+    hexjet_p: float
+    hexjet_attitude_gain_1_s: float
+    # chosen
+    predictor_sees_disturbance: bool = True  # it enters before the predictor's tap; see the claims
+    extra_delay_samples: float = 0.0  # nothing printed asks for any that it could be told from d
+    d_filter_s: float = 0.0053  # PX4's 30 Hz
+    gyro_noise_rad_s: float = 0.02  # small MEMS gyro at 400 Hz; no printed number tells it
+    filter_s: float = 0.05  # filtered Smith
+    model_observer_rad_s: float = 60.0
+    disturbance_observer_rad_s: float = 40.0
+
+
+class Used(Model):
+    """A printed number that the calibration was fitted to, and what came of it."""
+
+    key: str
+    paper: float
+    ours: float
+    scale: float  # the residual is (ours - paper) / scale
+    stage: str
+
+
+class Frozen(Model):
+    """The file: unknowns, the numbers that were used, and how they were met."""
+
+    parameters: Calibration
+    used: list[Used]
+
+
+def load(path: Path = FILE) -> Frozen:
+    """The frozen calibration.  Raises InputError for a file that does not fit."""
+    return validate(Frozen, read_toml(path), str(path))
