@@ -11,13 +11,14 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 from broken_fmus import BROKEN, DESCRIPTION, UNFIT, UNUSABLE, XML, Broken, Kit, packed
-from patience import PATIENCE, stretched
+from patience import PATIENCE
 
 from cosim.cli import load_scenario, main
 from cosim.engine import EngineBank, build_engines, check, check_fmu, container, load_engine
@@ -28,8 +29,10 @@ from cosim.paths import data_folder
 from cosim.simulation import build
 
 STEP = 0.004
-# a child needs half a second to start, and longer on a busy machine
-LIMITS = Limits(seconds=PATIENCE, silence=stretched(2.0), megabytes=300.0)
+# A child needs half a second to start, and longer on a busy machine, where it seems to hang in whatever it is at: then it
+# is tried again with more patience.
+SILENCES = (2.0, 10.0, 50.0, 250.0)  # s
+LIMITS = Limits(seconds=PATIENCE, silence=SILENCES[-1], megabytes=300.0)
 
 every_broken = pytest.mark.parametrize("broken", BROKEN, ids=[each.name for each in BROKEN])
 
@@ -69,10 +72,21 @@ def checked(request: pytest.FixtureRequest, archives: dict[str, Path]) -> Iterat
     parameters = [getattr(item, "callspec", None) for item in request.session.items]
     wanted = {each.params["broken"].name for each in parameters if each and "broken" in each.params}
     with ThreadPoolExecutor(4) as pool:
-        for path in [archives[each.name] for each in BROKEN if each.name in wanted]:
-            found[str(path)] = pool.submit(check._check, str(path), STEP, {}, LIMITS)
+        words = {archives[each.name]: each.words for each in BROKEN if each.name in wanted}
+        for path in words:
+            found[str(path)] = pool.submit(patiently, path, words[path])
         yield lambda path: found[path].result()
         pool.shutdown(cancel_futures=True)
+
+
+def patiently(path: Path, words: str) -> tuple[Any, Any]:
+    """The check of an engine of which ``words`` must be said."""
+    for silence in SILENCES[:-1]:
+        found = check._check(str(path), STEP, {}, replace(LIMITS, silence=silence))
+        lines = found[0].problems
+        if not any("hangs" in line for line in lines) or any(re.search(words, line) for line in lines):
+            return found
+    return check._check(str(path), STEP, {}, LIMITS)
 
 
 @pytest.fixture(autouse=True)
@@ -132,11 +146,14 @@ def test_the_command_line_says_it_in_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     broken = next(each for each in BROKEN if each.name == name)
-    monkeypatch.setattr(check, "LIMITS", LIMITS)
-    with pytest.raises(SystemExit) as left:
-        main(["fly", "hover", "--engine", str(archives[name]), "--out", str(tmp_path / "flight")])
-    out, err = capfd.readouterr()
-    assert (left.value.code, out, err.count("\n")) == (2, "", 1)
+    for silence in SILENCES:
+        monkeypatch.setattr(check, "LIMITS", replace(LIMITS, silence=silence))
+        with pytest.raises(SystemExit) as left:
+            main(["fly", "hover", "--engine", str(archives[name]), "--out", str(tmp_path / "flight")])
+        out, err = capfd.readouterr()
+        assert (left.value.code, out, err.count("\n")) == (2, "", 1)
+        if re.search(broken.words, err):
+            break
     assert re.search(broken.words, err)
     assert not (tmp_path / "flight").exists()
     with pytest.raises(SystemExit) as left:

@@ -30,7 +30,7 @@ from cosim.limits import (
 )
 from cosim.metrics import metric_names
 from cosim.run import open_run
-from cosim.scenario import FlightLimits, Scenario, scenario_names
+from cosim.scenario import FlightLimits, Scenario
 
 LAW = (0.8, 2.0, 1.0)
 STILL = (np.zeros(1), np.zeros(1))
@@ -167,13 +167,6 @@ def test_body_rates_are_asked_for_nowhere() -> None:
     entry = {"kind": "step", "signal": "rate_p_deg_s", "start_s": 1.0, "amplitude": 1.0}
     limits = fly(Scenario.load("hover").replace(command=[entry], **CALM)).summary.limits
     assert set(limits) == {"altitude.max_abs_error_m", "effort.saturated_percent"}
-
-
-@pytest.mark.parametrize("name", scenario_names())
-def test_the_shipped_flights_keep_their_limits(name: str) -> None:
-    summary = fly(Scenario.load(name)).summary
-    assert summary.beyond == []
-    assert summary.verdict == "as planned"
 
 
 def test_a_failed_flight_is_not_completed_whatever_else() -> None:

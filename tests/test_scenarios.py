@@ -9,6 +9,7 @@ import pytest
 
 from cosim.errors import InputError
 from cosim.flight import fly
+from cosim.recorder import Log
 from cosim.scenario import Scenario, scenario_names
 
 SHIPPED = {"hover", "roll-doublet", "pitch-doublet", "yaw-doublet", "manual", "payload-drop", "gust", "climb-and-land"}
@@ -32,14 +33,19 @@ def test_the_scenarios_are_there_and_say_what_they_are() -> None:
 
 @pytest.mark.parametrize(("name", "controller", "engine"), EXPECTED)
 def test_scenario_comes_to_what_it_expects(name: str, controller: str, engine: str) -> None:
-    run = fly(Scenario.load(name).replace(controller=controller, engine=engine))
+    """And keeps its limits, flown as it is."""
+    scenario = Scenario.load(name)
+    run = fly(scenario.replace(controller=controller, engine=engine))
     assert run.summary.complaints == [], f"{run.outcome}: {run.reason}"
     assert run.summary.expectations_met
+    if (controller, engine) == (scenario.controller, scenario.engine):
+        assert run.summary.beyond == []
+        assert run.summary.verdict == "as planned"
+        if name == "climb-and-land":
+            stands_at_the_end(run.log)
 
 
-def test_climb_and_land_stands_at_the_end() -> None:
-    run = fly(Scenario.load("climb-and-land"))
-    log = run.log
+def stands_at_the_end(log: Log) -> None:
     assert log["altitude_m"].max() == pytest.approx(5.0, abs=0.3)
     assert log["on_ground"][0] == log["on_ground"][-1] == 1.0
     assert not log["on_ground"][1500:3000].any()
