@@ -39,7 +39,8 @@ PLANNED: Means = "planned around"
 OPPOSITE: Means = "opposite shut off"
 SOONER: Means = "opposite, found sooner"
 MEANS = (PLANNED, OPPOSITE, SOONER)
-SOONER_THRESHOLD = 0.1  # of hover thrust, for the monitor: 3 to 4 % of the spool's speed; chosen by us, half the usual
+# of hover thrust, for the monitor: the prototype's; and the two full-scale vehicles', 3 to 4 % of the spool's speed
+THRESHOLD, SOONER_THRESHOLD = 0.2, 0.1
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,14 @@ class Bound:
     @property
     def words(self) -> str:
         return f"{self.lean_deg:.0f}°" if isfinite(self.lean_deg) else f"over {FURTHEST_DEG:.0f}°"
+
+
+@dataclass(frozen=True)
+class Fall:
+    """The least height that was to be lost [m], and the fastest sinking on the way [m/s]."""
+
+    lost_m: float
+    sink_m_s: float
 
 
 @dataclass(frozen=True)
@@ -228,6 +237,25 @@ class Roller:
                 break
         return Bound(float("inf"), (k + 1) * STEP_S)
 
+    def least_fall(self) -> Fall:
+        """What no throttles avoid of a fall with one jet out and another, the opposite one, shut off with it.
+
+        ``m v' = m g - sum T_i`` with the four others at full throttle from that instant on, and nothing of their thrust
+        lost to lean or to holding the attitude.  Raises ValueError where the fall does not end within the courses.
+        """
+        courses = self.courses
+        falling = courses.shut(0)
+        sink = height = fastest = 0.0
+        for k in range(len(courses.up)):
+            thrust = courses.out[k] + falling[k] + (len(self.vehicle.jets) - 2) * courses.up[k]
+            before = sink
+            sink += STEP_S * (GRAVITY - thrust / self.vehicle.mass_kg)
+            if sink < 0.0:
+                return Fall(height, fastest)
+            height += 0.5 * STEP_S * (before + sink)
+            fastest = max(fastest, sink)
+        raise ValueError("the engines were not followed for long enough to stop the fall")
+
 
 def next_or(values: Sequence[float], k: int) -> float:
     """The value of step ``k``, the last where there are no more."""
@@ -271,10 +299,10 @@ def courses_of(simulation: Simulation, share: float, seconds: float = FOLLOWED_S
     return Courses(simulation.engine, hover, least, most, round(seconds / STEP_S))
 
 
-def roller(simulation: Simulation) -> Roller:
-    """For the vehicle of a built flight, all of whose engines are alike."""
+def roller(simulation: Simulation, seconds: float = FOLLOWED_S) -> Roller:
+    """For the vehicle of a built flight, all of whose engines are alike; ``seconds``: how long they are followed."""
     vehicle = simulation.vehicle
-    courses = courses_of(simulation, simulation.allocator.hover)
+    courses = courses_of(simulation, simulation.allocator.hover, seconds)
     return Roller(vehicle, courses, vehicle.mass_kg * GRAVITY / len(vehicle.jets))
 
 
@@ -372,9 +400,8 @@ def _controller(aircraft: str, engine: str, designs: Path, say: Say) -> Controll
 def _scenario(aircraft: str, engine: str, file: ControllerFile, jet: int, means: Means) -> Scenario:
     """The flight of one row."""
     begin = SETTLED_S["hover"]
-    monitor: dict[str, Any] = {"shut_opposite": means != PLANNED}
-    if means == SOONER:
-        monitor["threshold"] = SOONER_THRESHOLD
+    threshold = SOONER_THRESHOLD if means == SOONER else THRESHOLD
+    monitor = {"shut_opposite": means != PLANNED, "threshold": threshold}
     return Scenario.from_table(
         {
             "name": "engine-out",

@@ -66,6 +66,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
             max(each.delay + each.lag for each in references),
             max(each.delay + each.longest for each in references),
         ),
+        scenario.sensor_noise,
     )
     pilot.reset(simulation.measured)
     simulation.pilot = pilot

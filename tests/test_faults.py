@@ -658,6 +658,19 @@ def test_no_false_alarm_in_any_scenario_without_a_fault(name: str) -> None:
     assert all((log[health] == 1.0).all() for health in HEALTH)
 
 
+@pytest.mark.parametrize(("aircraft", "engine"), [("hexjet-100", "turbine-100"), ("hexjet-p220", "p220")])
+def test_the_full_scale_threshold_is_twice_what_a_healthy_engine_comes_to(aircraft: str, engine: str) -> None:
+    """Idle, take-off and landing, where an engine is furthest from a lag behind a delay; the rest is the reading's."""
+    vehicle, _ = load_vehicle(aircraft)
+    assert vehicle.control.monitor is not None
+    half = {"control": {"monitor": {"threshold": 0.5 * vehicle.control.monitor.threshold}}}
+    scenario = Scenario.load("full-scale-climb-and-land").replace(
+        aircraft=aircraft, engine=engine, monitor=True, vehicle=half, expect=[]
+    )
+    log = fly(scenario).log
+    assert all((log[health] == 1.0).all() for health in HEALTH)
+
+
 @pytest.mark.parametrize("engine", ["edf", "turbojet", "turbine-20"])
 def test_no_false_alarm_from_a_flight_that_swings_out_of_control(engine: str) -> None:
     """The wildest commands there are: the baseline on engines that are too slow for its gains."""

@@ -48,6 +48,7 @@ class World:
             "collective": HOVER if airborne else 0.05,
             "lost": (),
             "remaining": None,
+            "receiver": True,
         } | changes
         rates = (CONTROL.rate.roll, CONTROL.rate.pitch, CONTROL.rate.yaw)
         self.pilot = Autopilot(
@@ -84,7 +85,7 @@ class World:
         report = Report(p["legs"], p["collective"], p["lost"], p["remaining"])
         for _ in range(round(duration / DT)):
             # a receiver that works never says the same twice
-            north = p["north"] + 1e-9 * (self.k // 25 % 2)
+            north = p["north"] + 1e-9 * (self.k // 25 % 2) * p["receiver"]
             place, velocity = (north, p["east"], -p["altitude"]), (0.0, 0.0, p["sink"])
             measured = Measured(p["rate"], attitude, place, velocity, p["altitude"], (0.0, 0.0, -GRAVITY))
             self.command = self.pilot.update(self.k, measured, report)
@@ -257,6 +258,36 @@ def test_no_home_before_a_second_of_positions() -> None:
     w.seconds(0.6)
     w.ok(rq.Arm())
     assert w.pilot.home == pytest.approx((0.0, 0.0, STANDING), abs=1e-8)
+
+
+def test_a_receiver_that_stopped_on_the_ground_arms_only_what_flies_without_a_position() -> None:
+    """By sticks on lean, throttle or height; everything else would land as soon as it had taken off."""
+    w = World()
+    w.ok(rq.MissionUpload(POINTS))
+    w.seconds(1.5, receiver=False)
+    why = "needs the position, and the GNSS receiver has stopped"
+    assert w.ask(rq.Arm()).text == f"arming refused: mode HOLD {why}"
+    assert w.ask(rq.Takeoff()).text == f"take-off refused: mode TAKEOFF {why}"
+    assert w.ask(rq.MissionStart()).text == f"mission refused: mode MISSION {why}"
+    for mode, allowed in (("POSCTL", False), ("ALTCTL", True), ("STABILIZED", True), ("MANUAL", True)):
+        w.ok(LOW)
+        w.ok(rq.SetMode(mode))
+        answer = w.ask(rq.Arm())
+        assert answer.accepted is allowed, (mode, answer)
+        assert allowed or why in answer.text
+        if allowed:
+            w.ok(rq.Disarm())
+    for setpoint, allowed in (
+        (rq.OffboardVelocity(0.0, 0.0, 0.0), False),
+        (rq.OffboardAttitude((1.0, 0.0, 0.0, 0.0), None, 0.0), True),
+    ):
+        w.ok(setpoint)
+        w.ok(rq.SetMode("OFFBOARD"))
+        assert w.ask(rq.Arm()).accepted is allowed
+    w.ok(rq.Disarm())
+    w.ok(rq.SetMode("HOLD"))
+    w.seconds(0.5, receiver=True)
+    w.ok(rq.Arm())
 
 
 def test_armed_on_the_ground_it_idles_and_gives_up() -> None:

@@ -148,7 +148,8 @@ class Autopilot:
     what the rate loops fly with at the start; ``predictors`` makes others.  ``inject`` and ``clear`` are called for
     faults by command, and may raise InputError.  ``airborne``: the flight begins in the air, armed, holding.
     ``idle``: thrust of an engine without throttle, as a share of what full throttle adds to it.  ``answer``: delay
-    and lag [s] with which the thrust answers, about hover and the longest.
+    and lag [s] with which the thrust answers, about hover and the longest.  ``noisy``: the sensors have their noise, by
+    which a receiver that has stopped is told from one that stands.
     """
 
     def __init__(
@@ -167,6 +168,7 @@ class Autopilot:
         airborne: bool = False,
         idle: float = 0.0,
         answer: tuple[float, float] = (0.2, 0.2),
+        noisy: bool = True,
     ) -> None:
         gains, settings = vehicle.control.position, vehicle.control.pilot
         if gains is None or settings is None:
@@ -189,13 +191,17 @@ class Autopilot:
         tracker = Tracker(settings.acceleration_m_s2, settings.jerk_m_s3, step)
         blocks = Blocks(attitude, altitude, rate, position, tracker, predictors)
         self._live = Live(self.parameters, vehicle.control, blocks, step)
-        self._estimator = Estimator(gains, vehicle.sensors.gnss, step)
+        gnss = vehicle.sensors.gnss
+        noisy = noisy and max(gnss.position_noise_m, gnss.velocity_noise_m_s) > 0.0
+        self._estimator = Estimator(gains, gnss, step, noisy)
         self._settled = round(_SETTLED_EPOCHS_S / step)
         self._margins = thrust_margins(hover, idle, self._limits.throttle_min, self._limits.throttle_max)
         self._heights = self._height_limits()
         self._guide = Guide(tracker, position, self.parameters, self._heights, step)
         self._floor = Floor(hover, idle, self._limits.throttle_min, self._limits.throttle_max, *answer, step)
         self._vehicle, self._idle = vehicle, idle
+        # a flight that begins in the air knows the ground as 0: it stands on its legs there
+        self._standing = max((each.position_m[2] for each in vehicle.contacts if each.kind == "leg"), default=0.0)
         self._shaper = Shaper(self._attitude_limits(), step)
         self._senses = Senses(vehicle.sensors, step, slowest)
         self._touchdown = Touchdown(hover, step, idle, settings.spool_s)
@@ -234,7 +240,7 @@ class Autopilot:
         self._settling: float | None = None  # collective while the thrust is taken away
         self._disarming = False  # as soon as it stands
         self._flew = self._airborne  # since arming
-        self._ground = 0.0  # height of the ground below the last take-off
+        self._ground = self._standing if self._airborne else 0.0  # height on its legs where it last took off
         self._left: Pair | None = None  # where that was
         self._phase = 0  # of RTL and of a mission's landing
         self._return_to: Pair | None = None  # where the return lands; None: it has not begun
@@ -313,6 +319,8 @@ class Autopilot:
         if self.landed is not LandedState.ON_GROUND:
             found.append("it is in the air")
         found.extend(self._senses.failed)
+        if blind := self._blind(self.mode):
+            found.append(blind)
         if self.mode in BY_STICK:
             if not self._sticks_fresh():
                 found.append(f"mode {self.mode.value} needs sticks, and there are none")
@@ -321,6 +329,13 @@ class Autopilot:
         if self.mode is Mode.OFFBOARD and not self._setpoint_fresh():
             found.append("mode OFFBOARD needs set-points, and there are none")
         return tuple(found)
+
+    def _blind(self, mode: Mode) -> str:
+        """Why a mode cannot be flown from the ground for want of a position; empty: it can."""
+        by_thrust = mode is Mode.OFFBOARD and isinstance(self._setpoint, OffboardAttitude)
+        if self._estimator.silent <= _BLIND_S or mode in (*DIRECT, Mode.ALTCTL) or by_thrust:
+            return ""
+        return f"mode {mode.value} needs the position, and the GNSS receiver has stopped"
 
     def _disarm(self, request: Disarm, k: int) -> Answer:
         if not self.armed:
@@ -384,6 +399,8 @@ class Autopilot:
         height = request.altitude_m if request.altitude_m is not None else self.parameters["MIS_TAKEOFF_ALT"]
         if self._flying():
             return _no(Result.DENIED, "take-off refused: already flying")
+        if blind := self._blind(Mode.TAKEOFF):
+            return _no(Result.DENIED, f"take-off refused: {blind}")
         if height < _LOWEST_M:
             return _no(Result.DENIED, f"take-off refused: {height:g} m, at least {_LOWEST_M:g} m above home are needed")
         home = self.home or Home(*self._fix.position, self._altitude())
@@ -565,6 +582,8 @@ class Autopilot:
     def _start_mission(self, request: MissionStart, k: int) -> Answer:
         if not self.mission.items:
             return _no(Result.DENIED, "there is no mission")
+        if not self._flying() and (blind := self._blind(Mode.MISSION)):
+            return _no(Result.DENIED, f"mission refused: {blind}")
         if self.mission.done:
             self.mission.restart(0)
         self._enter(Mode.MISSION, k)
@@ -806,23 +825,34 @@ class Autopilot:
     def _in_air(self, k: int) -> Command:
         measured = self._now()
         sink = measured.velocity[2]
-        if self._settling is None and self.mode is Mode.HOLD and self._place is None and self._touchdown.touching:
+        touched = self._touchdown.touching or self._hopping()
+        if self._settling is None and self.mode is Mode.HOLD and self._place is None and touched:
             # nobody asked it to leave the ground
             self._settling, self.landed = self._report.collective, LandedState.LANDING
+        down = touched and sink < _SETTLE_SINK
         if self._settling is not None:
-            if self._touchdown.touching and sink < _SETTLE_SINK:
+            if down:
                 return self._settle(k, self._settling)
             self._settling = None
         command = self._by_mode(k)
         if self._flies_thrust():
             if self._touchdown.standing:
                 self._touch_ground(k)
-        elif self._descending and self._touchdown.touching and sink < _SETTLE_SINK:
+        elif self._descending and down:
             self._settling = self._report.collective
             self.landed = LandedState.LANDING
         elif self.landed is LandedState.LANDING and not self._descending:
             self.landed = LandedState.IN_AIR
         return command
+
+    def _hopping(self) -> bool:
+        """The legs have touched a moment ago, where the ground is.
+
+        A vehicle that drifts, or comes down fast, hops from leg to leg on nearly its own weight in thrust until it
+        trips: the thrust has to go before a contact lasts.
+        """
+        near = self._altitude() - 3.0 * self._senses.vertical.deviation[0] < self._ground + _LIFT_M
+        return near and self._touchdown.bouncing and not self._touchdown.switch_failed
 
     def _settle(self, k: int, collective: float) -> Command:
         """On the ground: take the thrust away."""

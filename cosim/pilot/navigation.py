@@ -44,11 +44,12 @@ class Estimator:
     attitude (thrust along the body's z axis that holds the weight).  A GNSS epoch is compared with the estimate of the
     step in which it was taken and its correction carried forward to now, so its latency costs no accuracy and no phase
     margin.  The gains are those of the sensors' stated noise and of ``acceleration_noise`` and ``disturbance_walk``,
-    computed once; both axes share them.
+    computed once; both axes share them.  ``noisy``: the receiver never says the same twice, standing or not.
     """
 
-    def __init__(self, gains: PositionGains, sensor: PositionSensor, step: float) -> None:
+    def __init__(self, gains: PositionGains, sensor: PositionSensor, step: float, noisy: bool = False) -> None:
         self._step = step
+        self._noisy = noisy
         self._period, self._latency = sensor.period_samples, sensor.latency_samples
         self._gains = kalman_gains(gains, sensor, step)
         self.reset((0.0, 0.0))
@@ -87,7 +88,7 @@ class Estimator:
         if k > self._latency and (k - self._latency) % self._period == 0:
             # a receiver that has nothing new repeats itself to the last bit; then the lean alone carries on
             fix = (*measured.position, *measured.velocity[:2])
-            fresh = still or fix != self._last
+            fresh = fix != self._last or (still and not self._noisy)
             self.silent = 0.0 if fresh else self.silent + self._period * dt
             if fresh:
                 self._correct(measured, still)
