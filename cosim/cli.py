@@ -749,8 +749,8 @@ def paper(out: Path, workers: int, pages: tuple[Path, ...], as_json: bool) -> in
     "--docs",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
     metavar="DIR",
-    help="Write the tables between the marks of faults.md, and with --engine-out of full-scale.md, there; of all "
-    "that they hold.",
+    help="Write the tables between the marks of faults.md, with --limits, or with --engine-out of faults.md and "
+    "full-scale.md, there; of all that they hold.",
 )
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
@@ -796,7 +796,7 @@ def faults(
         check_marks(page, PARTS)
 
     with part_progress("faults", quiet=as_json) as say:
-        found = survival(aircraft, engine, controllers, kinds, workers, say, limits)
+        found = survival(aircraft, engine, controllers, kinds, workers, say, limits or page is not None)
     paths = write(found, out if out is not None else new_folder(Path("runs"), f"faults-{aircraft}"))
     if page is not None:
         write_page(found, page)

@@ -146,7 +146,9 @@ def cases(vehicle: Vehicle) -> list[Case]:
     ]
     found += [Case(title, sensor, {"kind": "sensor_bias", "sensor": sensor} | bias) for title, sensor, bias in biases]
     sensors = [sensor for _, sensor, _ in biases]
-    return found + [Case("dropout", sensor, {"kind": "sensor_dropout", "sensor": sensor}) for sensor in sensors]
+    return found + [
+        Case(f"dropout, {sensor}", sensor, {"kind": "sensor_dropout", "sensor": sensor}) for sensor in sensors
+    ]
 
 
 def controllers_for(aircraft: str, engine: str, step: float) -> list[str]:
@@ -358,11 +360,11 @@ def write(found: Survival, folder: Path) -> dict[str, Path]:
     return paths
 
 
-PARTS = ("faults", "faults-attainable")  # the marks of docs/faults.md
+PARTS = ("faults", "faults-attainable", "faults-moments", "faults-limits")  # the marks of docs/faults.md
 
 
 def write_page(found: Survival, path: Path) -> None:
-    """The table, and what the engines left can do, between the marks of a page; see :mod:`cosim.marks`."""
+    """The tables, and what explains them, between the marks of a page; see :mod:`cosim.marks`."""
     write_marks(path, page_parts(found))
 
 
@@ -379,7 +381,51 @@ def page_parts(found: Survival) -> dict[str, str]:
             left=2,
         ),
         "faults-attainable": table(("lost jets", "thrust over weight", "roll moment left in hover"), _left(found)),
+        "faults-moments": "" if found.moments is None else f"{_moments_in_words(found.moments)}\n",
+        "faults-limits": table(
+            ("what grows", "controller", *(f"from {start}" for start in STARTS)), _scanned(found), 4
+        ),
     }
+
+
+def _moments_in_words(one: Moments) -> str:
+    moment, acceleration = one.moment, one.acceleration
+    return (
+        f"One jet in hover is {one.thrust:.2f} N, {moment / one.thrust:.2f} m off the centre: {moment:.2f} N m on "
+        f"{moment / acceleration:.4f} kg m², {acceleration:.1f} rad/s². What the other five are told acts after "
+        f"{one.late:.2f} s (confirmation and delay): {one.rate:.1f} rad/s and {one.angle:.2f} rad by then, had it gone "
+        "out at once."
+    )
+
+
+def _scanned(found: Survival) -> Iterator[tuple[str, ...]]:
+    """Every scan of :data:`SCANS`, a row a controller."""
+    known = {(each.quantity, each.controller, each.start): each for each in found.limits}
+    for quantity, controller in dict.fromkeys((each.quantity, each.controller) for each in found.limits):
+        cells = [known.get((quantity, controller, start)) for start in STARTS]
+        yield quantity, controller, *("-" if each is None else _reached(each) for each in cells)
+
+
+def _reached(limit: Limit) -> str:
+    """Where it is held, where no more than airborne, and the first point where it is lost."""
+    grid = SCANS[limit.quantity]
+    said = [
+        f"{what} {_spans(values, grid)}"
+        for what, values in (("held", limit.held), ("airborne", limit.airborne))
+        if values
+    ]
+    return ", ".join([*said, "lost nowhere" if limit.lost_at is None else f"lost at {limit.lost_at:g}"])
+
+
+def _spans(values: Sequence[float], grid: Sequence[float]) -> str:
+    """Points of a grid, those beside each other as first and last."""
+    spans: list[list[int]] = []
+    for place in (grid.index(value) for value in values):
+        if spans and spans[-1][-1] == place - 1:
+            spans[-1].append(place)
+        else:
+            spans.append([place])
+    return " and ".join(f"{grid[s[0]]:g}" + (f" to {grid[s[-1]]:g}" if len(s) > 1 else "") for s in spans)
 
 
 def _cell_text(cell: Cell) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import exp, log, sqrt
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,19 @@ from cosim.servo import TiltServo
 from cosim.shutoff import Shutoff
 from cosim.signals import EngineOutput, PerJet, Sample
 from cosim.simulation import Simulation, build
-from cosim.survival import PARTS, Case, cases, judge, scenario_of, summary, survival, write, write_page
+from cosim.survival import (
+    LOSS,
+    PARTS,
+    Case,
+    Limit,
+    cases,
+    judge,
+    scenario_of,
+    summary,
+    survival,
+    write,
+    write_page,
+)
 from cosim.vehicle import MonitorSettings, load_vehicle
 
 STEP = 0.004
@@ -723,6 +736,7 @@ def test_the_judge_reads_lean_height_and_detection() -> None:
 
 
 def test_a_small_table(tmp_path: Path) -> None:
+    """And what is written of it into docs/faults.md."""
     found = survival("hexjet", "edf-as-flown", ("baseline", "smith"), ("none", "gyro bias"), workers=1)
     verdicts = {(row.kind, row.start, row.controller): row.verdict for row in found.rows}
     assert verdicts["none", "hover", "smith"] == verdicts["gyro bias 3 deg/s", "roll", "smith"] == "held"
@@ -739,8 +753,15 @@ def test_a_small_table(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     marks = "".join(f"<!-- measured: {name} -->\n<!-- end -->\n" for name in PARTS)
     page.write_text(f"# Before\n{marks}after\n", encoding="utf-8")
-    write_page(found, page)
+    scanned = [
+        Limit(LOSS, "hover", "smith", [0.2, 0.3, 0.5], [0.1, 0.4], None),
+        Limit(LOSS, "roll", "smith", [], [0.1, 0.2], 0.3),
+    ]
+    write_page(replace(found, limits=scanned), page)
     text = page.read_text(encoding="utf-8")
+    assert "0.15 m off the centre: 1.35 N m on 0.0416 kg m², 32.6 rad/s²." in text
+    row = "held 0.2 to 0.3 and 0.5, airborne 0.1 and 0.4, lost nowhere | airborne 0.1 to 0.2, lost at 0.3"
+    assert f"| {LOSS} | smith | {row} |" in text
     assert "| fault | from | baseline | smith | detected after |" in text
     assert "| none | hover | 1 of 1; " in text
     assert "| 1 and 2; 3 and 4 | 1.48 | 39 % |" in text

@@ -22,12 +22,14 @@ from command_tools import Hexjet
 from engine_tools import NEWTON_PER_KGF, PAPER, STEP, Array, Driven, archive, driven
 from scipy.optimize import brentq
 
+from cosim import engine_out, survival
 from cosim.atmosphere import standard_air
 from cosim.campaign.one import fly_one
 from cosim.campaign.options import open_study
 from cosim.campaign.plan import flights
 from cosim.campaign.statistics import wilson
 from cosim.campaign.study import Study
+from cosim.control import replan
 from cosim.design.tune import Requirements
 from cosim.engine import build, build_engines, check, container, response, trial
 from cosim.identify import Identification, identify_axis
@@ -115,7 +117,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/design.md": ("test_pages.py", "test_sensors.py"),
     "docs/engine-check.md": ("test_pages.py",),
     "docs/failsafes.md": ("marks",),
-    "docs/faults.md": ("marks", "test_engine_out.py"),
+    "docs/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py"),
     "docs/full-scale.md": ("marks", "test_engine_out.py"),
     "docs/ground-station.md": ("marks", "test_mavlink_lines.py"),
     "docs/identification.md": ("test_pages.py",),
@@ -784,6 +786,43 @@ def test_how_long_the_middle_size_hovers(tmp_path: Path) -> None:
     assert vehicle.servo is not None
     stated(page, "have {} kg m² about the tilt axis, and {} rad/s² take 5 N m", 0.03,
            round(vehicle.servo.rate_limit_rad_s / vehicle.servo.lag_s, -1))  # fmt: skip
+
+
+FAULTS = "docs/faults.md"
+
+
+def test_what_faults_are_flown_with() -> None:
+    """docs/faults.md: heights, times and thresholds are those of the code, of vehicle.toml and of the flight's judge."""
+    vehicle, _ = load_vehicle("hexjet")
+    monitor, lost = vehicle.control.monitor, vehicle.limits.tilt_deg
+    assert monitor is not None
+    assert (monitor.threshold, monitor.lag_factor) == (0.2, 3.0)  # "a fifth", "a factor of three"
+    stated(FAULTS, "a lag within a factor of three, a delay within {} ms. An engine outside by more than a fifth of its "
+           "hover thrust for {} ms is judged", 1e3 * monitor.delay_spread_s, 1e3 * monitor.confirm_s)  # fmt: skip
+    found = 1e3 * -STEP / math.log(PAPER["edf"][1]) * math.log(1.0 / 0.8)
+    stated(FAULTS, "A flame-out of an EDF in hover is found after {} ms: {} ms until a fifth of the thrust is gone, and five "
+           "steps", 24.0, found)  # fmt: skip
+    (row,) = [line for line in parts_of((ROOT / FAULTS).read_text(encoding="utf-8"), FAULTS)["faults"].splitlines()
+              if line.startswith("| flame-out | hover |")]  # fmt: skip
+    assert row.endswith("| 24 ms |")
+    stated(FAULTS, "which leaves the most roll either way around hover with {} % of hover thrust kept for height",
+           100.0 * replan._KEPT)  # fmt: skip
+    stated(FAULTS, "out at every station from a calm hover at {} m, ten seconds flown", survival.HEIGHT_M)
+    assert engine_out.AFTER_S == 10.0
+    stated(FAULTS, "*held* is within {} deg of level over the last second and not sinking by more than {} m/s at its end, "
+           "*lost* past {} deg", survival.LEVEL_DEG, engine_out.SINK_M_S, lost)  # fmt: skip
+    stated(FAULTS, "A bound past {} deg for throttles says", lost)
+    stated(FAULTS, "told after {} s; the same engines on half the mass and inertia; by how much J_xx would have to grow, "
+           "at the same lever, for a bound of {} deg; the opposite engine shut off at the same instant; and how long that "
+           "may take for a bound of {} deg", engine_out.LATE_S, lost, lost)  # fmt: skip
+    stated(FAULTS, "one seed, {} m, {} s from the fault on; *roll* is a commanded lean of {} deg", survival.HEIGHT_M,
+           survival.AFTER_S, survival.ROLL_DEG)  # fmt: skip
+    stated(FAULTS, "the vehicle is *held*, within {} deg of what is asked on every axis", survival.LEVEL_DEG)
+    stated(FAULTS, "With engines that answer {} s late the baseline loses the vehicle in a roll of {} deg",
+           delay("edf-as-flown") * STEP, survival.ROLL_DEG)  # fmt: skip
+    stated(FAULTS, "it leans on by more than {} deg", survival.LEVEL_DEG)
+    jammed = {case.fault["angle_deg"] for case in survival.cases(vehicle) if case.fault and "angle_deg" in case.fault}
+    stated(FAULTS, "A servo that jams {} deg off loses", *jammed)
 
 
 CAMPAIGNS = "docs/campaigns.md"
