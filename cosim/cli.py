@@ -622,6 +622,9 @@ def design(
     Writes a controller file for hexjet fly --controller, and a page beside it.  Status 1: no design keeps the
     requirements, and what would allow one.
     """
+    from cosim.threads import one_thread
+
+    one_thread()
     from cosim.console import part_progress, print_design
     from cosim.design.make import design as make
     from cosim.design.result import to_dict, write

@@ -503,8 +503,16 @@ def load_vehicle(name: str, overrides: dict[str, Any] | None = None, where: str 
     path = folder / "vehicle.toml"
     stated, vehicle = _known.get((path, *_texts(path)), lambda: _read(path))
     if overrides:
-        vehicle = validate(Vehicle, merge(stated, overrides), where)
+        vehicle = validate(Vehicle, merge(stated, _with_own_banks(overrides)), where)
     return vehicle, folder
+
+
+def _with_own_banks(overrides: dict[str, Any]) -> dict[str, Any]:
+    """A servo that is stated whole, in a file from before banks had an inertia, has none: not that of the aircraft."""
+    servo = overrides.get("servo")
+    if not isinstance(servo, dict) or not {"lag_s", "rate_limit_rad_s", "range_rad"} <= set(servo):
+        return overrides
+    return overrides | {"servo": {"bank_inertia_kg_m2": 0.0, "bank_imbalance_kg_m": 0.0} | servo}
 
 
 def _texts(path: Path) -> list[bytes]:

@@ -33,7 +33,7 @@ COLUMNS = (
     "tolerances times",
 )
 FUEL = (1.0, 0.5, 0.05)
-SHARE = {"turbine-20": 0.01, "turbine-100": 0.02, "turbine-220": 0.02}  # of the bound on noise, where not the default
+SHARE = {"turbine-20": 0.01, "turbine-100": 0.01, "turbine-220": 0.01}  # of the bound on noise, where not the default
 
 
 def stored(name: str) -> dict[str, Any]:

@@ -16,7 +16,9 @@ from command_tools import Done, Hexjet
 from hypothesis import HealthCheck, settings
 
 from cosim.scratch import scratch
+from cosim.threads import one_thread
 
+one_thread()  # beside other tests
 # a machine that is busy with other work is no failure
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")

@@ -6,8 +6,9 @@ the predictors are textbook realisations in companion form.  The step is linear,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from math import exp
 from typing import Any
 
@@ -64,6 +65,59 @@ def matched(lead: Mapping[str, float], step: float) -> tuple[Array, Array, Array
     return A, B[:, 0], C[0], float(D[0, 0])
 
 
+def partial_fractions(gain: float, zeros: Sequence[complex], poles: Sequence[complex]) -> tuple[Array, Array, Array]:
+    """``gain prod (z - zero) / prod (z - pole)`` as a real state for each pole, a pair as real and imaginary part.
+
+    In companion form poles that are all but 1 would lose their digits.
+    """
+    n = len(poles)
+    A, B, C = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    k = 0
+    for i, pole in enumerate(poles):
+        others = [each for j, each in enumerate(poles) if j != i]
+        share = gain * np.prod([pole - zero for zero in zeros]) / np.prod([pole - other for other in others])
+        size = np.sqrt(abs(share))
+        p = complex(pole)
+        if p.imag > 0.0:  # r / (z - p) and its conjugate
+            A[k : k + 2, k : k + 2] = [[p.real, -p.imag], [p.imag, p.real]]
+            B[k], C[k : k + 2] = size, np.array([2.0 * share.real, -2.0 * share.imag]) / size
+            k += 2
+        elif not p.imag:
+            A[k, k], B[k], C[k] = p.real, size, np.real(share) / size
+            k += 1
+    return A, B, C
+
+
+def observer_gain(F: Array, C: Array, pole: float) -> Array:
+    """The gain that puts all poles of ``(I - gain C) F`` at one place: Ackermann's formula, in exact fractions.
+
+    As many equal poles among those that are all but 1 are not found in floating point.
+    """
+    n = len(F)
+    exact = [[Fraction(float(each)) for each in row] for row in F]
+    place = Fraction(float(pole))
+
+    def times(row: list[Fraction], matrix: list[list[Fraction]]) -> list[Fraction]:
+        return [sum((row[i] * matrix[i][j] for i in range(n)), Fraction()) for j in range(n)]
+
+    rows = [times([Fraction(float(each)) for each in C], exact)]
+    for _ in range(n - 1):
+        rows.append(times(rows[-1], exact))
+    wanted = [Fraction(int(i == n - 1)) for i in range(n)]
+    for i in range(n):  # Gauss's elimination
+        pivot = next(k for k in range(i, n) if rows[k][i])
+        rows[i], rows[pivot], wanted[i], wanted[pivot] = rows[pivot], rows[i], wanted[pivot], wanted[i]
+        for k in range(n):
+            if k != i and rows[k][i]:
+                share = rows[k][i] / rows[i][i]
+                rows[k] = [a - share * b for a, b in zip(rows[k], rows[i], strict=True)]
+                wanted[k] -= share * wanted[i]
+    x = [wanted[i] / rows[i][i] for i in range(n)]
+    for _ in range(n):
+        x = [sum((exact[i][j] * x[j] for j in range(n)), Fraction()) - place * x[i] for i in range(n)]
+    return np.array([float(each) for each in x])
+
+
 @dataclass(frozen=True)
 class Body:
     """The airframe about one axis, with the gyro behind it."""
@@ -76,6 +130,7 @@ class Body:
     latency: int = 0  # steps until the rate is measured
     hold: int = 1  # steps for which a measurement is kept; what that does on the mean
     angle_latency: int = 0
+    banks: float = 0.0  # rad/s^2 of the body per rad/s^2 of the tilt: the reaction of what is tilted
 
 
 class Loop:
@@ -100,6 +155,7 @@ class Loop:
         for name, n in (
             ("thrust", len(engine.A)),
             ("force", 1),
+            ("tilt", 2),  # of the last two steps
             ("w", 1),
             ("w_dot", 1),
             ("gyro", body.latency + body.hold),
@@ -148,18 +204,22 @@ class Loop:
             u = C @ value["lead"] + D * u
         sent = np.concatenate([[u + w], value["sent"]])
         thrust = self.engine.A @ value["thrust"] + self.engine.B * sent[self.engine.delay]
-        force, old, rate, small = self.engine.C @ thrust, value["force"][0], value["w"][0], T / body.substeps
-        now, before = body.gain * old - body.damping * rate, value["w_dot"][0]
+        tilt, (last, earlier) = self.engine.C @ thrust, value["tilt"]
+        # over a step the body gets the momentum that the banks lose: the change of their mean speed
+        force = body.gain * tilt + body.banks * ((tilt - last) - (last - earlier)) / T**2
+        old, rate, small = value["force"][0], value["w"][0], T / body.substeps
+        now, before = old - body.damping * rate, value["w_dot"][0]
         for run in range(body.substeps):
             rate = rate + small * (1.5 * now - 0.5 * before)
             # the first of several runs ends with half the change of the force on top
             acting = force + 0.5 * (force - old) if run == 0 and body.substeps > 1 else force
-            now, before = body.gain * acting - body.damping * rate, now
+            now, before = acting - body.damping * rate, now
         pole = exp(-T / body.gyro_s) if body.gyro_s else 0.0
         told = np.concatenate([[u], value["u"]])  # to the predictor, which does not know of w
         new = {
             "thrust": thrust,
             "force": force,
+            "tilt": [tilt, last],
             "w": rate,
             "w_dot": before,
             "gyro": [pole * line[0] + (1.0 - pole) * rate, *line[:-1]],
@@ -187,9 +247,8 @@ class Loop:
             ]
             for what in ("zero", "pole")
         )
-        over = model["gain"] * np.real(np.poly(zeros)) if zeros else np.array([model["gain"]])
-        A, B, C, _ = tf2ss(over, np.real(np.poly(poles)))
-        B, C, d, T = B[:, 0], C[0], int(model["delay_samples"]), model["sample_time_s"]
+        A, B, C = partial_fractions(model["gain"], zeros, poles)
+        d, T = int(model["delay_samples"]), model["sample_time_s"]
         n = len(A)
         if controller in ("smith", "filtered-smith"):
             self._slot("now", n)
@@ -222,7 +281,7 @@ class Loop:
             F[:n, n] = B
         C_all = np.concatenate([C, [0.0]])[:size]
         bandwidth = tuning["disturbance_observer_rad_s" if disturbed else "model_observer_rad_s"]
-        gain = np.asarray(control.acker(F.T, (C_all @ F)[:, None], [exp(-bandwidth * T)] * size)).ravel()
+        gain = observer_gain(F, C_all, exp(-bandwidth * T))
         self._slot("x", size)
         weights = [np.linalg.matrix_power(A, j) @ B for j in range(d)]
         far = C @ np.linalg.matrix_power(A, d)

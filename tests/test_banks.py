@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from math import sqrt
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cosim.airframe import Airframe
 from cosim.banks import Banks
+from cosim.design.channel import Actuator, Channel, channels
+from cosim.design.dynamics import lags
+from cosim.design.file import differences, with_controller
+from cosim.engine import load_engine
 from cosim.errors import InputError
 from cosim.flight import fly
+from cosim.identify import identify_axis
 from cosim.scenario import Environment, Initial, Scenario
 from cosim.signals import ZERO3, Disturbance, State, Vector3
 from cosim.vehicle import Vehicle, load_vehicle
@@ -102,17 +108,17 @@ def test_a_turning_body_feels_the_banks_as_a_rotor() -> None:
     assert forces == OFF
 
 
-BANKS = {"servo": {"bank_inertia_kg_m2": 0.08}}  # of hexjet-p220, by its README
+WITHOUT = {"servo": {"bank_inertia_kg_m2": 0.0}}
 
 
 def test_the_reaction_of_the_full_scale_banks_is_in_the_flight() -> None:
     """From the log alone: J_yy q' is the moment of thrust and drag and of the banks, J_b (a1'' + a2'')."""
     flown = Scenario.load("full-scale-pitch-doublet").replace(duration_s=4.0, sensor_noise=False, expect=[])
-    with_banks = fly(flown.replace(vehicle=BANKS))
-    without = fly(flown)
+    with_banks = fly(flown)
+    without = fly(flown.replace(vehicle=WITHOUT))
     vehicle, _ = load_vehicle("hexjet-p220")
     assert vehicle.servo is not None
-    assert vehicle.servo.bank_inertia_kg_m2 == 0.0  # as its page says
+    assert vehicle.servo.bank_inertia_kg_m2 == 0.08  # as its page says
 
     def rest(log, inertia: float) -> np.ndarray:  # type: ignore[no-untyped-def, type-arg]
         """What is left of q' beside the thrust's moment and the banks'."""
@@ -132,8 +138,94 @@ def test_the_reaction_of_the_full_scale_banks_is_in_the_flight() -> None:
     assert np.abs(rest(without.log, 0.0)).max() < 5.0
 
 
+def pitch_of(aircraft: str, engine: str, **servo: float) -> tuple[Vehicle, Channel]:
+    """The pitch channel as ``hexjet design`` composes it; the engine's dynamics are not in it."""
+    table = {"name": "x", "duration_s": 1.0, "aircraft": aircraft, "engine": engine, "vehicle": {"servo": servo}}
+    scenario = Scenario.from_table(table, Path(), "x")
+    vehicle, _ = load_vehicle(aircraft, scenario.vehicle)
+    spec = load_engine(engine, {}, scenario.step_s)
+    none = Actuator.of(engine, lags([0.0], 0.0, scenario.step_s))
+    return vehicle, channels(scenario, vehicle, spec, none)["pitch"]
+
+
+@pytest.mark.parametrize(
+    ("aircraft", "engine", "inertia", "below"),
+    [("hexjet-p220", "p220", 0.08, True), ("hexjet-100", "turbine-100", 0.03, True), ("hexjet", "edf", 2e-3, False)],
+)
+def test_the_zeros_of_the_designs_channel_are_those_of_newton(
+    aircraft: str, engine: str, inertia: float, below: bool
+) -> None:
+    """T z a + 2 J (a_k - 2 a_k-1 + a_k-2) / T^2 is nothing at 1 - 1/z = +-j w0 T, w0^2 = T z / 2 J: exactly.
+
+    Jets above the centre of gravity turn the vehicle the other way, and the zeros are real: 1 - 1/z = +-w0 T.
+    """
+    vehicle, pitch = pitch_of(aircraft, engine, bank_inertia_kg_m2=inertia)
+    lever = abs(vehicle.jets[0].position_m[2])
+    turn = sqrt(vehicle.mass_kg * 9.80665 * lever / (2.0 * inertia)) * pitch.step
+    wanted = [1.0 / (1.0 - side * (1j if below else 1.0) * turn) for side in (1.0, -1.0)]
+    assert (vehicle.jets[0].position_m[2] > 0.0) == below
+    for z in wanted:
+        assert abs(pitch.responses(np.array([z]))[0][0]) < 1e-9
+        assert min(abs(z - zero) for zero in pitch.model("x").all_zeros) < 1e-9
+    # far above them the tilt turns the body by the ratio of the inertias: 2 J a'' / J_yy, the servo and the gyro apart
+    z = np.array([-1.0 + 0.0j])
+    plain = pitch_of(aircraft, engine, bank_inertia_kg_m2=0.0)[1]
+    ratio = (pitch.responses(z)[0] / plain.responses(z)[0])[0]
+    assert ratio == pytest.approx(1.0 + (4.0 if below else -4.0) / turn**2, rel=1e-9)
+
+
+def test_a_sweep_in_flight_finds_the_designs_channel_with_its_banks() -> None:
+    """``hexjet identify pitch`` in six degrees of freedom, below, in and above the dip at the zeros.
+
+    Within 2 % of the thrust's part and the whole together: fuel burns, so the collective falls, and the allocation tilts
+    by 0.4 % (at first) to 1.4 % more for the same moment of the thrust; the reaction is as much larger.
+    """
+    found = identify_axis("pitch", "hexjet-p220", "p220", settings=["sensor_noise=false"], from_hz=1.0, to_hz=12.0)
+    response = found.response
+    z = np.exp(2j * np.pi * response.hertz * response.step)
+    vehicle, pitch = pitch_of("hexjet-p220", "p220")
+    assert vehicle.servo is not None
+    assert vehicle.servo.bank_inertia_kg_m2 > 0.0
+    told, thrust = pitch.responses(z)[0], pitch_of("hexjet-p220", "p220", bank_inertia_kg_m2=0.0)[1].responses(z)[0]
+    use = response.coherence > 0.95
+    zero = 24.1 / (2.0 * np.pi)
+    for part in (response.hertz < 0.8 * zero, abs(response.hertz / zero - 1.0) < 0.1, response.hertz > 1.2 * zero):
+        assert (use & part).sum() > 1
+    off = np.abs(told - response.value) / (np.abs(thrust) + np.abs(told))
+    assert off[use].max() < 0.02
+    assert np.abs(told / thrust).min() < 0.15  # the dip
+    assert np.abs(told / thrust).max() > 8.0  # and what comes after it
+
+
+def test_a_servo_stated_whole_before_there_were_banks_has_none() -> None:
+    """A scenario that names every number of its servo flies as it was; one that names a part takes the aircraft's."""
+    whole = {"lag_s": 0.05, "rate_limit_rad_s": 4.0, "range_rad": 0.5}
+    for stated, inertia in ((whole, 0.0), (whole | {"bank_inertia_kg_m2": 0.05}, 0.05), ({"lag_s": 0.04}, 0.08)):
+        vehicle, _ = load_vehicle("hexjet-p220", {"servo": stated})
+        assert vehicle.servo is not None
+        assert vehicle.servo.bank_inertia_kg_m2 == inertia
+
+
+def test_a_controller_file_from_before_the_banks_flies_without_them_and_says_so(tmp_path: Path) -> None:
+    text = (Path(__file__).parent / "designs" / "p220.toml").read_text(encoding="utf-8")
+    line = "bank_inertia_kg_m2 = 0.08\n"
+    assert text.count(line) == 1
+    old, new = tmp_path / "old.toml", tmp_path / "new.toml"
+    old.write_text(text.replace(line, ""), encoding="utf-8")
+    new.write_text(text, encoding="utf-8")
+    for path, inertia in ((old, 0.0), (new, 0.08)):
+        scenario = with_controller("full-scale-pitch-doublet", path)
+        vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle)
+        assert vehicle.servo is not None
+        assert vehicle.servo.bank_inertia_kg_m2 == inertia
+        said = differences(scenario, path)
+        assert [line for line in said if "reaction of its tilting banks" in line] == (said if path is old else [])
+    again = with_controller("full-scale-pitch-doublet", old, ["vehicle.servo.bank_inertia_kg_m2=0.08"])
+    assert "flown with {'servo': {'bank_inertia_kg_m2': 0.08}}" in differences(again, old)[0]
+
+
 def test_the_zeros_of_the_full_scale_vehicle_are_where_its_page_says() -> None:
-    vehicle, folder = load_vehicle("hexjet-p220", BANKS)
+    vehicle, folder = load_vehicle("hexjet-p220")
     assert vehicle.servo is not None
     thrust = vehicle.mass_kg * 9.80665
     zero = sqrt(thrust * vehicle.jets[0].position_m[2] / (2.0 * vehicle.servo.bank_inertia_kg_m2))

@@ -43,9 +43,6 @@ LINEAR = {
     "turbojet": (0.9879, 25, 9.80665 * 0.01866 / (1.0 - 0.9879)),
     "motor": (0.865447, 5, 4.374747),
 }
-# How far the peak sensitivity may be from that of the fitted model: as far as the model is from the engine in a small
-# step.  The smallest turbine's sweep already meets its limit on acceleration, which a small step does not.
-NEAR = {"p220": 0.01, "p220-2025": 0.01, "turbine-100": 0.02, "turbine-220": 0.02, "turbine-20": 0.4}
 
 
 def model(poles: list[float], zeros: list[float], delay: float, gain: float = 0.07) -> RateModel:
@@ -506,7 +503,7 @@ def test_a_stored_design_keeps_its_margins_in_state_space(engine: str) -> None:
         )
 
     peak = loop().sensitivity(1500).max()
-    near = NEAR.get(engine, 2e-3)
+    near = 2e-3
     assert peak <= 1.7 + near
     assert peak == pytest.approx(made["axes"]["roll"]["peak_sensitivity"], abs=near)
     wide = floor(max(1.0, 0.3 * (delay + 0.25)))

@@ -28,8 +28,9 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from cosim.campaign.one import Row, failed_row, fly_one
-from cosim.campaign.workers import LOSSES, ONE_THREAD, lost, time_limit, too_slow
+from cosim.campaign.workers import LOSSES, lost, time_limit, too_slow
 from cosim.errors import FlightError, InputError
+from cosim.threads import ONE_THREAD
 
 if TYPE_CHECKING:
     from cosim.campaign.plan import Flight

@@ -17,11 +17,6 @@ LOSSES = 3  # processes that a flight may take with it before it is given up
 LEAST_LIMIT_S = 60.0  # chosen by us: of wall time; loading an engine that starts a run time of its own takes 20
 LIMIT_FACTOR = 10.0  # chosen by us: of simulated time; a flight takes a hundredth of it
 
-# Numeric libraries would each start a thread a core in every process.
-ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
-)
-
 
 class Workers(Protocol):
     """Flies flights in other processes; a context manager that leaves none of them behind."""

@@ -1,8 +1,9 @@
 """Linear dynamics of an engine around hover, where lags in a row do not describe it.
 
 A real turbojet's thrust is no chain of lags: the published model of the P220 has a pair of poles that swings a little,
-a spool with a speed governor has a zero as well.  So two poles, whatever their damping, a zero and a further lag are
-fitted to the swept response, and a delay of whole samples.
+a spool with a speed governor has a zero as well, and a governor that samples puts half a step between what it reads and
+what it does.  So two poles, whatever their damping, a zero, a further lag and a quick zero are fitted to the swept
+response, and a delay of whole samples.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from cosim.identify.fit import counts
 from cosim.identify.response import FrequencyResponse
 from cosim.vehicle import RateModel
 
-FORMS: tuple[tuple[str, ...], ...] = ((), ("zero",), ("zero", "lag"))  # beside the two poles
-GOOD = 0.003  # misfit at which no larger form is tried
+# Beside the two poles.  The quick zero is what a whole delay leaves of one that is not: (1 + s t) leads by t.
+FORMS: tuple[tuple[str, ...], ...] = ((), ("zero",), ("zero", "lag"), ("zero", "lag", "quick"))
+GOOD = 0.001  # misfit at which no larger form is tried
 SEARCHED = 5  # samples either side of the free delay
 
 
@@ -118,6 +120,8 @@ def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: fl
         poles = [natural * (-damping + root), natural * (-damping - root)]
         poles = [complex(p.real, p.imag if abs(p.imag) > 1e-9 * abs(p) else 0.0) for p in poles]
         zeros = [complex(-exp(-x[4]))] if "zero" in form else []
+        if "quick" in form:
+            zeros.append(complex(-exp(-x[6])))
         if "lag" in form:
             poles.append(complex(-exp(-x[5])))
         return tuple(poles), tuple(zeros)
@@ -147,20 +151,22 @@ def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: fl
         found = least_squares(lambda part: residuals(put(part)), start[free], bounds=(low[free], high[free]))
         return float(found.cost), put(found.x)
 
-    low = np.array([-60.0, log(1e-3), log(0.05), 0.0, log(1e-4), log(1e-4)])
-    high = np.array([60.0, log(1e3), log(20.0), 1000.0, log(20.0), log(20.0)])
-    free = [0, 1, 2, 3, *([4] if "zero" in form else []), *([5] if "lag" in form else [])]
-    best: tuple[float, Array] = (inf, np.zeros(6))
+    quick = 0.5 * response.step
+    low = np.array([-60.0, log(1e-3), log(0.05), 0.0, log(1e-4), log(1e-4), log(0.01 * quick)])
+    high = np.array([60.0, log(1e3), log(20.0), 1000.0, log(20.0), log(20.0), log(10.0 * quick)])
+    free = [0, 1, 2, 3, *(k for k, name in ((4, "zero"), (5, "lag"), (6, "quick")) if name in form)]
+    best: tuple[float, Array] = (inf, np.zeros(7))
     gain = log(float(np.abs(value[0])))
     for damping in (0.6, 1.5):
-        for zero in (0.1, 1.0):
-            start = np.array([gain, log(2.0 / lag), log(damping), delay, log(zero * lag), log(0.1 * lag)])
-            start = np.clip(start, low + 1e-6, high - 1e-6)
-            found = fitted(start, free)
-            if found[0] < best[0]:
-                best = found
-            if "zero" not in form:
-                break
+        for zero in (0.1, 1.0) if "zero" in form else (0.1,):
+            for last in (0.1, 1.0) if "lag" in form else (0.1,):
+                start = np.array(
+                    [gain, log(2.0 / lag), log(damping), delay, log(zero * lag), log(last * lag), log(quick)]
+                )
+                start = np.clip(start, low + 1e-6, high - 1e-6)
+                found = fitted(start, free)
+                if found[0] < best[0]:
+                    best = found
     # a delay is a whole number of samples: the whole one that leaves least
     whole = sorted({max(0, round(best[1][3]) + k) for k in range(-SEARCHED, SEARCHED + 1)})
     chosen: tuple[float, Array] = (inf, best[1])

@@ -58,6 +58,7 @@ class Purpose(Model):
     step_s: float
     substeps: int
     added_delay_samples: int = 0
+    bank_inertia_kg_m2: float | None = None  # of a tilting bank; None in a file from before it was a part of a design
     model: str  # where the model comes from
     requirements: Requirements
     axes: dict[str, AxisRecord]
@@ -138,6 +139,7 @@ def controller_table(found: Design) -> dict[str, Any]:
         step_s=scenario.step_s,
         substeps=scenario.substeps,
         added_delay_samples=scenario.added_delay_samples,
+        bank_inertia_kg_m2=found.vehicle.servo.bank_inertia_kg_m2 if found.vehicle.servo else None,
         model=found.model_source,
         requirements=found.need,
         axes={axis: _record(each.after, each.candidates) for axis, each in found.axes.items() if each.after},
@@ -201,7 +203,17 @@ def read_controller(path: Path) -> ControllerFile:
         # from before there were schedules: its gains are for every thrust, and the aircraft's own factors not for them
         without = merge(found.vehicle, {"control": {"schedule": False}})
         found = found.model_copy(update={"vehicle": without})
+    if _older_than_banks(found):
+        without = merge(found.vehicle, {"servo": {"bank_inertia_kg_m2": 0.0}})
+        found = found.model_copy(update={"vehicle": without})
     return found
+
+
+def _older_than_banks(file: ControllerFile) -> bool:
+    """Whether a file is from before the reaction of tilting banks, and its gains therefore not for it."""
+    servo = load_vehicle(file.design.aircraft)[0].servo
+    stated = any("bank_inertia_kg_m2" in each.get("servo", {}) for each in (file.vehicle, file.design.vehicle_changes))
+    return file.design.bank_inertia_kg_m2 is None and not stated and bool(servo and servo.bank_inertia_kg_m2)
 
 
 def with_controller(
@@ -233,7 +245,8 @@ def differences(scenario: Scenario, path: Path) -> list[str]:
     """In which ways a flight is not what its controller file was designed for."""
     from cosim.engine import load_engine
 
-    made = read_controller(path).design
+    file = validate(ControllerFile, read_toml(path), str(path))
+    made = file.design
     spec = load_engine(
         str(scenario.engine), scenario.engine_parameters, scenario.step_s, unchecked=scenario.engine_unchecked
     )
@@ -248,11 +261,14 @@ def differences(scenario: Scenario, path: Path) -> list[str]:
             f"designed for engine parameters {made.engine_parameters or 'of its own'}, flown with "
             f"{dict(scenario.engine_parameters) or 'its own'}"
         )
-    if _airframe(scenario.vehicle) != _airframe(made.vehicle_changes):
-        found.append(
-            f"designed for {made.aircraft} with {_airframe(made.vehicle_changes) or 'no changes'}, flown with "
-            f"{_airframe(scenario.vehicle) or 'none'}"
-        )
+    flown, given = _airframe(scenario.vehicle), _airframe(made.vehicle_changes)
+    if _older_than_banks(file) and flown.get("servo", {}).get("bank_inertia_kg_m2") == 0.0:
+        found.append(f"designed when {made.aircraft} had no reaction of its tilting banks: flown without it, "
+                     "servo.bank_inertia_kg_m2 = 0")  # fmt: skip
+        servo = {key: value for key, value in flown["servo"].items() if key != "bank_inertia_kg_m2"}
+        flown = {key: value for key, value in flown.items() if key != "servo"} | ({"servo": servo} if servo else {})
+    if flown != given:
+        found.append(f"designed for {made.aircraft} with {given or 'no changes'}, flown with {flown or 'none'}")
     for key in ("substeps", "added_delay_samples"):
         if getattr(scenario, key) != getattr(made, key):
             found.append(f"designed for {key} = {getattr(made, key)}, flown with {getattr(scenario, key)}")

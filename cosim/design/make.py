@@ -443,7 +443,8 @@ def engine_lead(channel: Channel) -> EngineLead | None:
         return None
     slowest, *others = sorted(channel.actuator.dynamics.poles, key=abs)
     w = abs(slowest)
-    if others and (slowest.imag or abs(others[0]) < TOGETHER * w):
+    # a slow lag beside two poles that swing stands alone
+    if others and (slowest.imag or (not others[0].imag and abs(others[0]) < TOGETHER * w)):
         natural = float(np.sqrt(w * abs(others[0])))
         damping = float(-(slowest + others[0]).real / (2.0 * natural))
         return EngineLead(natural_rad_s=natural, damping=damping, pole_rad_s=natural)
@@ -495,7 +496,8 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
 def margins(closed: Closed) -> Margins:
     """Gain, phase and delay margins from the loop's response, straight lines between its points."""
     theta = closed.points.theta
-    inside = theta < pi * (1.0 - 1e-9)  # at half the sampling rate the response is real and crosses nothing
+    inside = theta < pi * (1.0 - 1e-9)
+    last = closed.open_loop[~inside].real  # at half the sampling rate it is real: a gain may put a pole at -1
     loop, omega = closed.open_loop[inside], theta[inside] / closed.points.channel.step
     size, phase = np.log(np.abs(loop)), np.unwrap(np.angle(loop))
 
@@ -505,7 +507,7 @@ def margins(closed: Closed) -> Margins:
         return at, value[at] / (value[at] - value[at + 1])
 
     at, part = crossings(loop.imag)
-    real = loop.real[at] + part * np.diff(loop.real)[at]
+    real = np.concatenate([loop.real[at] + part * np.diff(loop.real)[at], last])
     gains = -1.0 / real[real < 0.0]
     up, down = gains[gains > 1.0], gains[gains < 1.0]
     at, part = crossings(size)

@@ -1,0 +1,19 @@
+"""Numeric libraries that keep to one thread.
+
+They would each start a thread a core.  Matrices here are small, so threads cost more than they bring: ten times the
+processor's time in ``hexjet design``, and more where other work shares the machine.
+"""
+
+from __future__ import annotations
+
+import os
+
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
+)
+
+
+def one_thread() -> None:
+    """Keep this process to one, where its environment does not say otherwise; before numpy is imported."""
+    for name, value in ONE_THREAD.items():
+        os.environ.setdefault(name, value)
