@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from mavlink_tools import Bench, Desk, Udp, command
+from patience import PATIENCE
 from test_mavlink_link import Flight, Tcp, until
 
 from cosim.marks import parts_of
@@ -489,7 +490,7 @@ def test_idle_connections_make_room_for_a_new_one(monkeypatch: Any) -> None:
         assert until(lambda: len(flight.link.peers) == MOST_PEERS)
         # as if all had just come: nobody makes room, and the new one sees its connection closed
         with socket.create_connection(("127.0.0.1", port)) as refused:
-            refused.settimeout(10.0)
+            refused.settimeout(PATIENCE)
             assert refused.recv(1) == b""
         assert flight.link.refused["too many stations"] == 1
         monkeypatch.setattr(channel, "UNHEARD", 0.05)

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -283,7 +284,7 @@ def test_a_station_that_floods_does_not_disturb(flights: list[Flight], stations:
     bad = max(flight.link.peers, key=lambda peer: peer.received)
     assert sent > bad.received
     assert bad.received < (time.monotonic() - began + 1.0) * FRAMES_A_SECOND + 100  # what it may, and the burst
-    assert flight.worst < 0.5  # the stepping thread only hands over
+    assert flight.worst < stretched(0.25)  # the stepping thread only hands over
 
 
 class Tcp(Udp):
@@ -417,12 +418,18 @@ def test_the_log_has_every_message_once(flights: list[Flight], stations: list[Ud
     path = tmp_path / "telemetry.tlog"
     one, two = Udp(), Udp(system=245)
     stations += [one, two]
+
+    def twenty(station: Udp) -> bool:
+        station.read()
+        return sum(message.get_type() == "ATTITUDE" for message in station.got) >= 20
+
     flight = Flight(f"udpout:127.0.0.1:{one.port}", f"udpout:127.0.0.1:{two.port}", log=Log(path))
     for station in (one, two):
         assert station.name("HEARTBEAT")
         station.send(command(20))
         assert station.name("COMMAND_ACK")
-    time.sleep(1.0)
+    for station in (one, two):
+        assert until(partial(twenty, station), PATIENCE)
     flight.close()
     assert not flight.link.failures
     log = mavutil.mavlink_connection(str(path), dialect="all", robust_parsing=True)
