@@ -7,9 +7,8 @@ that no throttles keep the vehicle from, however they are chosen, and no tilts e
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from math import cos, degrees, exp, hypot, isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cosim.control.altitude import GRAVITY
 from cosim.design.file import ControllerFile, read_controller
 from cosim.errors import InputError
+from cosim.files import write_records
 from cosim.marks import check_marks, table, write_marks
 from cosim.scenario import Scenario
 from cosim.survival import HEIGHT_M, SETTLED_S, Say, in_processes, judge, verdict_of
@@ -598,13 +598,8 @@ def check_pages(folder: Path) -> None:
 def write(found: EngineOut, folder: Path) -> Path:
     """``engine-out.csv`` in ``folder``.  Raises InputError if it cannot be written."""
     path = folder / "engine-out.csv"
-    names = [field.name for field in fields(Flight)]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with open(path, "w", newline="", encoding="utf-8") as file:
-            lines = csv.writer(file)
-            lines.writerow(names)
-            lines.writerows([getattr(each, name) for name in names] for each in found.flights)
+        write_records(path, Flight, found.flights)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     return path

@@ -58,6 +58,16 @@ def _setpoint(column: str) -> Trace:
     return Trace(column, "set-point", GREY, "dash", 1.5, held=True)
 
 
+def _followed(name: str, si: str, unit: str, scale: float, least_span: float) -> Panel:
+    """A quantity of which a set-point is followed: as measured, true, and asked for; its columns end with ``si``."""
+    traces = [
+        Trace(f"{name}_measured_{si}", "measured", ORANGE, width=1.2),
+        Trace(f"{name}_{si}", "true", BLUE),
+        _setpoint(f"{name}_setpoint_{si}"),
+    ]
+    return Panel(name.capitalize(), unit, traces, scale, least_span)
+
+
 def _asked(column: str, label: str) -> Trace:
     """Something a controller asks for: noisy, so a thin line behind the others."""
     return Trace(column, label, GREY, width=1.1, held=True)
@@ -77,20 +87,7 @@ def _vector(pattern: str, names: tuple[str, str, str]) -> list[Trace]:
     ]
 
 
-ATTITUDE = [
-    Panel(
-        axis.capitalize(),
-        "deg",
-        [
-            Trace(f"{axis}_measured_rad", "measured", ORANGE, width=1.2),
-            Trace(f"{axis}_rad", "true", BLUE),
-            _setpoint(f"{axis}_setpoint_rad"),
-        ],
-        DEG,
-        least_span=4.0,
-    )
-    for axis in AXES
-]
+ATTITUDE = [_followed(axis, "rad", "deg", DEG, 4.0) for axis in AXES]
 RATE = [
     Panel(
         f"{axis.capitalize()} rate",
@@ -130,31 +127,10 @@ EFFORT = [
     Panel("Yaw", "deg of tilt", _effort("yaw"), DEG, least_span=2.0),
 ]
 HEIGHT = [
-    Panel(
-        "Altitude",
-        "m",
-        [
-            Trace("altitude_measured_m", "measured", ORANGE, width=1.2),
-            Trace("altitude_m", "true", BLUE),
-            _setpoint("altitude_setpoint_m"),
-        ],
-        least_span=2.0,
-    ),
+    _followed("altitude", "m", "m", 1.0, 2.0),
     Panel("Climb rate", "m/s", [Trace("velocity_down_m_s", "true", BLUE)], scale=-1.0, least_span=1.0),
 ]
-PLACE = [
-    Panel(
-        name.capitalize(),
-        "m",
-        [
-            Trace(f"{name}_measured_m", "measured", ORANGE, width=1.2),
-            Trace(f"{name}_m", "true", BLUE),
-            _setpoint(f"{name}_setpoint_m"),
-        ],
-        least_span=2.0,
-    )
-    for name in ("north", "east")
-]
+PLACE = [_followed(name, "m", "m", 1.0, 2.0) for name in ("north", "east")]
 OUTSIDE = [  # a panel is left out where it is 0 throughout
     Panel("Force", "N", _vector("disturbance_force_{}_N", ("x", "y", "z"))),
     Panel("Moment", "N m", _vector("disturbance_moment_{}_N_m", ("x", "y", "z"))),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import fcntl
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 from cosim.errors import InputError
 
@@ -23,6 +26,16 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def write_records(path: Path, kind: type[Any], records: Iterable[Any]) -> None:
+    """Dataclasses of one ``kind`` as CSV, a column a field, in a folder that is made if need be.  Raises OSError."""
+    names = [each.name for each in fields(kind)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+        lines = csv.writer(file)
+        lines.writerow(names)
+        lines.writerows([getattr(record, name) for name in names] for record in records)
 
 
 @contextmanager

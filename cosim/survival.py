@@ -7,12 +7,11 @@ that the vehicle has a model for.  A flight is judged by where it ends: *held* (
 
 from __future__ import annotations
 
-import csv
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from math import degrees, nan
 from multiprocessing import active_children, get_context
 from pathlib import Path
@@ -21,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from cosim.control.altitude import GRAVITY
 from cosim.control.replan import Attainable, attainable_sets
 from cosim.errors import FlightError, InputError
+from cosim.files import write_records
 from cosim.marks import table, write_marks
 from cosim.metrics import wrap
 from cosim.page import render
@@ -347,12 +347,7 @@ def write(found: Survival, folder: Path) -> dict[str, Path]:
     """``survival.csv`` and ``survival.html`` in ``folder``.  Raises InputError if they cannot be written."""
     paths = {"table": folder / "survival.csv", "report": folder / "survival.html"}
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with open(paths["table"], "w", newline="", encoding="utf-8") as file:
-            lines = csv.writer(file)
-            names = [field.name for field in fields(Row)]
-            lines.writerow(names)
-            lines.writerows([getattr(row, name) for name in names] for row in found.rows)
+        write_records(paths["table"], Row, found.rows)
         controllers, table = summary(found)
         render(TEMPLATE, paths["report"], {}, found=found, controllers=controllers, table=table, starts=STARTS)
     except OSError as error:

@@ -32,6 +32,15 @@ BOTH = [(name, fmi) for name in PAPER for fmi in (2, 3)]
 Array = NDArray[np.float64]
 
 
+def bang_bang(seed: int, steps: int = 40_000) -> Array:
+    """Throttles at random, held for 300 steps or so: nothing, everything, and anything between them; ``steps`` and more."""
+    random = np.random.default_rng(seed)
+    throttle: list[float] = []
+    while len(throttle) < steps:
+        throttle += [random.choice([0.0, 1.0, random.uniform()])] * int(random.exponential(300.0) + 1.0)
+    return np.array(throttle)
+
+
 def paper_thrust(name: str, throttle: Array) -> Array:
     """Thrust [N] after each step from rest, by scipy's filter: the paper's transfer function and nothing of ours."""
     gain, pole, delay = PAPER[name]

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import cos, exp, nan, pi, sin, sqrt
+from pathlib import Path
 from random import Random
 from typing import Any
 
+from pyulog import ULog
+
+from cosim.export import export_ulog
 from cosim.frames import from_euler
 from cosim.run import DelayRow, Setup
 from cosim.scenario import Expectation, Range, Scenario
@@ -14,6 +18,15 @@ from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measure
 
 STEP = 0.004
 SILENT = (nan,) * 6  # engines that report nothing but their thrust
+
+
+def exported(folder: Path | None, path: Path) -> ULog:
+    """The ULog of a run, written to ``path`` and read back."""
+    assert folder is not None
+    export_ulog(folder, path)
+    log = ULog(str(path))
+    assert not log.file_corruption
+    return log
 
 
 def second_order(t: float, zeta: float, omega: float) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from engine_tools import STEP, Array, archive, driven
+from engine_tools import STEP, Array, archive, bang_bang, driven
 from scipy.integrate import solve_ivp
 
 from cosim.engine import build_engines
@@ -125,17 +125,14 @@ def test_the_linearised_model_is_the_answer_to_a_small_step(tmp_path: Path) -> N
 
 def test_no_throttle_makes_the_thrust_leave_its_bounds(tmp_path: Path) -> None:
     """Bang-bang at random: nothing is worse than the chop from full to idle, which stays above the lower equilibrium."""
-    random = np.random.default_rng(11)
     with driven(archive("p220", 3), tmp_path / "a") as engine:
         engine.start(throttle_start=1.0)
         chopped = engine.run(np.zeros(2500))
     assert equilibria(0.0)[0] < chopped.min() == pytest.approx(5.866, abs=1e-3)
-    throttle: list[float] = []
-    while len(throttle) < 40_000:
-        throttle += [random.choice([0.0, 1.0, random.uniform()])] * int(random.exponential(300.0) + 1.0)
+    throttle = bang_bang(seed=11)
     with driven(archive("p220", 3), tmp_path / "b") as engine:
         engine.start(throttle_start=1.0)
-        thrust = engine.run(np.array(throttle))
+        thrust = engine.run(throttle)
     assert chopped.min() - 1e-9 <= thrust.min()
     assert thrust.max() <= equilibria(100.0)[1] + 1e-9
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from engine_tools import STEP, Array, archive, driven
+from engine_tools import STEP, Array, archive, bang_bang, driven
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.signal import csd, welch
@@ -253,18 +253,15 @@ def test_the_linearised_model_is_the_answer_to_a_small_step(tmp_path: Path) -> N
 
 def test_no_throttle_makes_the_thrust_leave_its_bounds(tmp_path: Path) -> None:
     """Bang-bang at random, and the chop: between 15 and 223 N, and more throttle always means a larger T''."""
-    random = np.random.default_rng(11)
     with driven(archive("p220-2025", 3), tmp_path / "a") as engine:
         engine.start(throttle_start=1.0)
         chopped = engine.run(np.zeros(2500))
     assert chopped.min() == pytest.approx(15.466, abs=1e-3)
     assert chopped[-1] == pytest.approx(equilibria(0.0)[0], rel=1e-9)
-    throttle: list[float] = []
-    while len(throttle) < 40_000:
-        throttle += [random.choice([0.0, 1.0, random.uniform()])] * int(random.exponential(300.0) + 1.0)
+    throttle = bang_bang(seed=11)
     with driven(archive("p220-2025", 3), tmp_path / "b") as engine:
         engine.start(throttle_start=1.0)
-        thrust = engine.run(np.array(throttle))
+        thrust = engine.run(throttle)
     assert thrust.min() > 15.0
     assert thrust.max() < 223.0
     rate = np.gradient(thrust, STEP)

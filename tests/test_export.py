@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from flights import samples, scenario, setup
+from flights import exported, samples, scenario, setup
 from pyulog import ULog
 
 from cosim.columns import NAMES
@@ -47,12 +47,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 @pytest.fixture(scope="module")
 def ulog(run: Run, tmp_path_factory: pytest.TempPathFactory) -> ULog:
-    assert run.folder is not None
-    path = tmp_path_factory.mktemp("exported") / "flight.ulg"
-    export_ulog(run.folder, path)
-    log = ULog(str(path))
-    assert not log.file_corruption
-    return log
+    return exported(run.folder, tmp_path_factory.mktemp("exported") / "flight.ulg")
 
 
 def same(found: np.ndarray, expected: np.ndarray) -> None:

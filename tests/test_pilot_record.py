@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flights import exported
 from pyulog import ULog
 
 from cosim import Run, Scenario, fly
@@ -45,12 +46,7 @@ def piloted(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 @pytest.fixture(scope="module")
 def ulog(piloted: Run, tmp_path_factory: pytest.TempPathFactory) -> ULog:
-    assert piloted.folder is not None
-    path = tmp_path_factory.mktemp("exported") / "flight.ulg"
-    export_ulog(piloted.folder, path)
-    log = ULog(str(path))
-    assert not log.file_corruption
-    return log
+    return exported(piloted.folder, tmp_path_factory.mktemp("exported") / "flight.ulg")
 
 
 def of(run: Run, kind: str) -> list[dict[str, object]]:
