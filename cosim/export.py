@@ -334,11 +334,17 @@ def _mode(block: Block) -> Array:
     return np.where(np.isnan(block["roll_setpoint_rad"]), _ACRO_MODE, held).astype(float)
 
 
+def _positioned(block: Block) -> Array:
+    """Whether the GNSS gives fixes; not before the autopilot's first word."""
+    return np.nan_to_num(block["autopilot_xy_valid"])
+
+
 def _estimated_position() -> list[Field]:
     """PX4's vehicle_local_position as the autopilot estimates it; height and climb as measured."""
     return [
         _sampled(),
-        *(_constant("bool", name, 1.0) for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")),
+        *(Field("bool", name, 0, _positioned) for name in ("xy_valid", "v_xy_valid")),
+        *(_constant("bool", name, 1.0) for name in ("z_valid", "v_z_valid")),
         *(_column("float", name, f"autopilot_{name}") for name in ("x", "y")),
         _column("float", "z", "altitude_measured_m", -1.0),
         *(_column("float", name, f"autopilot_{name}") for name in ("vx", "vy")),

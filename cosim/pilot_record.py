@@ -13,7 +13,7 @@ kind            what else is in the line
 ``home``        ``north``, ``east``, ``altitude``: m, NED and height above the ground at the start
 ``message``     ``severity`` as in syslog, ``text``
 ``estimate``    ``position``, ``velocity`` (north and east, m and m/s), ``altitude``, ``yaw`` (asked for, m and rad),
-                ``track`` (set-point of position, m; or null): ten times a second
+                ``track`` (set-point of position, m; or null), ``positioned`` (GNSS fixes come): ten times a second
 ==============  ======================================================================================================
 
 ``k`` is the step in which it was so; a message carries the step before which it was said.
@@ -165,6 +165,7 @@ def _estimate(status: Status) -> Line:
         "position": list(fix.position),
         "velocity": list(fix.velocity),
         "track": None if status.track is None else list(status.track),
+        "positioned": status.positioned,
         "altitude": status.altitude,
         "yaw": status.yaw,
     }

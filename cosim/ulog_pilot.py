@@ -62,10 +62,12 @@ def estimates(lines: Sequence[Line]) -> Series | None:
     if not said:
         return None
     nowhere = (np.nan, np.nan)
-    columns: dict[str, list[float]] = {name: [] for name in ("x", "y", "vx", "vy", "x_sp", "y_sp", "z_sp", "yaw_sp")}
+    names = ("x", "y", "vx", "vy", "x_sp", "y_sp", "z_sp", "yaw_sp", "xy_valid")
+    columns: dict[str, list[float]] = {name: [] for name in names}
     for line in said:
         pairs = (line["position"], line["velocity"], line["track"] or nowhere)
-        values = (*(value for pair in pairs for value in pair), -line["altitude"], line["yaw"])
+        valid = float(line.get("positioned", True))  # an older record does not say
+        values = (*(value for pair in pairs for value in pair), -line["altitude"], line["yaw"], valid)
         for column, value in zip(columns.values(), values, strict=True):
             column.append(value)
     return Series(_steps(said), {name: np.array(column, dtype=np.float64) for name, column in columns.items()})

@@ -107,12 +107,31 @@ def test_position_is_the_autopilots_and_set_points_are_there(piloted: Run, ulog:
     position = np.array([line["position"] for line in estimates])
     np.testing.assert_array_equal(data["x"][::25], position[:, 0].astype(np.float32))
     np.testing.assert_array_equal(data["y"][24::25][:100], position[:100, 1].astype(np.float32))  # held in between
+    assert data["xy_valid"].all()
+    assert data["v_xy_valid"].all()
     raw = ulog.get_dataset("hexjet_gnss").data
     np.testing.assert_array_equal(raw["x"], piloted.log["north_measured_m"].astype(np.float32))
     wanted = ulog.get_dataset("vehicle_local_position_setpoint").data
     hovering = slice(2700, 3000)  # at 4 m, before the landing
     np.testing.assert_allclose(wanted["z"][hovering], -4.0, atol=0.3)
     assert np.isfinite(wanted["x"][hovering]).all()
+
+
+def test_without_fixes_the_position_is_not_valid(tmp_path: Path) -> None:
+    """A second after the last fix, as the ground station is told."""
+    waiting = waiting_scenario(Scenario.load("hover"), 4.0)
+    log = RequestLog(tmp_path / REQUESTS)
+    silent = rq.InjectFault("sensor_dropout", sensor="gnss")
+    for at, request in ((0.4, rq.SetParameter("SYS_FAILURE_EN", 1)), (0.5, silent)):
+        log.write(round(at / waiting.step_s), "test", request, Answer(True, Result.ACCEPTED, ""))
+    log.close()
+    scenario = Scenario.from_table(waiting.model_dump(mode="json", exclude_none=True), tmp_path, "waiting")
+    run = fly(scenario, tmp_path / "run", report=False)
+    data = exported(run.folder, tmp_path / "flight.ulg").get_dataset("vehicle_local_position").data
+    lost = data["timestamp"] > 2e6
+    assert data["xy_valid"][~lost][:100].all()
+    assert not data["xy_valid"][lost].any()
+    assert data["z_valid"].all()
 
 
 def test_messages_and_parameters(piloted: Run, ulog: ULog) -> None:
