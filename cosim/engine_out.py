@@ -7,6 +7,7 @@ that no throttles keep the vehicle from, however they are chosen, and no tilts e
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from math import cos, degrees, exp, hypot, isfinite, nan
@@ -471,12 +472,8 @@ def _levers(scenario: Scenario) -> Lever:
         light = _half(simulation, whole)
     late = round(LATE_S / STEP_S)
 
-    def holds(at: int) -> bool:
-        return whole.least_lean(jet, shut_at=at).lean_deg <= limit
-
-    at = 0
-    while at <= round(1.0 / STEP_S) and holds(at):
-        at += 1
+    # the later, the more it leans
+    at = bisect_right(range(round(1.0 / STEP_S) + 1), limit, key=lambda at: whole.least_lean(jet, shut_at=at).lean_deg)
     return Lever(
         aircraft=scenario.aircraft,
         engine=scenario.engine,
