@@ -12,6 +12,7 @@ import pytest
 from cosim.design.file import read_controller, with_controller
 from cosim.engine import engine_names
 from cosim.flight import fly
+from cosim.vehicle import load_vehicle
 
 DESIGNS = Path(__file__).parent / "designs"
 ENGINES = sorted(path.stem for path in DESIGNS.glob("*.toml"))
@@ -92,31 +93,36 @@ def growth(engine: str, seconds: float, *settings: str) -> float:
     return float(roll[-part:].max() / roll[part : 2 * part].max())
 
 
+@pytest.mark.parametrize("engine", ["turbojet", "edf-as-flown", "p220"])
 @pytest.mark.parametrize(("share", "grows"), [(0.95, False), (1.05, True)])
-def test_a_flight_flips_at_the_delay_margin(share: float, grows: bool) -> None:
-    """Whole samples, to the inside or outside of 5 % off what the file states."""
-    engine = "turbojet"
+def test_a_flight_flips_at_the_delay_margin(engine: str, share: float, grows: bool) -> None:
+    """Whole samples, to the inside or outside of 5 % off what the file states; the engine alone is told."""
     made = read_controller(DESIGNS / f"{engine}.toml").design
     margin = made.axes["roll"].delay_margin_s
     assert margin is not None
     later = share * margin / made.step_s
-    samples = 25 + (ceil(later) if grows else int(later))
+    samples = (0 if engine == "p220" else 25) + (ceil(later) if grows else int(later))
     assert (growth(engine, 30.0, f"engine_parameters.delay_samples={samples}") > 1.0) == grows
 
 
-@pytest.mark.parametrize("engine", ["edf", "p220"])
+@pytest.mark.parametrize("engine", ["edf", "p220", "turbojet", "edf-as-flown"])
 @pytest.mark.parametrize(("share", "grows"), [(1.05, False), (0.95, True)])
 def test_a_flight_flips_at_the_lower_gain_margin(engine: str, share: float, grows: bool) -> None:
-    """Without a predictor the loop's gain is that of the rate controller: P, I and D at 5 % above and below the edge.
+    """5 % above and below the edge.  Where there is no predictor, P, I and D are changed; where there is, the lever of the
+    jets, of which the predictor does not know, and yaw's gains the other way.
 
     Fuel burns meanwhile; the gains are held.
     """
     file = read_controller(DESIGNS / f"{engine}.toml")
-    assert file.controller == "baseline"
     margin = file.design.axes["roll"].gain_margin_down_db
     assert margin is not None
     factor = share * 10.0 ** (margin / 20.0)
-    rate = file.vehicle["control"]["rate"]["roll"]
-    changed = [f"vehicle.control.rate.roll.{key}={factor * rate[key]}" for key in "pid"]
+    rate = file.vehicle["control"]["rate"]
+    if file.controller == "baseline":
+        changed = [f"vehicle.control.rate.roll.{key}={factor * rate['roll'][key]}" for key in "pid"]
+    else:
+        places = [jet.position_m for jet in load_vehicle(file.design.aircraft)[0].jets]
+        changed = [f"vehicle.jets.{k}.position_m=[{x}, {factor * y}, {z}]" for k, (x, y, z) in enumerate(places)]
+        changed += [f"vehicle.control.rate.yaw.{key}={rate['yaw'][key] / factor}" for key in "pid"]
     changed += ["vehicle.control.schedule=false"] if engine == "p220" else []
     assert (growth(engine, 60.0, *changed) > 1.0) == grows
