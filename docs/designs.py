@@ -10,13 +10,21 @@ from __future__ import annotations
 import argparse
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from math import degrees
 from pathlib import Path
 from typing import Any
 
 from cosim import Scenario, fly
-from cosim.design.file import with_controller
+from cosim.design import make
+from cosim.design.channel import Actuator, channels
+from cosim.design.closed import Closed, Points
+from cosim.design.file import read_controller, with_controller
+from cosim.design.levels import AXES, DESIGNED, at_share
+from cosim.design.tune import FINE
+from cosim.engine import load_engine
 from cosim.marks import table, write_marks
+from cosim.vehicle import load_vehicle
 
 ROOT = Path(__file__).parent.parent
 DESIGNS = ROOT / "tests" / "designs"
@@ -93,6 +101,32 @@ def levels(name: str) -> str:
     return table(("fuel", "axis", "held at a full tank's", *COLUMNS), rows, 2)
 
 
+def heavier(name: str) -> str:
+    """Roll's peak sensitivity as designed and with 25 % more inertia, gains of a full tank held and scheduled."""
+    path = DESIGNS / f"{name}.toml"
+    made = read_controller(path).design
+    scenario, vehicle = make._scenario(made.engine, made.aircraft, ())
+    spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
+    actuator = Actuator.of(spec.name, make._dynamics(make._identify(scenario, vehicle, spec, None)))
+    begin = make._begin(path, channels(scenario, vehicle, spec, actuator), vehicle, spec)
+    plan = load_vehicle(made.aircraft, read_controller(path).vehicle)[0].control.schedule
+    assert plan
+    full = {axis: begin[axis][1.0] for axis in AXES}
+    leads = {axis: tuning.lead for axis, tuning in full.items()}
+    rows = []
+    for level in make._levels(scenario, vehicle, spec, actuator, None, lambda text: None):
+        if level.fuel not in DESIGNED:
+            continue
+        row = [f"{100.0 * level.fuel:.0f} %"]
+        for tuning in (full["roll"], at_share(plan, leads, full, level.share, scenario.step_s)["roll"]):
+            for inertia in (1.0, 1.25):
+                roll = level.channels["roll"]
+                closed = Closed(Points(replace(roll, gain=roll.gain / inertia), close=FINE), tuning)
+                row.append("unstable" if closed.unstable_poles else f"{closed.peak_sensitivity:.2f}")
+        rows.append(row)
+    return table(("fuel", "held", "25 % more inertia", "scheduled", "25 % more inertia"), rows)
+
+
 def flown(name: str) -> str:
     """Doublet and gust with part of the fuel, gains of a full tank held and scheduled."""
     rows = []
@@ -140,6 +174,8 @@ def main() -> None:
     flights = not parser.parse_args().no_flights
     for aircraft, name in SHIPPED.items():
         parts = {"margins": margins(name), "fuel": levels(name)}
+        if aircraft == "hexjet-p220":
+            parts["more inertia"] = heavier(name)
         if flights:
             parts["flights with part of the fuel"] = flown(name) if aircraft == "hexjet-p220" else ""
             if aircraft == "hexjet-p220":

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from cosim.control.schedule import Factors, GainSchedule
 from cosim.design.channel import Actuator, Channel, channels, hover_share
 from cosim.design.closed import Closed, Points
-from cosim.design.tune import FINE, Requirements, excess, near
+from cosim.design.tune import FINE, Requirements, acceptable, near
 from cosim.design.tuning import Tuning
 from cosim.engine import EngineSpec
 from cosim.scenario import Scenario
@@ -22,9 +22,6 @@ from cosim.vehicle import EngineLead, Leads, Schedule, ScheduledGains, ThrustLev
 DESIGNED = (1.0, 0.5, 0.0)  # of the fuel
 PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)
 FILTER_S = 2.0  # chosen: slow beside what the loops answer in, fast beside what fuel and payload change in
-# By which straight lines between two levels may miss what is required at both.  Chosen: noise goes with the square of
-# the pole of a lead, which moves most.
-SLACK = 0.1
 AXES = ("roll", "altitude")  # that engines answer: a tilt means the same moment at every thrust
 
 
@@ -64,10 +61,9 @@ def levels(
     return found
 
 
-def keeps(channel: Channel, tuning: Tuning, need: Requirements, slack: float = 0.0) -> bool:
-    """Whether a tuning keeps the requirements on a channel, or misses them by no more than ``slack`` together."""
-    closed = Closed(Points(channel, close=FINE), tuning)
-    return closed.unstable_poles == 0 and excess(closed, need) <= slack
+def keeps(channel: Channel, tuning: Tuning, need: Requirements) -> bool:
+    """Whether a tuning keeps the requirements on a channel."""
+    return acceptable(Closed(Points(channel, close=FINE), tuning), need)
 
 
 def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
