@@ -282,6 +282,7 @@ def test_intake_drag_is_the_momentum_of_the_air() -> None:
             "attitude_deg": [5.0, 8.0, 40.0],
         },
         vehicle={
+            "servo": {"bank_inertia_kg_m2": 0.0},  # the reaction of the banks has a test of its own
             "jets": {str(jet): {"spin": 0} for jet in range(6)},
             "fuel": {"position_m": [0.0, 0.0, 0.0]},
         },

@@ -16,7 +16,7 @@ from cosim.design.channel import Actuator, Channel, channels, hover_share
 from cosim.design.closed import Closed, Points
 from cosim.design.dynamics import Dynamics, fit_dynamics, lags
 from cosim.design.levels import AXES as LEVELLED
-from cosim.design.levels import DESIGNED, Level, at_share, follow, keeps, lead_there, levels, schedule
+from cosim.design.levels import DESIGNED, SLACK, Level, at_share, follow, keeps, lead_there, levels, schedule
 from cosim.design.loop import Array, wrapped
 from cosim.design.tune import FINE, Found, Requirements, near, objective, settle, tune
 from cosim.design.tuning import CANDIDATES, Tuning
@@ -233,7 +233,8 @@ def _burn(
         )
         held = {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in LEVELLED}
         after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
-        kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
+        slack = 0.0 if level.fuel in DESIGNED else SLACK
+        kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need), slack) for axis in LEVELLED}
         burning.append(LevelDesign(level, level.fuel in DESIGNED, held, after, kept))
     missed = [f"{axis} with {each.level.fuel:.0%} of the fuel" for each in burning for axis in each.kept
               if plan and not each.kept[axis]]  # fmt: skip
