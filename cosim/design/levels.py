@@ -22,7 +22,7 @@ from cosim.vehicle import EngineLead, Leads, Schedule, ScheduledGains, ThrustLev
 DESIGNED = (1.0, 0.5, 0.0)  # of the fuel
 PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)
 # By which straight lines between two levels may miss what is required at both, all requirements together.  Chosen: a
-# search from nothing may end where noise, which goes with the square of the pole of a lead, is a little over between levels.
+# search from nothing may end where noise, which goes with the square of the pole of a lead, is a little over there.
 SLACK = 0.1
 FILTER_S = 2.0  # chosen: slow beside what the loops answer in, fast beside what fuel and payload change in
 AXES = ("roll", "altitude")  # that engines answer: a tilt means the same moment at every thrust
