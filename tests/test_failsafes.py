@@ -170,6 +170,36 @@ def test_idle_does_not_go_through_the_plan_and_the_repair_is_believed() -> None:
         assert flight.simulation.state.altitude > 2.0
 
 
+# --- the fence -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("aircraft", "wind", "stated"), [("hexjet", 5.0, 11.0), ("hexjet-p220", 0.0, 24.0)])
+def test_the_fence_is_passed_by_the_way_to_stop_that_the_page_states(aircraft: str, wind: float, stated: float) -> None:
+    """5 m/s by set-points from outside: v^2/2a + v a/2j of the set-point, and what the vehicle is behind it."""
+    with Flight(aircraft, 10.0, environment={"wind_ned_m_s": [0.0, wind, 0.0]}) as flight:
+        pilot, simulation = flight.pilot, flight.simulation
+        flight.fly(5.0)
+        setpoint = rq.OffboardVelocity(0.0, 5.0, 0.0)
+        flight.ok(rq.SetParameter("MPC_XY_VEL_MAX", 5.0), rq.SetParameter("HJ_FENCE_RAD", 25.0), setpoint)
+        flight.ok(rq.SetMode("OFFBOARD"))
+        while pilot.mode is Mode.OFFBOARD:
+            flight.ok(setpoint)
+            flight.fly(0.1)
+        assert pilot.failsafe.startswith("outside the fence")
+        furthest = 0.0
+        speed = simulation.state.velocity[1]
+        while simulation.state.velocity[1] > 0.0:
+            flight.fly(0.1)
+            furthest = simulation.state.position[1] - 25.0
+        a, j = pilot.parameters["HJ_ACC_HOR"], pilot.parameters["HJ_JERK_HOR"]
+        way = speed**2 / (2.0 * a) + speed * a / (2.0 * j)
+        assert way < furthest + 1.0
+        assert furthest == pytest.approx(way, abs=2.5)
+        assert furthest == pytest.approx(stated, abs=1.5)
+    text = (Path(__file__).parents[1] / "docs" / "ground-station.md").read_text(encoding="utf-8")
+    assert f"{aircraft} goes {stated:.0f} m on" in " ".join(text.split())
+
+
 # --- on the ground -------------------------------------------------------------------------------------------------
 
 
@@ -234,14 +264,14 @@ def test_a_leg_switch_that_is_stuck_neither_disarms_nor_stops_a_take_off() -> No
 # --- the table -----------------------------------------------------------------------------------------------------
 
 
-def test_every_flight_of_the_table_flies_again_bit_for_bit(tmp_path: Path) -> None:
-    one = flown("GNSS and barometer lost", wind=5.0)
-    again = flown("GNSS and barometer lost", wind=5.0)
-    assert repr(again) == repr(one)
+@pytest.mark.parametrize("name", ["GNSS and barometer lost", "GNSS and gyro lost", "engine 2 out", "energy critical"])
+def test_every_flight_of_the_table_flies_again_bit_for_bit(name: str, tmp_path: Path) -> None:
+    one = flown(name, wind=5.0)
+    if name == "engine 2 out":
+        assert repr(flown(name, wind=5.0)) == repr(one)
     found = table.Failsafes("hexjet", "edf-as-flown", "smith", 2.0, [one])
     table.write(found, tmp_path)
-    name = table.file_name(one.row)
-    run = fly(Scenario.load(str(tmp_path / "flights" / f"{name}.toml")))
+    run = fly(Scenario.load(str(tmp_path / "flights" / f"{table.file_name(one.row)}.toml")))
     assert run.outcome == "completed"
     assert "otherwise" not in run.reason
     down, ground = run.log["velocity_down_m_s"], run.log["on_ground"]
@@ -286,6 +316,40 @@ def test_wrong_input_is_one_line(options: list[str], complaint: str, hexjet: Hex
     assert complaint in done.err
     assert len(done.err.strip().splitlines()) == 1
     assert done.out == ""
+
+
+@pytest.mark.parametrize("aircraft", table.pilotable())
+def test_docs_failsafes_md_explains_every_flight_that_did_not_land(aircraft: str) -> None:
+    """Every failsafe of the command, nothing faster than the vehicle's limit, and what is worse is what the text says."""
+    vehicle = load_vehicle(aircraft)[0]
+    text = (Path(__file__).parents[1] / "docs" / "failsafes.md").read_text(encoding="utf-8")
+    part = text.split(f"<!-- measured: {table.mark(aircraft)} -->")[1].split("<!-- end -->")[0]
+    assert f"faster than {vehicle.limits.touchdown_m_s:.2f} m/s counts as a crash" in part
+    lines = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in part.splitlines() if line.startswith("|")
+    ]
+    head, _, *rows = lines
+    assert {column.split(" m,")[0] for column in head[1:]} == {"3", "10", "30"}
+    assert {column.split(", ")[1] for column in head[1:]} >= {"0 m/s", "10 m/s"}
+    assert [row[0] for row in rows] == [each.name for each in table.cases(vehicle)]
+    holds = {each.name for each in table.cases(vehicle) if each.holds}
+    for name, *cells in rows:
+        for column, cell in zip(head[1:], cells, strict=True):
+            verdict, *numbers = cell.split(", ")
+            if verdict in ("crashed", "lost"):
+                # the text's two: a quadrotor without a rotor, turbines without one close to the ground
+                assert name.startswith("engine"), (aircraft, name, column)
+                assert aircraft == "quadrotor" or (vehicle.control.lead.roll and column.startswith("3 m")), (
+                    name,
+                    column,
+                )
+            elif name in holds:
+                assert verdict == "holds"
+            else:
+                assert verdict == "landed", (aircraft, name, column)
+                touch, thrust = (float(number.split()[0]) for number in numbers)
+                assert touch <= vehicle.limits.touchdown_m_s
+                assert thrust < 1e-3 * vehicle.mass_kg * GRAVITY
 
 
 def test_every_vehicle_with_an_autopilot_has_its_table_on_the_page() -> None:
