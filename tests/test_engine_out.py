@@ -195,6 +195,8 @@ def test_the_least_fall_is_what_the_failsafes_page_says(aircraft: str, lost: flo
     assert found.lost_m == pytest.approx(lost, abs=0.01)
     text = " ".join((Path(__file__).parents[1] / "docs" / "failsafes.md").read_text(encoding="utf-8").split())
     assert f"{lost:.2f} m on {aircraft}" in text
+    legs = max(each.position_m[2] for each in vehicle.contacts if each.kind == "leg")
+    assert f"{aircraft} {'have ' if aircraft == 'hexjet-p220' else ''}{3.0 - legs:.2f} m" in text
 
 
 def test_a_fall_under_engines_that_jump_is_the_closed_form() -> None:
