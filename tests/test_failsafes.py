@@ -339,6 +339,7 @@ def test_docs_failsafes_md_explains_every_flight_that_did_not_land(aircraft: str
             if verdict in ("crashed", "lost"):
                 # the text's two: a quadrotor without a rotor, turbines without one close to the ground
                 assert name.startswith("engine"), (aircraft, name, column)
+                assert aircraft == "quadrotor" or float(numbers[0].split()[0]) < 1.05 * vehicle.limits.touchdown_m_s
                 assert aircraft == "quadrotor" or (vehicle.control.lead.roll and column.startswith("3 m")), (
                     name,
                     column,
