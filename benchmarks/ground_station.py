@@ -28,6 +28,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from cosim.build import build
 from cosim.exchange import Exchange
 from cosim.gcs import Session, facts_of, scripted_status
 from cosim.links import Links, about_of
@@ -40,7 +41,6 @@ from cosim.mavlink.vehicle import Vehicle
 from cosim.pilot import requests as rq
 from cosim.pilot.parameters import Parameters
 from cosim.scenario import Scenario
-from cosim.simulation import build
 
 ATTITUDE = 30
 HEARTBEAT_EVERY = 1.0
@@ -289,8 +289,8 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
                 sample = simulation.step()
             if simulation.k:
                 status = scripted_status(simulation, sample)
-                inside = simulation.rate.inside
-                columns = tuple((inside[0][i], inside[1][i], inside[2][i]) for i in range(3))
+                seen = simulation.controller.diagnostics
+                columns = tuple((seen[0][i], seen[1][i], seen[2][i]) for i in range(3))
                 exchange.publish(Snapshot(sample, status, Predicting(*columns), 0.1))
             if now[0] >= SETTLE:
                 begun = begun or len(wire.arrived)

@@ -22,7 +22,7 @@ enum { POSITION, VELOCITY, ATTITUDE, EULER, RATE, SPECIFIC_FORCE, ALTITUDE, WIND
        AIR_RATE, STATE_FIELDS };
 enum { MEASURED_RATE, MEASURED_ATTITUDE, MEASURED_POSITION, MEASURED_VELOCITY, MEASURED_ALTITUDE,
        MEASURED_FORCE, MEASURED_FIELDS };
-enum { THROTTLE, TILT_COMMAND, REFUSED, ACTUATION_FIELDS };
+enum { THROTTLE, TILT_COMMAND, UNALLOCATED, OFF, ACTUATION_FIELDS };
 enum { THRUST, SPOOL_SPEED, EXHAUST_TEMPERATURE, FUEL_FLOW, ENGINE_FIELDS };
 enum { FORCE, MOMENT, TORQUE_ADDED, DISTURBING_WIND, PAYLOAD, GUST, TORQUE_OUTPUT, TORQUE_SEEN, DISTURBANCE_FIELDS };
 
@@ -184,7 +184,7 @@ static bool read_sample(Row *row, PyObject *sample)
     vector(row, p.sample, RATE_PREDICTED, "rate_predicted");
     vector(row, p.sample, RATE_SETPOINT, "rate_setpoint");
     vector(row, p.sample, TORQUE_COMMAND, "torque_command");
-    numbers(row, p.actuation, REFUSED, AXES + 1, "actuation.refused");
+    numbers(row, p.actuation, UNALLOCATED, AXES + 1, "actuation.unallocated");
     number(row, p.sample, COLLECTIVE);
     jets(row, p.actuation, THROTTLE, p.jets, "actuation.throttle");
     jets(row, p.engines, THRUST, p.jets, "engines.thrust");

@@ -253,7 +253,7 @@ class Airframe:
         self._set("atmosphere/turbulence/milspec/severity", float(place.turbulence_severity))
         self._act(forces, ZERO3, ZERO3)
         self._apply(Disturbance(wind=wind))
-        if momentum:
+        if momentum and self._spools:
             self.set_momentum(momentum)
         if not self._fdm.run_ic():
             raise FlightError("JSBSim could not start from the initial state")
@@ -343,6 +343,13 @@ class Airframe:
         self._payload_place.put(*_structural((x, y, z)))
         self._full = sum((self._vehicle.mass_kg, mass))
         self._mass = self._full - self._burnt
+
+    def carry(self, momentum: Vector3, burnt: float) -> None:
+        """From the next run on carry rotors of this ``momentum``, where they are modelled, and lack ``burnt`` kg."""
+        if burnt != self._burnt:
+            self.burn(burnt)
+        if self._momentum is not None:
+            self._momentum.put(*momentum)
 
     def set_momentum(self, momentum: Vector3) -> None:
         """Hold the spools' angular momentum (kg m^2/s, body, against the airframe) from the next run on.

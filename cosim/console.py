@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from cosim.identify import Identification
     from cosim.links import Links
     from cosim.paper.result import Reproduction
+    from cosim.protocols import Observer
     from cosim.run import Run
     from cosim.scenario import Scenario
     from cosim.signals import Sample
-    from cosim.simulation import Observer
     from cosim.survival import Survival
 
 _PIPE_WIDTH = 120

@@ -161,26 +161,21 @@ class Courses:
 
     def _run(self, throttle: Callable[[int], float], out_at: int = -1, shut_at: int = -1) -> list[float]:
         from cosim.engine import EngineBank
-        from cosim.faults import FaultyEngines
+        from cosim.engine.wrappers import EngineChain
         from cosim.reference import engine_reference
         from cosim.scenario import FlameOut
-        from cosim.shutoff import Shutoff
 
         spec = self._spec
         found = []
         with EngineBank(spec, 1, STEP_S) as bank:
-            engines = FaultyEngines(
-                bank, [spec.flame_out], lambda _: engine_reference(spec, STEP_S).lag, frozenset, STEP_S
-            )
-            shutoff = Shutoff(bank, [spec.flame_out], STEP_S)
+            engines = EngineChain(bank, [spec.flame_out], lambda _: engine_reference(spec, STEP_S).lag, STEP_S)
             engines.reset(self._hover)
             for k in range(self._steps):
                 if k == out_at:
                     engines.begin(FlameOut(kind="flame_out", start_s=0.0, jet=[1]))
                 if k == shut_at:
-                    shutoff.set(0, False)
-                output = shutoff.delivered(engines.step(k, shutoff.throttle((throttle(k),))))
-                found.append(output.thrust[0])
+                    engines.switch(0, False)
+                found.append(engines.step(k, (throttle(k),)).thrust[0])
         return found
 
 
@@ -285,7 +280,7 @@ def _damping(vehicle: Vehicle) -> float:
 
 def opposite_of(vehicle: Vehicle, jet: int) -> int:
     """The jet, from 1, across the centre of gravity."""
-    from cosim.simulation import opposites
+    from cosim.build import opposites
 
     return opposites(vehicle)[jet - 1] + 1
 
@@ -295,7 +290,8 @@ def courses_of(simulation: Simulation, share: float, seconds: float = FOLLOWED_S
     limits = simulation.vehicle.control.allocation
     count = len(simulation.vehicle.jets)
     hover, least, most = (
-        simulation.thrust_map.throttle((each,) * count)[0] for each in (share, limits.throttle_min, limits.throttle_max)
+        simulation.cascade.thrust_map.throttle((each,) * count)[0]
+        for each in (share, limits.throttle_min, limits.throttle_max)
     )
     return Courses(simulation.engine, hover, least, most, round(seconds / STEP_S))
 
@@ -303,7 +299,7 @@ def courses_of(simulation: Simulation, share: float, seconds: float = FOLLOWED_S
 def roller(simulation: Simulation, seconds: float = FOLLOWED_S) -> Roller:
     """For the vehicle of a built flight, all of whose engines are alike; ``seconds``: how long they are followed."""
     vehicle = simulation.vehicle
-    courses = courses_of(simulation, simulation.allocator.hover, seconds)
+    courses = courses_of(simulation, simulation.cascade.allocator.hover, seconds)
     return Roller(vehicle, courses, vehicle.mass_kg * GRAVITY / len(vehicle.jets))
 
 
@@ -421,8 +417,8 @@ def _scenario(aircraft: str, engine: str, file: ControllerFile, jet: int, means:
 
 
 def _fly(task: tuple[Scenario, int, Means]) -> Flight:
+    from cosim.build import build
     from cosim.flight import fly
-    from cosim.simulation import build
 
     scenario, jet, means = task
     run = fly(scenario)
@@ -462,7 +458,7 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
 
 def _levers(scenario: Scenario) -> Lever:
     """What a middle engine out asks for, from the bound alone."""
-    from cosim.simulation import build
+    from cosim.build import build
 
     with build(scenario) as simulation:
         whole = roller(simulation)
@@ -490,7 +486,7 @@ def _levers(scenario: Scenario) -> Lever:
 
 def _half(simulation: Simulation, whole: Roller) -> Roller | None:
     """Half the mass and inertia on the same engines; None where these cannot go so low."""
-    share = simulation.thrust_map.share(0.5 * whole.hover)
+    share = simulation.cascade.thrust_map.share(0.5 * whole.hover)
     if share <= simulation.vehicle.control.allocation.throttle_min:
         return None
     return Roller(simulation.vehicle, courses_of(simulation, share), 0.5 * whole.hover, 0.5)

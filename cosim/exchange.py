@@ -17,7 +17,7 @@ from pathlib import Path
 from threading import Lock
 from typing import NamedTuple
 
-from cosim.control.predictor import Inside
+from cosim.ending import Ending
 from cosim.engine import EngineSpec
 from cosim.geodesy import Geodesy
 from cosim.pace import PaceReport
@@ -34,15 +34,15 @@ from cosim.pilot.requests import (
     Result,
     Sticks,
 )
+from cosim.protocols import Diagnostics
 from cosim.scenario import Scenario
 from cosim.signals import Measured, Sample, State
-from cosim.simulation import Ending
 from cosim.vehicle import Vehicle
 
 WAITING_EACH = 64  # requests of one sender that may wait; a mission is one.  Chosen by us: a quarter second of steps
 SENDERS = 32  # that may have something waiting at once
 KEPT_MESSAGES = 100
-_NOTHING: Inside = (nan, nan, nan)
+_NOTHING: Diagnostics = (nan, nan, nan)
 
 # what is sent again and again: only the last one counts
 _STREAMS = (Sticks, OffboardAttitude, OffboardVelocity, OffboardPosition)
@@ -89,7 +89,7 @@ class Snapshot(NamedTuple):
     pace: PaceReport
     ending: Ending | None  # once the flight is over
     mission: tuple[MissionItem, ...]
-    inside: tuple[Inside, Inside, Inside]  # of the predictors of roll, pitch and yaw
+    diagnostics: tuple[Diagnostics, Diagnostics, Diagnostics]  # of the predictors of roll, pitch and yaw
 
 
 class _Waiting(NamedTuple):
@@ -209,12 +209,12 @@ class Exchange:
         pace: PaceReport,
         ending: Ending | None = None,
         mission: tuple[MissionItem, ...] = (),
-        inside: tuple[Inside, Inside, Inside] = (_NOTHING, _NOTHING, _NOTHING),
+        diagnostics: tuple[Diagnostics, Diagnostics, Diagnostics] = (_NOTHING, _NOTHING, _NOTHING),
     ) -> None:
         """Put a snapshot in place of the one before, and wake who waits for news."""
         now = k * facts.scenario.step_s
         self._snapshot = Snapshot(
-            time.monotonic(), facts, k, now, sample, state, measured, status, pace, ending, mission, inside
+            time.monotonic(), facts, k, now, sample, state, measured, status, pace, ending, mission, diagnostics
         )
         for wake in self._wakers:
             with suppress(OSError):  # a socket that is being closed

@@ -168,8 +168,8 @@ def failsafes(
     model.  ``say`` is told what was flown, how many are, of how many.
     Raises InputError for an unknown kind, aircraft, engine or controller, and for a vehicle without an autopilot.
     """
+    from cosim.build import build
     from cosim.piloted import with_autopilot
-    from cosim.simulation import build
 
     vehicle, _ = load_vehicle(aircraft)
     engine = engine or vehicle.engine or Scenario.model_fields["engine"].default
@@ -223,8 +223,8 @@ def scenario_of(aircraft: str, engine: str, controller: str, step: float, height
 
 def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
     """One flight, in this process."""
+    from cosim.build import build
     from cosim.piloted import with_autopilot
-    from cosim.simulation import build
 
     case, height, wind, scenario = task
     with build(scenario) as simulation:

@@ -10,8 +10,10 @@ from hashlib import sha256
 from pathlib import Path
 
 from cosim.airframe import IN_THE_AIR, METHODS, ON_THE_GROUND, POSITIONS
+from cosim.build import build
 from cosim.config import nearest, read_toml
 from cosim.control.choice import PREDICTORS
+from cosim.ending import Ending
 from cosim.engine import EngineSpec, engine_names
 from cosim.errors import FlightError, InputError
 from cosim.limits import yardstick
@@ -19,6 +21,7 @@ from cosim.metrics import Reach, metric_names
 from cosim.pace import Pace
 from cosim.pilot_record import PilotRecord
 from cosim.piloted import with_autopilot
+from cosim.protocols import Observer
 from cosim.recorder import KeepingSink
 from cosim.replay import REQUESTS, Replay, read_requests
 from cosim.run import (
@@ -35,7 +38,7 @@ from cosim.run import (
     versions,
 )
 from cosim.scenario import Expectation, Scenario, SticksCommand, TableCommand, is_file
-from cosim.simulation import Ending, Observer, Simulation, build
+from cosim.simulation import Simulation
 from cosim.vehicle import aircraft_names
 
 
@@ -88,7 +91,7 @@ def fly(
         reason = ending.reason
         if replay is not None and replay.otherwise:
             reason += f"; {len(replay.otherwise)} requests were answered otherwise, the first: {replay.otherwise[0]}"
-        if simulation.scenario is not scenario and replay is None:  # faults came by command
+        if simulation.faults.commanded and replay is None:  # faults came by command
             recording.restate(resolve(simulation)[0])
         run = recording.finish(ending.outcome, reason, wall, pace.report if realtime_factor else None)
         return with_page(run) if report else run
@@ -121,7 +124,7 @@ def record(
 
 def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
     """The scenario as it flies, with every number of vehicle and engines in it, and the files to go beside it."""
-    scenario = simulation.scenario
+    scenario = simulation.flown
     files: dict[str, Path | bytes] = {}
     if scenario.requests is not None:
         files[REQUESTS] = scenario.folder / scenario.requests
@@ -237,7 +240,7 @@ def reach(simulation: Simulation) -> Reach:
     """How far the throttles and the tilts of a flight can be told to go."""
     vehicle, limits = simulation.vehicle, simulation.vehicle.control.allocation
     least, most = (
-        simulation.thrust_map.throttle((share,) * len(vehicle.jets))
+        simulation.cascade.thrust_map.throttle((share,) * len(vehicle.jets))
         for share in (limits.throttle_min, limits.throttle_max)
     )
     return Reach(

@@ -13,23 +13,23 @@ class Tank:
     """
 
     def __init__(self, mass: float, step: float, full: float = 1.0) -> None:
-        self._mass = mass
+        self.mass = mass
         self._full = full
         self._step = step
         self.reset()
 
     def reset(self) -> None:
         """As full as it was at the start."""
-        self.burnt = (1.0 - self._full) * self._mass  # kg, of a full tank
+        self.burnt = (1.0 - self._full) * self.mass  # kg, of a full tank
 
     @property
     def left(self) -> float:
         """Fuel still on board, kg."""
-        return self._mass - self.burnt
+        return self.mass - self.burnt
 
     @property
     def empty(self) -> bool:
-        return self.burnt >= self._mass
+        return self.burnt >= self.mass
 
     def burn(self, flows: PerJet) -> bool:
         """Burn ``flows`` [kg/s], one per engine, for one step; whether anything was burnt."""
@@ -40,5 +40,5 @@ class Tank:
         used = flow * self._step
         if not used or self.empty:
             return False
-        self.burnt = min(self.burnt + used, self._mass)
+        self.burnt = min(self.burnt + used, self.mass)
         return True

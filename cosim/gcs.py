@@ -19,24 +19,27 @@ from queue import Queue
 from threading import Thread
 from typing import Any
 
+from cosim.build import build
+from cosim.ending import Ending
 from cosim.errors import FlightError, InputError
 from cosim.exchange import Asked, Exchange, Facts, Restart, Shutdown
 from cosim.flight import record, reserve_folder, with_page
 from cosim.geodesy import Geodesy
 from cosim.pace import Pace
 from cosim.pilot.autopilot import Autopilot, Status
-from cosim.pilot.modes import EngineState, Home, LandedState, Mode, Severity
+from cosim.pilot.modes import Home, LandedState, Mode, Severity
 from cosim.pilot.navigation import Fix
 from cosim.pilot.parameters import Parameters, table
 from cosim.pilot.requests import Answer, MissionClear, MissionUpload, Request, Result, SetParameter
 from cosim.pilot_record import PilotRecord
 from cosim.pilot_store import ParameterStore
 from cosim.piloted import with_autopilot
+from cosim.protocols import EngineState, Observer
 from cosim.replay import REQUESTS, RequestLog
 from cosim.run import AUTOPILOT, Recording, Run, claim_folder
 from cosim.scenario import Scenario, is_file
 from cosim.signals import Sample
-from cosim.simulation import Ending, Observer, Simulation, build
+from cosim.simulation import Simulation
 from cosim.vehicle import load_vehicle
 
 LONGEST_S = 86_400.0  # of one flight that has no planned end: a day
@@ -298,7 +301,7 @@ class _Flight:
             self.pace.report,
             ending,
             tuple(self.pilot.mission.items),
-            simulation.rate.inside,
+            simulation.controller.diagnostics,
         )
 
     def finish(self, ending: Ending, wall: float, report: bool) -> Run:
@@ -451,7 +454,7 @@ class _Onlooker:
             self._pace.report,
             None,
             tuple(pilot.mission.items) if pilot else (),
-            simulation.rate.inside,
+            simulation.controller.diagnostics,
         )
 
 

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cosim.control.altitude import GRAVITY
-from cosim.metrics import PLACE, Array, Columns, Record, asks_for_a_place
+from cosim.metrics import PLACE, Array, Record, asks_for_a_place
+from cosim.protocols import Columns
 from cosim.signals import AXES
 from cosim.wording import metric
 

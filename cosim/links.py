@@ -205,12 +205,12 @@ class _Port(MavlinkExchange):
             return
         new = [message for message in self._hub.messages if message.number > self._told]
         self._told = new[-1].number if new else self._told
-        inside = snapshot.inside
+        seen = snapshot.diagnostics
         step = snapshot.facts.scenario.step_s
         predicting = Predicting(
-            (inside[0][0], inside[1][0], inside[2][0]),
-            (inside[0][1], inside[1][1], inside[2][1]),
-            (inside[0][2] * step, inside[1][2] * step, inside[2][2] * step),
+            (seen[0][0], seen[1][0], seen[2][0]),
+            (seen[0][1], seen[1][1], seen[2][1]),
+            (seen[0][2] * step, seen[1][2] * step, seen[2][2] * step),
         )
         status, pace = snapshot.status, snapshot.pace
         if snapshot.ending is not None and snapshot.ending.outcome != "completed":

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from math import pi
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.columns import RATES
 from cosim.config import nearest
+from cosim.protocols import Columns
 from cosim.scenario import Range
 from cosim.signals import AXES, JETS
 
@@ -108,15 +109,6 @@ class Reach(Record):
 
     throttle: tuple[tuple[float, float], ...]  # least and most, jets 1 to 6
     tilt_rad: float | None = None  # either way; None: nothing tilts
-
-
-class Columns(Protocol):
-    """The columns of a log by name."""
-
-    @property
-    def columns(self) -> tuple[str, ...]: ...
-
-    def __getitem__(self, name: str) -> Array: ...
 
 
 class Step(NamedTuple):

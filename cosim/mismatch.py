@@ -6,13 +6,9 @@ Here is what flies instead.  Without a mismatch every block is the one that it i
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Sequence
-
 from cosim.errors import InputError
-from cosim.faults import Engines
 from cosim.scenario import Mismatch
-from cosim.signals import Ambient, EngineOutput, PerJet, Vector3
+from cosim.signals import PerJet, Vector3
 from cosim.vehicle import Vehicle
 
 
@@ -47,8 +43,8 @@ def as_flown(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
     )
 
 
-def engines_as_flown(bank: Engines, mismatch: Mismatch, jets: int) -> Engines:
-    """The engines that fly where ``bank`` is what is known of them; the same object without a mismatch.
+def engines_as_flown(mismatch: Mismatch, jets: int) -> tuple[PerJet | None, int]:
+    """Thrust over that of the engines that are known, None where it is theirs, and by how many steps they are later.
 
     Raises InputError for a factor of a jet that the vehicle has not.
     """
@@ -57,38 +53,4 @@ def engines_as_flown(bank: Engines, mismatch: Mismatch, jets: int) -> Engines:
         if factor != 1.0:
             raise InputError(f"mismatch.thrust_factor_{number} = {factor:g}: the aircraft has jets 1 to {jets}")
     factors = tuple(mismatch.thrust_factor * factor for factor in single[:jets])
-    if mismatch.delay_samples == 0 and all(factor == 1.0 for factor in factors):
-        return bank
-    return OtherEngines(bank, factors, mismatch.delay_samples)
-
-
-class OtherEngines:
-    """Engines that give ``factors`` times the thrust they should at the same spool speed, ``delay`` steps later."""
-
-    def __init__(self, bank: Engines, factors: PerJet, delay: int) -> None:
-        self._bank = bank
-        self._factors = factors
-        self._delay = delay
-        self._line: deque[PerJet] = deque()
-        self.wants_ambient = bank.wants_ambient
-
-    def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
-        held = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(self._factors)
-        self._line = deque([held] * self._delay)
-        return self._given(self._bank.reset(throttle, ambient))
-
-    def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
-        if self._delay:
-            self._line.append(throttle)
-            throttle = self._line.popleft()
-        return self._given(self._bank.step(k, throttle, ambient))
-
-    def _given(self, output: EngineOutput) -> EngineOutput:
-        thrust = tuple([factor * newton for factor, newton in zip(self._factors, output.thrust, strict=True)])
-        return output._replace(thrust=thrust)
-
-    def set_run(self, index: int, on: bool) -> bool:
-        return self._bank.set_run(index, on)
-
-    def close(self) -> None:
-        self._bank.close()
+    return (None if all(factor == 1.0 for factor in factors) else factors), mismatch.delay_samples

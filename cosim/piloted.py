@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import Any, get_args
 
+from cosim.build import predictors
 from cosim.config import validate
-from cosim.control.predictor import Predictor
 from cosim.errors import InputError
 from cosim.pilot.autopilot import Autopilot
 from cosim.pilot.requests import InjectFault
+from cosim.protocols import Predictor
 from cosim.reference import engine_reference
 from cosim.scenario import Fault
-from cosim.simulation import Simulation, predictors
+from cosim.simulation import Simulation
 from cosim.vehicle import PredictorTuning
 
 _FAULTS = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in get_args(Fault)}
@@ -29,9 +30,11 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
     """An autopilot in place of the scenario's commands; from here on the flight does what it is asked.
 
     ``airborne``: the flight begins in the air, armed and holding.
-    Raises InputError where the vehicle does not state [control.position] and [control.pilot].
+    Raises InputError where the vehicle does not state [control.position] and [control.pilot], and where another
+    controller than the built-in one flies: its loops are tuned in flight.
     """
     scenario, vehicle, engine = simulation.scenario, simulation.vehicle, simulation.engine
+    cascade = simulation.cascade
     roll = vehicle.identified.get(engine.family, {}).get("roll")
     delay = None if roll is None else roll.delay_samples + scenario.added_delay_samples
 
@@ -51,17 +54,17 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
     pilot = Autopilot(
         vehicle,
         scenario.step_s,
-        simulation.allocator.hover,
+        cascade.allocator.hover,
         scenario.controller,
         delay,
-        simulation.attitude,
-        simulation.altitude,
-        simulation.rate,
+        cascade.attitude,
+        cascade.altitude,
+        cascade.rate,
         make,
         lambda request: simulation.inject(fault_from(request)),
         simulation.clear_faults,
         airborne,
-        simulation.thrust_map.idle,
+        cascade.thrust_map.idle,
         (
             max(each.delay + each.lag for each in references),
             max(each.delay + each.longest for each in references),

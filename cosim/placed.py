@@ -16,8 +16,8 @@ from cosim.commands import Commander
 from cosim.errors import InputError
 from cosim.frames import to_euler
 from cosim.pilot.descent import descent_for, height_limits, thrust_margins
-from cosim.pilot.modes import EngineState, Report
 from cosim.pilot.navigation import Estimator, Pair, PositionController, Track, Tracker, lean_for, wrap
+from cosim.protocols import EngineState, Report
 from cosim.scenario import PlaceCommand, Scenario, VelocityCommand
 from cosim.signals import Command, Measured
 

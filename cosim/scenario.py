@@ -343,7 +343,9 @@ class SensorDropout(Model):
     sensor: Literal["gyro", "attitude", "gnss", "barometer"]
 
 
-Fault = FlameOut | StuckThrottle | ThrustLoss | SlowSpool | DelayGrowth | ServoJam | SensorBias | SensorDropout
+EngineFault = FlameOut | StuckThrottle | ThrustLoss | SlowSpool | DelayGrowth
+SensorFault = SensorBias | SensorDropout
+Fault = EngineFault | ServoJam | SensorFault
 FaultEntry = Annotated[Fault, Field(discriminator="kind")]
 
 

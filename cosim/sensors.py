@@ -12,8 +12,10 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from cosim.frames import IDENTITY, multiply, normalize, rotate
+from cosim.protocols import Sensors
+from cosim.scenario import SensorBias, SensorDropout, SensorFault
 from cosim.signals import ZERO3, Measured, Quaternion, State, Vector3
-from cosim.vehicle import Sensors
+from cosim.vehicle import Sensors as SensorSettings
 
 T = TypeVar("T")
 Fix = tuple[Any, Any]  # position and velocity: vectors that are handed on as they are
@@ -95,7 +97,7 @@ class SensorSuite:
     samples at rest.  ``noisy`` False leaves filter, latency and hold, and takes away noise and bias.
     """
 
-    def __init__(self, sensors: Sensors, step: float, seed: int, noisy: bool) -> None:
+    def __init__(self, sensors: SensorSettings, step: float, seed: int, noisy: bool) -> None:
         self._noisy = noisy
         self._seed = seed
         gyro, attitude, gnss, barometer = sensors.gyro, sensors.attitude, sensors.gnss, sensors.barometer
@@ -203,6 +205,65 @@ class SensorSuite:
             self._force_draws = self._force_rng.standard_normal((_BLOCK, _FORCE_DRAWS)).tolist()
             self._force_draws.reverse()
         return self._force_draws.pop()
+
+
+class FaultySensors:
+    """The sensors with faults on what they give out: a bias is added to it, a dropout repeats the last of it.
+
+    The bias of the attitude is a small rotation about the body axes; of the GNSS, of position and of velocity.
+    """
+
+    def __init__(self, sensors: Sensors) -> None:
+        self._sensors = sensors
+        self._faults: list[tuple[SensorFault, Measured]] = []
+
+    def begin(self, fault: SensorFault, last: Measured) -> None:
+        """``fault`` acts on the next sample; ``last`` is the one before."""
+        self._faults.append((fault, last))
+
+    def end(self, fault: SensorFault) -> None:
+        """``fault`` is over from the next sample on."""
+        self._faults = [entry for entry in self._faults if entry[0] is not fault]
+
+    def reset(self, state: State) -> Measured:
+        self._faults = []
+        return self._sensors.reset(state)
+
+    def sample(self, state: State) -> Measured:
+        measured = self._sensors.sample(state)
+        for fault, last in self._faults:
+            measured = (
+                _held(measured, fault.sensor, last) if isinstance(fault, SensorDropout) else _off(measured, fault)
+            )
+        return measured
+
+
+def _held(measured: Measured, sensor: str, last: Measured) -> Measured:
+    if sensor == "gyro":
+        return measured._replace(rate=last.rate)
+    if sensor == "attitude":
+        return measured._replace(attitude=last.attitude)
+    if sensor == "gnss":
+        return measured._replace(position=last.position, velocity=last.velocity)
+    return measured._replace(altitude=last.altitude)
+
+
+def _off(measured: Measured, fault: SensorBias) -> Measured:
+    x, y, z = fault.vector
+    if fault.sensor == "gyro":
+        return measured._replace(rate=_sum(measured.rate, fault.vector))
+    if fault.sensor == "attitude":
+        turned = normalize(multiply(measured.attitude, (1.0, 0.5 * x, 0.5 * y, 0.5 * z)))
+        return measured._replace(attitude=turned)
+    if fault.sensor == "gnss":
+        return measured._replace(
+            position=_sum(measured.position, fault.vector), velocity=_sum(measured.velocity, fault.velocity_bias)
+        )
+    return measured._replace(altitude=measured.altitude + x)
+
+
+def _sum(a: Vector3, b: Vector3) -> Vector3:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 def _scaled(vector: Vector3, factor: float) -> Vector3:

@@ -8,7 +8,7 @@ else is in SI units.  A quaternion is ``(w, x, y, z)`` and turns body vectors in
 from __future__ import annotations
 
 from math import nan
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from cosim._records import quick
 
@@ -20,6 +20,7 @@ ZERO3: Vector3 = (0.0, 0.0, 0.0)
 UNKNOWN3: Vector3 = (nan, nan, nan)
 JETS = 6  # at most; the log has as many columns
 ALL_WELL: PerJet = (1.0,) * JETS  # of engines that nobody watches, or that do as they are told
+NO_JETS: Final[frozenset[int]] = frozenset()
 # jets 1 to 6; left and right servo; gyro, attitude, GNSS, barometer
 NO_FAULTS: tuple[float, ...] = (0.0,) * (JETS + 2 + 4)
 AXES = ("roll", "pitch", "yaw")
@@ -81,7 +82,7 @@ class Measured(NamedTuple):
 
 
 @quick
-class Refused(NamedTuple):
+class Unallocated(NamedTuple):
     """What allocation could not give: requested minus achieved."""
 
     roll: float = 0.0
@@ -92,11 +93,23 @@ class Refused(NamedTuple):
 
 @quick
 class Actuation(NamedTuple):
-    """What allocation asks of the engines and of the two tilt servos."""
+    """What the controller asks of the engines and of the two tilt servos."""
 
     throttle: PerJet  # 0..1, jets 1 to 6
     tilt: tuple[float, float]  # rad, left and right servo, positive tilts the thrust forward
-    refused: Refused
+    unallocated: Unallocated
+    off: frozenset[int] = NO_JETS  # the jets, from 0, that are shut off on purpose
+
+
+@quick
+class ControlSignals(NamedTuple):
+    """What a controller shows of itself for one step."""
+
+    rate_setpoint: Vector3  # rad/s, body
+    rate_predicted: Vector3  # rad/s, body: what the rate loop is fed with
+    torque: Vector3  # the rate loop's output: throttle, rad of tilt, rad of tilt
+    collective: float  # mean throttle asked for
+    given: float  # the collective that allocation gave
 
 
 @quick

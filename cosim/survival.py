@@ -175,7 +175,7 @@ def survival(
     ``engine`` None is the one that the aircraft is made for; ``say`` is told what was flown, how many are, of how many.
     Raises InputError for an unknown kind, aircraft, engine or controller.
     """
-    from cosim.simulation import build
+    from cosim.build import build
 
     vehicle, _ = load_vehicle(aircraft)
     engine = engine or vehicle.engine or Scenario.model_fields["engine"].default
@@ -193,7 +193,7 @@ def survival(
     ]
     with build(flights[0][3]) as simulation:
         # wrong input is found here, before anything is spent on it
-        hover, idle = simulation.allocator.hover, simulation.thrust_map.idle
+        hover, idle = simulation.cascade.allocator.hover, simulation.cascade.thrust_map.idle
         moments = _moments(vehicle, simulation.stations[0].delay)
     rows: list[Row] = []
     for row in in_processes(_fly, flights, workers):

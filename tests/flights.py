@@ -14,7 +14,7 @@ from cosim.export import export_ulog
 from cosim.frames import from_euler
 from cosim.run import DelayRow, Setup
 from cosim.scenario import Expectation, Range, Scenario
-from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measured, Refused, Sample, State
+from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measured, Sample, State, Unallocated
 
 STEP = 0.004
 SILENT = (nan,) * 6  # engines that report nothing but their thrust
@@ -85,7 +85,7 @@ def samples(steps: int, zeta: float = 0.4, omega: float = 9.0, seed: int = 1, gr
             (ahead, 0.02 * cos(2 * t), 0.005),
             (torque, 0.002 * sin(t), 0.001),
             0.45,
-            Actuation(throttle, (0.02 * sin(2 * t), 0.02 * sin(2 * t)), Refused(0.0, 0.0, 0.0, 0.0)),  # type: ignore[arg-type]
+            Actuation(throttle, (0.02 * sin(2 * t), 0.02 * sin(2 * t)), Unallocated(0.0, 0.0, 0.0, 0.0)),  # type: ignore[arg-type]
             (0.018 * sin(2 * t - 0.2), 0.018 * sin(2 * t - 0.2)),
             EngineOutput(thrust, SILENT, SILENT, SILENT),
             Disturbance(moment=(0.3, 0.0, 0.0)) if 6.0 < t < 7.0 else Disturbance(),

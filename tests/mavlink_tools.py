@@ -19,10 +19,11 @@ from cosim.mavlink.signing import Signing
 from cosim.mavlink.snapshot import About, Predicting, Snapshot
 from cosim.mavlink.vehicle import Vehicle
 from cosim.pilot.autopilot import Status
-from cosim.pilot.modes import EngineState, Home, LandedState, Mode
+from cosim.pilot.modes import Home, LandedState, Mode
 from cosim.pilot.navigation import Fix
 from cosim.pilot.requests import Answer, Arm, Disarm, Request, Result, SetMode, Takeoff
-from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measured, Refused, Sample, State
+from cosim.protocols import EngineState
+from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measured, Sample, State, Unallocated
 
 GEODESY = Geodesy(22.35, 113.59, 12.0)
 ABOUT = About(
@@ -52,7 +53,7 @@ def sample(k: int = 250, **changes: Any) -> Sample:
     made = Sample(
         k, k * 0.004, Command((0.05, -0.04, 1.5), 10.0), state, Measured(rate, attitude, position, velocity, 10.0),
         (0.4, 0.5, 0.6), (0.11, 0.22, 0.33), (0.01, 0.02, 0.03), 0.45,
-        Actuation((0.1, 0.2, 0.3, 0.4, 0.5, 0.6), (0.1, -0.1), Refused()), (0.1, -0.1),
+        Actuation((0.1, 0.2, 0.3, 0.4, 0.5, 0.6), (0.1, -0.1), Unallocated()), (0.1, -0.1),
         EngineOutput((5.0,) * 6, tuple(1000.0 * (i + 1) for i in range(6)), (873.15,) * 6, (0.001,) * 6),
         Disturbance(), fuel=1.5,
     )  # fmt: skip

@@ -40,10 +40,10 @@ from cosim.bench.suite import CAMPAIGN, MEMORY, PARTS, QUICK
 from cosim.bench.tables import spread
 from cosim.bench.targets import Judged, judge, to_dict
 from cosim.bench.timing import Clocked, Cost, Job, Pair, Spread, interleave
+from cosim.build import build
 from cosim.cli import cli
 from cosim.errors import FlightError, InputError
 from cosim.run import open_run
-from cosim.simulation import build
 
 STEPS = 500
 

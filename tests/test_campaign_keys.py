@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
+from cosim.build import build
 from cosim.campaign.keys import Key, all_keys, find_key, matching, split, with_values
 from cosim.errors import InputError
 from cosim.flight import fly
 from cosim.scenario import Scenario, scenario_names
-from cosim.simulation import build
 from cosim.vehicle import load_vehicle
 
 OWN = ("aircraft", "engine", "controller")

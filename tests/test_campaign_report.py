@@ -20,6 +20,7 @@ from scipy import stats
 from scipy.stats import qmc
 
 from cosim.arrow import read_table, write_table
+from cosim.build import build
 from cosim.campaign.cases import eccentricity, worst, write_case
 from cosim.campaign.figures import distribution, group_medians
 from cosim.campaign.flown import KINDS, criterion, metric, read, short_names
@@ -55,7 +56,6 @@ from cosim.errors import InputError
 from cosim.flight import fly
 from cosim.page import figure_json
 from cosim.scenario import Range, Scenario
-from cosim.simulation import build
 
 SIX = [
     {"key": DELAY, "range": [0, 20]},

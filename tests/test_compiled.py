@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from cosim import Scenario, fly
+from cosim.build import build
 from cosim.compiled import MODULES, PURE, SHARED, STAMP, edited
-from cosim.simulation import build
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "cosim"

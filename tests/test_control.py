@@ -15,10 +15,11 @@ from cosim import frames
 from cosim.control.allocation import TiltAllocator
 from cosim.control.altitude import GRAVITY, AltitudeController
 from cosim.control.attitude import AttitudeController
-from cosim.control.predictor import DelayLine, NoPredictor, Predictor, SmithPredictor, rate_model
+from cosim.control.predictor import DelayLine, NoPredictor, SmithPredictor, rate_model
 from cosim.control.rate import RateAxis
 from cosim.errors import InputError
-from cosim.signals import Command, Measured, Refused
+from cosim.protocols import Predictor
+from cosim.signals import Command, Measured, Unallocated
 from cosim.vehicle import AltitudeGains, AttitudeGains, Jet, RateGains, RateModel, load_vehicle
 
 STEP = 0.004
@@ -282,13 +283,13 @@ def test_allocation_stays_inside_and_accounts_for_everything(
 
 def test_what_fits_is_not_refused_at_all() -> None:
     for roll, pitch, yaw in ((0.1, 0.05, -0.03), (-0.2, 0.1, 0.1)):
-        assert ALLOCATOR.allocate(HOVER, (roll, pitch, yaw)).refused == Refused()
+        assert ALLOCATOR.allocate(HOVER, (roll, pitch, yaw)).refused == Unallocated()
 
 
 def test_attitude_before_collective() -> None:
     """Full climb and a roll: the roll is given whole, the collective gives way."""
     throttle, _, refused = ALLOCATOR.allocate(1.0, (0.2, 0.0, 0.0))
-    assert refused == Refused(0.0, 0.0, 0.0, pytest.approx(0.2))
+    assert refused == Unallocated(0.0, 0.0, 0.0, pytest.approx(0.2))
     assert throttle[1] == 1.0
     assert throttle[0] == pytest.approx(0.6)
     assert ALLOCATOR.allocate(0.0, (0.2, 0.0, 0.0)).refused.roll == 0.0
@@ -347,34 +348,37 @@ def altitude(**changes: float) -> AltitudeController:
 
 def test_hover_thrust_is_the_weight_over_the_lean() -> None:
     block, command = altitude(), Command((0.0, 0.0, 0.0), 10.0)
-    assert block.update(command, measured(frames.IDENTITY, 10.0), Refused()) == pytest.approx(5.0 * GRAVITY / 100)
+    assert block.update(command, measured(frames.IDENTITY, 10.0), Unallocated()) == pytest.approx(5.0 * GRAVITY / 100)
     leaning = frames.from_euler(0.5, 0.0, 0.0)
-    assert block.update(command, measured(leaning, 10.0), Refused()) == pytest.approx(5.0 * GRAVITY / 100 / cos(0.5))
+    assert block.update(command, measured(leaning, 10.0), Unallocated()) == pytest.approx(
+        5.0 * GRAVITY / 100 / cos(0.5)
+    )
     upside_down = frames.from_euler(pi, 0.0, 0.0)
-    assert block.update(command, measured(upside_down, 10.0), Refused()) == pytest.approx(5.0 * GRAVITY / 100 / 0.5)
+    assert block.update(command, measured(upside_down, 10.0), Unallocated()) == pytest.approx(5.0 * GRAVITY / 100 / 0.5)
 
 
 def test_climb_and_descent_are_limited() -> None:
     block = altitude()
     for target, climb in ((1000.0, 2.0), (-1000.0, -1.0)):
-        ours = block.update(Command((0.0, 0.0, 0.0), target), measured(frames.IDENTITY, 10.0), Refused())
+        ours = block.update(Command((0.0, 0.0, 0.0), target), measured(frames.IDENTITY, 10.0), Unallocated())
         assert ours == pytest.approx(5.0 * (GRAVITY + 2.0 * climb) / 100)
 
 
 def test_altitude_integral_stops_when_the_collective_is_refused() -> None:
     block, command = altitude(integral_1_s2=1.0), Command((0.0, 0.0, 0.0), 11.0)
-    before = block.update(command, measured(frames.IDENTITY, 10.0), Refused(collective=0.1))
-    assert block.update(command, measured(frames.IDENTITY, 10.0), Refused(collective=0.1)) == before
-    assert block.update(command, measured(frames.IDENTITY, 10.0), Refused()) > before
+    before = block.update(command, measured(frames.IDENTITY, 10.0), Unallocated(collective=0.1))
+    assert block.update(command, measured(frames.IDENTITY, 10.0), Unallocated(collective=0.1)) == before
+    assert block.update(command, measured(frames.IDENTITY, 10.0), Unallocated()) > before
 
 
 def test_burnt_fuel_need_not_be_carried() -> None:
     block, command = altitude(), Command((0.0, 0.0, 0.0), 10.0)
-    ours = block.update(command, measured(frames.IDENTITY, 10.0), Refused(), burnt=2.0)
+    ours = block.update(command, measured(frames.IDENTITY, 10.0), Unallocated(), burnt=2.0)
     assert ours == pytest.approx((5.0 - 2.0) * GRAVITY / 100)
 
 
 def test_commanded_collective_replaces_the_hold() -> None:
     assert (
-        altitude().update(Command((0.0, 0.0, 0.0), 5.0, collective=0.33), measured(frames.IDENTITY), Refused()) == 0.33
+        altitude().update(Command((0.0, 0.0, 0.0), 5.0, collective=0.33), measured(frames.IDENTITY), Unallocated())
+        == 0.33
     )

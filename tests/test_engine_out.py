@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from command_tools import Hexjet
 
+from cosim.build import build
 from cosim.control.altitude import GRAVITY
 from cosim.design.file import read_controller
 from cosim.engine import EngineBank, engine_names, load_engine
@@ -44,7 +45,6 @@ from cosim.marks import parts_of
 from cosim.scenario import Scenario
 from cosim.servo import TiltServo
 from cosim.signals import Disturbance
-from cosim.simulation import build
 from cosim.vehicle import load_vehicle
 
 DESIGNS = Path(__file__).parent / "designs"

@@ -11,13 +11,14 @@ import pytest
 from command_tools import Hexjet
 
 from cosim import failsafes as table
+from cosim.build import build
 from cosim.control.altitude import GRAVITY
 from cosim.flight import fly
 from cosim.pilot import requests as rq
-from cosim.pilot.modes import EngineState, LandedState, Mode
+from cosim.pilot.modes import LandedState, Mode
 from cosim.piloted import with_autopilot
+from cosim.protocols import EngineState
 from cosim.scenario import Scenario
-from cosim.simulation import build
 from cosim.survival import step_of
 from cosim.vehicle import load_vehicle
 

@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cosim.shutoff import Shutoff
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim import flight
+from cosim.build import build
 from cosim.control.monitor import EngineMonitor, EngineReference
 from cosim.engine import EngineBank, load_engine
 from cosim.errors import InputError
@@ -33,9 +35,8 @@ from cosim.scenario import (
     scenario_names,
 )
 from cosim.servo import TiltServo
-from cosim.shutoff import Shutoff
 from cosim.signals import EngineOutput, PerJet, Sample
-from cosim.simulation import Simulation, build
+from cosim.simulation import Simulation
 from cosim.survival import (
     LOSS,
     PARTS,

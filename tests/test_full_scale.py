@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
 from cosim.airframe import Airframe, standing_height
+from cosim.build import build
 from cosim.cli import cli, load_scenario
 from cosim.config import read_toml
 from cosim.control.altitude import GRAVITY
@@ -26,7 +27,6 @@ from cosim.paths import data_folder
 from cosim.scaling import _LAW, length_scale, scaled
 from cosim.scenario import Environment, Initial, Scenario
 from cosim.signals import ZERO3, Disturbance, State
-from cosim.simulation import build
 from cosim.vehicle import Vehicle, load_vehicle
 
 BASE, _ = load_vehicle("hexjet")

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from cosim.airframe import standing_height
+from cosim.build import build
 from cosim.errors import InputError
 from cosim.flight import fly
 from cosim.ground_effect import GroundJets, lift_loss
 from cosim.paths import data_folder
 from cosim.scaling import scaled
 from cosim.scenario import Scenario
-from cosim.simulation import build
 from cosim.vehicle import GroundEffect, Vehicle, load_vehicle
 
 PLATE = {"planform_m": 0.4, "jet_m": 0.1}

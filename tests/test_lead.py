@@ -17,7 +17,7 @@ from cosim.control.lead import Lead, lead_polynomials
 from cosim.control.predictor import NoPredictor
 from cosim.control.rate import RateAxis
 from cosim.errors import InputError
-from cosim.signals import Command, Measured, Refused
+from cosim.signals import Command, Measured, Unallocated
 from cosim.vehicle import EngineLead, RateGains, load_vehicle
 
 STEP = 0.004
@@ -186,12 +186,12 @@ def test_height_control_finds_the_engines_settled() -> None:
     led = AltitudeController(gains, 5.0, throttle_for, STEP, Lead(P220, STEP))
     plain = AltitudeController(gains, 5.0, throttle_for, STEP)
     for _ in range(5):
-        assert led.update(command, hover, Refused()) == pytest.approx(5.0 * GRAVITY / 120.0, rel=1e-9)
-        plain.update(command, hover, Refused())
+        assert led.update(command, hover, Unallocated()) == pytest.approx(5.0 * GRAVITY / 120.0, rel=1e-9)
+        plain.update(command, hover, Unallocated())
     # a step of the height: at first (a / w)^2 of what comes to it
     higher = Command((0.0, 0.0, 0.0), 5.1)
-    more = plain.update(higher, hover, Refused()) - 5.0 * GRAVITY / 120.0
-    led_more = led.update(higher, hover, Refused()) - 5.0 * GRAVITY / 120.0
+    more = plain.update(higher, hover, Unallocated()) - 5.0 * GRAVITY / 120.0
+    led_more = led.update(higher, hover, Unallocated()) - 5.0 * GRAVITY / 120.0
     assert led_more == pytest.approx(more * lead_polynomials(P220, STEP)[0][0], rel=1e-6)
 
 

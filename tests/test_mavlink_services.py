@@ -14,6 +14,7 @@ import pytest
 from mavlink_bench import mav
 from patience import stretched
 
+from cosim.build import build
 from cosim.geodesy import Geodesy
 from cosim.mavlink.endpoint import parse
 from cosim.mavlink.exchange import Exchange
@@ -27,7 +28,6 @@ from cosim.mavlink.vehicle import Vehicle
 from cosim.pilot.requests import ItemKind
 from cosim.piloted import with_autopilot
 from cosim.scenario import Scenario
-from cosim.simulation import build
 
 PLACE = Geodesy(22.35, 113.59)
 TO = (1, 1)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim.build import build
 from cosim.errors import InputError
 from cosim.flight import fly
 from cosim.frames import cross
@@ -14,7 +15,6 @@ from cosim.mismatch import OtherEngines, as_flown, engines_as_flown
 from cosim.run import Run
 from cosim.scenario import Mismatch, Scenario
 from cosim.signals import EngineOutput
-from cosim.simulation import build
 from cosim.vehicle import load_vehicle
 
 NAN6 = (float("nan"),) * 6

@@ -24,6 +24,7 @@ from scipy.optimize import brentq
 
 from cosim import engine_out, survival
 from cosim.atmosphere import standard_air
+from cosim.build import build as build_flight
 from cosim.campaign.one import fly_one
 from cosim.campaign.options import open_study
 from cosim.campaign.plan import flights
@@ -39,7 +40,6 @@ from cosim.ledger import total_samples
 from cosim.marks import parts_of
 from cosim.paths import data_folder
 from cosim.scenario import Scenario
-from cosim.simulation import build as build_flight
 from cosim.vehicle import load_vehicle
 
 ROOT = Path(__file__).resolve().parents[1]

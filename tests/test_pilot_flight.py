@@ -9,15 +9,17 @@ from typing import Any
 
 import pytest
 
+from cosim.build import build
+from cosim.ending import Ending
 from cosim.errors import InputError
 from cosim.frames import from_euler
 from cosim.pilot import requests as rq
-from cosim.pilot.modes import EngineState, LandedState, Mode
+from cosim.pilot.modes import LandedState, Mode
 from cosim.pilot.requests import MissionItem
 from cosim.piloted import fault_from, with_autopilot
+from cosim.protocols import EngineState
 from cosim.scenario import FlameOut, Scenario, SensorBias
 from cosim.signals import Sample
-from cosim.simulation import Ending, build
 from cosim.vehicle import load_vehicle
 
 STANDING = 0.125

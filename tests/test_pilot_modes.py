@@ -19,9 +19,10 @@ from cosim.frames import from_euler
 from cosim.pilot import requests as rq
 from cosim.pilot.autopilot import Autopilot
 from cosim.pilot.mission import Mission
-from cosim.pilot.modes import EngineState, LandedState, Mode, Report, Severity
+from cosim.pilot.modes import LandedState, Mode, Severity
 from cosim.pilot.requests import MissionItem, Result
 from cosim.pilot.touchdown import Touchdown
+from cosim.protocols import EngineState, Report
 from cosim.signals import Command, Measured
 from cosim.vehicle import load_vehicle
 

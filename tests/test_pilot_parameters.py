@@ -9,13 +9,14 @@ import pytest
 
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
-from cosim.control.predictor import NoPredictor, Predictor, SmithPredictor
+from cosim.control.predictor import NoPredictor, SmithPredictor
 from cosim.control.rate import RateAxis, RateController
 from cosim.errors import InputError
 from cosim.frames import from_euler
 from cosim.pilot.navigation import PositionController, Tracker
 from cosim.pilot.parameters import CONTROLLERS, Blocks, Live, Parameters, rate_gains, table
-from cosim.signals import Command, Measured, Refused
+from cosim.protocols import Predictor
+from cosim.signals import Command, Measured, Unallocated
 from cosim.vehicle import AltitudeGains, PredictorTuning, RateGains, load_vehicle
 
 DT = 0.004
@@ -222,17 +223,17 @@ def test_new_height_gains_do_not_bump() -> None:
     command, here = Command((0.0, 0.0, 0.0), 11.0), measured(altitude=10.0, climb=0.3)
     for one in (changed, kept):
         for _ in range(100):
-            one.update(command, here, Refused())
+            one.update(command, here, Unallocated())
     new = CONTROL.altitude.model_copy(update={"position_1_s": 1.6, "velocity_1_s": 1.0, "climb_limit_m_s": 0.5})
     changed.retune(new)
     # the integral takes its step with the new law's error: 0.3 m/s less climb rate is asked for
     off = VEHICLE.mass_kg * CONTROL.altitude.integral_1_s2 * 0.3 * DT / 120.0
-    assert changed.update(command, here, Refused()) == pytest.approx(
-        kept.update(command, here, Refused()), abs=1.1 * off
+    assert changed.update(command, here, Unallocated()) == pytest.approx(
+        kept.update(command, here, Unallocated()), abs=1.1 * off
     )
-    previous, largest = changed.update(command, here, Refused()), 0.0
+    previous, largest = changed.update(command, here, Unallocated()), 0.0
     for _ in range(1000):
-        now = changed.update(command, here, Refused())
+        now = changed.update(command, here, Unallocated())
         largest, previous = max(largest, abs(now - previous)), now
     # the fading of 2 m/s^2 and the integral's own run, as a share of 120 N
     assert largest < VEHICLE.mass_kg * (2.0 * DT / 0.5 + CONTROL.altitude.integral_1_s2 * DT) / 120.0
@@ -276,8 +277,8 @@ def test_a_parameter_reaches_its_block() -> None:
     act.set("HJ_CLIMB_I", 0.0)
     for _ in range(5000):
         rate = blocks.attitude.update(far, here)
-        torque = blocks.rate.update((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), Refused())
-        collective = blocks.altitude.update(far, here, Refused())
+        torque = blocks.rate.update((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), Unallocated())
+        collective = blocks.altitude.update(far, here, Unallocated())
     assert rate[0] == pytest.approx(5.0 * np.pi / 180.0, abs=1e-9)
     # P on the whole error, and the integral of the one step in which the old law still held
     assert torque[0] == pytest.approx(0.1, abs=2 * CONTROL.rate.roll.i * DT)

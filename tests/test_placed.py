@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim.build import build
 from cosim.errors import InputError
 from cosim.flight import fly
 from cosim.pilot.descent import height_limits, thrust_margins
 from cosim.pilot.navigation import Tracker
 from cosim.run import Run
 from cosim.scenario import Scenario
-from cosim.simulation import build
 from cosim.vehicle import load_vehicle
 
 STEP = 0.004

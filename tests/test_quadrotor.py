@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cosim.build import build
 from cosim.control.allocation import RotorAllocator
 from cosim.errors import InputError
 from cosim.flight import fly
 from cosim.paths import data_folder
 from cosim.scenario import Scenario
-from cosim.simulation import build
 from cosim.vehicle import Vehicle, load_vehicle
 
 STEP = 0.0025

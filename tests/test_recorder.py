@@ -27,7 +27,7 @@ from cosim.columns import COLUMNS, NAMES
 from cosim.errors import FlightError, InputError
 from cosim.recorder import BackgroundSink, MemorySink, Recorder
 from cosim.run import LOG, RUN_FILES, SCENARIO, STREAM, SUMMARY, Run, begin_run, open_run
-from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measured, Refused, Sample, State
+from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measured, Sample, State, Unallocated
 
 BLOCK = 250  # rows in one second of flight
 TESTS = Path(__file__).parent
@@ -73,7 +73,7 @@ def numbered() -> tuple[Sample, dict[str, float]]:
         actuation=Actuation(
             (46.0, 47.0, 48.0, 49.0, 50.0, 51.0),
             (52.0, 53.0),
-            Refused(roll=54.0, pitch=55.0, yaw=56.0, collective=57.0),
+            Unallocated(roll=54.0, pitch=55.0, yaw=56.0, collective=57.0),
         ),
         tilt=(58.0, 59.0),
         engines=EngineOutput(

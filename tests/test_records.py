@@ -52,7 +52,7 @@ def test_it_refuses_as_ever(given: tuple[Any, ...], named: dict[str, Any]) -> No
 
 
 def test_it_can_be_copied_changed_and_derived_from() -> None:
-    state = signals.Refused(1.0, 2.0, 3.0, 4.0)
+    state = signals.Unallocated(1.0, 2.0, 3.0, 4.0)
     assert pickle.loads(pickle.dumps(state)) == state
     assert copy.deepcopy(state) == state
     assert state._replace(roll=5.0) == (5.0, 2.0, 3.0, 4.0)

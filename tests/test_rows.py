@@ -27,9 +27,9 @@ from cosim.signals import (
     Disturbance,
     EngineOutput,
     Measured,
-    Refused,
     Sample,
     State,
+    Unallocated,
 )
 
 NUMBERS = st.one_of(st.floats(), st.sampled_from([nan, -nan, -0.0, 5e-324]), st.integers(-9, 9), st.booleans())
@@ -59,7 +59,7 @@ def any_sample(draw: st.DrawFn) -> Sample:
         rate_predicted=draw(vector),
         torque_command=draw(vector),
         collective=draw(number),
-        actuation=Actuation(draw(every_jet), draw(tuples(2)), Refused(*draw(tuples(4)))),
+        actuation=Actuation(draw(every_jet), draw(tuples(2)), Unallocated(*draw(tuples(4)))),
         tilt=draw(tuples(2)),
         engines=EngineOutput(*draw(st.tuples(*[every_jet] * 4))),
         disturbance=Disturbance(draw(vector), draw(vector), draw(added), payload=draw(tuples(4)), torque_output=draw(added)),

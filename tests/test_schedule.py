@@ -12,6 +12,7 @@ import tomli_w
 from test_lead import answered, axis
 
 from cosim import Scenario, fly
+from cosim.build import build
 from cosim.config import read_toml
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
@@ -19,8 +20,7 @@ from cosim.control.lead import Lead
 from cosim.control.schedule import GainSchedule
 from cosim.design.file import read_controller
 from cosim.errors import InputError
-from cosim.signals import Command, Measured, Refused
-from cosim.simulation import build
+from cosim.signals import Command, Measured, Unallocated
 from cosim.vehicle import EngineLead, Leads, Schedule, load_vehicle
 
 STEP = 0.004
@@ -117,10 +117,10 @@ def test_a_change_of_the_stated_gains_counts_at_every_level() -> None:
         after = attitude.update(command, hover)[0]
     assert after == pytest.approx(2.0 * before, rel=1e-6)
     height = AltitudeController(vehicle.control.altitude, 5.0, lambda thrust: thrust / 120.0, STEP)
-    plain = height.update(Command((0.0, 0.0, 0.0), 5.1), hover, Refused())
+    plain = height.update(Command((0.0, 0.0, 0.0), 5.1), hover, Unallocated())
     height.reset()
     height.follow(0.5, 1.0, 1.0, None)
-    halved = height.update(Command((0.0, 0.0, 0.0), 5.1), hover, Refused())
+    halved = height.update(Command((0.0, 0.0, 0.0), 5.1), hover, Unallocated())
     rest = 5.0 * 9.80665 / 120.0
     assert halved - rest == pytest.approx(0.5 * (plain - rest), rel=1e-9)
 

@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cosim.build import build
 from cosim.control.choice import PREDICTORS
 from cosim.errors import EngineError, InputError
 from cosim.flight import fly
 from cosim.ledger import total_samples
 from cosim.run import Run
 from cosim.scenario import Scenario
-from cosim.signals import Ambient, EngineOutput, PerJet, Refused, Sample
-from cosim.simulation import build
+from cosim.signals import Ambient, EngineOutput, PerJet, Sample, Unallocated
 
 STEP = 0.004
 GYRO_LATENCY = {"sensors": {"gyro": {"latency_samples": 3}}}
@@ -243,7 +243,7 @@ def test_the_controllers_see_the_sensors_and_the_refusals() -> None:
         },
     )
     rows = Rows()
-    before = Refused()
+    before = Unallocated()
     refused_roll = refused_collective = 0
     with build(asked) as simulation:
         simulation.run([rows])
@@ -401,7 +401,7 @@ def test_a_controller_without_a_model_of_the_engine_says_which_there_are() -> No
     flown = scenario()
     with build(flown) as simulation:
         vehicle, engine = simulation.vehicle, replace(simulation.engine, library=False)
-    from cosim.simulation import predictors
+    from cosim.build import predictors
 
     with pytest.raises(
         InputError,

@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 
 import cosim.simulation
 from cosim.airframe import Airframe
+from cosim.build import build
 from cosim.control.altitude import GRAVITY
 from cosim.engine import EngineBank
 from cosim.errors import InputError
@@ -22,7 +23,7 @@ from cosim.frames import jet_axis
 from cosim.fuel import Tank
 from cosim.scenario import Environment, Initial, Scenario
 from cosim.signals import ZERO3, Ambient, Disturbance, EngineOutput, PerJet, Sample, Vector3
-from cosim.simulation import Simulation, build
+from cosim.simulation import Simulation
 from cosim.spools import Spools
 from cosim.vehicle import Jet, Vehicle, load_vehicle
 

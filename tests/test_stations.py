@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import cosim.simulation
+from cosim.build import build
 from cosim.cli import engine_choices, load_scenario, main
 from cosim.control.thrust import StaticCurve, ThrustMap, inverted
 from cosim.engine import EngineBank, load_engine
@@ -21,7 +22,6 @@ from cosim.paths import data_folder
 from cosim.run import open_run
 from cosim.scenario import Scenario
 from cosim.signals import Sample
-from cosim.simulation import build
 
 STEP = 0.004
 POINTS = tuple(k / 20 for k in range(21))

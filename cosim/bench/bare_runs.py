@@ -6,7 +6,7 @@ import sys
 import time
 
 from cosim.bench.speed import bare, hover
-from cosim.simulation import build
+from cosim.build import build
 
 RUNS = 20_000  # from one reset to the next: 20 s in hover, in which it rises by some metres
 SUBSTEPS = 4  # as the shipped scenarios have it

@@ -17,7 +17,7 @@ from cosim.arrow import Array, StreamSink
 from cosim.bench.speed import RECORDED, Flights, collect, fly_through
 from cosim.bench.timing import Action, Cost, Job
 from cosim.recorder import MemorySink, Recorder
-from cosim.signals import ZERO3, Refused, Sample
+from cosim.signals import ZERO3, Sample, Unallocated
 from cosim.simulation import Simulation
 
 SUBSTEPS = 4  # as the shipped scenarios have it
@@ -125,9 +125,11 @@ class Replay:
 
     def _control(self) -> list[Block]:
         simulation, samples = self._simulation, self._samples
-        attitude, rate, altitude = simulation.attitude, simulation.rate, simulation.altitude
-        # what was refused is known one step later
-        told = list(zip(samples, [Refused(), *[sample.actuation.refused for sample in samples]], strict=False))
+        cascade = simulation.cascade
+        attitude, rate, altitude = cascade.attitude, cascade.rate, cascade.altitude
+        # what was not allocated is known one step later
+        lacks = [Unallocated(), *[sample.actuation.unallocated for sample in samples]]
+        told = list(zip(samples, lacks, strict=False))
         ks = [(sample.k,) for sample in samples]
         return [
             Block(COMMAND, _nothing, simulation.commander.at, ks, [s.command for s in samples]),
@@ -143,20 +145,20 @@ class Replay:
                 RATE,
                 rate.reset,
                 rate.update,
-                [(s.rate_setpoint, s.measured.rate, refused) for s, refused in told],
+                [(s.rate_setpoint, s.measured.rate, lack) for s, lack in told],
                 [s.torque_command for s in samples],
             ),
             Block(
                 ALTITUDE,
                 altitude.reset,
                 altitude.update,
-                [(s.command, s.measured, refused) for s, refused in told],
+                [(s.command, s.measured, lack) for s, lack in told],
                 [s.collective for s in samples],
             ),
             Block(
                 ALLOCATION,
                 _nothing,
-                simulation.allocator.allocate,
+                cascade.allocator.allocate,
                 [(s.collective, s.torque_command, s.disturbance.torque_command) for s in samples],
                 [s.actuation for s in samples],
             ),
@@ -164,16 +166,16 @@ class Replay:
 
     def _plant(self) -> list[Block]:
         simulation, samples, states = self._simulation, self._samples, self._states
-        engines, airframe, sensors, judge = (
-            simulation.engines,
+        propulsion, airframe, sensors, judge = (
+            simulation.propulsion,
             simulation.airframe,
             simulation.sensors,
             simulation.judge,
         )
-        left, right = simulation.servos
+        engines = propulsion.engines
+        left, right = propulsion.servos
         initial = simulation.scenario.initial
-        jet_forces = simulation._jet_forces
-        forces = [jet_forces(sample.thrust, sample.tilt) for sample in samples]
+        forces = [propulsion.forces(sample.thrust, sample.tilt) for sample in samples]
         airframe.moving = False  # from here on it writes and reads, and JSBSim stands still
 
         def reset_servos() -> None:
@@ -186,13 +188,13 @@ class Replay:
         return [
             Block(
                 ENGINES,
-                partial(engines.reset, simulation.allocator.hover),
+                partial(engines.reset, simulation.cascade.allocator.hover),
                 engines.step,
                 [(s.k, s.actuation.throttle) for s in samples],
                 [s.engines for s in samples],
             ),
             Block(SERVOS, reset_servos, servos, [s.actuation.tilt for s in samples], [s.tilt for s in samples]),
-            Block(FORCES, _nothing, jet_forces, [(s.thrust, s.tilt) for s in samples]),
+            Block(FORCES, _nothing, propulsion.forces, [(s.thrust, s.tilt) for s in samples]),
             Block(
                 AIRFRAME,
                 partial(airframe.reset, initial, forces[0], ZERO3),
@@ -241,16 +243,17 @@ class Clocks:
         self._spent: dict[str, list[int]] = defaultdict(list)  # ns, call by call, of the flight that is flown
         self._medians: dict[str, list[float]] = defaultdict(list)  # s a step, flight by flight
         self.job = Job(INSTRUMENTED, SUBSTEPS, steps, self._prepare)
+        cascade, propulsion = simulation.cascade, simulation.propulsion
         owners: list[tuple[str, Any, str]] = [
             (COMMAND, simulation.commander, "at"),
             (DISTURBANCE, simulation.disturber, "at"),
-            (ATTITUDE, simulation.attitude, "update"),
-            (RATE, simulation.rate, "update"),
-            (ALTITUDE, simulation.altitude, "update"),
-            (ALLOCATION, simulation.allocator, "allocate"),
-            (ENGINES, simulation.engines, "step"),
-            *[(SERVOS, servo, "update") for servo in simulation.servos],
-            (FORCES, simulation, "_jet_forces"),
+            (ATTITUDE, cascade.attitude, "update"),
+            (RATE, cascade.rate, "update"),
+            (ALTITUDE, cascade.altitude, "update"),
+            (ALLOCATION, cascade.allocator, "allocate"),
+            (ENGINES, propulsion.engines, "step"),
+            *[(SERVOS, servo, "update") for servo in propulsion.servos],
+            (FORCES, propulsion, "forces"),
             (AIRFRAME, simulation.airframe, "step"),
             (SENSORS, simulation.sensors, "sample"),
             (JUDGE, simulation.judge, "look"),

@@ -11,9 +11,9 @@ from pathlib import Path
 from cosim.bench.process import Memory, measure_memory
 from cosim.bench.speed import UNIT_RUNS, Flights, bare, collect, hover, step_bank
 from cosim.bench.timing import Cost, Job, Spread
+from cosim.build import build
 from cosim.engine import EngineBank, load_engine
 from cosim.scenario import Scenario
-from cosim.simulation import build
 
 SUBSTEPS = 4  # as the shipped scenarios have it
 ENGINE = "edf-as-flown"

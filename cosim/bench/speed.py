@@ -12,14 +12,16 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 from cosim.bench.timing import Action, Cost, Job, Pair, interleave
+from cosim.build import build
 from cosim.control.altitude import GRAVITY
+from cosim.engine.wrappers import EngineChain
 from cosim.errors import FlightError
-from cosim.faults import Engines
 from cosim.flight import record
+from cosim.protocols import Engines, Observer
 from cosim.run import Recording
 from cosim.scenario import Scenario
 from cosim.signals import JETS, ZERO3, Sample
-from cosim.simulation import Observer, Simulation, build
+from cosim.simulation import Simulation
 
 SUBSTEPS = (1, 4)
 UNIT_RUNS = 2000  # timed before and after every job
@@ -143,7 +145,7 @@ class Flights:
 
     def _step_engines(self, substeps: int) -> Action:
         simulation = self._whole[substeps].simulation
-        return step_bank(simulation.engines, JETS, simulation.allocator.hover, self.steps)
+        return step_bank(simulation.propulsion.engines, JETS, simulation.cascade.allocator.hover, self.steps)
 
 
 def bare(simulation: Simulation, runs: int) -> Action:
@@ -160,7 +162,7 @@ def bare(simulation: Simulation, runs: int) -> Action:
     return action
 
 
-def step_bank(engines: Engines, count: int, throttle: float, steps: int) -> Action:
+def step_bank(engines: Engines | EngineChain, count: int, throttle: float, steps: int) -> Action:
     """So many steps of ``count`` engines, whose throttles move about ``throttle``."""
     engines.reset(throttle)
     moving = ((throttle,) * count, (throttle + 0.01,) * count)

@@ -123,10 +123,10 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
     Where files go along with it, such as an engine of the user's, it has a folder of its own.  Raises FlightError if it
     cannot be written.
     """
+    from cosim.build import build
     from cosim.campaign.campaign import flight_of
     from cosim.campaign.plan import scenario_of
     from cosim.flight import resolve
-    from cosim.simulation import build
 
     stated = ("flight", "draw", "controller", "seed", *(vary.key for vary in campaign.study.vary))
     try:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cosim.build import build
 from cosim.campaign.keys import with_values
 from cosim.campaign.study import Study, is_path
 from cosim.campaign.vary import Vary
@@ -20,7 +21,7 @@ from cosim.errors import InputError
 from cosim.files import replacing
 from cosim.flight import engine_files, resolve
 from cosim.scenario import Scenario, is_file
-from cosim.simulation import Simulation, build
+from cosim.simulation import Simulation
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
 FLIGHTS, JOURNAL, REPORT, CASES = "flights", "flights.jsonl", "report.html", "cases"

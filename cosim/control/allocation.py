@@ -13,29 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf
-from typing import Protocol
 
 from cosim.control.replan import Plan, plan
 from cosim.errors import InputError
-from cosim.signals import AXES, ZERO3, Actuation, JetHealth, Refused, Vector3
+from cosim.signals import AXES, NO_JETS, ZERO3, Actuation, JetHealth, Unallocated, Vector3
 from cosim.vehicle import AllocationLimits, Jet
 
 _LEAST_SHARE = 0.25  # of hover thrust, below which tilts are not enlarged further
 _FLAT = 1e-9  # of throttle per collective: does not follow it
-
-
-class Allocator(Protocol):
-    """Turns what the controllers ask for into what the actuators can do."""
-
-    hover: float  # throttle at which the vehicle hovers
-
-    def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation: ...
-
-    def replan(self, health: Sequence[JetHealth]) -> bool:
-        """From the next step on allocate for engines in this health; False, and all as before, if that cannot be."""
-
-    def reset(self) -> None:
-        """All engines are healthy."""
 
 
 class TiltAllocator:
@@ -117,20 +102,21 @@ class TiltAllocator:
         # what fits is refused exactly nothing, not a rounding error: the integrals stop on any refusal
         limit = self._range
         p = self._pitch_sign * pitch / share
-        refused_pitch = refused_yaw = 0.0
+        left_pitch = left_yaw = 0.0
         if p > limit or p < -limit:
             p = limit if p > 0.0 else -limit
-            refused_pitch = pitch - self._pitch_sign * p * share
+            left_pitch = pitch - self._pitch_sign * p * share
         room = limit - (p if p >= 0.0 else -p)
         y = yaw / share
         if y > room or y < -room:
             y = room if y > 0.0 else -room
-            refused_yaw = yaw - y * share
+            left_yaw = yaw - y * share
 
         return Actuation(
             tuple([left if on_left else right for on_left in self._left]),
             (p + y, p - y),
-            Refused(roll - r, refused_pitch, refused_yaw, collective - c),
+            Unallocated(roll - r, left_pitch, left_yaw, collective - c),
+            NO_JETS,
         )
 
     def _as_planned(self, plan: Plan, collective: float, roll: float, pitch: float, yaw: float) -> Actuation:
@@ -173,12 +159,13 @@ class TiltAllocator:
         return Actuation(
             throttle,
             (p + y, p - y),
-            Refused(
+            Unallocated(
                 roll - r,
                 0.0 if p == wanted else self._pitch_sign * (wanted - p) * share,
                 0.0 if y == yaw / share else yaw - y * share,
                 collective - c,
             ),
+            NO_JETS,
         )
 
     def _beyond(self, plan: Plan, lifted: list[float], wanted: float) -> float:
@@ -249,7 +236,8 @@ class RotorAllocator:
         return Actuation(
             tuple([min(high, max(low, c + a * r + b * p + d * y)) for a, b, d in self._signs]),
             (0.0, 0.0),
-            Refused(roll - r, pitch - p, yaw - y, collective - c),
+            Unallocated(roll - r, pitch - p, yaw - y, collective - c),
+            NO_JETS,
         )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from cosim.control.blend import Fade
 from cosim.control.lead import Lead
-from cosim.signals import Command, Measured, Refused
+from cosim.signals import Command, Measured, Unallocated
 from cosim.vehicle import AltitudeGains, EngineLead
 
 GRAVITY = 9.80665  # m/s^2, standard
@@ -66,7 +66,7 @@ class AltitudeController:
         self._set(gains)
         self._fade = self._fade or Fade(self._step)
 
-    def update(self, command: Command, measured: Measured, refused: Refused, burnt: float = 0.0) -> float:
+    def update(self, command: Command, measured: Measured, unallocated: Unallocated, burnt: float = 0.0) -> float:
         """Collective: the mean throttle.  ``burnt``: fuel [kg] that the engines' own reports add up to."""
         if command.collective is not None:
             self._started = False
@@ -75,7 +75,7 @@ class AltitudeController:
         climb = self._position * off
         climb = self._up if climb > self._up else (self._down if climb < self._down else climb)
         error = climb + measured.velocity[2]
-        if refused.collective * error <= 0.0:
+        if unallocated.collective * error <= 0.0:
             limit = self._limit
             integral = self._integral + self._i * error
             self._integral = limit if integral > limit else (-limit if integral < -limit else integral)
@@ -87,15 +87,15 @@ class AltitudeController:
         if self._fade is not None:
             acceleration += self._faded(self._fade, off, measured.velocity[2], acceleration)
         throttle = self._throttle_for((self._mass - burnt) * acceleration / upright)
-        return throttle if self._lead is None else self._led(self._lead, throttle, refused.collective)
+        return throttle if self._lead is None else self._led(self._lead, throttle, unallocated.collective)
 
-    def _led(self, lead: Lead, throttle: float, refused: float) -> float:
+    def _led(self, lead: Lead, throttle: float, unallocated: float) -> float:
         """Behind the lead, which finds the engines settled when height control begins."""
         if not self._started:
             lead.settle(throttle)
-            refused = 0.0
+            unallocated = 0.0
         self._started = True
-        return lead.update(throttle, refused)
+        return lead.update(throttle, unallocated)
 
     def _faded(self, fade: Fade, off: float, sink: float, new: float) -> float:
         """What is left of the old law's answer minus the ``new`` one's; the integral is common to both."""

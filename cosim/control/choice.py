@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cosim.control.predictor import (
-    FilteredSmithPredictor,
-    NoPredictor,
-    Predictor,
-    SmithPredictor,
-    robustness_filter,
-)
+from cosim.control.predictor import FilteredSmithPredictor, NoPredictor, SmithPredictor, robustness_filter
+from cosim.protocols import Predictor
 from cosim.vehicle import PredictorTuning, RateModel
 
 Make = Callable[[RateModel, PredictorTuning], Predictor]

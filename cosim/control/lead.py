@@ -41,8 +41,8 @@ def _times(polynomial: list[complex], root: complex) -> list[complex]:
 class Lead:
     """The lead on one command.
 
-    What allocation refused is taken back from its past, and with it what was wanted (``refused / C(inf)``): its state
-    is then that of an engine that got what was applied, so that it neither winds up nor asks for what is there already.
+    What allocation could not give is taken back from its past, and with it what was wanted (``unallocated / C(inf)``):
+    its state is then that of an engine that got what was applied: it neither winds up nor asks for what is there.
     """
 
     def __init__(self, lead: EngineLead, step: float) -> None:
@@ -68,11 +68,11 @@ class Lead:
         """As if ``value`` had always been wanted."""
         self._once = self._twice = value  # what was wanted, through one low-pass and through two
 
-    def update(self, wanted: float, refused: float) -> float:
-        """What to ask for; ``refused`` is what allocation could not give of the answer before."""
+    def update(self, wanted: float, unallocated: float) -> float:
+        """What to ask for; ``unallocated`` is what allocation could not give of the answer before."""
         p, q, once = self._p, self._q, self._once
-        if refused:
-            once -= q * refused / self._most
+        if unallocated:
+            once -= q * unallocated / self._most
         twice = self._twice
         self._twice = p * twice + q * once
         self._once = p * once + q * wanted

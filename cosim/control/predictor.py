@@ -8,22 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import exp, prod
-from typing import Protocol
 
 from cosim.errors import InputError
+from cosim.protocols import Diagnostics
 from cosim.vehicle import RateModel
-
-Inside = tuple[float, float, float]  # a model's rate without its delay, and with it [rad/s]; the delay [samples]
-
-
-class Predictor(Protocol):
-    """A block with one output: the rate to feed back, rad/s."""
-
-    def reset(self) -> None:
-        """Forget everything: at rest, nothing applied."""
-
-    def update(self, measured: float, applied: float) -> float:
-        """The rate to feed back at ``t_k``, from the measurement there and the command applied over the step before."""
 
 
 class NoPredictor:
@@ -132,18 +120,18 @@ class SmithPredictor:
         self._then: DelayLine | DelayedModel
         self._then = DelayLine(int(model.delay_samples)) if self._whole else DelayedModel(model)
         self._delay = model.delay_samples
-        self.inside: Inside = (0.0, 0.0, self._delay)
+        self.diagnostics: Diagnostics = (0.0, 0.0, self._delay)
 
     def reset(self) -> None:
         """Model and delay at rest."""
         self._now.reset()
         self._then.reset()
-        self.inside = (0.0, 0.0, self._delay)
+        self.diagnostics = (0.0, 0.0, self._delay)
 
     def update(self, measured: float, applied: float) -> float:
         now = self._now.update(applied)
         then = self._then.update(now if self._whole else applied)
-        self.inside = (now, then, self._delay)
+        self.diagnostics = (now, then, self._delay)
         return measured + (now - then)
 
 
@@ -162,7 +150,7 @@ class FilteredSmithPredictor:
         rest = [b - self._through * a for b, a in zip(numerator[1:], denominator[1:], strict=True)]
         self._rest = DiscreteModel(rest, denominator) if rest else None
         self._delay = model.delay_samples
-        self.inside: Inside = (0.0, 0.0, self._delay)
+        self.diagnostics: Diagnostics = (0.0, 0.0, self._delay)
         self.reset()
 
     def reset(self) -> None:
@@ -172,7 +160,7 @@ class FilteredSmithPredictor:
         if self._rest:
             self._rest.reset()
         self._before = 0.0
-        self.inside = (0.0, 0.0, self._delay)
+        self.diagnostics = (0.0, 0.0, self._delay)
 
     def update(self, measured: float, applied: float) -> float:
         then = self._then.update(applied)
@@ -183,7 +171,7 @@ class FilteredSmithPredictor:
         self._before = difference
         # written as Smith's answer and what the filter changes of it, so that F = 1 is Smith's bit for bit
         now = self._now.update(applied)
-        self.inside = (now, then, self._delay)
+        self.diagnostics = (now, then, self._delay)
         return measured + (now - then) + (filtered - difference)
 
 

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 from cosim.control.blend import Fade
 from cosim.control.lead import Lead
-from cosim.control.predictor import Inside, Predictor
-from cosim.signals import Refused, Vector3
+from cosim.protocols import Diagnostics, Predictor
+from cosim.signals import Unallocated, Vector3
 from cosim.vehicle import EngineLead, RateGains
 
-_NOTHING: Inside = (nan, nan, nan)
+_NOTHING: Diagnostics = (nan, nan, nan)
 
 
 class _Law(NamedTuple):
@@ -67,15 +67,15 @@ class RateAxis:
         if self._past is not None:
             self._past.clear()
 
-    def update(self, setpoint: float, measured: float, refused: float) -> float:
-        """The command of this step; ``refused`` is what allocation could not give of the one before."""
+    def update(self, setpoint: float, measured: float, unallocated: float) -> float:
+        """The command of this step; ``unallocated`` is what allocation could not give of the one before."""
         if self._past is not None:
-            self._past.append((measured, self._command - refused))
+            self._past.append((measured, self._command - unallocated))
         if self._left is not None:
-            return self._change(self._left, setpoint, measured, refused)
-        rate = self._predictor.update(measured, self._command - refused)
+            return self._change(self._left, setpoint, measured, unallocated)
+        rate = self._predictor.update(measured, self._command - unallocated)
         error = setpoint - rate
-        if refused * error <= 0.0:
+        if unallocated * error <= 0.0:
             integral = self._integral + self._i * error
             limit = self._limit
             self._integral = limit if integral > limit else (-limit if integral < -limit else integral)
@@ -87,7 +87,7 @@ class RateAxis:
         if self._fade is not None:
             self._command += self._fade.update()
         if self._lead is not None:
-            self._command = self._lead.update(self._command, refused)
+            self._command = self._lead.update(self._command, unallocated)
         return self._command
 
     def follow(self, p: float, i: float, d: float, lead: EngineLead | None) -> None:
@@ -124,15 +124,15 @@ class RateAxis:
                 predictor.update(measured, applied)
             self._predictor = predictor
 
-    def _change(self, old: _Law, setpoint: float, measured: float, refused: float) -> float:
+    def _change(self, old: _Law, setpoint: float, measured: float, unallocated: float) -> float:
         """The step of a change: both laws answer, the old one is heard."""
         self._left = None
-        applied = self._command - refused
+        applied = self._command - unallocated
         # catching up has already told the new predictor of the steps before this one
         before = old.predictor.update(measured, applied)
         swapped = self._predictor is not old.predictor
         rate = self._predictor.update(measured, applied) if swapped else before
-        stop = refused * (setpoint - before) > 0.0
+        stop = unallocated * (setpoint - before) > 0.0
         integral = old.integrate(self._integral, setpoint - before, stop)
         slope = self._slope
         if self._started:
@@ -147,7 +147,7 @@ class RateAxis:
         self._started = True
         self._fade = Fade(self._step)
         self._fade.begin(command - (self._p * (setpoint - rate) + self._integral - self._d * slope))
-        self._command = command if self._lead is None else self._lead.update(command, refused)
+        self._command = command if self._lead is None else self._lead.update(command, unallocated)
         return self._command
 
     def tell(self, added: float) -> None:
@@ -155,9 +155,9 @@ class RateAxis:
         self._command += added
 
     @property
-    def inside(self) -> Inside:
+    def diagnostics(self) -> Diagnostics:
         """What is to be seen of the predictor's model; NaN where there is none."""
-        found: Inside = getattr(self._predictor, "inside", _NOTHING)
+        found: Diagnostics = getattr(self._predictor, "diagnostics", _NOTHING)
         return found
 
 
@@ -181,12 +181,12 @@ class RateController:
         for axis in (self._roll, self._pitch, self._yaw):
             axis.reset()
 
-    def update(self, setpoint: Vector3, measured: Vector3, refused: Refused) -> Vector3:
+    def update(self, setpoint: Vector3, measured: Vector3, unallocated: Unallocated) -> Vector3:
         """Torque commands: roll in throttle, pitch and yaw in rad of tilt at hover thrust."""
         return (
-            self._roll.update(setpoint[0], measured[0], refused.roll),
-            self._pitch.update(setpoint[1], measured[1], refused.pitch),
-            self._yaw.update(setpoint[2], measured[2], refused.yaw),
+            self._roll.update(setpoint[0], measured[0], unallocated.roll),
+            self._pitch.update(setpoint[1], measured[1], unallocated.pitch),
+            self._yaw.update(setpoint[2], measured[2], unallocated.yaw),
         )
 
     def follow_roll(self, p: float, i: float, d: float, lead: EngineLead | None) -> None:
@@ -210,9 +210,9 @@ class RateController:
             axis.tell(value)
 
     @property
-    def inside(self) -> tuple[Inside, Inside, Inside]:
-        """As :attr:`RateAxis.inside`, of all axes."""
-        return (self._roll.inside, self._pitch.inside, self._yaw.inside)
+    def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
+        """As :attr:`RateAxis.diagnostics`, of all axes."""
+        return (self._roll.diagnostics, self._pitch.diagnostics, self._yaw.diagnostics)
 
     @property
     def predicted(self) -> Vector3:

@@ -13,8 +13,8 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.control.predictor import Inside
 from cosim.errors import InputError
+from cosim.protocols import Diagnostics
 from cosim.vehicle import RateModel
 
 Pair = tuple[float, float]
@@ -156,7 +156,7 @@ class StatePredictor:
         weights = [0.0, float(row @ gamma), *(float((np.linalg.matrix_power(A, n - 1 - j) @ B)[0]) for j in range(n))]
         self._weights = weights
         self._of_disturbance = sum(weights)
-        self.inside: Inside = (nan, nan, model.delay_samples)  # its model has no output of its own
+        self.diagnostics: Diagnostics = (nan, nan, model.delay_samples)  # its model has no output of its own
         self.reset()
 
     def reset(self) -> None:
@@ -259,7 +259,7 @@ class ModalPredictor:
             _product_sum(late, over_fraction).real,
             *[_product_sum(residues, [p ** (n - 1 - j) for p in poles]).real for j in range(n)],
         ]
-        self.inside: Inside = (nan, nan, model.delay_samples)
+        self.diagnostics: Diagnostics = (nan, nan, model.delay_samples)
         self.reset()
 
     def reset(self) -> None:

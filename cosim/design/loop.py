@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from cosim.control.choice import PREDICTORS
-from cosim.control.predictor import Predictor, robustness_filter
+from cosim.control.predictor import robustness_filter
 from cosim.control.state_predictor import Modes, modal_observer
 from cosim.errors import InputError
+from cosim.protocols import Predictor
 from cosim.vehicle import PredictorTuning, RateGains, RateModel
 
 Complex = NDArray[np.complex128]

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from cosim.build import build
 from cosim.config import parse_setting, set_path
+from cosim.ending import Ending
 from cosim.engine import EngineSpec
 from cosim.errors import InputError
 from cosim.identify.fit import Fit, fit
@@ -18,7 +20,6 @@ from cosim.identify.result import Identification, Sweep, check_band, need_cohere
 from cosim.ledger import total_samples
 from cosim.scenario import Scenario, is_file
 from cosim.signals import AXES, Sample
-from cosim.simulation import Ending, build
 from cosim.vehicle import Vehicle, load_vehicle
 
 LEAD_S = 1.0
@@ -125,13 +126,13 @@ class _Watch:
         self.rows: list[tuple[float, float, float, float, float]] = []
 
     def observe(self, sample: Sample) -> None:
-        axis, refused = self._axis, sample.actuation.refused
+        axis, unallocated = self._axis, sample.actuation.unallocated
         self.rows.append(
             (
                 sample.torque_command[axis],
                 sample.disturbance.torque_command[axis],
-                refused[axis],
-                refused.collective if axis == 0 else 0.0,
+                unallocated[axis],
+                unallocated.collective if axis == 0 else 0.0,
                 sample.measured.rate[axis],
             )
         )

@@ -16,11 +16,12 @@ from math import inf
 import numpy as np
 
 from cosim.control.choice import PREDICTORS
-from cosim.control.predictor import DelayedModel, DelayLine, Predictor, rate_model
+from cosim.control.predictor import DelayedModel, DelayLine, rate_model
 from cosim.control.rate import RateAxis
 from cosim.control.state_predictor import DoubleIntegratorObserver, StateModel, StatePredictor
 from cosim.errors import InputError
 from cosim.paper import numbers
+from cosim.protocols import Predictor
 from cosim.vehicle import PredictorTuning, RateGains, RateModel
 
 Signal = Callable[[int], float]

@@ -19,17 +19,7 @@ from cosim.frames import to_euler
 from cosim.pilot.descent import Floor, HeightLimits, descent_for, height_limits, thrust_margins
 from cosim.pilot.guidance import Guide
 from cosim.pilot.mission import Mission
-from cosim.pilot.modes import (
-    BY_STICK,
-    DIRECT,
-    EngineState,
-    Home,
-    LandedState,
-    Message,
-    Mode,
-    Report,
-    Severity,
-)
+from cosim.pilot.modes import BY_STICK, DIRECT, Home, LandedState, Message, Mode, Severity
 from cosim.pilot.navigation import Estimator, Fix, Pair, PositionController, Tracker, limited, wrap
 from cosim.pilot.parameters import (
     HOLD,
@@ -83,6 +73,7 @@ from cosim.pilot.senses import Senses
 from cosim.pilot.shaper import AttitudeLimits, Shaper, angular_authority, attitude_limits
 from cosim.pilot.touchdown import Touchdown
 from cosim.pilot.watch import OUTSIDE, Watch
+from cosim.protocols import EngineState, Report
 from cosim.signals import AXES, Command, Measured, Vector3
 from cosim.vehicle import Vehicle
 

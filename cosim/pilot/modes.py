@@ -1,4 +1,4 @@
-"""The words of the autopilot: modes, landed states, messages, and what it is told beside the sensors."""
+"""The words of the autopilot: modes, landed states and messages."""
 
 from __future__ import annotations
 
@@ -33,14 +33,6 @@ class LandedState(Enum):
     LANDING = "landing"
 
 
-class EngineState(Enum):
-    """What the step does with the engines."""
-
-    FLY = "fly"  # as the controllers ask
-    IDLE = "idle"  # least throttle, no torque
-    OFF = "off"  # shut off
-
-
 class Severity(IntEnum):
     """As in syslog and MAVLink."""
 
@@ -58,15 +50,6 @@ class Message(NamedTuple):
     k: int
     severity: Severity
     text: str
-
-
-class Report(NamedTuple):
-    """What the vehicle reports beside its sensors at one instant."""
-
-    legs: bool  # the contact switch: a leg touches the ground
-    collective: float  # mean throttle of the step before, as allocated
-    lost: tuple[int, ...] = ()  # engines that are taken for lost, counted from 1
-    remaining: float | None = None  # share of the fuel that is left, 0..1; None: not measured
 
 
 class Home(NamedTuple):

@@ -14,10 +14,10 @@ from typing import Literal, NamedTuple
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.choice import PREDICTORS, TITLES
-from cosim.control.predictor import Predictor
 from cosim.control.rate import RateController
 from cosim.errors import InputError
 from cosim.pilot.navigation import PositionController, Tracker
+from cosim.protocols import Predictor
 from cosim.signals import AXES
 from cosim.vehicle import Control, PilotSettings, PositionGains, PredictorTuning, RateGains
 

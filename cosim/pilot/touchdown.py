@@ -7,7 +7,7 @@ can pretend neither: the thrust is the autopilot's own, and an accelerometer tha
 
 from __future__ import annotations
 
-from cosim.pilot.modes import Report
+from cosim.protocols import Report
 
 # Chosen by us; times are long against the bounce of a leg (damping ratio 0.6 at 7 Hz: gone in 0.1 s).
 _TOUCH_S = 0.2  # contact for so long counts

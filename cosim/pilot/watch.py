@@ -7,10 +7,11 @@ from math import cos, hypot, radians, tan
 
 from cosim.control.altitude import GRAVITY
 from cosim.pilot.fence import beyond
-from cosim.pilot.modes import Home, Report
+from cosim.pilot.modes import Home
 from cosim.pilot.navigation import Fix
 from cosim.pilot.parameters import LAND, NOTHING, Parameters
 from cosim.pilot.requests import FenceZone
+from cosim.protocols import Report
 from cosim.signals import Measured
 
 Act = Callable[[int, str], None]  # an action of the parameters, and why

@@ -12,7 +12,8 @@ from typing import Any
 
 from cosim.exchange import Facts, Snapshot
 from cosim.frames import to_euler
-from cosim.pilot.modes import DIRECT, EngineState, Home, Message, Mode
+from cosim.pilot.modes import DIRECT, Home, Message, Mode
+from cosim.protocols import EngineState
 from cosim.signals import Sample
 
 Point = tuple[float | None, ...]  # of the strip chart: t [s], measured p, q, r, predicted p, q, r [deg/s]

@@ -1,0 +1,209 @@
+"""The controller: attitude, rate and altitude loops over an allocation that plans around lost engines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cosim.control.altitude import GRAVITY, AltitudeController
+from cosim.control.attitude import AttitudeController
+from cosim.control.monitor import EngineMonitor
+from cosim.control.predictor import DelayLine
+from cosim.control.rate import RateController
+from cosim.control.schedule import GainSchedule, Scheduled
+from cosim.control.thrust import ThrustMap
+from cosim.protocols import Allocator, Diagnostics, EngineState
+from cosim.signals import (
+    ALL_WELL,
+    NO_JETS,
+    ZERO3,
+    Actuation,
+    Command,
+    ControlSignals,
+    Disturbance,
+    EngineOutput,
+    JetHealth,
+    Measured,
+    PerJet,
+    Unallocated,
+    Vector3,
+)
+
+# s from switching engines on to where they must run: chosen by us, longer than a jet takes to spool up to idle
+_LONGEST_START = 10.0
+
+
+class Cascade:
+    """The built-in :class:`cosim.protocols.Controller`: the paper's cascade.
+
+    The parts are its own to run and anybody's to look at; who tunes them in flight does so through their ``retune``.
+    ``mass`` kg, tank full; ``jets`` how many; ``throttle_min``: least share that allocation asks of an engine;
+    ``opposites``: for every jet, from 0, the one to be shut off with it, none where empty.
+    """
+
+    def __init__(
+        self,
+        attitude: AttitudeController,
+        rate: RateController,
+        altitude: AltitudeController,
+        allocator: Allocator,
+        thrust_map: ThrustMap,
+        monitor: EngineMonitor | None,
+        schedule: GainSchedule | None,
+        added_delay: int,
+        mass: float,
+        jets: int,
+        throttle_min: float,
+        opposites: Sequence[int],
+        step: float,
+    ) -> None:
+        self.attitude, self.rate, self.altitude = attitude, rate, altitude
+        self.allocator, self.thrust_map = allocator, thrust_map
+        self.monitor, self.schedule = monitor, schedule
+        self._added_delay = DelayLine(added_delay)
+        self._mass, self._jets, self._low, self._step = mass, jets, throttle_min, step
+        self._opposites = list(opposites)
+        self._every_jet = frozenset(range(jets))
+        self._throttle: PerJet = ()
+        self._forget(0.0)
+
+    def _forget(self, burnt: float) -> None:
+        self._burnt = burnt
+        self._unallocated = Unallocated(0.0, 0.0, 0.0, 0.0)
+        self.signals = ControlSignals(ZERO3, ZERO3, ZERO3, 0.0, 0.0)
+        self._off = NO_JETS  # jets that are to be shut off
+        self._across = -1  # the one that was shut off because its opposite was lost, from 0
+        self._engines_off = self._idles = self._forgiven = False
+        self._starting = 0.0  # s for which engines that were off may still be coming up
+
+    def reset(self, on_ground: bool, burnt: float) -> PerJet:
+        """At rest; the throttles of the start.  See :class:`cosim.protocols.Controller`."""
+        self._forget(burnt)
+        self.allocator.reset()
+        self._reset_loops()
+        hover = self.allocator.hover
+        if burnt:
+            hover = self.thrust_map.share((self._mass - burnt) * GRAVITY / self._jets)
+        if self.schedule is not None:
+            self._follow(self.schedule.reset(hover))
+        throttle = self._throttle = self.thrust_map.throttle((self._low if on_ground else hover,) * self._jets)
+        if self.monitor is not None:
+            self.monitor.reset(throttle)
+        return throttle
+
+    def _reset_loops(self) -> None:
+        self.attitude.reset()
+        self.altitude.reset()
+        self.rate.reset()
+        self._added_delay.reset()
+
+    def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
+        """Throttles and tilts of one step."""
+        if engines is not EngineState.FLY or self._idles:
+            self._switch(engines)
+        rate_setpoint = self.attitude.update(command, measured)
+        if self._idles:
+            return self._idle(rate_setpoint)
+        torque = self.rate.update(rate_setpoint, measured.rate, self._unallocated)
+        collective = self.altitude.update(command, measured, self._unallocated, self._burnt)
+        given = self.allocator.allocate(collective, self._injected(torque, injected), injected.torque_command)
+        self._unallocated = given.unallocated
+        share = collective - given.unallocated.collective
+        self.signals = ControlSignals(rate_setpoint, self.rate.predicted, torque, collective, share)
+        return self._actuated(given, share)
+
+    def _switch(self, engines: EngineState) -> None:
+        """Engines off or on again as the pilot says; on again are all of them."""
+        self._idles, off = engines is not EngineState.FLY, engines is EngineState.OFF
+        if off is not self._engines_off:
+            self._off = self._every_jet if off else NO_JETS
+        self._engines_off = off
+
+    def _idle(self, rate_setpoint: Vector3) -> Actuation:
+        """Every engine at its least throttle, the banks upright, and loops that remember nothing when needed again."""
+        self._reset_loops()
+        low = self._low
+        self._unallocated = Unallocated(0.0, 0.0, 0.0, -low)
+        self.signals = ControlSignals(rate_setpoint, self.rate.predicted, ZERO3, 0.0, low)
+        return self._actuated(Actuation((low,) * self._jets, (0.0, 0.0), self._unallocated, NO_JETS), low)
+
+    def _injected(self, torque: Vector3, injected: Disturbance) -> Vector3:
+        """The rate loop's output with what is added to it there, roll after the added delay."""
+        roll, pitch, yaw = torque
+        added = injected.torque_output
+        if added != ZERO3:
+            roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
+        if injected.torque_seen != ZERO3:
+            self.rate.tell(injected.torque_seen)
+        return (self._added_delay.update(roll), pitch, yaw)
+
+    def _actuated(self, given: Actuation, share: float) -> Actuation:
+        """Throttles that ask each engine for its share of the thrust; the gains of the next step follow ``share``."""
+        if self.schedule is not None:
+            scheduled = self.schedule.update(share)
+            if scheduled is not None:
+                self._follow(scheduled)
+        if not self.thrust_map.identity or self._off:
+            given = Actuation(self.thrust_map.throttle(given.throttle), given.tilt, given.unallocated, self._off)
+        self._throttle = given.throttle
+        return given
+
+    def _follow(self, at: Scheduled) -> None:
+        """The gains and leads of the thrust level from the next step on."""
+        roll, altitude = at.roll, at.altitude
+        self.attitude.follow(roll.angle)
+        self.rate.follow_roll(roll.p, roll.i, roll.d, roll.lead)
+        self.altitude.follow(altitude.angle, altitude.p, altitude.i, altitude.lead)
+
+    def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
+        """Judge the engines; what is found acts from the next step on."""
+        self._burnt = burnt
+        health = ALL_WELL if self.monitor is None else self._judged(self.monitor, engines)
+        if self._forgiven and self._idles:
+            self._believe(engines)
+        return health
+
+    def _judged(self, monitor: EngineMonitor, engines: EngineOutput) -> PerJet:
+        if self._engines_off:
+            # nothing can be told of engines that are off on purpose, nor of those that have yet to come up
+            self._starting = _LONGEST_START
+        elif self._starting > 0.0:
+            self._starting -= self._step
+            if monitor.started(self._throttle, engines):
+                self._starting = 0.0
+            monitor.resume(self._throttle)
+        elif monitor.update(self._throttle, engines):
+            if self._opposites:
+                self._shut_opposite(monitor)
+            self.allocator.replan(monitor.health)
+        return monitor.gains
+
+    def _shut_opposite(self, monitor: EngineMonitor) -> None:
+        """With the first engine lost shut off the one across: its thrust goes the same way, and the moment with it."""
+        ill = [i for i, gain in enumerate(monitor.gains) if gain < 1.0]
+        if len(ill) == 1 and monitor.health[ill[0]] == JetHealth(0.0):
+            self._across = self._opposites[ill[0]]
+            self._off = self._off | {self._across}
+            monitor.give_up(self._across)
+
+    def forgive(self) -> None:
+        """As soon as all engines are back at idle, none is taken for lost any more."""
+        self._forgiven = True
+
+    def _believe(self, engines: EngineOutput) -> None:
+        monitor = self.monitor
+        if monitor is None or monitor.settled(self._throttle, engines):
+            self._forgiven, self._across = False, -1
+            if monitor is not None:
+                monitor.reset(self._throttle)
+            self.allocator.reset()
+
+    @property
+    def lost(self) -> tuple[int, ...]:
+        """The jets, from 1, that are taken for lost; not the one that was shut off on purpose."""
+        gains: PerJet = () if self.monitor is None else self.monitor.gains
+        return tuple([jet for jet, gain in enumerate(gains, 1) if gain < 1.0 and jet - 1 != self._across])
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
+        """As :attr:`RateController.diagnostics`."""
+        return self.rate.diagnostics

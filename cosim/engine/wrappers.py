@@ -1,0 +1,298 @@
+"""The engines as they fly: what stands before and behind the bank, in one chain.
+
+    throttle -> shut off? -> faults -> later than known -> bank -> other than known -> faults -> shut off? -> thrust
+
+Each link acts only where it has something to do, so that engines without it are the bank to the last bit.  An engine
+runs where neither a flame-out nor a switch keeps it off; nobody else touches the ports ``run``.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from math import exp, sqrt
+
+from cosim.protocols import Engines
+from cosim.rundown import FlameOutLaw
+from cosim.scenario import DelayGrowth, EngineFault, FlameOut, SlowSpool, StuckThrottle, ThrustLoss
+from cosim.signals import NO_JETS, Ambient, EngineOutput, PerJet
+
+
+class Effect:
+    """What stands around one engine: it changes the throttle before it, thrust [N] and speed [rad/s] behind it."""
+
+    burns: bool = True  # False: it takes no fuel
+
+    def throttle(self, command: float) -> float:
+        return command
+
+    def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
+        return thrust, speed
+
+    def light(self) -> None:
+        """From the next step on it starts."""
+
+
+class _Stuck(Effect):
+    """The throttle stays at ``at``, or at the command of its first step."""
+
+    def __init__(self, at: float | None) -> None:
+        self._at = at
+
+    def throttle(self, command: float) -> float:
+        if self._at is None:
+            self._at = command
+        return self._at
+
+
+class _Late(Effect):
+    """The command arrives ``samples`` later; until the first late one arrives the first one is held."""
+
+    def __init__(self, samples: int) -> None:
+        self._line: deque[float] = deque()
+        self._samples = samples
+
+    def throttle(self, command: float) -> float:
+        line = self._line
+        line.append(command)
+        return line.popleft() if len(line) > self._samples else line[0]
+
+
+class _Slow(Effect):
+    """``y += (1 - exp(-dt / lag)) (command - y)``, from the command of its first step."""
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+        self._value: float | None = None
+
+    def throttle(self, command: float) -> float:
+        value = command if self._value is None else self._value
+        self._value = value + self._share * (command - value)
+        return self._value
+
+
+class _Weak(Effect):
+    """A constant share of the thrust."""
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+
+    def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
+        return thrust * self._share, speed * sqrt(self._share)
+
+
+class _Closed(Effect):
+    """Shut off without a port for it: throttle 0, and no thrust at once."""
+
+    def throttle(self, command: float) -> float:
+        return 0.0
+
+    def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
+        return 0.0, speed
+
+
+class _Unpowered(Effect):
+    """A fan's motor is off: the thrust dies away by ``left`` a step; on again, it comes back the same way."""
+
+    def __init__(self, left: float) -> None:
+        self._left = left
+        self._factor = 1.0
+        self.burns = False
+
+    def throttle(self, command: float) -> float:
+        return command if self.burns else 0.0
+
+    def light(self) -> None:
+        self.burns = True
+
+    def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
+        target = 1.0 if self.burns else 0.0
+        self._factor = target + self._left * (self._factor - target)
+        return thrust * self._factor, speed * sqrt(self._factor)
+
+
+class _Rundown(Effect):
+    """An engine's thrust and speed while its fire is out, by ``law``, and while it is lit again.
+
+    The thrust at the end of the first step without fire is ``T_0``: the engine itself keeps its command over that one
+    and has throttle 0 from then on.  Lit again, the thrust goes in a straight line, over ``law.relight``, from what is
+    left to that of the engine at throttle 0; then the engine has its command again.
+    """
+
+    def __init__(self, law: FlameOutLaw, step: float) -> None:
+        self._law = law
+        self._step = step
+        self._steps = 0  # without fire
+        self._lit = -1  # steps since it was called to start; -1 while it is not
+        self._thrust = 0.0
+        self._speed = 0.0
+        self.burns = False  # has its command again
+
+    def light(self) -> None:
+        """From the next step on it starts; at once without a time for it."""
+        self._lit = 0
+        self.burns = self._law.relight <= 0.0
+
+    def throttle(self, command: float) -> float:
+        return command if self.burns or not self._steps else 0.0
+
+    def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
+        if self.burns:
+            return thrust, speed
+        if not self._steps:
+            self._thrust, self._speed = thrust, speed
+        self._steps += 1
+        law = self._law
+        slowed = 1.0 / (1.0 + self._steps * self._step / law.run_down)
+        cold, turning = self._thrust * law.left * slowed**law.exponent, self._speed * slowed
+        if self._lit < 0:
+            return cold, turning
+        self._lit += 1
+        share = self._lit * self._step / law.relight
+        if share >= 1.0:
+            self.burns = True
+            share = 1.0
+        return cold + share * (thrust - cold), turning + share * (speed - turning)
+
+
+class EngineChain:
+    """A bank of engines with everything that stands around it.
+
+    ``laws[i]``: how engine ``i``, from 0, goes out (:mod:`cosim.rundown`); ``lag(i)``: its time constant [s], asked for
+    where a fan loses its current.  ``factors``: thrust over that of the bank, spool speeds the same; ``delay``: steps
+    by which every throttle arrives later.
+
+    A flame-out and a shut-off shut the engine's ``run`` port, and the engine's own equations say what follows.  One
+    without that port is given a closed throttle, and its law says what is left of its thrust: of a turbine the cold air
+    of a rotor that runs down, of a fan what its motor's lag leaves, whatever its delay, because the current is gone at
+    once; shut off on purpose, a fan gives nothing at once, and a turbine is on again as soon as it is switched on, for
+    the law has no start on the ground.  Else thrust that a fault takes is missing on the spool too: the reported speed
+    goes with the root of the share, as thrust goes with the square of the speed.
+    """
+
+    def __init__(
+        self,
+        bank: Engines,
+        laws: Sequence[FlameOutLaw | None],
+        lag: Callable[[int], float],
+        step: float,
+        factors: PerJet | None = None,
+        delay: int = 0,
+    ) -> None:
+        self._bank = bank
+        self.wants_ambient = bank.wants_ambient
+        self._laws, self._lag, self._step = list(laws), lag, step
+        self._factors = factors
+        self._delay = delay
+        self._line: deque[PerJet] = deque()
+        self._forget()
+
+    def _forget(self) -> None:
+        """No fault, and all are on, as a bank that was reset is."""
+        self._acting: list[EngineFault] = []
+        self._effects: list[tuple[int, EngineFault, Effect]] = []
+        self._out: list[tuple[int, EngineFault]] = []  # flamed out by their port run
+        self.off: frozenset[int] = NO_JETS  # switched off
+        self._cut: dict[int, Effect] = {}  # of them those without the port
+
+    def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
+        """Sound engines in equilibrium at the throttle, one for all or one each.  Raises EngineError."""
+        self._forget()
+        held = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(self._laws)
+        self._line = deque([held] * self._delay)
+        return self._other(self._bank.reset(throttle, ambient))
+
+    def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
+        """Thrust and reports at the end of step ``k``.  Raises EngineError."""
+        if self._cut or self._effects:
+            given = list(throttle)
+            for i, effect in self._cut.items():
+                given[i] = effect.throttle(given[i])
+            for i, _, effect in self._effects:
+                given[i] = effect.throttle(given[i])
+            throttle = tuple(given)
+        if self._delay:
+            self._line.append(throttle)
+            throttle = self._line.popleft()
+        output = self._other(self._bank.step(k, throttle, ambient))
+        return self._delivered(output) if self._cut or self._effects else output
+
+    def _other(self, output: EngineOutput) -> EngineOutput:
+        """With the thrust of the engines that fly, where the bank's are those that are known."""
+        if self._factors is None:
+            return output
+        thrust = tuple([factor * newton for factor, newton in zip(self._factors, output.thrust, strict=True)])
+        return output._replace(thrust=thrust)
+
+    def _delivered(self, output: EngineOutput) -> EngineOutput:
+        """Behind faults and switches."""
+        thrust, speed, flow = list(output.thrust), list(output.spool_speed), list(output.fuel_flow)
+        for i, _, effect in self._effects:
+            thrust[i], speed[i] = effect.deliver(thrust[i], speed[i])
+            if not effect.burns:
+                flow[i] *= 0.0
+        for i, effect in self._cut.items():
+            thrust[i], speed[i] = effect.deliver(thrust[i], speed[i])
+            flow[i] = 0.0
+        return EngineOutput(tuple(thrust), tuple(speed), output.exhaust_temperature, tuple(flow))
+
+    def switch(self, index: int, on: bool) -> None:
+        """Shut one engine off, or on again, before the next step; ``index`` from 0.  Raises EngineError.
+
+        An engine that has a fault of its own is not switched on: it stays what the fault makes of it.
+        """
+        if on == (index not in self.off) or (on and any(index + 1 in fault.jet for fault in self._acting)):
+            return
+        self.off = self.off - {index} if on else self.off | {index}
+        if not self._bank.set_run(index, on):
+            if on:
+                del self._cut[index]
+            else:
+                law = self._laws[index]
+                self._cut[index] = _Closed() if law is None or law.electric else _Rundown(law, self._step)
+
+    def begin(self, fault: EngineFault) -> None:
+        """``fault`` acts from the next step on."""
+        self._acting.append(fault)
+        for jet in fault.jet:
+            i = jet - 1
+            if isinstance(fault, FlameOut) and self._bank.set_run(i, False):
+                self._out.append((i, fault))
+            else:
+                self._effects.append((i, fault, self._effect(fault, i)))
+
+    def _effect(self, fault: EngineFault, i: int) -> Effect:
+        if isinstance(fault, ThrustLoss):
+            return _Weak(1.0 - fault.share)
+        if isinstance(fault, StuckThrottle):
+            return _Stuck(fault.throttle)
+        if isinstance(fault, DelayGrowth):
+            return _Late(round(fault.delay_s / self._step))
+        if isinstance(fault, SlowSpool):
+            return _Slow(1.0 - exp(-self._step / fault.lag_s))
+        law = self._laws[i]
+        assert law is not None  # the fault schedule refuses a flame-out of such an engine
+        if not law.electric:
+            return _Rundown(law, self._step)
+        lag = self._lag(i)
+        return _Unpowered(exp(-self._step / lag) if lag > 0.0 else 0.0)
+
+    def end(self, fault: EngineFault) -> None:
+        """``fault`` is over from the next step on; an engine that went out is lit again, if nothing keeps it out."""
+        self._acting = [each for each in self._acting if each is not fault]
+        if not isinstance(fault, FlameOut):
+            self._effects = [entry for entry in self._effects if entry[1] is not fault]
+            return
+        for _, owner, effect in self._effects:
+            if owner is fault:
+                effect.light()
+        mine = [i for i, owner in self._out if owner is fault]
+        self._out = [entry for entry in self._out if entry[1] is not fault]
+        still_out = {i for i, _ in self._out} | self.off
+        for i in mine:
+            if i not in still_out:
+                self._bank.set_run(i, True)
+
+    def close(self) -> None:
+        """Free the engines; may be called twice."""
+        self._bank.close()
