@@ -76,7 +76,7 @@ def test_what_is_achieved_is_what_healthy_jets_would_give(
         for u, each in zip(out.throttle, health, strict=True):
             assert LIMITS.throttle_min <= u <= LIMITS.throttle_max if each.gain > 0.0 else u == each.command
         assert max(map(abs, out.tilt)) <= RANGE + 1e-12
-        c, r = collective - out.refused.collective, roll - out.refused.roll
+        c, r = collective - out.unallocated.collective, roll - out.unallocated.roll
         ideal = [idle + c + (r if jet.servo == "left" else -r) for jet in JETS]
         got, want = wrench(delivered(out, health, idle), out.tilt), wrench(ideal, out.tilt)
         # with the banks tilted apart, one bank's pitch moment no longer cancels the other's to second order
@@ -93,7 +93,7 @@ def test_small_commands_about_hover_are_refused_nothing(
     """Exactly nothing: the integrals stop on any refusal."""
     tool = allocator(0.45)
     assert tool.replan(health)
-    assert tool.allocate(collective, (roll, pitch, yaw)).refused == (0.0, 0.0, 0.0, 0.0)
+    assert tool.allocate(collective, (roll, pitch, yaw)).unallocated == (0.0, 0.0, 0.0, 0.0)
 
 
 def test_planning_for_healthy_engines_changes_nothing() -> None:
@@ -122,8 +122,8 @@ def test_roll_is_kept_before_collective() -> None:
     assert tool.replan(without(5))
     # one bank of two jets: full thrust there and the least roll for it
     out = tool.allocate(0.95, (0.2, 0.0, 0.0))
-    assert out.refused.roll == 0.0
-    assert out.refused.collective > 0.2
+    assert out.unallocated.roll == 0.0
+    assert out.unallocated.collective > 0.2
 
 
 @pytest.mark.parametrize("lost", [(1,), (5,), (1, 2), (5, 6), (1, 4), (1, 6)])
@@ -180,7 +180,7 @@ def test_a_jet_that_runs_away_on_a_light_vehicle_leaves_room_for_less() -> None:
     """0.875 of the 1.125 that its side gives in hover: the reserve for height is given up before the plan is."""
     tool = allocator(hover=0.375)
     assert tool.replan([JetHealth(0.0, 0.875, 0.875), *[WELL] * 5])
-    assert tool.allocate(0.375, (0.0, 0.0, 0.0)).refused == (0.0, 0.0, 0.0, 0.0)
+    assert tool.allocate(0.375, (0.0, 0.0, 0.0)).unallocated == (0.0, 0.0, 0.0, 0.0)
 
 
 def test_two_lost_on_one_side_keep_the_vehicle_level_and_cannot_hold_it() -> None:
@@ -189,7 +189,7 @@ def test_two_lost_on_one_side_keep_the_vehicle_level_and_cannot_hold_it() -> Non
     tool = allocator()
     assert tool.replan(health)
     out = tool.allocate(HOVER, (0.0, 0.0, 0.0))
-    assert out.refused.collective == pytest.approx(HOVER - 2.0 / 6.0, abs=1e-9)
+    assert out.unallocated.collective == pytest.approx(HOVER - 2.0 / 6.0, abs=1e-9)
     assert wrench(delivered(out, health, 0.0), out.tilt)[3:] == pytest.approx([0, 0, 0], abs=1e-9)
 
 

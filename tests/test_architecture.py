@@ -42,6 +42,7 @@ OUR_FILE_READERS = {
     "cosim.page",
     "cosim.recorder",
     "cosim.simulation",
+    "cosim.build",
     "cosim.arrow",
     "cosim.files",
 }

@@ -625,10 +625,10 @@ def test_every_block_can_be_timed_again(replayed: list[Block]) -> None:
 
 def test_the_engines_are_six_instances() -> None:
     with build(speed.hover(250, 1)) as simulation:
-        simulation.engines.reset(0.4)
+        simulation.propulsion.engines.reset(0.4)
         # one throttle is moved: one thrust moves, later than the engine's delay
         for k in range(100):
-            thrust = simulation.engines.step(k, (0.4, 0.4, 0.5, 0.4, 0.4, 0.4)).thrust
+            thrust = simulation.propulsion.engines.step(k, (0.4, 0.4, 0.5, 0.4, 0.4, 0.4)).thrust
         assert len(set(thrust[:2] + thrust[3:])) == 1
         assert thrust[2] > thrust[0]
 

@@ -283,7 +283,7 @@ def test_allocation_stays_inside_and_accounts_for_everything(
 
 def test_what_fits_is_not_refused_at_all() -> None:
     for roll, pitch, yaw in ((0.1, 0.05, -0.03), (-0.2, 0.1, 0.1)):
-        assert ALLOCATOR.allocate(HOVER, (roll, pitch, yaw)).refused == Unallocated()
+        assert ALLOCATOR.allocate(HOVER, (roll, pitch, yaw)).unallocated == Unallocated()
 
 
 def test_attitude_before_collective() -> None:
@@ -292,7 +292,7 @@ def test_attitude_before_collective() -> None:
     assert refused == Unallocated(0.0, 0.0, 0.0, pytest.approx(0.2))
     assert throttle[1] == 1.0
     assert throttle[0] == pytest.approx(0.6)
-    assert ALLOCATOR.allocate(0.0, (0.2, 0.0, 0.0)).refused.roll == 0.0
+    assert ALLOCATOR.allocate(0.0, (0.2, 0.0, 0.0)).unallocated.roll == 0.0
 
 
 def test_pitch_before_yaw() -> None:

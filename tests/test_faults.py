@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cosim.shutoff import Shutoff
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,8 +17,9 @@ from cosim import flight
 from cosim.build import build
 from cosim.control.monitor import EngineMonitor, EngineReference
 from cosim.engine import EngineBank, load_engine
+from cosim.engine.wrappers import EngineChain
 from cosim.errors import InputError
-from cosim.faults import NEVER, FaultyEngines, JammedServo
+from cosim.faults import NEVER
 from cosim.flight import fly
 from cosim.reference import engine_reference
 from cosim.run import Run
@@ -89,11 +89,11 @@ class Bank:
     def close(self) -> None: ...
 
 
-def faulty(bank: Bank, lag: float = 0.05) -> FaultyEngines:
-    return FaultyEngines(bank, [ELECTRIC] * 6, lambda jet: lag, frozenset, STEP)
+def faulty(bank: Bank, lag: float = 0.05) -> EngineChain:
+    return EngineChain(bank, [ELECTRIC] * 6, lambda jet: lag, STEP)
 
 
-def ramp(engines: FaultyEngines, steps: int) -> list[EngineOutput]:
+def ramp(engines: EngineChain, steps: int) -> list[EngineOutput]:
     return [engines.step(k, (0.1 + 0.01 * k,) * 6) for k in range(steps)]
 
 
@@ -161,7 +161,7 @@ def test_a_fan_without_current_dies_away_along_its_lag_and_comes_back() -> None:
 def test_a_turbine_without_a_run_port_goes_out_by_its_law_and_is_lit_again() -> None:
     law = FlameOutLaw(left=0.4, run_down=1.2, exponent=2.5, relight=20 * STEP)
     bank = Bank()
-    engines = FaultyEngines(bank, [law] * 6, lambda jet: 1.0, frozenset, STEP)
+    engines = EngineChain(bank, [law] * 6, lambda jet: 1.0, STEP)
     out = FlameOut(kind="flame_out", start_s=0.0, jet=[1])
     engines.begin(out)
     for k in range(10):
@@ -202,21 +202,20 @@ def test_the_law_of_a_flame_out_is_that_of_the_gas_path_of_its_class(engine: str
 
 def test_an_engine_shut_off_goes_out_by_its_law_too_and_a_fan_at_once() -> None:
     law = FlameOutLaw(left=0.4, run_down=1.2, exponent=2.5, relight=13.0)
-    shutoff = Shutoff(Bank(), [law, ELECTRIC, law], STEP)
-    shutoff.set(0, False)
-    shutoff.set(1, False)
+    bank = Bank()
+    engines = EngineChain(bank, [law, ELECTRIC, *[law] * 4], lambda jet: 0.05, STEP)
+    engines.switch(0, False)
+    engines.switch(1, False)
     for k in range(5):
-        given = shutoff.throttle((0.5, 0.5, 0.5))
-        assert given == ((0.5 if k == 0 else 0.0), 0.0, 0.5)
-        output = shutoff.delivered(
-            EngineOutput(tuple(10.0 * u for u in given), (100.0,) * 3, (900.0,) * 3, (1e-3,) * 3)
-        )
+        output = engines.step(k, (0.5,) * 6)
+        assert bank.given[-1] == ((0.5 if k == 0 else 0.0), 0.0, 0.5, 0.5, 0.5, 0.5)
         slowed = 1.0 / (1.0 + (k + 1) * STEP / 1.2)
-        assert output.thrust == (pytest.approx(5.0 * 0.4 * slowed**2.5), 0.0, 5.0)
-        assert output.spool_speed == (pytest.approx(100.0 * slowed), 100.0, 100.0)
-        assert output.fuel_flow == (0.0, 0.0, 1e-3)
-    shutoff.set(0, True)
-    assert shutoff.throttle((0.5, 0.5, 0.5)) == (0.5, 0.0, 0.5)
+        assert output.thrust[:3] == (pytest.approx(5.0 * 0.4 * slowed**2.5), 0.0, 5.0)
+        assert output.spool_speed[:3] == (pytest.approx(100.0 * slowed), 100.0, 100.0)
+        assert output.fuel_flow[:3] == (0.0, 0.0, 1e-3)
+    engines.switch(0, True)
+    engines.step(5, (0.5,) * 6)
+    assert bank.given[-1][:3] == (0.5, 0.0, 0.5)
 
 
 @pytest.mark.parametrize("aircraft", ["hexjet-p220", "hexjet"])
@@ -274,11 +273,27 @@ def test_an_engine_that_can_be_shut_off_is_left_to_its_own_equations() -> None:
 
 def test_an_engine_without_fuel_is_not_lit_again() -> None:
     bank = Bank(ports=(0,))
-    engines = FaultyEngines(bank, [OWN] * 6, lambda jet: 0.05, lambda: {0}, STEP)
+    engines = EngineChain(bank, [OWN] * 6, lambda jet: 0.05, STEP)
     out = FlameOut(kind="flame_out", start_s=0.0, jet=[1])
     engines.begin(out)
+    engines.switch(0, False)
     engines.end(out)
-    assert bank.runs == [(0, False)]
+    assert bank.runs == [(0, False)] * 2
+    engines.switch(0, True)
+    assert bank.runs[-1] == (0, True)
+
+
+def test_an_engine_with_a_fault_is_not_switched_on() -> None:
+    bank = Bank(ports=(0,))
+    engines = faulty(bank)
+    engines.switch(0, False)
+    loss = ThrustLoss(kind="thrust_loss", start_s=0.0, jet=[1], share=0.5)
+    engines.begin(loss)
+    engines.switch(0, True)
+    assert engines.off == {0}
+    engines.end(loss)
+    engines.switch(0, True)
+    assert bank.runs == [(0, False), (0, True)]
 
 
 def test_an_engine_that_is_out_twice_is_lit_when_both_are_over() -> None:
@@ -325,7 +340,7 @@ def test_an_engine_with_a_run_port_goes_out_and_is_lit_again_by_its_own_equation
     assert spec.has("run")
     out = FlameOut(kind="flame_out", start_s=0.0, jet=[1])
     with EngineBank(spec, 1, STEP) as bank:
-        engines = FaultyEngines(bank, [OWN], lambda jet: 1.0, frozenset, STEP)
+        engines = EngineChain(bank, [OWN], lambda jet: 1.0, STEP)
         hover = engines.reset(0.5)
         engines.begin(out)
         course = [engines.step(k, (0.5,)) for k in range(500)]
@@ -345,12 +360,13 @@ def test_a_jammed_servo_stays_or_runs_to_its_angle() -> None:
     assert settings_ is not None
     servo = TiltServo(settings_, STEP)
     servo.update(0.1)
-    stands = JammedServo(servo, None)
-    assert [stands.update(0.3) for _ in range(3)] == [servo.angle] * 3
-    runs = JammedServo(servo, 0.2)
+    angle = servo.angle
+    servo.jam(None)
+    assert [servo.update(0.3) for _ in range(3)] == [angle] * 3
+    servo.jam(0.2)
     free = TiltServo(settings_, STEP)
     free.reset(servo.angle)
-    assert [runs.update(-0.3) for _ in range(5)] == [free.update(0.2) for _ in range(5)]
+    assert [servo.update(-0.3) for _ in range(5)] == [free.update(0.2) for _ in range(5)]
 
 
 def test_a_freed_servo_goes_on_from_where_it_was_jammed() -> None:
@@ -421,10 +437,8 @@ def test_without_a_fault_the_blocks_are_the_bare_ones_and_the_log_is_the_same() 
     assert same(plain, fly(HOVER.replace(fault=late, monitor=False)))
     assert same(plain, fly(HOVER.replace(monitor=True)))
     with build(HOVER) as simulation:
-        assert simulation.monitor is None
+        assert simulation.cascade.monitor is None
         assert simulation.faults.next == NEVER
-        assert simulation.engines is simulation.faults.engines
-        assert not isinstance(simulation.engines, FaultyEngines)
 
 
 class Commander:
@@ -706,7 +720,7 @@ def test_the_reference_of_an_engine_is_its_own() -> None:
 def test_a_vehicle_without_a_monitor_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle, folder = load_vehicle("hexjet")
     bare = vehicle.model_copy(update={"control": vehicle.control.model_copy(update={"monitor": None})})
-    monkeypatch.setattr("cosim.simulation.load_vehicle", lambda *_: (bare, folder))
+    monkeypatch.setattr("cosim.build.load_vehicle", lambda *_: (bare, folder))
     with pytest.raises(InputError, match=r"hexjet has no \[control\.monitor\]"):
         build(HOVER.replace(monitor=True))
 

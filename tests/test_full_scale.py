@@ -241,7 +241,7 @@ def test_hover_is_below_half_thrust() -> None:
         thrust = simulation.vehicle.mass_kg * GRAVITY / 6
         assert thrust / curve.thrust[-1] == pytest.approx(0.46, abs=0.005)
         share = (thrust - curve.thrust[0]) / (curve.thrust[-1] - curve.thrust[0])
-        assert simulation.allocator.hover == pytest.approx(share, rel=1e-3)  # linear between the curve's points
+        assert simulation.cascade.allocator.hover == pytest.approx(share, rel=1e-3)  # linear between the curve's points
 
 
 def momentum_theorem(
@@ -307,7 +307,7 @@ def test_still_air_drags_nothing() -> None:
     with build(
         Scenario.load("hover").replace(aircraft="hexjet-p220", engine="p220", controller="baseline")
     ) as simulation:
-        streams = simulation.streams
+        streams = simulation.propulsion.streams
         assert streams is not None
         forces = [(0.0, 0.0, -100.0)] * 6
         still = simulation.state._replace(velocity=ZERO3, rate=ZERO3, wind=ZERO3)
@@ -320,7 +320,7 @@ def test_still_air_drags_nothing() -> None:
         assert sum(y for _, y, _ in pushed) == pytest.approx(-6 * 0.45 * 10.0, rel=1e-12)
         assert roll == pytest.approx(-6 * 0.45 * 10.0 * 0.1535, rel=1e-12)
     with build(Scenario.load("hover")) as simulation:
-        assert simulation.streams is None
+        assert simulation.propulsion.streams is None
 
 
 @pytest.mark.parametrize(

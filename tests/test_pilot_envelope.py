@@ -244,7 +244,7 @@ def test_full_reversals_of_all_sticks_lose_no_vehicle(aircraft: str, controller:
         samples = with_sticks(flight, 16.0, sticks)
         assert flight.ending is None
         assert max(map(lean, samples)) < OVER * most
-        assert all(sample.actuation.refused[:3] == (0.0, 0.0, 0.0) for sample in samples)
+        assert all(sample.actuation.unallocated[:3] == (0.0, 0.0, 0.0) for sample in samples)
         assert max(abs(sample.state.altitude - 30.0) for sample in samples) < 1.0
 
 

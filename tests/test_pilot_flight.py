@@ -313,7 +313,7 @@ def test_setpoints_from_outside() -> None:
         state = flight.simulation.state
         assert (*state.position[:2], state.altitude) == pytest.approx((3.0, place.east, 12.0), abs=0.6)
         assert state.euler[2] == pytest.approx(0.5, abs=0.02)
-        attitude = rq.OffboardAttitude(from_euler(0.1, 0.0, 0.5), None, flight.simulation.allocator.hover)
+        attitude = rq.OffboardAttitude(from_euler(0.1, 0.0, 0.5), None, flight.simulation.cascade.allocator.hover)
         flight.fly(2.0, every=attitude)
         assert flight.simulation.state.euler == pytest.approx((0.1, 0.0, 0.5), abs=0.03)
         assert flight.pilot.mode is Mode.OFFBOARD

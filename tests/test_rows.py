@@ -107,7 +107,7 @@ def expected(sample: Sample) -> dict[str, Any]:
         **named("rate_{}_predicted_rad_s", rates, sample.rate_predicted),
         **named("rate_{}_setpoint_rad_s", rates, sample.rate_setpoint),
         **named("torque_{}", axes, sample.torque_command),
-        **named("refused_{}", axes + " collective", sample.actuation.refused),
+        **named("refused_{}", axes + " collective", sample.actuation.unallocated),
         "collective": sample.collective,
         **of_jets("throttle_{}", sample.actuation.throttle),
         **of_jets("thrust_{}_N", sample.engines.thrust),

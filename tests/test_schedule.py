@@ -155,8 +155,8 @@ def test_a_flight_begins_with_part_of_the_fuel() -> None:
     """Lighter by what is missing, hovering at the thrust that the rest needs, and never above full."""
     scenario = Scenario.load("full-scale-hover").replace(initial={"fuel": 0.5}, expect=[])
     with build(scenario) as simulation:
-        assert simulation.tank is not None
-        assert simulation.tank.left == pytest.approx(9.0)
+        assert simulation.propulsion.tank is not None
+        assert simulation.propulsion.tank.left == pytest.approx(9.0)
         first = simulation.step()
         mass, _, _ = simulation.airframe.mass_properties()
         assert mass == pytest.approx(61.97 - 9.0, abs=0.01)

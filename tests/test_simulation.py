@@ -68,7 +68,7 @@ def measured_delay(flown: Scenario) -> tuple[float, float]:
         simulation.run([rows])
         vehicle, engine = simulation.vehicle, simulation.engine
         stated = total_samples(simulation.ledger)
-        hover = simulation.allocator.hover
+        hover = simulation.cascade.allocator.hover
     lever = sum(abs(jet.position_m[1]) for jet in vehicle.jets)
     slope = engine.thrust_at(hover + amplitude) - engine.thrust_at(hover)
     gain = lever * slope / vehicle.inertia_kg_m2[0]
@@ -250,10 +250,13 @@ def test_the_controllers_see_the_sensors_and_the_refusals() -> None:
         flown = rows.samples[: simulation.k]
         simulation.reset()
         for sample in flown:
-            assert simulation.attitude.update(sample.command, sample.measured) == sample.rate_setpoint
-            assert simulation.rate.update(sample.rate_setpoint, sample.measured.rate, before) == sample.torque_command
-            assert simulation.altitude.update(sample.command, sample.measured, before) == sample.collective
-            before = sample.actuation.refused
+            assert simulation.cascade.attitude.update(sample.command, sample.measured) == sample.rate_setpoint
+            assert (
+                simulation.cascade.rate.update(sample.rate_setpoint, sample.measured.rate, before)
+                == sample.torque_command
+            )
+            assert simulation.cascade.altitude.update(sample.command, sample.measured, before) == sample.collective
+            before = sample.actuation.unallocated
             refused_roll += before.roll != 0.0
             refused_collective += before.collective != 0.0
     assert refused_roll > 10

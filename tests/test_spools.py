@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-import cosim.simulation
+import cosim.build
 from cosim.airframe import Airframe
 from cosim.build import build
 from cosim.control.altitude import GRAVITY
@@ -387,7 +387,7 @@ def test_an_engine_without_a_shut_off_loses_its_thrust_with_the_fuel(monkeypatch
         def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
             return super().step(k, throttle, ambient)._replace(fuel_flow=(0.01,) * 6)
 
-    monkeypatch.setattr(cosim.simulation, "EngineBank", Thirsty)
+    monkeypatch.setattr(cosim.build, "EngineBank", Thirsty)
     vehicle = {**NO_AERO, "fuel": {"mass_kg": 0.03, "position_m": [0.0, 0.0, 0.0]}}
     run = fly(scenario(duration_s=1.0, engine="edf-as-flown", vehicle=vehicle))
     log = run.log
@@ -467,7 +467,7 @@ class Listening(EngineBank):
 
 @pytest.fixture
 def listening(monkeypatch: pytest.MonkeyPatch) -> type[Listening]:
-    monkeypatch.setattr(cosim.simulation, "EngineBank", Listening)
+    monkeypatch.setattr(cosim.build, "EngineBank", Listening)
     return Listening
 
 
@@ -505,9 +505,9 @@ def test_a_headwind_blows_into_jets_that_are_tilted_forward(listening: type[List
     with in_air(environment={"wind_ned_m_s": wind}, vehicle={**NO_AERO, **LOOSE}) as simulation:
         simulation.step()
         for left, right in ((0.2, 0.1), (0.25, -0.3)):
-            simulation._standing = (left, right)
+            simulation.propulsion.tilt = (left, right)
             state = simulation.state
-            heard = simulation._ambient(state)
+            heard = simulation.propulsion.ambient(state, state.wind)
             vx, _, vz = state.velocity
             expected = [
                 (vx + 8.0) * sin(tilt) - vz * cos(tilt)
@@ -533,9 +533,9 @@ def test_every_rate_moves_every_tilted_intake(listening: type[Listening]) -> Non
     initial = {"rate_deg_s": [40.0, -70.0, 110.0], "velocity_ned_m_s": [3.0, -2.0, 1.0]}
     jets = {str(index): {"position_m": {"2": 0.02 * (index - 2)}} for index in range(6)}
     with in_air(initial=initial, vehicle={**NO_AERO, "jets": jets}) as simulation:
-        simulation._standing = (0.3, -0.2)
+        simulation.propulsion.tilt = (0.3, -0.2)
         state = simulation.state
-        heard = simulation._ambient(state)
+        heard = simulation.propulsion.ambient(state, state.wind)
         for jet, speed in zip(simulation.vehicle.jets, heard.air_speed, strict=True):
             tilt = 0.3 if jet.servo == "left" else -0.2
             moving = np.array([3.0, -2.0, 1.0]) + np.cross(state.rate, jet.position_m)
@@ -572,6 +572,6 @@ def test_engines_that_ask_for_no_air_are_given_none(monkeypatch: pytest.MonkeyPa
             given.append(ambient)
             return super().step(k, throttle, ambient)
 
-    monkeypatch.setattr(cosim.simulation, "EngineBank", Asking)
+    monkeypatch.setattr(cosim.build, "EngineBank", Asking)
     assert fly(scenario(engine="edf-as-flown", duration_s=0.1)).outcome == "completed"
     assert given == [None] * (1 + 25)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cosim.simulation
+import cosim.build
 from cosim.build import build
 from cosim.cli import engine_choices, load_scenario, main
 from cosim.control.thrust import StaticCurve, ThrustMap, inverted
@@ -135,7 +135,7 @@ def test_a_turbine_hovers_where_its_thrust_carries_the_vehicle(ground: float) ->
     with build(scenario(engine="turbine-20", duration_s=0.4, environment={"ground_m": ground})) as simulation:
         carried = sum(simulation.step().thrust)
         weight = simulation.vehicle.mass_kg * 9.80665
-        idle, hover = simulation.thrust_map.idle, simulation.allocator.hover
+        idle, hover = simulation.cascade.thrust_map.idle, simulation.cascade.allocator.hover
         low, high = simulation.engine.curve.thrust[0], simulation.engine.curve.thrust[-1]
     # the chord's sag
     assert carried == pytest.approx(weight, rel=3e-3)
@@ -145,7 +145,7 @@ def test_a_turbine_hovers_where_its_thrust_carries_the_vehicle(ground: float) ->
 def test_a_bent_curve_keeps_the_gain_of_the_tilts() -> None:
     """Tilts are enlarged by thrust over hover thrust, with what the engines give without throttle in both."""
     with build(scenario(engine="turbine-20", duration_s=0.4)) as simulation:
-        allocator, idle = simulation.allocator, simulation.thrust_map.idle
+        allocator, idle = simulation.cascade.allocator, simulation.cascade.thrust_map.idle
         share = 1.7 * (allocator.hover + idle) - idle
         at_hover = allocator.allocate(allocator.hover, (0.0, 0.05, 0.02)).tilt
         above = allocator.allocate(share, (0.0, 0.05, 0.02)).tilt
@@ -225,7 +225,7 @@ def test_each_engine_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         loaded.append(name)
         return load_engine(name, parameters, step, **options)
 
-    monkeypatch.setattr(cosim.simulation, "load_engine", count)
+    monkeypatch.setattr(cosim.build, "load_engine", count)
     turbojet = {"engine": "turbojet"}
     with build(scenario(stations={"3": turbojet, "4": turbojet, "5": {"engine": "edf-as-flown"}})) as simulation:
         assert len({id(station) for station in simulation.stations}) == 2
