@@ -268,7 +268,7 @@ ALLOCATOR = TiltAllocator(VEHICLE.jets, LIMITS, VEHICLE.servo.range_rad, HOVER)
 def test_allocation_stays_inside_and_accounts_for_everything(
     collective: float, roll: float, pitch: float, yaw: float
 ) -> None:
-    throttle, tilt, refused = ALLOCATOR.allocate(collective, (roll, pitch, yaw))
+    throttle, tilt, refused = ALLOCATOR.allocate(collective, (roll, pitch, yaw))[:3]
     assert all(LIMITS.throttle_min - 1e-15 <= t <= LIMITS.throttle_max + 1e-15 for t in throttle)
     assert all(abs(t) <= VEHICLE.servo.range_rad * (1 + 1e-15) for t in tilt)
     left, right = throttle[1], throttle[0]
@@ -288,7 +288,7 @@ def test_what_fits_is_not_refused_at_all() -> None:
 
 def test_attitude_before_collective() -> None:
     """Full climb and a roll: the roll is given whole, the collective gives way."""
-    throttle, _, refused = ALLOCATOR.allocate(1.0, (0.2, 0.0, 0.0))
+    throttle, _, refused = ALLOCATOR.allocate(1.0, (0.2, 0.0, 0.0))[:3]
     assert refused == Unallocated(0.0, 0.0, 0.0, pytest.approx(0.2))
     assert throttle[1] == 1.0
     assert throttle[0] == pytest.approx(0.6)
@@ -297,7 +297,7 @@ def test_attitude_before_collective() -> None:
 
 def test_pitch_before_yaw() -> None:
     limit = VEHICLE.servo.range_rad
-    _, tilt, refused = ALLOCATOR.allocate(HOVER, (0.0, 2 * limit, 0.1))
+    _, tilt, refused = ALLOCATOR.allocate(HOVER, (0.0, 2 * limit, 0.1))[:3]
     assert tilt == pytest.approx((-limit, -limit))
     assert refused.pitch == pytest.approx(limit)
     assert refused.yaw == 0.1
@@ -318,7 +318,7 @@ def test_torque_commands_turn_the_right_way() -> None:
 def test_tilt_moment_does_not_depend_on_the_collective() -> None:
     """Thrust times tilt stays the same."""
     for collective in (0.3, HOVER, 0.9):
-        _, tilt, _ = ALLOCATOR.allocate(collective, (0.0, 0.1, 0.0))
+        _, tilt, _ = ALLOCATOR.allocate(collective, (0.0, 0.1, 0.0))[:3]
         assert tilt[0] * collective == pytest.approx(-0.1 * HOVER)
 
 

@@ -59,7 +59,7 @@ def test_identified_model_is_the_printed_one() -> None:
 
 def test_torque_commands_turn_the_right_way() -> None:
     for axis, torque in enumerate(np.eye(3) * 0.05):
-        throttle, tilt, _ = ALLOCATOR.allocate(1 / 3, tuple(torque))
+        throttle, tilt, _ = ALLOCATOR.allocate(1 / 3, tuple(torque))[:3]
         forces = np.array([[0.0, 0.0, -t] for t in throttle])
         moment = np.cross([jet.position_m for jet in VEHICLE.jets], forces).sum(axis=0)
         moment[2] += sum(jet.reaction_m * t for jet, t in zip(VEHICLE.jets, throttle, strict=True))
@@ -70,7 +70,7 @@ def test_torque_commands_turn_the_right_way() -> None:
 
 @given(st.floats(-1, 2), st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1))
 def test_allocation_stays_inside_and_accounts_for_everything(c: float, roll: float, pitch: float, yaw: float) -> None:
-    throttle, _, refused = ALLOCATOR.allocate(c, (roll, pitch, yaw))
+    throttle, _, refused = ALLOCATOR.allocate(c, (roll, pitch, yaw))[:3]
     low, high = LIMITS.throttle_min, LIMITS.throttle_max
     assert all(low <= t <= high for t in throttle)
     front_right, rear_left, front_left, rear_right = throttle
