@@ -306,7 +306,7 @@ def test_pitch_before_yaw() -> None:
 def test_torque_commands_turn_the_right_way() -> None:
     """Signs against r x F: positive roll is right side down, positive pitch nose up, positive yaw nose right."""
     for axis_index, torque in enumerate(((0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.1))):
-        throttle, (left, right), _ = ALLOCATOR.allocate(HOVER, torque)
+        throttle, (left, right) = ALLOCATOR.allocate(HOVER, torque)[:2]
         moment = np.zeros(3)
         for jet, t in zip(VEHICLE.jets, throttle, strict=True):
             a = left if jet.servo == "left" else right

@@ -110,7 +110,7 @@ def test_twice_the_mass_with_twice_of_every_force_flies_alike() -> None:
 def test_controller_is_made_from_what_is_known() -> None:
     changed = doublet(mismatch={"mass_factor": 1.3, "thrust_factor": 0.8, "centre_m": [0.01, 0.02, 0.03]})
     with build(doublet()) as known, build(changed) as other:
-        assert other.allocator.hover == known.allocator.hover
+        assert other.cascade.allocator.hover == known.cascade.allocator.hover
         assert other.vehicle == known.vehicle
         assert [row.owner for row in other.ledger] == [row.owner for row in known.ledger]
 
