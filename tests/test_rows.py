@@ -199,7 +199,7 @@ def test_angles_of_the_measured_quaternion(rows: int) -> None:
 # not in the log, or not while something else takes its place
 UNSEEN = {
     ("k",), ("command", "rate"), ("command", "collective"), ("state", "attitude"), ("disturbance", "wind"),
-    ("disturbance", "gust"), ("disturbance", "torque_seen"),
+    ("disturbance", "gust"), ("disturbance", "torque_seen"), ("actuation", "off"),
 }  # fmt: skip
 
 
