@@ -183,10 +183,8 @@ def _cascade(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, stations:
         thrust_map,
         _monitor(scenario, vehicle, stations) if scenario.monitored else None,
         GainSchedule(gains.schedule, gains.lead, step) if gains.schedule else None,
+        vehicle,
         scenario.added_delay_samples,
-        vehicle.mass_kg,
-        jets,
-        gains.allocation.throttle_min,
         opposites(vehicle) if gains.monitor is not None and gains.monitor.shut_opposite else (),
         step,
     )

@@ -57,12 +57,6 @@ class Report(NamedTuple):
     remaining: float | None = None  # share of the fuel that is left, 0..1; None: not measured
 
 
-class Resettable(Protocol):
-    """A block that can start again."""
-
-    def reset(self) -> None: ...
-
-
 class Pilot(Protocol):
     """Flies in place of the scenario's commands; the first block of a step.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
 
 from cosim.airframe import Airframe
 from cosim.commands import Commander
@@ -19,6 +20,8 @@ from cosim.scenario import Fault, Scenario
 from cosim.sensors import FaultySensors
 from cosim.signals import ZERO3, Command, Measured, Sample
 from cosim.vehicle import Vehicle
+
+_FLY: Final = EngineState.FLY
 
 Between = Callable[[int], Ending | None]  # gets the number of the step to come
 
@@ -90,7 +93,7 @@ class Simulation:
         self.state = self.airframe.step(forces, disturbance, moment)
         self.measured = self.sensors.sample(self.state)
         self.k = k + 1
-        signals = self.controller.signals
+        signals: Any = self.controller.signals  # its vectors go into the sample as they are
         return Sample(
             k,
             k * self.dt,
@@ -115,7 +118,7 @@ class Simulation:
         """What the pilot or the script asks for, what it is flown with, and what the engines do meanwhile."""
         pilot, measured = self.pilot, self.measured
         if pilot is None:
-            return self.commander.at(k), measured, EngineState.FLY
+            return self.commander.at(k), measured, _FLY
         controller = self.controller
         report = Report(self.state.on_ground, controller.signals.given, controller.lost, self.propulsion.remaining)
         command = pilot.update(k, measured, report)

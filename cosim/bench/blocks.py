@@ -251,7 +251,7 @@ class Clocks:
             (RATE, cascade.rate, "update"),
             (ALTITUDE, cascade.altitude, "update"),
             (ALLOCATION, cascade.allocator, "allocate"),
-            (ENGINES, propulsion.engines, "step"),
+            (ENGINES, propulsion.engines.bank, "step"),
             *[(SERVOS, servo, "update") for servo in propulsion.servos],
             (FORCES, propulsion, "forces"),
             (AIRFRAME, simulation.airframe, "step"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 from cosim.control.altitude import GRAVITY, AltitudeController
 from cosim.control.attitude import AttitudeController
@@ -27,17 +28,19 @@ from cosim.signals import (
     Unallocated,
     Vector3,
 )
+from cosim.vehicle import Vehicle
 
 # s from switching engines on to where they must run: chosen by us, longer than a jet takes to spool up to idle
-_LONGEST_START = 10.0
+_LONGEST_START: Final = 10.0
+_FLY: Final = EngineState.FLY
 
 
 class Cascade:
     """The built-in :class:`cosim.protocols.Controller`: the paper's cascade.
 
     The parts are its own to run and anybody's to look at; who tunes them in flight does so through their ``retune``.
-    ``mass`` kg, tank full; ``jets`` how many; ``throttle_min``: least share that allocation asks of an engine;
-    ``opposites``: for every jet, from 0, the one to be shut off with it, none where empty.
+    ``added_delay``: of the roll command, steps; ``opposites``: for every jet, from 0, the one that is to be shut off
+    with it, none where empty.
     """
 
     def __init__(
@@ -49,10 +52,8 @@ class Cascade:
         thrust_map: ThrustMap,
         monitor: EngineMonitor | None,
         schedule: GainSchedule | None,
+        vehicle: Vehicle,
         added_delay: int,
-        mass: float,
-        jets: int,
-        throttle_min: float,
         opposites: Sequence[int],
         step: float,
     ) -> None:
@@ -60,9 +61,10 @@ class Cascade:
         self.allocator, self.thrust_map = allocator, thrust_map
         self.monitor, self.schedule = monitor, schedule
         self._added_delay = DelayLine(added_delay)
-        self._mass, self._jets, self._low, self._step = mass, jets, throttle_min, step
+        self._mass, self._jets, self._step = vehicle.mass_kg, len(vehicle.jets), step
+        self._low = vehicle.control.allocation.throttle_min
         self._opposites = list(opposites)
-        self._every_jet = frozenset(range(jets))
+        self._every_jet = frozenset(range(self._jets))
         self._throttle: PerJet = ()
         self._forget(0.0)
 
@@ -98,7 +100,7 @@ class Cascade:
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
         """Throttles and tilts of one step."""
-        if engines is not EngineState.FLY or self._idles:
+        if engines is not _FLY or self._idles:
             self._switch(engines)
         rate_setpoint = self.attitude.update(command, measured)
         if self._idles:
@@ -113,8 +115,8 @@ class Cascade:
 
     def _switch(self, engines: EngineState) -> None:
         """Engines off or on again as the pilot says; on again are all of them."""
-        self._idles, off = engines is not EngineState.FLY, engines is EngineState.OFF
-        if off is not self._engines_off:
+        self._idles, off = engines is not _FLY, engines is EngineState.OFF
+        if off != self._engines_off:
             self._off = self._every_jet if off else NO_JETS
         self._engines_off = off
 

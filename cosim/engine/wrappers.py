@@ -179,7 +179,7 @@ class EngineChain:
         factors: PerJet | None = None,
         delay: int = 0,
     ) -> None:
-        self._bank = bank
+        self.bank = bank
         self.wants_ambient = bank.wants_ambient
         self._laws, self._lag, self._step = list(laws), lag, step
         self._factors = factors
@@ -200,7 +200,7 @@ class EngineChain:
         self._forget()
         held = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(self._laws)
         self._line = deque([held] * self._delay)
-        return self._other(self._bank.reset(throttle, ambient))
+        return self._other(self.bank.reset(throttle, ambient))
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """Thrust and reports at the end of step ``k``.  Raises EngineError."""
@@ -214,7 +214,7 @@ class EngineChain:
         if self._delay:
             self._line.append(throttle)
             throttle = self._line.popleft()
-        output = self._other(self._bank.step(k, throttle, ambient))
+        output = self._other(self.bank.step(k, throttle, ambient))
         return self._delivered(output) if self._cut or self._effects else output
 
     def _other(self, output: EngineOutput) -> EngineOutput:
@@ -244,7 +244,7 @@ class EngineChain:
         if on == (index not in self.off) or (on and any(index + 1 in fault.jet for fault in self._acting)):
             return
         self.off = self.off - {index} if on else self.off | {index}
-        if not self._bank.set_run(index, on):
+        if not self.bank.set_run(index, on):
             if on:
                 del self._cut[index]
             else:
@@ -256,7 +256,7 @@ class EngineChain:
         self._acting.append(fault)
         for jet in fault.jet:
             i = jet - 1
-            if isinstance(fault, FlameOut) and self._bank.set_run(i, False):
+            if isinstance(fault, FlameOut) and self.bank.set_run(i, False):
                 self._out.append((i, fault))
             else:
                 self._effects.append((i, fault, self._effect(fault, i)))
@@ -291,8 +291,8 @@ class EngineChain:
         still_out = {i for i, _ in self._out} | self.off
         for i in mine:
             if i not in still_out:
-                self._bank.set_run(i, True)
+                self.bank.set_run(i, True)
 
     def close(self) -> None:
         """Free the engines; may be called twice."""
-        self._bank.close()
+        self.bank.close()
