@@ -109,7 +109,7 @@ class ControlSignals(NamedTuple):
     rate_predicted: Vector3  # rad/s, body: what the rate loop is fed with
     torque: Vector3  # the rate loop's output: throttle, rad of tilt, rad of tilt
     collective: float  # mean throttle asked for
-    given: float  # the collective that allocation gave
+    allocated: float  # the collective that allocation gave
 
 
 @quick

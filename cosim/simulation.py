@@ -93,17 +93,18 @@ class Simulation:
         self.state = self.airframe.step(forces, disturbance, moment)
         self.measured = self.sensors.sample(self.state)
         self.k = k + 1
-        signals: Any = self.controller.signals  # its vectors go into the sample as they are
+        signals: tuple[Any, ...] = self.controller.signals  # its vectors go into the sample as they are
+        rate_setpoint, rate_predicted, torque, collective, _ = signals
         return Sample(
             k,
             k * self.dt,
             command,
             state,
             measured,
-            signals.rate_setpoint,
-            signals.rate_predicted,
-            signals.torque,
-            signals.collective,
+            rate_setpoint,
+            rate_predicted,
+            torque,
+            collective,
             actuation,
             propulsion.tilt,
             propulsion.output,
@@ -120,7 +121,7 @@ class Simulation:
         if pilot is None:
             return self.commander.at(k), measured, _FLY
         controller = self.controller
-        report = Report(self.state.on_ground, controller.signals.given, controller.lost, self.propulsion.remaining)
+        report = Report(self.state.on_ground, controller.signals.allocated, controller.lost, self.propulsion.remaining)
         command = pilot.update(k, measured, report)
         return command, pilot.seen, pilot.engines
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from cosim.control.blend import Fade
 from cosim.control.lead import Lead
+from cosim.control.predictor import NoPredictor
 from cosim.protocols import Diagnostics, Predictor
 from cosim.signals import Unallocated, Vector3
 from cosim.vehicle import EngineLead, RateGains
@@ -47,7 +48,7 @@ class RateAxis:
         self._limit = gains.integral_limit
         self._share = step / (gains.d_filter_s + step)
         self._step = step
-        self._predictor = predictor
+        self._use(predictor)
         self._lead = lead
         self._past: deque[tuple[float, float]] | None = None
         self.reset()
@@ -73,7 +74,7 @@ class RateAxis:
             self._past.append((measured, self._command - unallocated))
         if self._left is not None:
             return self._change(self._left, setpoint, measured, unallocated)
-        rate = self._predictor.update(measured, self._command - unallocated)
+        rate = self._predictor.update(measured, self._command - unallocated) if self._predicts else measured
         error = setpoint - rate
         if unallocated * error <= 0.0:
             integral = self._integral + self._i * error
@@ -122,7 +123,11 @@ class RateAxis:
             predictor.reset()
             for measured, applied in self._past or ():
                 predictor.update(measured, applied)
-            self._predictor = predictor
+            self._use(predictor)
+
+    def _use(self, predictor: Predictor) -> None:
+        self._predictor = predictor
+        self._predicts = not isinstance(predictor, NoPredictor)  # else the measurement is fed back without a call
 
     def _change(self, old: _Law, setpoint: float, measured: float, unallocated: float) -> float:
         """The step of a change: both laws answer, the old one is heard."""
