@@ -135,7 +135,7 @@ def test_asked_for_everything_it_gives_what_the_engines_left_can_give(lost: tupl
     tool = allocator()
     assert tool.replan(without(*lost))
     out = tool.allocate(1.0, (0.0, 0.0, 0.0))
-    assert (1.0 - out.refused.collective) / HOVER == pytest.approx(
+    assert (1.0 - out.unallocated.collective) / HOVER == pytest.approx(
         attainable(JETS, LIMITS, HOVER, 0.0, lost).thrust, abs=1e-9
     )
     assert wrench(delivered(out, without(*lost), 0.0), out.tilt)[3:] == pytest.approx([0, 0, 0], abs=1e-9)
@@ -147,11 +147,11 @@ def test_what_roll_asks_for_is_taken_from_the_rest_of_the_collective() -> None:
     assert tool.replan(without(1, 2))
     level, rolling = (tool.allocate(1.0, (roll, 0.0, 0.0)) for roll in (0.0, 0.05))
     assert level.throttle == pytest.approx((0.0, 0.0, 1.0, 1.0, 1.0, 1.0), abs=1e-9)
-    assert rolling.refused.roll == 0.0
+    assert rolling.unallocated.roll == 0.0
     # a roll of 0.05 is 0.3 on three jets a side, here on one: 0.15 each way about their mean
     assert rolling.throttle[5] - rolling.throttle[4] == pytest.approx(0.3, abs=1e-9)
     assert max(rolling.throttle) == pytest.approx(1.0, abs=1e-12)
-    assert rolling.refused.collective - level.refused.collective == pytest.approx(0.3 / 6.0, abs=1e-9)
+    assert rolling.unallocated.collective - level.unallocated.collective == pytest.approx(0.3 / 6.0, abs=1e-9)
 
 
 def test_what_lifts_beyond_the_plan_comes_no_faster_than_the_engines_do() -> None:
@@ -163,7 +163,7 @@ def test_what_lifts_beyond_the_plan_comes_no_faster_than_the_engines_do() -> Non
     assert steps[:40] == pytest.approx([0.01] * 40, abs=1e-12)
     assert throttles[-1][2:] == pytest.approx((1.0,) * 4, abs=1e-12)
     plain = tool.allocate(HOVER, ZERO3)
-    assert plain.refused.collective == 0.0
+    assert plain.unallocated.collective == 0.0
     assert tool.allocate(1.0, ZERO3).throttle == throttles[0]
 
 

@@ -116,7 +116,7 @@ def test_what_the_flame_out_costs_in_height_at_least() -> None:
     scenario = Scenario.load("fault-flame-out-full-scale")
     with build(scenario) as simulation:
         mass = simulation.vehicle.mass_kg
-        courses = courses_of(simulation, simulation.allocator.hover, seconds=4.0)
+        courses = courses_of(simulation, simulation.cascade.allocator.hover, seconds=4.0)
     weight, found = mass * GRAVITY, round(0.092 / STEP_S)
     waiting = [weight / 6.0] * found
     thrust = [

@@ -86,7 +86,7 @@ def test_a_place_may_state_height_and_heading() -> None:
     settings, gains, allocation = vehicle.control.pilot, vehicle.control.altitude, vehicle.control.allocation
     assert settings is not None
     with build(Scenario.load("hover")) as simulation:
-        hover, idle = simulation.allocator.hover, simulation.thrust_map.idle
+        hover, idle = simulation.cascade.allocator.hover, simulation.cascade.thrust_map.idle
     margins = thrust_margins(hover, idle, allocation.throttle_min, allocation.throttle_max)
     speed = max(settings.climb_m_s, settings.descent_m_s)
     limits = height_limits(gains.position_1_s, gains.velocity_1_s, speed, *margins)
