@@ -371,9 +371,9 @@ def unfit(aircraft: str, engine: str) -> str:
 
 def _controller(aircraft: str, engine: str, designs: Path, say: Say) -> ControllerFile | str:
     """The engine's design for the aircraft, or why there is none."""
-    from cosim.design.file import write_controller
     from cosim.design.make import design
     from cosim.design.tune import Requirements
+    from cosim.design.written import write_controller
 
     name = Path(engine).name
     for path in (designs / f"{name}.toml", designs / f"{name}-{aircraft}.toml"):

@@ -20,9 +20,10 @@ import numpy as np
 
 from cosim import Scenario, fly
 from cosim.config import read_toml
-from cosim.design.file import read_controller, write_controller
+from cosim.design.file import read_controller
 from cosim.design.make import WITH_LEAD, design
 from cosim.design.tune import NOISE_SHARE, Requirements
+from cosim.design.written import write_controller
 from cosim.marks import check_marks, table, write_marks
 
 AIRCRAFT = "hexjet-p220"

@@ -23,11 +23,12 @@ from cosim.design import tune as search
 from cosim.design.channel import Actuator, Channel, channels
 from cosim.design.closed import Closed, Points
 from cosim.design.dynamics import lags
-from cosim.design.file import controller_table, differences, read_controller, with_controller
+from cosim.design.file import differences, read_controller, with_controller
 from cosim.design.loop import grid, model_response, observer_response, predictor_response
 from cosim.design.make import Design, design, margins, throttle_for
 from cosim.design.tune import Requirements
 from cosim.design.tuning import CANDIDATES, Tuning
+from cosim.design.written import controller_table
 from cosim.engine import EngineBank, load_engine
 from cosim.errors import InputError
 from cosim.ledger import delay_ledger, total_samples

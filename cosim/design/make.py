@@ -15,6 +15,7 @@ from cosim.config import merge, nearest, parse_setting, set_path
 from cosim.design.channel import Actuator, Channel, channels, hover_share
 from cosim.design.closed import Closed, Points
 from cosim.design.dynamics import Dynamics, fit_dynamics, lags
+from cosim.design.file import read_controller
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import DESIGNED, SLACK, Level, at_share, follow, keeps, lead_there, levels, schedule
 from cosim.design.loop import Array, wrapped
@@ -248,8 +249,6 @@ def _begin(
     start: Path, wanted: Mapping[str, Channel], vehicle: Vehicle, spec: EngineSpec
 ) -> dict[str, dict[float, Tuning]]:
     """Where a search begins that goes on from a controller file: by axis, and by fuel."""
-    from cosim.design.file import read_controller
-
     file = read_controller(start)
     if file.design.aircraft != vehicle.name:
         raise InputError(f"{start}: designed for aircraft {file.design.aircraft!r}, not for {vehicle.name!r}")

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.design.figures import design_figures
-from cosim.design.file import controller_table, write_controller
 from cosim.design.make import WITH_LEAD, Assessment, AxisDesign, Design
+from cosim.design.written import controller_table, write_controller
 from cosim.page import render
 from cosim.vehicle import EngineLead
 
