@@ -1,4 +1,4 @@
-"""Flies and computes what docs/full-scale.md says: tables between marks, others printed, and its picture.
+"""Flies and computes what docs/full-scale.md says: its tables, between their marks, and its picture.
 
     python docs/full_scale.py [--out runs/full-scale] [--workers 2] [--only two-engines ecu]
 
@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from math import degrees, exp, isfinite
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +22,16 @@ import numpy as np
 from cosim import Scenario, fly
 from cosim.config import read_toml
 from cosim.design.file import read_controller
-from cosim.design.make import WITH_LEAD, design
+from cosim.design.make import design
 from cosim.design.tune import NOISE_SHARE, Requirements
 from cosim.design.written import write_controller
 from cosim.marks import check_marks, table, write_marks
+from cosim.threads import one_thread
 
 AIRCRAFT = "hexjet-p220"
 PAGE = Path(__file__).parent / "full-scale.md"
 PICTURES = Path(__file__).parent / "pictures"
 NAMES = ("hover", "roll-doublet", "pitch-doublet", "yaw-doublet", "gust", "payload-drop", "manual", "climb-and-land")
-PLAIN = ("baseline", "smith", "filtered-smith", "state-disturbance")
-CANDIDATES = (*PLAIN, "baseline" + WITH_LEAD, "state-disturbance" + WITH_LEAD)
-LEAST = Requirements().min_bandwidth_hz
 HEIGHTS = (0.0, 0.3326)  # of the intakes above the centre of gravity, m; the last is the law's
 LEANS = (10.0, 30.0)  # deg
 GUSTS = (0.0, 32.0)  # m/s, between which a limit is looked for
@@ -44,21 +43,15 @@ class Case:
     """An engine as it is designed for and flown."""
 
     name: str
-    engine: str
-    settings: tuple[str, ...] = ()
     noise_share: float = NOISE_SHARE
-    lead: bool = True
-    least_hz: float = LEAST
 
 
 # The turbine's ECU limits the acceleration: noise that reaches the limit makes it hunt.
-CASES = (
-    Case("p220", "p220"),
-    # at the default there is none
-    Case("p220 without lead", "p220", lead=False, least_hz=0.1),
-    Case("p220-2025", "p220-2025"),
-    Case("turbine-220", "turbine-220", noise_share=0.01),
-)
+CASES = (Case("p220"), Case("p220-2025"), Case("turbine-220", 0.01))
+TRIED = ("baseline", "smith", "filtered-smith", "state-disturbance")  # alone, and with a lead where one goes with them
+PLAIN = "p220 without lead"  # flown beside them
+LEAST_PLAIN_HZ = 0.1  # what it is asked for: with more there is none
+FLOWN = (PLAIN, *(case.name for case in CASES))
 # Two identifications of one engine, each flown with what was designed for it and for the other.
 BOTH = ("p220", "p220-2025")
 DESIGNS = Path(__file__).parents[1] / "tests" / "designs"
@@ -82,44 +75,53 @@ BANDS = (0.005, 0.01, 0.02)  # of those, the dead bands
 CYCLE_S = 10.0  # of a hover, its last part, in which a limit cycle stands
 
 
-def designed(case: Case, out: Path) -> dict[str, Any]:
-    """A design, all candidates on roll and the best of them; the controller file beside it where one was found."""
-    need = Requirements(noise_share=case.noise_share, min_bandwidth_hz=case.least_hz)
-    found = design(case.engine, AIRCRAFT, need=need, settings=case.settings, lead=case.lead)
-    roll = found.axes["roll"]
-    if found.ok:
-        write_controller(found, file_of(case, out))
+def searched(case: Case, out: Path) -> dict[str, Any]:
+    """What each of TRIED reaches on roll, as ``hexjet design`` searches for it, and what limits the best."""
+    from cosim.design.channel import Actuator, channels
+    from cosim.design.make import _axis, _dynamics, _identify, _scenario, engine_lead
+    from cosim.engine import load_engine
+
+    need = Requirements(noise_share=case.noise_share)
+    flight, vehicle = _scenario(case.name, AIRCRAFT, ())
+    spec = load_engine(case.name, {}, flight.step_s)
+    dynamics = Actuator.of(case.name, _dynamics(_identify(flight, vehicle, spec, None)))
+    channel = channels(flight, vehicle, spec, dynamics)["roll"]
+    lead, predictor = engine_lead(channel), vehicle.control.predictor
+    roll = _axis(channel, vehicle, flight, spec, TRIED, need, case.name, predictor, lambda text: None, lead)
     return {
-        "ok": found.ok,
-        "reason": found.reason,
-        "allowing": dict(found.allowing),
-        "controller": found.controller,
         "limits_hz": dict(roll.limits),
         "candidates": {name: value if isfinite(value) else None for name, value in roll.candidates.items()},
-        "lead": roll.after.tuning.lead is not None if roll.after else False,
         "bandwidth_hz": roll.after.bandwidth_hz if roll.after else None,
-        "dynamics": roll.channel.actuator.dynamics.words(),
+        "dynamics": channel.actuator.dynamics.words(),
     }
 
 
-def file_of(case: Case, out: Path) -> Path:
-    """Where a design's controller file is."""
-    return out / f"{case.name.replace(',', '').replace(' ', '-')}.toml"
+def plainly(out: Path) -> None:
+    """A controller without a lead and without a predictor, into the folder if it is not there."""
+    path, need = file_of(PLAIN, out), Requirements(min_bandwidth_hz=LEAST_PLAIN_HZ)
+    if not path.is_file():
+        write_controller(design("p220", AIRCRAFT, controller="baseline", need=need, lead=False, scheduled=False), path)
 
 
-def scenario(name: str, case: Case, out: Path) -> Scenario:
-    """A full-scale scenario with an engine and the controller that was designed for it."""
-    file = read_controller(file_of(case, out))
-    parameters = {key.partition(".")[2]: float(value) for key, _, value in (s.partition("=") for s in case.settings)}
+def file_of(name: str, out: Path) -> Path:
+    """Where the controller is that was designed: those with a lead are kept with the tests."""
+    return out / "p220-without-lead.toml" if name == PLAIN else DESIGNS / f"{name}.toml"
+
+
+def scenario(name: str, designed_for: str, out: Path) -> Scenario:
+    """A full-scale scenario with the controller that was designed for an engine, and that engine."""
+    file = read_controller(file_of(designed_for, out))
     return Scenario.load(f"full-scale-{name}").replace(
-        engine=case.engine, engine_parameters=parameters, controller=file.controller, vehicle=file.vehicle, expect=[]
+        engine=file.design.engine, controller=file.controller, vehicle=file.vehicle, expect=[]
     )
 
 
-def flown(name: str, case: Case, out: Path) -> dict[str, Any]:
+def flown(name: str, designed_for: str, out: Path) -> dict[str, Any]:
     """One flight."""
-    run = fly(scenario(name, case, out))
-    return {"outcome": run.outcome, "reason": run.reason, **run.summary.flat_metrics}
+    run = fly(scenario(name, designed_for, out))
+    throttle = run.log["throttle_1"]
+    moved = {"throttle_change": float(np.diff(throttle[throttle.size // 2 :]).std())}
+    return {"outcome": run.outcome, "reason": run.reason, **moved, **run.summary.flat_metrics}
 
 
 def crossed(name: str, designed_for: str, engine: str, out: Path) -> dict[str, Any]:
@@ -161,9 +163,9 @@ def with_intakes(flight: Scenario, height: float) -> Scenario:
     return flight.replace(vehicle={"jets": raised})
 
 
-def largest_gust(case: Case, height: float, limit_deg: float, out: Path) -> float:
+def largest_gust(designed_for: str, height: float, limit_deg: float, out: Path) -> float:
     """The fastest side gust [m/s] in calm air at which the vehicle leans less than ``limit_deg``, by bisection."""
-    calm = with_intakes(scenario("gust", case, out), height).replace(
+    calm = with_intakes(scenario("gust", designed_for, out), height).replace(
         duration_s=14.0,
         environment={"wind_ned_m_s": [0.0, 0.0, 0.0], "turbulence_severity": 0, "turbulence_wind_m_s": 0.0},
     )
@@ -228,7 +230,8 @@ def predicted(engine: str, out: Path) -> dict[str, Any]:
 def study(out: Path, workers: int, only: Sequence[str] = ()) -> dict[str, Any]:
     """Everything, or those of the tables, from the folder where it is there."""
     out.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(workers) as pool:
+    one_thread()  # each process: a search takes ten times as long with more
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
 
         def all_of(what: str, work: Callable[..., Any], jobs: dict[str, Sequence[Any]]) -> dict[str, Any]:
             file = out / f"{what}.json"
@@ -241,22 +244,21 @@ def study(out: Path, workers: int, only: Sequence[str] = ()) -> dict[str, Any]:
             return found
 
         wanted = only or PARTS
-        needed = CASES if "gains" in wanted or "flights" in wanted else ()
-        designs = all_of("designs", designed, {case.name: (case,) for case in needed})
-        held = [case for case in needed if designs[case.name]["ok"]]
-        found: dict[str, Any] = {"designs": designs}
+        found: dict[str, Any] = {}
+        if "gains" in wanted:
+            found["searched"] = all_of("searched", searched, {case.name: (case,) for case in CASES})
         if "two-engines" in wanted:
             jobs = {f"{name}|{a}|{b}": (name, a, b) for name in NAMES for a in BOTH for b in BOTH}
             found["crossed"] = all_of("crossed", crossed, jobs)
         if "ecu" in wanted:
             found["limited"] = all_of("limited", limited, {f"{e}|{n}": (e, n) for e in BOTH for n in LIMITS})
             found["predicted"] = all_of("predicted", predicted, {engine: (engine,) for engine in BOTH})
-        if "flights" not in wanted:
-            return found
-        flights = all_of("flights", flown, {f"{case.name}|{name}": (name, case) for case in held for name in NAMES})
-        limits = {f"{c.name}|{h}|{a}": (c, h, a) for c in held for h in HEIGHTS for a in LEANS}
-        gusts = all_of("gusts", largest_gust, limits)
-    return {**found, "flights": flights, "gusts": gusts}
+        if "flights" in wanted:
+            plainly(out)
+            found["flights"] = all_of("flights", flown, {f"{c}|{name}": (name, c) for c in FLOWN for name in NAMES})
+            limits = {f"{c}|{h}|{a}": (c, h, a) for c in FLOWN for h in HEIGHTS for a in LEANS}
+            found["gusts"] = all_of("gusts", largest_gust, limits)
+    return found
 
 
 def lean(cell: dict[str, Any]) -> str:
@@ -264,18 +266,24 @@ def lean(cell: dict[str, Any]) -> str:
     return f"{degrees(cell['roll.max_abs_error_rad']):.1f}°" if cell["outcome"] == "completed" else "lost"
 
 
+def doublet(cells: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """Overshoot and settling of the roll doublet, a row each."""
+    rows = []
+    for title, key, form in (
+        ("roll doublet: overshoot", "roll.overshoot_percent", "{:.1f} %"),
+        ("roll doublet: settles in", "roll.settling_time_s", "{:.2f} s"),
+    ):
+        said = [form.format(c[key]) if c["outcome"] == "completed" and c.get(key) is not None else "-" for c in cells]
+        rows.append([title, *said])
+    return rows
+
+
 def two_engines(found: dict[str, Any]) -> str:
     """Each engine with either design."""
     cells = found["crossed"]
     pairs = [(a, b) for a in BOTH for b in BOTH]
     rows = [[name, *(lean(cells[f"{name}|{a}|{b}"]) for a, b in pairs)] for name in NAMES]
-    doublet = [cells[f"roll-doublet|{a}|{b}"] for a, b in pairs]
-    for title, key, form in (
-        ("roll doublet: overshoot", "roll.overshoot_percent", "{:.1f} %"),
-        ("roll doublet: settles in", "roll.settling_time_s", "{:.2f} s"),
-    ):
-        said = [form.format(c[key]) if c["outcome"] == "completed" and c.get(key) is not None else "-" for c in doublet]
-        rows.append([title, *said])
+    rows += doublet([cells[f"roll-doublet|{a}|{b}"] for a, b in pairs])
     made = {a: read_toml(DESIGNS / f"{a}.toml")["design"]["axes"]["roll"]["bandwidth_hz"] for a in BOTH}
     rows.append(["bandwidth of roll as designed", *(f"{made[a]:.2f} Hz" if a == b else "-" for a, b in pairs)])
     return table(["flight", *(f"{a} gains on {b}" for a, b in pairs)], rows)
@@ -323,40 +331,40 @@ def cycles(found: dict[str, Any]) -> str:
 
 def gains(found: dict[str, Any]) -> str:
     """What each part of a controller gains."""
-    designs = found["designs"]
-    rows = [["engine", "answers with", "bandwidth", "without delay", "without lag", *CANDIDATES]]
+    names = list(dict.fromkeys(name for each in found["searched"].values() for name in each["candidates"]))
+    rows = []
     for case in CASES:
-        each = designs[case.name]
+        each = found["searched"][case.name]
         known = {name: value for name, value in each["candidates"].items() if value is not None}
         best = min(known.values(), default=0.0)
         # the objective counts a bandwidth twice
-        reached = [f"{100.0 * exp(0.5 * (best - known[n])):.0f} %" if n in known else "none" for n in CANDIDATES]
+        reached = [f"{100.0 * exp(0.5 * (best - known[n])):.0f} %" if n in known else "none" for n in names]
         hertz = (each["bandwidth_hz"], each["limits_hz"].get("delay"), each["limits_hz"].get("lag"))
         rows.append(
             [case.name, each["dynamics"], *(f"{value:.2f} Hz" if value else "none" for value in hertz), *reached]
         )
-    return table(rows[0], rows[1:])
+    return table(["engine", "answers with", "bandwidth", "without delay", "without lag", *names], rows)
 
 
 def flights(found: dict[str, Any]) -> str:
     """The greatest deviation of roll, and the fastest gust that each stands."""
-    designs, flown_, gusts = found["designs"], found["flights"], found["gusts"]
-    held = [case for case in CASES if designs[case.name]["ok"]]
-    controllers = [
-        f"{case.name}, {designs[case.name]['controller']}{WITH_LEAD if designs[case.name]['lead'] else ''}"
-        for case in held
-    ]
-    rows = [[name, *(lean(flown_[f"{case.name}|{name}"]) for case in held)] for name in NAMES]
+    flown_, gusts = found["flights"], found["gusts"]
+    rows = [[name, *(lean(flown_[f"{each}|{name}"]) for each in FLOWN)] for name in NAMES]
+    rows += doublet([flown_[f"{each}|roll-doublet"] for each in FLOWN])
+    hover = [flown_[f"{each}|hover"] for each in FLOWN]
+    noise = [f"{100.0 * each['throttle_change']:.1f} %" if each["outcome"] == "completed" else "-" for each in hover]
+    rows.append(["hover: noise moves the throttle from sample to sample by", *noise])
+    drops = [flown_[f"{each}|payload-drop"] for each in FLOWN]
+    off = [f"{each['altitude.max_abs_error_m']:.1f} m" if each["outcome"] == "completed" else "-" for each in drops]
+    rows.append(["payload-drop: height off by", *off])
     for height in HEIGHTS:
         for lean_deg in LEANS:
-            limits = [f"{gusts[f'{case.name}|{height}|{lean_deg}']:.0f} m/s" for case in held]
+            limits = [f"{gusts[f'{each}|{height}|{lean_deg}']:.0f} m/s" for each in FLOWN]
             rows.append([f"side gust within {lean_deg:.0f}°, intakes {1e3 * height:.0f} mm up", *limits])
-    return table(["flight", *controllers], rows)
+    return table(["flight", *FLOWN], rows)
 
 
-# What is made: the first two are printed, the others written between their marks.
-PRINTED = ("gains", "flights")
-PARTS = (*PRINTED, "two-engines", "ecu")
+PARTS = ("gains", "flights", "two-engines", "ecu")
 
 
 def written(found: dict[str, Any], only: Sequence[str]) -> dict[str, str]:
@@ -382,10 +390,10 @@ def picture(out: Path) -> None:
     from matplotlib import pyplot as plt
 
     figure, panels = plt.subplots(1, 3, figsize=(13, 3.6), constrained_layout=True)
-    case = CASES[0]
+    plainly(out)
     for panel, name in ((panels[0], "roll-doublet"), (panels[1], "gust")):
-        flight = scenario(name, case, out)
-        for label, each in (("with lead", flight), ("without", scenario(name, CASES[1], out))):
+        flight = scenario(name, CASES[0].name, out)
+        for label, each in (("with lead", flight), ("without", scenario(name, PLAIN, out))):
             log = fly(each).log
             panel.plot(log["time_s"], np.degrees(log["roll_rad"]), label=label, lw=1.3)
             if name == "roll-doublet" and each is flight:
@@ -403,23 +411,18 @@ def picture(out: Path) -> None:
 
 
 def main() -> None:
-    """Everything into the folder, the tables into the page and to standard output."""
+    """Everything into the folder, and the tables into the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/full-scale"))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=[], help="parts of the page")
     given = parser.parse_args()
     only = tuple(given.only)
-    marks = [name for name in (only or PARTS) if name not in PRINTED]
-    check_marks(PAGE, [*marks, *(["limit-cycles"] if "ecu" in marks else [])])
+    check_marks(PAGE, [*(only or PARTS), *(["limit-cycles"] if "ecu" in (only or PARTS) else [])])
     found = study(given.out, given.workers, only)
     if not only:
         picture(given.out)
-    parts = written(found, only)
-    for name in PRINTED:
-        if name in parts:
-            print(parts.pop(name))
-    write_marks(PAGE, parts)
+    write_marks(PAGE, written(found, only))
 
 
 if __name__ == "__main__":

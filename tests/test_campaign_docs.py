@@ -5,20 +5,24 @@ from __future__ import annotations
 import ast
 import re
 import shlex
-from importlib.util import find_spec
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 
 from cosim.campaign import folder, keys
 from cosim.campaign import search_folder as searches
+from cosim.campaign.flown import KINDS, Flown, KeyColumn
 from cosim.campaign.options import open_study
-from cosim.campaign.study import Study
+from cosim.campaign.study import Study, study_names
 from cosim.cli import cli
+from cosim.marks import parts_of
 
-PAGE = (Path(__file__).resolve().parent.parent / "docs" / "campaigns.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = (ROOT / "docs" / "campaigns.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 COMMANDS = [
     shlex.split(line, comments=True)[1:]
@@ -29,6 +33,7 @@ COMMANDS = [
 ]
 PYTHON = [text for language, text in BLOCKS if language == "python"]
 OF_A_SWEEP = ("vary", "correlate", "success", "settings", "controllers", "design", "runs", "repeats", "seed")
+SWING, LEAN = "roll.oscillation_rad", "roll.final_error_rad"
 
 
 def parsed(words: list[str]) -> click.Context:
@@ -116,3 +121,74 @@ def test_the_python_on_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyP
         "failed"
     )
     assert said["smith"].shape == (2,)
+
+
+# --- what docs/studies.py writes --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def writer() -> Any:
+    """docs/studies.py."""
+    spec = spec_from_file_location("studies_page", ROOT / "docs" / "studies.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def of(kinds: list[str], controllers: list[int], keys: dict[str, list[float]], values: dict[str, list[float]]) -> Flown:
+    """Flights that never flew."""
+    count = len(kinds)
+    return Flown(
+        flight=np.arange(count),
+        draw=np.arange(count),
+        controller=np.array(controllers),
+        kind=np.array([KINDS.index(kind) for kind in kinds]),
+        reason=[""] * count,
+        beyond=[[] for _ in kinds],
+        duration=np.ones(count),
+        keys=[KeyColumn(path, path, "", np.array(each), []) for path, each in keys.items()],
+        metrics=[],
+        values={name: np.array(each) for name, each in values.items()},
+        controllers=["a", "b"],
+        grid=False,
+    )
+
+
+def test_every_mark_has_its_table(writer: Any) -> None:
+    """docs/campaigns.md: its marks are those that docs/studies.py writes, and none is empty."""
+    parts = parts_of(PAGE, "campaigns.md")
+    assert set(parts) == {mark for marks in writer.PARTS.values() for mark in marks}
+    assert [name for name, text in parts.items() if "|" not in text] == []
+    for name, command in writer.SEARCHES.items():
+        assert command in parts[name]
+    assert set(writer.PARTS) == {*study_names(), "searches"}
+
+
+def test_shares_and_misses_are_counted(writer: Any) -> None:
+    """By hand: of a three of four succeed and one is lost, of b one of four, one swings and one leans and swings."""
+    kinds = ["success", "success", "success", "diverged", "success", "missed", "missed", "failed"]
+    swing = [0.0, 0.0, 0.0, np.nan, 0.0, 0.2, 0.2, np.nan]
+    lean = [0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.3, np.nan]
+    delay = [13.0, 20.0, 21.0, 37.0] * 2
+    flown = of(kinds, [0] * 4 + [1] * 4, {writer.DELAY: delay}, {SWING: swing, LEAN: lean})
+    shared = writer.shared(flown).splitlines()
+    assert shared[2].startswith("| a | 75.0 % | ")
+    assert [line.split(" | ")[-1] for line in shared[2:]] == ["1 |", "1 |"]
+    rows = writer.by_delay(flown).splitlines()
+    assert rows[0] == "| samples | 13 to 20 | 21 to 25 | 26 to 30 | 31 to 37 |"
+    assert rows[2] == "| a | 100 % | 100 % | - | 0 % |"
+    assert rows[3] == "| b | 50 % | 0 % | - | 0 % |"
+    missed = writer.missed(flown, {SWING: 0.1, LEAN: 0.1}).splitlines()
+    assert missed[2:] == ["| a | 1 | 1 | 0 | 0 |", "| b | 3 | 1 | 2 | 1 |"]
+
+
+def test_the_heaviest_load_is_one_below_which_none_is_missed(writer: Any) -> None:
+    load, lever, gust = [0.25, 0.5, 0.75, 0.25, 0.5, 0.75], [-0.02] * 6, [8.0] * 3 + [12.0] * 3
+    keys = {writer.LOAD: load * 2, writer.LEVER: lever * 2, writer.SIDE_GUST: gust * 2}
+    # a misses the middle load in the lesser gust, b the lightest in the stronger one, which is past what is asked
+    kinds = ["success", "missed", "success"] + ["success"] * 3 + ["success"] * 3 + ["missed", "success", "success"]
+    flown = of(kinds, [0] * 6 + [1] * 6, keys, {})
+    assert [row.split(" | ")[-1] for row in writer.envelope(flown).splitlines()[2:]] == ["0.25 kg |", "0.75 kg |"]
+    assert writer.by_lever(flown).splitlines()[2] == "| 0.005 kg m | 2 of 2 | 1 of 2 |"

@@ -20,9 +20,11 @@ from cosim.cli import cli, load_scenario
 from cosim.config import read_toml
 from cosim.control.altitude import GRAVITY
 from cosim.design.file import read_controller
+from cosim.engine import load_engine
 from cosim.errors import InputError
 from cosim.flight import check_expected, expectation, fly
 from cosim.frames import jet_axis
+from cosim.marks import parts_of
 from cosim.paths import data_folder
 from cosim.scaling import _LAW, length_scale, scaled
 from cosim.scenario import Environment, Initial, Scenario
@@ -407,9 +409,9 @@ def test_the_shipped_gains_are_what_the_design_wrote(aircraft: str, engine: str)
 PAGE = (Path(__file__).parents[1] / "docs" / "full-scale.md").read_text(encoding="utf-8")
 
 
-def cells(title: str) -> list[str]:
-    """A row of the page's tables."""
-    found = re.search(rf"^\| {re.escape(title)} \| (.*) \|$", PAGE, re.MULTILINE)
+def cells(title: str, part: str) -> list[str]:
+    """A row of one of the page's tables."""
+    found = re.search(rf"^\| {re.escape(title)} \| (.*) \|$", parts_of(PAGE, "full-scale.md")[part], re.MULTILINE)
     assert found, title
     return [cell.strip() for cell in found[1].split("|")]
 
@@ -425,7 +427,7 @@ def test_either_design_on_either_engine_flies_as_the_page_says(column: int, gain
         engine=engine, controller=file.controller, vehicle=file.vehicle, expect=[]
     )
     run = fly(flight)
-    said = cells("roll-doublet")[column]
+    said = cells("roll-doublet", "two-engines")[column]
     if run.outcome != "completed":
         assert (said, gains, engine) == ("lost", "p220-2025", "p220")
         return
@@ -443,7 +445,7 @@ def test_the_limits_of_an_ecu_cost_what_the_page_says(
 ) -> None:
     flight = Scenario.load("full-scale-roll-doublet").replace(engine=engine, engine_parameters=parameters, expect=[])
     run = fly(flight)
-    said = cells(limit)[column]
+    said = cells(limit, "ecu")[column]
     assert (said == "lost") == (run.outcome != "completed")
     if said != "lost":
         # to rounding, and a tenth of it for a flight that swings
@@ -458,3 +460,97 @@ def test_the_faster_engine_is_lost_late_and_the_slower_is_not() -> None:
         late = {"engine": engine, "engine_parameters": {"delay_samples": 25}, "expect": []}
         outcomes[engine] = fly(Scenario.load("full-scale-hover").replace(**late)).outcome
     assert outcomes["p220"] == "completed" != outcomes["p220-2025"]
+
+
+def figures(sentence: str) -> list[float]:
+    """The figures that stand for ``{}`` in a sentence of the page, which is there once."""
+    page = " ".join(PAGE.replace("**", "").split())
+    found = re.findall(r"([-\d.]+)".join(map(re.escape, sentence.split("{}"))), page)
+    assert len(found) == 1, sentence
+    return [float(each) for each in ([found[0]] if isinstance(found[0], str) else found[0])]
+
+
+def rounded(said: float, found: float, digits: int) -> bool:
+    return abs(said - found) <= 0.5001 * 10.0**-digits
+
+
+def test_the_verdict_is_that_of_the_tables() -> None:
+    """docs/full-scale.md: what its text says of the designs, the flights and the ECU is in the tables below it."""
+    design = read_toml(DESIGNS / "p220.toml")
+    (natural,) = figures("follows the throttle like two poles at {} rad/s. A predictor")
+    pole, bandwidth = figures("which moves the poles to {} rad/s, gives {} Hz at the same peak sensitivity")
+    lead = design["vehicle"]["control"]["lead"]["roll"]
+    assert rounded(natural, lead["natural_rad_s"], 1)
+    assert rounded(pole, lead["pole_rad_s"], 0)
+    assert rounded(bandwidth, design["design"]["axes"]["roll"]["bandwidth_hz"], 2)
+    for sentence in ("keeps the requirements at {} Hz", '"None" is at the bandwidth that is asked for, {} Hz'):
+        assert figures(sentence) == [design["design"]["requirements"]["min_bandwidth_hz"]]
+    damping, stiffness, omega, zeta = figures(
+        "gives s² + {} s + {}, two poles at {} rad/s with damping {}. A test realises"
+    )
+    assert rounded(omega, lead["natural_rad_s"], 3)
+    assert rounded(zeta, lead["damping"], 2)
+    assert rounded(stiffness, lead["natural_rad_s"] ** 2, 2)
+    assert rounded(damping, 2.0 * lead["damping"] * lead["natural_rad_s"], 2)
+    (delay,) = figures("with a lead its delay of {} s becomes the limit")
+    assert delay == pytest.approx(load_engine("turbine-220", {}, 0.004).delay)
+    titles = [title.strip() for title in parts_of(PAGE, "full-scale.md")["gains"].splitlines()[0].strip("|").split("|")]
+    reached = {name: dict(zip(titles[1:], cells(name, "gains"), strict=True)) for name in ("p220", "turbine-220")}
+    plain = [name for name in titles[5:] if not name.endswith("lead")]
+    assert [reached["p220"][name] for name in plain] == ["none"] * len(plain)
+    assert reached["p220"]["baseline + lead"] == "100 %"
+    assert reached["turbine-220"]["state-disturbance + lead"] == "100 %"
+    assert reached["turbine-220"]["smith"] < reached["turbine-220"]["baseline"]  # of two digits each
+    gust, load = figures(
+        "roll leaves its set-point by {}° on the P220; taking up a tenth of the mass off-centre, by {}°"
+    )
+    without, p220, *_ = cells("gust", "flights")
+    assert (without, float(p220.rstrip("°"))) == ("lost", gust)
+    without, p220, *_ = cells("payload-drop", "flights")
+    assert (without, float(p220.rstrip("°"))) == ("lost", load)
+    level, raised = (cells(f"side gust within 10°, intakes {mm} mm up", "flights") for mm in (0, 333))
+    assert float(raised[1].split()[0]) < 0.5 * float(level[1].split()[0])
+    for limit in ("100 ms late", "200 % a second"):
+        said = cells(limit, "ecu")
+        assert (said[0] != "lost", said[4]) == (True, "lost"), limit
+    # the gains for the slower engine hold on both, those for the faster one lose the slower in every flight
+    flown = {name: cells(name, "two-engines") for name in ("hover", "roll-doublet", "gust", "payload-drop", "manual")}
+    assert all("lost" not in (a, b, d) and c == "lost" for a, b, c, d in flown.values())
+
+
+def test_the_intakes_by_hand() -> None:
+    """docs/full-scale.md: m h / J_xx, and the pole of s^3 + k g."""
+    vehicle, _ = load_vehicle("hexjet-p220")
+    flow = vehicle.airflow
+    assert flow is not None
+    share = vehicle.mass_kg * 9.80665 / 6.0 / flow.at_thrust_n
+    air = 6.0 * flow.kg_s * share**flow.exponent
+    lever = BASE.jets[0].position_m[2] * length_scale(vehicle.mass_kg, BASE.mass_kg) - flow.intake_m
+    k = air * -lever / vehicle.inertia_kg_m2[0]
+    (said,) = figures("Six engines swallow {} kg/s in hover")
+    assert rounded(said, air, 1)
+    for sentence in ("m h / J_xx = {} rad/s² per m/s at h = {} m",):
+        slope, height = figures(sentence)
+        assert rounded(slope, k, 2)
+        assert rounded(height, -lever, 2)
+    (height,) = figures("With the cranks where the scaling law puts them, {} m of lever")
+    assert rounded(height, -lever, 2)
+    (rate,) = figures("has s³ + k g = 0, an unstable oscillation of {} rad/s")
+    assert rounded(rate, (k * 9.80665) ** (1.0 / 3.0), 1)
+
+
+def test_the_gust_of_the_page_is_the_scenarios() -> None:
+    """docs/full-scale.md, below its flights."""
+    flight = Scenario.load("full-scale-gust")
+    rise, hold, fall, above, step = figures(
+        "in calm air, rise {} s, hold {} s, fall {} s, drag {} cm above the centre of gravity, to {} m/s"
+    )
+    (gust,) = flight.disturbance
+    assert gust.kind == "gust"
+    assert (rise, hold, fall) == (gust.rise_s, gust.hold_s, gust.fall_s)
+    assert above == pytest.approx(-100.0 * flight.vehicle["aero"]["centre_m"][2])
+    assert step == 1.0
+    source = (Path(__file__).parents[1] / "docs" / "full_scale.py").read_text(encoding="utf-8")
+    assert "TO = 1.0  # m/s" in source
+    assert "LEAST_PLAIN_HZ = 0.1 " in source
+    assert figures("*without lead* at the {} Hz at which there are any") == [0.1]

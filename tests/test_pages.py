@@ -7,6 +7,7 @@ must be what its file says.
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 import tomllib
@@ -32,14 +33,14 @@ from cosim.campaign.statistics import wilson
 from cosim.campaign.study import Study
 from cosim.control import replan
 from cosim.design.tune import Requirements
-from cosim.engine import build, build_engines, check, container, response, trial
+from cosim.engine import build, build_engines, check, container, load_engine, response, trial
 from cosim.identify import Identification, identify_axis
 from cosim.identify.fit import fit
 from cosim.identify.result import low_frequency_delay, rate_response
 from cosim.ledger import total_samples
 from cosim.marks import parts_of
 from cosim.paths import data_folder
-from cosim.scenario import Scenario
+from cosim.scenario import DoubletCommand, Scenario
 from cosim.vehicle import load_vehicle
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -118,7 +119,13 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/engine-check.md": ("test_pages.py",),
     "docs/failsafes.md": ("marks",),
     "docs/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py"),
-    "docs/full-scale.md": ("marks", "test_engine_out.py"),
+    "docs/full-scale.md": (
+        "marks",
+        "test_pages.py",
+        "test_engine_out.py",
+        "test_full_scale.py",
+        "test_engine_p220_2025.py",
+    ),
     "docs/ground-station.md": ("marks", "test_mavlink_lines.py"),
     "docs/identification.md": ("test_pages.py",),
     "docs/metrics.md": ("test_metrics_docs.py",),
@@ -162,6 +169,81 @@ def test_what_is_said_to_keep_a_page_exists(page: str) -> None:
     for name in set(COVERED[page]) - {"marks"}:
         source = (ROOT / "tests" / name).read_text(encoding="utf-8")
         assert Path(page).name in source or "README" in source, f"{name} does not name {page}"
+
+
+# --- no figure without a parent ---------------------------------------------------------------------------------------
+
+# A figure: a number with a unit, or with a decimal point.  Where a command writes it, in code and in links it is not
+# counted, and where a test that keeps the page has its sentence or the first cell of its row.
+UNIT = (
+    r"(?:%|°C|°|dB|Hz|rad/s²|rad/s|rad|deg/s|deg|m/s²|m/s|mm|cm|km|ms|us|kg/s|kg m²|kg m|kg|g/s|N m|N|MB|GB|K|W|s|m"
+    r"|times|samples)"
+)
+FIGURE = re.compile(
+    rf"(?<![\w./-])[-+±]?\d+(?:[ ,]\d{{3}})*(?:\.\d+)?(?:e[-+]?\d+)?\s?{UNIT}(?![\w/²])"
+    r"|(?<![\w./-])[-+±]?\d+\.\d+(?:e[-+]?\d+)?(?![\w.])"
+)
+# What is left on the pages of docs/: inputs that were chosen, definitions, other people's figures.  A page may lose some
+# (then its number here goes down) and gets none: a new figure comes with a mark, or with a test that has its sentence.
+TYPED: Mapping[str, int] = {
+    "docs/accuracy.md": 13,
+    "docs/benchmarks.md": 4,
+    "docs/campaigns.md": 3,
+    "docs/control-design.md": 28,
+    "docs/design.md": 18,
+    "docs/failsafes.md": 7,
+    "docs/faults.md": 21,
+    "docs/full-scale.md": 13,
+    "docs/ground-station.md": 50,
+    "docs/identification.md": 21,
+    "docs/metrics.md": 6,
+    "docs/own-engine.md": 12,
+    "docs/paper.md": 10,
+}
+
+
+def plain(page: str) -> str:
+    """The page without what a command writes, without code and the addresses of links; a paragraph or row a line."""
+    said = (ROOT / page).read_text(encoding="utf-8").replace("**", "")
+    for pattern in (r"^<!-- measured: .*?^<!-- end -->$", r"^```.*?^```$", r"^ {4}\S[^\n]*$"):
+        said = re.sub(pattern, "", said, flags=re.MULTILINE | re.DOTALL)
+    lines = []
+    for paragraph in re.split(r"\n\s*\n", bare(said)):
+        lines += paragraph.splitlines() if paragraph.lstrip().startswith("|") else [" ".join(paragraph.split())]
+    return "\n".join(lines)
+
+
+def bare(said: str) -> str:
+    """Without what stands between backquotes and behind links."""
+    return re.sub(r"`[^`]*`", "`", re.sub(r"\]\([^)]*\)", "]", said))
+
+
+def asked_for(page: str) -> list[re.Pattern[str]]:
+    """What the tests that keep a page look for in it: their texts, with a number for ``{}``, and rows by a cell."""
+    texts = set()
+    for name in set(COVERED[page]) - {"marks"}:
+        tree = ast.parse((ROOT / "tests" / name).read_text(encoding="utf-8"))
+        found = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant))
+        texts |= {bare(" ".join(each.split())) for each in found if isinstance(each, str)}
+    sentences = [each for each in texts if len(each) > 8 and ("{}" in each or re.search(r"\d", each))]
+    cells = [rf"(?<=\| ){re.escape(each)} \|[^\n]*" for each in texts if len(each) > 2]
+    return [re.compile(NUMBER.join(map(re.escape, each.split("{}")))) for each in sentences] + list(
+        map(re.compile, cells)
+    )
+
+
+def typed(page: str) -> list[str]:
+    """The figures of a page that nobody looks after, each with some words about it."""
+    said = plain(page)
+    kept = [match.span() for pattern in asked_for(page) for match in pattern.finditer(said)]
+    left = [match for match in FIGURE.finditer(said) if not any(a <= match.start() < b for a, b in kept)]
+    return [f"{match[0]}: ...{said[max(0, match.start() - 40) : match.end() + 20].strip()}..." for match in left]
+
+
+@pytest.mark.parametrize("page", [page for page in COVERED if page.startswith("docs/")])
+def test_a_figure_on_a_page_has_a_parent(page: str) -> None:
+    left, allowed = typed(page), TYPED.get(page, 0)
+    assert len(left) <= allowed, f"{page}: {len(left)} figures are typed, {allowed} may be:\n" + "\n".join(left)
 
 
 # --- README.md, CONTRIBUTING.md, docs/design.md ----------------------------------------------------------------------
@@ -788,7 +870,7 @@ def test_how_long_the_middle_size_hovers(tmp_path: Path) -> None:
            round(vehicle.servo.rate_limit_rad_s / vehicle.servo.lag_s, -1))  # fmt: skip
 
 
-FAULTS = "docs/faults.md"
+FAULTS, FULL = "docs/faults.md", "docs/full-scale.md"
 
 
 def test_what_faults_are_flown_with() -> None:
@@ -825,6 +907,25 @@ def test_what_faults_are_flown_with() -> None:
     stated(FAULTS, "A servo that jams {} deg off loses", *jammed)
 
 
+def test_what_full_scale_flies_with() -> None:
+    """docs/full-scale.md: inputs of its tables."""
+    (command,) = Scenario.load("full-scale-roll-doublet").command
+    assert isinstance(command, DoubletCommand)
+    stated(FULL, "in the roll doublet of {}° (overshoot, time to settle) and in {} s of hover", command.amplitude,
+           Scenario.load("full-scale-hover").duration_s)  # fmt: skip
+    late = load_engine("turbine-220", {}, STEP).delay or 0.0
+    stated(FULL, "with an ECU that answers {} s late and limits the acceleration", late)
+    stated(FULL, "is too late for that too: {} s in its ECU and the slowest spool", late)
+    stated(FULL, "linearised at hover thrust ({} N), gives", load_vehicle("hexjet-p220")[0].mass_kg * G / 6.0)
+    vehicle, _ = load_vehicle("hexjet-p220")
+    assert vehicle.fuel is not None
+    # the data sheet's straight line from 9 N, 0.104 kg/min to 220 N, 0.58 kg/min, over the falling mass
+    slope = (0.58 - 0.104) / 211.0
+    rest, rate = 6.0 * (0.104 - 9.0 * slope), slope * G
+    burnt = (vehicle.mass_kg + rest / rate) * (1.0 - math.exp(-10.0 * rate))
+    stated(FULL, "A hover of ten minutes burns {} of {} kg of fuel", burnt, vehicle.fuel.mass_kg)
+
+
 CAMPAIGNS = "docs/campaigns.md"
 
 
@@ -836,7 +937,7 @@ def test_what_campaigns_say_of_studies_and_statistics() -> None:
     stated(CAMPAIGNS, "the roll doublet with {} vehicles that are not the model", robust.runs or 0)
     levels = math.prod(len(vary.values) if vary.values else vary.levels or 1 for vary in envelope.vary)
     stated(CAMPAIGNS, "(../studies/payload-and-gust.toml): {} combinations", levels)
-    stated(CAMPAIGNS, "of {} succeed (", full.runs or 0)
+    assert f"| {full.runs} |" in parts_of((ROOT / CAMPAIGNS).read_text(encoding="utf-8"), CAMPAIGNS)["full-scale"]
     # exact: none of a hundred, 0.975 of the probability
     stated(
         CAMPAIGNS, "a hundred flights without a failure leave room for {} % of failures", 100.0 * (1.0 - 0.025**0.01)
@@ -844,6 +945,42 @@ def test_what_campaigns_say_of_studies_and_statistics() -> None:
     low, high = wilson(np.array([200]), np.array([400]))
     assert 50.0 * float(high[0] - low[0]) == pytest.approx(5.0, abs=0.5)
     assert "After 400 flights they reach five points either way" in text(CAMPAIGNS)
+
+
+def ranged(study: Study, key: str) -> tuple[float, float]:
+    """From where to where a study varies a key."""
+    (vary,) = [each for each in study.vary if each.key == key]
+    assert vary.range is not None
+    return vary.range[0], vary.range[1]
+
+
+def test_what_campaigns_say_is_varied() -> None:
+    """docs/campaigns.md: the ranges are those of the studies' files."""
+    robust, envelope, full = (Study.load(name) for name in ("predictor-robustness", "payload-and-gust", "full-scale"))
+    assert ranged(robust, "engine_parameters.delay_samples") == (0.5, 1.5)
+    inertia, thrust = ranged(robust, "vehicle.inertia_kg_m2.0"), ranged(robust, "mismatch.thrust_factor")
+    lag = 1e3 * -STEP / math.log(PAPER["edf"][1])
+    load, off = ranged(robust, "disturbance.0.mass_kg"), ranged(robust, "disturbance.0.offset_m.1")
+    stated(
+        CAMPAIGNS,
+        "Half the delay either way, {} % of gain, {} to {} % of thrust, lags from {} to {} ms, noise, and up to {} kg as "
+        "much as {} cm off to one side",
+        round(100.0 * (inertia[1] - 1.0)), *(100.0 * each for each in thrust),
+        *(lag + 1e3 * each for each in ranged(robust, "vehicle.sensors.gyro.filter_s")), load[1], 100.0 * off[1],
+    )  # fmt: skip
+    (levers,) = [each.values for each in envelope.vary if each.key == "disturbance.0.offset_m.1"]
+    lean, end = (envelope.success[f"roll.{name}_rad"].max for name in ("max_abs_error", "final_error"))
+    stated(
+        CAMPAIGNS,
+        "a load taken up ({} to {} kg, {} to {} cm to windward) and a side gust ({} to {} m/s). What is missed is {}° of "
+        "lean at the worst, or {}° at the end",
+        *ranged(envelope, "disturbance.0.mass_kg"), *(-100.0 * float(each) for each in (levers[0], levers[-1])),
+        *ranged(envelope, "disturbance.1.velocity_ned_m_s.1"), math.degrees(lean or 0.0), math.degrees(end or 0.0),
+    )  # fmt: skip
+    gust, late = ranged(full, "disturbance.0.velocity_ned_m_s.1"), ranged(full, "engine_parameters.delay_samples")
+    stated(CAMPAIGNS, "{} kg on six P220, as shipped, in gusts of {} to {} m/s with engines up to {} ms later and a tenth "
+           "slower than published", load_vehicle("hexjet-p220")[0].mass_kg, *gust, 1e3 * STEP * late[1])  # fmt: skip
+    assert ranged(full, "fault.0.lag_s")[1] == pytest.approx(0.1 / 1.295, abs=5e-4)
 
 
 @pytest.mark.parametrize(
