@@ -257,6 +257,28 @@ def test_the_turbine_whose_thrust_comes_late_needs_it_found_sooner() -> None:
     assert sooner.throttles_deg < sooner.lean_deg
 
 
+@pytest.mark.parametrize(("engine", "means"), [("turbine-20", OPPOSITE), ("turbine-220", SOONER)])
+def test_at_a_corner_it_is_the_height_hold_that_loses_the_slowest_turbines(engine: str, means: Any) -> None:
+    """The same gains with the collective left at that of hover come back to level: docs/faults.md, docs/full-scale.md."""
+    for jet in (1, 2, 3, 4):
+        scenario = flight(engine, jet, means)
+        with build(scenario) as simulation:
+            hover = simulation.cascade.allocator.hover
+        steady = [{"kind": "step", "signal": "collective", "start_s": 1.0, "amplitude": hover}]
+        run = fly(scenario.replace(command=steady, duration_s=6.0))
+        assert run.outcome == "completed", run.reason
+        last = round(1.0 / STEP_S)
+        assert max(abs(run.log[angle][-last:]).max() for angle in ("roll_rad", "pitch_rad")) < radians(5.0)
+        assert run.log["velocity_down_m_s"][-1] > 1.0  # it pays with height
+    if engine == "turbine-20":
+        refused = fly(flight(engine, 1, means)).log["refused_roll"]
+        assert not refused[round(1.3 / STEP_S) :].any()
+    for page in PAGES:
+        words = " ".join((DOCS / page).read_text(encoding="utf-8").split())
+        assert "With the collective left at that of hover" in words
+        assert "but for the first instants refuses it none" in words or page != "faults.md"
+
+
 def test_the_opposite_engine_goes_with_the_first_that_is_lost_and_with_no_other() -> None:
     scenario = flight("edf-as-flown", 3, OPPOSITE)
     later = {"kind": "flame_out", "start_s": 1.6, "jet": 5}
