@@ -213,7 +213,12 @@ def stopped(processes: Processes, out: Path, stop: Callable[[subprocess.Popen[st
     script = "from cosim.campaign import cluster; cluster.CONNECT_S = 1.0; from cosim.cli import main; main()"
     command = [sys.executable, "-c", script, "sweep", *what, *where]
     flying = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    wait_for(lambda: journal.is_file() and journal.read_text().count("\n") > 4)
+
+    def begun() -> bool:
+        assert flying.poll() is None, flying.communicate()
+        return journal.is_file() and journal.read_text().count("\n") > 4
+
+    wait_for(begun)
     stop(flying)
     said, _ = flying.communicate(timeout=PATIENCE)
     return flying.returncode, said.rstrip("\n")

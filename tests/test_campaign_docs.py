@@ -88,7 +88,8 @@ def test_the_keys_on_the_page_exist() -> None:
     }  # fmt: skip
     fault = {"kind": "slow_spool", "start_s": 0.0, "jet": [1], "lag_s": 0.1}
     scenario = open_study("payload-drop", vary=["vehicle.mass_kg=5:6"], runs=2).base().replace(fault=[fault])
-    known = {key.path for key in keys.all_keys(scenario)}
+    searched = open_study("gust", vary=["vehicle.mass_kg=5:6"], runs=2).base()  # whose keys a table of the page has
+    known = {key.path for each in (scenario, searched) for key in keys.all_keys(each)}
     tables = {"vehicle.identified.0", "environment.0", "vehicle.aero.0", "vehicle.sensors.0"}
     assert len(named) > 12
     assert named - known - tables == set()

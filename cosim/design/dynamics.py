@@ -163,14 +163,11 @@ def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: fl
         for zero in ((0.1, 1.0) if "zero" in form else (0.1,))
         for last in ((0.1, 1.0) if "lag" in form else (0.1,))
     ]
-    enough = 0.5 * (GOOD / 3.0) ** 2 * float(np.sum(weight**2))  # of the cost: there is no better place to find
     for damping, zero, last in starts:
         start = np.array([gain, log(2.0 / lag), log(damping), delay, log(zero * lag), log(last * lag), log(quick)])
         found = fitted(np.clip(start, low + 1e-6, high - 1e-6), free)
         if found[0] < best[0]:
             best = found
-        if best[0] < enough:
-            break
     # a delay is a whole number of samples: the whole one that leaves least
     whole = sorted({max(0, round(best[1][3]) + k) for k in range(-SEARCHED, SEARCHED + 1)})
     chosen: tuple[float, Array] = (inf, best[1])
