@@ -11,18 +11,18 @@ MAKEFLAGS += --no-print-directory
 BIN := .venv/bin
 LOCKED := .venv/locked
 BUILT := .venv/built
-COMPILED := $(shell sed -n 's|^    "\(.*\.py\)",$$|cosim/\1|p' cosim/compiled.py)
-SOURCES := setup.py pyproject.toml cosim/compiled.py $(COMPILED) cosim/engine/build.py $(wildcard cosim/*.c cosim/engine/*.c cosim/engine/*.h) \
+COMPILED := $(shell sed -n 's|^    "\(.*\.py\)",$$|cosim/\1|p' cosim/base/compiled.py)
+SOURCES := setup.py pyproject.toml cosim/base/compiled.py $(COMPILED) cosim/engine/build.py $(wildcard cosim/*/*.c cosim/engine/*.h) \
 	$(shell find engines -type f 2>/dev/null)
 # half a gigabyte for MAVProxy's maps and three-dimensional views; the tests run it without
 NOT_NEEDED := opencv-python vtk shapely quantized-mesh-tile
 # what the set-up leaves outside .venv; if any of it was deleted, it is made again
-MISSING := $(if $(and $(wildcard fmus/*.fmu),$(wildcard cosim/engine/_bank.*.so),$(wildcard cosim/_rows.*.so), \
-	$(wildcard cosim/_records.*.so),$(or $(HEXJET_PURE),$(and $(wildcard cosim/_compiled.*.sha256),$(wildcard cosim/_native__mypyc.*.so)))),,missing)
+MISSING := $(if $(and $(wildcard fmus/*.fmu),$(wildcard cosim/engine/_bank.*.so),$(wildcard cosim/results/_rows.*.so), \
+	$(wildcard cosim/base/_records.*.so),$(or $(HEXJET_PURE),$(and $(wildcard cosim/_compiled.*.sha256),$(wildcard cosim/_native__mypyc.*.so)))),,missing)
 
 ##@ Fly and look
 demo: setup ## fly roll-doublet without and with the Smith predictor, and compare
-	@$(BIN)/python -m cosim.demo $(ARGS)
+	@$(BIN)/python -m cosim.cli.demo $(ARGS)
 
 bench: setup ## measure microseconds per step and ratios (asserts nothing)
 	@$(BIN)/python -m benchmarks $(ARGS)

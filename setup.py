@@ -1,6 +1,6 @@
 """What pyproject.toml cannot say: the compiled modules, the FMUs, the MAVLink messages, the data inside the package.
 
-``HEXJET_PURE`` set in the environment leaves out what mypyc would compile: see ``cosim/compiled.py``.
+``HEXJET_PURE`` set in the environment leaves out what mypyc would compile: see ``cosim/base/compiled.py``.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ def build_fmus(engines: Path, fmus: Path) -> None:
 
 def build_messages(package: Path) -> Path:
     """Make the module of MAVLink messages in ``package``.  Raises CompileError."""
-    maker = by_path("mavlink_generate", ROOT / "cosim" / "mavlink" / "generate.py")
+    maker = by_path("mavlink_generate", ROOT / "cosim" / "groundstation" / "mavlink" / "wire" / "generate.py")
     try:
-        made: Path = maker.generate(package / "mavlink")
+        made: Path = maker.generate(package / "groundstation" / "mavlink" / "wire")
     except maker.GenerateError as error:
         raise CompileError(str(error)) from error
     return made
@@ -80,7 +80,7 @@ class BuildExtensions(build_ext):
 
     def run(self) -> None:
         self.parallel = self.parallel or os.cpu_count()
-        compiled = by_path("compiled", ROOT / "cosim" / "compiled.py")
+        compiled = by_path("compiled", ROOT / "cosim" / "base" / "compiled.py")
         package = ROOT / "cosim" if self.inplace else Path(self.build_lib) / "cosim"
         stamp = package / compiled.STAMP
         if os.environ.get(compiled.PURE):
@@ -172,7 +172,10 @@ class BuildData(Command):
         if self.editable_mode:
             return []
         data = [path for path in self._data_folder().rglob("*") if path.is_file()]
-        return [str(path) for path in (*data, self._data_folder().parent / "mavlink" / "_messages.py")]
+        return [
+            str(path)
+            for path in (*data, self._data_folder().parent / "groundstation" / "mavlink" / "wire" / "_messages.py")
+        ]
 
     def get_output_mapping(self) -> dict[str, str]:
         """No file here is a link to one in the clone."""
@@ -208,7 +211,7 @@ setup(
             py_limited_api=LIMITED_API,
             extra_compile_args=c_flags("-O2"),
         ),
-        Extension("cosim._records", sources=["cosim/_records.c"], extra_compile_args=c_flags("-O2")),
-        Extension("cosim._rows", sources=["cosim/_rows.c"], extra_compile_args=c_flags("-O3")),
+        Extension("cosim.base._records", sources=["cosim/base/_records.c"], extra_compile_args=c_flags("-O2")),
+        Extension("cosim.results._rows", sources=["cosim/results/_rows.c"], extra_compile_args=c_flags("-O3")),
     ],
 )

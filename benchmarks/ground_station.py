@@ -28,19 +28,19 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from cosim.build import build
-from cosim.exchange import Exchange
-from cosim.gcs import Session, facts_of, scripted_status
-from cosim.links import Links, about_of
-from cosim.marks import table, write_marks
-from cosim.mavlink.dialect import BY_NAME, mav
-from cosim.mavlink.exchange import Exchange as MavlinkExchange
-from cosim.mavlink.link import Link
-from cosim.mavlink.snapshot import Predicting, Snapshot
-from cosim.mavlink.vehicle import Vehicle
-from cosim.pilot import requests as rq
-from cosim.pilot.parameters import Parameters
-from cosim.scenario import Scenario
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.parameters import Parameters
+from cosim.groundstation.exchange import Exchange
+from cosim.groundstation.links import Links, about_of
+from cosim.groundstation.mavlink.exchange import Exchange as MavlinkExchange
+from cosim.groundstation.mavlink.snapshot import Predicting, Snapshot
+from cosim.groundstation.mavlink.vehicle import Vehicle
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
+from cosim.groundstation.mavlink.wire.link import Link
+from cosim.groundstation.session import Session, facts_of, scripted_status
+from cosim.results.report.marks import table, write_marks
+from cosim.simulation.build import build
+from cosim.spec.scenario import Scenario
 
 ATTITUDE = 30
 HEARTBEAT_EVERY = 1.0

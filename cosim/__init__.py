@@ -10,17 +10,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from cosim.compiled import choose
-from cosim.errors import EngineError, FlightError, InputError
+from cosim.base.compiled import choose
+from cosim.base.errors import EngineError, FlightError, InputError
 
 if TYPE_CHECKING:
     from cosim.flight import fly
-    from cosim.run import Run, open_run
-    from cosim.scenario import Scenario
+    from cosim.results.run import Run, open_run
+    from cosim.spec.scenario import Scenario
 
 __all__ = ["EngineError", "FlightError", "InputError", "Run", "Scenario", "fly", "open_run"]
 
-_WHERE = {"Scenario": "cosim.scenario", "fly": "cosim.flight", "Run": "cosim.run", "open_run": "cosim.run"}
+_WHERE = {
+    "Scenario": "cosim.spec.scenario",
+    "fly": "cosim.flight",
+    "Run": "cosim.results.run",
+    "open_run": "cosim.results.run",
+}
 
 choose()  # before any module that may be compiled is imported
 

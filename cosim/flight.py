@@ -9,22 +9,17 @@ from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
 
-from cosim.airframe import IN_THE_AIR, METHODS, ON_THE_GROUND, POSITIONS
-from cosim.build import build
-from cosim.config import nearest, read_toml
-from cosim.control.choice import PREDICTORS
-from cosim.ending import Ending
+from cosim.base.errors import FlightError, InputError
+from cosim.base.protocols import Observer
+from cosim.base.toml import nearest, read_toml
+from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec, engine_names
-from cosim.errors import FlightError, InputError
-from cosim.limits import yardstick
-from cosim.metrics import Reach, metric_names
-from cosim.pace import Pace
-from cosim.pilot_record import PilotRecord
-from cosim.piloted import with_autopilot
-from cosim.protocols import Observer
-from cosim.recorder import KeepingSink
-from cosim.replay import REQUESTS, Replay, read_requests
-from cosim.run import (
+from cosim.results.autopilot_record import PilotRecord
+from cosim.results.limits import yardstick
+from cosim.results.metrics import Reach, metric_names
+from cosim.results.recorder import KeepingSink
+from cosim.results.request_log import REQUESTS, Replay, read_requests
+from cosim.results.run import (
     AUTOPILOT,
     REPORT,
     DelayRow,
@@ -37,9 +32,25 @@ from cosim.run import (
     now,
     versions,
 )
-from cosim.scenario import Expectation, Scenario, SticksCommand, TableCommand, is_file
-from cosim.simulation import Simulation
-from cosim.vehicle import aircraft_names
+from cosim.simulation.build import build
+from cosim.simulation.ending import Ending
+from cosim.simulation.pacing import Pace
+from cosim.simulation.step import Simulation
+from cosim.simulation.with_autopilot import with_autopilot
+from cosim.spec.scenario import (
+    Expectation,
+    Scenario,
+    SticksCommand,
+    TableCommand,
+    is_file,
+)
+from cosim.spec.vehicle import aircraft_names
+from cosim.vehicle.airframe import (
+    IN_THE_AIR,
+    METHODS,
+    ON_THE_GROUND,
+    POSITIONS,
+)
 
 
 def fly(
@@ -55,7 +66,7 @@ def fly(
     """Fly a scenario to its end, record every step, and give back the finished run.
 
     ``out`` is the run's folder, made if need be; without it the log stays in memory, or what ``sink`` keeps of it: at
-    least the columns of :func:`cosim.metrics.columns`.  ``observers`` see every step.
+    least the columns of :func:`cosim.results.metrics.columns`.  ``observers`` see every step.
     ``realtime_factor`` paces the flight (1.0 is real time).  ``watch`` makes a further observer of the flight when it
     is built.  A crash, a divergence or a failing engine is an outcome, not an exception.
 
@@ -100,7 +111,7 @@ def fly(
 def with_page(run: Run) -> Run:
     """The run, with its page beside its log where it has a folder.  Raises FlightError if that cannot be written."""
     if run.folder is not None:
-        from cosim.report import write_report
+        from cosim.results.report.flight import write_report
 
         write_report(run, run.folder / REPORT)
     return run
@@ -224,7 +235,7 @@ def _setup(simulation: Simulation) -> Setup:
 
 
 def integration(scenario: Scenario) -> Integration:
-    """How the airframe of a flight is integrated: see :mod:`cosim.airframe`."""
+    """How the airframe of a flight is integrated: see :mod:`cosim.vehicle.airframe`."""
     return Integration(
         runs=scenario.substeps,
         run_s=scenario.step_s / scenario.substeps,

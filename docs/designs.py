@@ -16,15 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from cosim import Scenario, fly
-from cosim.design import make
+from cosim.design import design as make
 from cosim.design.channel import Actuator, channels
-from cosim.design.closed import Closed, Points
-from cosim.design.file import read_controller, with_controller
+from cosim.design.closed_loop import Closed, Points
+from cosim.design.controller_file import read_controller, with_controller
 from cosim.design.levels import AXES, DESIGNED, at_share
 from cosim.design.tune import FINE
 from cosim.engine import load_engine
-from cosim.marks import table, write_marks
-from cosim.vehicle import load_vehicle
+from cosim.results.report.marks import table, write_marks
+from cosim.spec.vehicle import load_vehicle
 
 ROOT = Path(__file__).parent.parent
 DESIGNS = ROOT / "tests" / "designs"

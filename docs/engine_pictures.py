@@ -11,7 +11,13 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.engine import EngineBank, EngineSpec, build_engines, engine_names, load_engine
+from cosim.engine import (
+    EngineBank,
+    EngineSpec,
+    build_engines,
+    engine_names,
+    load_engine,
+)
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

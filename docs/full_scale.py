@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 
 from cosim import Scenario, fly
-from cosim.config import read_toml
-from cosim.design.file import read_controller
-from cosim.design.make import design
+from cosim.base.threads import one_thread
+from cosim.base.toml import read_toml
+from cosim.design.controller_file import read_controller
+from cosim.design.controller_table import write_controller
+from cosim.design.design import design
 from cosim.design.tune import NOISE_SHARE, Requirements
-from cosim.design.written import write_controller
-from cosim.marks import check_marks, table, write_marks
-from cosim.threads import one_thread
+from cosim.results.report.marks import check_marks, table, write_marks
 
 AIRCRAFT = "hexjet-p220"
 PAGE = Path(__file__).parent / "full-scale.md"
@@ -78,7 +78,13 @@ CYCLE_S = 10.0  # of a hover, its last part, in which a limit cycle stands
 def searched(case: Case, out: Path) -> dict[str, Any]:
     """What each of TRIED reaches on roll, as ``hexjet design`` searches for it, and what limits the best."""
     from cosim.design.channel import Actuator, channels
-    from cosim.design.make import _axis, _dynamics, _identify, _scenario, engine_lead
+    from cosim.design.design import (
+        _axis,
+        _dynamics,
+        _identify,
+        _scenario,
+        engine_lead,
+    )
     from cosim.engine import load_engine
 
     need = Requirements(noise_share=case.noise_share)
@@ -206,8 +212,13 @@ def dead_band(amplitude: float, samples: int = 4000) -> complex:
 def predicted(engine: str, out: Path) -> dict[str, Any]:
     """Amplitude in dead bands and frequency [Hz] of the limit cycle: where the roll loop times that function is -1."""
     from cosim.design.channel import Actuator, channels
-    from cosim.design.closed import Closed, Points
-    from cosim.design.make import _dynamics, _identify, _scenario, shipped
+    from cosim.design.closed_loop import Closed, Points
+    from cosim.design.design import (
+        _dynamics,
+        _identify,
+        _scenario,
+        shipped,
+    )
     from cosim.engine import load_engine
 
     flight, vehicle = _scenario(engine, AIRCRAFT, ())

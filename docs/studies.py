@@ -18,10 +18,20 @@ from typing import Any
 import numpy as np
 
 from cosim.campaign import open_campaign
-from cosim.campaign.flown import KINDS, Flown, Mask, read
-from cosim.campaign.summary import SUCCESS, places, ranked, shares
-from cosim.cli import main as hexjet
-from cosim.marks import check_marks, table, write_marks
+from cosim.campaign.analysis.summary import (
+    SUCCESS,
+    places,
+    ranked,
+    shares,
+)
+from cosim.campaign.analysis.table import (
+    KINDS,
+    Flown,
+    Mask,
+    read,
+)
+from cosim.cli.main import main as hexjet
+from cosim.results.report.marks import check_marks, table, write_marks
 
 PAGE = Path(__file__).parent / "campaigns.md"
 DELAY, GUST = "engine_parameters.delay_samples", "disturbance.0.velocity_ned_m_s.1"

@@ -12,12 +12,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.campaign import local
-from cosim.campaign.one import Row, fly_one
-from cosim.campaign.options import open_study
-from cosim.campaign.plan import Flight
-from cosim.campaign.study import Study
-from cosim.errors import FlightError
+from cosim.base.errors import FlightError
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.plan import Flight
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers import local
+from cosim.campaign.workers.flight_row import Row, fly_one
 
 NOTES = "HEXJET_TEST_NOTES"  # a folder for what workers leave, by environment
 TROUBLED = 2  # the number of the flight that goes wrong

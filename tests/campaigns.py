@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from cosim.campaign.plan import Flight, flights
 from cosim.campaign.store import Campaign
-from cosim.campaign.study import Study
-from cosim.metrics import metric_names
+from cosim.campaign.study.plan import Flight, flights
+from cosim.campaign.study.study import Study
+from cosim.results.metrics import metric_names
 
 Row = dict[str, Any]
 Outcome = Callable[[Flight, np.random.Generator], Row]

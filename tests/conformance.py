@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from cosim import metrics, protocols
-from cosim.campaign.cluster import DaskWorkers
-from cosim.campaign.local import LocalWorkers
-from cosim.campaign.one import Row
-from cosim.campaign.plan import Flight
-from cosim.campaign.study import Study
-from cosim.control.allocation import RotorAllocator, TiltAllocator
+from cosim.base import protocols
+from cosim.campaign.study.plan import Flight
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.cluster import DaskWorkers
+from cosim.campaign.workers.flight_row import Row
+from cosim.campaign.workers.local import LocalWorkers
+from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
+from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.cascade import Cascade
-from cosim.control.predictor import FilteredSmithPredictor, NoPredictor, SmithPredictor
-from cosim.control.state_predictor import ModalPredictor, StatePredictor
-from cosim.disturbances import Disturber
+from cosim.control.predictors.smith import FilteredSmithPredictor, NoPredictor, SmithPredictor
+from cosim.control.predictors.state import ModalPredictor, StatePredictor
 from cosim.engine import EngineBank
-from cosim.pilot.autopilot import Autopilot
-from cosim.placed import PlacePilot
-from cosim.recorder import Recorder
-from cosim.run import Recording
-from cosim.sensors import FaultySensors, SensorSuite
+from cosim.results import metrics
+from cosim.results.recorder import Recorder
+from cosim.results.run import Recording
+from cosim.simulation.disturber import Disturber
+from cosim.simulation.with_places import PlacePilot
+from cosim.vehicle.sensors import FaultySensors, SensorSuite
 
 METRICS: list[protocols.Metric] = [metrics.flight_metrics]
 

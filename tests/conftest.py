@@ -15,8 +15,8 @@ import pytest
 from command_tools import Done, Hexjet
 from hypothesis import HealthCheck, settings
 
-from cosim.scratch import scratch
-from cosim.threads import one_thread
+from cosim.base.scratch import scratch
+from cosim.base.threads import one_thread
 
 one_thread()  # beside other tests
 # a machine that is busy with other work is no failure
@@ -49,7 +49,7 @@ def hexjet(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytes
     monkeypatch.chdir(tmp_path)
 
     def run(*arguments: str) -> Done:
-        from cosim.cli import main
+        from cosim.cli.main import main
 
         with pytest.raises(SystemExit) as end:
             main(list(arguments))

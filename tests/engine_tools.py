@@ -16,8 +16,8 @@ from fmpy.fmi3 import FMU3Slave
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from cosim.base.paths import data_folder
 from cosim.engine import build
-from cosim.paths import data_folder
 
 STEP = 0.004
 NEWTON_PER_KGF = 9.80665

@@ -10,11 +10,20 @@ from typing import Any
 
 from pyulog import ULog
 
-from cosim.export import export_ulog
-from cosim.frames import from_euler
-from cosim.run import DelayRow, Setup
-from cosim.scenario import Expectation, Range, Scenario
-from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measured, Sample, State, Unallocated
+from cosim.base.frames import from_euler
+from cosim.base.signals import (
+    Actuation,
+    Command,
+    Disturbance,
+    EngineOutput,
+    Measured,
+    Sample,
+    State,
+    Unallocated,
+)
+from cosim.results.export import export_ulog
+from cosim.results.run import DelayRow, Setup
+from cosim.spec.scenario import Expectation, Range, Scenario
 
 STEP = 0.004
 SILENT = (nan,) * 6  # engines that report nothing but their thrust

@@ -20,9 +20,9 @@ from typing import Any
 
 from patience import PATIENCE, stretched
 
-from cosim.mavlink.dialect import mav
+from cosim.groundstation.mavlink.wire.dialect import mav
 
-HEXJET = [sys.executable, "-c", "from cosim.cli import main; main()"]
+HEXJET = [sys.executable, "-c", "from cosim.cli.main import main; main()"]
 LOOPBACK = "127.0.0.1"
 
 

@@ -8,10 +8,10 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from cosim.mavlink.dialect import mav, pack
-from cosim.mavlink.frames import Parser, Sender
-from cosim.mavlink.service import Client
-from cosim.pilot.requests import Answer, Request, Result
+from cosim.control.autopilot.requests import Answer, Request, Result
+from cosim.groundstation.mavlink.services.service import Client
+from cosim.groundstation.mavlink.wire.dialect import mav, pack
+from cosim.groundstation.mavlink.wire.frames import Parser, Sender
 
 TICK = 0.01  # s between two polls
 _FLOAT = struct.Struct("<f")

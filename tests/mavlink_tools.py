@@ -10,20 +10,37 @@ from typing import Any
 
 from patience import stretched
 
-from cosim.geodesy import Geodesy
-from cosim.mavlink.dialect import mav
-from cosim.mavlink.exchange import Exchange
-from cosim.mavlink.link import Link
-from cosim.mavlink.peer import Peer
-from cosim.mavlink.signing import Signing
-from cosim.mavlink.snapshot import About, Predicting, Snapshot
-from cosim.mavlink.vehicle import Vehicle
-from cosim.pilot.autopilot import Status
-from cosim.pilot.modes import Home, LandedState, Mode
-from cosim.pilot.navigation import Fix
-from cosim.pilot.requests import Answer, Arm, Disarm, Request, Result, SetMode, Takeoff
-from cosim.protocols import EngineState
-from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measured, Sample, State, Unallocated
+from cosim.base.geodesy import Geodesy
+from cosim.base.protocols import EngineState
+from cosim.base.signals import (
+    Actuation,
+    Command,
+    Disturbance,
+    EngineOutput,
+    Measured,
+    Sample,
+    State,
+    Unallocated,
+)
+from cosim.control.autopilot.autopilot import Status
+from cosim.control.autopilot.modes import Home, LandedState, Mode
+from cosim.control.autopilot.navigation import Fix
+from cosim.control.autopilot.requests import (
+    Answer,
+    Arm,
+    Disarm,
+    Request,
+    Result,
+    SetMode,
+    Takeoff,
+)
+from cosim.groundstation.mavlink.exchange import Exchange
+from cosim.groundstation.mavlink.snapshot import About, Predicting, Snapshot
+from cosim.groundstation.mavlink.vehicle import Vehicle
+from cosim.groundstation.mavlink.wire.dialect import mav
+from cosim.groundstation.mavlink.wire.link import Link
+from cosim.groundstation.mavlink.wire.peer import Peer
+from cosim.groundstation.mavlink.wire.signing import Signing
 
 GEODESY = Geodesy(22.35, 113.59, 12.0)
 ABOUT = About(

@@ -22,7 +22,7 @@ from benchmarks.accuracy.check_cases import (
 from benchmarks.accuracy.exact import density, geodetic, gravitation, integrate, local, start
 from benchmarks.accuracy.flights import SCHEMES, WINDOW, Course, course, error, exact, fly_again, from_the_log
 from cosim import Scenario, fly
-from cosim.marks import parts_of
+from cosim.results.report.marks import parts_of
 
 ROOT = Path(__file__).parent.parent
 DATA = ROOT.parent / "shared" / "data" / "nesc"

@@ -11,13 +11,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cosim.airframe import METHODS, Airframe, render, standing_height
-from cosim.errors import InputError
+from cosim.base.errors import InputError
+from cosim.base.frames import jet_axis
+from cosim.base.signals import ZERO3, Disturbance, Vector3
 from cosim.flight import integration
-from cosim.frames import jet_axis
-from cosim.scenario import Environment, Initial, Scenario
-from cosim.signals import ZERO3, Disturbance, Vector3
-from cosim.vehicle import Vehicle, load_vehicle
+from cosim.spec.scenario import Environment, Initial, Scenario
+from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.vehicle.airframe import (
+    METHODS,
+    Airframe,
+    render,
+    standing_height,
+)
 
 STEP = 0.004
 NO_AERO = {"aero": {"drag_area_m2": [0.0, 0.0, 0.0], "damping_n_m_s": [0.0, 0.0, 0.0]}}

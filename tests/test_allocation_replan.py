@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.control.allocation import RotorAllocator, TiltAllocator
-from cosim.control.replan import attainable, attainable_sets, plan
-from cosim.signals import ZERO3, Actuation, JetHealth
-from cosim.vehicle import load_vehicle
+from cosim.base.signals import ZERO3, Actuation, JetHealth
+from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
+from cosim.control.allocation.reallocation import attainable, attainable_sets, plan
+from cosim.spec.vehicle import load_vehicle
 
 HEXJET = load_vehicle("hexjet")[0]
 QUADROTOR = load_vehicle("quadrotor")[0]

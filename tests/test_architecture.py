@@ -17,20 +17,20 @@ PACKAGE = ROOT / "cosim"
 
 # A foreign library has one home: a module, or a folder with one duty.
 HOMES = {
-    "jsbsim": ["airframe.py"],
+    "jsbsim": ["vehicle/airframe.py"],
     "fmpy": ["engine/"],
-    "pymavlink": ["mavlink/"],
-    "plotly": ["page.py"],
-    "pyarrow": ["arrow.py"],
+    "pymavlink": ["groundstation/mavlink/"],
+    "plotly": ["results/report/page.py"],
+    "pyarrow": ["results/arrow.py"],
     "control": ["design/"],
-    "websockets": ["web/"],
-    "distributed": ["campaign/cluster.py"],
+    "websockets": ["groundstation/web/"],
+    "distributed": ["campaign/workers/cluster.py"],
 }
 
 # Blocks get values and return values: no files, clocks, environment or global randomness.
 BLOCKS = [
-    "control/", "pilot/", "engine/wrappers.py", "propulsion.py", "sensors.py", "servo.py", "ending.py", "frames.py",
-    "signals.py", "protocols.py",
+    "control/", "engine/wrappers.py", "vehicle/propulsion.py", "vehicle/sensors.py", "vehicle/servo.py", "simulation/ending.py", "base/frames.py",
+    "base/signals.py", "base/protocols.py",
 ]  # fmt: skip
 OUTSIDE_WORLD = {
     "builtins", "ctypes", "datetime", "fileinput", "glob", "importlib", "io", "logging", "os", "pathlib", "random",
@@ -38,20 +38,20 @@ OUTSIDE_WORLD = {
 }  # fmt: skip
 READS_THE_OUTSIDE_WORLD = {"open", "print", "input", "exec", "eval", "__import__"}
 OUR_FILE_READERS = {
-    "cosim.config",
-    "cosim.paths",
-    "cosim.cli",
-    "cosim.report",
-    "cosim.page",
-    "cosim.recorder",
-    "cosim.simulation",
-    "cosim.build",
-    "cosim.arrow",
-    "cosim.files",
+    "cosim.base.toml",
+    "cosim.base.paths",
+    "cosim.cli.main",
+    "cosim.results.report.flight",
+    "cosim.results.report.page",
+    "cosim.results.recorder",
+    "cosim.simulation.step",
+    "cosim.simulation.build",
+    "cosim.results.arrow",
+    "cosim.base.files",
 }
 
 # An engine is a file before it flies and none while it flies: loading reads, stepping does not.
-ENGINE_STEPS = ["engine/bank.py", "engine/response.py", "engine/slave.py", "engine/spec.py"]
+ENGINE_STEPS = ["engine/bank.py", "engine/response.py", "engine/instance.py", "engine/spec.py"]
 CLOCKS_AND_CHANCE = {"datetime", "random", "secrets", "time", "uuid"}
 C_FILES_CLOCKS_AND_CHANCE = (
     r"\b(f?open|fread|fwrite|getenv|s?rand|random|time|clock|clock_gettime|s?printf|puts|system)\s*\("
@@ -106,7 +106,9 @@ def importers(*wanted: str) -> list[str]:
 
 def test_the_package_is_found() -> None:
     """The rules below say nothing if there is nothing to read."""
-    assert {"airframe.py", "simulation.py", "cli.py", "control/rate.py"} <= {place(path) for path in modules()}
+    assert {"vehicle/airframe.py", "simulation/step.py", "cli/main.py", "control/rate.py"} <= {
+        place(path) for path in modules()
+    }
 
 
 @pytest.mark.parametrize("block", BLOCKS)
@@ -174,28 +176,30 @@ def test_stepping_the_engines_reads_no_file() -> None:
 
 
 def test_nothing_imports_the_command_line() -> None:
-    entry_points = ["__main__.py", "cli.py", "cli/"]
-    assert not [where for where in importers("cosim.cli") if not is_in(PACKAGE / where.split(":")[0], entry_points)]
+    entry_points = ["__main__.py", "cli/"]
+    assert not [
+        where for where in importers("cosim.cli.main") if not is_in(PACKAGE / where.split(":")[0], entry_points)
+    ]
 
 
 def test_the_simulation_knows_no_output() -> None:
     """It calls observers; which ones there are is the business of whoever starts a flight."""
     outputs = importers(
-        "cosim.report",
-        "cosim.page",
-        "cosim.recorder",
-        "cosim.arrow",
-        "cosim.digest",
-        "cosim.metrics",
-        "cosim.cli",
-        "cosim.mavlink",
+        "cosim.results.report.flight",
+        "cosim.results.report.page",
+        "cosim.results.recorder",
+        "cosim.results.arrow",
+        "cosim.results.digest",
+        "cosim.results.metrics",
+        "cosim.cli.main",
+        "cosim.groundstation.mavlink",
     )
     assert not [where for where in outputs if where.startswith(("simulation.py:", "build.py:"))]
 
 
 def test_the_protocols_know_the_records_and_nothing_above() -> None:
-    ours = {name.rpartition(".")[0] for name, _ in imported(PACKAGE / "protocols.py") if name.startswith("cosim")}
-    assert ours == {"cosim.signals"}
+    ours = {name.rpartition(".")[0] for name, _ in imported(PACKAGE / "base/protocols.py") if name.startswith("cosim")}
+    assert ours == {"cosim.base.signals"}
 
 
 def test_the_product_imports_no_test_tools() -> None:
@@ -207,7 +211,7 @@ def test_python_control_is_the_second_opinion_of_tests() -> None:
     assert not importers("control")
 
 
-@pytest.mark.parametrize("module", ["cosim", "cosim.cli", "cosim.flight"])
+@pytest.mark.parametrize("module", ["cosim", "cosim.cli.main", "cosim.flight"])
 def test_an_import_stays_light(module: str) -> None:
     """Heavy libraries come in where they are needed, so that the command answers at once."""
     script = f"import sys, {module}; print(*sys.modules.keys() & {HEAVY!r})"

@@ -15,10 +15,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim import arrow as arrow_module
-from cosim.arrow import ParquetLog, StreamSink, Value, read_table, read_table_note, stream_to_parquet, write_table
-from cosim.columns import COLUMNS, NAMES
-from cosim.errors import FlightError, InputError
+from cosim.base.errors import FlightError, InputError
+from cosim.results import arrow as arrow_module
+from cosim.results.arrow import (
+    ParquetLog,
+    StreamSink,
+    Value,
+    read_table,
+    read_table_note,
+    stream_to_parquet,
+    write_table,
+)
+from cosim.results.columns import COLUMNS, NAMES
 
 
 def tables(sizes: list[int], seed: int = 1) -> list[np.ndarray]:

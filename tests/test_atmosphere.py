@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from cosim.airframe import Airframe
-from cosim.atmosphere import standard_air
-from cosim.scenario import Environment, Initial
-from cosim.signals import ZERO3
-from cosim.vehicle import load_vehicle
+from cosim.base.signals import ZERO3
+from cosim.spec.scenario import Environment, Initial
+from cosim.spec.vehicle import load_vehicle
+from cosim.vehicle.airframe import Airframe
+from cosim.vehicle.atmosphere import standard_air
 
 EARTH_RADIUS = 6356766.0  # m, of the standard
 

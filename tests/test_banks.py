@@ -8,18 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.airframe import Airframe
-from cosim.banks import Banks
+from cosim.base.errors import InputError
+from cosim.base.signals import (
+    ZERO3,
+    Disturbance,
+    State,
+    Vector3,
+)
 from cosim.design.channel import Actuator, Channel, channels
+from cosim.design.controller_file import differences, with_controller
 from cosim.design.dynamics import lags
-from cosim.design.file import differences, with_controller
+from cosim.design.identify import identify_axis
 from cosim.engine import load_engine
-from cosim.errors import InputError
 from cosim.flight import fly
-from cosim.identify import identify_axis
-from cosim.scenario import Environment, Initial, Scenario
-from cosim.signals import ZERO3, Disturbance, State, Vector3
-from cosim.vehicle import Vehicle, load_vehicle
+from cosim.spec.scenario import Environment, Initial, Scenario
+from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.vehicle.airframe import Airframe
+from cosim.vehicle.banks import Banks
 
 STEP = 0.004
 NO_AERO = {"drag_area_m2": [0.0, 0.0, 0.0], "damping_n_m_s": [0.0, 0.0, 0.0]}

@@ -15,35 +15,53 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from cosim.base.errors import FlightError, InputError
 from cosim.bench import (
     FULL,
     Plan,
     Result,
+    make_plan,
+    measure,
+)
+from cosim.bench.machine import package_versions
+from cosim.bench.measures import (
     blocks,
     campaign,
     growth,
-    make_plan,
-    measure,
-    multirotor,
     others,
-    peers,
     process,
     speed,
 )
-from cosim.bench.blocks import Block, Replay
-from cosim.bench.campaign import CampaignPlan
-from cosim.bench.long_flight import fly_long, resident_and_peak, resident_of
-from cosim.bench.machine import package_versions
-from cosim.bench.page import ABSENT, NAMES, check_page, write_page
+from cosim.bench.measures.blocks import Block, Replay
+from cosim.bench.measures.campaign import CampaignPlan
+from cosim.bench.measures.long_flight import fly_long, resident_and_peak, resident_of
+from cosim.bench.page import (
+    ABSENT,
+    NAMES,
+    check_page,
+    write_page,
+)
+from cosim.bench.peers import multirotor, peers
 from cosim.bench.show import print_result
-from cosim.bench.suite import CAMPAIGN, MEMORY, PARTS, QUICK
+from cosim.bench.suite import (
+    CAMPAIGN,
+    MEMORY,
+    PARTS,
+    QUICK,
+)
 from cosim.bench.tables import spread
 from cosim.bench.targets import Judged, judge, to_dict
-from cosim.bench.timing import Clocked, Cost, Job, Pair, Spread, interleave
-from cosim.build import build
-from cosim.cli import cli
-from cosim.errors import FlightError, InputError
-from cosim.run import open_run
+from cosim.bench.timing import (
+    Clocked,
+    Cost,
+    Job,
+    Pair,
+    Spread,
+    interleave,
+)
+from cosim.cli.main import cli
+from cosim.results.run import open_run
+from cosim.simulation.build import build
 
 STEPS = 500
 

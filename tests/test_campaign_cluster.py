@@ -20,18 +20,18 @@ import pytest
 from campaign_tools import study, without_chance
 from patience import PATIENCE
 
-from cosim.campaign import cluster, remote
-from cosim.campaign.cluster import DaskWorkers
+from cosim.base.errors import FlightError, InputError
+from cosim.base.paths import data_folder
 from cosim.campaign.folder import freeze, load
-from cosim.campaign.local import LocalWorkers
-from cosim.campaign.one import Row
-from cosim.campaign.plan import Flight, flights
 from cosim.campaign.store import Store
-from cosim.campaign.study import Study
-from cosim.cli import main
+from cosim.campaign.study.plan import Flight, flights
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers import cluster, remote
+from cosim.campaign.workers.cluster import DaskWorkers
+from cosim.campaign.workers.flight_row import Row
+from cosim.campaign.workers.local import LocalWorkers
+from cosim.cli.main import main
 from cosim.engine import build_engines
-from cosim.errors import FlightError, InputError
-from cosim.paths import data_folder
 
 MASS = {"key": "vehicle.mass_kg", "range": [5.0, 6.0]}
 
@@ -210,7 +210,9 @@ def stopped(processes: Processes, out: Path, stop: Callable[[subprocess.Popen[st
     journal = out / "flights.jsonl"
     what = ["hover", "--vary", "vehicle.mass_kg=5.4:5.8", "--set", "duration_s=2", "--runs", "2000", "--json"]
     where = ["--cluster", str(processes.file), "--out", str(out)]
-    script = "from cosim.campaign import cluster; cluster.CONNECT_S = 1.0; from cosim.cli import main; main()"
+    script = (
+        "from cosim.campaign.workers import cluster; cluster.CONNECT_S = 1.0; from cosim.cli.main import main; main()"
+    )
     command = [sys.executable, "-c", script, "sweep", *what, *where]
     flying = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 

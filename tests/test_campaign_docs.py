@@ -13,13 +13,14 @@ import click
 import numpy as np
 import pytest
 
-from cosim.campaign import folder, keys
-from cosim.campaign import search_folder as searches
-from cosim.campaign.flown import KINDS, Flown, KeyColumn
-from cosim.campaign.options import open_study
-from cosim.campaign.study import Study, study_names
-from cosim.cli import cli
-from cosim.marks import parts_of
+from cosim.campaign import folder
+from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
+from cosim.campaign.search import folder as searches
+from cosim.campaign.study import keys
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.study import Study, study_names
+from cosim.cli.main import cli
+from cosim.results.report.marks import parts_of
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "campaigns.md").read_text(encoding="utf-8")
@@ -64,7 +65,9 @@ def test_a_command_is_one(words: list[str]) -> None:
 
 @pytest.mark.parametrize("command", ["sweep", "search"])
 def test_every_option_is_on_the_page(command: str) -> None:
-    own = [option for parameter in cli.commands[command].params for option in parameter.opts if option.startswith("--")]
+    made = cli.get_command(click.Context(cli), command)
+    assert made is not None
+    own = [option for parameter in made.params for option in parameter.opts if option.startswith("--")]
     assert len(own) > 8
     assert [option for option in own if option not in PAGE] == []
 

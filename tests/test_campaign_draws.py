@@ -13,12 +13,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import pearsonr, spearmanr
 
-from cosim.campaign.draws import BLOCK, SMALLEST, draws, flight_seed, inverse, rearranged
-from cosim.campaign.keys import Key
-from cosim.campaign.options import open_study
-from cosim.campaign.study import Study
-from cosim.campaign.values import levels
-from cosim.campaign.vary import Vary, parse_vary
+from cosim.campaign.study.distributions import Vary, parse_vary
+from cosim.campaign.study.draws import (
+    BLOCK,
+    SMALLEST,
+    draws,
+    flight_seed,
+    inverse,
+    rearranged,
+)
+from cosim.campaign.study.keys import Key
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.study import Study
+from cosim.campaign.study.values import levels
 
 STORED = [
     (5863379305646526, 5.360553678634377, 20),

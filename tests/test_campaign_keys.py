@@ -7,12 +7,19 @@ from typing import Any
 
 import pytest
 
-from cosim.build import build
-from cosim.campaign.keys import Key, all_keys, find_key, matching, split, with_values
-from cosim.errors import InputError
+from cosim.base.errors import InputError
+from cosim.campaign.study.keys import (
+    Key,
+    all_keys,
+    find_key,
+    matching,
+    split,
+    with_values,
+)
 from cosim.flight import fly
-from cosim.scenario import Scenario, scenario_names
-from cosim.vehicle import load_vehicle
+from cosim.simulation.build import build
+from cosim.spec.scenario import Scenario, scenario_names
+from cosim.spec.vehicle import load_vehicle
 
 OWN = ("aircraft", "engine", "controller")
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from cosim.campaign.one import fly_one
-from cosim.campaign.options import open_study
-from cosim.campaign.plan import flights
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.plan import flights
+from cosim.campaign.workers.flight_row import fly_one
 from cosim.paper.linear import Axis, Plant
 from cosim.paper.loops import LoopMap
-from cosim.vehicle import load_vehicle
+from cosim.spec.vehicle import load_vehicle
 
 
 def first_unstable_delay(controller: str) -> int:

@@ -19,15 +19,10 @@ from campaigns import DELAY, GAIN, MASS, NOISE, TURBULENCE, WIND, campaign, loop
 from scipy import stats
 from scipy.stats import qmc
 
-from cosim.arrow import read_table, write_table
-from cosim.build import build
-from cosim.campaign.cases import eccentricity, worst, write_case
-from cosim.campaign.figures import distribution, group_medians
-from cosim.campaign.flown import KINDS, criterion, metric, read, short_names
-from cosim.campaign.one import fly_one
-from cosim.campaign.plan import Flight, flights
-from cosim.campaign.report import metric_rows, page, write_campaign_report
-from cosim.campaign.sensitivity import (
+from cosim.base.errors import InputError
+from cosim.campaign.analysis.figures import distribution, group_medians
+from cosim.campaign.analysis.page import metric_rows, page, write_campaign_report
+from cosim.campaign.analysis.sensitivity import (
     first_order,
     joint,
     most_classes,
@@ -36,8 +31,8 @@ from cosim.campaign.sensitivity import (
     rank_interval,
     ranking,
 )
-from cosim.campaign.stability import LEAST, MOST_POINTS, map_tables
-from cosim.campaign.statistics import (
+from cosim.campaign.analysis.stability_map import LEAST, MOST_POINTS, map_tables
+from cosim.campaign.analysis.statistics import (
     Pairs,
     Z,
     classes,
@@ -49,13 +44,30 @@ from cosim.campaign.statistics import (
     share,
     wilson,
 )
+from cosim.campaign.analysis.summary import (
+    campaign_summary,
+    comparisons,
+    plain,
+    reasons,
+    summary_lines,
+)
+from cosim.campaign.analysis.table import (
+    KINDS,
+    criterion,
+    metric,
+    read,
+    short_names,
+)
+from cosim.campaign.analysis.worst_cases import eccentricity, worst, write_case
 from cosim.campaign.store import Campaign
-from cosim.campaign.summary import campaign_summary, comparisons, plain, reasons, summary_lines
-from cosim.digest import log_digest
-from cosim.errors import InputError
+from cosim.campaign.study.plan import Flight, flights
+from cosim.campaign.workers.flight_row import fly_one
 from cosim.flight import fly
-from cosim.page import figure_json
-from cosim.scenario import Range, Scenario
+from cosim.results.arrow import read_table, write_table
+from cosim.results.digest import log_digest
+from cosim.results.report.page import figure_json
+from cosim.simulation.build import build
+from cosim.spec.scenario import Range, Scenario
 
 SIX = [
     {"key": DELAY, "range": [0, 20]},

@@ -14,13 +14,24 @@ import tomli_w
 from campaign_tools import without_chance
 from command_tools import Hexjet
 
-from cosim.campaign import Campaign, fly_again, open_campaign, open_study, run_campaign
-from cosim.campaign.folder import FLIGHTS, JOURNAL, SCENARIO, STUDY
-from cosim.campaign.one import fly_one
-from cosim.campaign.plan import flights
-from cosim.campaign.study import Study
-from cosim.config import read_toml
-from cosim.paths import data_folder
+from cosim.base.paths import data_folder
+from cosim.base.toml import read_toml
+from cosim.campaign import (
+    Campaign,
+    fly_again,
+    open_campaign,
+    open_study,
+    run_campaign,
+)
+from cosim.campaign.folder import (
+    FLIGHTS,
+    JOURNAL,
+    SCENARIO,
+    STUDY,
+)
+from cosim.campaign.study.plan import flights
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import fly_one
 
 SHORT = ("--set", "duration_s=0.2", "--workers", "2")
 
@@ -69,7 +80,8 @@ def test_to_resume_what_was_never_begun_begins_it(tmp_path: Path) -> None:
 
 
 def test_the_examples_are_right(tmp_path: Path) -> None:
-    from cosim.campaign import campaign, store
+    from cosim.campaign import run as campaign
+    from cosim.campaign import store
 
     known = {
         "folder": tmp_path / "c",
@@ -108,12 +120,12 @@ def test_a_changed_number_of_the_aircraft_is_told(moved: Path) -> None:
 
 
 def test_a_changed_version_is_told(moved: Path, monkeypatch: pytest.MonkeyPatch, hexjet: Hexjet) -> None:
-    from cosim import run
+    from cosim.results import run
 
     held = run.versions()
     monkeypatch.setattr("cosim.flight.versions", lambda: held | {"jsbsim": "9.9.9"})
     assert fly_again(open_campaign(moved), 0).same  # another version, and the same flight all the same
-    monkeypatch.setattr("cosim.campaign.campaign.log_digest", lambda log: "another")
+    monkeypatch.setattr("cosim.campaign.run.log_digest", lambda log: "another")
     done = hexjet("fly", str(moved), "--flight", "0")
     assert done.status == 1
     assert "flight 0: not the same" in done.out
@@ -121,13 +133,13 @@ def test_a_changed_version_is_told(moved: Path, monkeypatch: pytest.MonkeyPatch,
 
 
 def test_an_unexplained_change_is_told_as_such(flown: Campaign, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cosim.campaign.campaign.log_digest", lambda log: "another")
+    monkeypatch.setattr("cosim.campaign.run.log_digest", lambda log: "another")
     again = fly_again(flown, 0)
     assert again.otherwise[0].startswith("versions, aircraft and engines are the same: the program or the machine")
 
 
 def test_a_flight_that_was_lost_cannot_be_compared(moved: Path, hexjet: Hexjet) -> None:
-    from cosim.arrow import read_table, write_table
+    from cosim.results.arrow import read_table, write_table
 
     part = moved / FLIGHTS / "part-00000.parquet"
     columns = read_table(part)
@@ -325,7 +337,7 @@ def test_a_flight_that_could_not_be_flown_is_told_so_again(tmp_path: Path, hexje
 def test_a_terminal_shows_how_far_it_is(monkeypatch: pytest.MonkeyPatch, quiet: bool) -> None:
     """Done of all and successes by controller; what was flown in another session counts for no rate."""
     from cosim.campaign.store import Tally
-    from cosim.console import sweep_progress
+    from cosim.cli.console import sweep_progress
 
     class Terminal(io.StringIO):
         def isatty(self) -> bool:

@@ -15,25 +15,30 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.campaign.local import LocalWorkers
-from cosim.campaign.one import Row, failed_row, fly_one
-from cosim.campaign.outward import outward, side_by_side
-from cosim.campaign.plan import Flight
-from cosim.campaign.probe import Journal, Point, Prober, SpentError
-from cosim.campaign.search import Edge, Found, search
-from cosim.campaign.search_folder import opened, run_search
-from cosim.campaign.search_show import how_fine
-from cosim.campaign.study import Study
-from cosim.cli import main
+from cosim.base.errors import InputError
+from cosim.campaign.search.folder import opened, run_search
+from cosim.campaign.search.line_search import outward, side_by_side
+from cosim.campaign.search.page import how_fine
+from cosim.campaign.search.probe import (
+    Journal,
+    Point,
+    Prober,
+    SpentError,
+)
+from cosim.campaign.search.search import Edge, Found, search
+from cosim.campaign.study.plan import Flight
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
+from cosim.campaign.workers.local import LocalWorkers
+from cosim.cli.main import main
 from cosim.design.channel import Actuator, channels
-from cosim.design.closed import Closed, Points
+from cosim.design.closed_loop import Closed, Points
+from cosim.design.design import shipped
 from cosim.design.dynamics import lags
-from cosim.design.make import shipped
 from cosim.engine import load_engine
-from cosim.errors import InputError
 from cosim.flight import fly
-from cosim.scenario import Scenario
-from cosim.vehicle import load_vehicle
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
 
 Values = Mapping[str, Any]
 X, Y, Z = "disturbance.0.velocity_ned_m_s.0", "disturbance.0.velocity_ned_m_s.2", "environment.wind_ned_m_s.2"

@@ -22,14 +22,19 @@ import pytest
 from campaign_tools import NOTES, without_chance
 from patience import PATIENCE
 
-from cosim.arrow import read_table
+from cosim.base.errors import FlightError, InputError
 from cosim.campaign import store as store_module
-from cosim.campaign.campaign import run_campaign
-from cosim.campaign.folder import FLIGHTS, JOURNAL, SCENARIO, STUDY
-from cosim.campaign.one import Row, failed_row, fly_one
-from cosim.campaign.plan import flights
+from cosim.campaign.folder import (
+    FLIGHTS,
+    JOURNAL,
+    SCENARIO,
+    STUDY,
+)
+from cosim.campaign.run import run_campaign
 from cosim.campaign.store import Store, open_campaign
-from cosim.errors import FlightError, InputError
+from cosim.campaign.study.plan import flights
+from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
+from cosim.results.arrow import read_table
 
 TESTS = Path(__file__).parent
 MASS, WIND = "vehicle.mass_kg=5.4:5.8", "environment.wind_ned_m_s.1=normal(0,1)"  # as campaign_tools has them
@@ -238,7 +243,7 @@ def test_other_random_numbers_are_noticed(tmp_path: Path, monkeypatch: pytest.Mo
     folder = tmp_path / "c"
     with Store.create(folder, tools.study()) as store:
         fill(store, range(4))
-    monkeypatch.setattr("cosim.campaign.draws.flight_seed", lambda seed, number: number)
+    monkeypatch.setattr("cosim.campaign.study.draws.flight_seed", lambda seed, number: number)
     with pytest.raises(
         InputError, match=r"flight 0 was flown with seed = .* other numbers than the versions that began"
     ):
@@ -271,11 +276,11 @@ import resource, signal, sys
 sys.path.insert(0, {tests!r})
 import campaign_tools as tools
 from cosim.campaign import store
-from cosim.campaign.campaign import run_campaign
-from cosim.errors import FlightError
+from cosim.campaign.run import run_campaign
+from cosim.base.errors import FlightError
 store.WRITE_S = {write_s}
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-import cosim.campaign.local as local
+import cosim.campaign.workers.local as local
 ready = local._Process.receive
 def limited(self):
     message = ready(self)
@@ -333,8 +338,8 @@ import sys
 sys.path.insert(0, {tests!r})
 import campaign_tools as tools
 from cosim.campaign import store
-from cosim.campaign.campaign import run_campaign
-from cosim.campaign.local import LocalWorkers
+from cosim.campaign.run import run_campaign
+from cosim.campaign.workers.local import LocalWorkers
 store.PART_ROWS, store.WRITE_S = 50, 0.02
 with LocalWorkers(2, fly=tools.noted) as workers:
     run_campaign(tools.study({runs}, 0.1), {folder!r}, workers, resume=True)
@@ -403,7 +408,7 @@ def test_ctrl_c_ends_it_at_once_and_says_how_to_go_on(tmp_path: Path, sent: sign
     command = [
         sys.executable,
         "-c",
-        "from cosim.cli import main; main()",
+        "from cosim.cli.main import main; main()",
         "sweep",
         "hover",
         "--vary",

@@ -9,14 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.campaign.one import fly_one
-from cosim.campaign.options import open_study, parse_correlate, parse_success
-from cosim.campaign.plan import flights
-from cosim.campaign.study import Study, study_names
-from cosim.campaign.vary import LogNormal, Normal, Triangular, Vary, parse_vary
-from cosim.catalogue import catalogue
-from cosim.errors import InputError
-from cosim.scenario import Range, Scenario, scenario_names
+from cosim.base.errors import InputError
+from cosim.campaign.study.distributions import (
+    LogNormal,
+    Normal,
+    Triangular,
+    Vary,
+    parse_vary,
+)
+from cosim.campaign.study.options import open_study, parse_correlate, parse_success
+from cosim.campaign.study.plan import flights
+from cosim.campaign.study.study import Study, study_names
+from cosim.campaign.workers.flight_row import fly_one
+from cosim.cli.catalogue import catalogue
+from cosim.spec.scenario import Range, Scenario, scenario_names
 
 MASS, GAIN = "vehicle.mass_kg", "engine_parameters.gain"
 

@@ -16,13 +16,13 @@ import pytest
 from campaign_tools import NOTES, TROUBLED, without_chance
 from patience import PATIENCE, stretched
 
-from cosim.campaign.local import LocalWorkers
-from cosim.campaign.one import Row, fly_one, kinds
-from cosim.campaign.plan import Flight, flights, scenario_of
-from cosim.campaign.study import Study
-from cosim.digest import log_digest
-from cosim.errors import FlightError, InputError
+from cosim.base.errors import FlightError, InputError
+from cosim.campaign.study.plan import Flight, flights, scenario_of
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import Row, fly_one, kinds
+from cosim.campaign.workers.local import LocalWorkers
 from cosim.flight import fly
+from cosim.results.digest import log_digest
 
 TESTS = Path(__file__).parent
 
@@ -114,7 +114,7 @@ def test_what_nobody_thought_of_is_a_row_too(study: Study, monkeypatch: pytest.M
     def break_off(*_: object, **__: object) -> None:
         raise ZeroDivisionError("of nothing\nby nothing")
 
-    monkeypatch.setattr("cosim.campaign.one.fly", break_off)
+    monkeypatch.setattr("cosim.campaign.workers.flight_row.fly", break_off)
     row = fly_one(study, flights(study)[0])
     assert (row["outcome"], row["reason"]) == ("failed", "ZeroDivisionError: of nothing")
 
@@ -128,7 +128,7 @@ def test_a_full_disk_is_not_the_flights_fault(study: Study, monkeypatch: pytest.
         except OSError as error:
             raise InputError("edf.fmu: is damaged") from error
 
-    monkeypatch.setattr("cosim.campaign.one.fly", full)
+    monkeypatch.setattr("cosim.campaign.workers.flight_row.fly", full)
     with pytest.raises(FlightError, match=f":{os.getpid()}: No space left on device"):
         fly_one(study, flights(study)[0])
 
@@ -146,7 +146,7 @@ def test_who_interrupts_a_flight_interrupts_it_all(monkeypatch: pytest.MonkeyPat
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cosim.digest.DigestSink.write", interrupt)
+    monkeypatch.setattr("cosim.results.digest.DigestSink.write", interrupt)
     study = tools.study(1, 2.0)
     with pytest.raises(KeyboardInterrupt):
         fly_one(study, flights(study)[0])
@@ -270,8 +270,8 @@ ORPHANS = """
 import sys
 sys.path.insert(0, {tests!r})
 import campaign_tools as tools
-from cosim.campaign.local import LocalWorkers
-from cosim.campaign.plan import flights
+from cosim.campaign.workers.local import LocalWorkers
+from cosim.campaign.study.plan import flights
 study = tools.study(500)
 for row in LocalWorkers(3, time_limit_s={limit}, fly=tools.hanging).fly(study, flights(study)):
     print(row["flight"], flush=True)
@@ -314,6 +314,6 @@ def children() -> list[psutil.Process]:
     found = []
     for each in psutil.Process().children():
         with suppress(psutil.NoSuchProcess, psutil.ZombieProcess):
-            if any("cosim.campaign.local" in part for part in each.cmdline()):
+            if any("cosim.campaign.workers.local" in part for part in each.cmdline()):
                 found.append(each)
     return found

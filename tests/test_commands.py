@@ -9,11 +9,17 @@ import numpy as np
 import pytest
 from scipy.signal import chirp
 
-from cosim.commands import Commander, doublet, pulse, read_columns, sweep
-from cosim.disturbances import Disturber
-from cosim.errors import InputError
-from cosim.scenario import Scenario
-from cosim.signals import ZERO3, Disturbance
+from cosim.base.errors import InputError
+from cosim.base.signals import ZERO3, Disturbance
+from cosim.simulation.commander import (
+    Commander,
+    doublet,
+    pulse,
+    read_columns,
+    sweep,
+)
+from cosim.simulation.disturber import Disturber
+from cosim.spec.scenario import Scenario
 
 STEP = 0.004
 

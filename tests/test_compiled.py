@@ -15,8 +15,14 @@ import numpy as np
 import pytest
 
 from cosim import Scenario, fly
-from cosim.build import build
-from cosim.compiled import MODULES, PURE, SHARED, STAMP, edited
+from cosim.base.compiled import (
+    MODULES,
+    PURE,
+    SHARED,
+    STAMP,
+    edited,
+)
+from cosim.simulation.build import build
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "cosim"
@@ -91,12 +97,12 @@ def test_the_compiled_modules_are_flown_here() -> None:
 @needs_compiled
 def test_compiled_and_from_source_a_flight_is_the_same_bit_for_bit() -> None:
     said, _ = python(
-        "import json, test_compiled, cosim.simulation as s; print(s.__file__, json.dumps(test_compiled.digests()))",
+        "import json, test_compiled, cosim.simulation.step as s; print(s.__file__, json.dumps(test_compiled.digests()))",
         Path(__file__).parent,
         **{PURE: "1"},
     )
     module, _, found = said.partition(" ")
-    assert module.endswith("simulation.py")
+    assert module.endswith("simulation/step.py")
     assert json.loads(found) == digests()
 
 
@@ -104,16 +110,18 @@ def test_compiled_and_from_source_a_flight_is_the_same_bit_for_bit() -> None:
 def test_an_edited_source_is_what_runs(tmp_path: Path) -> None:
     """And one line says so; until the edit nothing is said."""
     shutil.copytree(PACKAGE, tmp_path / "cosim", ignore=shutil.ignore_patterns("__pycache__", "mavlink", "web", "data"))
-    code = "import cosim.servo, cosim.frames; print(cosim.servo.__file__, cosim.frames.__file__)"
+    code = (
+        "import cosim.vehicle.servo, cosim.base.frames; print(cosim.vehicle.servo.__file__, cosim.base.frames.__file__)"
+    )
     before, nothing = python(code, tmp_path)
     assert before.count(str(tmp_path)) == 2
     assert ".py" not in before.replace(".cpython", "")
     assert nothing == ""
-    edited_file = tmp_path / "cosim" / "servo.py"
+    edited_file = tmp_path / "cosim" / "vehicle/servo.py"
     with edited_file.open("a", encoding="utf-8") as file:
         file.write("# another line\n")
     after, said = python(code, tmp_path)
-    assert after.split() == [str(edited_file), str(tmp_path / "cosim" / "frames.py")]
+    assert after.split() == [str(edited_file), str(tmp_path / "cosim" / "base/frames.py")]
     assert said.count("\n") == 1
     assert str(edited_file) in said
     assert "make setup" in said
@@ -125,8 +133,8 @@ def test_half_of_what_was_compiled_is_not_used(tmp_path: Path, lost: str) -> Non
     """As where another Python compiled last, or a build was broken off."""
     shutil.copytree(PACKAGE, tmp_path / "cosim", ignore=shutil.ignore_patterns("__pycache__", "mavlink", "web", "data"))
     (tmp_path / "cosim" / lost).unlink()
-    found, said = python("import cosim.servo; print(cosim.servo.__file__)", tmp_path)
-    assert found.split() == [str(tmp_path / "cosim" / "servo.py")]
+    found, said = python("import cosim.vehicle.servo; print(cosim.vehicle.servo.__file__)", tmp_path)
+    assert found.split() == [str(tmp_path / "cosim" / "vehicle/servo.py")]
     assert said == ""
 
 

@@ -11,16 +11,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from cosim import frames
-from cosim.control.allocation import TiltAllocator
+from cosim.base import frames
+from cosim.base.errors import InputError
+from cosim.base.protocols import Predictor
+from cosim.base.signals import Command, Measured, Unallocated
+from cosim.control.allocation.allocation import TiltAllocator
 from cosim.control.altitude import GRAVITY, AltitudeController
 from cosim.control.attitude import AttitudeController
-from cosim.control.predictor import DelayLine, NoPredictor, SmithPredictor, rate_model
+from cosim.control.predictors.smith import (
+    DelayLine,
+    NoPredictor,
+    SmithPredictor,
+    rate_model,
+)
 from cosim.control.rate import RateAxis
-from cosim.errors import InputError
-from cosim.protocols import Predictor
-from cosim.signals import Command, Measured, Unallocated
-from cosim.vehicle import AltitudeGains, AttitudeGains, Jet, RateGains, RateModel, load_vehicle
+from cosim.spec.vehicle import (
+    AltitudeGains,
+    AttitudeGains,
+    Jet,
+    RateGains,
+    RateModel,
+    load_vehicle,
+)
 
 STEP = 0.004
 VEHICLE, _ = load_vehicle("hexjet")

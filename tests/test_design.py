@@ -15,25 +15,35 @@ import numpy as np
 import pytest
 from state_space import Body, Engine, Loop, first_order, realised
 
-from cosim.cli import main
-from cosim.control.choice import PREDICTORS
-from cosim.control.state_predictor import ModalPredictor
-from cosim.design import make
+from cosim.base.errors import InputError
+from cosim.cli.main import main
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.control.predictors.state import ModalPredictor
+from cosim.design import design as make
 from cosim.design import tune as search
 from cosim.design.channel import Actuator, Channel, channels
-from cosim.design.closed import Closed, Points
+from cosim.design.closed_loop import Closed, Points
+from cosim.design.controller_file import differences, read_controller, with_controller
+from cosim.design.controller_table import controller_table
+from cosim.design.design import (
+    Design,
+    design,
+    margins,
+    throttle_for,
+)
 from cosim.design.dynamics import lags
-from cosim.design.file import differences, read_controller, with_controller
-from cosim.design.loop import grid, model_response, observer_response, predictor_response
-from cosim.design.make import Design, design, margins, throttle_for
+from cosim.design.frequency import (
+    grid,
+    model_response,
+    observer_response,
+    predictor_response,
+)
 from cosim.design.tune import Requirements
 from cosim.design.tuning import CANDIDATES, Tuning
-from cosim.design.written import controller_table
 from cosim.engine import EngineBank, load_engine
-from cosim.errors import InputError
-from cosim.ledger import delay_ledger, total_samples
-from cosim.scenario import Scenario
-from cosim.vehicle import PredictorTuning, RateModel, load_vehicle
+from cosim.simulation.delay_ledger import delay_ledger, total_samples
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import PredictorTuning, RateModel, load_vehicle
 
 DESIGNS = Path(__file__).parent / "designs"
 TUNING = PredictorTuning(filter_s=0.1, observer_rad_s=40.0, model_observer_rad_s=30.0, disturbance_observer_rad_s=12.0)
@@ -110,7 +120,7 @@ def test_a_modal_predictor_is_the_two_pole_predictor_where_there_are_two_poles(d
 @pytest.mark.parametrize("each", MODELS[2:5])
 def test_a_modal_predictor_tells_the_rate_of_the_delay_to_come(each: RateModel) -> None:
     """Plant and model alike, a constant load that only the disturbance observer learns of."""
-    from cosim.control.predictor import DelayedModel, rate_model
+    from cosim.control.predictors.smith import DelayedModel, rate_model
 
     predictor = ModalPredictor(each, 40.0, disturbance=True)
     plant, ahead = DelayedModel(each), rate_model(each)
@@ -156,7 +166,7 @@ def test_the_channel_is_what_a_sweep_in_flight_finds(axis: str, least: float) ->
 
     The rest is the sweep's own: its points stand for groups of frequencies, and pitch and yaw move the vehicle.
     """
-    from cosim.identify import identify_axis
+    from cosim.design.identify import identify_axis
 
     settings = ["sensor_noise=false"]
     found = identify_axis(axis, "hexjet", "edf-as-flown", settings=settings, from_hz=least, to_hz=4.0)
@@ -294,7 +304,7 @@ def test_the_time_response_is_the_blocks_response(controller: str) -> None:
 @pytest.mark.parametrize("controller", CANDIDATES)
 def test_the_time_response_is_that_of_a_second_realisation(controller: str, delay: float) -> None:
     """A whole response identified, also with a delay that is not whole: its step by blocks that fly it."""
-    from cosim.control.predictor import DelayedModel
+    from cosim.control.predictors.smith import DelayedModel
     from cosim.control.rate import RateAxis
 
     believed = model([0.9999, 0.9024], [-1.4538], delay)

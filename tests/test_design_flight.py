@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.design.file import read_controller, with_controller
+from cosim.design.controller_file import read_controller, with_controller
 from cosim.engine import engine_names
 from cosim.flight import fly
-from cosim.vehicle import load_vehicle
+from cosim.spec.vehicle import load_vehicle
 
 DESIGNS = Path(__file__).parent / "designs"
 ENGINES = sorted(path.stem for path in DESIGNS.glob("*.toml"))

@@ -14,12 +14,10 @@ import pytest
 from state_space import Body, Loop, first_order
 from test_design import DESIGNS, LINEAR, small_step, stored
 
-from cosim.config import read_toml
+from cosim.base.toml import read_toml
 from cosim.design.channel import Actuator, channels
-from cosim.design.file import read_controller
-from cosim.design.levels import AXES as LEVELLED
-from cosim.design.levels import DESIGNED, at_share, keeps
-from cosim.design.make import (
+from cosim.design.controller_file import read_controller
+from cosim.design.design import (
     AXES,
     _begin,
     _dynamics,
@@ -31,10 +29,12 @@ from cosim.design.make import (
     lead_there,
     needed,
 )
+from cosim.design.levels import AXES as LEVELLED
+from cosim.design.levels import DESIGNED, at_share, keeps
 from cosim.design.tune import settle
 from cosim.engine import load_engine
-from cosim.marks import parts_of
-from cosim.vehicle import load_vehicle
+from cosim.results.report.marks import parts_of
+from cosim.spec.vehicle import load_vehicle
 
 NAMES = sorted(path.stem for path in DESIGNS.glob("*.toml"))
 BURNING = [name for name in NAMES if stored(name)["design"].get("levels")]

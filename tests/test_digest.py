@@ -12,13 +12,13 @@ from flights import STEP, samples, scenario, setup
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.columns import NAMES
-from cosim.digest import Digest, DigestSink, log_digest
-from cosim.errors import InputError
-from cosim.metrics import columns, flight_metrics
-from cosim.recorder import MemoryLog, MemorySink, Recorder
-from cosim.run import begin_run
-from cosim.signals import Sample
+from cosim.base.errors import InputError
+from cosim.base.signals import Sample
+from cosim.results.columns import NAMES
+from cosim.results.digest import Digest, DigestSink, log_digest
+from cosim.results.metrics import columns, flight_metrics
+from cosim.results.recorder import MemoryLog, MemorySink, Recorder
+from cosim.results.run import begin_run
 
 NUMBERS = st.floats() | st.sampled_from([float("nan"), -float("nan"), 0.0, -0.0])
 

@@ -22,8 +22,13 @@ from engine_tools import (
     throttles,
 )
 
-from cosim.engine import EngineBank, EngineSpec, build_engines, load_engine
-from cosim.errors import EngineError, InputError
+from cosim.base.errors import EngineError, InputError
+from cosim.engine import (
+    EngineBank,
+    EngineSpec,
+    build_engines,
+    load_engine,
+)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -20,13 +20,20 @@ import pytest
 from broken_fmus import BROKEN, DESCRIPTION, UNFIT, UNUSABLE, XML, Broken, Kit, packed
 from patience import PATIENCE
 
-from cosim.build import build
-from cosim.cli import load_scenario, main
-from cosim.engine import EngineBank, build_engines, check, check_fmu, container, load_engine
+from cosim.base.errors import InputError
+from cosim.base.paths import data_folder
+from cosim.cli.main import load_scenario, main
+from cosim.engine import (
+    EngineBank,
+    build_engines,
+    check_fmu,
+    container,
+    load_engine,
+)
 from cosim.engine.ports import STANDARD_AIR, Air
-from cosim.engine.probe import Limits
-from cosim.errors import InputError
-from cosim.paths import data_folder
+from cosim.engine.qualify import check
+from cosim.engine.qualify.supervisor import Limits
+from cosim.simulation.build import build
 
 STEP = 0.004
 # A child needs half a second to start, and longer on a busy machine, where it seems to hang in whatever it is at: then it

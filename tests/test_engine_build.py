@@ -17,10 +17,17 @@ import pytest
 from engine_tools import STEP, archive, driven, rewrite, throttles
 from fmpy.validation import validate_fmu
 
-from cosim.engine import EngineBank, build, build_engines, check_fmu, engine_names, load_engine
+from cosim.base.errors import InputError
+from cosim.base.paths import data_folder
+from cosim.engine import (
+    EngineBank,
+    build,
+    build_engines,
+    check_fmu,
+    engine_names,
+    load_engine,
+)
 from cosim.engine.build import BuildError, build_all, read_engine
-from cosim.errors import InputError
-from cosim.paths import data_folder
 
 
 @pytest.fixture(scope="module", autouse=True)

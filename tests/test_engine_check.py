@@ -15,12 +15,25 @@ import numpy as np
 import pytest
 from engine_tools import NEWTON_PER_KGF, PAPER, STEP, archive, edit_description, paper_thrust
 
-from cosim.engine import CheckReport, build_engines, check_fmu, engine_names, load_engine
+from cosim.base.errors import InputError
+from cosim.base.paths import data_folder
+from cosim.engine import (
+    CheckReport,
+    build_engines,
+    check_fmu,
+    engine_names,
+    load_engine,
+)
 from cosim.engine.build import build_all
-from cosim.engine.figure import write_check
-from cosim.engine.response import Hold, ResponseError, settle, static_curve, step_response, window_for
-from cosim.errors import InputError
-from cosim.paths import data_folder
+from cosim.engine.response import (
+    Hold,
+    ResponseError,
+    settle,
+    static_curve,
+    step_response,
+    window_for,
+)
+from cosim.results.report.engine_check import write_check
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from engine_tools import STEP, Array, Driven, archive, driven
 
+from cosim.base.errors import InputError
+from cosim.base.paths import data_folder
 from cosim.engine import build_engines, load_engine
-from cosim.errors import InputError
 from cosim.flight import fly
-from cosim.paths import data_folder
-from cosim.scenario import Scenario
+from cosim.spec.scenario import Scenario
 
 LIMITED = ["p220", "p220-2025", "turbine-20", "turbine-100", "turbine-220"]
 TURBINES = LIMITED[2:]

@@ -13,8 +13,8 @@ import pytest
 from engine_tools import Array, Driven, archive, driven
 from fmpy.validation import validate_fmu
 
+from cosim.base.paths import data_folder
 from cosim.engine import build, build_engines, engine_names
-from cosim.paths import data_folder
 
 ENGINES = engine_names()
 FMUS = [(name, fmi) for name in ENGINES for fmi in (2, 3)]

@@ -13,11 +13,18 @@ import numpy as np
 import pytest
 from engine_tools import NEWTON_PER_KGF, PAPER, STEP, archive, edit_description, rewrite
 
-from cosim.engine import Air, EngineBank, EngineSpec, build_engines, engine_names, load_engine
+from cosim.base.errors import InputError
+from cosim.base.signals import Ambient
+from cosim.engine import (
+    Air,
+    EngineBank,
+    EngineSpec,
+    build_engines,
+    engine_names,
+    load_engine,
+)
 from cosim.engine.response import Curve
-from cosim.errors import InputError
-from cosim.reference import engine_reference
-from cosim.signals import Ambient
+from cosim.simulation.engine_reference import engine_reference
 
 Breaker = Callable[[Path], Path]
 

@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 from command_tools import Hexjet
 
-from cosim.build import build
-from cosim.control.altitude import GRAVITY
-from cosim.design.file import read_controller
-from cosim.engine import EngineBank, engine_names, load_engine
-from cosim.engine_out import (
+from cosim.base.errors import InputError
+from cosim.base.frames import to_euler
+from cosim.base.signals import Disturbance
+from cosim.campaign.engine_out import (
     MEANS,
     NOT_A_JET,
     OPPOSITE,
@@ -38,14 +37,15 @@ from cosim.engine_out import (
     unfit,
     write_pages,
 )
-from cosim.errors import InputError
+from cosim.control.altitude import GRAVITY
+from cosim.design.controller_file import read_controller
+from cosim.engine import EngineBank, engine_names, load_engine
 from cosim.flight import fly
-from cosim.frames import to_euler
-from cosim.marks import parts_of
-from cosim.scenario import Scenario
-from cosim.servo import TiltServo
-from cosim.signals import Disturbance
-from cosim.vehicle import load_vehicle
+from cosim.results.report.marks import parts_of
+from cosim.simulation.build import build
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
+from cosim.vehicle.servo import TiltServo
 
 DESIGNS = Path(__file__).parent / "designs"
 DOCS = Path(__file__).parents[1] / "docs"

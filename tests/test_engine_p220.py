@@ -12,8 +12,8 @@ import pytest
 from engine_tools import STEP, Array, archive, bang_bang, driven
 from scipy.integrate import solve_ivp
 
+from cosim.base.paths import data_folder
 from cosim.engine import build_engines
-from cosim.paths import data_folder
 
 # kerosene, in the order K_T K_TT K_D K_DD K_TD B_U B_T B_D B_UU c
 COEFFICIENTS = (0.237755, -0.012799, -0.860374, 0.023606, 0.008599, 1.139026, 0.019914, -0.050257, 0.000302, -0.692913)

@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.signal import csd, welch
 
+from cosim.base.paths import data_folder
 from cosim.engine import build_engines
-from cosim.paths import data_folder
 
 README = data_folder("engines") / "p220-2025" / "README.md"
 # The authors' own responses, of this model and of the one they learned, where they are at hand.

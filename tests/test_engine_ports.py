@@ -16,10 +16,27 @@ import pytest
 from engine_tools import STEP, archive, rewrite
 
 from cosim import Scenario, fly
-from cosim.engine import EngineBank, EngineSpec, build, build_engines, load_engine
+from cosim.base.errors import EngineError, InputError
+from cosim.base.signals import Ambient, EngineOutput
+from cosim.engine import (
+    EngineBank,
+    EngineSpec,
+    build,
+    build_engines,
+    load_engine,
+)
 from cosim.engine.archive import read_archive
-from cosim.engine.ports import INPUTS, KINDS, OUTPUTS, PortMap, Variable, find_ports, plain, without_unit
-from cosim.engine.slave import Slave
+from cosim.engine.instance import Slave
+from cosim.engine.ports import (
+    INPUTS,
+    KINDS,
+    OUTPUTS,
+    PortMap,
+    Variable,
+    find_ports,
+    plain,
+    without_unit,
+)
 from cosim.engine.units import (
     ANGULAR_SPEED,
     FORCE,
@@ -35,8 +52,6 @@ from cosim.engine.units import (
     by_name,
     to_si,
 )
-from cosim.errors import EngineError, InputError
-from cosim.signals import Ambient, EngineOutput
 
 POUND_FORCE = 4.4482216152605  # N, exact: 0.45359237 * 9.80665
 LAG = 0.05  # s, of every engine in this file

@@ -8,14 +8,22 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
-from cosim.events import contacts, disturbances, events_of, fault_text, faults, spans, verdicts
-from cosim.export import export_ulog
-from cosim.figures import MOST_MARKS, event_marks, run_figures
 from cosim.flight import fly
-from cosim.recorder import MemoryLog
-from cosim.report import write_report
-from cosim.run import Run, open_run
-from cosim.scenario import Scenario
+from cosim.results.events import (
+    contacts,
+    disturbances,
+    events_of,
+    fault_text,
+    faults,
+    spans,
+    verdicts,
+)
+from cosim.results.export import export_ulog
+from cosim.results.recorder import MemoryLog
+from cosim.results.report.flight import write_report
+from cosim.results.report.flight_figures import MOST_MARKS, event_marks, run_figures
+from cosim.results.run import Run, open_run
+from cosim.spec.scenario import Scenario
 
 STEP = 0.004
 

@@ -12,13 +12,23 @@ import pytest
 from flights import exported, samples, scenario, setup
 from pyulog import ULog
 
-from cosim.columns import NAMES
-from cosim.errors import InputError
-from cosim.export import TOPICS, export_csv, export_ulog, quaternions
-from cosim.frames import from_euler, to_euler
-from cosim.report import write_report
-from cosim.run import LOG, Run, begin_run, open_run
-from cosim.signals import Command, EngineOutput
+from cosim.base.errors import InputError
+from cosim.base.frames import from_euler, to_euler
+from cosim.base.signals import Command, EngineOutput
+from cosim.results.columns import NAMES
+from cosim.results.export import (
+    TOPICS,
+    export_csv,
+    export_ulog,
+    quaternions,
+)
+from cosim.results.report.flight import write_report
+from cosim.results.run import (
+    LOG,
+    Run,
+    begin_run,
+    open_run,
+)
 
 STEPS = 700
 

@@ -10,17 +10,17 @@ from typing import Any
 import pytest
 from command_tools import Hexjet
 
-from cosim import failsafes as table
-from cosim.build import build
+from cosim.base.protocols import EngineState
+from cosim.campaign import failsafe_survey as table
+from cosim.campaign.fault_survey import step_of
 from cosim.control.altitude import GRAVITY
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.flight import fly
-from cosim.pilot import requests as rq
-from cosim.pilot.modes import LandedState, Mode
-from cosim.piloted import with_autopilot
-from cosim.protocols import EngineState
-from cosim.scenario import Scenario
-from cosim.survival import step_of
-from cosim.vehicle import load_vehicle
+from cosim.simulation.build import build
+from cosim.simulation.with_autopilot import with_autopilot
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
 
 HEXJETS = ("hexjet", "hexjet-p220")
 

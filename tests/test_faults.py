@@ -14,30 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim import flight
-from cosim.build import build
-from cosim.control.monitor import EngineMonitor, EngineReference
-from cosim.engine import EngineBank, load_engine
-from cosim.engine.wrappers import EngineChain
-from cosim.errors import InputError
-from cosim.faults import NEVER
-from cosim.flight import fly
-from cosim.reference import engine_reference
-from cosim.run import Run
-from cosim.rundown import ELECTRIC, OWN, FlameOutLaw
-from cosim.scenario import (
-    DelayGrowth,
-    FlameOut,
-    Scenario,
-    SensorBias,
-    SlowSpool,
-    StuckThrottle,
-    ThrustLoss,
-    scenario_names,
-)
-from cosim.servo import TiltServo
-from cosim.signals import EngineOutput, PerJet, Sample
-from cosim.simulation import Simulation
-from cosim.survival import (
+from cosim.base.errors import InputError
+from cosim.base.signals import EngineOutput, PerJet, Sample
+from cosim.campaign.fault_survey import (
     LOSS,
     PARTS,
     Case,
@@ -50,7 +29,28 @@ from cosim.survival import (
     write,
     write_page,
 )
-from cosim.vehicle import MonitorSettings, load_vehicle
+from cosim.control.allocation.engine_monitor import EngineMonitor, EngineReference
+from cosim.engine import EngineBank, load_engine
+from cosim.engine.rundown import ELECTRIC, OWN, FlameOutLaw
+from cosim.engine.wrappers import EngineChain
+from cosim.flight import fly
+from cosim.results.run import Run
+from cosim.simulation.build import build
+from cosim.simulation.engine_reference import engine_reference
+from cosim.simulation.fault_schedule import NEVER
+from cosim.simulation.step import Simulation
+from cosim.spec.scenario import (
+    DelayGrowth,
+    FlameOut,
+    Scenario,
+    SensorBias,
+    SlowSpool,
+    StuckThrottle,
+    ThrustLoss,
+    scenario_names,
+)
+from cosim.spec.vehicle import MonitorSettings, load_vehicle
+from cosim.vehicle.servo import TiltServo
 
 STEP = 0.004
 HOVER = Scenario(name="short", duration_s=2.0, initial={"altitude_m": 30.0})
@@ -720,7 +720,7 @@ def test_the_reference_of_an_engine_is_its_own() -> None:
 def test_a_vehicle_without_a_monitor_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle, folder = load_vehicle("hexjet")
     bare = vehicle.model_copy(update={"control": vehicle.control.model_copy(update={"monitor": None})})
-    monkeypatch.setattr("cosim.build.load_vehicle", lambda *_: (bare, folder))
+    monkeypatch.setattr("cosim.simulation.build.load_vehicle", lambda *_: (bare, folder))
     with pytest.raises(InputError, match=r"hexjet has no \[control\.monitor\]"):
         build(HOVER.replace(monitor=True))
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from cosim import frames
+from cosim.base import frames
 
 angles = st.floats(-pi, pi)
 steep = st.floats(-1.5, 1.5)  # short of the pole, where roll and yaw are not told apart

@@ -14,22 +14,22 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
-from cosim.airframe import Airframe, standing_height
-from cosim.build import build
-from cosim.cli import cli, load_scenario
-from cosim.config import read_toml
+from cosim.base.errors import InputError
+from cosim.base.frames import jet_axis
+from cosim.base.paths import data_folder
+from cosim.base.signals import ZERO3, Disturbance, State
+from cosim.base.toml import read_toml
+from cosim.cli.main import cli, load_scenario
 from cosim.control.altitude import GRAVITY
-from cosim.design.file import read_controller
+from cosim.design.controller_file import read_controller
 from cosim.engine import load_engine
-from cosim.errors import InputError
 from cosim.flight import check_expected, expectation, fly
-from cosim.frames import jet_axis
-from cosim.marks import parts_of
-from cosim.paths import data_folder
-from cosim.scaling import _LAW, length_scale, scaled
-from cosim.scenario import Environment, Initial, Scenario
-from cosim.signals import ZERO3, Disturbance, State
-from cosim.vehicle import Vehicle, load_vehicle
+from cosim.results.report.marks import parts_of
+from cosim.simulation.build import build
+from cosim.spec.scaling import _LAW, length_scale, scaled
+from cosim.spec.scenario import Environment, Initial, Scenario
+from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.vehicle.airframe import Airframe, standing_height
 
 BASE, _ = load_vehicle("hexjet")
 SIZES = {"hexjet-100": 100.0, "hexjet-p220": 220.0}  # N an engine
@@ -70,7 +70,7 @@ def test_every_number_of_a_vehicle_has_its_law() -> None:
     """A new key of vehicle.toml must be given an exponent, or stay the same for a reason."""
     for path, law in numbers({key: each for key, each in STATED.items() if key != "identified"}, _LAW):
         if law is None:
-            assert path[-1] in SAME, f"{'.'.join(path)}: neither in cosim/scaling.py nor among those that stay"
+            assert path[-1] in SAME, f"{'.'.join(path)}: neither in cosim/spec/scaling.py nor among those that stay"
 
 
 def test_the_law_by_hand() -> None:
@@ -340,8 +340,8 @@ def test_a_wrong_copy_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         (tmp_path / known).symlink_to(data_folder("aircraft") / known)
     (tmp_path / "wrong").mkdir()
     (tmp_path / "wrong" / "vehicle.toml").write_text(f'name = "wrong"\ntitle = "x"\n{table}\n', encoding="utf-8")
-    monkeypatch.setattr("cosim.vehicle.data_folder", lambda kind: tmp_path)
-    monkeypatch.setattr("cosim.vehicle.names_in", lambda *_: ["hexjet", "hexjet-p220", "wrong"])
+    monkeypatch.setattr("cosim.spec.vehicle.data_folder", lambda kind: tmp_path)
+    monkeypatch.setattr("cosim.spec.vehicle.names_in", lambda *_: ["hexjet", "hexjet-p220", "wrong"])
     with pytest.raises(InputError, match=complaint):
         load_vehicle("wrong")
 

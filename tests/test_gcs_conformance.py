@@ -22,9 +22,9 @@ import pytest
 from gcs_tools import Relay, Station, VehicleProcess
 from patience import PATIENCE, stretched
 
-from cosim.links import Files
-from cosim.mavlink.ftp import Bytes
-from cosim.mavlink.service import crc32
+from cosim.groundstation.links import Files
+from cosim.groundstation.mavlink.services.ftp import Bytes
+from cosim.groundstation.mavlink.services.service import crc32
 
 RTF = 6.0
 LOSS = 0.2  # of all datagrams, each way
@@ -454,7 +454,7 @@ def test_a_stranger_without_the_key_is_not_obeyed(tmp_path: Path) -> None:
     """Signing on: who has the key flies; unsigned, wrongly signed and replayed frames change nothing."""
     key = tmp_path / "key"
     key.write_text("a phrase for this test")
-    from cosim.mavlink.signing import read_key
+    from cosim.groundstation.mavlink.wire.signing import read_key
 
     vehicle = VehicleProcess(tmp_path, RTF, "--sign-key", str(key))
     try:

@@ -22,12 +22,12 @@ import pytest
 from command_tools import Hexjet
 from patience import PATIENCE
 
-from cosim.errors import InputError
+from cosim.base.errors import InputError
 from cosim.flight import reserve_folder
-from cosim.mavlink.dialect import mav
-from cosim.run import open_run
+from cosim.groundstation.mavlink.wire.dialect import mav
+from cosim.results.run import open_run
 
-HEXJET = [sys.executable, "-c", "from cosim.cli import main; main()"]
+HEXJET = [sys.executable, "-c", "from cosim.cli.main import main; main()"]
 TAKEOFF, LAND, ARM, REPOSITION, REBOOT = 22, 21, 400, 192, 246
 ACCEPTED, REJECTED = 0, 1
 

@@ -15,8 +15,8 @@ import pytest
 from gcs_tools import LOOPBACK, VehicleProcess, mavlogdump
 from patience import PATIENCE
 
-from cosim.pilot import requests as rq
-from cosim.replay import REQUESTS, read_requests
+from cosim.control.autopilot import requests as rq
+from cosim.results.request_log import REQUESTS, read_requests
 
 MAVPROXY = Path(sys.executable).parent / "mavproxy.py"
 MODULES = (

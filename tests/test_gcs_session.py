@@ -19,18 +19,25 @@ import numpy as np
 import pytest
 from patience import PATIENCE
 
-from cosim.errors import InputError
-from cosim.exchange import SENDERS, WAITING_EACH, Exchange, Restart, Shutdown, Snapshot
+from cosim.base.errors import InputError
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.modes import LandedState, Mode, Severity
+from cosim.control.autopilot.requests import Answer, Result
 from cosim.flight import fly
-from cosim.gcs import Onlookers, Session, place_at
-from cosim.pace import CATCH_UP, Pace
-from cosim.pilot import requests as rq
-from cosim.pilot.modes import LandedState, Mode, Severity
-from cosim.pilot.requests import Answer, Result
-from cosim.recorder import Log
-from cosim.replay import REQUESTS, RequestLog, read_requests
-from cosim.run import Run, open_run
-from cosim.scenario import Scenario
+from cosim.groundstation.exchange import (
+    SENDERS,
+    WAITING_EACH,
+    Exchange,
+    Restart,
+    Shutdown,
+    Snapshot,
+)
+from cosim.groundstation.session import Onlookers, Session, place_at
+from cosim.results.recorder import Log
+from cosim.results.request_log import REQUESTS, RequestLog, read_requests
+from cosim.results.run import Run, open_run
+from cosim.simulation.pacing import CATCH_UP, Pace
+from cosim.spec.scenario import Scenario
 
 # --- pacing -----------------------------------------------------------------------------------------------------
 
@@ -554,7 +561,7 @@ def test_a_place_is_two_numbers(text: str) -> None:
 
 # --- the command -------------------------------------------------------------------------------------------------
 
-HEXJET = [sys.executable, "-c", "from cosim.cli import main; main()"]
+HEXJET = [sys.executable, "-c", "from cosim.cli.main import main; main()"]
 
 
 @pytest.fixture

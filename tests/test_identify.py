@@ -14,14 +14,23 @@ from engine_tools import BOTH, FAULT_THROTTLE, FAULTS, NEWTON_PER_KGF, PAPER, bu
 from numpy.typing import NDArray
 from scipy import signal
 
-from cosim.commands import sweep
-from cosim.control.predictor import DelayedModel
-from cosim.errors import InputError
-from cosim.identify import Identification, Model, Record, estimate, fit, identify_axis, identify_engine, write
-from cosim.identify.fit import counts
-from cosim.identify.response import FrequencyResponse
-from cosim.identify.result import equation, low_frequency_delay, rate_response
-from cosim.vehicle import RateModel, read_models
+from cosim.base.errors import InputError
+from cosim.control.predictors.smith import DelayedModel
+from cosim.design.identify import (
+    Identification,
+    Model,
+    Record,
+    estimate,
+    fit,
+    identify_axis,
+    identify_engine,
+    write,
+)
+from cosim.design.identify.fit import counts
+from cosim.design.identify.response import FrequencyResponse
+from cosim.design.identify.result import equation, low_frequency_delay, rate_response
+from cosim.simulation.commander import sweep
+from cosim.spec.vehicle import RateModel, read_models
 
 STEP = 0.004
 Array = NDArray[np.float64]

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
 from cosim import Scenario, fly
+from cosim.base.errors import InputError
+from cosim.base.signals import Command, Measured, Unallocated
 from cosim.control.altitude import GRAVITY, AltitudeController
 from cosim.control.lead import Lead, lead_polynomials
-from cosim.control.predictor import NoPredictor
+from cosim.control.predictors.smith import NoPredictor
 from cosim.control.rate import RateAxis
-from cosim.errors import InputError
-from cosim.signals import Command, Measured, Unallocated
-from cosim.vehicle import EngineLead, RateGains, load_vehicle
+from cosim.spec.vehicle import EngineLead, RateGains, load_vehicle
 
 STEP = 0.004
 P220 = EngineLead(natural_rad_s=1.294, damping=0.66, pole_rad_s=6.0)

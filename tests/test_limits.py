@@ -12,11 +12,10 @@ import pytest
 from command_tools import Hexjet
 from flights import STEP, setup
 
-from cosim.commands import Commander
+from cosim.base.errors import InputError
 from cosim.control.altitude import GRAVITY
-from cosim.errors import InputError
 from cosim.flight import fly
-from cosim.limits import (
+from cosim.results.limits import (
     DRIFT_SPANS,
     HEIGHT_SPANS,
     LIMITED,
@@ -28,9 +27,10 @@ from cosim.limits import (
     told,
     track_speed,
 )
-from cosim.metrics import metric_names
-from cosim.run import open_run
-from cosim.scenario import FlightLimits, Scenario
+from cosim.results.metrics import metric_names
+from cosim.results.run import open_run
+from cosim.simulation.commander import Commander
+from cosim.spec.scenario import FlightLimits, Scenario
 
 LAW = (0.8, 2.0, 1.0)
 STILL = (np.zeros(1), np.zeros(1))

@@ -23,23 +23,32 @@ import pytest
 from fmpy.fmi3 import FMU3Slave
 
 import cosim
-from cosim import airframe, config, fly, vehicle
-from cosim.airframe import render
-from cosim.engine import archive, build_engines, check, load_engine, unpacked
+from cosim import fly
+from cosim.base import toml as config
+from cosim.base.cache import Memory
+from cosim.base.errors import InputError
+from cosim.base.paths import data_folder
+from cosim.base.scratch import scratch
+from cosim.engine import (
+    archive,
+    build_engines,
+    load_engine,
+    unpacked,
+)
 from cosim.engine import measure as engine_measure
 from cosim.engine.archive import library_of
 from cosim.engine.measure import Measured
 from cosim.engine.ports import STANDARD_AIR
+from cosim.engine.qualify import check
 from cosim.engine.response import NO_CHANGE, Response
 from cosim.engine.spec import find_source
 from cosim.engine.unpacked import unpack
-from cosim.errors import InputError
-from cosim.memory import Memory
-from cosim.paths import data_folder
-from cosim.run import Run
-from cosim.scenario import Scenario
-from cosim.scratch import scratch
-from cosim.vehicle import Vehicle, load_vehicle
+from cosim.results.run import Run
+from cosim.spec import vehicle
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.vehicle import airframe
+from cosim.vehicle.airframe import render
 
 STEP = 0.004
 SOMETHING = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.1, "amplitude": 10.0, "width_s": 0.2}
@@ -160,7 +169,7 @@ def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "fmus").mkdir()
     for path in data_folder("fmus").glob("edf*.fmu"):
         shutil.copy(path, tmp_path / "fmus")
-    monkeypatch.setattr("cosim.paths._ROOT", tmp_path)
+    monkeypatch.setattr("cosim.base.paths._ROOT", tmp_path)
     return tmp_path
 
 
@@ -206,7 +215,7 @@ def test_a_changed_engine_is_another(house: Path) -> None:
 
 def test_the_model_is_made_of_what_it_is_remembered_by() -> None:
     """Else a vehicle that differs in something else would fly with the model of another."""
-    tree = ast.parse((Path(cosim.__file__).parent / "airframe.py").read_text())
+    tree = ast.parse((Path(cosim.__file__).parent / "vehicle" / "airframe.py").read_text())
     (made,) = (node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "_render")
     names = {
         node.attr
@@ -301,7 +310,7 @@ def test_no_place_for_temporary_files_is_one_line(monkeypatch: pytest.MonkeyPatc
     def refuse(prefix: str) -> str:
         raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
 
-    monkeypatch.setattr("cosim.scratch._made", {})
+    monkeypatch.setattr("cosim.base.scratch._made", {})
     monkeypatch.setattr(tempfile, "mkdtemp", refuse)
     with pytest.raises(InputError, match=r"^temporary files: No usable temporary directory found; TMPDIR can"):
         unpack(find_source("edf").archive)
@@ -331,7 +340,7 @@ def test_a_forked_process_uses_files_of_its_own(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_what_a_killed_process_leaves_is_removed_by_the_next(tmp_path: Path) -> None:
-    script = "import os, signal, sys; from cosim.scratch import scratch; print(scratch(), flush=True); "
+    script = "import os, signal, sys; from cosim.base.scratch import scratch; print(scratch(), flush=True); "
     wait = "sys.stdin.read(); "
     environment = os.environ | {"TMPDIR": str(tmp_path)}
 

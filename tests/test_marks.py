@@ -6,8 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from cosim.errors import InputError
-from cosim.marks import check_marks, filled, parts_of, row, table, write_marks
+from cosim.base.errors import InputError
+from cosim.results.report.marks import (
+    check_marks,
+    filled,
+    parts_of,
+    row,
+    table,
+    write_marks,
+)
 
 PAGE = "# Title\n\n<!-- measured: a -->\nold\n<!-- end -->\ntext <!-- end -->\n<!-- measured: b c -->\n<!-- end -->\n"
 

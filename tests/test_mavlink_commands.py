@@ -11,13 +11,9 @@ from typing import Any
 import pytest
 from mavlink_tools import ABOUT, GEODESY, Bench, Desk, command, status
 
-from cosim.errors import InputError
-from cosim.mavlink.commands import KNOWN
-from cosim.mavlink.dialect import mav
-from cosim.mavlink.exchange import PATIENCE
-from cosim.mavlink.modes import LIST
-from cosim.pilot.modes import Mode
-from cosim.pilot.requests import (
+from cosim.base.errors import InputError
+from cosim.control.autopilot.modes import Mode
+from cosim.control.autopilot.requests import (
     Answer,
     Arm,
     ClearFaults,
@@ -43,6 +39,10 @@ from cosim.pilot.requests import (
     Sticks,
     Takeoff,
 )
+from cosim.groundstation.mavlink.exchange import PATIENCE
+from cosim.groundstation.mavlink.modes import LIST
+from cosim.groundstation.mavlink.services.commands import KNOWN
+from cosim.groundstation.mavlink.wire.dialect import mav
 
 ACCEPTED, TEMPORARILY, DENIED, UNSUPPORTED, FAILED, FRAME = 0, 1, 2, 3, 4, 9
 # The vehicle of the bench is 10 m above its origin, home is at 2 m, the ground at 12 m above the sea.
@@ -261,7 +261,7 @@ def test_set_home_at_a_place(desk: Desk) -> None:
 
 
 def test_a_place_that_is_too_far_is_told_in_kilometres(desk: Desk) -> None:
-    from cosim.mavlink.commands import PLACE_MAX
+    from cosim.groundstation.mavlink.services.commands import PLACE_MAX
 
     SetHome(PLACE_MAX, -PLACE_MAX)  # the pilot's own limit
     with pytest.raises(InputError):

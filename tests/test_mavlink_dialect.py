@@ -13,11 +13,17 @@ from typing import Any
 import pytest
 from mavlink_tools import ABOUT, sample, status
 
-from cosim.mavlink.dialect import BY_NAME, KINDS, mav, pack, unpack
-from cosim.mavlink.frames import Sender
-from cosim.mavlink.generate import generate
-from cosim.mavlink.snapshot import Predicting, Snapshot
-from cosim.mavlink.telemetry import STREAMS, Since, View
+from cosim.groundstation.mavlink.snapshot import Predicting, Snapshot
+from cosim.groundstation.mavlink.telemetry import STREAMS, Since, View
+from cosim.groundstation.mavlink.wire.dialect import (
+    BY_NAME,
+    KINDS,
+    mav,
+    pack,
+    unpack,
+)
+from cosim.groundstation.mavlink.wire.frames import Sender
+from cosim.groundstation.mavlink.wire.generate import generate
 
 # id, CRC_EXTRA, length: from the C headers that the MAVLink project publishes (mavlink/c_library_v2, common/).
 PUBLISHED = {

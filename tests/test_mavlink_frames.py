@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from cosim.errors import InputError
-from cosim.mavlink.dialect import mav, pack
-from cosim.mavlink.frames import Parser, Sender
-from cosim.mavlink.signing import EPOCH, Signing, read_key
-from cosim.mavlink.tlog import Log
+from cosim.base.errors import InputError
+from cosim.groundstation.mavlink.wire.dialect import mav, pack
+from cosim.groundstation.mavlink.wire.frames import Parser, Sender
+from cosim.groundstation.mavlink.wire.signing import EPOCH, Signing, read_key
+from cosim.groundstation.mavlink.wire.tlog import Log
 
 KEY = bytes(range(32))
 NOW = EPOCH + 3e8

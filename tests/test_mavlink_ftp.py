@@ -18,15 +18,27 @@ from mavlink_bench import Bench, Station
 from patience import PATIENCE
 from pyulog import ULog
 
-from cosim.export import export_ulog
+from cosim.control.autopilot.parameters import Parameters, table
 from cosim.flight import fly
-from cosim.mavlink.ftp import BURST_LENGTH, SESSIONS, Bytes, File, FileService
-from cosim.mavlink.logs import FIRST_LOGS, LogService, OnDisk, Shelf, finished_runs
-from cosim.mavlink.metadata import Metadata
-from cosim.mavlink.service import crc32
-from cosim.pilot.parameters import Parameters, table
-from cosim.scenario import Scenario
-from cosim.vehicle import load_vehicle
+from cosim.groundstation.mavlink.services.ftp import (
+    BURST_LENGTH,
+    SESSIONS,
+    Bytes,
+    File,
+    FileService,
+)
+from cosim.groundstation.mavlink.services.logs import (
+    FIRST_LOGS,
+    LogService,
+    OnDisk,
+    Shelf,
+    finished_runs,
+)
+from cosim.groundstation.mavlink.services.metadata import Metadata
+from cosim.groundstation.mavlink.services.service import crc32
+from cosim.results.export import export_ulog
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
 
 TO = (1, 1)
 NONE, TERMINATE, RESET, LIST, OPEN, READ, CRC, BURST = 0, 1, 2, 3, 4, 5, 14, 15
@@ -454,7 +466,7 @@ class Ready:
     making = looking = False
 
     def __init__(self, tmp_path: Path, *sizes: int) -> None:
-        from cosim.mavlink.logs import Log
+        from cosim.groundstation.mavlink.services.logs import Log
 
         self.logs = []
         for number, size in enumerate(sizes):

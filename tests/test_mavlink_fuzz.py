@@ -16,10 +16,15 @@ from typing import Any
 import pytest
 from mavlink_tools import ABOUT, Bench, Desk, command
 
-from cosim.mavlink.commands import KNOWN
-from cosim.mavlink.dialect import BY_NAME, KINDS, mav, unpack
-from cosim.mavlink.signing import EPOCH, Signing
-from cosim.pilot.requests import from_dict, to_dict
+from cosim.control.autopilot.requests import from_dict, to_dict
+from cosim.groundstation.mavlink.services.commands import KNOWN
+from cosim.groundstation.mavlink.wire.dialect import (
+    BY_NAME,
+    KINDS,
+    mav,
+    unpack,
+)
+from cosim.groundstation.mavlink.wire.signing import EPOCH, Signing
 
 FRAMES = int(os.environ.get("HEXJET_FUZZ", "20000"))
 SHARE = max(1, FRAMES // 5)  # of each kind of hostility

@@ -19,16 +19,21 @@ from mavlink_tools import Bench, Desk, Udp, command
 from patience import PATIENCE
 from test_mavlink_link import Flight, Tcp, until
 
-from cosim.marks import parts_of
-from cosim.mavlink import channel, connection, serial_port
-from cosim.mavlink.channel import MOST_PEERS
-from cosim.mavlink.dialect import mav, pack
-from cosim.mavlink.endpoint import parse
-from cosim.mavlink.link import Link
-from cosim.mavlink.peer import SHARE, Kind
-from cosim.mavlink.serial_port import Port
-from cosim.mavlink.signing import Signing
-from cosim.pilot.requests import Answer, LinkBack, LinkLost, Result
+from cosim.control.autopilot.requests import (
+    Answer,
+    LinkBack,
+    LinkLost,
+    Result,
+)
+from cosim.groundstation.mavlink.wire import channel, connection, serial_port
+from cosim.groundstation.mavlink.wire.channel import MOST_PEERS
+from cosim.groundstation.mavlink.wire.dialect import mav, pack
+from cosim.groundstation.mavlink.wire.endpoint import parse
+from cosim.groundstation.mavlink.wire.link import Link
+from cosim.groundstation.mavlink.wire.peer import SHARE, Kind
+from cosim.groundstation.mavlink.wire.serial_port import Port
+from cosim.groundstation.mavlink.wire.signing import Signing
+from cosim.results.report.marks import parts_of
 
 LONGEST = 280  # bytes of a frame
 

@@ -18,18 +18,18 @@ import pytest
 from mavlink_tools import ABOUT, PREDICTING, Pilot, Udp, command, sample
 from patience import PATIENCE, stretched
 
-from cosim.errors import InputError
-from cosim.mavlink.channel import MOST_PEERS
-from cosim.mavlink.dialect import mav
-from cosim.mavlink.endpoint import default, parse
-from cosim.mavlink.exchange import Exchange
-from cosim.mavlink.link import Link
-from cosim.mavlink.peer import FRAMES_A_SECOND
-from cosim.mavlink.signing import Signing
-from cosim.mavlink.snapshot import Snapshot
-from cosim.mavlink.tlog import Log
-from cosim.mavlink.vehicle import Vehicle
-from cosim.pilot.requests import Arm
+from cosim.base.errors import InputError
+from cosim.control.autopilot.requests import Arm
+from cosim.groundstation.mavlink.exchange import Exchange
+from cosim.groundstation.mavlink.snapshot import Snapshot
+from cosim.groundstation.mavlink.vehicle import Vehicle
+from cosim.groundstation.mavlink.wire.channel import MOST_PEERS
+from cosim.groundstation.mavlink.wire.dialect import mav
+from cosim.groundstation.mavlink.wire.endpoint import default, parse
+from cosim.groundstation.mavlink.wire.link import Link
+from cosim.groundstation.mavlink.wire.peer import FRAMES_A_SECOND
+from cosim.groundstation.mavlink.wire.signing import Signing
+from cosim.groundstation.mavlink.wire.tlog import Log
 
 KEY = b"k" * 32
 

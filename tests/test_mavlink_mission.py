@@ -11,13 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavlink_bench import TICK, Bench, Station, refuse
 
-from cosim.airframe import Airframe
-from cosim.errors import InputError
-from cosim.geodesy import Geodesy
-from cosim.mavlink.items import Item, ItemError, to_flown, to_item
-from cosim.mavlink.missions import MissionService
-from cosim.pilot.modes import Home, Mode
-from cosim.pilot.requests import (
+from cosim.base.errors import InputError
+from cosim.base.geodesy import Geodesy
+from cosim.base.signals import ZERO3, Disturbance
+from cosim.control.autopilot.modes import Home, Mode
+from cosim.control.autopilot.requests import (
     Answer,
     FenceUpload,
     ItemKind,
@@ -30,9 +28,16 @@ from cosim.pilot.requests import (
     Result,
     ZoneKind,
 )
-from cosim.scenario import Environment, Initial
-from cosim.signals import ZERO3, Disturbance
-from cosim.vehicle import load_vehicle
+from cosim.groundstation.mavlink.services.items import (
+    Item,
+    ItemError,
+    to_flown,
+    to_item,
+)
+from cosim.groundstation.mavlink.services.missions import MissionService
+from cosim.spec.scenario import Environment, Initial
+from cosim.spec.vehicle import load_vehicle
+from cosim.vehicle.airframe import Airframe
 
 PLACE = Geodesy(22.35, 113.59, 12.0)
 HOME = 0.125

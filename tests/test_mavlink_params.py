@@ -17,14 +17,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavlink_bench import Bench, Station, as_float, as_int, mav, refuse
 
-from cosim.errors import InputError
-from cosim.mavlink.metadata import GENERAL, PARAMETERS, Metadata, describe
-from cosim.mavlink.params import LIST_BURST, LIST_RATE, ParameterService
-from cosim.mavlink.service import crc32
-from cosim.pilot.parameters import Parameter, Parameters, table
-from cosim.pilot.requests import Answer, Request, Result, SetParameter
-from cosim.pilot_store import ParameterStore
-from cosim.vehicle import load_vehicle
+from cosim.base.errors import InputError
+from cosim.control.autopilot.parameters import Parameter, Parameters, table
+from cosim.control.autopilot.requests import (
+    Answer,
+    Request,
+    Result,
+    SetParameter,
+)
+from cosim.groundstation.mavlink.services.metadata import (
+    GENERAL,
+    PARAMETERS,
+    Metadata,
+    describe,
+)
+from cosim.groundstation.mavlink.services.params import LIST_BURST, LIST_RATE, ParameterService
+from cosim.groundstation.mavlink.services.service import crc32
+from cosim.groundstation.parameter_store import ParameterStore
+from cosim.spec.vehicle import load_vehicle
 
 CONTROL = load_vehicle("hexjet")[0].control
 REAL32, INT32 = mav.MAV_PARAM_TYPE_REAL32, mav.MAV_PARAM_TYPE_INT32

@@ -14,20 +14,20 @@ import pytest
 from mavlink_bench import mav
 from patience import stretched
 
-from cosim.build import build
-from cosim.geodesy import Geodesy
-from cosim.mavlink.endpoint import parse
-from cosim.mavlink.exchange import Exchange
-from cosim.mavlink.ftp import Bytes, FileService
-from cosim.mavlink.link import Link
-from cosim.mavlink.metadata import GENERAL, Metadata
-from cosim.mavlink.missions import MissionService
-from cosim.mavlink.params import ParameterService
-from cosim.mavlink.snapshot import About, Snapshot
-from cosim.mavlink.vehicle import Vehicle
-from cosim.pilot.requests import ItemKind
-from cosim.piloted import with_autopilot
-from cosim.scenario import Scenario
+from cosim.base.geodesy import Geodesy
+from cosim.control.autopilot.requests import ItemKind
+from cosim.groundstation.mavlink.exchange import Exchange
+from cosim.groundstation.mavlink.services.ftp import Bytes, FileService
+from cosim.groundstation.mavlink.services.metadata import GENERAL, Metadata
+from cosim.groundstation.mavlink.services.missions import MissionService
+from cosim.groundstation.mavlink.services.params import ParameterService
+from cosim.groundstation.mavlink.snapshot import About, Snapshot
+from cosim.groundstation.mavlink.vehicle import Vehicle
+from cosim.groundstation.mavlink.wire.endpoint import parse
+from cosim.groundstation.mavlink.wire.link import Link
+from cosim.simulation.build import build
+from cosim.simulation.with_autopilot import with_autopilot
+from cosim.spec.scenario import Scenario
 
 PLACE = Geodesy(22.35, 113.59)
 TO = (1, 1)

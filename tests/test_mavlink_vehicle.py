@@ -11,13 +11,24 @@ from math import isnan, nan, pi
 import pytest
 from mavlink_tools import ABOUT, GEODESY, Bench, Desk, command, sample, status
 
-from cosim.mavlink.dialect import BY_NAME, mav
-from cosim.mavlink.modes import base_mode, custom_mode, from_custom
-from cosim.mavlink.snapshot import PERSONALITIES, Snapshot
-from cosim.mavlink.streams import BY_ID, DEFAULT
-from cosim.mavlink.telemetry import STREAMS, Since, View, statustext
-from cosim.pilot.modes import Home, LandedState, Message, Mode, Severity
-from cosim.pilot.requests import LinkBack, LinkLost
+from cosim.control.autopilot.modes import (
+    Home,
+    LandedState,
+    Message,
+    Mode,
+    Severity,
+)
+from cosim.control.autopilot.requests import LinkBack, LinkLost
+from cosim.groundstation.mavlink.modes import base_mode, custom_mode, from_custom
+from cosim.groundstation.mavlink.snapshot import PERSONALITIES, Snapshot
+from cosim.groundstation.mavlink.streams import BY_ID, DEFAULT
+from cosim.groundstation.mavlink.telemetry import (
+    STREAMS,
+    Since,
+    View,
+    statustext,
+)
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 
 
 @pytest.fixture

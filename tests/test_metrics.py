@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.signal import lti
 
-from cosim.columns import NAMES
-from cosim.metrics import (
+from cosim.results.columns import NAMES
+from cosim.results.metrics import (
     PLACE,
     AxisMetrics,
     EffortMetrics,
@@ -40,9 +40,9 @@ from cosim.metrics import (
     touchdown,
     wrap,
 )
-from cosim.recorder import MemorySink, Recorder
-from cosim.run import summarize
-from cosim.scenario import Range
+from cosim.results.recorder import MemorySink, Recorder
+from cosim.results.run import summarize
+from cosim.spec.scenario import Range
 
 Array = NDArray[np.float64]
 OMEGA = 8.0

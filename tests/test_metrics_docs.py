@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
-from cosim import limits
-from cosim.metrics import metric_names
-from cosim.run import Verdict
-from cosim.scenario import FlightLimits
+from cosim.results import limits
+from cosim.results.metrics import metric_names
+from cosim.results.run import Verdict
+from cosim.spec.scenario import FlightLimits
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "metrics.md").read_text(encoding="utf-8")
 

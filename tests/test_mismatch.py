@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.build import build
+from cosim.base.errors import InputError
+from cosim.base.frames import cross
+from cosim.base.signals import EngineOutput
+from cosim.engine.rundown import OWN
 from cosim.engine.wrappers import EngineChain
-from cosim.errors import InputError
 from cosim.flight import fly
-from cosim.frames import cross
-from cosim.mismatch import as_flown, engines_as_flown
-from cosim.run import Run
-from cosim.rundown import OWN
-from cosim.scenario import Mismatch, Scenario
-from cosim.signals import EngineOutput
-from cosim.vehicle import load_vehicle
+from cosim.results.run import Run
+from cosim.simulation.build import build
+from cosim.simulation.mismatch import as_flown, engines_as_flown
+from cosim.spec.scenario import Mismatch, Scenario
+from cosim.spec.vehicle import load_vehicle
 
 NAN6 = (float("nan"),) * 6
 

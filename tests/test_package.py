@@ -15,11 +15,18 @@ from pathlib import Path
 
 import pytest
 
-from cosim.compiled import MODULES, PURE, SHARED, STAMP
+from cosim.base.compiled import (
+    MODULES,
+    PURE,
+    SHARED,
+    STAMP,
+)
 
 ROOT = Path(__file__).resolve().parent.parent
 UNCOMPILED = bool(os.environ.get(PURE))
-COMPILED = () if UNCOMPILED else ("frames.py", "fuel.py")  # a few stand for all: `make setup` compiles those
+COMPILED = (
+    () if UNCOMPILED else ("base/frames.py", "vehicle/tank.py")
+)  # a few stand for all: `make setup` compiles those
 METADATA = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 DATA = ("aircraft", "engines", "scenarios", "studies")
 ENGINES = sorted(path.parent.name for path in (ROOT / "engines").glob("*/engine.toml"))
@@ -63,7 +70,7 @@ def wheel(sdist: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with tarfile.open(sdist) as archive:
         archive.extractall(folder, filter="data")
     source = folder / sdist.name.removesuffix(".tar.gz")
-    compiled = source / "cosim" / "compiled.py"
+    compiled = source / "cosim" / "base/compiled.py"
     stated = compiled.read_text(encoding="utf-8").splitlines(keepends=True)
     left = [line for line in stated if line.strip(' ",\n') not in set(MODULES) - set(COMPILED)]
     assert len(stated) - len(left) == len(MODULES) - len(COMPILED)
@@ -109,7 +116,7 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     code = {path.relative_to(ROOT).as_posix() for path in (ROOT / "cosim").rglob("*.py")}
     templates = {
         path.relative_to(ROOT).as_posix()
-        for pattern in ("**/templates/*", "web/static/**/*")
+        for pattern in ("**/templates/*", "groundstation/web/static/**/*")
         for path in (ROOT / "cosim").glob(pattern)
         if path.is_file()
     }
@@ -119,7 +126,7 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     # and nothing else of the data than what is in the clone
     assert {name for name in names if name.startswith("cosim/data/")} == fmus | data
     binaries = [name for name in names if name.endswith((".so", ".pyd"))]
-    wanted = ["_records", "_rows", "engine/_bank", *(name.removesuffix(".py") for name in COMPILED)]
+    wanted = ["base/_records", "results/_rows", "engine/_bank", *(name.removesuffix(".py") for name in COMPILED)]
     assert [name for name in names if name.endswith(SHARED)] == [f"cosim/{SHARED}"] * bool(COMPILED)
     assert len(binaries) == len(wanted) + bool(COMPILED)
     for extension in wanted:
@@ -160,14 +167,14 @@ def test_the_installed_command_lists_what_is_shipped(installed: Path, tmp_path: 
 
 
 def test_the_installed_package_is_not_the_clone(installed: Path, tmp_path: Path) -> None:
-    script = "import cosim, cosim.paths as p; print(cosim.__file__); print(p.data_folder('fmus'))"
+    script = "import cosim, cosim.base.paths as p; print(cosim.__file__); print(p.data_folder('fmus'))"
     for line in run(installed / "python", "-c", script, cwd=tmp_path).splitlines():
         assert Path(line).resolve().is_relative_to(installed.parent.resolve())
 
 
 @pytest.mark.skipif(UNCOMPILED, reason=f"{PURE} is set")
 def test_the_installed_package_flies_what_was_compiled(installed: Path, tmp_path: Path) -> None:
-    script = "import cosim.compiled, cosim.frames as f; print(cosim.compiled.edited(), f.__file__)"
+    script = "import cosim.base.compiled, cosim.base.frames as f; print(cosim.base.compiled.edited(), f.__file__)"
     edited, file = run(installed / "python", "-c", script, cwd=tmp_path).split(" ", 1)
     assert edited == "[]"
     assert file.rstrip().endswith((".so", ".pyd"))

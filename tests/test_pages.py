@@ -23,25 +23,33 @@ from command_tools import Hexjet
 from engine_tools import NEWTON_PER_KGF, PAPER, STEP, Array, Driven, archive, driven
 from scipy.optimize import brentq
 
-from cosim import engine_out, survival
-from cosim.atmosphere import standard_air
-from cosim.build import build as build_flight
-from cosim.campaign.one import fly_one
-from cosim.campaign.options import open_study
-from cosim.campaign.plan import flights
-from cosim.campaign.statistics import wilson
-from cosim.campaign.study import Study
-from cosim.control import replan
+from cosim.base.paths import data_folder
+from cosim.campaign import engine_out
+from cosim.campaign import fault_survey as survival
+from cosim.campaign.analysis.statistics import wilson
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.plan import flights
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import fly_one
+from cosim.control.allocation import reallocation as replan
+from cosim.design.identify import Identification, identify_axis
+from cosim.design.identify.fit import fit
+from cosim.design.identify.result import low_frequency_delay, rate_response
 from cosim.design.tune import Requirements
-from cosim.engine import build, build_engines, check, container, load_engine, response, trial
-from cosim.identify import Identification, identify_axis
-from cosim.identify.fit import fit
-from cosim.identify.result import low_frequency_delay, rate_response
-from cosim.ledger import total_samples
-from cosim.marks import parts_of
-from cosim.paths import data_folder
-from cosim.scenario import DoubletCommand, Scenario
-from cosim.vehicle import load_vehicle
+from cosim.engine import (
+    build,
+    build_engines,
+    container,
+    load_engine,
+    response,
+)
+from cosim.engine.qualify import check, trial
+from cosim.results.report.marks import parts_of
+from cosim.simulation.build import build as build_flight
+from cosim.simulation.delay_ledger import total_samples
+from cosim.spec.scenario import DoubletCommand, Scenario
+from cosim.spec.vehicle import load_vehicle
+from cosim.vehicle.atmosphere import standard_air
 
 ROOT = Path(__file__).resolve().parents[1]
 NUMBER = r"([-+]?\d+(?:[ ,]\d{3})*(?:\.\d+)?(?:e[-+]?\d+)?)"

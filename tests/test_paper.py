@@ -11,12 +11,28 @@ import control
 import numpy as np
 import pytest
 
-from cosim.design.loop import margins
-from cosim.errors import InputError
-from cosim.paper import beyond, calibration, frozen, numbers
+from cosim.base.errors import InputError
+from cosim.design.frequency import margins
+from cosim.paper import (
+    beyond,
+    calibration,
+    frozen,
+    numbers,
+)
 from cosim.paper.calibration import STAGES
-from cosim.paper.claims import CLAIMS, ClaimRow, Evidence, claim_rows, conditions
-from cosim.paper.comparison import Row, comparison_rows, figures, write_csv
+from cosim.paper.claims import (
+    CLAIMS,
+    ClaimRow,
+    Evidence,
+    claim_rows,
+    conditions,
+)
+from cosim.paper.comparison import (
+    Row,
+    comparison_rows,
+    figures,
+    write_csv,
+)
 from cosim.paper.experiments import (
     COMPARED,
     Experiment,
@@ -32,9 +48,23 @@ from cosim.paper.experiments import (
     swings,
 )
 from cosim.paper.frozen import Frozen, load
-from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, make_predictor, simulate
-from cosim.paper.loops import LOW_END_HZ, LoopMap, gain_at, open_loop, sweep, unstable_poles
-from cosim.vehicle import RateGains
+from cosim.paper.linear import (
+    STATE_AS_PRINTED,
+    Axis,
+    Plant,
+    doublet,
+    make_predictor,
+    simulate,
+)
+from cosim.paper.loops import (
+    LOW_END_HZ,
+    LoopMap,
+    gain_at,
+    open_loop,
+    sweep,
+    unstable_poles,
+)
+from cosim.spec.vehicle import RateGains
 
 FROZEN = load()
 FOUND = FROZEN.parameters

@@ -13,14 +13,24 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from test_pilot_flight import Flight
 
-from cosim.catalogue import catalogue
-from cosim.frames import from_euler
-from cosim.pilot import requests as rq
-from cosim.pilot.descent import Floor, descent_for, height_limits, thrust_margins
-from cosim.pilot.modes import LandedState
-from cosim.pilot.shaper import AttitudeLimits, Shaper, angular_authority, attitude_limits
-from cosim.signals import Sample, Vector3
-from cosim.vehicle import load_vehicle
+from cosim.base.frames import from_euler
+from cosim.base.signals import Sample, Vector3
+from cosim.cli.catalogue import catalogue
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.descent import (
+    Floor,
+    descent_for,
+    height_limits,
+    thrust_margins,
+)
+from cosim.control.autopilot.modes import LandedState
+from cosim.control.autopilot.shaper import (
+    AttitudeLimits,
+    Shaper,
+    angular_authority,
+    attitude_limits,
+)
+from cosim.spec.vehicle import load_vehicle
 
 # Every vehicle with an autopilot: with the predictor that a ground station finds, and with the one its gains are for.
 FLOWN = (

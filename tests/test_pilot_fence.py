@@ -11,11 +11,17 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from test_pilot_flight import Flight
 
-from cosim.pilot import requests as rq
-from cosim.pilot.fence import beyond, depth
-from cosim.pilot.modes import LandedState, Mode
-from cosim.pilot.navigation import Tracker, wrap
-from cosim.pilot.requests import FenceUpload, FenceZone, RallyPoint, RallyUpload, ZoneKind
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.fence import beyond, depth
+from cosim.control.autopilot.modes import LandedState, Mode
+from cosim.control.autopilot.navigation import Tracker, wrap
+from cosim.control.autopilot.requests import (
+    FenceUpload,
+    FenceZone,
+    RallyPoint,
+    RallyUpload,
+    ZoneKind,
+)
 
 IN, OUT, CIRCLE, HOLE = ZoneKind
 SQUARE = FenceZone(IN, ((-10.0, -10.0), (-10.0, 10.0), (10.0, 10.0), (10.0, -10.0)))

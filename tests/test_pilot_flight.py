@@ -9,18 +9,18 @@ from typing import Any
 
 import pytest
 
-from cosim.build import build
-from cosim.ending import Ending
-from cosim.errors import InputError
-from cosim.frames import from_euler
-from cosim.pilot import requests as rq
-from cosim.pilot.modes import LandedState, Mode
-from cosim.pilot.requests import MissionItem
-from cosim.piloted import fault_from, with_autopilot
-from cosim.protocols import EngineState
-from cosim.scenario import FlameOut, Scenario, SensorBias
-from cosim.signals import Sample
-from cosim.vehicle import load_vehicle
+from cosim.base.errors import InputError
+from cosim.base.frames import from_euler
+from cosim.base.protocols import EngineState
+from cosim.base.signals import Sample
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.modes import LandedState, Mode
+from cosim.control.autopilot.requests import MissionItem
+from cosim.simulation.build import build
+from cosim.simulation.ending import Ending
+from cosim.simulation.with_autopilot import fault_from, with_autopilot
+from cosim.spec.scenario import FlameOut, Scenario, SensorBias
+from cosim.spec.vehicle import load_vehicle
 
 STANDING = 0.125
 Script = Iterable[tuple[float, Any]]

@@ -10,21 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_pilot_requests import ANY, REST
 
+from cosim.base.errors import InputError
+from cosim.base.frames import from_euler
+from cosim.base.protocols import EngineState, Report
+from cosim.base.signals import Command, Measured
 from cosim.control.altitude import GRAVITY, AltitudeController
 from cosim.control.attitude import AttitudeController
-from cosim.control.predictor import NoPredictor
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.autopilot import Autopilot
+from cosim.control.autopilot.mission import Mission
+from cosim.control.autopilot.modes import LandedState, Mode, Severity
+from cosim.control.autopilot.requests import MissionItem, Result
+from cosim.control.autopilot.touchdown import Touchdown
+from cosim.control.predictors.smith import NoPredictor
 from cosim.control.rate import RateController
-from cosim.errors import InputError
-from cosim.frames import from_euler
-from cosim.pilot import requests as rq
-from cosim.pilot.autopilot import Autopilot
-from cosim.pilot.mission import Mission
-from cosim.pilot.modes import LandedState, Mode, Severity
-from cosim.pilot.requests import MissionItem, Result
-from cosim.pilot.touchdown import Touchdown
-from cosim.protocols import EngineState, Report
-from cosim.signals import Command, Measured
-from cosim.vehicle import load_vehicle
+from cosim.spec.vehicle import load_vehicle
 
 DT = 0.004
 HOVER = 0.45

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
+from cosim.base.frames import IDENTITY, from_euler, rotate
+from cosim.base.signals import Measured
 from cosim.control.altitude import GRAVITY
-from cosim.control.lead import lead_polynomials
-from cosim.control.predictor import polynomial
-from cosim.frames import IDENTITY, from_euler, rotate
-from cosim.pilot.navigation import (
+from cosim.control.autopilot.navigation import (
     Estimator,
     Fix,
     PositionController,
@@ -27,8 +26,14 @@ from cosim.pilot.navigation import (
     lean_for,
     wrap,
 )
-from cosim.signals import Measured
-from cosim.vehicle import EngineLead, PositionGains, Vehicle, load_vehicle
+from cosim.control.lead import lead_polynomials
+from cosim.control.predictors.smith import polynomial
+from cosim.spec.vehicle import (
+    EngineLead,
+    PositionGains,
+    Vehicle,
+    load_vehicle,
+)
 
 DT = 0.004
 VEHICLE, _ = load_vehicle("hexjet")

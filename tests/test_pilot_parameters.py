@@ -7,17 +7,29 @@ from math import sin
 import numpy as np
 import pytest
 
+from cosim.base.errors import InputError
+from cosim.base.frames import from_euler
+from cosim.base.protocols import Predictor
+from cosim.base.signals import Command, Measured, Unallocated
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
-from cosim.control.predictor import NoPredictor, SmithPredictor
+from cosim.control.autopilot.navigation import PositionController, Tracker
+from cosim.control.autopilot.parameters import (
+    CONTROLLERS,
+    Blocks,
+    Live,
+    Parameters,
+    rate_gains,
+    table,
+)
+from cosim.control.predictors.smith import NoPredictor, SmithPredictor
 from cosim.control.rate import RateAxis, RateController
-from cosim.errors import InputError
-from cosim.frames import from_euler
-from cosim.pilot.navigation import PositionController, Tracker
-from cosim.pilot.parameters import CONTROLLERS, Blocks, Live, Parameters, rate_gains, table
-from cosim.protocols import Predictor
-from cosim.signals import Command, Measured, Unallocated
-from cosim.vehicle import AltitudeGains, PredictorTuning, RateGains, load_vehicle
+from cosim.spec.vehicle import (
+    AltitudeGains,
+    PredictorTuning,
+    RateGains,
+    load_vehicle,
+)
 
 DT = 0.004
 VEHICLE, _ = load_vehicle("hexjet")

@@ -11,15 +11,15 @@ from flights import exported
 from pyulog import ULog
 
 from cosim import Run, Scenario, fly
-from cosim.errors import InputError
-from cosim.export import EVERY_S, TOPICS, export_ulog
-from cosim.gcs import waiting_scenario
-from cosim.pilot import requests as rq
-from cosim.pilot.requests import Answer, Result
-from cosim.pilot_record import read_pilot_record
-from cosim.replay import REQUESTS, RequestLog
-from cosim.run import AUTOPILOT
-from cosim.ulog_pilot import NAV_STATE
+from cosim.base.errors import InputError
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.requests import Answer, Result
+from cosim.groundstation.session import waiting_scenario
+from cosim.results.autopilot_record import read_pilot_record
+from cosim.results.export import EVERY_S, TOPICS, export_ulog
+from cosim.results.request_log import REQUESTS, RequestLog
+from cosim.results.run import AUTOPILOT
+from cosim.results.ulog_autopilot import NAV_STATE
 
 SECONDS = 24.0
 ASKED = [

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.errors import InputError
-from cosim.pilot import requests as rq
-from cosim.pilot.requests import from_dict, to_dict
+from cosim.base.errors import InputError
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.requests import from_dict, to_dict
 
 REQUESTS = get_args(rq.Request)
 

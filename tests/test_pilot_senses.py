@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
+from cosim.base.frames import conjugate, from_euler, multiply
+from cosim.base.signals import Measured, Quaternion, Vector3
 from cosim.control.altitude import GRAVITY
-from cosim.frames import conjugate, from_euler, multiply
-from cosim.pilot.inertial import InertialEstimator
-from cosim.pilot.senses import Senses
-from cosim.pilot.vertical import VerticalEstimator
-from cosim.signals import Measured, Quaternion, Vector3
-from cosim.vehicle import Sensors, load_vehicle
+from cosim.control.autopilot.inertial import InertialEstimator
+from cosim.control.autopilot.senses import Senses
+from cosim.control.autopilot.vertical import VerticalEstimator
+from cosim.spec.vehicle import Sensors, load_vehicle
 
 STEP = 0.004
 LEVEL: Quaternion = (1.0, 0.0, 0.0, 0.0)

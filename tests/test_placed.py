@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.build import build
-from cosim.errors import InputError
+from cosim.base.errors import InputError
+from cosim.control.autopilot.descent import height_limits, thrust_margins
+from cosim.control.autopilot.navigation import Tracker
 from cosim.flight import fly
-from cosim.pilot.descent import height_limits, thrust_margins
-from cosim.pilot.navigation import Tracker
-from cosim.run import Run
-from cosim.scenario import Scenario
-from cosim.vehicle import load_vehicle
+from cosim.results.run import Run
+from cosim.simulation.build import build
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
 
 STEP = 0.004
 

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, lsim
 
-from cosim.control.predictor import (
+from cosim.control.predictors.smith import (
     DelayedModel,
     FilteredSmithPredictor,
     SmithPredictor,
     rate_model,
     robustness_filter,
 )
-from cosim.control.state_predictor import (
+from cosim.control.predictors.state import (
     DoubleIntegratorObserver,
     ModelObserver,
     Pair,
@@ -25,7 +25,7 @@ from cosim.control.state_predictor import (
     StatePredictor,
 )
 from cosim.paper.numbers import quadrotor_model, roll_model
-from cosim.vehicle import RateModel
+from cosim.spec.vehicle import RateModel
 
 Array = NDArray[np.float64]
 STEP = 0.004

@@ -13,16 +13,10 @@ from typing import Any
 
 import pytest
 
-import cosim.build
-from cosim.build import build
-from cosim.control.cascade import Cascade
-from cosim.engine import EngineBank
-from cosim.errors import InputError
-from cosim.piloted import with_autopilot
-from cosim.protocols import Diagnostics, EngineState
-from cosim.scenario import Scenario
-from cosim.sensors import FaultySensors
-from cosim.signals import (
+import cosim.simulation.build
+from cosim.base.errors import InputError
+from cosim.base.protocols import Diagnostics, EngineState
+from cosim.base.signals import (
     ALL_WELL,
     UNKNOWN3,
     Actuation,
@@ -36,7 +30,13 @@ from cosim.signals import (
     State,
     Unallocated,
 )
-from cosim.simulation import Simulation
+from cosim.control.cascade import Cascade
+from cosim.engine import EngineBank
+from cosim.simulation.build import build
+from cosim.simulation.step import Simulation
+from cosim.simulation.with_autopilot import with_autopilot
+from cosim.spec.scenario import Scenario
+from cosim.vehicle.sensors import FaultySensors
 
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.1}
 ROLL = Scenario.load("roll-doublet").replace(duration_s=0.4, command=[DOUBLET], expect=[])
@@ -131,7 +131,7 @@ def test_sensors_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
     samples = flown(lambda simulation: setattr(simulation, "sensors", FaultySensors(Perfect())))
     assert all(sample.measured.rate == sample.state.rate for sample in samples)
     bias = {"kind": "sensor_bias", "sensor": "barometer", "bias": [0.5], "start_s": 0.2}
-    monkeypatch.setattr(cosim.build, "SensorSuite", lambda *_: Perfect())
+    monkeypatch.setattr(cosim.simulation.build, "SensorSuite", lambda *_: Perfect())
     ill = flown(None, ROLL.replace(fault=[bias], monitor=False))
     # what is sampled at the end of the step in which the fault begins is biased
     assert [sample.measured.altitude - sample.state.altitude for sample in ill[50:52]] == [0.0, pytest.approx(0.5)]
@@ -153,7 +153,7 @@ def test_engines_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
         def step(self, k: int, throttle: PerJet, ambient: Any = None) -> EngineOutput:
             return super().step(k, throttle, ambient)._replace(exhaust_temperature=(float(k),) * 6)
 
-    monkeypatch.setattr(cosim.build, "EngineBank", Late)
+    monkeypatch.setattr(cosim.simulation.build, "EngineBank", Late)
     assert [sample.engines.exhaust_temperature[0] for sample in flown()[:3]] == [0.0, 1.0, 2.0]
 
 

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.build import build
-from cosim.control.allocation import RotorAllocator
-from cosim.errors import InputError
+from cosim.base.errors import InputError
+from cosim.base.paths import data_folder
+from cosim.control.allocation.allocation import RotorAllocator
 from cosim.flight import fly
-from cosim.paths import data_folder
-from cosim.scenario import Scenario
-from cosim.vehicle import Vehicle, load_vehicle
+from cosim.simulation.build import build
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle, load_vehicle
 
 STEP = 0.0025
 VEHICLE, _ = load_vehicle("quadrotor")

@@ -20,14 +20,32 @@ import pyarrow.parquet as pq
 import pytest
 from flights import STEP, samples, scenario, setup
 
-from cosim import arrow as arrow_module
-from cosim import recorder as recorder_module
-from cosim.arrow import ParquetLog, StreamSink, stream_to_parquet
-from cosim.columns import COLUMNS, NAMES
-from cosim.errors import FlightError, InputError
-from cosim.recorder import BackgroundSink, MemorySink, Recorder
-from cosim.run import LOG, RUN_FILES, SCENARIO, STREAM, SUMMARY, Run, begin_run, open_run
-from cosim.signals import Actuation, Command, Disturbance, EngineOutput, Measured, Sample, State, Unallocated
+from cosim.base.errors import FlightError, InputError
+from cosim.base.signals import (
+    Actuation,
+    Command,
+    Disturbance,
+    EngineOutput,
+    Measured,
+    Sample,
+    State,
+    Unallocated,
+)
+from cosim.results import arrow as arrow_module
+from cosim.results import recorder as recorder_module
+from cosim.results.arrow import ParquetLog, StreamSink, stream_to_parquet
+from cosim.results.columns import COLUMNS, NAMES
+from cosim.results.recorder import BackgroundSink, MemorySink, Recorder
+from cosim.results.run import (
+    LOG,
+    RUN_FILES,
+    SCENARIO,
+    STREAM,
+    SUMMARY,
+    Run,
+    begin_run,
+    open_run,
+)
 
 BLOCK = 250  # rows in one second of flight
 TESTS = Path(__file__).parent
@@ -318,9 +336,9 @@ def test_conversion_takes_no_more_memory_for_a_longer_flight(tmp_path: Path) -> 
 import resource, sys
 import numpy as np
 from pathlib import Path
-from cosim.columns import NAMES
-from cosim.metrics import flight_metrics
-from cosim.arrow import ParquetLog, StreamSink, stream_to_parquet
+from cosim.results.columns import NAMES
+from cosim.results.metrics import flight_metrics
+from cosim.results.arrow import ParquetLog, StreamSink, stream_to_parquet
 folder = Path({str(tmp_path)!r})
 def peak(rows):
     sink = StreamSink(folder / f"{{rows}}.arrows", "")
@@ -392,7 +410,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from flights import samples, scenario, setup
-from cosim.run import begin_run
+from cosim.results.run import begin_run
 recording = begin_run(setup(), scenario(), Path({folder!r}))
 for sample in samples(10**9):
     recording.observe(sample)
@@ -583,8 +601,8 @@ import resource, signal, sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from flights import samples, scenario, setup
-from cosim.errors import FlightError
-from cosim.run import begin_run
+from cosim.base.errors import FlightError
+from cosim.results.run import begin_run
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 recording = begin_run(setup(), scenario(), Path({folder!r}))
 # no file may grow past 600 kB, as on a disk that fills: a second of flight is 210 kB

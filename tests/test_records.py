@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from cosim import signals
-from cosim._records import quick
+from cosim.base import signals
+from cosim.base._records import quick
 
 
 class Plain(NamedTuple):

@@ -18,15 +18,28 @@ import plotly.graph_objects
 import pytest
 from flights import STEP, samples, scenario, setup
 
-from cosim.columns import NAMES
-from cosim.errors import FlightError
-from cosim.figures import ATTITUDE, Reader, comparison_figures, jet_rows, run_figures, stacked, thinned
+from cosim.base.errors import FlightError
+from cosim.base.signals import Command, Sample
 from cosim.flight import integration, with_page
-from cosim.page import figure_json
-from cosim.recorder import MemoryLog
-from cosim.report import compare_report, run_labels, verdict, write_report
-from cosim.run import DelayRow, Run, begin_run
-from cosim.signals import Command, Sample
+from cosim.results.columns import NAMES
+from cosim.results.recorder import MemoryLog
+from cosim.results.report.flight import (
+    compare_report,
+    run_labels,
+    verdict,
+    write_report,
+)
+from cosim.results.report.flight_figures import (
+    ATTITUDE,
+    Reader,
+    comparison_figures,
+    jet_rows,
+    run_figures,
+    stacked,
+    thinned,
+)
+from cosim.results.report.page import figure_json
+from cosim.results.run import DelayRow, Run, begin_run
 
 Change = Callable[[Sample], Sample]
 
@@ -349,7 +362,7 @@ def test_plotly_is_not_imported_to_write_a_page(run: Run, tmp_path: Path) -> Non
     import subprocess
 
     code = (
-        "import sys; from pathlib import Path; from cosim.run import open_run; from cosim.report import write_report;"
+        "import sys; from pathlib import Path; from cosim.results.run import open_run; from cosim.results.report.flight import write_report;"
         f"write_report(open_run({str(tmp_path / 'run')!r}), Path({str(tmp_path / 'x.html')!r}));"
         "print('plotly.graph_objs' in sys.modules, 'plotly.io' in sys.modules)"
     )

@@ -20,27 +20,43 @@ import numpy as np
 import pytest
 from patience import PATIENCE
 
-from cosim.cli import main
-from cosim.design.loop import margins
-from cosim.errors import InputError
+from cosim.base.errors import InputError
+from cosim.cli.main import main
+from cosim.design.frequency import margins
 from cosim.flight import fly
-from cosim.marks import parts_of
-from cosim.page import figure_json
 from cosim.paper import frozen as calibration
 from cosim.paper import reproduce
-from cosim.paper.beyond import DelayPoint, Offset, Reach, RobustnessMap
+from cosim.paper.beyond import (
+    DelayPoint,
+    Offset,
+    Reach,
+    RobustnessMap,
+)
 from cosim.paper.claims import Condition, Evidence, claim_rows
 from cosim.paper.comparison import LinearPart, comparison_rows
-from cosim.paper.experiments import COMPARED, Result, experiments, linear, quadrotor_axis
+from cosim.paper.experiments import (
+    COMPARED,
+    Result,
+    experiments,
+    linear,
+    quadrotor_axis,
+)
 from cosim.paper.figures import panels, paper_figures
-from cosim.paper.loops import gain_at, measured_sweep, open_loop, sweep
+from cosim.paper.loops import (
+    gain_at,
+    measured_sweep,
+    open_loop,
+    sweep,
+)
 from cosim.paper.page import counts_in_words, page_values, tally
 from cosim.paper.page import write_page as paper_report
 from cosim.paper.pages import CONSTRUCTED as CONSTRUCTED_PART
 from cosim.paper.pages import COUNTS, NAMED, write_page
 from cosim.paper.result import Manual, Reproduction
-from cosim.scenario import Scenario
-from cosim.vehicle import load_vehicle
+from cosim.results.report.marks import parts_of
+from cosim.results.report.page import figure_json
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
 
 ROOT = Path(__file__).resolve().parents[1]
 FROZEN = calibration.load()

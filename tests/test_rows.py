@@ -16,11 +16,8 @@ from flights import STEP, samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim._rows import COLUMNS, Rows
-from cosim.columns import NAMES
-from cosim.frames import to_euler
-from cosim.recorder import MemorySink, Recorder
-from cosim.signals import (
+from cosim.base.frames import to_euler
+from cosim.base.signals import (
     JETS,
     Actuation,
     Command,
@@ -31,6 +28,9 @@ from cosim.signals import (
     State,
     Unallocated,
 )
+from cosim.results._rows import COLUMNS, Rows
+from cosim.results.columns import NAMES
+from cosim.results.recorder import MemorySink, Recorder
 
 NUMBERS = st.one_of(st.floats(), st.sampled_from([nan, -nan, -0.0, 5e-324]), st.integers(-9, 9), st.booleans())
 

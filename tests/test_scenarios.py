@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.errors import InputError
+from cosim.base.errors import InputError
 from cosim.flight import fly
-from cosim.recorder import Log
-from cosim.scenario import Scenario, scenario_names
+from cosim.results.recorder import Log
+from cosim.spec.scenario import Scenario, scenario_names
 
 SHIPPED = {"hover", "roll-doublet", "pitch-doublet", "yaw-doublet", "manual", "payload-drop", "gust", "climb-and-land"}
 EXPECTED = [(name, entry.controller, entry.engine) for name in scenario_names() for entry in Scenario.load(name).expect]

@@ -12,16 +12,21 @@ import tomli_w
 from test_lead import answered, axis
 
 from cosim import Scenario, fly
-from cosim.build import build
-from cosim.config import read_toml
+from cosim.base.errors import InputError
+from cosim.base.signals import Command, Measured, Unallocated
+from cosim.base.toml import read_toml
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.lead import Lead
 from cosim.control.schedule import GainSchedule
-from cosim.design.file import read_controller
-from cosim.errors import InputError
-from cosim.signals import Command, Measured, Unallocated
-from cosim.vehicle import EngineLead, Leads, Schedule, load_vehicle
+from cosim.design.controller_file import read_controller
+from cosim.simulation.build import build
+from cosim.spec.vehicle import (
+    EngineLead,
+    Leads,
+    Schedule,
+    load_vehicle,
+)
 
 STEP = 0.004
 FULL = EngineLead(natural_rad_s=1.3, damping=0.66, pole_rad_s=8.0)
@@ -176,7 +181,7 @@ def test_half_a_tank_stands_where_it_began() -> None:
 
 def test_the_law_knows_a_schedule() -> None:
     """A scaled copy of a vehicle with a schedule: rates by the law of rates, factors and shares as they are."""
-    from cosim.scaling import scaled
+    from cosim.spec.scaling import scaled
 
     vehicle, _ = load_vehicle("hexjet")
     stated = vehicle.model_dump(mode="json", exclude_none=True)

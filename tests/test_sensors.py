@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim import Scenario, fly, frames
-from cosim.sensors import Latency, SensorSuite
-from cosim.servo import TiltServo
-from cosim.signals import Measured, State
-from cosim.vehicle import Sensors, Servo, load_vehicle
+from cosim import Scenario, fly
+from cosim.base import frames
+from cosim.base.signals import Measured, State
+from cosim.spec.vehicle import Sensors, Servo, load_vehicle
+from cosim.vehicle.sensors import Latency, SensorSuite
+from cosim.vehicle.servo import TiltServo
 
 STEP = 0.004
 VEHICLE, _ = load_vehicle("hexjet")

@@ -9,14 +9,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.build import build
-from cosim.control.choice import PREDICTORS
-from cosim.errors import EngineError, InputError
+from cosim.base.errors import EngineError, InputError
+from cosim.base.signals import (
+    Ambient,
+    EngineOutput,
+    PerJet,
+    Sample,
+    Unallocated,
+)
+from cosim.control.predictors.registry import PREDICTORS
 from cosim.flight import fly
-from cosim.ledger import total_samples
-from cosim.run import Run
-from cosim.scenario import Scenario
-from cosim.signals import Ambient, EngineOutput, PerJet, Sample, Unallocated
+from cosim.results.run import Run
+from cosim.simulation.build import build
+from cosim.simulation.delay_ledger import total_samples
+from cosim.spec.scenario import Scenario
 
 STEP = 0.004
 GYRO_LATENCY = {"sensors": {"gyro": {"latency_samples": 3}}}
@@ -404,7 +410,7 @@ def test_a_controller_without_a_model_of_the_engine_says_which_there_are() -> No
     flown = scenario()
     with build(flown) as simulation:
         vehicle, engine = simulation.vehicle, replace(simulation.engine, library=False)
-    from cosim.build import predictors
+    from cosim.simulation.build import predictors
 
     with pytest.raises(
         InputError,
@@ -415,6 +421,6 @@ def test_a_controller_without_a_model_of_the_engine_says_which_there_are() -> No
 
 
 def test_every_controller_is_described() -> None:
-    from cosim.control.choice import TITLES
+    from cosim.control.predictors.registry import TITLES
 
     assert set(TITLES) == set(PREDICTORS)

@@ -12,20 +12,28 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-import cosim.build
-from cosim.airframe import Airframe
-from cosim.build import build
+import cosim.simulation.build
+from cosim.base.errors import InputError
+from cosim.base.frames import jet_axis
+from cosim.base.signals import (
+    ZERO3,
+    Ambient,
+    Disturbance,
+    EngineOutput,
+    PerJet,
+    Sample,
+    Vector3,
+)
 from cosim.control.altitude import GRAVITY
 from cosim.engine import EngineBank
-from cosim.errors import InputError
 from cosim.flight import fly
-from cosim.frames import jet_axis
-from cosim.fuel import Tank
-from cosim.scenario import Environment, Initial, Scenario
-from cosim.signals import ZERO3, Ambient, Disturbance, EngineOutput, PerJet, Sample, Vector3
-from cosim.simulation import Simulation
-from cosim.spools import Spools
-from cosim.vehicle import Jet, Vehicle, load_vehicle
+from cosim.simulation.build import build
+from cosim.simulation.step import Simulation
+from cosim.spec.scenario import Environment, Initial, Scenario
+from cosim.spec.vehicle import Jet, Vehicle, load_vehicle
+from cosim.vehicle.airframe import Airframe
+from cosim.vehicle.rotors import Spools
+from cosim.vehicle.tank import Tank
 
 STEP = 0.004
 NO_AERO: dict[str, Any] = {"aero": {"drag_area_m2": [0.0, 0.0, 0.0], "damping_n_m_s": [0.0, 0.0, 0.0]}}
@@ -387,7 +395,7 @@ def test_an_engine_without_a_shut_off_loses_its_thrust_with_the_fuel(monkeypatch
         def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
             return super().step(k, throttle, ambient)._replace(fuel_flow=(0.01,) * 6)
 
-    monkeypatch.setattr(cosim.build, "EngineBank", Thirsty)
+    monkeypatch.setattr(cosim.simulation.build, "EngineBank", Thirsty)
     vehicle = {**NO_AERO, "fuel": {"mass_kg": 0.03, "position_m": [0.0, 0.0, 0.0]}}
     run = fly(scenario(duration_s=1.0, engine="edf-as-flown", vehicle=vehicle))
     log = run.log
@@ -467,7 +475,7 @@ class Listening(EngineBank):
 
 @pytest.fixture
 def listening(monkeypatch: pytest.MonkeyPatch) -> type[Listening]:
-    monkeypatch.setattr(cosim.build, "EngineBank", Listening)
+    monkeypatch.setattr(cosim.simulation.build, "EngineBank", Listening)
     return Listening
 
 
@@ -572,6 +580,6 @@ def test_engines_that_ask_for_no_air_are_given_none(monkeypatch: pytest.MonkeyPa
             given.append(ambient)
             return super().step(k, throttle, ambient)
 
-    monkeypatch.setattr(cosim.build, "EngineBank", Asking)
+    monkeypatch.setattr(cosim.simulation.build, "EngineBank", Asking)
     assert fly(scenario(engine="edf-as-flown", duration_s=0.1)).outcome == "completed"
     assert given == [None] * (1 + 25)

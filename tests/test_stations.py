@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-import cosim.build
-from cosim.build import build
-from cosim.cli import engine_choices, load_scenario, main
-from cosim.control.thrust import StaticCurve, ThrustMap, inverted
+import cosim.simulation.build
+from cosim.base.errors import InputError
+from cosim.base.paths import data_folder
+from cosim.base.signals import Sample
+from cosim.cli.main import engine_choices, load_scenario, main
+from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap, inverted
 from cosim.engine import EngineBank, load_engine
-from cosim.errors import InputError
 from cosim.flight import fly, resolve
-from cosim.ledger import total_samples
-from cosim.paths import data_folder
-from cosim.run import open_run
-from cosim.scenario import Scenario
-from cosim.signals import Sample
+from cosim.results.run import open_run
+from cosim.simulation.build import build
+from cosim.simulation.delay_ledger import total_samples
+from cosim.spec.scenario import Scenario
 
 STEP = 0.004
 POINTS = tuple(k / 20 for k in range(21))
@@ -225,7 +225,7 @@ def test_each_engine_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         loaded.append(name)
         return load_engine(name, parameters, step, **options)
 
-    monkeypatch.setattr(cosim.build, "load_engine", count)
+    monkeypatch.setattr(cosim.simulation.build, "load_engine", count)
     turbojet = {"engine": "turbojet"}
     with build(scenario(stations={"3": turbojet, "4": turbojet, "5": {"engine": "edf-as-flown"}})) as simulation:
         assert len({id(station) for station in simulation.stations}) == 2
@@ -313,7 +313,7 @@ def test_the_resolved_scenario_states_what_stands_where() -> None:
 
 
 def test_the_page_names_the_odd_engine_and_draws_its_own_curve(tmp_path: Path) -> None:
-    from cosim.figures import run_figures, thrust_curves
+    from cosim.results.report.flight_figures import run_figures, thrust_curves
 
     run = fly(scenario(duration_s=0.4, engine="turbine-20", stations={"3": {"engine": "edf"}}), tmp_path / "run")
     page = (tmp_path / "run" / "report.html").read_text()

@@ -22,15 +22,15 @@ from patience import PATIENCE
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from cosim.errors import InputError
-from cosim.exchange import Exchange, Snapshot
-from cosim.frames import to_euler
-from cosim.gcs import Session
-from cosim.pilot.modes import LandedState, Mode
-from cosim.pilot.requests import SetParameter
-from cosim.scenario import Scenario
-from cosim.web import feed, server
-from cosim.web.server import WebServer
+from cosim.base.errors import InputError
+from cosim.base.frames import to_euler
+from cosim.control.autopilot.modes import LandedState, Mode
+from cosim.control.autopilot.requests import SetParameter
+from cosim.groundstation.exchange import Exchange, Snapshot
+from cosim.groundstation.session import Session
+from cosim.groundstation.web import feed, server
+from cosim.groundstation.web.server import WebServer
+from cosim.spec.scenario import Scenario
 
 STATIC = Path(server.__file__).parent / "static"
 SOON = PATIENCE  # for what takes milliseconds

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from benchmarks.accuracy.check_cases import CASES, Compared, compare, fly_case, read_simulators
 from benchmarks.accuracy.flights import CLOSED, RUNS, SCHEMES, closed_loop, courses, error, exact, fly_again
-from cosim.errors import InputError
-from cosim.marks import check_marks, table, write_marks
+from cosim.base.errors import InputError
+from cosim.results.report.marks import check_marks, table, write_marks
 
 CASE_MARK, FLIGHT_MARK, CLOSED_MARK = "check cases", "flights", "closed loop"
 

@@ -1,4 +1,5 @@
-"""Five of NASA's atmospheric check cases, flown by :class:`cosim.airframe.Airframe` at the step that flights use.
+"""Five of NASA's atmospheric check cases, flown by :class:`cosim.vehicle.airframe.Airframe` at the step that
+flights use.
 
 Source: NASA/TM-2015-218675, "Check-Cases for Verification of 6-Degree-of-Freedom Flight Vehicle Simulations".  The
 trajectories of NASA's simulators are those published with SimuPy-Flight (nasa/simupy-flight on GitHub), in files
@@ -16,11 +17,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.airframe import FOOT, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2, Airframe
-from cosim.errors import InputError
-from cosim.scenario import Environment, Initial, Scenario
-from cosim.signals import ZERO3, Disturbance, Vector3
-from cosim.vehicle import Vehicle, load_vehicle
+from cosim.base.errors import InputError
+from cosim.base.signals import ZERO3, Disturbance, Vector3
+from cosim.spec.scenario import Environment, Initial, Scenario
+from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.vehicle.airframe import (
+    FOOT,
+    POUND_FOOT,
+    POUND_FORCE,
+    SLUG,
+    SLUG_FT2,
+    Airframe,
+)
 
 EARTH_RATE = 7.292115e-5  # rad/s
 SECONDS, EVERY = 30.0, 0.1  # of the trajectories that are compared, and between their rows

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.signals import Disturbance, Vector3
-from cosim.vehicle import Vehicle
+from cosim.base.signals import Disturbance, Vector3
+from cosim.spec.vehicle import Vehicle
 
 EARTH_RATE = np.array([0.0, 0.0, 7.292115e-5])  # rad/s
 MU, RADIUS, J2 = 3.986004418e14, 6378137.0, 1.08262982e-3  # WGS 84: m^3/s^2, m
@@ -37,7 +37,7 @@ class Held:
 
 @dataclass(frozen=True)
 class Motion:
-    """One instant, as :class:`cosim.signals.State` has it but for the place."""
+    """One instant, as :class:`cosim.base.signals.State` has it but for the place."""
 
     attitude: Array  # body to NED, 3 x 3
     rate: Array  # rad/s, body, against the Earth

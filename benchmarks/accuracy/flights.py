@@ -13,14 +13,27 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.exact import Air, Array, Held, Motion, integrate, start
-from cosim.airframe import ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_3, BUSS_2, FOOT, RECTANGULAR, Airframe
-from cosim.build import build
+from cosim.base.frames import from_euler, jet_axis, rotate
+from cosim.base.signals import (
+    Disturbance,
+    Quaternion,
+    Sample,
+    State,
+    Vector3,
+)
 from cosim.flight import fly
-from cosim.frames import from_euler, jet_axis, rotate
-from cosim.recorder import Log
-from cosim.scenario import Environment, Initial, Scenario
-from cosim.signals import Disturbance, Quaternion, Sample, State, Vector3
-from cosim.vehicle import Vehicle, load_vehicle
+from cosim.results.recorder import Log
+from cosim.simulation.build import build
+from cosim.spec.scenario import Environment, Initial, Scenario
+from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.vehicle.airframe import (
+    ADAMS_BASHFORTH_2,
+    ADAMS_BASHFORTH_3,
+    BUSS_2,
+    FOOT,
+    RECTANGULAR,
+    Airframe,
+)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,12 @@ Times belong to the machine they were taken on, ratios travel better.  What the 
 beside what was found, and nothing fails.
 """
 
-from cosim.bench.suite import FULL, Plan, Result, make_plan, measure
+from cosim.bench.suite import (
+    FULL,
+    Plan,
+    Result,
+    make_plan,
+    measure,
+)
 
 __all__ = ["FULL", "Plan", "Result", "make_plan", "measure"]

@@ -41,7 +41,7 @@ def look_around(begin: float | None, processor_share: float | None) -> Machine:
         system=f"{platform.system()} {platform.machine()}",
         kernel=platform.release(),
         libc=" ".join(platform.libc_ver()).strip(),
-        compiled=not (import_module("cosim.simulation").__file__ or "").endswith(".py"),
+        compiled=not (import_module("cosim.simulation.step").__file__ or "").endswith(".py"),
         load=None if begin is None or end is None else (begin, end),
         processor_share=processor_share,
     )

@@ -1,4 +1,5 @@
-"""The measurements in a Markdown page between its marks (:mod:`cosim.marks`): all figures are of one run."""
+"""The measurements in a Markdown page between its marks (:mod:`cosim.results.report.marks`): all figures are of one
+run."""
 
 from __future__ import annotations
 
@@ -6,12 +7,17 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from cosim.base.errors import InputError
+from cosim.base.files import replacing
+from cosim.base.toml import nearest
 from cosim.bench.suite import Result
 from cosim.bench.tables import KEYS, Table, tables
-from cosim.config import nearest
-from cosim.errors import InputError
-from cosim.files import replacing
-from cosim.marks import cell, filled, parts_of, row
+from cosim.results.report.marks import (
+    cell,
+    filled,
+    parts_of,
+    row,
+)
 
 COMMAND = "command"
 NAMES = (COMMAND, *KEYS)

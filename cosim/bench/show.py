@@ -8,7 +8,12 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from cosim.bench.suite import PARTS, Result
-from cosim.bench.tables import ASKED, MACHINE, Table, tables
+from cosim.bench.tables import (
+    ASKED,
+    MACHINE,
+    Table,
+    tables,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table as Drawn

@@ -10,9 +10,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from cosim.bench.blocks import Breakdown, measure_blocks
-from cosim.bench.campaign import CampaignCost, CampaignPlan, measure_campaign
-from cosim.bench.growth import (
+from cosim.base.errors import FlightError, InputError
+from cosim.base.toml import nearest
+from cosim.bench.machine import (
+    Machine,
+    compilers,
+    load,
+    look_around,
+    package_versions,
+)
+from cosim.bench.measures.blocks import Breakdown, measure_blocks
+from cosim.bench.measures.campaign import CampaignCost, CampaignPlan, measure_campaign
+from cosim.bench.measures.growth import (
     EngineCounts,
     Lengths,
     LogRates,
@@ -20,15 +29,17 @@ from cosim.bench.growth import (
     measure_lengths,
     measure_log_rates,
 )
-from cosim.bench.machine import Machine, compilers, load, look_around, package_versions
-from cosim.bench.multirotor import Multirotor, measure_multirotor
-from cosim.bench.others import Others, measure_others
-from cosim.bench.peers import Peers, measure_peers
-from cosim.bench.process import Memory, Startup, measure_memory, measure_startup
-from cosim.bench.speed import RECORDED, measure_speed, warm_up
+from cosim.bench.measures.others import Others, measure_others
+from cosim.bench.measures.process import (
+    Memory,
+    Startup,
+    measure_memory,
+    measure_startup,
+)
+from cosim.bench.measures.speed import RECORDED, measure_speed, warm_up
+from cosim.bench.peers.multirotor import Multirotor, measure_multirotor
+from cosim.bench.peers.peers import Peers, measure_peers
 from cosim.bench.timing import Cost
-from cosim.config import nearest
-from cosim.errors import FlightError, InputError
 
 STEP, BLOCKS, OTHERS, PEERS, ROTORPY = "step", "blocks", "others", "peers", "rotorpy"
 TIME, ENGINES, LOG = "time", "engines", "log"

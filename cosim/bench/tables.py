@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from cosim.bench.blocks import Breakdown
-from cosim.bench.campaign import EARLY, PROCESSES, CampaignCost
-from cosim.bench.growth import EngineCounts, Lengths, LogRates
-from cosim.bench.multirotor import Multirotor
-from cosim.bench.others import Others
-from cosim.bench.peers import ALONE, EXCHANGE, Peers
-from cosim.bench.process import Memory, Startup
-from cosim.bench.speed import BARE
+from cosim.bench.measures.blocks import Breakdown
+from cosim.bench.measures.campaign import EARLY, PROCESSES, CampaignCost
+from cosim.bench.measures.growth import EngineCounts, Lengths, LogRates
+from cosim.bench.measures.others import Others
+from cosim.bench.measures.process import Memory, Startup
+from cosim.bench.measures.speed import BARE
+from cosim.bench.peers.multirotor import Multirotor
+from cosim.bench.peers.peers import ALONE, EXCHANGE, Peers
 from cosim.bench.suite import (
     BLOCKS,
     CAMPAIGN,

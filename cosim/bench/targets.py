@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from cosim.bench.speed import ENGINES, OUTSIDE, RECORDED
+from cosim.bench.measures.speed import ENGINES, OUTSIDE, RECORDED
 from cosim.bench.suite import Result
 from cosim.bench.timing import Spread
 

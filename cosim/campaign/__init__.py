@@ -12,20 +12,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cosim.campaign.campaign import fly_again, run_campaign
-    from cosim.campaign.local import LocalWorkers
-    from cosim.campaign.options import open_study
+    from cosim.campaign.run import fly_again, run_campaign
     from cosim.campaign.store import Campaign, open_campaign
-    from cosim.campaign.study import Study
+    from cosim.campaign.study.options import open_study
+    from cosim.campaign.study.study import Study
+    from cosim.campaign.workers.local import LocalWorkers
 
 _WHERE = {
     "Campaign": "store",
-    "LocalWorkers": "local",
-    "Study": "study",
-    "fly_again": "campaign",
+    "LocalWorkers": "workers.local",
+    "Study": "study.study",
+    "fly_again": "run",
     "open_campaign": "store",
-    "open_study": "options",
-    "run_campaign": "campaign",
+    "open_study": "study.options",
+    "run_campaign": "run",
 }
 
 __all__ = ["Campaign", "LocalWorkers", "Study", "fly_again", "open_campaign", "open_study", "run_campaign"]

@@ -11,17 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.build import build
-from cosim.campaign.keys import with_values
-from cosim.campaign.study import Study, is_path
-from cosim.campaign.vary import Vary
-from cosim.config import read_toml
+from cosim.base.errors import InputError
+from cosim.base.files import replacing
+from cosim.base.toml import read_toml
+from cosim.campaign.study.distributions import Vary
+from cosim.campaign.study.keys import with_values
+from cosim.campaign.study.study import Study, is_path
 from cosim.engine import EngineSpec, load_engine
-from cosim.errors import InputError
-from cosim.files import replacing
 from cosim.flight import engine_files, resolve
-from cosim.scenario import Scenario, is_file
-from cosim.simulation import Simulation
+from cosim.simulation.build import build
+from cosim.simulation.step import Simulation
+from cosim.spec.scenario import Scenario, is_file
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
 FLIGHTS, JOURNAL, REPORT, CASES = "flights", "flights.jsonl", "report.html", "cases"

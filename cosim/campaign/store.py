@@ -18,14 +18,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from cosim.arrow import read_table, write_table
+from cosim.base.errors import FlightError, InputError
+from cosim.base.files import lock, one_line
 from cosim.campaign import folder as places
-from cosim.campaign.folder import FLIGHTS, JOURNAL, OWN, SCENARIO, STUDY, Frozen, freeze
-from cosim.campaign.one import Kinds, Row, Value, kinds
-from cosim.campaign.plan import flights
-from cosim.campaign.study import Study
-from cosim.errors import FlightError, InputError
-from cosim.files import lock, one_line
+from cosim.campaign.folder import (
+    FLIGHTS,
+    JOURNAL,
+    OWN,
+    SCENARIO,
+    STUDY,
+    Frozen,
+    freeze,
+)
+from cosim.campaign.study.plan import flights
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import (
+    Kinds,
+    Row,
+    Value,
+    kinds,
+)
+from cosim.results.arrow import read_table, write_table
 
 PART_ROWS = 4096  # 2 MB
 WRITE_S = 15.0  # how often the last part is replaced: it costs 50 ms

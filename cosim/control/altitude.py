@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cosim.control.blend import Fade
+from cosim.base.signals import Command, Measured, Unallocated
+from cosim.control.bumpless import Fade
 from cosim.control.lead import Lead
-from cosim.signals import Command, Measured, Unallocated
-from cosim.vehicle import AltitudeGains, EngineLead
+from cosim.spec.vehicle import AltitudeGains, EngineLead
 
 GRAVITY = 9.80665  # m/s^2, standard
 _LEAST_UPRIGHT = 0.5  # thrust is not raised further for a lean beyond 60 degrees

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from cosim.control.blend import Fade
-from cosim.frames import from_euler
-from cosim.signals import Command, Measured, Vector3
-from cosim.vehicle import AttitudeGains
+from cosim.base.frames import from_euler
+from cosim.base.signals import Command, Measured, Vector3
+from cosim.control.bumpless import Fade
+from cosim.spec.vehicle import AttitudeGains
 
 
 class AttitudeController:

@@ -5,15 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from cosim.control.altitude import GRAVITY, AltitudeController
-from cosim.control.attitude import AttitudeController
-from cosim.control.monitor import EngineMonitor
-from cosim.control.predictor import DelayLine
-from cosim.control.rate import RateController
-from cosim.control.schedule import GainSchedule, Scheduled
-from cosim.control.thrust import ThrustMap
-from cosim.protocols import Allocator, Diagnostics, EngineState
-from cosim.signals import (
+from cosim.base.protocols import Allocator, Diagnostics, EngineState
+from cosim.base.signals import (
     ALL_WELL,
     NO_JETS,
     ZERO3,
@@ -28,7 +21,14 @@ from cosim.signals import (
     Unallocated,
     Vector3,
 )
-from cosim.vehicle import Vehicle
+from cosim.control.allocation.engine_monitor import EngineMonitor
+from cosim.control.allocation.thrust_map import ThrustMap
+from cosim.control.altitude import GRAVITY, AltitudeController
+from cosim.control.attitude import AttitudeController
+from cosim.control.predictors.smith import DelayLine
+from cosim.control.rate import RateController
+from cosim.control.schedule import GainSchedule, Scheduled
+from cosim.spec.vehicle import Vehicle
 
 # s from switching engines on to where they must run: chosen by us, longer than a jet takes to spool up to idle
 _LONGEST_START: Final = 10.0
@@ -36,7 +36,7 @@ _FLY: Final = EngineState.FLY
 
 
 class Cascade:
-    """The built-in :class:`cosim.protocols.Controller`: the paper's cascade.
+    """The built-in :class:`cosim.base.protocols.Controller`: the paper's cascade.
 
     The parts are its own to run and anybody's to look at; who tunes them in flight does so through their ``retune``.
     ``added_delay``: of the roll command, steps; ``opposites``: for every jet, from 0, the one that is to be shut off
@@ -78,7 +78,7 @@ class Cascade:
         self._starting = 0.0  # s for which engines that were off may still be coming up
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
-        """At rest; the throttles of the start.  See :class:`cosim.protocols.Controller`."""
+        """At rest; the throttles of the start.  See :class:`cosim.base.protocols.Controller`."""
         self._forget(burnt)
         self.allocator.reset()
         self._reset_loops()

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from cmath import exp, sqrt
 
-from cosim.vehicle import EngineLead
+from cosim.spec.vehicle import EngineLead
 
 
 def lead_polynomials(lead: EngineLead, step: float) -> tuple[list[float], list[float]]:

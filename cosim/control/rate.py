@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from math import nan
 from typing import NamedTuple
 
-from cosim.control.blend import Fade
+from cosim.base.protocols import Diagnostics, Predictor
+from cosim.base.signals import Unallocated, Vector3
+from cosim.control.bumpless import Fade
 from cosim.control.lead import Lead
-from cosim.control.predictor import NoPredictor
-from cosim.protocols import Diagnostics, Predictor
-from cosim.signals import Unallocated, Vector3
-from cosim.vehicle import EngineLead, RateGains
+from cosim.control.predictors.smith import NoPredictor
+from cosim.spec.vehicle import EngineLead, RateGains
 
 _NOTHING: Diagnostics = (nan, nan, nan)
 

@@ -14,7 +14,12 @@ from collections.abc import Sequence
 from math import exp
 from typing import NamedTuple
 
-from cosim.vehicle import EngineLead, Leads, Schedule, ScheduledGains
+from cosim.spec.vehicle import (
+    EngineLead,
+    Leads,
+    Schedule,
+    ScheduledGains,
+)
 
 FINE = 1e-3  # of the range of the schedule: so far the level moves before the gains do
 

@@ -18,12 +18,17 @@ from math import exp, expm1, inf, log
 
 import numpy as np
 
+from cosim.base.errors import InputError
 from cosim.design.dynamics import Dynamics, lags
-from cosim.design.loop import Array, Complex, delayed_response
+from cosim.design.frequency import Array, Complex, delayed_response
 from cosim.engine import EngineSpec
-from cosim.errors import InputError
-from cosim.scenario import Scenario
-from cosim.vehicle import RateModel, Sensors, Servo, Vehicle
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import (
+    RateModel,
+    Sensors,
+    Servo,
+    Vehicle,
+)
 
 GRAVITY = 9.80665  # m/s^2, standard
 THRUST_AXES = ("roll", "pitch", "yaw")
@@ -77,8 +82,8 @@ class Channel:
         ``rate_k+1 = p rate_k + step f (share_0 moment_k + share_1 moment_k-1 + share_2 moment_k-2)``.  A run moves the
         rate by ``h (3 a_n - a_n-1) / 2`` with the accelerations at its beginning and one run before (Adams and
         Bashforth); those of a step's moment begin with the second run, the first of them with half its change on top
-        (:mod:`cosim.airframe`).  Summed over three and more runs this is the moment's impulse over the step and nothing
-        else; two runs leave a quarter of a change to the step after, and one has no run to correct.
+        (:mod:`cosim.vehicle.airframe`).  Summed over three and more runs this is the moment's impulse over the step
+        and nothing else; two runs leave a quarter of a change to the step after, and one has no run to correct.
         """
         fall = self.damping_1_s * self.step
         pole = exp(-fall)

@@ -14,10 +14,10 @@ from math import exp, inf, log
 
 import numpy as np
 
-from cosim.design.loop import Array, Complex
-from cosim.identify.fit import counts
-from cosim.identify.response import FrequencyResponse
-from cosim.vehicle import RateModel
+from cosim.design.frequency import Array, Complex
+from cosim.design.identify.fit import counts
+from cosim.design.identify.response import FrequencyResponse
+from cosim.spec.vehicle import RateModel
 
 # Beside the two poles.  The quick zero is what a whole delay leaves of one that is not: (1 + s t) leads by t.
 FORMS: tuple[tuple[str, ...], ...] = ((), ("zero",), ("zero", "lag"), ("zero", "lag", "quick"))

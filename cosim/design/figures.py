@@ -6,11 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from cosim.design.closed import Closed, Points
-from cosim.design.loop import Array
-from cosim.design.make import AxisDesign, Design
+from cosim.design.closed_loop import Closed, Points
+from cosim.design.design import AxisDesign, Design
+from cosim.design.frequency import Array
 from cosim.design.tuning import Tuning
-from cosim.figures import BLUE, GREY, ORANGE, RED
+from cosim.results.report.flight_figures import (
+    BLUE,
+    GREY,
+    ORANGE,
+    RED,
+)
 
 Figure = dict[str, Any]
 

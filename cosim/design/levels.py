@@ -11,13 +11,30 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cosim.control.schedule import Factors, GainSchedule
-from cosim.design.channel import Actuator, Channel, channels, hover_share
-from cosim.design.closed import Closed, Points
-from cosim.design.tune import FINE, Requirements, excess, near
+from cosim.design.channel import (
+    Actuator,
+    Channel,
+    channels,
+    hover_share,
+)
+from cosim.design.closed_loop import Closed, Points
+from cosim.design.tune import (
+    FINE,
+    Requirements,
+    excess,
+    near,
+)
 from cosim.design.tuning import Tuning
 from cosim.engine import EngineSpec
-from cosim.scenario import Scenario
-from cosim.vehicle import EngineLead, Leads, Schedule, ScheduledGains, ThrustLevel, Vehicle
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import (
+    EngineLead,
+    Leads,
+    Schedule,
+    ScheduledGains,
+    ThrustLevel,
+    Vehicle,
+)
 
 DESIGNED = (1.0, 0.5, 0.0)  # of the fuel
 PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)

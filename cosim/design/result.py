@@ -8,11 +8,16 @@ from math import degrees, exp, inf, isfinite
 from pathlib import Path
 from typing import Any
 
+from cosim.design.controller_table import controller_table, write_controller
+from cosim.design.design import (
+    WITH_LEAD,
+    Assessment,
+    AxisDesign,
+    Design,
+)
 from cosim.design.figures import design_figures
-from cosim.design.make import WITH_LEAD, Assessment, AxisDesign, Design
-from cosim.design.written import controller_table, write_controller
-from cosim.page import render
-from cosim.vehicle import EngineLead
+from cosim.results.report.page import render
+from cosim.spec.vehicle import EngineLead
 
 PAGE = "design.html"
 TEMPLATE = Path(__file__).parent / "templates" / PAGE

@@ -8,12 +8,12 @@ from math import inf, log
 
 import numpy as np
 
-from cosim.config import Model, NotNegative
+from cosim.base.toml import Model, NotNegative
 from cosim.design.channel import Channel
-from cosim.design.closed import Closed, Points
-from cosim.design.loop import Array
+from cosim.design.closed_loop import Closed, Points
+from cosim.design.frequency import Array
 from cosim.design.tuning import TUNED, Tuning
-from cosim.vehicle import EngineLead, RateModel
+from cosim.spec.vehicle import EngineLead, RateModel
 
 NOISE_SHARE = 0.0833  # of the room of the command: three standard deviations of noise take a quarter of it
 STEP_RAD = 0.1745  # 10 deg, the size of the roll doublet

@@ -5,8 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from cosim.design.loop import Complex, Pair, observer_response, predictor_response
-from cosim.vehicle import EngineLead, PredictorTuning, RateGains, RateModel
+from cosim.design.frequency import (
+    Complex,
+    Pair,
+    observer_response,
+    predictor_response,
+)
+from cosim.spec.vehicle import (
+    EngineLead,
+    PredictorTuning,
+    RateGains,
+    RateModel,
+)
 
 CANDIDATES = ("baseline", "smith", "filtered-smith", "state-model", "state-disturbance")
 TUNED = {

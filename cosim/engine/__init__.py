@@ -3,10 +3,10 @@
 The only package that imports FMPy, and only where it is needed, because that import takes a fifth of a second.
 """
 
-from cosim.engine.admit import load_engine
 from cosim.engine.bank import EngineBank
-from cosim.engine.check import CheckReport, check_fmu, limits_of
 from cosim.engine.ports import Air
+from cosim.engine.qualify.check import CheckReport, check_fmu, limits_of
+from cosim.engine.qualify.load import load_engine
 from cosim.engine.spec import EngineSpec, build_engines, engine_names
 
 __all__ = [

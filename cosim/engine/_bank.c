@@ -684,7 +684,7 @@ static PyMethodDef bank_methods[] = {
 };
 
 static PyType_Slot bank_slots[] = {
-    {Py_tp_doc, "Bank(engines, step, record): engines are as cosim.engine.slave.Slave.row() makes them."},
+    {Py_tp_doc, "Bank(engines, step, record): engines are as cosim.engine.instance.Slave.row() makes them."},
     {Py_tp_new, SLOT(PyType_GenericNew)},
     {Py_tp_init, SLOT(bank_init)},
     {Py_tp_dealloc, SLOT(bank_dealloc)},

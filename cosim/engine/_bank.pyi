@@ -1,6 +1,6 @@
 from collections.abc import Sequence
 
-from cosim.signals import Ambient, EngineOutput
+from cosim.base.signals import Ambient, EngineOutput
 
 LOGGER2: int
 LOGGER3: int

@@ -11,11 +11,23 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from cosim.engine.container import UnusableError, one_line, open_archive, parse, read_bytes
-from cosim.engine.ports import Port, PortError, PortMap, Variable, find_ports
+from cosim.base.cache import Memory
+from cosim.base.errors import InputError
+from cosim.engine.container import (
+    UnusableError,
+    one_line,
+    open_archive,
+    parse,
+    read_bytes,
+)
+from cosim.engine.ports import (
+    Port,
+    PortError,
+    PortMap,
+    Variable,
+    find_ports,
+)
 from cosim.engine.units import Unit
-from cosim.errors import InputError
-from cosim.memory import Memory
 
 INTEGERS = {"Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"}
 REALS = {"Real", "Float64", "Float32"}

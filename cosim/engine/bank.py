@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from types import TracebackType
 
-from cosim.engine import _bank
+import cosim.engine._bank as _bank
+from cosim.base.errors import EngineError
+from cosim.base.signals import Ambient, EngineOutput, PerJet
+from cosim.engine.instance import Slave, SlaveError
 from cosim.engine.ports import AMBIENT, Air
 from cosim.engine.response import ResponseError, settle
-from cosim.engine.slave import Slave, SlaveError
 from cosim.engine.spec import EngineSpec
 from cosim.engine.unpacked import Unpacked, unpack
-from cosim.errors import EngineError
-from cosim.signals import Ambient, EngineOutput, PerJet
 
 
 class EngineBank:

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from cosim.base.errors import InputError
+from cosim.engine.instance import SlaveError
 from cosim.engine.measure import Measured, measure_once
-from cosim.engine.ports import AMBIENT, STANDARD_AIR, Air, is_mapping
+from cosim.engine.ports import (
+    AMBIENT,
+    STANDARD_AIR,
+    Air,
+    is_mapping,
+)
 from cosim.engine.response import ResponseError, window_for
-from cosim.engine.slave import SlaveError
-from cosim.engine.spec import EngineSource, EngineSpec, find_source, need_whole_steps, resolve_parameters
-from cosim.errors import InputError
-from cosim.rundown import OWN, FlameOutLaw, law_of
+from cosim.engine.rundown import OWN, FlameOutLaw, law_of
+from cosim.engine.spec import (
+    EngineSource,
+    EngineSpec,
+    find_source,
+    need_whole_steps,
+    resolve_parameters,
+)
 
 
 def load_unchecked(

@@ -6,8 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from cosim.engine import _bank
+import cosim.engine._bank as _bank
+from cosim.base.cache import Memory
 from cosim.engine.archive import Archive
+from cosim.engine.instance import Setting, Slave, SlaveError
 from cosim.engine.ports import STANDARD_AIR, Air
 from cosim.engine.response import (
     LITTLE_CHANGE,
@@ -20,10 +22,8 @@ from cosim.engine.response import (
     step_response,
     window_for,
 )
-from cosim.engine.slave import Setting, Slave, SlaveError
 from cosim.engine.spec import behaviour_of
 from cosim.engine.unpacked import unpack
-from cosim.memory import Memory
 
 
 class Measured(NamedTuple):

@@ -34,7 +34,15 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from cosim.config import Model, NotNegative, Positive, read_toml, validate
+from cosim.base.errors import InputError
+from cosim.base.toml import (
+    Model,
+    NotNegative,
+    Positive,
+    read_toml,
+    validate,
+)
+from cosim.engine.rundown import FlameOutLaw, law_of
 from cosim.engine.units import (
     ANGULAR_SPEED,
     FORCE,
@@ -50,8 +58,6 @@ from cosim.engine.units import (
     measures,
     to_si,
 )
-from cosim.errors import InputError
-from cosim.rundown import FlameOutLaw, law_of
 
 # In the order of the C loop.
 INPUTS = ("throttle", "ambient_pressure", "ambient_temperature", "air_speed")

@@ -10,9 +10,13 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from cosim.config import nearest
+from cosim.base.cache import Memory
+from cosim.base.errors import InputError
+from cosim.base.paths import data_folder
+from cosim.base.toml import nearest
 from cosim.engine import build
 from cosim.engine.archive import INTEGERS, Archive, read_archive
+from cosim.engine.instance import Setting
 from cosim.engine.ports import (
     STANDARD_AIR,
     Air,
@@ -23,15 +27,8 @@ from cosim.engine.ports import (
     is_mapping,
     read_mapping,
 )
-from cosim.engine.response import (
-    NO_CHANGE,
-    Curve,
-)
-from cosim.engine.slave import Setting
-from cosim.errors import InputError
-from cosim.memory import Memory
-from cosim.paths import data_folder
-from cosim.rundown import FlameOutLaw
+from cosim.engine.response import NO_CHANGE, Curve
+from cosim.engine.rundown import FlameOutLaw
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,15 @@ from ctypes import CDLL
 from pathlib import Path
 from types import TracebackType
 
+from cosim.base.errors import InputError
+from cosim.base.scratch import scratch
 from cosim.engine.archive import Archive, library_of, platform_folder
-from cosim.engine.container import DAMAGE, UnusableError, one_line, read_bytes
-from cosim.errors import InputError
-from cosim.scratch import scratch
+from cosim.engine.container import (
+    DAMAGE,
+    UnusableError,
+    one_line,
+    read_bytes,
+)
 
 MOST_FREE = 16  # folders that wait for their next user
 _free: list[Unpacked] = []  # the youngest last

@@ -12,10 +12,22 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from math import exp, sqrt
 
-from cosim.protocols import Engines
-from cosim.rundown import FlameOutLaw
-from cosim.scenario import DelayGrowth, EngineFault, FlameOut, SlowSpool, StuckThrottle, ThrustLoss
-from cosim.signals import NO_JETS, Ambient, EngineOutput, PerJet
+from cosim.base.protocols import Engines
+from cosim.base.signals import (
+    NO_JETS,
+    Ambient,
+    EngineOutput,
+    PerJet,
+)
+from cosim.engine.rundown import FlameOutLaw
+from cosim.spec.scenario import (
+    DelayGrowth,
+    EngineFault,
+    FlameOut,
+    SlowSpool,
+    StuckThrottle,
+    ThrustLoss,
+)
 
 
 class Effect:
@@ -158,7 +170,8 @@ class _Rundown(Effect):
 class EngineChain:
     """A bank of engines with everything that stands around it.
 
-    ``laws[i]``: how engine ``i``, from 0, goes out (:mod:`cosim.rundown`); ``lag(i)``: its time constant [s], asked for
+    ``laws[i]``: how engine ``i``, from 0, goes out (:mod:`cosim.engine.rundown`); ``lag(i)``: its time constant
+    [s], asked for
     where a fan loses its current.  ``factors``: thrust over that of the bank, spool speeds the same; ``delay``: steps
     by which every throttle arrives later.
 

@@ -12,13 +12,19 @@ from math import exp, inf, log, pi
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from cosim.design.loop import Complex, grid, model_response
+from cosim.design.frequency import Complex, grid, model_response
 from cosim.paper import numbers
 from cosim.paper.experiments import hexjet_axis, quadrotor_axis
 from cosim.paper.frozen import Calibration
-from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, simulate
+from cosim.paper.linear import (
+    STATE_AS_PRINTED,
+    Axis,
+    Plant,
+    doublet,
+    simulate,
+)
 from cosim.paper.loops import LoopMap, controllers_response, predictor_response
-from cosim.vehicle import PredictorTuning, RateModel
+from cosim.spec.vehicle import PredictorTuning, RateModel
 
 QUADROTOR = ("baseline", "smith", "filtered-smith", "state", STATE_AS_PRINTED, "state-model", "state-disturbance")
 HEXJET = ("baseline", "smith", "filtered-smith", "state", "state-model", "state-disturbance")

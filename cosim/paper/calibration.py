@@ -12,12 +12,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.design.loop import margins
+from cosim.design.frequency import margins
 from cosim.paper import numbers
-from cosim.paper.experiments import Experiment, hexjet_axis, hexjet_ratios, linear, quadrotor_axis
-from cosim.paper.frozen import FILE, Calibration, Frozen, Used
+from cosim.paper.experiments import (
+    Experiment,
+    hexjet_axis,
+    hexjet_ratios,
+    linear,
+    quadrotor_axis,
+)
+from cosim.paper.frozen import (
+    FILE,
+    Calibration,
+    Frozen,
+    Used,
+)
 from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import LOW_END_HZ, gain_at, open_loop, unstable_poles
+from cosim.paper.loops import (
+    LOW_END_HZ,
+    gain_at,
+    open_loop,
+    unstable_poles,
+)
 
 START = Calibration(
     p=0.05,

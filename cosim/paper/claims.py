@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from cosim.design.loop import Margins, margins
+from cosim.design.frequency import Margins, margins
 from cosim.paper import numbers
 from cosim.paper.experiments import (
     Experiment,
@@ -29,8 +29,18 @@ from cosim.paper.experiments import (
     quadrotor_axis,
 )
 from cosim.paper.frozen import Calibration
-from cosim.paper.linear import STATE_AS_PRINTED, Plant, doublet, simulate
-from cosim.paper.loops import LoopMap, open_loop, predictor_response, unstable_poles
+from cosim.paper.linear import (
+    STATE_AS_PRINTED,
+    Plant,
+    doublet,
+    simulate,
+)
+from cosim.paper.loops import (
+    LoopMap,
+    open_loop,
+    predictor_response,
+    unstable_poles,
+)
 from cosim.paper.numbers import Basis
 
 Verdict = Literal["holds", "under a condition", "by construction", "does not hold", "not flown"]

@@ -16,16 +16,35 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from cosim.design.loop import margins
+from cosim.base.signals import AXES
+from cosim.design.frequency import margins
 from cosim.paper import beyond, numbers
-from cosim.paper.claims import ClaimRow, Condition, Evidence, conditions
-from cosim.paper.experiments import COMPARED, Experiment, Metrics, Result, experiments, hexjet_ratios, quadrotor_axis
+from cosim.paper.claims import (
+    ClaimRow,
+    Condition,
+    Evidence,
+    conditions,
+)
+from cosim.paper.experiments import (
+    COMPARED,
+    Experiment,
+    Metrics,
+    Result,
+    experiments,
+    hexjet_ratios,
+    quadrotor_axis,
+)
 from cosim.paper.experiments import linear as on_linear_plant
 from cosim.paper.frozen import Frozen, load
 from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import LOW_END_HZ, Sweep, gain_at, open_loop, sweep
+from cosim.paper.loops import (
+    LOW_END_HZ,
+    Sweep,
+    gain_at,
+    open_loop,
+    sweep,
+)
 from cosim.paper.numbers import Basis
-from cosim.signals import AXES
 
 Origin = Basis | Literal["given", "derived"]
 TITLES = {

@@ -16,11 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from cosim.metrics import overshoot, settling_time
 from cosim.paper import numbers
 from cosim.paper.frozen import Calibration
-from cosim.paper.linear import STATE_AS_PRINTED, Axis, Plant, Signal, doublet, nothing, simulate
-from cosim.vehicle import PredictorTuning, RateGains, load_vehicle
+from cosim.paper.linear import (
+    STATE_AS_PRINTED,
+    Axis,
+    Plant,
+    Signal,
+    doublet,
+    nothing,
+    simulate,
+)
+from cosim.results.metrics import overshoot, settling_time
+from cosim.spec.vehicle import PredictorTuning, RateGains, load_vehicle
 
 Array = NDArray[np.float64]
 Kind = Literal["step", "disturbance", "hexjet-doublet"]

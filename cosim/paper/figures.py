@@ -1,6 +1,6 @@
 """The figures of the paper's report: what the paper draws, from both fidelities side by side, and what it does not.
 
-Plain dicts of Plotly's figure schema, as in :mod:`cosim.figures`.
+Plain dicts of Plotly's figure schema, as in :mod:`cosim.results.report.flight_figures`.
 """
 
 from __future__ import annotations
@@ -12,14 +12,21 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.design.loop import model_response
-from cosim.figures import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED
+from cosim.design.frequency import model_response
 from cosim.paper import numbers
 from cosim.paper.beyond import ROBUST, RobustnessMap
 from cosim.paper.comparison import TITLES
 from cosim.paper.experiments import COMPARED, Result
 from cosim.paper.linear import STATE_AS_PRINTED
 from cosim.paper.loops import Sweep
+from cosim.results.report.flight_figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    MAGENTA,
+    ORANGE,
+    RED,
+)
 
 if TYPE_CHECKING:
     from cosim.paper.result import Reproduction

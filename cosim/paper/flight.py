@@ -11,11 +11,17 @@ from typing import Any
 
 from cosim.flight import fly
 from cosim.paper import numbers
-from cosim.paper.experiments import PAYLOAD_PLACE, Experiment, Fidelity, Result, result
+from cosim.paper.experiments import (
+    PAYLOAD_PLACE,
+    Experiment,
+    Fidelity,
+    Result,
+    result,
+)
 from cosim.paper.frozen import Calibration
-from cosim.run import Run
-from cosim.scenario import Scenario
-from cosim.vehicle import load_vehicle
+from cosim.results.run import Run
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
 
 
 def flight(calibration: Calibration, noisy: bool = True) -> Fidelity:

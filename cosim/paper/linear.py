@@ -15,14 +15,14 @@ from math import inf
 
 import numpy as np
 
-from cosim.control.choice import PREDICTORS
-from cosim.control.predictor import DelayedModel, DelayLine, rate_model
+from cosim.base.errors import InputError
+from cosim.base.protocols import Predictor
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.control.predictors.smith import DelayedModel, DelayLine, rate_model
+from cosim.control.predictors.state import DoubleIntegratorObserver, StateModel, StatePredictor
 from cosim.control.rate import RateAxis
-from cosim.control.state_predictor import DoubleIntegratorObserver, StateModel, StatePredictor
-from cosim.errors import InputError
 from cosim.paper import numbers
-from cosim.protocols import Predictor
-from cosim.vehicle import PredictorTuning, RateGains, RateModel
+from cosim.spec.vehicle import PredictorTuning, RateGains, RateModel
 
 Signal = Callable[[int], float]
 LARGEST = 1e6  # rad/s: a loop that grows beyond this has told what it had to tell

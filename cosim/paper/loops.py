@@ -17,8 +17,9 @@ from math import cos, inf, pi
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from cosim.design import loop as shared
-from cosim.design.loop import (
+from cosim.base.errors import InputError
+from cosim.design import frequency as shared
+from cosim.design.frequency import (
     Array,
     Complex,
     Margins,
@@ -31,9 +32,13 @@ from cosim.design.loop import (
     wrapped,
     zeros_outside,
 )
-from cosim.errors import InputError
-from cosim.paper.linear import Axis, Plant, make_predictor, simulate
-from cosim.vehicle import PredictorTuning, RateModel
+from cosim.paper.linear import (
+    Axis,
+    Plant,
+    make_predictor,
+    simulate,
+)
+from cosim.spec.vehicle import PredictorTuning, RateModel
 
 LOW_END_HZ = 1.0  # taken for the low end of the paper's Bode diagrams: with an integral there is no gain at 0 Hz
 

@@ -9,14 +9,14 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from cosim.page import render
 from cosim.paper import numbers
 from cosim.paper.beyond import ROBUST
 from cosim.paper.claims import ClaimRow, Judged
 from cosim.paper.comparison import Row
 from cosim.paper.figures import FIDELITIES, NAMES, paper_figures
 from cosim.paper.result import COMPARISON, DATA, Reproduction
-from cosim.run import versions
+from cosim.results.report.page import render
+from cosim.results.run import versions
 
 TEMPLATE = Path(__file__).parent / "templates" / "paper.html"
 VERDICTS = ("holds", "under a condition", "by construction", "does not hold", "not flown")

@@ -7,12 +7,12 @@ from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cosim.marks import parts_of, table, write_marks
 from cosim.paper import numbers
 from cosim.paper.claims import ClaimRow, Evidence, Judged
 from cosim.paper.experiments import Metrics, Result
 from cosim.paper.figures import FIDELITIES, NAMES
 from cosim.paper.page import counts_in_words
+from cosim.results.report.marks import parts_of, table, write_marks
 
 if TYPE_CHECKING:
     from cosim.paper.result import Reproduction

@@ -20,18 +20,36 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.errors import FlightError, InputError
-from cosim.files import replacing
+from cosim.base.errors import FlightError, InputError
+from cosim.base.files import replacing
+from cosim.base.paths import data_folder
 from cosim.flight import fly
 from cosim.paper import numbers
 from cosim.paper.beyond import Reach, turbojet_plant
 from cosim.paper.claims import Evidence, claim_rows
-from cosim.paper.comparison import LinearPart, as_data, comparison_rows, linear_part, write_csv
-from cosim.paper.experiments import CONTROLLERS, Experiment, Result, experiments, quadrotor_axis
+from cosim.paper.comparison import (
+    LinearPart,
+    as_data,
+    comparison_rows,
+    linear_part,
+    write_csv,
+)
+from cosim.paper.experiments import (
+    CONTROLLERS,
+    Experiment,
+    Result,
+    experiments,
+    quadrotor_axis,
+)
 from cosim.paper.flight import flight, scenario
 from cosim.paper.frozen import load
 from cosim.paper.linear import STATE_AS_PRINTED
-from cosim.paper.loops import LOW_END_HZ, Sweep, controllers_response, measured_sweep
+from cosim.paper.loops import (
+    LOW_END_HZ,
+    Sweep,
+    controllers_response,
+    measured_sweep,
+)
 from cosim.paper.page import write_page
 from cosim.paper.result import (
     COMPARISON,
@@ -44,14 +62,13 @@ from cosim.paper.result import (
     Response,
     TurbojetFlight,
 )
-from cosim.paths import data_folder
-from cosim.recorder import Log
-from cosim.run import versions
-from cosim.scenario import Scenario
-from cosim.vehicle import load_vehicle
+from cosim.results.recorder import Log
+from cosim.results.run import versions
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
 
 if TYPE_CHECKING:
-    from cosim.identify import FrequencyResponse
+    from cosim.design.identify import FrequencyResponse
 
 FLOWN_LOOPS = ("baseline", "smith", "state")
 OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))
@@ -229,8 +246,8 @@ def fly_offset(controller: str) -> Offset:
 
 def identify() -> Identified:
     """The paper's identified models, as this program's own identification finds them on FMUs and in flight."""
-    from cosim.identify import identify_axis, identify_engine
-    from cosim.identify.fit import fit
+    from cosim.design.identify import identify_axis, identify_engine
+    from cosim.design.identify.fit import fit
 
     found: dict[str, float] = {}
     responses = {}

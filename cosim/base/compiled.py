@@ -1,0 +1,103 @@
+"""Which modules are compiled, and whether what was compiled is still what the source says.
+
+A control step runs in modules that mypyc turns into C.  Their source is plain Python: it is what runs where nothing was
+compiled, where ``HEXJET_PURE`` is set, and where a file was edited since.  The results are the same to the last bit.
+
+Imported before everything else of the package, so it imports little; ``setup.py`` and the Makefile read it too.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from hashlib import sha256
+from importlib.abc import MetaPathFinder
+from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec
+from importlib.util import spec_from_file_location
+from pathlib import Path
+from typing import Any
+
+PACKAGE = Path(__file__).resolve().parents[1]
+MODULES = (
+    "vehicle/airframe.py",
+    "vehicle/intakes.py",
+    "vehicle/banks.py",
+    "simulation/commander.py",
+    "control/allocation/allocation.py",
+    "control/altitude.py",
+    "control/attitude.py",
+    "control/bumpless.py",
+    "control/cascade.py",
+    "control/lead.py",
+    "control/allocation/engine_monitor.py",
+    "control/predictors/smith.py",
+    "control/rate.py",
+    "control/schedule.py",
+    "control/predictors/state.py",
+    "control/allocation/thrust_map.py",
+    "simulation/disturber.py",
+    "simulation/ending.py",
+    "engine/wrappers.py",
+    "simulation/fault_schedule.py",
+    "base/frames.py",
+    "vehicle/tank.py",
+    "vehicle/ground_effect.py",
+    "control/autopilot/inertial.py",
+    "control/autopilot/vertical.py",
+    "vehicle/propulsion.py",
+    "engine/rundown.py",
+    "vehicle/sensors.py",
+    "vehicle/servo.py",
+    "base/signals.py",
+    "simulation/step.py",
+    "vehicle/rotors.py",
+)
+# In the package's folder, one of each for every Python that it was compiled for:
+SHARED = f"_native__mypyc{EXTENSION_SUFFIXES[0]}"  # what all compiled modules share, by mypyc's name for it
+STAMP = f"_compiled{EXTENSION_SUFFIXES[0]}.sha256"  # what was compiled, as sha256sum writes it
+PURE = "HEXJET_PURE"  # environment: set, build without and run without
+
+
+def fingerprint(package: Path) -> str:
+    """One line a module: the hash of its source, and its path in the package."""
+    return "".join(f"{sha256((package / name).read_bytes()).hexdigest()}  {name}\n" for name in MODULES)
+
+
+def edited() -> list[str]:
+    """The modules whose source is not what was compiled; all of them where nothing was, for this Python."""
+    if not (PACKAGE / SHARED).is_file():
+        return list(MODULES)
+    try:
+        built = (PACKAGE / STAMP).read_text(encoding="ascii").splitlines()
+    except OSError:
+        return list(MODULES)
+    return [line.split("  ")[1] for line in fingerprint(PACKAGE).splitlines() if line not in built]
+
+
+def choose() -> None:
+    """From here on import the compiled modules if they are up to date, else all of them from source.
+
+    One line on standard error says so where an edit is why.
+    """
+    changed = edited()
+    if not changed and not os.environ.get(PURE):
+        return
+    sys.meta_path.insert(0, _FromSource())
+    if 0 < len(changed) < len(MODULES) and not os.environ.get(PURE):
+        more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
+        print(
+            f"hexjet: {PACKAGE / changed[0]}{more} changed since it was compiled; all runs from source, which is "
+            "slower, until: make setup",
+            file=sys.stderr,
+        )
+
+
+class _FromSource(MetaPathFinder):
+    """Finds the modules' source, where the compiled ones would be found first."""
+
+    def __init__(self) -> None:
+        self._paths = {f"cosim.{name.removesuffix('.py').replace('/', '.')}": PACKAGE / name for name in MODULES}
+
+    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        source = self._paths.get(fullname)
+        return spec_from_file_location(fullname, source) if source else None

@@ -1,0 +1,70 @@
+"""Files that are whole or not there, and locks that go when their process goes."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary file beside ``path`` that takes its name if all goes well and is removed if not."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        yield temporary
+        with open(temporary, "rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def write_records(path: Path, kind: type[Any], records: Iterable[Any]) -> None:
+    """Dataclasses of one ``kind`` as CSV, a column a field, in a folder that is made if need be.  Raises OSError."""
+    names = [each.name for each in fields(kind)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+        lines = csv.writer(file)
+        lines.writerow(names)
+        lines.writerows([getattr(record, name) for name in names] for record in records)
+
+
+@contextmanager
+def locked(path: Path, busy: str) -> Iterator[None]:
+    """Hold the lock of a file.  Raises InputError: ``busy`` if another process has it."""
+    try:
+        file = os.open(path, os.O_RDWR)
+    except OSError as error:
+        raise InputError(f"{path}: {one_line(error)}") from error
+    try:
+        if not lock(file):
+            raise InputError(busy)
+        yield
+    finally:
+        os.close(file)
+
+
+def lock(file: int) -> bool:
+    """Try to take the file's lock, which goes when the process goes; False if another holds it."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True  # a file system without locks
+    return True
+
+
+def one_line(error: BaseException) -> str:
+    """An error in one line; of a failed system call, what the system said."""
+    said = getattr(error, "strerror", None) or (str(error).splitlines() or [type(error).__name__])[0]
+    return str(said).rpartition("Detail: [errno ")[2].rpartition("] ")[2] if "Detail: [errno " in said else str(said)

@@ -1,0 +1,246 @@
+"""What may be exchanged, each by anything of the right shape: the protocols between a flight and its blocks.
+
+Every block is told values and answers with values.  Vectors are tuples of three floats, body forward-right-down or NED
+as said; per jet is a tuple from jet 1 on; everything is SI, angles are rad; the records are those of
+:mod:`cosim.base.signals`.  Step ``k`` acts over ``[t_k, t_k+1)``, ``t_k = k dt``.  A block may keep whatever it
+likes from
+one call to the next, as long as ``reset`` brings it back to where a new one is; it reads no clock, no file and no
+shared random generator, so that a flight is the same to the last bit when it is flown again.
+
+A :class:`cosim.base.errors.FlightError` raised by a block ends the flight as ``failed``; nothing of that step is
+logged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from enum import Enum
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+
+from cosim.base.signals import (
+    ZERO3,
+    Actuation,
+    Ambient,
+    Command,
+    ControlSignals,
+    Disturbance,
+    EngineOutput,
+    JetHealth,
+    Measured,
+    PerJet,
+    Sample,
+    State,
+    Vector3,
+)
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+Diagnostics = tuple[float, float, float]  # a model's rate without its delay, and with it [rad/s]; the delay [samples]
+
+
+class EngineState(Enum):
+    """What the step does with the engines."""
+
+    FLY = "fly"  # as the controller asks
+    IDLE = "idle"  # least throttle, no torque
+    OFF = "off"  # shut off
+
+
+class Report(NamedTuple):
+    """What the vehicle reports to its pilot beside its sensors at one instant."""
+
+    legs: bool  # the contact switch: a leg touches the ground
+    collective: float  # mean throttle of the step before, as allocated
+    lost: tuple[int, ...] = ()  # engines that are taken for lost, counted from 1
+    remaining: float | None = None  # share of the fuel that is left, 0..1; None: not measured
+
+
+class Pilot(Protocol):
+    """Flies in place of the scenario's commands; the first block of a step.
+
+    It may keep its mode, its estimates and what it was asked between steps.
+    """
+
+    @property
+    def engines(self) -> EngineState:
+        """What the engines do with the command of the last update."""
+
+    @property
+    def seen(self) -> Measured:
+        """What the controller flies the step of the last update with: the sensors, or what stands in for them."""
+
+    def reset(self, measured: Measured) -> None:
+        """A new flight begins where the sensors say ``measured``."""
+
+    def update(self, k: int, measured: Measured, report: Report) -> Command:
+        """The command of step ``k``, once a step, in order; ``measured`` and ``report`` are of ``t_k``."""
+
+
+class Disturbances(Protocol):
+    """Wind, gusts, forces and loads from outside, and what is added to the controller's own signals."""
+
+    def at(self, k: int) -> Disturbance:
+        """What acts over step ``k``: wind m/s NED, force N and moment N m body.
+
+        Once a step and once at every reset for step 0.  The same object while nothing changes: a new one costs the
+        airframe a second look.  Nothing is kept: the answer depends on ``k`` alone.
+        """
+
+
+class Controller(Protocol):
+    """From the command and the measurement to the actuators, as :class:`cosim.control.cascade.Cascade` does.
+
+    Once a step, in this order: ``update``, then the engines and servos act, then ``watch``, then the log reads
+    ``signals``.  It knows what the vehicle is stated to be, never what flies: no mismatch, no fault, no true state.
+    """
+
+    @property
+    def signals(self) -> ControlSignals:
+        """Of the last update, for the log and the pilot; NaN for what this controller has not."""
+
+    @property
+    def lost(self) -> tuple[int, ...]:
+        """The jets, from 1, that it takes for lost; not those that it shut off itself."""
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
+        """What is to be seen of the predictors of roll, pitch and yaw; NaN where there is none."""
+
+    def reset(self, on_ground: bool, burnt: float) -> PerJet:
+        """A new flight: the throttles, 0 to 1 per jet, at which the engines stand before step 0.
+
+        ``on_ground``: it starts standing, so that they idle; else they hold the vehicle up, with ``burnt`` [kg] of
+        its fuel gone.
+        """
+
+    def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
+        """Throttles 0 to 1 per jet, tilts rad of the left and the right servo, and the jets that are to be off.
+
+        ``injected``: its torques are added where they say, ``torque_seen`` as part of what the controller knows of.
+        With ``engines`` not at FLY the engines idle or are off, and nothing is remembered of before.
+        """
+
+    def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
+        """The share of its command that each jet is believed to give, from what the engines report at the step's end.
+
+        ``burnt``: fuel [kg] that the reported flows add up to, counted from the full tank.
+        """
+
+    def forgive(self) -> None:
+        """The vehicle is repaired: believe in every engine again as soon as all stand idle."""
+
+
+class Predictor(Protocol):
+    """Between measured rate and rate controller on one axis: what the rate would be if the engines answered at once.
+
+    One that has a ``diagnostics: Diagnostics`` is shown with it.
+    """
+
+    def reset(self) -> None:
+        """Forget everything: at rest, nothing applied."""
+
+    def update(self, measured: float, applied: float) -> float:
+        """The rate [rad/s] to feed back at ``t_k``, once a step.
+
+        ``measured``: the rate there [rad/s]; ``applied``: the command over the step before as allocation gave it,
+        throttle on roll, rad of tilt on pitch and yaw.
+        """
+
+
+class Allocator(Protocol):
+    """Turns what the loops ask for into what the actuators can do.  It keeps its plan around lost engines, no more."""
+
+    hover: float  # throttle at which the vehicle hovers
+
+    def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
+        """Once a step: ``collective`` in throttle, ``torque`` in throttle on roll and rad of tilt on pitch and yaw.
+
+        ``added`` is a disturbance of ``torque`` that the loops do not know.  What is not given is stated in the
+        answer's ``unallocated``, exactly 0 where everything fits; its throttles are shares of an engine's range.
+        """
+
+    def replan(self, health: Sequence[JetHealth]) -> bool:
+        """From the next step on allocate for engines in this health; False, and all as before, if that cannot be."""
+
+    def reset(self) -> None:
+        """All engines are healthy."""
+
+
+class Engines(Protocol):
+    """The engines of a vehicle: :class:`cosim.engine.EngineBank`, and what stands before and behind it."""
+
+    wants_ambient: bool  # the air around them changes what they give
+
+    def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
+        """In equilibrium at the throttle, one for all or one each, ready for step 0."""
+
+    def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
+        """Thrust [N] and reports at the end of step ``k``, the throttles and the air held over it; once a step."""
+
+    def set_run(self, index: int, on: bool) -> bool:
+        """Shut one engine off, from 0, or on again, before the next step; False if it has no port for that."""
+
+    def close(self) -> None:
+        """Free them; may be called twice."""
+
+
+class Sensors(Protocol):
+    """What the controller and the pilot are told of the motion.  Filters, latencies and noise are its to keep."""
+
+    def reset(self, state: State) -> Measured:
+        """As if the vehicle had been in ``state`` forever; the same noise follows."""
+
+    def sample(self, state: State) -> Measured:
+        """What is measured at ``t_k+1``, from the true ``state`` there; once a step, after the airframe."""
+
+
+class Observer(Protocol):
+    """Looks at every step and touches nothing; the last of a step."""
+
+    def observe(self, sample: Sample) -> None:
+        """Once a step, after it; once more with the state that ended a flight before its time."""
+
+
+class Columns(Protocol):
+    """The columns of a log by name, one float64 a step."""
+
+    @property
+    def columns(self) -> tuple[str, ...]: ...
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]: ...
+
+
+class Metric(Protocol):
+    """What a finished log says in numbers, once after the flight: a pure function, such as ``flight_metrics``."""
+
+    def __call__(self, log: Columns, step_s: float, /) -> Any:
+        """One number, or a record of them; None for what this flight cannot tell.  ``step_s``: control step."""
+
+
+Study = TypeVar("Study", contravariant=True)
+Flight = TypeVar("Flight", contravariant=True)
+Row = TypeVar("Row", covariant=True)
+
+
+class Workers(Protocol[Study, Flight, Row]):
+    """Flies a study's flights in other processes; a context manager that leaves none of them behind."""
+
+    def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
+        """The rows in the order in which they are finished; ``flights`` are taken only as they can be flown.
+
+        A flight whose process was lost is flown again, and is a row ``failed`` after three of them; one that takes too
+        long is a row ``failed`` at once.  Raises FlightError if nothing can be flown any more, a disk being full, say.
+        """
+
+    def close(self) -> None:
+        """End every process, those at work included; may be called twice."""
+
+    def __enter__(self) -> Workers[Study, Flight, Row]: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...

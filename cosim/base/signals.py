@@ -1,0 +1,170 @@
+"""The small records that travel on the wires between the blocks of one control step.
+
+Frames: *body* is forward-right-down (FRD) with its origin at the centre of gravity of the vehicle as built;
+*NED* is north-east-down with its origin on the ground below the starting point.  Angles are in rad, everything
+else is in SI units.  A quaternion is ``(w, x, y, z)`` and turns body vectors into NED vectors.
+"""
+
+from __future__ import annotations
+
+from math import nan
+from typing import Final, NamedTuple
+
+from cosim.base._records import quick
+
+Vector3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+PerJet = tuple[float, ...]  # jets 1 to 6
+
+ZERO3: Vector3 = (0.0, 0.0, 0.0)
+UNKNOWN3: Vector3 = (nan, nan, nan)
+JETS = 6  # at most; the log has as many columns
+ALL_WELL: PerJet = (1.0,) * JETS  # of engines that nobody watches, or that do as they are told
+NO_JETS: Final[frozenset[int]] = frozenset()
+# jets 1 to 6; left and right servo; gyro, attitude, GNSS, barometer
+NO_FAULTS: tuple[float, ...] = (0.0,) * (JETS + 2 + 4)
+AXES = ("roll", "pitch", "yaw")
+
+
+@quick
+class Command(NamedTuple):
+    """What the pilot or the script asks for during one step."""
+
+    attitude: Vector3  # roll, pitch, yaw [rad], NED to body, order yaw-pitch-roll
+    altitude: float  # height above the ground [m], held when collective is None
+    rate: Vector3 | None = None  # body rates [rad/s]; replaces the attitude loop
+    collective: float | None = None  # mean throttle [0..1]; replaces the altitude hold
+    place: tuple[float, float] | None = None  # north, east [m] to be at; None: none is asked for
+
+
+@quick
+class Disturbance(NamedTuple):
+    """What acts on the vehicle from outside during one step."""
+
+    force: Vector3 = ZERO3  # N, body, at the centre of gravity of the vehicle as built
+    moment: Vector3 = ZERO3  # N m, body
+    torque_command: Vector3 = ZERO3  # added to the rate controller's output, unknown to the controller
+    wind: Vector3 = ZERO3  # m/s, NED: where the air moves to, turbulence not included
+    payload: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # kg, then its place [m], body
+    gust: tuple[Vector3, float, float, float] | None = None  # m/s NED, rise, hold, fall [s]; only in the step it starts
+    torque_output: Vector3 = ZERO3  # as torque_command, but added before the added delay
+    torque_seen: Vector3 = ZERO3  # the part of torque_output that a predictor sees
+
+
+@quick
+class State(NamedTuple):
+    """The true motion of the airframe at one instant."""
+
+    position: Vector3  # m, NED
+    velocity: Vector3  # m/s, NED, over the ground
+    attitude: Quaternion  # body to NED
+    euler: Vector3  # roll, pitch, yaw [rad]
+    rate: Vector3  # rad/s, body, against the rotating Earth
+    specific_force: Vector3  # m/s^2, body, what an accelerometer at the centre of gravity feels
+    altitude: float  # m above the ground
+    wind: Vector3  # m/s, NED, turbulence included
+    mass: float  # kg
+    on_ground: bool  # a leg touches
+    hull_contact: bool  # anything but a leg touches
+    air_rate: Vector3 = ZERO3  # rad/s, body: at which turbulence turns the air; aerodynamic damping sees rate less this
+
+
+@quick
+class Measured(NamedTuple):
+    """What the sensors tell the controller at one instant."""
+
+    rate: Vector3  # rad/s, body, after the gyro's filter
+    attitude: Quaternion
+    position: Vector3  # m, NED
+    velocity: Vector3  # m/s, NED
+    altitude: float  # m above the ground
+    specific_force: Vector3 = UNKNOWN3  # m/s^2, body, by the accelerometer; NaN where there is none
+
+
+@quick
+class Unallocated(NamedTuple):
+    """What allocation could not give: requested minus achieved."""
+
+    roll: float = 0.0
+    pitch: float = 0.0
+    yaw: float = 0.0
+    collective: float = 0.0
+
+
+@quick
+class Actuation(NamedTuple):
+    """What the controller asks of the engines and of the two tilt servos."""
+
+    throttle: PerJet  # 0..1, jets 1 to 6
+    tilt: tuple[float, float]  # rad, left and right servo, positive tilts the thrust forward
+    unallocated: Unallocated
+    off: frozenset[int] = NO_JETS  # the jets, from 0, that are shut off on purpose
+
+
+@quick
+class ControlSignals(NamedTuple):
+    """What a controller shows of itself for one step."""
+
+    rate_setpoint: Vector3  # rad/s, body
+    rate_predicted: Vector3  # rad/s, body: what the rate loop is fed with
+    torque: Vector3  # the rate loop's output: throttle, rad of tilt, rad of tilt
+    collective: float  # mean throttle asked for
+    allocated: float  # the collective that allocation gave
+
+
+@quick
+class Ambient(NamedTuple):
+    """The air around the engines during one step."""
+
+    pressure: float  # Pa, static
+    temperature: float  # K, static
+    air_speed: PerJet  # m/s, into each intake: of the vehicle through the air, along the jet's thrust
+
+
+@quick
+class EngineOutput(NamedTuple):
+    """What the engines deliver and report at the end of one step; NaN where an engine does not say."""
+
+    thrust: PerJet  # N, along each jet
+    spool_speed: PerJet  # rad/s
+    exhaust_temperature: PerJet  # K
+    fuel_flow: PerJet  # kg/s
+
+
+class JetHealth(NamedTuple):
+    """What can still be had of one jet; thrusts as a share of the range of a healthy one, full over no throttle."""
+
+    gain: float = 1.0  # thrust delivered per thrust commanded; 0: it does not follow its command
+    fixed: float = 0.0  # thrust it delivers whatever the command
+    command: float = 0.0  # what it is told where it does not follow
+
+
+@quick
+class Sample(NamedTuple):
+    """One row of the log: everything that was on the wires during step ``k``.
+
+    ``state`` and ``measured`` are taken at ``t_k``, before the step; the rest acts over ``[t_k, t_k+1)``.
+    """
+
+    k: int
+    time: float
+    command: Command
+    state: State
+    measured: Measured
+    rate_setpoint: Vector3  # rad/s, body
+    rate_predicted: Vector3  # rad/s, body: what the rate controller is fed with
+    torque_command: Vector3  # the rate controller's output: throttle, rad of tilt, rad of tilt
+    collective: float  # mean throttle asked for
+    actuation: Actuation
+    tilt: tuple[float, float]  # rad, where the servos stand
+    engines: EngineOutput  # delivered and reported
+    disturbance: Disturbance
+    fuel: float = nan  # kg on board at t_k; NaN without a tank
+    spool_moment: Vector3 = UNKNOWN3  # N m, body, of the spinning rotors on the airframe; NaN where not modelled
+    faults: tuple[float, ...] = NO_FAULTS  # 1 where a fault acts
+    health: PerJet = ALL_WELL  # share of its command that each jet gives, as the monitor believes
+
+    @property
+    def thrust(self) -> PerJet:
+        """N, delivered."""
+        return self.engines.thrust

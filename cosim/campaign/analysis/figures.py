@@ -1,0 +1,341 @@
+"""The figures of a campaign's page: plain dicts of Plotly's figure schema.
+
+As in :mod:`cosim.results.report.flight_figures` no library draws here.  Everything is counted over all flights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.campaign.analysis.sensitivity import Ranking
+from cosim.campaign.analysis.statistics import (
+    Array,
+    Share,
+    classes,
+    wilson,
+)
+from cosim.campaign.analysis.summary import places
+from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
+from cosim.results.report.flight_figures import (
+    GREEN,
+    GREY,
+    MAGENTA,
+    ORANGE,
+    RED,
+    run_colour,
+)
+from cosim.results.wording import Metric
+
+Figure = dict[str, Any]
+
+KIND_COLOURS = dict(zip(KINDS, (GREEN, ORANGE, RED, MAGENTA, GREY), strict=True))
+CURVE_POINTS = 160
+CURVES = 12  # keys with a curve of their own, and bars: the most influential
+
+
+def campaign_figures(
+    flown: Flown, found: Sequence[Share], rankings: Mapping[str, Sequence[Ranking | None]], order: Sequence[int]
+) -> dict[str, Figure]:
+    """Every figure of the page by its name; ``order`` are the keys by influence."""
+    figures = {"outcomes": outcomes(flown), "probability": probability(flown, found)}
+    figures |= {f"ranking-{name}": ranking_figure(flown, each) for name, each in rankings.items() if any(each)}
+    figures |= {f"key-{number}": success_over(flown, flown.keys[key]) for number, key in enumerate(order[:CURVES])}
+    return figures | {f"metric-{number}": distribution(flown, each) for number, each in enumerate(flown.metrics)}
+
+
+# ---- how many
+
+
+def outcomes(flown: Flown) -> Figure:
+    """What the flights of each controller came to, in percent of them."""
+    counts = np.array([np.bincount(flown.kind[flown.of(each)], minlength=len(KINDS)) for each in places(flown)])
+    of = np.maximum(counts.sum(axis=1), 1)
+    data = [
+        {
+            "type": "bar",
+            "orientation": "h",
+            "name": name,
+            "y": flown.controllers,
+            "x": rounded(100.0 * counts[:, kind] / of),
+            "customdata": counts[:, kind].tolist(),
+            "marker": {"color": KIND_COLOURS[name]},
+            "hovertemplate": f"%{{y}}: %{{customdata}} {name} (%{{x:.4~g}} %)<extra></extra>",
+        }
+        for kind, name in enumerate(KINDS)
+        if counts[:, kind].any()
+    ]
+    layout = _layout(_rows_height(flown)) | {"barmode": "stack"}
+    layout["legend"]["traceorder"] = "normal"
+    layout["xaxis"] = {"title": {"text": "of the flights [%]"}, "range": [0.0, 100.0]}
+    layout["yaxis"] = _names_axis()
+    return {"data": data, "layout": layout}
+
+
+def probability(flown: Flown, found: Sequence[Share]) -> Figure:
+    """The share of successes of each controller; of draws with Wilson's interval, and the exact one as a thin line."""
+    known = [(place, each) for place, each in enumerate(found) if each.value is not None]
+    data = []
+    for place, each in known:
+        low, high = each.wilson
+        value = 100.0 * each.hits / each.of
+        common: Figure = {"type": "scatter", "y": [flown.controllers[place]], "showlegend": False}
+        colour = run_colour(place)
+        text = f"{flown.controllers[place]}: {value:.4g} %, {each.hits} of {each.of}"
+        if not flown.grid:
+            ends = [100.0 * end for end in each.exact]
+            line = {"x": ends, "y": common["y"] * 2, "mode": "lines", "line": {"color": colour, "width": 1}}
+            data.append(common | line | {"hoverinfo": "skip"})
+            line = {"x": [100.0 * low, 100.0 * high], "y": common["y"] * 2, "mode": "lines", "hoverinfo": "skip"}
+            data.append(common | line | {"line": {"color": colour, "width": 5}, "opacity": 0.55})
+            text += f"<br>95 %: {100.0 * low:.4g} to {100.0 * high:.4g} %"
+        marker = {"color": colour, "size": 10}
+        data.append(
+            common | {"x": [value], "mode": "markers", "marker": marker, "hovertemplate": f"{text}<extra></extra>"}
+        )
+    layout = _layout(_rows_height(flown)) | {"showlegend": False}
+    layout["xaxis"] = {"title": {"text": "success [%]"}, "range": _percent_range(flown, found)}
+    # without a flight there is no point to make the axis from
+    layout["yaxis"] = _names_axis() | {"categoryorder": "array", "categoryarray": flown.controllers, "type": "category"}
+    return {"data": data, "layout": layout}
+
+
+def _percent_range(flown: Flown, found: Sequence[Share]) -> list[float]:
+    """Around everything that is drawn, a tenth of what may be at least."""
+    ends = [end for each in found if each.of for end in ((each.hits / each.of,) * 2 if flown.grid else each.exact)]
+    low, high = 100.0 * min(ends, default=0.0), 100.0 * max(ends, default=1.0)
+    margin = max(0.06 * (high - low), 0.5 * (10.0 - (high - low)), 0.5)
+    return [max(low - margin, -1.0), min(high + margin, 101.0)]
+
+
+def _rows_height(flown: Flown) -> int:
+    return 96 + 34 * len(flown.controllers)
+
+
+# ---- what drives it
+
+
+def ranking_figure(flown: Flown, found: Sequence[Ranking | None]) -> Figure:
+    """First-order indices, the largest on top; shaded is what chance gives, pale what is not above it."""
+    known = [(place, each) for place, each in enumerate(found) if each is not None]
+    by_key = {place: {effect.key: effect for effect in each.effects} for place, each in known}
+    labels = {key.path: wrapped(key.label) for key in flown.keys}
+    most = {path: max(effects[path].index for effects in by_key.values()) for path in labels}
+    paths = sorted(labels, key=lambda path: most[path])[-CURVES:]
+    data = []
+    for place, _ in reversed(known):  # the first on top
+        effects = [by_key[place][path] for path in paths]
+        bar: Figure = {
+            "type": "bar",
+            "orientation": "h",
+            "name": flown.controllers[place],
+            "y": [labels[path] for path in paths],
+            "x": [_percent(effect.index) for effect in effects],
+            "marker": {"color": run_colour(place), "opacity": [1.0 if effect.real else 0.3 for effect in effects]},
+            "hovertemplate": f"%{{y}}, {flown.controllers[place]}: %{{x:.1f}} %<extra></extra>",
+        }
+        if not flown.grid:
+            bar["error_x"] = {
+                "type": "data",
+                "symmetric": False,
+                "array": [max(0.0, _percent(effect.interval[1]) - _percent(effect.index)) for effect in effects],
+                "arrayminus": [max(0.0, _percent(effect.index) - _percent(effect.interval[0])) for effect in effects],
+                "thickness": 1,
+                "width": 3,
+                "color": GREY,
+            }
+        data.append(bar)
+    floor = _percent(max(each.floor for _, each in known))
+    layout = _layout(96 + len(paths) * (16 + (14 if len(known) < 3 else 10) * len(known))) | {
+        "barmode": "group",
+        "bargap": 0.25,
+    }
+    layout["legend"]["traceorder"] = "reversed"
+    layout["showlegend"] = len(known) > 1
+    top = max([*(_percent(each.interval[1]) for effects in by_key.values() for each in effects.values()), 2 * floor])
+    layout["xaxis"] = {
+        "title": {"text": "of the variance [%]"},
+        "range": [0.0, min(100.0, 1.06 * top)],
+        "zeroline": True,
+    }
+    layout["yaxis"] = {"automargin": True, "ticksuffix": " "}
+    layout["shapes"] = [_shade(0.0, floor)]
+    return {"data": data, "layout": layout}
+
+
+def _percent(share: float) -> float:
+    return round(100.0 * max(share, 0.0), 3)
+
+
+def wrapped(label: str, most: int = 24) -> str:
+    """A label on several lines, broken at its dots."""
+    lines = [""]
+    for part in label.replace(".", ".\0").split("\0"):
+        if lines[-1] and len(lines[-1]) + len(part) > most:
+            lines.append("")
+        lines[-1] += part
+    return "<br>".join(lines)
+
+
+def success_over(flown: Flown, key: KeyColumn) -> Figure:
+    """The share of successes over one key, all others as they come, with 95 % intervals."""
+    data = []
+    for place in places(flown):
+        rows = flown.of(place) & np.isfinite(key.numbers)
+        count = int(np.sum(rows))
+        if not count:
+            continue
+        values = key.numbers[rows]
+        numbered = classes(values, int(np.clip(count // 40, 4, 16)) if not flown.grid else count)
+        of, hits = np.bincount(numbered), np.bincount(numbered, flown.success[rows])
+        low, high = wilson(hits, of)
+        share = hits / of
+        middle = group_medians(numbered, values)
+        name = flown.controllers[place]
+        trace: Figure = {
+            "type": "scatter",
+            "name": name,
+            "x": _offset(middle, place, flown, key),
+            "y": rounded(100.0 * share),
+            "mode": "markers" if key.levels else "lines+markers",
+            "line": {"color": run_colour(place), "width": 1.6},
+            "marker": {"color": run_colour(place), "size": 6},
+            "customdata": [
+                f"{_shown(value, key)}: {int(k)} of {int(n)}" for value, k, n in zip(middle, hits, of, strict=True)
+            ],
+            "hovertemplate": f"{name}, %{{customdata}}, %{{y:.1f}} %<extra></extra>",
+        }
+        if not flown.grid:
+            trace["error_y"] = {
+                "type": "data",
+                "symmetric": False,
+                "array": rounded(100.0 * (high - share)),
+                "arrayminus": rounded(100.0 * (share - low)),
+                "thickness": 1,
+                "width": 2,
+            }
+        data.append(trace)
+    layout = _layout(270) | {"showlegend": False}
+    layout["margin"] |= {"t": 30}
+    layout["xaxis"] = key_axis(key)
+    layout["yaxis"] = {"title": {"text": "success [%]"}, "range": [-3.0, 103.0]}
+    return {"data": data, "layout": layout}
+
+
+def group_medians(numbered: NDArray[np.integer[Any]], values: Array) -> Array:
+    """The median of the values of each class, none of which is empty."""
+    order = np.lexsort((values, numbered))
+    counts = np.bincount(numbered)
+    first = np.cumsum(counts) - counts
+    ordered = values[order]
+    return np.array(0.5 * (ordered[first + (counts - 1) // 2] + ordered[first + counts // 2]), dtype=np.float64)
+
+
+def _offset(middle: Array, place: int, flown: Flown, key: KeyColumn) -> list[float]:
+    """Beside each other, where controllers would hide each other."""
+    apart = place - 0.5 * (len(flown.controllers) - 1)
+    if key.levels:
+        return rounded(middle + 0.12 * apart)
+    low, high = np.nanmin(key.numbers), np.nanmax(key.numbers)
+    if key.log:
+        return rounded(middle * (high / low) ** (0.005 * apart), 5)
+    return rounded(middle + 0.005 * (high - low) * apart, 5)
+
+
+def _shown(value: float, key: KeyColumn) -> str:
+    return key.levels[round(value)] if key.levels else f"{value:.4g} {key.unit}".strip()
+
+
+def key_axis(key: KeyColumn) -> Figure:
+    """The axis of a key: linear, logarithmic, or the names of its choices."""
+    axis: Figure = {"title": {"text": key.title}}
+    if key.levels:
+        span = [-0.5, len(key.levels) - 0.5]
+        return axis | {
+            "tickvals": list(range(len(key.levels))),
+            "ticktext": key.levels,
+            "range": span,
+            "zeroline": False,
+        }
+    return axis | {"type": "log" if key.log else "linear", "zeroline": False}
+
+
+# ---- how the metrics are spread
+
+
+def distribution(flown: Flown, metric: Metric) -> Figure:
+    """What share of all flights completed with a metric up to x: a curve ends where the flights that have it end."""
+    data = []
+    largest: list[float] = []
+    for place in places(flown):
+        rows = flown.of(place)
+        values = np.sort(metric.factor * flown.values[metric.name][rows])  # NaN comes last
+        known = values[np.isfinite(values)]
+        if not known.size:
+            continue
+        picked = np.unique(np.linspace(0, known.size - 1, CURVE_POINTS).round().astype(np.intp))
+        name = flown.controllers[place]
+        largest.append(float(known[-1]))
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines" if known.size > 1 else "markers",
+                "name": name,
+                "x": rounded(known[picked]),
+                "y": rounded(100.0 * (picked + 1) / values.size),
+                "line": {"color": run_colour(place), "width": 1.8, "shape": "hv"},
+                "hovertemplate": f"{name}: %{{y:.1f}} % of the flights up to %{{x:.4~g}} {metric.unit}<extra></extra>",
+            }
+        )
+    layout = _layout(270) | {"showlegend": False}
+    layout["margin"] |= {"t": 30}
+    layout["xaxis"] = {"title": {"text": f"{metric.label} [{metric.unit}]"}, "zeroline": False} | _stretch(
+        flown, metric
+    )
+    layout["yaxis"] = {"title": {"text": "of all flights [%]"}, "range": [-3.0, 103.0]}
+    return {"data": data, "layout": layout}
+
+
+def _stretch(flown: Flown, metric: Metric) -> Figure:
+    """Logarithmic for what is spread over decades."""
+    values = flown.values[metric.name]
+    known = values[np.isfinite(values)]
+    low, high = np.quantile(known, [0.05, 0.95]) if known.size else (0.0, 0.0)
+    return {"type": "log", "dtick": 1} if known.size and known.min() > 0.0 and high > 30.0 * low else {}
+
+
+# ---- pieces
+
+
+def rounded(values: Array, digits: int = 4) -> list[Any]:
+    """To so many significant digits, None for what is not a number."""
+    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values.tolist()]
+
+
+def _layout(height: int) -> Figure:
+    return {
+        "height": height,
+        "margin": {"l": 60, "r": 14, "t": 36, "b": 52},
+        "hovermode": "closest",
+        "legend": {
+            "orientation": "h",
+            **{"xref": "paper", "yref": "paper", "x": 0, "y": 1, "xanchor": "left", "yanchor": "bottom"},
+        },
+    }
+
+
+def _names_axis() -> Figure:
+    return {"automargin": True, "autorange": "reversed", "ticksuffix": " "}
+
+
+def _shade(start: float, end: float) -> Figure:
+    return {
+        "type": "rect",
+        **{"xref": "x", "yref": "paper", "x0": start, "x1": end, "y0": 0, "y1": 1, "layer": "below"},
+        "fillcolor": GREY,
+        "opacity": 0.22,
+        "line": {"width": 0},
+    }

@@ -1,0 +1,437 @@
+"""The page of a campaign: what its template asks for, and the scenario files of the flights it points to."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cosim.base.errors import InputError
+from cosim.campaign.analysis.figures import KIND_COLOURS, campaign_figures
+from cosim.campaign.analysis.sensitivity import Ranking, joint
+from cosim.campaign.analysis.stability_map import MAP_KEYS, map_tables
+from cosim.campaign.analysis.statistics import Array, Interval, MedianDifference
+from cosim.campaign.analysis.summary import (
+    SUCCESS,
+    comparisons,
+    kinds,
+    places,
+    ranked,
+    reasons,
+    result,
+    shares,
+    spread,
+)
+from cosim.campaign.analysis.table import (
+    KINDS,
+    Flown,
+    KeyColumn,
+    criterion,
+    read,
+)
+from cosim.campaign.analysis.worst_cases import case_rows
+from cosim.campaign.folder import REPORT
+from cosim.results.report.flight_figures import run_colour
+from cosim.results.report.page import render
+from cosim.results.wording import Metric
+
+if TYPE_CHECKING:
+    from cosim.campaign.store import Campaign
+    from cosim.campaign.study.study import Correlation, Study, Vary
+
+MOST_REASONS = 12
+DESIGNS = {
+    "grid": "a grid of every combination",
+    "latin-hypercube": "a Latin hypercube",
+    "random": "independent random draws",
+    "sobol": "scrambled Sobol points",
+}
+INTERVALS = {
+    "random": "The draws are independent of each other, as both intervals suppose.",
+    "latin-hypercube": (
+        "Both intervals suppose independent draws. A Latin hypercube spreads its draws evenly over each key: as a rule "
+        "its shares vary less, so that the intervals are rather too wide than too narrow."
+    ),
+    "sobol": (
+        "Both intervals suppose independent draws. Sobol points are more even than that, so that the intervals are an "
+        "approximation, as a rule too wide."
+    ),
+}
+NONE = "–"
+TEMPLATE = Path(__file__).parent / "templates" / "campaign.html"
+
+
+def write_campaign_report(campaign: Campaign) -> Path:
+    """Write the page into the campaign's folder, with the scenario files that it links to, and return its path.
+
+    Raises FlightError if a file cannot be written.
+    """
+    path = campaign.folder / REPORT
+    figures, values = page(campaign)
+    render(TEMPLATE, path, figures, **values)
+    return path
+
+
+def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The figures of the page, and what its template asks for; writes the scenario files of its cases."""
+    flown, study = read(campaign), campaign.study
+    found = shares(flown)
+    names = [SUCCESS, *(metric.name for metric in flown.metrics)]
+    rankings = {name: [ranked(flown, place, name) for place in places(flown)] for name in names}
+    leading = next((name for name in names if any(rankings[name])), SUCCESS)
+    order = by_influence(flown, rankings[leading])
+    figures = campaign_figures(flown, found, rankings, order)
+    if len(flown.keys) > 1 and flown.flight.size:
+        shown = order[:MAP_KEYS]
+        figures["map-tables"] = map_tables(
+            flown, shown, strongest_pair(flown, shown, leading, rankings[leading]), leading
+        )
+    return figures, {
+        "study": study,
+        "controllers": [
+            {"name": name, "colour": run_colour(place), "share": share, "kinds": kinds(flown, place)}
+            for place, (name, share) in enumerate(zip(flown.controllers, found, strict=True))
+        ],
+        "flown": flown,
+        "planned": campaign.of,
+        "facts": facts(campaign, flown),
+        "success_is": criterion(study.success),
+        "interval_note": INTERVALS.get(study.design, ""),
+        "kind_colours": KIND_COLOURS,
+        "keys": key_rows(study, flown),
+        "correlations": [correlation_words(each) for each in study.correlate],
+        "comparisons": comparison_rows(flown),
+        "metric_rows": metric_rows(flown),
+        "rankings": ranking_tables(flown, rankings),
+        "reasons": reason_rows(campaign, flown),
+        "cases": case_rows(campaign, flown),
+        "warnings": warnings(campaign, flown),
+        "most_curves": len([name for name in figures if name.startswith("key-")]),
+        "python": python_lines(campaign.folder),
+        "made_from": made_from(campaign),
+    }
+
+
+# ---- the head
+
+
+def facts(campaign: Campaign, flown: Flown) -> list[tuple[str, str]]:
+    """Name and value of what was flown, without anything of the machine."""
+    study = campaign.study
+    wall = np.array([each or 0.0 for each in campaign.columns.get("wall_s", [])], dtype=np.float64)
+    simulated = float(np.nansum(flown.duration))
+    found = [
+        ("scenario", scenario_name(study)),
+        ("design", DESIGNS[study.design]),
+        ("draws", f"{study.draws:,}" + (f", {study.repeats} at each point" if study.repeats > 1 else "")),
+        ("controllers", ", ".join(flown.controllers)),
+        ("seed", str(study.seed)),
+        ("simulated", duration(simulated)),
+    ]
+    if wall.sum() > 0.0:
+        found.append(("work", f"{duration(float(wall.sum()))}, {1e3 * float(wall.mean()):.0f} ms a flight"))
+        found.append(("workers", str(len(set(campaign.columns.get("worker", []))))))
+    return [each for each in found if each[1] not in ("", "0")]
+
+
+def scenario_name(study: Study) -> str:
+    """The name of the scenario itself, whatever its file is called."""
+    try:
+        return study.base().name
+    except InputError:  # flown elsewhere: the scenario or one of its files is not here
+        return study.scenario
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that it is said in."""
+    for unit, length in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{seconds / length:.1f} {unit}"
+    return f"{seconds:.1f} s"
+
+
+def key_rows(study: Study, flown: Flown) -> list[dict[str, str]]:
+    """What each varied key is drawn from, what it is without the study, and what was flown of it."""
+    columns = {key.path: key for key in flown.keys}
+    rows = []
+    for vary in study.vary:
+        key = columns.get(vary.key)
+        try:
+            nominal = study.key(vary.key).nominal
+        except InputError:  # flown elsewhere: the scenario or one of its files is not here
+            nominal = None
+        rows.append(
+            {
+                "path": vary.key,
+                "drawn": drawn_from(vary),
+                "nominal": NONE if nominal is None else _number(nominal),
+                "flown": NONE if key is None else _flown_range(key),
+                "unit": "" if key is None else key.unit,
+            }
+        )
+    return rows
+
+
+def _flown_range(key: KeyColumn) -> str:
+    known = key.numbers[np.isfinite(key.numbers)]
+    if not known.size:
+        return NONE
+    if key.levels:
+        return ", ".join(key.levels[int(place)] for place in np.unique(known))
+    return f"{known.min():.4g} to {known.max():.4g}"
+
+
+def drawn_from(vary: Vary) -> str:
+    """A distribution in words."""
+    relative = {"": "", "factor": ", times the nominal value", "offset": ", added to the nominal value"}[vary.relative]
+    return _distribution(vary) + relative
+
+
+def _distribution(vary: Vary) -> str:
+    if vary.values is not None:
+        return f"one of {', '.join(map(_number, vary.values))}"
+    if vary.range is not None:
+        span = f"{vary.range[0]:g} to {vary.range[1]:g}"
+        if vary.levels is not None:
+            return f"{vary.levels} levels, {span}" + (", evenly in the logarithm" if vary.scale == "log" else "")
+        return f"uniform in the logarithm, {span}" if vary.scale == "log" else f"uniform, {span}"
+    if vary.triangular is not None:
+        form = vary.triangular
+        return f"triangular, {form.min:g} to {form.max:g}, most often {form.mode:g}"
+    if vary.normal is not None:
+        text = f"normal, mean {vary.normal.mean:g}, standard deviation {vary.normal.sd:g}"
+        return text + _bounds(vary.normal.min, vary.normal.max)
+    assert vary.lognormal is not None
+    text = f"lognormal, median {vary.lognormal.median:g}, sigma {vary.lognormal.sigma:g}"
+    return text + _bounds(vary.lognormal.min, vary.lognormal.max)
+
+
+def _bounds(low: float | None, high: float | None) -> str:
+    if low is None and high is None:
+        return ""
+    if low is None:
+        return f", cut off above {high:g}"
+    return f", cut off below {low:g}" if high is None else f", cut off outside {low:g} to {high:g}"
+
+
+def _number(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def correlation_words(each: Correlation) -> str:
+    """One correlation asked for."""
+    return f"{each.keys[0]} with {each.keys[1]}: {each.rank:g}"
+
+
+def warnings(campaign: Campaign, flown: Flown) -> list[str]:
+    """What a reader must know before believing a number of the page."""
+    found = []
+    done, planned = flown.flight.size, campaign.of
+    if done < planned:
+        found.append(
+            f"The study is not finished: {done:,} of {planned:,} flights ({done / planned:.1%}). "
+            "Flights that are lost early end early, so that the finished ones may look worse than all will."
+            + (" Of a grid only a part is here." if flown.grid else "")
+        )
+    failed = int(np.sum(flown.kind == KINDS.index("failed")))
+    if failed:
+        found.append(
+            f"{failed:,} flight{'s' if failed > 1 else ''} could not be flown to a verdict (failed): "
+            f"{'they count' if failed > 1 else 'it counts'} as no success everywhere; the reasons are below."
+        )
+    changed = [name for name, values in made_from(campaign).items() if len(values) > 1]
+    if changed:
+        found.append(
+            f"What the flights were made from changed while the study was flown: {', '.join(changed)}. "
+            "Flights from before and after do not belong together."
+        )
+    return found
+
+
+def made_from(campaign: Campaign) -> dict[str, list[str]]:
+    """Versions of what computed the flights and hashes of the files of aircraft and engines: by name, every one met."""
+    found: dict[str, list[str]] = {}
+    for text in dict.fromkeys(campaign.columns.get("inputs", [])):
+        for part in json.loads(str(text)).values() if text else ():
+            for name, value in part.items():
+                found.setdefault(name, [])
+                found[name] += [value] if value not in found[name] else []
+    return found
+
+
+# ---- what drives it
+
+
+def by_influence(flown: Flown, found: Sequence[Ranking | None]) -> list[int]:
+    """The keys by the largest of their indices with any controller; in the study's order where that is not known."""
+    most = dict.fromkeys((key.path for key in flown.keys), -1.0)
+    for each in found:
+        for effect in each.effects if each else ():
+            most[effect.key] = max(most[effect.key], effect.index)
+    return sorted(range(len(flown.keys)), key=lambda place: -most[flown.keys[place].path])
+
+
+def strongest_pair(flown: Flown, keys: Sequence[int], name: str, found: Sequence[Ranking | None]) -> tuple[int, int]:
+    """The two of these keys that explain most of a result together, over all controllers.
+
+    The first two, which explain most one at a time, unless others are above them by more than chance.
+    """
+    values = result(flown, name)
+    together = {}
+    for first, second in combinations(keys, 2):
+        a, b = flown.keys[first].numbers, flown.keys[second].numbers
+        known = np.isfinite(values) & np.isfinite(a) & np.isfinite(b)
+        together[first, second] = sum(_joint(known & flown.of(place), a, b, values) for place in places(flown))
+    usual = (keys[0], keys[1])
+    best = max(together, key=lambda pair: together[pair])
+    return best if together[best] > together[usual] + sum(each.floor for each in found if each) else usual
+
+
+def _joint(rows: Any, first: Array, second: Array, values: Array) -> float:
+    some = int(np.sum(rows)) > 1 and np.ptp(values[rows]) > 0.0
+    return max(0.0, joint(first[rows], second[rows], values[rows])) if some else 0.0
+
+
+def ranking_tables(flown: Flown, rankings: Mapping[str, Sequence[Ranking | None]]) -> list[dict[str, Any]]:
+    """One table for success and for each metric that could be ranked."""
+    labels = {SUCCESS: "success"} | {metric.name: metric.label for metric in flown.metrics}
+    return [
+        {
+            "figure": f"ranking-{name}",
+            "label": labels[name],
+            "rankings": [
+                {
+                    "controller": flown.controllers[place],
+                    "colour": run_colour(place),
+                    "flights": each.flights,
+                    "floor": f"{100.0 * each.floor:.1f}",
+                    "explained": f"{100.0 * each.explained:.0f}",
+                    "rows": [
+                        {
+                            "key": effect.key,
+                            "index": f"{100.0 * max(effect.index, 0.0):.1f}",
+                            "interval": _span([100.0 * end for end in effect.interval], ".1f"),
+                            "real": effect.real,
+                            "rank": NONE if effect.rank is None else f"{effect.rank:+.2f}",
+                            "rank_interval": _span(effect.rank_interval, "+.2f"),
+                            "partial": NONE if effect.partial is None else f"{effect.partial:+.2f}",
+                        }
+                        for effect in each.effects
+                    ],
+                }
+                for place, each in enumerate(found)
+                if each is not None
+            ],
+        }
+        for name, found in rankings.items()
+        if any(found)
+    ]
+
+
+def _span(ends: Interval | Sequence[float] | None, form: str) -> str:
+    return "" if ends is None else f"{ends[0]:{form}} to {ends[1]:{form}}"
+
+
+# ---- controllers compared, and metrics
+
+
+def comparison_rows(flown: Flown) -> list[dict[str, Any]]:
+    """Every two controllers on the draws both have flown, as texts."""
+    return [
+        {
+            "first": flown.controllers[each.first],
+            "second": flown.controllers[each.second],
+            "first_colour": run_colour(each.first),
+            "second_colour": run_colour(each.second),
+            "pairs": each.pairs,
+            "difference": NONE if each.pairs.difference is None else points(each.pairs.difference),
+            "interval": "" if each.interval is None else " to ".join(map(points, each.interval)),
+            "p": p_text(each.p_holm),
+            "completed": each.completed,
+            "metrics": [
+                _difference(metric, found)
+                for metric in flown.metrics
+                if (found := each.metrics[metric.name]) is not None
+            ],
+        }
+        for each in comparisons(flown)
+    ]
+
+
+def _difference(metric: Metric, found: MedianDifference) -> dict[str, Any]:
+    low, high = found.interval or (np.nan, np.nan)
+    return {
+        "label": metric.label,
+        "unit": metric.unit,
+        "draws": found.draws,
+        "median": signed(metric.factor * found.median),
+        "interval": f"{signed(metric.factor * low)} to {signed(metric.factor * high)}" if found.interval else "",
+        "p": p_text(found.p),
+    }
+
+
+def points(share: float) -> str:
+    """A difference of shares in percentage points, 0 without a sign."""
+    text = f"{100.0 * share:+.1f}"
+    return text[1:] if text[1:] == "0.0" else text
+
+
+def signed(value: float) -> str:
+    """With its sign, 0 without."""
+    return f"{value:+.3g}" if value else "0"
+
+
+def p_text(p: float) -> str:
+    """A p-value as precisely as it is meant."""
+    return "< 0.0001" if p < 1e-4 else f"{p:.2g}"
+
+
+def metric_rows(flown: Flown) -> list[dict[str, Any]]:
+    """How each metric is spread for each controller."""
+    rows = []
+    for number, metric in enumerate(flown.metrics):
+        cells = []
+        for place in places(flown):
+            found = spread(flown, place, metric.name)
+            cells.append(
+                {"text": NONE, "none": 0, "flights": 0, "of": int(np.sum(flown.of(place)))}
+                if found is None
+                else {
+                    "text": f"{metric.factor * found.median:.3g}",
+                    "span": _span((metric.factor * found.low, metric.factor * found.high), ".3g"),
+                    "none": found.none,
+                    "flights": found.flights,
+                    "of": found.of,
+                }
+            )
+        rows.append({"metric": metric, "figure": f"metric-{number}", "cells": cells})
+    return rows
+
+
+def reason_rows(campaign: Campaign, flown: Flown) -> list[dict[str, Any]]:
+    """Why flights are no successes, the commonest first, with the count of every controller."""
+    counted = [reasons(flown, flown.of(place), campaign.study.success) for place in places(flown)]
+    names = sorted(
+        {name for each in counted for name in each}, key=lambda name: (-sum(each[name] for each in counted), name)
+    )
+    rows = [{"reason": name, "counts": [each[name] for each in counted]} for name in names[:MOST_REASONS]]
+    rest = names[MOST_REASONS:]
+    if rest:
+        counts = [sum(each[name] for name in rest) for each in counted]
+        rows.append({"reason": f"{len(rest)} other reasons", "counts": counts})
+    return rows
+
+
+def python_lines(folder: Path) -> list[str]:
+    """How to go on in Python."""
+    return [
+        "from cosim.campaign import open_campaign",
+        f"campaign = open_campaign({folder.as_posix()!r})",
+        'campaign.columns["outcome"]  # one entry a flight, in the order of their numbers',
+    ]

@@ -1,0 +1,140 @@
+"""The tables that the page draws its stability map from, for any two keys and any metric.
+
+Cells are counted over all flights; only the single flights laid over them are a sample, with a fixed seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from math import isqrt
+
+import numpy as np
+
+from cosim.campaign.analysis.figures import Figure, group_medians, rounded
+from cosim.campaign.analysis.statistics import Array, Counts
+from cosim.campaign.analysis.summary import places
+from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
+from cosim.results.wording import Metric
+
+CELL = 15  # flights in a cell of draws, were they spread evenly
+LEAST = 5  # flights in a cell of draws, before its share is shown: with fewer the interval is wider than 60 points
+MAP_KEYS = 6
+MAP_METRICS = 6
+MAP_CELLS = 6000  # over all pairs of keys, for one controller: what a page can hold
+MOST_POINTS = 400  # of successes and of the others, for one controller
+SEED = 1  # of the sample of single flights
+
+
+def map_tables(flown: Flown, keys: Sequence[int], pair: tuple[int, int], colour: str) -> Figure:
+    """What the page draws the stability map from; ``keys`` are places, ``pair`` those shown first, ``colour`` too.
+
+    Of every pair of keys and every controller: the number of flights in each cell, of successes, and the median of each
+    metric over those that completed, row by row upwards; None where there are fewer than ``least`` to take it of.
+    """
+    chosen = [flown.keys[key] for key in keys]
+    pairs = list(combinations(range(len(chosen)), 2))
+    sides = [_sides(flown, key, max(len(pairs), 1)) for key in chosen]
+    metrics = flown.metrics[:MAP_METRICS]
+    least = 1 if flown.grid else LEAST
+    return {
+        "grid": flown.grid,
+        "least": least,
+        "pair": [keys.index(each) for each in pair],
+        "colour": colour,
+        "controllers": flown.controllers,
+        "keys": [
+            {"title": key.title, "label": key.label, "log": key.log, "levels": key.levels, "edges": rounded(edges, 6)}
+            for key, (edges, _) in zip(chosen, sides, strict=True)
+        ],
+        "metrics": [_metric_table(flown, metric) for metric in metrics],
+        "cells": {
+            f"{x},{y}": [_cells(flown, place, sides[x], sides[y], metrics, least) for place in places(flown)]
+            for x, y in pairs
+        },
+        "points": [_points(flown, place, chosen, metrics) for place in places(flown)],
+    }
+
+
+def _metric_table(flown: Flown, metric: Metric) -> Figure:
+    values = metric.factor * flown.values[metric.name]
+    low, high = np.nanquantile(values, [0.02, 0.98])
+    return {"name": metric.name, "label": metric.label, "unit": metric.unit, "range": rounded(np.array([low, high]))}
+
+
+def _sides(flown: Flown, key: KeyColumn, pairs: int) -> tuple[Array, Counts]:
+    """The edges of a key's cells, and the cell of each row, -1 for none: levels, or stretches of equal length."""
+    known = np.isfinite(key.numbers)
+    if key.levels:
+        return np.arange(-0.5, len(key.levels)), np.where(known, key.numbers, -1).astype(np.intp)
+    flights = max((int(np.sum(flown.of(place))) for place in places(flown)), default=0)
+    most = int(np.clip(isqrt(flights // CELL), 3, max(16, min(40, isqrt(MAP_CELLS // pairs)))))
+    numbers = np.where(known, key.numbers, key.numbers[known][0] if known.any() else 1.0)
+    levels = np.unique(numbers)
+    scaled, back = (np.log(numbers), np.exp) if key.log else (numbers, np.array)
+    if flown.grid or 2 * levels.size <= 3 * most:
+        edges: Array = _around(np.unique(scaled))
+    elif not key.log and np.all(levels % 1.0 == 0.0):  # as many whole numbers in each cell
+        wide = -(-(levels[-1] - levels[0] + 1.0) // most)
+        edges = np.arange(levels[0] - 0.5, levels[-1] + wide, wide)
+    else:
+        edges = np.linspace(np.min(scaled), np.max(scaled), most + 1)
+    cell = np.clip(np.searchsorted(edges, scaled, side="right") - 1, 0, edges.size - 2)
+    return back(edges), np.where(known, cell, -1).astype(np.intp)
+
+
+def _around(levels: Array) -> Array:
+    """The edges of cells around levels: half way between them, and as far again outside."""
+    if levels.size < 2:
+        middle = float(levels[0]) if levels.size else 0.0
+        return middle + np.array([-0.5, 0.5]) * (abs(middle) or 1.0)
+    middles = 0.5 * (levels[1:] + levels[:-1])
+    return np.concatenate(([2.0 * levels[0] - middles[0]], middles, [2.0 * levels[-1] - middles[-1]]))
+
+
+def _cells(
+    flown: Flown,
+    place: int,
+    across: tuple[Array, Counts],
+    up: tuple[Array, Counts],
+    metrics: Sequence[Metric],
+    least: int,
+) -> Figure:
+    width, height = across[0].size - 1, up[0].size - 1
+    rows = flown.of(place) & (across[1] >= 0) & (up[1] >= 0)
+    cell = (up[1] * width + across[1])[rows]
+    total = width * height
+    return {
+        "n": np.bincount(cell, minlength=total).tolist(),
+        "k": np.bincount(cell, flown.success[rows], minlength=total).astype(int).tolist(),
+        "m": [_medians(cell, metric.factor * flown.values[metric.name][rows], total, least) for metric in metrics],
+    }
+
+
+def _medians(cell: Counts, values: Array, total: int, least: int) -> list[float | None]:
+    known = np.isfinite(values)
+    cell, values = cell[known], values[known]
+    counts = np.bincount(cell, minlength=total)
+    present = np.flatnonzero(counts)
+    medians = np.full(total, np.nan)
+    _, numbered = np.unique(cell, return_inverse=True)
+    medians[present] = group_medians(numbered, values)
+    return rounded(np.where(counts >= least, medians, np.nan))
+
+
+def _points(flown: Flown, place: int, keys: Sequence[KeyColumn], metrics: Sequence[Metric]) -> Figure:
+    generator = np.random.default_rng(SEED)
+    mine = flown.of(place)
+    parts = []
+    for group in (mine & flown.success, mine & ~flown.success):
+        rows = np.flatnonzero(group)
+        parts.append(np.sort(generator.choice(rows, MOST_POINTS, replace=False)) if rows.size > MOST_POINTS else rows)
+    rows = np.concatenate(parts)
+    return {
+        "shown": [int(part.size) for part in parts],
+        "of": [int(np.sum(mine & flown.success)), int(np.sum(mine & ~flown.success))],
+        "flight": flown.flight[rows].tolist(),
+        "kind": [KINDS[kind] for kind in flown.kind[rows]],
+        "keys": [rounded(key.numbers[rows]) for key in keys],
+        "m": [rounded(metric.factor * flown.values[metric.name][rows]) for metric in metrics],
+    }

@@ -1,0 +1,308 @@
+"""What came of a campaign as data: counts, probabilities, controllers compared, and what drives success."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from cosim.campaign.analysis.sensitivity import Ranking, ranking
+from cosim.campaign.analysis.statistics import (
+    Array,
+    Interval,
+    MedianDifference,
+    Pairs,
+    Share,
+    holm,
+    mcnemar,
+    median_difference,
+    newcombe,
+    pairs,
+    share,
+)
+from cosim.campaign.analysis.table import (
+    KINDS,
+    Flown,
+    Mask,
+    criterion,
+    read,
+)
+from cosim.results.wording import metric
+
+if TYPE_CHECKING:
+    from cosim.campaign.store import Campaign
+    from cosim.spec.scenario import Range
+
+SUCCESS = "success"
+NUMBER = re.compile(r"(?<![A-Za-z_])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+BRACKETS = re.compile(r"\s*\([^()]*\)")
+
+
+class Comparison(NamedTuple):
+    """Two controllers on the draws that both have flown, by their places."""
+
+    first: int
+    second: int
+    pairs: Pairs
+    interval: Interval | None  # of the difference of success, second less first
+    p: float  # McNemar's
+    p_holm: float  # corrected for the number of comparisons
+    metrics: dict[str, MedianDifference | None]  # second less first, over draws that both completed
+    completed: int  # draws that both completed
+
+
+class Spread(NamedTuple):
+    """One metric of one controller, over the flights that completed and have it (SI)."""
+
+    flights: int
+    none: int  # completed without having it: never settled, say
+    of: int  # flights in all, lost ones too: the rest of them is in no figure here
+    low: float  # 5 % of the flights lie below
+    median: float
+    high: float  # 5 % lie above
+
+
+def shares(flown: Flown) -> list[Share]:
+    """The share of successes of every controller; a failed flight is none."""
+    return [share(int(np.sum(flown.success & flown.of(each))), int(np.sum(flown.of(each)))) for each in places(flown)]
+
+
+def places(flown: Flown) -> range:
+    """Of the controllers."""
+    return range(len(flown.controllers))
+
+
+def kinds(flown: Flown, controller: int) -> dict[str, int]:
+    """How many flights of a controller came to what."""
+    counts = np.bincount(flown.kind[flown.of(controller)], minlength=len(KINDS))
+    return {name: int(count) for name, count in zip(KINDS, counts, strict=True)}
+
+
+def spread(flown: Flown, controller: int, name: str) -> Spread | None:
+    """How a metric of a controller is spread; None if no flight has it."""
+    mine = flown.of(controller)
+    values = flown.values[name][mine & flown.completed]
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return None
+    low, median, high = np.quantile(known, [0.05, 0.5, 0.95])
+    of = int(np.count_nonzero(mine))
+    return Spread(known.size, values.size - known.size, of, float(low), float(median), float(high))
+
+
+def comparisons(flown: Flown) -> list[Comparison]:
+    """Every two controllers on the draws that both have flown."""
+    found = [_compared(flown, first, second) for first, second in combinations(places(flown), 2)]
+    corrected = holm([each.p for each in found])
+    return [each._replace(p_holm=p) for each, p in zip(found, corrected, strict=True)]
+
+
+def _compared(flown: Flown, first: int, second: int) -> Comparison:
+    rows, others = common_draws(flown, first, second)
+    counted = pairs(flown.success[rows], flown.success[others])
+    done = flown.completed[rows] & flown.completed[others]
+    metrics = {}
+    for name in (each.name for each in flown.metrics):
+        difference = (flown.values[name][others] - flown.values[name][rows])[done]
+        metrics[name] = median_difference(difference[np.isfinite(difference)])
+    p = mcnemar(counted)
+    return Comparison(first, second, counted, newcombe(counted), p, p, metrics, int(np.sum(done)))
+
+
+def common_draws(flown: Flown, first: int, second: int) -> tuple[Any, Any]:
+    """The rows of two controllers, draw by draw, of the draws that both have flown."""
+    rows, others = np.flatnonzero(flown.of(first)), np.flatnonzero(flown.of(second))
+    _, here, there = np.intersect1d(flown.draw[rows], flown.draw[others], assume_unique=True, return_indices=True)
+    return rows[here], others[there]
+
+
+def result(flown: Flown, name: str) -> Array:
+    """What is ranked: success as 0 and 1, or a metric, NaN where there is none."""
+    return flown.success.astype(np.float64) if name == SUCCESS else flown.values[name]
+
+
+def ranked(flown: Flown, controller: int, name: str) -> Ranking | None:
+    """What each key does to the success or to a metric of a controller; None if that cannot be said."""
+    values = result(flown, name)
+    rows = flown.of(controller) & np.isfinite(values)
+    for key in flown.keys:
+        rows &= np.isfinite(key.numbers)
+    numbers = {key.path: key.numbers[rows] for key in flown.keys}
+    return ranking(numbers, [key.path for key in flown.keys if key.levels], values[rows])
+
+
+def reasons(flown: Flown, rows: Mask, success: Mapping[str, Range]) -> Counter[str]:
+    """Why flights are no successes, alike reasons together: without their numbers and what stands in brackets."""
+    found: Counter[str] = Counter()
+    missed = flown.kind == KINDS.index("missed")
+    for row in np.flatnonzero(rows & ~flown.success):
+        found[" and ".join(missing(flown, int(row), success)) if missed[row] else plain(flown.reason[row])] += 1
+    return found
+
+
+def plain(reason: str) -> str:
+    """A reason without its numbers: those of alike flights become one."""
+    return NUMBER.sub("…", BRACKETS.sub("", reason)).strip() or "no reason given"
+
+
+def missing(flown: Flown, row: int, success: Mapping[str, Range]) -> list[str]:
+    """Which of a study's criteria a completed flight does not meet."""
+    found = [f"{metric(name).label} beyond the flight's own limit" for name in flown.beyond[row]]
+    for name, allowed in success.items():
+        value = flown.values[name][row] if name in flown.values else np.nan
+        of = metric(name)
+        if not np.isfinite(value):
+            found.append(f"{of.label}: none")
+        elif allowed.max is not None and value > allowed.max:
+            found.append(f"{of.label} above {of.factor * allowed.max:.4g} {of.unit}".rstrip())
+        elif allowed.min is not None and value < allowed.min:
+            found.append(f"{of.label} below {of.factor * allowed.min:.4g} {of.unit}".rstrip())
+    return found or ["no success"]
+
+
+# ---- as data
+
+
+def campaign_summary(campaign: Campaign) -> dict[str, Any]:
+    """Everything that a program wants to know of a campaign, ready for JSON; a share of nothing is null."""
+    flown = read(campaign)
+    study = campaign.study
+    return {
+        "study": study.name,
+        "design": study.design,
+        "seed": study.seed,
+        "flights": int(flown.flight.size),
+        "planned": campaign.of,
+        "finished": int(flown.flight.size) == campaign.of,
+        "success_is": criterion(study.success),
+        "share_is": "share of the grid" if flown.grid else "estimated probability",
+        "controllers": {
+            name: _controller(flown, place, found)
+            for place, (name, found) in enumerate(zip(flown.controllers, shares(flown), strict=True))
+        },
+        "comparisons": [_comparison(flown, each) for each in comparisons(flown)],
+        "reasons": {
+            name: dict(reasons(flown, flown.of(place), study.success).most_common(10))
+            for place, name in enumerate(flown.controllers)
+        },
+        "drives_success": {
+            name: _ranking(ranked(flown, place, SUCCESS)) for place, name in enumerate(flown.controllers)
+        },
+        "wall_s": float(np.nansum(np.array(campaign.columns.get("wall_s", []), dtype=np.float64))),
+    }
+
+
+def _controller(flown: Flown, place: int, found: Share) -> dict[str, Any]:
+    spreads = {each.name: spread(flown, place, each.name) for each in flown.metrics}
+    return {
+        "flights": found.of,
+        "outcomes": kinds(flown, place),
+        "success": found.value,
+        "wilson_95": None if flown.grid or not found.of else list(found.wilson),
+        "clopper_pearson_95": None if flown.grid or not found.of else list(found.exact),
+        "metrics": {
+            name: {
+                "flights": each.flights, "without": each.none, "of": each.of,
+                "p05": each.low, "median": each.median, "p95": each.high,
+            }
+            for name, each in spreads.items()
+            if each is not None
+        },
+    }  # fmt: skip
+
+
+def _comparison(flown: Flown, each: Comparison) -> dict[str, Any]:
+    return {
+        "first": flown.controllers[each.first],
+        "second": flown.controllers[each.second],
+        "draws": each.pairs.draws,
+        "both": each.pairs.both,
+        "only_first": each.pairs.first,
+        "only_second": each.pairs.second,
+        "neither": each.pairs.neither,
+        "difference": each.pairs.difference,
+        "newcombe_95": None if flown.grid or each.interval is None else list(each.interval),
+        "mcnemar_p": None if flown.grid else each.p,
+        "mcnemar_p_holm": None if flown.grid else each.p_holm,
+        "metrics": {
+            name: {
+                "draws": found.draws,
+                "median_difference": found.median,
+                "interval_95": None if flown.grid or found.interval is None else list(found.interval),
+                "wilcoxon_p": None if flown.grid else found.p,
+            }
+            for name, found in each.metrics.items()
+            if found is not None
+        },
+    }
+
+
+def _ranking(found: Ranking | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "flights": found.flights,
+        "noise_floor": found.floor,
+        "keys": [
+            {
+                "key": effect.key, "first_order": effect.index, "interval_95": list(effect.interval),
+                "above_noise": effect.real, "spearman": effect.rank, "partial": effect.partial,
+            }
+            for effect in found.effects
+        ],
+    }  # fmt: skip
+
+
+def summary_lines(summary: Mapping[str, Any]) -> Iterator[str]:
+    """The summary for a terminal."""
+    whole = "" if summary["finished"] else f" of {summary['planned']}: not finished"
+    yield f"{summary['flights']} flights{whole}; success: {summary['success_is']}"
+    for name, found in summary["controllers"].items():
+        yield f"  {name}: {_probability(found)}{_others(found['outcomes'])}"
+        for label, each in found["metrics"].items():
+            yield f"    {_spread_line(label, each)}"
+    for each in summary["comparisons"]:
+        yield f"  {_compared_line(each)}"
+    for name, found in summary["drives_success"].items():
+        keys = [key for key in (found or {"keys": []})["keys"] if key["above_noise"]]
+        if keys:
+            listed = ", ".join(f"{key['key']} {100.0 * key['first_order']:.0f} %" for key in keys[:4])
+            yield f"  {name}, what drives success: {listed} of its variance"
+
+
+def _spread_line(name: str, each: Mapping[str, Any]) -> str:
+    """A median with the flights that it is of: lost ones have no part in it."""
+    of = metric(name)
+    low, median, high = (f"{of.factor * each[key]:.3g}" for key in ("p05", "median", "p95"))
+    without = f", {each['without']} completed without it" if each["without"] else ""
+    behind = f"over {each['flights']} of {each['of']} flights{without}"
+    return f"{of.label}: median {median} {of.unit} ({low} to {high} in the middle 90 %), {behind}"
+
+
+def _probability(found: Mapping[str, Any]) -> str:
+    if found["success"] is None:
+        return "no flight yet"
+    text = f"{100.0 * found['success']:.1f} % of {found['flights']}"
+    if found["wilson_95"] is None:
+        return text
+    low, high = found["wilson_95"]
+    return f"{text} ({100.0 * low:.1f} to {100.0 * high:.1f} %)"
+
+
+def _others(outcomes: Mapping[str, int]) -> str:
+    named = [f"{count} {name}" for name, count in outcomes.items() if count and name != SUCCESS]
+    return f"; {', '.join(named)}" if named else ""
+
+
+def _compared_line(each: Mapping[str, Any]) -> str:
+    if each["difference"] is None:
+        return f"{each['first']} and {each['second']} have flown no draw in common"
+    text = f"{each['second']} against {each['first']}: {100.0 * each['difference']:+.1f} points"
+    if each["newcombe_95"] is not None:
+        low, high = (100.0 * end for end in each["newcombe_95"])
+        text += f" ({low:+.1f} to {high:+.1f}), McNemar p = {each['mcnemar_p_holm']:.2g}"
+    return f"{text}, {each['only_second']} draws won and {each['only_first']} lost of {each['draws']}"

@@ -1,0 +1,218 @@
+"""The rows of a campaign as arrays, and what its keys and metrics are called on a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES
+from cosim.campaign.analysis.statistics import Array, Counts
+from cosim.campaign.study.plan import controllers as controllers_of
+from cosim.campaign.study.study import is_path
+from cosim.results.metrics import metric_names
+from cosim.results.wording import Metric, metric
+
+if TYPE_CHECKING:
+    from cosim.campaign.store import Campaign
+    from cosim.campaign.study.study import Study
+    from cosim.spec.scenario import Range
+
+Mask = NDArray[np.bool_]
+
+# What a flight came to, best first.  "missed": flew to its end, but not within its own limits and what the study asks.
+KINDS = ("success", "missed", "crashed", "diverged", "failed")
+MOST_METRICS = 8  # on the page; the data set has them all
+OF_AXES = (
+    "overshoot_percent",
+    "rmse_rad",
+    "final_error_rad",
+    "oscillation_rad",
+    "settling_time_s",
+    "max_abs_error_rad",
+)
+OF_THE_WHOLE = (
+    "altitude.max_abs_error_m",
+    "position.max_abs_error_m",
+    "position.drift_m",
+    "speed.max_m_s",
+    "effort.saturated_percent",
+    "effort.throttle_1_s",
+    "fuel_burnt_kg",
+)
+
+
+class KeyColumn(NamedTuple):
+    """One varied key with its value on every row: a number, or the place of a choice in ``levels``."""
+
+    path: str
+    label: str  # short enough for an axis, and no other key's
+    unit: str
+    numbers: Array
+    levels: list[str]  # of a choice; empty for a number
+    log: bool = False
+
+    @property
+    def title(self) -> str:
+        """For an axis."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+
+class Flown(NamedTuple):
+    """Every finished flight, one element each, in the order of their numbers."""
+
+    flight: Counts
+    draw: Counts
+    controller: Counts  # place in ``controllers``
+    kind: Counts  # place in KINDS
+    reason: list[str]
+    beyond: list[list[str]]  # the metrics that are beyond the flight's own limits
+    duration: Array  # s flown
+    keys: list[KeyColumn]
+    metrics: list[Metric]  # the telling ones, first the study's own
+    values: dict[str, Array]  # metrics by name, SI; NaN where a flight did not complete or has none
+    controllers: list[str]
+    grid: bool  # every combination of levels, rather than draws
+
+    @property
+    def success(self) -> Mask:
+        """Whether a flight is one."""
+        return np.equal(self.kind, KINDS.index("success"))
+
+    @property
+    def completed(self) -> Mask:
+        """Whether a flight came to its planned end."""
+        return self.kind <= KINDS.index("missed")
+
+    def of(self, controller: int) -> Mask:
+        """The rows of one controller."""
+        return np.equal(self.controller, controller)
+
+
+def read(campaign: Campaign) -> Flown:
+    """The rows of a campaign, of a whole one or of one that is still flown."""
+    columns, study = campaign.columns, campaign.study
+    outcomes = np.array(columns.get("outcome", []), dtype=str)
+    success = np.array(columns.get("success", []), dtype=bool)
+    kind = np.full(outcomes.size, KINDS.index("failed"), dtype=np.intp)
+    for place, name in enumerate(KINDS):
+        kind[outcomes == name] = place
+    kind[outcomes == "completed"] = KINDS.index("missed")
+    kind[success] = KINDS.index("success")
+    flown_with = [str(name) for name in columns.get("controller", [])]
+    # a study that states none flies its scenario's own
+    stated = controllers_of(study) if study.controllers else []
+    controllers = list(stated or dict.fromkeys(flown_with) or study.flown_with)
+    place_of = {name: place for place, name in enumerate(controllers)}
+    completed = kind <= KINDS.index("missed")
+    values = {name: np.where(completed, numbers(columns[name]), np.nan) for name in metric_names() if name in columns}
+    return Flown(
+        flight=np.array(columns.get("flight", []), dtype=np.intp),
+        draw=np.array(columns.get("draw", []), dtype=np.intp),
+        controller=np.array([place_of[name] for name in flown_with], dtype=np.intp),
+        kind=kind,
+        reason=[str(reason or "") for reason in columns.get("reason", [])],
+        beyond=[str(names or "").split() for names in columns.get("beyond", outcomes.size * [""])],
+        duration=numbers(columns.get("duration_s", [])),
+        keys=key_columns(campaign),
+        metrics=[metric(name) for name in telling(values, list(study.success))],
+        values=values,
+        controllers=[Path(name).stem if is_path(name) else name for name in controllers],
+        grid=study.design == "grid",
+    )
+
+
+def numbers(values: Sequence[Any]) -> Array:
+    """A column as floats; NaN for None."""
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+def key_columns(campaign: Campaign) -> list[KeyColumn]:
+    """The varied keys in the study's order."""
+    varied = [vary for vary in campaign.study.vary if vary.key in campaign.columns]
+    labels = short_names([vary.key for vary in varied])
+    found = []
+    for vary, label in zip(varied, labels, strict=True):
+        column = campaign.columns[vary.key]
+        if any(isinstance(value, (str, bool)) for value in column):
+            listed = [choice_text(value) for value in vary.values or []]
+            flown = [choice_text(value) for value in column]
+            levels = list(dict.fromkeys([*listed, *sorted(set(flown))]))
+            place = {level: number for number, level in enumerate(levels)}
+            coded = np.array([place[text] for text in flown], dtype=np.float64)
+            found.append(KeyColumn(vary.key, label, "", coded, levels))
+        else:
+            values = numbers(column)
+            log = (vary.scale == "log" or vary.lognormal is not None) and bool(np.all(values > 0.0))
+            found.append(KeyColumn(vary.key, label, key_unit(campaign.study, vary.key), values, [], log))
+    return found
+
+
+def choice_text(value: Any) -> str:
+    """A choice as TOML has it, without quotes."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def key_unit(study: Study, path: str) -> str:
+    """The unit of a key as far as it is known."""
+    try:
+        return study.key(path).unit
+    except InputError:  # flown elsewhere: the scenario or one of its files is not here
+        return ""
+
+
+def short_names(paths: Sequence[str]) -> list[str]:
+    """The last two parts of each key, places in lists not counted, or as many as tell it from the others."""
+    found = []
+    for path in paths:
+        parts = path.split(".")
+        short = path
+        for first in range(len(parts) - 1, -1, -1):
+            short = ".".join(parts[first:])
+            named = sum(not part.isdigit() for part in parts[first:])
+            if named >= 2 and sum(f".{other}".endswith(f".{short}") for other in paths) == 1:
+                break
+        found.append(short)
+    return found
+
+
+def telling(values: Mapping[str, Array], asked: Sequence[str]) -> list[str]:
+    """The metrics to show, at most ``MOST_METRICS``: those of the study's success, then of axes that were commanded in
+    steps, then the errors of the other axes and of height.  Beside them where the vehicles went and by what means.
+    What no flight has, or all have alike, tells nothing.
+    """
+    stepped = [axis for axis in AXES if np.isfinite(values.get(f"{axis}.overshoot_percent", np.empty(0))).any()]
+    order = [
+        *asked,
+        *(f"{axis}.{last}" for axis in stepped for last in OF_AXES),
+        *(f"{axis}.max_abs_error_rad" for axis in AXES),
+        "altitude.max_abs_error_m",
+        "touchdown_m_s",
+        *(f"{axis}.{last}" for axis in AXES for last in ("rmse_rad", "rate_rmse_rad_s")),
+        "altitude.rmse_m",
+        *OF_THE_WHOLE,
+    ]
+    known = {name: each[np.isfinite(each)] for name, each in values.items()}
+    moving = [name for name in dict.fromkeys(order) if name in known and known[name].size and np.ptp(known[name]) > 0.0]
+    return list(dict.fromkeys([*moving[:MOST_METRICS], *(name for name in moving if name in OF_THE_WHOLE)]))
+
+
+def criterion(success: Mapping[str, Range]) -> str:
+    """What a study calls a success, in words: beside what it asks for, that a flight keeps its own limits."""
+    parts = [f"{metric(name).label} {span(name, allowed)}" for name, allowed in success.items()]
+    return f"flies to its end within its limits{', with ' if parts else ''}{' and '.join(parts)}"
+
+
+def span(name: str, allowed: Range) -> str:
+    """The range of a metric in words, in the unit of the page."""
+    of = metric(name)
+    low, high = (
+        None if end is None else f"{of.factor * end:.4g} {of.unit}".strip() for end in (allowed.min, allowed.max)
+    )
+    if low is None:
+        return f"at most {high}"
+    return f"at least {low}" if high is None else f"{low} to {high}"

@@ -1,0 +1,155 @@
+"""The worst flights of a campaign, each with a scenario file that flies it again as it was."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.files import one_line, replacing
+from cosim.campaign.analysis.statistics import Array
+from cosim.campaign.analysis.summary import SUCCESS, missing, places
+from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
+from cosim.campaign.folder import CASES, SCENARIO
+from cosim.results.report.flight_figures import run_colour
+
+if TYPE_CHECKING:
+    from cosim.campaign.store import Campaign
+    from cosim.campaign.study.study import Study
+
+EACH = 3  # flights listed for each way of being bad
+NONE = "–"
+
+
+class Case(NamedTuple):
+    """One flight worth flying again."""
+
+    row: int
+    why: str
+
+
+def case_rows(campaign: Campaign, flown: Flown) -> list[dict[str, Any]]:
+    """The worst flights of each controller, each with a scenario file of its own beside the page."""
+    return [
+        {
+            "controller": flown.controllers[place],
+            "colour": run_colour(place),
+            "rows": [_case_row(campaign, flown, case) for case in worst(campaign.study, flown, place)],
+        }
+        for place in places(flown)
+    ]
+
+
+def worst(study: Study, flown: Flown, controller: int) -> list[Case]:
+    """Those lost soonest, those that fail nearest to the middle of what was drawn, those not flown to a verdict.
+
+    Then the successes with the worst of the first metric; a flight is named once.
+    """
+    mine = flown.of(controller)
+    lost = mine & np.isin(flown.kind, [KINDS.index("crashed"), KINDS.index("diverged")])
+    bad = lost | (mine & (flown.kind == KINDS.index("missed")))
+    order = [
+        ("lost soonest", lost, flown.duration),
+        ("fails nearest to the middle of the draws", bad, eccentricity(flown)),
+        ("failed", mine & (flown.kind == KINDS.index("failed")), flown.flight.astype(np.float64)),
+    ]
+    if flown.metrics:
+        metric = flown.metrics[0]
+        allowed = study.success.get(metric.name)
+        least = allowed is not None and allowed.max is None
+        values = flown.values[metric.name] * (1.0 if least else -1.0)
+        why = f"success with the {'smallest' if least else 'largest'} {metric.label}"
+        order.append((why, mine & flown.success & np.isfinite(values), values))
+    found: dict[int, Case] = {}
+    for why, rows, by in order:
+        chosen = np.flatnonzero(rows)
+        fresh = [int(row) for row in chosen[np.argsort(by[chosen], kind="stable")] if int(row) not in found]
+        found |= {row: Case(row, why) for row in fresh[:EACH]}
+    return list(found.values())
+
+
+def eccentricity(flown: Flown) -> Array:
+    """How far each flight's numbers lie from the middle of all: 0 at every median, 1 where every one is extreme."""
+    size = max(flown.flight.size, 1)
+    squares = np.zeros(flown.flight.size)
+    count = 0
+    for key in flown.keys:
+        if key.levels or not np.all(np.isfinite(key.numbers)):
+            continue
+        _, place, counts = np.unique(key.numbers, return_inverse=True, return_counts=True)
+        middle = (np.cumsum(counts) - 0.5 * counts)[place] / size  # of equal ones, the middle rank
+        squares += (2.0 * middle - 1.0) ** 2
+        count += 1
+    return np.sqrt(squares / max(count, 1))
+
+
+def _case_row(campaign: Campaign, flown: Flown, case: Case) -> dict[str, Any]:
+    number = int(flown.flight[case.row])
+    link, refused = write_case(campaign, case.row)
+    metric = flown.metrics[0] if flown.metrics else None
+    value = np.nan if metric is None else metric.factor * flown.values[metric.name][case.row]
+    kind = KINDS[flown.kind[case.row]]
+    reason = flown.reason[case.row]
+    if kind == "missed":
+        reason = " and ".join(missing(flown, case.row, campaign.study.success))
+    return {
+        "flight": number,
+        "draw": int(flown.draw[case.row]),
+        "why": case.why,
+        "kind": kind,
+        "reason": "" if kind == SUCCESS else reason,
+        "flown": f"after {seconds:.2f} s" if np.isfinite(seconds := flown.duration[case.row]) else "not flown",
+        "metric": "" if metric is None or not np.isfinite(value) else f"{metric.label} {value:.3g} {metric.unit}",
+        "values": [(key.label, key.path, _value(key, case.row)) for key in flown.keys],
+        "link": link,
+        "refused": refused,
+        "command": f"hexjet fly {shlex.quote(campaign.folder.as_posix())} --flight {number}",
+    }
+
+
+def _value(key: KeyColumn, row: int) -> str:
+    number = key.numbers[row]
+    if not np.isfinite(number):
+        return NONE
+    return key.levels[int(number)] if key.levels else f"{number:.5g} {key.unit}".strip()
+
+
+def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
+    """Write the scenario of a row as it flies, and return its place as seen from the page; or why there is none.
+
+    Where files go along with it, such as an engine of the user's, it has a folder of its own.  Raises FlightError if it
+    cannot be written.
+    """
+    from cosim.campaign.run import flight_of
+    from cosim.campaign.study.plan import scenario_of
+    from cosim.flight import resolve
+    from cosim.simulation.build import build
+
+    stated = ("flight", "draw", "controller", "seed", *(vary.key for vary in campaign.study.vary))
+    try:
+        flight = flight_of(campaign.study, {name: campaign.columns[name][row] for name in stated})
+        with build(scenario_of(campaign.study, flight)) as simulation:
+            scenario, files = resolve(simulation)
+    except (InputError, FlightError) as error:
+        return "", str(error)
+    import tomli_w
+
+    name = f"flight-{flight.number:06d}"
+    place = Path(CASES) / name / SCENARIO if files else Path(CASES) / f"{name}.toml"
+    path = campaign.folder / place
+    for beside, content in files.items():
+        _write(path.with_name(beside), content)
+    _write(path, tomli_w.dumps(scenario.model_dump(mode="json", exclude_none=True)).encode())
+    return place.as_posix(), ""
+
+
+def _write(path: Path, content: Path | bytes) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as temporary:
+            temporary.write_bytes(content if isinstance(content, bytes) else content.read_bytes())
+    except OSError as error:
+        raise FlightError(f"{path}: {one_line(error)}") from error

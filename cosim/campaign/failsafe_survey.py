@@ -1,0 +1,412 @@
+"""Every failsafe flown to its end: how it ended, how fast it touched the ground, what the engines gave afterwards.
+
+A flight begins in the air, holding, in a steady wind from abeam (the axis on which the engines' delay is felt).  Then
+something fails, the autopilot is told nothing but what a ground station would say, and the flight goes on until the
+vehicle has been disarmed for ten seconds, has crashed, or time is up.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from math import hypot, isnan, nan, radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from cosim.base.errors import InputError
+from cosim.campaign.fault_survey import controllers_for, in_processes, step_of
+from cosim.control.autopilot.modes import LandedState, Mode
+from cosim.control.autopilot.requests import (
+    Goto,
+    InjectFault,
+    LinkLost,
+    OffboardVelocity,
+    Request,
+    SetMode,
+    SetParameter,
+    Sticks,
+)
+from cosim.results.report import marks
+from cosim.results.request_log import Entry
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle, aircraft_names, load_vehicle
+
+if TYPE_CHECKING:
+    from cosim.control.autopilot.autopilot import Autopilot
+    from cosim.simulation.step import Simulation
+
+Verdict = Literal["landed", "holds", "flies on", "stands armed", "crashed", "lost"]
+Say = Callable[[str, int, int], None]
+
+HEIGHTS_M = (3.0, 10.0, 30.0)
+WINDS_M_S = (0.0, 5.0, 10.0)
+# Chosen by us.
+SETTLED_S = 5.0  # holding before anything fails, at least
+SLOW_M_S, SLOW_S = 0.3, 1.0  # and slower than this for so long, so that it does hold where the wind took it at first
+LONGEST_SETTLING_S = 60.0  # it fails then, whatever the speed
+LONGEST_S = 180.0  # from the failure on: three times the descent from 30 m at the landing's rate
+LATER_S = 10.0  # after disarming
+HELD_S = 8.0  # a flight that is to hold has held by then
+GYRO_BIAS = radians(3.0)  # rad/s about the late axis: what a MEMS gyro's zero is off when it was never calibrated
+
+
+@dataclass(frozen=True)
+class Case:
+    """One failsafe: requests from the beginning of the flight on, and those with which it is called."""
+
+    name: str
+    before: tuple[Request, ...]
+    calls: tuple[Request, ...]
+    holds: bool = False  # it ends in HOLD, not on the ground
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of one flight."""
+
+    failsafe: str
+    height_m: float
+    wind_m_s: float
+    verdict: Verdict
+    touchdown_m_s: float  # the fastest sinking in the step before a leg touched; NaN: none did
+    thrust_n: float  # of all engines together, ten seconds after disarming; NaN: it was not disarmed
+    after_s: float  # from the failure to the first touch; NaN: none
+    drift_m: float  # from where it was when it failed to where it ended
+    reason: str  # of a crash; else what the autopilot said it acted upon
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A row, and what flies it again."""
+
+    row: Row
+    scenario: Scenario
+    entries: tuple[Entry, ...]
+
+
+@dataclass(frozen=True)
+class Failsafes:
+    """The whole table of one vehicle."""
+
+    aircraft: str
+    engine: str
+    controller: str
+    limit_m_s: float  # a leg that touches faster counts as a crash
+    flights: list[Flown]
+
+    @property
+    def rows(self) -> list[Row]:
+        return [flown.row for flown in self.flights]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; null where there is no number."""
+        rows = [
+            {key: None if isinstance(value, float) and isnan(value) else value for key, value in asdict(row).items()}
+            for row in self.rows
+        ]
+        return {
+            "aircraft": self.aircraft,
+            "engine": self.engine,
+            "controller": self.controller,
+            "limit_m_s": self.limit_m_s,
+            "rows": rows,
+        }
+
+
+def cases(vehicle: Vehicle) -> list[Case]:
+    """Every failsafe of the autopilot, sensors singly and the GNSS with each."""
+    allowed = (SetParameter("SYS_FAILURE_EN", 1.0),)
+    gnss = InjectFault("sensor_dropout", sensor="gnss")
+    others = (
+        ("barometer lost", InjectFault("sensor_dropout", sensor="barometer")),
+        ("attitude lost", InjectFault("sensor_dropout", sensor="attitude")),
+        ("gyro biased", InjectFault("sensor_bias", sensor="gyro", vector=(GYRO_BIAS, 0.0, 0.0))),
+        ("gyro lost", InjectFault("sensor_dropout", sensor="gyro")),
+    )
+    found = [Case("GNSS lost", allowed, (gnss,))]
+    found += [Case(name, allowed, (fault,)) for name, fault in others]
+    found += [Case(f"GNSS and {name}", allowed, (gnss, fault)) for name, fault in others]
+    found += [
+        Case(f"engine {jet} out", allowed, (InjectFault("flame_out", (jet,)),))
+        for jet in range(1, len(vehicle.jets) + 1)
+    ]
+    centred = Sticks(0.0, 0.0, 0.0, 0.5)
+    return [
+        *found,
+        Case("ground station lost", (), (LinkLost(),)),
+        Case("energy critical", (SetParameter("HJ_ENDURANCE", 1000.0),), (SetParameter("HJ_FUEL_CRIT", 100.0),)),
+        Case("fence passed", (Goto(8.0, 0.0),), (SetParameter("HJ_FENCE_RAD", 1.0),)),
+        Case("sticks lost", (), (centred, SetMode("POSCTL")), True),
+        Case("set-points lost", (), (OffboardVelocity(0.0, 0.0, 0.0), SetMode("OFFBOARD")), True),
+    ]
+
+
+def pilotable() -> list[str]:
+    """Every vehicle that has an autopilot."""
+    found = []
+    for name in aircraft_names():
+        control = load_vehicle(name)[0].control
+        if control.position is not None and control.pilot is not None:
+            found.append(name)
+    return found
+
+
+def failsafes(
+    aircraft: str,
+    engine: str | None = None,
+    controller: str | None = None,
+    kinds: Sequence[str] = (),
+    heights: Sequence[float] = HEIGHTS_M,
+    winds: Sequence[float] = WINDS_M_S,
+    workers: int = 2,
+    say: Say = lambda what, done, of: None,
+) -> Failsafes:
+    """Fly every failsafe from every height in every wind; ``kinds`` are the beginnings of those to be flown.
+
+    ``engine`` None is the one that the aircraft is made for, ``controller`` None smith, or baseline where there is no
+    model.  ``say`` is told what was flown, how many are, of how many.
+    Raises InputError for an unknown kind, aircraft, engine or controller, and for a vehicle without an autopilot.
+    """
+    from cosim.simulation.build import build
+    from cosim.simulation.with_autopilot import with_autopilot
+
+    vehicle, _ = load_vehicle(aircraft)
+    engine = engine or vehicle.engine or Scenario.model_fields["engine"].default
+    step = step_of(aircraft)
+    chosen = [case for case in cases(vehicle) if not kinds or case.name.startswith(tuple(kinds))]
+    if not chosen:
+        names = ", ".join(case.name for case in cases(vehicle))
+        raise InputError(f"no failsafe begins with {' or '.join(map(repr, kinds))}; there are: {names}")
+    for height in heights:
+        if not 1.0 <= height <= 1000.0:
+            raise InputError(f"height {height:g} m: must be from 1 to 1000 m")
+    for wind in winds:
+        if not 0.0 <= wind <= 50.0:
+            raise InputError(f"wind {wind:g} m/s: must be from 0 to 50 m/s")
+    if controller is None:
+        controller = "smith" if "smith" in controllers_for(aircraft, engine, step) else "baseline"
+    flights = [
+        (case, height, wind, scenario_of(aircraft, engine, controller, step, height, wind))
+        for case in chosen
+        for height in heights
+        for wind in winds
+    ]
+    with build(flights[0][3]) as simulation:
+        # wrong input is found here, before anything is spent on it
+        with_autopilot(simulation, airborne=True)
+    flown: list[Flown] = []
+    for one in in_processes(fly_case, flights, workers):
+        flown.append(one)
+        say(f"{one.row.failsafe}, {one.row.height_m:g} m, {one.row.wind_m_s:g} m/s", len(flown), len(flights))
+    return Failsafes(aircraft, engine, controller, vehicle.limits.touchdown_m_s, flown)
+
+
+def scenario_of(aircraft: str, engine: str, controller: str, step: float, height: float, wind: float) -> Scenario:
+    """The flight of one cell of the table, without what is asked in it."""
+    return Scenario.from_table(
+        {
+            "name": "failsafe",
+            "aircraft": aircraft,
+            "engine": engine,
+            "controller": controller,
+            "step_s": step,
+            "duration_s": LONGEST_SETTLING_S + LONGEST_S,
+            "monitor": load_vehicle(aircraft)[0].control.monitor is not None,
+            "initial": {"altitude_m": height},
+            "environment": {"wind_ned_m_s": [0.0, wind, 0.0]},
+        },
+        Path(),
+        "failsafe",
+    )
+
+
+def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
+    """One flight, in this process."""
+    from cosim.simulation.build import build
+    from cosim.simulation.with_autopilot import with_autopilot
+
+    case, height, wind, scenario = task
+    with build(scenario) as simulation:
+        pilot = with_autopilot(simulation, airborne=True)
+        dt = simulation.dt
+        _ask(pilot, case.name, case.before, 0)
+        begin = _settle(simulation)
+        _ask(pilot, case.name, case.calls, begin)
+        touchdown = after = thrust = nan
+        there = simulation.state.position
+        disarmed: int | None = None
+        acted = ""
+        ending = None
+        before = simulation.state
+        last = begin + round(LONGEST_S / dt)
+        while simulation.k < last:
+            k = simulation.k
+            sample = simulation.step()
+            state = simulation.state
+            acted = acted or pilot.failsafe
+            if state.on_ground and not before.on_ground:
+                touchdown = max(before.velocity[2], 0.0 if isnan(touchdown) else touchdown)
+                after = (simulation.k - begin) * dt if isnan(after) else after
+            before = state
+            ending = simulation.judge.look(state, simulation.k * dt)
+            if ending is not None:
+                break
+            if pilot.armed:
+                disarmed = None
+            elif disarmed is None:
+                disarmed = k
+            if disarmed is not None and (k - disarmed) * dt >= LATER_S:
+                thrust = sum(sample.engines.thrust)
+                break
+            if case.holds and (k - begin) * dt >= HELD_S:
+                break
+        x, y, _ = simulation.state.position
+        verdict: Verdict
+        if ending is not None:
+            verdict = "crashed" if ending.outcome == "crashed" else "lost"
+        elif disarmed is not None:
+            verdict = "landed" if simulation.state.on_ground else "crashed"
+        elif pilot.landed is LandedState.ON_GROUND or simulation.state.on_ground:
+            verdict = "stands armed"
+        else:
+            verdict = "holds" if pilot.mode is Mode.HOLD else "flies on"
+        row = Row(
+            case.name,
+            height,
+            wind,
+            verdict,
+            touchdown,
+            thrust,
+            after,
+            hypot(x - there[0], y - there[1]),
+            ending.reason if ending is not None else acted or _last(pilot.messages),
+        )
+        entries = (
+            *(Entry(0, "table", request, "") for request in case.before),
+            *(Entry(begin, "table", request, "") for request in case.calls),
+        )
+        # times are rounded to steps, so what a product of floats is off does not matter; the file shall be readable
+        return Flown(row, simulation.scenario.replace(fault=[], duration_s=round(simulation.k * dt, 9)), entries)
+
+
+def _ask(pilot: Autopilot, name: str, requests: Sequence[Request], k: int) -> None:
+    for request in requests:
+        answer = pilot.handle(request, k)
+        if not answer.accepted:
+            raise InputError(f"{name}: {type(request).__name__} is refused before step {k}: {answer.text}")
+
+
+def _settle(simulation: Simulation) -> int:
+    """Fly until the vehicle holds; the step that comes next."""
+    dt, slow = simulation.dt, 0
+    while simulation.k * dt < LONGEST_SETTLING_S:
+        simulation.step()
+        north, east, down = simulation.state.velocity
+        slow = slow + 1 if hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S else 0
+        if simulation.k * dt >= SETTLED_S and slow * dt >= SLOW_S:
+            break
+    return simulation.k
+
+
+def _last(messages: Any) -> str:
+    texts = [message.text for message in messages if "holding" in message.text]
+    return texts[-1] if texts else ""
+
+
+def write(found: Failsafes, folder: Path) -> Path:
+    """``failsafes.csv`` in ``folder``, and in ``flights/`` a scenario with its requests for every row: ``hexjet fly``.
+
+    Raises InputError if they cannot be written.
+    """
+    import json
+
+    import tomli_w
+
+    from cosim.control.autopilot.requests import to_dict
+
+    table = folder / "failsafes.csv"
+    flights = folder / "flights"
+    try:
+        flights.mkdir(parents=True, exist_ok=True)
+        with open(table, "w", newline="", encoding="utf-8") as file:
+            lines = csv.writer(file)
+            names = [field.name for field in fields(Row)]
+            lines.writerow([*names, "flight"])
+            for one in found.flights:
+                name = file_name(one.row)
+                lines.writerow([*(getattr(one.row, each) for each in names), f"flights/{name}.toml"])
+                asked = [{"step": entry.step, "sender": entry.sender} | to_dict(entry.request) for entry in one.entries]
+                text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in asked)
+                (flights / f"{name}.jsonl").write_text(text, encoding="utf-8")
+                stated = one.scenario.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+                stated |= {"name": name, "requests": f"{name}.jsonl"}
+                (flights / f"{name}.toml").write_text(tomli_w.dumps(stated), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror or error}") from error
+    return table
+
+
+def file_name(row: Row) -> str:
+    """Of the flight's files, without what they end in."""
+    return f"{row.failsafe.lower().replace(' ', '-')}-{row.height_m:g}m-{row.wind_m_s:g}m_s"
+
+
+@dataclass(frozen=True)
+class Summed:
+    """One failsafe in one wind, all heights together."""
+
+    failsafe: str
+    wind_m_s: float
+    ends: str  # what became of the flights, the same words once
+    touchdown_m_s: float  # the fastest; NaN: none touched
+    thrust_n: float  # the most; NaN: none was disarmed
+
+
+def summary(found: Failsafes) -> list[Summed]:
+    """For each failsafe and wind what became of it at all heights."""
+    table = []
+    for name, wind in dict.fromkeys((row.failsafe, row.wind_m_s) for row in found.rows):
+        rows = [row for row in found.rows if (row.failsafe, row.wind_m_s) == (name, wind)]
+        verdicts = [row.verdict for row in rows]
+        known = dict.fromkeys(verdicts)
+        if len(known) == 1:
+            ends: str = verdicts[0]
+        else:
+            ends = ", ".join(
+                f"{verdict} from {', '.join(f'{row.height_m:g}' for row in rows if row.verdict == verdict)} m"
+                for verdict in known
+            )
+        speeds = [row.touchdown_m_s for row in rows if not isnan(row.touchdown_m_s)]
+        thrusts = [row.thrust_n for row in rows if not isnan(row.thrust_n)]
+        table.append(Summed(name, wind, ends, max(speeds, default=nan), max(thrusts, default=nan)))
+    return table
+
+
+def mark(aircraft: str) -> str:
+    """The name of the mark in a page between which a vehicle's table goes."""
+    return f"failsafes, {aircraft}"
+
+
+def markdown(found: Failsafes) -> str:
+    """The part of a page: the table by failsafe and wind, every flight of it in the columns of the heights."""
+    heights = list(dict.fromkeys(row.height_m for row in found.rows))
+    winds = list(dict.fromkeys(row.wind_m_s for row in found.rows))
+    cells = {(row.failsafe, row.height_m, row.wind_m_s): row for row in found.rows}
+    columns = ["failsafe", *(f"{height:g} m, {wind:g} m/s" for height in heights for wind in winds)]
+    rows = []
+    for name in dict.fromkeys(row.failsafe for row in found.rows):
+        rows.append([name, *(_cell(cells[name, height, wind]) for height in heights for wind in winds)])
+    return (
+        f"Engine `{found.engine}`, controller `{found.controller}`; a leg that touches faster than "
+        f"{found.limit_m_s:.2f} m/s counts as a crash.\n\n" + marks.table(columns, rows)
+    )
+
+
+def _cell(row: Row) -> str:
+    parts: list[str] = [row.verdict]
+    if not isnan(row.touchdown_m_s):
+        parts.append(f"{row.touchdown_m_s:.2f} m/s")
+    if not isnan(row.thrust_n):
+        parts.append(f"{row.thrust_n:.1f} N")
+    return ", ".join(parts)

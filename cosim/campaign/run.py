@@ -1,0 +1,188 @@
+"""A campaign: the flights of a study, flown by workers into a folder; and one of them flown again, alone."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import FlightError, InputError
+from cosim.campaign.folder import is_campaign
+from cosim.campaign.store import (
+    Campaign,
+    Store,
+    Tally,
+    open_campaign,
+)
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.plan import Flight, scenario_of
+from cosim.campaign.study.study import Study, study_names
+from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256
+from cosim.campaign.workers.local import LocalWorkers
+from cosim.campaign.workers.protocol import Workers
+from cosim.flight import fly, new_folder
+from cosim.results.digest import log_digest
+from cosim.results.run import Run
+from cosim.spec.scenario import scenario_names
+
+Progress = Callable[[Tally, int, int], None]  # what became of the flights, how many are finished, of how many
+
+
+def run_campaign(
+    study: Study | None,
+    out: Path | str,
+    workers: Workers | int | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> Campaign:
+    """Fly every flight of a study that is not finished yet into the folder ``out``.
+
+    ``workers``: how many processes of this machine, by default one a processor, or where else.  ``resume``: go on with
+    what the folder holds, if it holds anything; then ``study`` may be None and is the folder's.
+
+    >>> study = open_study("hover", vary=["vehicle.mass_kg=5.4:5.8"], runs=2, settings=["duration_s=0.2"])
+    >>> campaign = run_campaign(study, folder, workers=1)
+    >>> campaign.columns["outcome"], len(campaign.columns["vehicle.mass_kg"])
+    (['completed', 'completed'], 2)
+
+    A flight that fails is a row.  Raises InputError if the study or the folder is not usable (another study's, in use,
+    or of a campaign that is not resumed): nothing is overwritten then.  Raises FlightError if no more can be flown or
+    written; this and KeyboardInterrupt lose at most the flights under way.
+    """
+    folder = Path(out)
+    begun = study is None or (resume and folder.is_dir() and any(folder.iterdir()))
+    with Store.resume(folder, study) if begun else Store.create(folder, study) as store:  # type: ignore[arg-type]
+        tell = progress or (lambda tally, done, of: None)
+        tell(store.tally, store.kept, len(store.flights))
+        left = (flight for flight in store.flights if flight.number not in store.done)
+        with _at_work(workers) as flying:
+            try:
+                for row in flying.fly(store.study, left):
+                    store.add(row)
+                    tell(store.tally, store.kept, len(store.flights))
+            except FlightError as error:
+                raise FlightError(f"{error}; {kept(store)}") from error
+            except KeyboardInterrupt:  # it may have come between keeping a flight and telling of it
+                tell(store.tally, store.kept, len(store.flights))
+                raise
+    return open_campaign(folder)
+
+
+def opened(name: str, out: Path | None, resume: bool, **options: Any) -> tuple[Study | None, Path]:
+    """The study that a command line names, and the folder that it is flown into.
+
+    ``name`` is a scenario's, a study's or a campaign's folder; ``options`` are those of
+    :func:`cosim.campaign.study.options.open_study`.  A folder that is called as what is shipped is meant where it
+    is written as a path (``./hover``), and where there is nothing else to go on with.  Raises InputError.
+    """
+    shipped = name in (*study_names(), *scenario_names()) and (out is not None or not resume)
+    if not shipped and is_campaign(Path(name)):
+        if not resume:
+            raise InputError(f"{name}: already holds a campaign; --resume goes on with it")
+        given = next((option for option, value in options.items() if value not in (None, (), [])), None)
+        if given is not None or out is not None:
+            flag = {None: "out", "controllers": "controller", "settings": "set"}.get(given, given)
+            raise InputError(f"{name}: is a campaign and goes on as it began; leave out --{flag}")
+        return None, Path(name)
+    if resume and out is None:
+        raise InputError("--resume: give the folder of the campaign, as in hexjet sweep DIR --resume")
+    study = open_study(name, **options)
+    return study, out if out is not None else new_folder(Path("runs"), study.name)
+
+
+def workers_at(count: int | None, cluster: str | None, time_limit_s: float | None) -> Workers:
+    """Where a command line says to fly: so many processes here, by default one a processor, or a cluster.
+
+    Raises InputError.
+    """
+    if cluster is None:
+        return LocalWorkers(count or processors(), time_limit_s)
+    from cosim.campaign.workers.cluster import DaskWorkers
+
+    return DaskWorkers(None if cluster == "local" else cluster, count, time_limit_s)
+
+
+def _at_work(workers: Workers | int | None) -> AbstractContextManager[Workers]:
+    """Workers that are closed by whoever made them."""
+    if workers is None or isinstance(workers, int):
+        return LocalWorkers(processors() if workers is None else workers)
+    return nullcontext(workers)
+
+
+def processors() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def kept(store: Store) -> str:
+    """What there is after an end before the end, and how to go on."""
+    return f"{store.kept} of {len(store.flights)} flights are kept: hexjet sweep {store.folder} --resume goes on"
+
+
+@dataclass(frozen=True)
+class Again:
+    """A flight of a campaign flown again: its run, and what is not as it was, a line each."""
+
+    number: int
+    run: Run
+    otherwise: list[str]
+    comparable: bool  # False: nothing is recorded of the first time but why it failed
+
+    @property
+    def same(self) -> bool:
+        """Whether the log is the same, bit for bit."""
+        return self.comparable and not self.otherwise
+
+    @property
+    def verdict(self) -> str:
+        """In words."""
+        if not self.comparable:
+            return "the first time was not recorded to its end"
+        return "the same, bit for bit" if self.same else "not the same"
+
+
+def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **options: Any) -> Again:
+    """Fly one finished flight of a campaign again, recorded in full, from what its row states.
+
+    ``out`` and ``options`` are those of :func:`cosim.fly`.  Raises InputError if the flight is not finished, or cannot
+    be flown now; FlightError if it could not be flown then either.
+    """
+    row = campaign.row(number)
+    try:
+        run = fly(scenario_of(campaign.study, flight_of(campaign.study, row)), out, **options)
+    except InputError as error:
+        if str(error) == row["reason"]:
+            raise FlightError(f"flight {number} cannot be flown, as the first time: {error}") from error
+        raise
+    if row["log_sha256"] is None:
+        return Again(number, run, [f"{row['outcome']}, {row['reason']}"], False)
+    return Again(number, run, [] if log_digest(run.log) == row["log_sha256"] else list(_otherwise(row, run)), True)
+
+
+def flight_of(study: Study, row: Row) -> Flight:
+    """The flight that a row states."""
+    values = {vary.key: row[vary.key] for vary in study.vary}
+    return Flight(row["flight"], row["draw"], row["controller"], row["seed"], values)  # type: ignore[arg-type]
+
+
+def _otherwise(row: Row, run: Run) -> list[str]:
+    """Why a flight may be another one now."""
+    then, now = json.loads(str(row["inputs"])), json.loads(inputs(run))
+    found = [
+        f"{name} was {_short(then[kind].get(name))} and is {_short(now[kind].get(name))}"
+        for kind in ("versions", "sha256")
+        for name in sorted({*then[kind], *now[kind]})
+        if then[kind].get(name) != now[kind].get(name)
+    ]
+    if not found and row["inputs_sha256"] != inputs_sha256(run):
+        found = ["the numbers of the aircraft or of an engine are others"]
+    ended = f"it ended {run.outcome}, {run.reason}; then {row['outcome']}, {row['reason']}"
+    return [*(found or ["versions, aircraft and engines are the same: the program or the machine is another"]), ended]
+
+
+def _short(text: str | None) -> str:
+    return "not there" if text is None else text[:12]

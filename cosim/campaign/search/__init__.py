@@ -1,0 +1,1 @@
+"""How far a vehicle can be pushed: line searches over flights."""

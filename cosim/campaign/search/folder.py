@@ -1,0 +1,243 @@
+"""A search from a command line to a folder: what was asked, every flight, what was found, and the flights that show it.
+
+``study/`` has the study and the scenario with all their numbers, ``search.toml`` what was searched, ``flights.jsonl`` a
+line a flight, ``search.json`` and ``search.html`` the result, and ``cases/`` the runs of what breaks and of what just
+holds: their ``scenario.toml`` flies as it is.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.files import locked, one_line, replacing
+from cosim.base.toml import read_toml
+from cosim.campaign.folder import Frozen, freeze
+from cosim.campaign.folder import load as load_study
+from cosim.campaign.search.page import write_page
+from cosim.campaign.search.probe import Journal, Point, Prober
+from cosim.campaign.search.result import Case, Searched, question
+from cosim.campaign.search.search import (
+    Edge,
+    Found,
+    Joint,
+    Over,
+    Plan,
+    search,
+    why,
+)
+from cosim.campaign.search.span import span
+from cosim.campaign.study.distributions import Vary, parse_vary
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.plan import scenario_of
+from cosim.campaign.study.study import Study, is_path
+from cosim.campaign.study.values import check_vary, levels
+from cosim.campaign.workers.flight_row import Row
+from cosim.campaign.workers.protocol import Workers
+from cosim.flight import fly
+from cosim.results.digest import log_digest
+
+STUDY, QUESTION, JOURNAL, RESULT, REPORT, CASES = (
+    "study",
+    "search.toml",
+    "flights.jsonl",
+    "search.json",
+    "search.html",
+    "cases",
+)
+
+
+def opened(
+    name: str,
+    *,
+    vary: Sequence[str],
+    over: str | None = None,
+    tolerance: Sequence[str] = (),
+    seeds: int = 1,
+    share: float = 0.0,
+    budget: int = 1000,
+    seed: int | None = None,
+    **options: Any,
+) -> tuple[Study, Plan]:
+    """The study and the plan that a command line states; ``options`` are those of ``open_study``.
+
+    ``seeds`` flights a point have the scenario's seed, or ``seed``, and those that follow it.  Raises InputError.
+    """
+    varied = [parse_vary(text) for text in vary]
+    second = _over(over)
+    keys = [each.key for each in (*varied, *second)]
+    twice = next((key for place, key in enumerate(keys) if key in keys[:place]), None)
+    if twice is not None:
+        raise InputError(f"--vary {twice}: is there twice")
+    if not varied:
+        raise InputError(f"{name}: nothing is varied; --vary KEY=LO:HI says what")
+    if second and len(varied) > 1:
+        raise InputError(f"--over {over}: goes with one --vary, and there are {len(varied)}")
+    plain = [each.model_copy(update={"levels": None}).text for each in (*varied, *second)]
+    study = open_study(name, vary=plain, design="random", runs=1, **options)
+    if len(study.vary) > len(keys):
+        raise InputError(f"{name}: is a study, which draws; a search takes its scenario, {study.scenario}")
+    fine = _tolerances(tolerance, [each.key for each in varied])
+    first = study.base().seed if seed is None else seed
+    if not 0 <= first <= 2**53 - seeds:
+        raise InputError(f"--seed {first}: must be from 0 to {2**53 - seeds}")
+    plan = Plan(
+        spans=tuple(span(each, study.key(each.key), fine.get(each.key)) for each in varied),
+        over=Over(study.key(second[0].key), tuple(levels(second[0], study.key(second[0].key)))) if second else None,
+        seeds=tuple(range(first, first + seeds)),
+        share=share,
+        budget=budget,
+    )
+    if second:
+        check_vary(second[0], study.key(second[0].key))
+    return study, plan
+
+
+def _over(text: str | None) -> list[Vary]:
+    if text is None:
+        return []
+    second = parse_vary(text)
+    if not second.discrete:
+        raise InputError(f"--over {text}: say at how many values, {second.key}=LO:HI:N, or at which, {second.key}=A,B")
+    return [second]
+
+
+def _tolerances(texts: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
+    """``X`` where one key is varied, else ``KEY=X``."""
+    found: dict[str, float] = {}
+    for text in texts:
+        key, equals, number = text.rpartition("=")
+        key = key.strip() if equals else keys[0]
+        if key not in keys or (not equals and len(keys) > 1):
+            raise InputError(f"--tolerance {text}: write it as KEY=X with a key that is varied: {', '.join(keys)}")
+        try:
+            found[key] = float(number)
+        except ValueError as error:
+            raise InputError(f"--tolerance {text}: {number.strip()!r} is not a number") from error
+    return found
+
+
+def run_search(
+    study: Study,
+    plan: Plan,
+    out: Path,
+    workers: Workers,
+    resume: bool = False,
+    progress: Callable[[int], None] = lambda flights: None,
+) -> Searched:
+    """Search, and leave everything in ``out``; ``progress`` is told how many flights there are so far.
+
+    ``resume``: go on with what the folder holds, if it holds anything; nothing is flown twice.
+    Raises InputError if study or folder is not usable (another search's, in use, or one that is not resumed), and
+    nothing is overwritten then; FlightError if no more can be flown or written.
+    """
+    frozen = freeze(study)
+    try:
+        begun = _begun(out, frozen, plan, resume)
+        if not begun:
+            _begin(out, frozen, plan)
+        with locked(out / JOURNAL, f"{out}: another search is at work there"):
+            prober = Prober(load_study(out / STUDY), plan.seeds, plan.share, workers, Journal(out / JOURNAL), progress)
+            found = search(plan, prober)
+            shutil.rmtree(out / CASES, ignore_errors=True)  # of a search that was stopped while it flew them
+            cases = tuple(_cases(found, prober, out / CASES))
+            looked = [(point, prober.verdict(point).breaks) for point in prober.points]
+            searched = Searched(out, found, cases, looked)
+            _write(searched)
+    except OSError as error:
+        raise FlightError(f"{out}: {one_line(error)}") from error
+    return searched
+
+
+def _begun(out: Path, frozen: Frozen, plan: Plan, resume: bool) -> bool:
+    """Whether the folder holds this very search, to be gone on with; InputError if it holds anything else."""
+    if not out.exists() or not any(out.iterdir()):
+        return False
+    if not (out / QUESTION).is_file():
+        raise InputError(f"{out}: is not empty and holds no search; choose another folder")
+    if not resume:
+        raise InputError(f"{out}: already holds a search; choose another folder, or --resume goes on with it")
+    other = next(iter(frozen.differences(out / STUDY)), None)
+    there = read_toml(out / QUESTION)
+    here = question(plan)
+    differing = [key for key in here.keys() | there.keys() if here.get(key) != there.get(key)]
+    if other is None and differing:
+        key = min(differing)
+        other = f"{QUESTION}: {key} is {there.get(key)} there and {here.get(key)} here"
+    if other is not None:
+        raise InputError(f"{out}: holds another search; {other}")
+    return True
+
+
+def _begin(out: Path, frozen: Frozen, plan: Plan) -> None:
+    import tomli_w
+
+    (out / STUDY).mkdir(parents=True)
+    frozen.write(out / STUDY)
+    (out / JOURNAL).touch()
+    with replacing(out / QUESTION) as temporary:  # the last: a folder that has it has all
+        temporary.write_text(tomli_w.dumps(question(plan)), encoding="utf-8")
+
+
+def _cases(found: Found, prober: Prober, folder: Path) -> Iterator[Case]:
+    """Fly what breaks and what just holds once more, recorded in full."""
+    for name, point, breaks in _shown(found):
+        verdict = prober.verdict(point)
+        row = verdict.worst if breaks else _held(found, prober, point)
+        seed = int(row["seed"] or 0)
+        try:
+            run = fly(scenario_of(prober.study, prober.flight(point, seed)), folder / name)
+        except InputError as error:  # it could not be flown the first time either, which is how it failed
+            same = row["reason"] == str(error)
+            yield Case(name, point.controller, breaks, dict(point.values), seed, "failed", str(error), same)
+            continue
+        same = row["log_sha256"] == log_digest(run.log) and row["outcome"] == run.outcome
+        ended = why(prober.study, row) if same else f"{run.outcome}, {run.summary.reason}"
+        yield Case(name, point.controller, breaks, dict(point.values), seed, run.outcome, ended, same)
+
+
+def _held(found: Found, prober: Prober, point: Point) -> Row:
+    """The first flight of a point that held."""
+    rows = [prober.row(point, seed) for seed in found.plan.seeds]
+    return next((row for row in rows if row["success"]), rows[0])
+
+
+def _shown(found: Found) -> Iterator[tuple[str, Point, bool]]:
+    """The points that are worth a folder: the edges, of a curve the nearest on each side, and what breaks together."""
+    for controller in found.study.flown_with:
+        label = Path(controller).stem if is_path(controller) else controller
+        for edge in _edges(found, controller):
+            where = re.sub(r"[^A-Za-z0-9_.-]+", "_", f"{label}-{edge.key}-{edge.side}")
+            for breaks, value in ((True, edge.breaks), (False, edge.holds)):
+                if value is not None:
+                    point = found.plan.point(controller, {edge.key: value}, edge.level)
+                    yield f"{where}-{'breaks' if breaks else 'holds'}", point, breaks
+        for joint in found.joints:
+            if joint.controller == controller and _more_than_one(joint):
+                for breaks, values in ((True, joint.breaks), (False, joint.holds)):
+                    point = found.plan.point(controller, values)
+                    yield f"{label}-together-{'breaks' if breaks else 'holds'}", point, breaks
+
+
+def _edges(found: Found, controller: str) -> list[Edge]:
+    own = [edge for edge in found.edges if edge.controller == controller]
+    if found.plan.over is None:
+        return own
+    broken = [edge for edge in own if edge.deviation is not None]
+    nearest = {edge.side: edge for edge in sorted(broken, key=lambda each: abs(each.deviation or 0.0), reverse=True)}
+    return list(nearest.values())
+
+
+def _more_than_one(joint: Joint) -> bool:
+    return sum(value != 0.0 for value in joint.deviations.values()) > 1
+
+
+def _write(searched: Searched) -> None:
+    with replacing(searched.folder / RESULT) as temporary:
+        temporary.write_text(json.dumps(searched.to_dict(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_page(searched, searched.folder / REPORT)

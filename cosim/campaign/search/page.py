@@ -1,0 +1,381 @@
+"""What a search found, in words and figures: for the terminal and the page."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from math import cos, log10, pi, sin
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cosim.campaign.search.probe import Point
+from cosim.campaign.search.result import Searched
+from cosim.campaign.search.search import (
+    Edge,
+    Found,
+    Joint,
+    Plan,
+)
+from cosim.campaign.search.span import Span
+from cosim.campaign.study.keys import Value
+from cosim.campaign.study.study import is_path
+from cosim.results.report.flight_figures import (
+    GREEN,
+    GREY,
+    RED,
+    run_colour,
+)
+from cosim.results.report.page import render
+from cosim.results.run import REPORT, SCENARIO
+
+Figure = dict[str, Any]
+
+TEMPLATE = Path(__file__).parent / "templates" / "search.html"
+
+ROW_PX = 44
+MOST_POINTS = 1500  # of a controller, in a figure
+
+
+class Row(NamedTuple):
+    """An edge as a row of a table."""
+
+    controller: str
+    what: str
+    level: str
+    start: str
+    holds: str
+    breaks: str
+    change: str
+    then: str
+
+
+COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change", "then")
+
+
+def write_page(searched: Searched, path: Path) -> None:
+    """Write the page of a search.  Raises FlightError if the file cannot be written."""
+    found = searched.found
+    columns, rows = table(found)
+    cases = []
+    for case in searched.cases:
+        folder = searched.folder / "cases" / case.name
+        flown = (folder / REPORT).is_file()
+        values = ", ".join(f"{key} = {value}" for key, value in case.values.items())
+        link = Path(os.path.relpath(folder / REPORT, path.parent)).as_posix() if flown else ""
+        command = shlex.quote((folder / SCENARIO).as_posix())
+        told = {"what": values, "report": link, "command": command}
+        cases.append({name: getattr(case, name) for name in ("name", "seed", "outcome", "reason", "same")} | told)
+    render(
+        TEMPLATE,
+        path,
+        figures(found, searched.looked),
+        found=found,
+        base=found.study.base(),
+        controllers=[label(name) for name in found.study.flown_with],
+        labels={name: label(name) for name in found.study.flown_with},
+        columns=columns,
+        rows=rows,
+        fine=[how_fine(span) for span in found.plan.spans],
+        together=joint_lines(found),
+        cases=cases,
+    )
+
+
+def label(controller: str) -> str:
+    """A controller's name; of a file, the file's."""
+    return Path(controller).stem if is_path(controller) else controller
+
+
+def text(value: Value | None, unit: str = "") -> str:
+    """A value with its unit, as short as it is exact enough to be seen."""
+    if value is None:
+        return "-"
+    shown = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{shown} {unit}".strip()
+
+
+def table(found: Found) -> tuple[list[str], list[list[str]]]:
+    """Every edge: titles and rows, without the columns that are the same in all of them by what was asked."""
+    over = found.plan.over
+    titles = [over.key.path if title == "at" and over else title for title in COLUMNS]
+    left_out = {1} if len(found.plan.spans) == 1 else set()
+    left_out |= set() if over else {2}
+    kept = [k for k in range(len(COLUMNS)) if k not in left_out]
+    return [titles[k] for k in kept], [[_row(found, edge)[k] for k in kept] for edge in found.edges]
+
+
+def _row(found: Found, edge: Edge) -> Row:
+    over = found.plan.over
+    level = text(edge.level, over.key.unit) if over else ""
+    common = label(edge.controller), edge.key, level, text(edge.start, edge.unit)
+    if edge.start_breaks:
+        back = "nowhere" if edge.holds is None else f"again at {text(edge.holds)}"
+        return Row(*common, back, text(edge.breaks), "none", _then(edge))
+    if edge.breaks is None:
+        return Row(*common, f"{text(edge.end)}, the end", "-", "-", "")
+    return Row(*common, text(edge.holds), text(edge.breaks), _change(edge), _then(edge))
+
+
+def _change(edge: Edge) -> str:
+    start, breaks = float(edge.start), float(edge.breaks or 0.0)
+    if not start:
+        return f"{breaks - start:+.4g}"
+    percent = 100.0 * (breaks - start) / abs(start)
+    share = f"{percent:+.3g} %" if abs(percent) < 1000.0 else f"{breaks / start:.3g} times"
+    return f"{breaks - start:+.4g} ({share})"
+
+
+def _then(edge: Edge) -> str:
+    some = f"{edge.broken} of {edge.flown}: " if edge.flown > 1 else ""
+    back = "; holds again further out" if edge.comes_back and not edge.start_breaks else ""
+    return f"{some}{edge.reason}{back}"
+
+
+def how_fine(span: Span) -> str:
+    """How closely a key was looked at."""
+    unit = span.key.unit
+    fine = "exactly" if span.key.kind == "int" and span.tolerance <= 1.0 else f"to {text(span.tolerance, unit)}"
+    nominal = span.key.nominal
+    outside = isinstance(nominal, int | float) and not span.low <= nominal <= span.high
+    nearest = f", the end nearest to the scenario's {text(nominal)}," if outside else ""
+    return (
+        f"{span.key.path} from {text(span.at(0.0))}{nearest} within {text(span.low)} to {text(span.high, unit)}: "
+        f"scanned in steps of {span.step}, the first change bisected {fine}; "
+        "what lasts for less than a step may be missed"
+    )
+
+
+def joint_lines(found: Found) -> list[str]:
+    """What was found of several keys together, a line each."""
+    return [_joint(found, joint) for joint in found.joints]
+
+
+def _joint(found: Found, joint: Joint) -> str:
+    name = label(joint.controller)
+    effort = f"{joint.rays} directions, {joint.flights} flights" + (", all that were allowed" if joint.spent else "")
+    if joint.distance is None:
+        return f"{name}, together: nothing found that breaks it ({effort}), which does not show that nothing does"
+    if joint.distance == 0.0:
+        return f"{name}, together: breaks where the search starts"
+    moved = [key for key, deviation in joint.deviations.items() if deviation]
+    if len(moved) == 1:
+        return (
+            f"{name}, together: nothing nearer found than {moved[0]} alone, {joint.distance:.4g} of its range away "
+            f"({effort}); there may be something nearer"
+        )
+    units = {span.key.path: span.key.unit for span in found.plan.spans}
+    parts = ", ".join(f"{key} = {text(value, units[key])}" for key, value in joint.breaks.items())
+    alone = "" if joint.alone is None else f" (a single key alone: {joint.alone:.4g})"
+    return (
+        f"{name}, together: breaks at {parts}; {joint.distance:.4g} of the ranges away{alone}.  The smallest found in "
+        f"{effort}: an upper bound, there may be a smaller one"
+    )
+
+
+# ---- figures
+
+
+def figures(found: Found, prober_points: list[tuple[Point, bool]]) -> dict[str, Figure]:
+    """Plotly figures by name: ``curve`` or ``key0``, ``key1``, ..., and ``pair0``, ... for two keys together."""
+    if found.plan.over:
+        return {"curve": _curve(found)}
+    made = {f"key{number}": _bands(found, span) for number, span in enumerate(found.plan.spans)}
+    if len(found.plan.spans) == 2:
+        for number, joint in enumerate(found.joints):
+            looked = [each for each in prober_points if each[0].controller == joint.controller]
+            made[f"pair{number}"] = _pair(found.plan, joint, looked)
+    elif len(found.plan.spans) > 2:
+        made["shares"] = _shares(found)
+    return made
+
+
+def _bands(found: Found, span: Span) -> Figure:
+    """Where it holds and where it breaks, a bar for each controller."""
+    data: list[Figure] = []
+    edges = [edge for edge in found.edges if edge.key == span.key.path]
+    for edge in edges:
+        for first, last, breaks in edge.bands:
+            data.append(_bar(label(edge.controller), float(first), float(last), RED if breaks else GREEN))
+    names = list(dict.fromkeys(label(edge.controller) for edge in edges))
+    layout = _layout(110 + ROW_PX * len(names))
+    layout["annotations"] = [
+        _said(label(edge.controller), float(edge.breaks), text(edge.breaks, edge.unit), span.logarithmic)
+        for edge in edges
+        if edge.breaks is not None and not edge.start_breaks
+    ]
+    layout["shapes"] = [_upright(span.start)]
+    layout["xaxis"] = {"title": {"text": _title(span)}, "type": "log" if span.logarithmic else "linear"}
+    layout["yaxis"] = {"automargin": True, "type": "category", "range": [len(names) - 0.4, -0.6]}
+    return {"data": data, "layout": layout}
+
+
+def _bar(name: str, first: float, last: float, colour: str) -> Figure:
+    does = "breaks" if colour == RED else "holds"
+    return {
+        "type": "scatter",
+        "mode": "lines+markers",
+        "x": [first, last],
+        "y": [name, name],
+        "line": {"color": colour, "width": 10},
+        "marker": {"color": colour, "size": 10, "symbol": "square"},
+        "hovertemplate": f"{name}: {does} from {first:.6g} to {last:.6g}<extra></extra>",
+    }
+
+
+def _said(name: str, value: float, said: str, logarithmic: bool) -> Figure:
+    x = log10(value) if logarithmic else value
+    return {"x": x, "y": name, "text": said, "showarrow": False, "yshift": 15}
+
+
+def _curve(found: Found) -> Figure:
+    """The first key's edge over the second one, a line for each controller and side."""
+    over, span = found.plan.over, found.plan.spans[0]
+    assert over is not None
+    data: list[Figure] = []
+    for number, controller in enumerate(found.study.flown_with):
+        for side in ("up", "down"):
+            edges = [e for e in found.edges if e.controller == controller and e.side == side]
+            if edges:
+                data += _branch(
+                    edges, run_colour(number), label(controller), not any(d["name"] == label(controller) for d in data)
+                )
+    layout = _layout(460) | {"showlegend": True}
+    layout["shapes"] = [_level(span.start)]
+    layout["xaxis"] = {"title": {"text": f"{over.key.path} [{over.key.unit or '1'}]"}}
+    if over.key.kind in ("choice", "bool"):
+        layout["xaxis"]["type"] = "category"
+    layout["yaxis"] = {"title": {"text": _title(span)}, "type": "log" if span.logarithmic else "linear"}
+    return {"data": data, "layout": layout}
+
+
+def _branch(edges: list[Edge], colour: str, name: str, first: bool) -> list[Figure]:
+    known = [e for e in edges if e.breaks is not None]
+    line = {
+        "type": "scatter",
+        "mode": "lines+markers",
+        "name": name,
+        "legendgroup": name,
+        "showlegend": first,
+        "x": [e.level for e in edges],
+        "y": [None if e.breaks is None else float(e.breaks) for e in edges],
+        "line": {"color": colour, "width": 2},
+        "marker": {"color": colour, "size": 7},
+        "text": [f"holds to {text(e.holds)}, breaks at {text(e.breaks)}" for e in edges],
+        "hovertemplate": f"{name}, %{{x}}: %{{text}}<extra></extra>",
+    }
+    ends = [e for e in edges if e.breaks is None]
+    free = {
+        "type": "scatter",
+        "mode": "markers",
+        "name": name,
+        "legendgroup": name,
+        "showlegend": first and not known,
+        "x": [e.level for e in ends],
+        "y": [float(e.end) for e in ends],
+        "marker": {
+            "color": colour,
+            "size": 10,
+            "symbol": "triangle-up-open" if edges[0].side == "up" else "triangle-down-open",
+        },
+        "hovertemplate": f"{name}, %{{x}}: holds to the end, %{{y}}<extra></extra>",
+    }
+    return [line, free] if ends else [line]
+
+
+def _pair(plan: Plan, joint: Joint, looked: list[tuple[Point, bool]]) -> Figure:
+    """Every point of two keys that was flown, and the smallest that breaks, with what lies as near around the start."""
+    first, second = plan.spans
+    data: list[Figure] = []
+    for breaks, colour, name in ((False, GREEN, "holds"), (True, RED, "breaks")):
+        chosen = [dict(point.values) for point, broken in looked if broken == breaks][:MOST_POINTS]
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": name,
+                "x": [values[first.key.path] for values in chosen],
+                "y": [values[second.key.path] for values in chosen],
+                "marker": {"color": colour, "size": 5, "opacity": 0.6},
+            }
+        )
+    if joint.distance:
+        turns = [2.0 * pi * k / 180 for k in range(181)]
+        near = [(joint.distance * cos(t), joint.distance * sin(t)) for t in turns]
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": "as far from the start",
+                "x": [_at(first, x) for x, _ in near],
+                "y": [_at(second, y) for _, y in near],
+                "line": {"color": GREY, "width": 1.2, "dash": "dot"},
+                "hoverinfo": "skip",
+            }
+        )
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": "nearest that breaks",
+                "x": [joint.breaks[first.key.path]],
+                "y": [joint.breaks[second.key.path]],
+                "marker": {"color": RED, "size": 13, "symbol": "x"},
+            }
+        )
+    layout = _layout(520) | {"showlegend": True}
+    layout["xaxis"] = {"title": {"text": _title(first)}, "type": "log" if first.logarithmic else "linear"}
+    layout["yaxis"] = {"title": {"text": _title(second)}, "type": "log" if second.logarithmic else "linear"}
+    return {"data": data, "layout": layout}
+
+
+def _at(span: Span, deviation: float) -> float | None:
+    """A value on the circle; None where the range ends before it."""
+    if abs(deviation) > 1.0 or (1 if deviation > 0.0 else -1) not in span.sides:
+        return None if abs(deviation) > 1e-9 else span.start
+    return span.exact(deviation)
+
+
+def _shares(found: Found) -> Figure:
+    """By how much each key deviates in the nearest that breaks, of its range."""
+    data = [
+        {
+            "type": "bar",
+            "orientation": "h",
+            "name": label(joint.controller),
+            "y": list(joint.deviations),
+            "x": [100.0 * each for each in joint.deviations.values()],
+            "marker": {"color": run_colour(number)},
+            "hovertemplate": f"{label(joint.controller)}: %{{y}} %{{x:+.3g}} %<extra></extra>",
+        }
+        for number, joint in enumerate(found.joints)
+        if joint.distance is not None
+    ]
+    layout = _layout(130 + ROW_PX * len(found.plan.spans)) | {"showlegend": True}
+    layout["xaxis"] = {"title": {"text": "of the way to the end of the range [%]"}}
+    layout["yaxis"] = {"automargin": True, "autorange": "reversed"}
+    return {"data": data, "layout": layout}
+
+
+def _layout(height: int) -> Figure:
+    return {
+        "height": height,
+        "margin": {"l": 64, "r": 16, "t": 30, "b": 46},
+        "hovermode": "closest",
+        "showlegend": False,
+        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
+    }
+
+
+def _title(span: Span) -> str:
+    return f"{span.key.path} [{span.key.unit or '1'}]"
+
+
+def _upright(x: float) -> Figure:
+    return {"type": "line", "xref": "x", "yref": "paper", "x0": x, "x1": x, "y0": 0, "y1": 1, **_DOTTED}
+
+
+def _level(y: float) -> Figure:
+    return {"type": "line", "xref": "paper", "yref": "y", "x0": 0, "x1": 1, "y0": y, "y1": y, **_DOTTED}
+
+
+_DOTTED: Figure = {"line": {"color": GREY, "width": 1.4, "dash": "dot"}}

@@ -1,0 +1,164 @@
+"""Whether a vehicle breaks at a point: flown with every seed, by whoever flies, and never twice."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
+
+from cosim.base.errors import FlightError
+from cosim.base.files import one_line
+from cosim.campaign.study.keys import Value
+from cosim.campaign.study.plan import Flight
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import Row
+from cosim.campaign.workers.protocol import Workers
+
+Known = dict[tuple["Point", int], Row]
+
+
+@dataclass(frozen=True)
+class Point:
+    """A controller, and the values that are written over the scenario."""
+
+    controller: str
+    values: tuple[tuple[str, Value], ...]
+
+    @classmethod
+    def of(cls, controller: str, values: Mapping[str, Value]) -> Point:
+        """Values in any order make the same point."""
+        return cls(controller, tuple(sorted(values.items())))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a point's flights."""
+
+    broken: int
+    flown: int
+    breaks: bool
+    worst: Row  # of the first seed that broke, or else of the first
+
+
+class SpentError(Exception):
+    """No flight is left of those allowed."""
+
+
+def needed(share: float, flights: int) -> int:
+    """How many of a point's flights have to break before it does."""
+    return max(1, ceil(share * flights - 1e-9))
+
+
+class Prober:
+    """Flies points with every seed.
+
+    A point breaks if at least ``share`` of its flights do, and one in any case: where the flight does not end
+    ``completed``, or misses what the study asks for.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        seeds: Sequence[int],
+        share: float,
+        workers: Workers,
+        journal: Journal | None = None,
+        say: Callable[[int], None] = lambda flown: None,
+    ) -> None:
+        self.study = study
+        self.seeds = tuple(seeds)
+        self.needed = needed(share, len(self.seeds))
+        self.left: int | None = None  # flights that are still allowed; None: as many as it takes
+        self._workers = workers
+        self._journal = journal
+        self._say = say
+        self._known: Known = journal.read() if journal else {}
+        self._asked: dict[tuple[Point, int], None] = {}  # in the order in which they were
+
+    @property
+    def flights(self) -> int:
+        """How many flights were asked for."""
+        return len(self._asked)
+
+    @property
+    def points(self) -> list[Point]:
+        """Every point that was looked at, in order."""
+        return list(dict.fromkeys(point for point, _ in self._asked))
+
+    def look(self, points: Sequence[Point]) -> list[bool]:
+        """Whether each of them breaks.  Raises SpentError if that takes more flights than are allowed."""
+        self._fly(points)
+        return [self.verdict(point).breaks for point in points]
+
+    def verdict(self, point: Point) -> Verdict:
+        """What is known of a point that was looked at."""
+        rows = [self._known[point, seed] for seed in self.seeds]
+        broken = [row for row in rows if not row["success"]]
+        return Verdict(len(broken), len(rows), len(broken) >= self.needed, (broken or rows)[0])
+
+    def row(self, point: Point, seed: int) -> Row:
+        """The flight of a point that was looked at."""
+        return self._known[point, seed]
+
+    def flight(self, point: Point, seed: int, number: int = 0) -> Flight:
+        """The flight of a point with a seed."""
+        return Flight(number, number // len(self.seeds), point.controller, seed, dict(point.values))
+
+    def _fly(self, points: Sequence[Point]) -> None:
+        new = [(p, seed) for p in dict.fromkeys(points) for seed in self.seeds if (p, seed) not in self._asked]
+        if self.left is not None:
+            # what is known from before counts too: a search that is taken up again goes the way of one that was not
+            # interrupted
+            self.left -= len(new)
+            if self.left < 0:
+                raise SpentError
+        self._asked.update(dict.fromkeys(new))
+        wanted = [key for key in new if key not in self._known]
+        first = len(self._known)
+        asked = {first + number: key for number, key in enumerate(wanted)}
+        flights = [self.flight(*key, number) for number, key in asked.items()]
+        for row in self._workers.fly(self.study, flights):
+            key = asked.pop(int(row["flight"] or 0))
+            self._known[key] = row
+            if self._journal:
+                self._journal.add(*key, row)
+            self._say(len(self._known))
+        if asked:
+            raise FlightError(f"{len(asked)} flights were not flown")
+
+
+class Journal:
+    """Rows in a file, a line each as they come; what a killed search has flown is read back."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def read(self) -> Known:
+        """Every row that is whole; a torn last line is cut off.  Raises FlightError if the file cannot be read."""
+        found: Known = {}
+        try:
+            if not self.path.exists():
+                return found
+            with open(self.path, "rb+") as file:
+                while line := file.readline():
+                    if not line.endswith(b"\n"):
+                        file.truncate(file.tell() - len(line))
+                        break
+                    each = json.loads(line)
+                    found[Point.of(each["controller"], each["values"]), each["seed"]] = each["row"]
+        except OSError as error:
+            raise FlightError(f"{self.path}: {one_line(error)}") from error
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise FlightError(f"{self.path}: line {len(found) + 1} is not a flight of a search") from error
+        return found
+
+    def add(self, point: Point, seed: int, row: Row) -> None:
+        """Write one row.  Raises FlightError if that fails."""
+        line = {"controller": point.controller, "seed": seed, "values": dict(point.values), "row": row}
+        try:
+            with open(self.path, "a", encoding="utf-8") as file:
+                file.write(json.dumps(line) + "\n")
+        except OSError as error:
+            raise FlightError(f"{self.path}: {one_line(error)}") from error

@@ -1,0 +1,84 @@
+"""What a search found, with the flights that show it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.campaign.search.probe import Point
+from cosim.campaign.search.search import Found, Plan
+from cosim.campaign.study.keys import Value
+
+
+@dataclass(frozen=True)
+class Case:
+    """A flight of the result, flown again from its own scenario file."""
+
+    name: str  # of its folder in cases/
+    controller: str
+    breaks: bool
+    values: Mapping[str, Value]
+    seed: int
+    outcome: str
+    reason: str  # in words
+    same: bool  # as in the search, bit for bit
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A finished search and its folder."""
+
+    folder: Path
+    found: Found
+    cases: tuple[Case, ...]
+    looked: list[tuple[Point, bool]]  # every point that was flown, and whether it breaks
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether every case came out as it had in the search."""
+        return all(case.same for case in self.cases)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``search.json`` says."""
+        found, base = self.found, self.found.study.base()
+        return {
+            "folder": str(self.folder),
+            "scenario": base.name,
+            "aircraft": base.aircraft,
+            "engine": base.engine,
+            "controllers": found.study.flown_with,
+            "criterion": found.criterion,
+            **question(found.plan),
+            "flights": found.flights,
+            "alone": [asdict(edge) | {"comes_back": edge.comes_back} for edge in found.edges],
+            "together": [asdict(joint) for joint in found.joints],
+            "cases": [asdict(case) for case in self.cases],
+            "confirmed": self.confirmed,
+        }
+
+
+def question(plan: Plan) -> dict[str, Any]:
+    """A plan as a table."""
+    table: dict[str, Any] = {
+        "seeds": list(plan.seeds),
+        "share": plan.share,
+        "budget": plan.budget,
+        "keys": [
+            {
+                "key": each.key.path,
+                "unit": each.key.unit,
+                "low": each.low,
+                "high": each.high,
+                "start": each.start,
+                "points": each.points,
+                "tolerance": each.tolerance,
+                "logarithmic": each.logarithmic,
+            }
+            for each in plan.spans
+        ],
+    }
+    if plan.over:
+        table["over"] = {"key": plan.over.key.path, "unit": plan.over.key.unit, "levels": list(plan.over.levels)}
+    return table

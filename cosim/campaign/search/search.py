@@ -1,0 +1,414 @@
+"""The smallest change that breaks a controller: of one key, of one key over another, and of several together.
+
+One key is scanned from its value in the scenario outwards, both ways, and the first change is bisected: what is said is
+between which two flown values it lies.  Several keys together are searched by direction: the distance at which it
+breaks on a ray from the scenario's values is made small by differential evolution over the rays (scipy.optimize).  What
+that finds has been flown and does break; that nothing smaller does, nobody knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import sqrt
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.campaign.search.line_search import (
+    Between,
+    Scan,
+    outward,
+    side_by_side,
+)
+from cosim.campaign.search.probe import (
+    Point,
+    Prober,
+    SpentError,
+    needed,
+)
+from cosim.campaign.search.span import Span
+from cosim.campaign.study.keys import Key, Value
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import Row
+from cosim.results.metrics import check_expectations
+from cosim.results.wording import metric
+
+Array = NDArray[np.float64]
+Side = Literal["up", "down"]
+SIDES: dict[int, Side] = {1: "up", -1: "down"}
+
+RING = 0.1  # of the ranges: how far apart the places of a ray are looked at; chosen by us
+AT_ONCE = 3  # places of a ray, outwards, at a time
+COARSE = 0.02  # of the ranges: to which every ray is bisected
+FINE = 0.005  # the same of the best one
+RANDOM = 8  # directions at a time, as long as nothing that breaks is known
+BEYOND = 1.25  # times the nearest that breaks: further out a ray is not looked at
+
+
+@dataclass(frozen=True)
+class Over:
+    """A second key, and its values at which the first one is searched."""
+
+    key: Key
+    levels: tuple[Value, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is searched: a study says how a flight is made and judged, this where."""
+
+    spans: tuple[Span, ...]
+    over: Over | None = None
+    seeds: tuple[int, ...] = (1,)
+    share: float = 0.0  # of the flights of a point that have to break; 0: any of them
+    budget: int = 1000  # flights of a search of several keys together, for each controller
+
+    def point(self, controller: str, changed: Mapping[str, Value], level: Value | None = None) -> Point:
+        """Where every key is at its start but those that are ``changed``; ``level``: of the second key."""
+        values = {span.key.path: span.at(0.0) for span in self.spans} | dict(changed)
+        if self.over and level is not None:
+            values[self.over.key.path] = level
+        return Point.of(controller, values)
+
+
+@dataclass(frozen=True)
+class Edge:
+    """Where one key breaks one controller, on one side of where the search starts."""
+
+    controller: str
+    key: str
+    unit: str
+    side: Side
+    level: Value | None  # of the second key
+    start: Value
+    start_breaks: bool
+    holds: Value | None  # the last before ``breaks``; of a start that breaks, the first further out
+    breaks: Value | None  # the first value that breaks; None: none up to the end
+    end: Value
+    deviation: float | None  # of ``breaks``, as a share of the way to the end
+    bands: tuple[tuple[Value, Value, bool], ...]  # first and last value, and whether it breaks there
+    flown: int
+    broken: int  # of so many flights of the breaking point
+    outcome: str
+    reason: str  # of the first of them, in words
+
+    @property
+    def comes_back(self) -> bool:
+        """Whether it holds again further out than it breaks."""
+        first = next((place for place, (_, _, breaks) in enumerate(self.bands) if breaks), len(self.bands))
+        return any(not breaks for _, _, breaks in self.bands[first:])
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The smallest deviation of several keys together that was found to break one controller.
+
+    ``distance`` is the root of the sum of squares of the deviations, each a share of its range: an upper bound on the
+    smallest.  None of it: nothing broke on any ray.
+    """
+
+    controller: str
+    distance: float | None
+    breaks: Mapping[str, Value]
+    holds: Mapping[str, Value]  # the last that holds on the way there
+    deviations: Mapping[str, float]
+    alone: float | None  # the smallest distance of a single key that breaks
+    rays: int  # tried
+    flights: int
+    spent: bool  # ended because no more flights were allowed
+    outcome: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search came to."""
+
+    study: Study
+    plan: Plan
+    edges: tuple[Edge, ...]
+    joints: tuple[Joint, ...]
+    flights: int
+
+    @property
+    def criterion(self) -> str:
+        """When a point breaks, in words."""
+        metrics = []
+        for name, span in self.study.success.items():
+            metrics += [f"{name} is below {span.min:g}"] if span.min is not None else []
+            metrics += [f"{name} is above {span.max:g}"] if span.max is not None else []
+        one = " or ".join(["it does not end completed within its limits", *metrics])
+        count = len(self.plan.seeds)
+        if count == 1:
+            return f"the flight breaks if {one}"
+        least = needed(self.plan.share, count)
+        some = "any" if least == 1 else "all" if least == count else f"at least {least}"
+        return f"a flight breaks if {one}; a point if {some} of its {count} flights {'does' if least == 1 else 'do'}"
+
+    def smallest(self, controller: str) -> Edge | None:
+        """The edge of a controller with the smallest deviation, over all keys, sides and levels."""
+        broken = [e for e in self.edges if e.controller == controller and e.deviation is not None]
+        return min(broken, key=lambda each: abs(each.deviation or 0.0), default=None)
+
+
+def search(plan: Plan, prober: Prober) -> Found:
+    """Search every controller of the study.  Raises FlightError if flights cannot be flown."""
+    study = prober.study
+    edges = alone(plan, prober, study.flown_with)
+    joints: tuple[Joint, ...] = ()
+    if len(plan.spans) > 1:
+        joints = tuple(together(plan, prober, controller, edges) for controller in study.flown_with)
+    return Found(study, plan, tuple(edges), joints, prober.flights)
+
+
+def why(study: Study, row: Row) -> str:
+    """What became of a flight: how it ended, and of one that was completed, which metrics it did not keep."""
+    if row["outcome"] == "failed" and not row.get("steps"):
+        return f"not flown: {row['reason']}"
+    metrics = {name: row.get(name) for name in study.success}
+    above = [f"beyond its limit of {metric(name).label}" for name in str(row.get("beyond") or "").split()]
+    missed = check_expectations(metrics, study.success) if row["outcome"] == "completed" else []  # type: ignore[arg-type]
+    return f"{row['outcome']}, {'; '.join([*above, *missed]) or row['reason']}"
+
+
+# ---- one key
+
+
+@dataclass(frozen=True)
+class _Line:
+    """One walk: which controller, which key, which way, at which level of the second key."""
+
+    controller: str
+    span: int
+    side: int
+    level: int
+
+    def point(self, plan: Plan, place: float) -> Point:
+        span = plan.spans[self.span]
+        level = plan.over.levels[self.level] if plan.over else None
+        return plan.point(self.controller, {span.key.path: span.at(self.side * place)}, level)
+
+
+def alone(plan: Plan, prober: Prober, controllers: Sequence[str]) -> list[Edge]:
+    """Every key by itself, for every controller, side and level, all side by side."""
+    lines = [
+        _Line(controller, number, side, level)
+        for controller in controllers
+        for number, span in enumerate(plan.spans)
+        for side in span.sides
+        for level in range(len(plan.over.levels) if plan.over else 1)
+    ]
+    walks = {
+        line: outward(plan.spans[line.span].places(line.side), plan.spans[line.span].between(line.side))
+        for line in lines
+    }
+    scans = side_by_side(walks, lambda asked: prober.look([line.point(plan, place) for line, place in asked]))
+    return [_edge(plan, prober, line, scan) for line, scan in scans.items()]
+
+
+def _edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
+    span, side = plan.spans[line.span], line.side
+    near, far = scan.change or (None, None)
+    broken, held = (0.0, far) if scan.start_breaks else (far, near)
+
+    def at(place: float | None) -> Value | None:
+        return None if place is None else span.at(side * place)
+
+    shown = prober.verdict(line.point(plan, scan.places[-1] if broken is None else broken))
+    value = at(broken)
+    return Edge(
+        controller=line.controller,
+        key=span.key.path,
+        unit=span.key.unit,
+        side=SIDES[side],
+        level=plan.over.levels[line.level] if plan.over else None,
+        start=span.at(0.0),
+        start_breaks=scan.start_breaks,
+        holds=at(held),
+        breaks=value,
+        end=span.end(side),
+        deviation=None if value is None else span.deviation(float(value)),
+        bands=tuple((span.at(side * a), span.at(side * b), breaks) for a, b, breaks in scan.bands),
+        flown=shown.flown,
+        broken=shown.broken,
+        outcome=str(shown.worst["outcome"]),
+        reason=why(prober.study, shown.worst),
+    )
+
+
+# ---- several keys together
+
+
+class _Ray:
+    """The way from the start in one direction, to where the first key is at the end of its range; places 0 to 1."""
+
+    def __init__(self, plan: Plan, controller: str, direction: Array) -> None:
+        unit = direction / np.linalg.norm(direction)
+        self._plan, self._controller = plan, controller
+        self.reach = float(1.0 / np.max(np.abs(unit)))
+        self._to_end = unit * self.reach
+
+    def values(self, place: float) -> dict[str, Value]:
+        return {
+            span.key.path: span.at(place * float(part))
+            for span, part in zip(self._plan.spans, self._to_end, strict=True)
+        }
+
+    def point(self, place: float) -> Point:
+        return self._plan.point(self._controller, self.values(place))
+
+    def places(self, ring: float, limit: float) -> list[float]:
+        """Every ``ring``, up to the first at ``limit`` or beyond it."""
+        count = int(np.ceil(min(self.reach, limit) / ring - 1e-9))
+        return [min(1.0, number * ring / self.reach) for number in range(count + 1)]
+
+    def between(self, gap: float) -> Between:
+        def middle(near: float, far: float) -> float | None:
+            if (far - near) * self.reach <= gap * (1.0 + 1e-9):
+                return None
+            place = 0.5 * (near + far)
+            # whole numbers: there may be no other point between
+            return None if self.point(place) in (self.point(near), self.point(far)) else place
+
+        return middle
+
+
+class _Broken(NamedTuple):
+    """Where a ray breaks."""
+
+    distance: float
+    direction: Array
+    breaks: dict[str, Value]
+    holds: dict[str, Value]
+
+
+class _Rays:
+    """How far it holds in many directions."""
+
+    def __init__(self, plan: Plan, prober: Prober, controller: str, single: float | None) -> None:
+        self._plan, self._prober, self._controller = plan, prober, controller
+        self._single = single  # distance of the nearest key alone
+        self.best: _Broken | None = None
+        self.tried = 0
+
+    @property
+    def nothing_breaks(self) -> bool:
+        """Whether nothing that breaks is known."""
+        return self.best is None and self._single is None
+
+    @property
+    def limit(self) -> float:
+        """The distance up to which a ray is worth looking at."""
+        known = [self.best.distance] if self.best else []
+        known += [] if self._single is None else [self._single]
+        return BEYOND * min(known, default=sqrt(len(self._plan.spans)) / BEYOND)
+
+    def distances(self, directions: Array, ring: float = RING, gap: float = COARSE) -> Array:
+        """At which distance each of the directions (a column each) breaks first; the limit where it does not."""
+        limit = self.limit
+        rays = {
+            number: _Ray(self._plan, self._controller, column)
+            for number, column in enumerate(directions.T)
+            if np.linalg.norm(column) > 1e-9
+        }
+        walks = {number: outward(ray.places(ring, limit), ray.between(gap), AT_ONCE) for number, ray in rays.items()}
+        scans = side_by_side(
+            walks, lambda asked: self._prober.look([rays[number].point(place) for number, place in asked])
+        )
+        found = np.full(directions.shape[1], limit)
+        for number, scan in scans.items():
+            self.tried += 1
+            if scan.change is not None:
+                near, far = (rays[number].values(place) for place in scan.change)
+                found[number] = distance(self._plan, far)
+                if self.best is None or found[number] < self.best.distance:
+                    self.best = _Broken(float(found[number]), directions[:, number].copy(), far, near)
+        return found
+
+    def refine(self) -> None:
+        """Look closer at the best ray."""
+        if self.best is not None:
+            self.distances(self.best.direction[:, None], RING / 2.0, FINE)
+
+
+def together(plan: Plan, prober: Prober, controller: str, edges: Sequence[Edge]) -> Joint:
+    """The smallest deviation of all keys together that is found within the flights allowed."""
+    before = prober.flights
+    own = [e for e in edges if e.controller == controller and e.breaks is not None]
+    nearest = min(own, key=lambda each: abs(each.deviation or 0.0), default=None)
+    single = None if nearest is None else abs(nearest.deviation or 0.0)
+    rays = _Rays(plan, prober, controller, single)
+    spent = False
+    if nearest is None or not nearest.start_breaks:
+        prober.left = plan.budget
+        try:
+            _evolve(plan, rays)
+        except SpentError:
+            spent = True
+        prober.left = None
+    start = {span.key.path: span.at(0.0) for span in plan.spans}
+    breaks: Mapping[str, Value] = {}
+    holds: Mapping[str, Value] = {}
+    if nearest is not None and nearest.breaks is not None:
+        breaks = start | {nearest.key: nearest.breaks}
+        holds = start | {nearest.key: nearest.holds} if nearest.holds is not None else {}
+    rays.refine()
+    if rays.best is not None and (single is None or rays.best.distance < single):
+        breaks, holds = rays.best.breaks, rays.best.holds
+    shown = prober.verdict(plan.point(controller, breaks)).worst if breaks else {}
+    return Joint(
+        controller=controller,
+        distance=distance(plan, breaks) if breaks else None,
+        breaks=breaks,
+        holds=holds,
+        deviations={span.key.path: span.deviation(float(breaks[span.key.path])) for span in plan.spans if breaks},
+        alone=single,
+        rays=rays.tried,
+        flights=prober.flights - before,
+        spent=spent,
+        outcome=str(shown.get("outcome", "")),
+        reason=why(prober.study, shown) if shown else "",
+    )
+
+
+def distance(plan: Plan, values: Mapping[str, Value]) -> float:
+    """How far values are from where the search starts, in ranges."""
+    return sqrt(sum(span.deviation(float(values[span.key.path])) ** 2 for span in plan.spans))
+
+
+def _evolve(plan: Plan, rays: _Rays) -> None:
+    """Differential evolution over the directions: of each key alone, of the best so far, and random ones.
+
+    Before anything that breaks is known, random directions alone: there would be nothing to evolve from.
+    Deterministic; ends with the flights, or when the directions agree.
+    """
+    from scipy.optimize import differential_evolution
+
+    bounds = [(-1.0 if -1 in span.sides else 0.0, 1.0 if 1 in span.sides else 0.0) for span in plan.spans]
+    lower, upper = np.array(bounds).T
+    random = np.random.default_rng(1)
+
+    def anywhere(count: int) -> Array:
+        """Directions spread evenly over the sphere, as far as there is room."""
+        turned = random.standard_normal((count, len(bounds)))
+        side = np.where((turned < 0.0) & (lower == 0.0) | (turned > 0.0) & (upper == 0.0), -1.0, 1.0)
+        return np.asarray(side * turned / np.linalg.norm(turned, axis=1)[:, None])
+
+    while rays.nothing_breaks:
+        rays.distances(anywhere(RANDOM).T)
+    axes = [side * row for row, span in zip(np.eye(len(bounds)), plan.spans, strict=True) for side in span.sides]
+    known = [] if rays.best is None else [rays.best.direction / np.max(np.abs(rays.best.direction))]
+    differential_evolution(
+        rays.distances,
+        bounds,
+        init=np.array([*axes, *known, *anywhere(4 * len(bounds))]),
+        vectorized=True,
+        updating="deferred",
+        polish=False,
+        tol=0.005,
+        atol=COARSE / 4.0,
+        maxiter=1000,
+        rng=2,
+    )

@@ -1,0 +1,141 @@
+"""One key between two ends, and how far from where the search starts a value lies.
+
+A deviation is a number from -1 to 1: the share of the way from the start to the end on that side, in the logarithm
+where the range is logarithmic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, exp, log
+
+from cosim.base.errors import InputError
+from cosim.campaign.search.line_search import Between
+from cosim.campaign.study.distributions import Vary
+from cosim.campaign.study.keys import Key, Value
+from cosim.campaign.study.values import (
+    absolute_support,
+    check_vary,
+    quantum,
+    whole_bounds,
+)
+
+POINTS = 21  # of a scan over the whole range where nobody says how many; chosen by us
+FINE = 200  # parts of the range to which is bisected where nobody says how far; chosen by us
+
+
+@dataclass(frozen=True)
+class Span:
+    """The range of a key, scanned in ``points`` and bisected to ``tolerance`` in the key's unit.
+
+    ``start``: the key's value in the scenario, or the end nearest to it; the lower one if the scenario states none.
+    """
+
+    key: Key
+    low: float
+    high: float
+    start: float
+    points: int
+    tolerance: float
+    logarithmic: bool = False
+
+    @property
+    def sides(self) -> tuple[int, ...]:
+        """1 where there is room above the start, -1 where there is some below."""
+        return tuple(side for side in (1, -1) if self._reach(side) > 0.0)
+
+    @property
+    def whole(self) -> float | None:
+        """Of what the key takes whole multiples only; None: of nothing."""
+        return quantum(self.key)
+
+    @property
+    def step(self) -> str:
+        """The scan's step in words: what is narrower may be missed."""
+        if self.logarithmic:
+            return f"a factor of {(self.high / self.low) ** (1.0 / (self.points - 1)):.4g}"
+        step = (self.high - self.low) / (self.points - 1)
+        return f"{ceil(step / self.whole - 1e-9) * self.whole if self.whole else step:.4g}"
+
+    def end(self, side: int) -> Value:
+        """The last value on a side."""
+        return self.at(float(side))
+
+    def at(self, deviation: float) -> Value:
+        """The value at a deviation, as the key takes it."""
+        # twelve digits: 0.3 and not 0.30000000000000004; the ends are themselves
+        return self.key.fit(min(max(float(f"{self.exact(deviation):.12g}"), self.low), self.high))
+
+    def exact(self, deviation: float) -> float:
+        """The number at a deviation, whether or not the key takes it."""
+        there = self._forward(self.start) + deviation * self._reach(1 if deviation >= 0.0 else -1)
+        return exp(there) if self.logarithmic else there
+
+    def deviation(self, value: float) -> float:
+        """The deviation of a value."""
+        off = self._forward(value) - self._forward(self.start)
+        reach = self._reach(1 if off >= 0.0 else -1)
+        return off / reach if reach else 0.0
+
+    def places(self, side: int) -> list[float]:
+        """The places of a scan from the start to the end of a side, 0 to 1: no two of them have the same value."""
+        whole = self.whole
+        reach = self._reach(side)
+        step = (self._forward(self.high) - self._forward(self.low)) / (self.points - 1)
+        count = max(1, ceil(reach / step - 1e-9))
+        if whole is None or self.logarithmic:
+            found = [min(1.0, number * step / reach) for number in range(count + 1)]
+        else:
+            all_of_them = round(reach / whole)
+            found = [min(all_of_them, round(number * step / whole)) / all_of_them for number in range(count + 1)]
+        by_value = {self.at(side * place): place for place in found}
+        return list(by_value.values())
+
+    def between(self, side: int) -> Between:
+        """The middle of two places on a side; None where their values are within the tolerance, or neighbours."""
+        whole = self.whole
+
+        def middle(near: float, far: float) -> float | None:
+            a, b = float(self.at(side * near)), float(self.at(side * far))
+            if abs(b - a) <= max(self.tolerance, whole or 0.0) * (1.0 + 1e-9):
+                return None
+            if whole is None:
+                return 0.5 * (near + far)
+            value = round((a + b) / 2.0 / whole - 1e-9) * whole
+            return abs(self.deviation(value))
+
+        return middle
+
+    def _forward(self, value: float) -> float:
+        return log(value) if self.logarithmic else value
+
+    def _reach(self, side: int) -> float:
+        end = self.high if side > 0 else self.low
+        return abs(self._forward(end) - self._forward(self.start))
+
+
+def span(vary: Vary, key: Key, tolerance: float | None) -> Span:
+    """The span of a ``KEY=LO:HI`` or ``KEY=LO:HI:POINTS``.
+
+    Raises InputError for anything but a range of numbers, and for a tolerance that is none.
+    """
+    if vary.range is None or key.kind not in ("float", "int"):
+        raise InputError(f"--vary {vary.text}: a search needs a range of numbers, {key.path}=LO:HI or LO:HI:POINTS")
+    check_vary(vary.model_copy(update={"levels": None}), key)
+    low, high = absolute_support(vary, key)
+    whole = quantum(key)
+    if whole is not None:
+        first, last = whole_bounds(low, high, whole)
+        low, high = first * whole, last * whole
+    nominal = low if key.nominal is None else float(key.nominal)
+    if tolerance is not None and not 0.0 < tolerance < high - low:
+        raise InputError(f"--tolerance {key.path}={tolerance:g}: must be above 0 and below the range's {high - low:g}")
+    return Span(
+        key,
+        low,
+        high,
+        min(max(nominal, low), high),
+        vary.levels or POINTS,
+        tolerance or (1.0 if key.kind == "int" else (high - low) / FINE),
+        vary.scale == "log",
+    )

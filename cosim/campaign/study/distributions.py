@@ -1,0 +1,252 @@
+"""What one key of a study is drawn from: bounds, values or a distribution, in a file or as ``KEY=LO:HI`` on a line."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from math import inf, isfinite, log
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from cosim.base.errors import InputError
+from cosim.base.toml import (
+    Model,
+    Positive,
+    nearest,
+    validate,
+)
+
+FORMS = ("range", "values", "normal", "lognormal", "triangular")
+RELATIVE: dict[str, Literal["", "factor", "offset"]] = {"=": "", "*=": "factor", "+=": "offset"}
+USAGE = (
+    "write it as KEY=LO:HI, KEY=LO:HI:LEVELS, KEY=A,B,C, KEY=log(LO:HI), KEY=normal(MEAN,SD,LO,HI), "
+    "KEY=lognormal(MEDIAN,SIGMA,LO,HI) or KEY=triangular(LO,MODE,HI); *= for factors, += for offsets"
+)
+
+
+def _scalar(value: Any) -> Any:
+    if not isinstance(value, (bool, int, float, str)) or (isinstance(value, float) and not isfinite(value)):
+        raise ValueError("must be a finite number, true, false or a text")
+    return value
+
+
+Scalar = Annotated[bool | int | float | str, BeforeValidator(_scalar)]
+
+
+class Normal(Model):
+    """Normal with ``mean`` and standard deviation ``sd`` before it is truncated at ``min`` and ``max``."""
+
+    mean: float
+    sd: Positive
+    min: float | None = None
+    max: float | None = None
+
+
+class LogNormal(Model):
+    """``median * exp(sigma z)`` with z standard normal, truncated at ``min`` and ``max``."""
+
+    median: Positive
+    sigma: Positive
+    min: float | None = None
+    max: float | None = None
+
+
+class Triangular(Model):
+    """Density that rises from ``min`` to ``mode`` and falls to ``max``, linearly."""
+
+    min: float
+    mode: float
+    max: float
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Triangular:
+        if not (self.min < self.max and self.min <= self.mode <= self.max):
+            raise ValueError(f"min {self.min:g}, mode {self.mode:g}, max {self.max:g}: must grow in this order")
+        return self
+
+
+class Vary(Model):
+    """One key and what it is drawn from: exactly one of the ``FORMS``.
+
+    ``range`` is uniform, or uniform in the logarithm with ``scale = "log"``; ``levels`` makes that many grid points of
+    it, both ends among them.  Of ``values`` each is equally likely.  With ``relative`` what is drawn is a factor on the
+    key's nominal value, or an offset to it.  Where the key holds an integer, the integers within the bounds are drawn:
+    the distribution between k - 1/2 and k + 1/2 becomes k, so that under a uniform one all are equally likely.
+    """
+
+    key: str
+    range: tuple[float, float] | None = None
+    levels: Annotated[int, Field(ge=2, le=100_000)] | None = None
+    scale: Literal["linear", "log"] = "linear"
+    values: Annotated[list[Scalar], Field(min_length=2)] | None = None
+    normal: Normal | None = None
+    lognormal: LogNormal | None = None
+    triangular: Triangular | None = None
+    relative: Literal["", "factor", "offset"] = ""
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Vary:
+        given = [form for form in FORMS if getattr(self, form) is not None]
+        if len(given) != 1:
+            raise ValueError(f"{self.key}: give one of {', '.join(FORMS)}; {' and '.join(given) or 'none'} given")
+        if self.range is None and (self.levels is not None or self.scale != "linear"):
+            raise ValueError(f"{self.key}: levels and scale go with a range, not with {given[0]}")
+        return self
+
+    @model_validator(mode="after")
+    def _bounds(self) -> Vary:
+        low, high = self.support
+        if not self.values and low >= high:
+            raise ValueError(f"{self.key}: {_text(low)} to {_text(high)} is empty; the lower bound comes first")
+        if low <= 0.0 and (self.scale == "log" or self.lognormal is not None):
+            if self.scale == "log":
+                raise ValueError(f"{self.key}: a logarithmic range needs bounds above 0, not {_text(low)}")
+            if self.lognormal is not None and self.lognormal.min is not None:
+                raise ValueError(f"{self.key}: a lognormal number is above 0, and so must be min")
+        for name, form in (("normal", self.normal), ("lognormal", self.lognormal)):
+            if form is not None and not _reaches(form):
+                raise ValueError(f"{self.key}: {_text(low)} to {_text(high)} is too far out for this {name}")
+        return self
+
+    @model_validator(mode="after")
+    def _alike(self) -> Vary:
+        values = self.values or []
+        kinds = {"text" if isinstance(v, str) else "bool" if isinstance(v, bool) else "number" for v in values}
+        if len(kinds) > 1:
+            raise ValueError(f"{self.key}: values of different kinds: {', '.join(map(_text, values))}")
+        twice = next((v for n, v in enumerate(values) if v in values[:n]), None)
+        if twice is not None:
+            raise ValueError(f"{self.key}: {_text(twice)} is there twice")
+        if self.relative and kinds - {"number"}:
+            raise ValueError(f"{self.key}: a {self.relative} is a number, not {_text(values[0])}")
+        return self
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """The least and the largest number that can be drawn, before ``relative``; infinite where there is no bound."""
+        if self.range is not None:
+            return self.range
+        form = self.normal or self.lognormal or self.triangular
+        if form is not None:
+            least = 0.0 if self.lognormal else -inf
+            return (least if form.min is None else form.min, inf if form.max is None else form.max)
+        numbers = [float(v) for v in self.values or [] if not isinstance(v, str)]
+        return (min(numbers, default=-inf), max(numbers, default=inf))
+
+    @property
+    def discrete(self) -> bool:
+        """Whether it can be a side of a grid: values, or a range with levels."""
+        return self.values is not None or self.levels is not None
+
+    @property
+    def text(self) -> str:
+        """As the command line has it; :func:`parse_vary` makes the same of it."""
+        sign = next(sign for sign, relative in RELATIVE.items() if relative == self.relative)
+        return f"{self.key}{sign}{self._drawn_from()}"
+
+    def _drawn_from(self) -> str:
+        if self.values is not None:
+            return ",".join(_text(value) for value in self.values)
+        if self.range is not None:
+            span = ":".join(_text(number) for number in (*self.range, *([self.levels] if self.levels else [])))
+            return f"log({span})" if self.scale == "log" else span
+        if self.triangular is not None:
+            return (
+                f"triangular({_text(self.triangular.min)},{_text(self.triangular.mode)},{_text(self.triangular.max)})"
+            )
+        form = self.normal or self.lognormal
+        assert form is not None
+        name, (first, second) = (
+            ("normal", (form.mean, form.sd)) if isinstance(form, Normal) else ("lognormal", (form.median, form.sigma))
+        )
+        bounds = ["" if bound is None else _text(bound) for bound in (form.min, form.max)]
+        return f"{name}({','.join([_text(first), _text(second), *(bounds if any(bounds) else [])])})"
+
+
+def _reaches(form: Normal | LogNormal) -> bool:
+    """Whether the bounds leave something within 8 standard deviations: beyond it the inverse loses its digits."""
+    if isinstance(form, Normal):
+        low, high = ((bound - form.mean) / form.sd if bound is not None else None for bound in (form.min, form.max))
+    else:
+        low, high = (
+            log(bound / form.median) / form.sigma if bound is not None and bound > 0.0 else None
+            for bound in (form.min, form.max)
+        )
+    return (low is None or low < 8.0) and (high is None or high > -8.0)
+
+
+def parse_vary(text: str) -> Vary:
+    """Read ``KEY=LO:HI`` and its relatives, see ``USAGE``.
+
+    Bounds of ``normal`` and ``lognormal`` may be left out, one of them or both.  Raises InputError: one line.
+    """
+    match = re.fullmatch(r"\s*([^=*+\s]+)\s*(\*=|\+=|=)\s*(.+?)\s*", text)
+    if match is None:
+        raise InputError(f"--vary {text}: {USAGE}")
+    key, sign, what = match.groups()
+    table = {"key": key, "relative": RELATIVE[sign], **_read(what, text)}
+    return validate(Vary, table, f"--vary {text}")
+
+
+def _read(what: str, text: str) -> dict[str, Any]:
+    """The part behind the sign as the table that a study's file would have."""
+    called = re.fullmatch(r"([A-Za-z]+)\s*\((.*)\)", what)
+    if called is None:
+        if ":" in what:
+            return _span(what, text)
+        if "," in what:
+            return {"values": [_value(part) for part in what.split(",")]}
+        raise InputError(f"--vary {text}: one value does not vary; KEY=LO:HI or KEY=A,B do, or --set {text}")
+    name, inside = called.groups()
+    if name == "log":
+        return {**_span(inside, text), "scale": "log"}
+    takes = {"normal": ("mean", "sd"), "lognormal": ("median", "sigma"), "triangular": ("min", "mode", "max")}
+    if name not in takes:
+        raise InputError(f"--vary {text}: unknown distribution {name!r}; {nearest(name, [*takes, 'log'])}")
+    parts = [part.strip() for part in inside.split(",")]
+    names = takes[name] if name == "triangular" else (*takes[name], "min", "max")
+    if not len(takes[name]) <= len(parts) <= len(names):
+        raise InputError(f"--vary {text}: {name} takes {', '.join(names)}")
+    bounded = dict(zip(names, parts, strict=False))
+    left_out = [each for each, part in bounded.items() if not part and each in ("min", "max") and name != "triangular"]
+    return {name: {each: _number(part, text) for each, part in bounded.items() if each not in left_out}}
+
+
+def _span(what: str, text: str) -> dict[str, Any]:
+    parts = what.split(":")
+    if len(parts) not in (2, 3):
+        raise InputError(f"--vary {text}: {USAGE}")
+    table: dict[str, Any] = {"range": [_number(part, text) for part in parts[:2]]}
+    if len(parts) == 3:
+        if not re.fullmatch(r"\s*\d+\s*", parts[2]):
+            raise InputError(f"--vary {text}: {parts[2].strip()!r} is no number of levels: a whole one from 2 on")
+        table["levels"] = int(parts[2])
+    return table
+
+
+def _number(part: str, text: str) -> float:
+    try:
+        return float(part)
+    except ValueError as error:
+        raise InputError(f"--vary {text}: {part.strip() or 'nothing'!r} is not a number") from error
+
+
+def _value(part: str) -> Any:
+    """Read as TOML and, failing that, as a text."""
+    try:
+        return tomllib.loads(f"value = {part}")["value"]
+    except tomllib.TOMLDecodeError:
+        return part.strip()
+
+
+def _text(value: bool | int | float | str) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return number_text(value) if isinstance(value, float) else str(value)
+
+
+def number_text(value: float) -> str:
+    """As short as it can be said without losing a bit."""
+    short = f"{value:g}"
+    return short if float(short) == value else repr(value)

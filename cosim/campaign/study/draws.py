@@ -1,0 +1,296 @@
+"""The draws of a study: made from the study alone, the same on every machine, one block at a time.
+
+A design spreads points over the unit cube, one side for each varied key: those of ``random`` are independent; a
+``latin-hypercube`` of n runs has one in each nth of every side; those of ``sobol`` fill the cube evenly (scrambled).
+Each side is then bent into what its key is drawn from by the inverse of the distribution.  Correlated keys are bent
+together, through normal variables of that correlation (a Gaussian copula); in a Latin hypercube the points of a side
+change places instead (Iman and Conover, 1982), so that it stays one.
+
+A longer ``random`` or ``sobol`` study begins with the draws of the shorter one.  A Latin hypercube of another size is
+another one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from math import isfinite, log, prod
+from typing import Any, Protocol, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.campaign.study.distributions import Normal, Vary
+from cosim.campaign.study.keys import Key, Value
+from cosim.campaign.study.study import Study
+from cosim.campaign.study.values import (
+    absolute_support,
+    levels,
+    quantum,
+    whole,
+    whole_bounds,
+)
+
+Array = NDArray[np.float64]
+
+BLOCK = 1024  # draws made at a time: a power of two, for Sobol's sake
+POINTS, SEEDS = 0, 1  # what a study's seed is split into
+SMALLEST = 2.0**-54  # a share of 0 would be minus infinity under a normal distribution
+
+
+@dataclass(frozen=True)
+class Draw:
+    """What one flight is flown with, under every controller: absolute values by dotted key, and a seed."""
+
+    number: int
+    seed: int
+    values: dict[str, Value]
+
+
+class Draws(Sequence[Draw]):
+    """The draws of a study by number, from 0; a block of them is made when one is asked for."""
+
+    def __init__(self, study: Study) -> None:
+        self._count = study.draws
+        self._seed = study.seed
+        self._names = [vary.key for vary in study.vary]
+        keys = [study.key(name) for name in self._names]
+        self._points: Points = DESIGNS[study.design](study)
+        sides = [level if study.design == "grid" else inverse] * len(keys)
+        self._bend = [side(vary, key) for side, vary, key in zip(sides, study.vary, keys, strict=True)]
+        self._block: tuple[int, list[Draw]] = (-1, [])
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> Draw: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Draw]: ...
+
+    def __getitem__(self, index: int | slice) -> Draw | list[Draw]:
+        if isinstance(index, slice):
+            return [self[number] for number in range(*index.indices(self._count))]
+        number = range(self._count)[index]  # IndexError past the end
+        block, place = divmod(number, BLOCK)
+        if self._block[0] != block:
+            self._block = (block, list(self._make(block * BLOCK, min(self._count, (block + 1) * BLOCK))))
+        return self._block[1][place]
+
+    def _make(self, first: int, end: int) -> Iterator[Draw]:
+        points = self._points(first, end)
+        columns = [bend(points[:, place]) for place, bend in enumerate(self._bend)]
+        for number, values in enumerate(zip(*columns, strict=True), start=first):
+            yield Draw(number, flight_seed(self._seed, number), dict(zip(self._names, values, strict=True)))
+
+
+def draws(study: Study) -> Draws:
+    """The draws of ``study``."""
+    return Draws(study)
+
+
+def flight_seed(seed: int, number: int) -> int:
+    """The seed of a draw's noise and turbulence, from the study's seed and the draw's number alone.
+
+    53 bits, which every reader of the results takes without loss.
+    """
+    return int(np.random.SeedSequence(seed, spawn_key=(SEEDS, number)).generate_state(1, np.uint64)[0] >> 11)
+
+
+class Points(Protocol):
+    """Where the draws ``first`` to ``end - 1`` lie, of one block and from its start: a row for each, a column a key."""
+
+    def __call__(self, first: int, end: int) -> Array: ...
+
+
+class Grid:
+    """Every combination of the levels, by their places; the last key's changes fastest, a repeat begins anew."""
+
+    def __init__(self, study: Study) -> None:
+        self._sides = [len(levels(vary, study.key(vary.key))) for vary in study.vary]
+
+    def __call__(self, first: int, end: int) -> Array:
+        places = np.unravel_index(np.arange(first, end) % prod(self._sides), self._sides)
+        return np.stack(places, axis=1).astype(np.float64)
+
+
+class Random:
+    """Independent points; each block of them has its own generator, so that any can be had without those before it."""
+
+    def __init__(self, study: Study) -> None:
+        self._seed, self._sides = study.seed, len(study.vary)
+        self._correlate = _copula(study)
+
+    def __call__(self, first: int, end: int) -> Array:
+        random = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(POINTS, first // BLOCK)))
+        return self._correlate(np.maximum(random.random((end - first, self._sides)), SMALLEST))
+
+
+class Sobol:
+    """Sobol's sequence, scrambled."""
+
+    def __init__(self, study: Study) -> None:
+        self._seed, self._sides = study.seed, len(study.vary)
+        self._correlate = _copula(study)
+        self._engine, self._next = self._begin()
+
+    def __call__(self, first: int, end: int) -> Array:
+        if first < self._next:
+            self._engine, self._next = self._begin()
+        if first > self._next:
+            self._engine.fast_forward(first - self._next)
+        self._next = first + BLOCK
+        points: Array = self._engine.random(BLOCK)[: end - first]  # scipy warns of a first block of another length
+        return self._correlate(points + 2.0**-31)  # the middle of the point's cell: 30 bits, 0 among them
+
+    def _begin(self) -> tuple[Any, int]:
+        from scipy.stats import qmc
+
+        return qmc.Sobol(self._sides, scramble=True, bits=30, rng=_generator(self._seed)), 0
+
+
+class LatinHypercube:
+    """All points at once: 8 bytes for each key of each draw."""
+
+    def __init__(self, study: Study) -> None:
+        self._study = study
+        self._points: Array | None = None
+
+    def __call__(self, first: int, end: int) -> Array:
+        if self._points is None:
+            from scipy.stats import qmc
+
+            study = self._study
+            points = qmc.LatinHypercube(len(study.vary), rng=_generator(study.seed)).random(study.draws)
+            self._points = rearranged(np.maximum(points, SMALLEST), study.correlations())
+        return self._points[first:end]
+
+
+DESIGNS: dict[str, Callable[[Study], Points]] = {
+    "grid": Grid,
+    "latin-hypercube": LatinHypercube,
+    "random": Random,
+    "sobol": Sobol,
+}
+
+
+def _generator(seed: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(POINTS,)))
+
+
+def _correlated(matrix: Array) -> list[int]:
+    """The places of the keys that are correlated with any other."""
+    return [place for place, row in enumerate(matrix) if np.count_nonzero(row) > 1]
+
+
+def _copula(study: Study) -> Callable[[Array], Array]:
+    """Points of independent sides to points whose correlated sides go together."""
+    matrix = study.correlations()
+    sides = _correlated(matrix)
+    lower = np.linalg.cholesky(matrix[np.ix_(sides, sides)])
+
+    def correlate(points: Array) -> Array:
+        if not sides:
+            return points
+        from scipy.special import ndtr, ndtri
+
+        normal = ndtri(points[:, sides])
+        points = points.copy()
+        for row, side in enumerate(sides):
+            # summed here and not by a matrix product, whose order of additions is the machine's
+            together = sum(lower[row, column] * normal[:, column] for column in range(row + 1))
+            points[:, side] = np.clip(ndtr(together), SMALLEST, 1.0 - SMALLEST * 2.0)
+        return points
+
+    return correlate
+
+
+def rearranged(points: Array, matrix: Array) -> Array:
+    """Points whose sides keep their numbers and take another order, with (nearly) these correlations.
+
+    Normal scores of the ranks are freed of the correlation that they have by chance, given the one wanted, and the
+    numbers of each side are put into the order of the scores (Iman and Conover, 1982).
+    """
+    sides = _correlated(matrix)
+    if not sides:
+        return points
+    from scipy.special import ndtri
+
+    ranks = np.argsort(np.argsort(points[:, sides], axis=0), axis=0)
+    scores = ndtri((ranks + 0.5) / len(points))
+    wanted = np.linalg.cholesky(matrix[np.ix_(sides, sides)])
+    try:
+        by_chance = np.linalg.cholesky(np.corrcoef(scores, rowvar=False))
+    except np.linalg.LinAlgError:  # a few runs may lie in a line
+        by_chance = np.eye(len(sides))
+    scores = scores @ np.linalg.inv(by_chance).T @ wanted.T
+    order = np.argsort(np.argsort(scores, axis=0, kind="stable"), axis=0, kind="stable")
+    points = points.copy()
+    for column, side in enumerate(sides):
+        points[:, side] = np.sort(points[:, side])[order[:, column]]
+    return points
+
+
+def level(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
+    """Places on a side of the grid to values."""
+    found = levels(vary, key)
+    return lambda places: [found[int(place)] for place in places]
+
+
+def inverse(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
+    """Points of a side (0 to 1) to values of its key."""
+    if vary.values is not None:
+        found = levels(vary, key)
+        return lambda shares: [found[min(int(share * len(found)), len(found) - 1)] for share in shares]
+    bend = _distribution(vary, *_drawn_bounds(vary, key))
+    scale, shift = _relation(vary, key)
+    low, high = absolute_support(vary, key)
+    stepped = quantum(key) is not None
+
+    def values(shares: Array) -> list[Value]:
+        made = bend(shares) * scale + shift
+        if stepped:
+            return [key.fit(value) for value in whole(made.tolist(), vary, key)]
+        return list(np.clip(made, low, high).tolist())  # rounding may have left the bounds by a bit
+
+    return values
+
+
+def _relation(vary: Vary, key: Key) -> tuple[float, float]:
+    """Value = scale * drawn + shift."""
+    nominal = float(key.nominal or 0.0)
+    return {"": (1.0, 0.0), "factor": (nominal, 0.0), "offset": (1.0, nominal)}[vary.relative]
+
+
+def _drawn_bounds(vary: Vary, key: Key) -> tuple[float, float]:
+    """The bounds of the number that is drawn; half a step further out where it will be rounded to whole steps."""
+    step = quantum(key)
+    if step is None:
+        return vary.support
+    first, last = whole_bounds(*absolute_support(vary, key), step)
+    scale, shift = _relation(vary, key)
+    ends = [((end + half) * step - shift) / scale for end, half in ((first, -0.5), (last, 0.5))]
+    return min(ends), max(ends)
+
+
+def _distribution(vary: Vary, low: float, high: float) -> Callable[[Array], Array]:
+    """The inverse of the cumulative distribution within bounds."""
+    if vary.range is not None:
+        if vary.scale == "log":
+            ratio = log(high / low)
+            return lambda shares: low * np.exp(shares * ratio)
+        return lambda shares: low + shares * (high - low)
+    from scipy import stats
+
+    if vary.triangular is not None:
+        mode = (vary.triangular.mode - low) / (high - low)
+        return lambda shares: np.asarray(stats.triang.ppf(shares, mode, loc=low, scale=high - low))
+    form = vary.normal or vary.lognormal
+    assert form is not None
+    if isinstance(form, Normal):
+        ends = [(end - form.mean) / form.sd for end in (low, high)]
+        return lambda shares: form.mean + form.sd * stats.truncnorm.ppf(shares, *ends)
+    ends = [log(end / form.median) / form.sigma if end > 0.0 and isfinite(end) else end for end in (low, high)]
+    ends[0] = ends[0] if low > 0.0 else -np.inf
+    return lambda shares: form.median * np.exp(form.sigma * stats.truncnorm.ppf(shares, *ends))

@@ -1,0 +1,469 @@
+"""Everything of a flight that can be varied, by dotted key.
+
+A key names one value of a scenario (``environment.wind_ned_m_s.1``), of one of its entries by place
+(``disturbance.0.mass_kg``), of its vehicle (``vehicle.sensors.gyro.noise_rad_s``), of its engine
+(``engine_parameters.delay_samples``) or of one station's (``stations.3.parameters.gain``).  Places in lists are counted
+from 0, stations from 1 as they are numbered on the aircraft.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from math import inf, isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from cosim.base.errors import InputError
+from cosim.base.toml import merge
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.spec.scenario import Scenario, is_file
+from cosim.spec.vehicle import aircraft_names, load_vehicle
+
+if TYPE_CHECKING:
+    from cosim.engine.archive import Archive
+
+Value = float | int | str | bool
+Kind = Literal["float", "int", "bool", "choice"]
+
+# What the end of a name says of the unit, the longest first.
+UNITS = {
+    "per_unit": "",
+    "kg_m2": "kg m^2",
+    "n_m_s": "N m s",
+    "n_s_m": "N s/m",
+    "m_s25": "m/s^2.5",
+    "m_s15": "m/s^1.5",
+    "rad_s": "rad/s",
+    "deg_s": "deg/s",
+    "m_s3": "m/s^3",
+    "m_s2": "m/s^2",
+    "1_s2": "1/s^2",
+    "kg_s": "kg/s",
+    "m_s": "m/s",
+    "1_s": "1/s",
+    "n_m": "N m",
+    "samples": "samples",
+    "rad": "rad",
+    "deg": "deg",
+    "kg": "kg",
+    "hz": "Hz",
+    "m2": "m^2",
+    "m": "m",
+    "n": "N",
+    "s": "s",
+}
+ODD_UNITS = {"spring_n_m": "N/m", "reaction_m": "m"}  # a stiffness reads as a moment does
+WHOLE_STEPS = ("start_s", "duration_s", "width_s", "delay_s")  # of entries: counted in control steps
+LISTS = ("command", "disturbance", "fault")
+NOT_VARIED = ("seed", "expect", "name", "title", "description", "requests", "engine_unchecked", "limits")
+OWN_NAMES = re.compile(
+    r"(?P<head>engine_parameters|stations\.[^.]+\.parameters)\.(?P<name>.+)"
+    r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"
+)
+PLACE = re.compile(r"(?<=\.)\d+(?=\.|$)")
+OFFERED = 4  # names in a message
+
+
+@dataclass(frozen=True)
+class Key:
+    """One value that can be varied: what it is now, and what it may be."""
+
+    path: str
+    kind: Kind
+    nominal: Value | None  # as the scenario flies; None where it states none
+    unit: str = ""  # where the name says it
+    low: float = -inf
+    high: float = inf
+    open_low: bool = False  # ``low`` itself is not allowed
+    open_high: bool = False
+    choices: tuple[Value, ...] = ()
+    grid: float | None = None  # s: only whole multiples of it, because it is counted in control steps
+
+    @property
+    def allowed(self) -> str:
+        """The range or the names, in words."""
+        if self.kind == "bool":
+            return "true or false"
+        if self.choices:
+            return ", ".join(str(choice) for choice in self.choices)
+        what = "a whole number" if self.kind == "int" else "a number"
+        above, below = ("above" if self.open_low else "from"), ("below" if self.open_high else "to")
+        if isfinite(self.low) and isfinite(self.high):
+            return f"{what} {above} {self.low:g} {below} {self.high:g}"
+        if isfinite(self.low):
+            return f"{what} above {self.low:g}" if self.open_low else f"{what}, at least {self.low:g}"
+        if isfinite(self.high):
+            return f"{what} below {self.high:g}" if self.open_high else f"{what}, at most {self.high:g}"
+        return what
+
+    def fit(self, value: Value) -> Value:
+        """``value`` as the key takes it: rounded where the key counts something.
+
+        Raises InputError: one line with the key, the value and what is allowed.
+        """
+        if self.kind == "bool" and isinstance(value, bool):
+            return value
+        if self.kind == "choice":
+            if value in self.choices:
+                return self.choices[self.choices.index(value)]
+            if self._takes_files and is_file(str(value)):
+                return value
+        elif self.kind in ("float", "int") and isinstance(value, (int, float)) and not isinstance(value, bool):
+            number = self._rounded(float(value)) if isfinite(value) else value
+            if isfinite(number) and self._within(number):
+                return number
+        raise InputError(f"{self.path} = {value}: must be {self._wanted}")
+
+    @property
+    def _takes_files(self) -> bool:
+        return self.path.split(".")[-1] in ("engine", "controller")
+
+    @property
+    def _wanted(self) -> str:
+        return f"one of {self.allowed}" if self.kind == "choice" else self.allowed
+
+    def _rounded(self, value: float) -> float | int:
+        if self.kind == "int":
+            return round(value)
+        # a billionth of a step is noise of the division, and what a person wrote would not be that number again
+        return value if self.grid is None else float(f"{round(value / self.grid) * self.grid:.12g}")
+
+    def _within(self, value: float) -> bool:
+        above = value > self.low if self.open_low else value >= self.low
+        below = value < self.high if self.open_high else value <= self.high
+        return above and below
+
+
+def find_key(scenario: Scenario, text: str) -> Key:
+    """The key of that name, with its value in ``scenario``.
+
+    Raises InputError for a name that is no key (with the nearest ones of all), a table (with what is below it), or
+    something that no study can vary.
+    """
+    name = text.strip()
+    keys = {key.path: key for key in all_keys(scenario)}
+    if name in keys:
+        return keys[name]
+    below = [path for path in keys if path.startswith(f"{name}.")]
+    if below:
+        parts = list(dict.fromkeys(path.removeprefix(f"{name}.").split(".")[0] for path in below))
+        raise InputError(f"{name}: is not one value but several; below it: {', '.join(parts)}")
+    if name == "seed":
+        raise InputError("seed: every flight has one already, made from the seed of the whole")
+    head = name.split(".")[0]
+    if head in NOT_VARIED:
+        raise InputError(f"{name}: is not a number or a choice that could be varied")
+    if head in LISTS and head not in [path.split(".")[0] for path in keys]:
+        raise InputError(f"{name}: scenario {scenario.name} has no [[{head}]]")
+    raise InputError(f"unknown key {name!r}; {_nearest(name, keys)}")
+
+
+def all_keys(scenario: Scenario) -> list[Key]:
+    """Every key of a scenario with its aircraft and its engines: its own first, then vehicle, engine, stations.
+
+    Raises InputError if the aircraft or an engine is not usable.
+    """
+    vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle, f"scenario {scenario.name}: vehicle")
+    own = [key for name, field in Scenario.model_fields.items() for key in _scenario_keys(scenario, name, field)]
+    archive = _archive(scenario, scenario.engine)
+    return [
+        *own,
+        *_below("vehicle", vehicle),
+        *_parameters("engine_parameters", archive, scenario.engine_parameters),
+        *_station_keys(scenario, len(vehicle.jets)),
+    ]
+
+
+def matching(keys: Iterable[Key], pattern: str) -> list[Key]:
+    """The keys whose path has ``pattern`` in it; with ``*`` or ``?`` those that it describes as a whole.
+
+    Raises InputError if there is none.
+    """
+    found = list(keys)
+    kept = [
+        key for key in found if (fnmatchcase(key.path, pattern) if set(pattern) & set("*?") else pattern in key.path)
+    ]
+    if not kept:
+        raise InputError(f"no key matches {pattern!r}; {_nearest(pattern, [key.path for key in found])}")
+    return kept
+
+
+def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
+    """``scenario`` with ``values`` written over it by key, all at once; what it expected is left out.
+
+    Anything with a dotted path may be written, ``seed`` too.  Another aircraft comes with the engine that it is made
+    for, another engine takes every station, and a ``controller`` that is a file, as ``hexjet design`` writes it, brings
+    its gains.  Whether the vehicle and the engine take their values is seen when the flight is built.
+
+    Raises InputError for a value that the scenario does not take, and for keys that cannot hold together.
+    """
+    values = _with_own_engine(scenario, values)
+    _need_together(scenario, values)
+    changes, values = _controller_file(scenario, values)
+    for path, value in values.items():
+        *tables, last = split(path)
+        change: dict[str, Any] = {last: value}
+        for part in reversed(tables):
+            change = {part: change}
+        changes = merge(changes, change)
+    stated = scenario.model_dump(mode="json", exclude_none=True) | {"expect": []}
+    if values.get("engine", scenario.engine) != scenario.engine:
+        stated["stations"] = {}
+    return Scenario.from_table(merge(stated, changes), scenario.folder, f"scenario {scenario.name}")
+
+
+def split(path: str) -> list[str]:
+    """A key in its parts: a parameter of an engine and the name of an engine's file may have dots of their own."""
+    found = OWN_NAMES.fullmatch(path)
+    if not found:
+        return path.split(".")
+    if found["head"]:
+        return [*found["head"].split("."), found["name"]]
+    return [*found["file"].split("."), found["family"], found["axis"], *found["rest"].split(".")]
+
+
+def _with_own_engine(scenario: Scenario, values: Mapping[str, Value]) -> Mapping[str, Value]:
+    aircraft = values.get("aircraft", scenario.aircraft)
+    if aircraft == scenario.aircraft or "engine" in values:
+        return values
+    return {**values, "engine": load_vehicle(str(aircraft))[0].engine or scenario.engine}
+
+
+def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[dict[str, Any], Mapping[str, Value]]:
+    """What a controller file states, to be written under the other values; nothing where a controller is a name."""
+    path = str(values.get("controller", ""))
+    if not path.lower().endswith(".toml"):
+        return {}, values
+    from cosim.design.controller_file import read_controller
+
+    file = read_controller(Path(path))
+    aircraft = values.get("aircraft", scenario.aircraft)
+    if file.design.aircraft != aircraft:
+        raise InputError(f"{path}: designed for aircraft {file.design.aircraft!r}, not for {aircraft!r}")
+    if abs(float(values.get("step_s", scenario.step_s)) - file.design.step_s) > 1e-9:
+        raise InputError(f"{path}: designed for steps of {file.design.step_s:g} s, not of {scenario.step_s:g} s")
+    return {"vehicle": file.vehicle}, {**values, "controller": file.controller}
+
+
+def _need_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
+    """Refuse another aircraft or engine under values that were meant for the one that the scenario has."""
+    rules: list[tuple[str, str, Mapping[str, Any], tuple[str, ...]]] = [
+        ("aircraft", scenario.aircraft, scenario.vehicle, ("vehicle.",)),
+        ("engine", scenario.engine, scenario.engine_parameters, ("engine_parameters.", "stations.")),
+    ]
+    for path in [each for each in values if each.startswith("stations.") and each.endswith(".engine")]:
+        station = scenario.stations.get(path.split(".")[1])  # type: ignore[call-overload]
+        engine = (station and station.engine) or scenario.engine
+        rules.append((path, engine, station.parameters if station else {}, (path.replace("engine", "parameters."),)))
+    for key, own, stated, parts in rules:
+        if values.get(key, own) == own:
+            continue
+        clash = [path for path in values if path.startswith(parts)]
+        where = clash[0] if clash else f"{parts[0]}{next(iter(stated))}, which the scenario states," if stated else ""
+        if where:
+            raise InputError(
+                f"{key} = {values[key]}: {where} belongs to {own}, and would be written over the other one; "
+                f"vary one of them, or make one study for each {key}"
+            )
+
+
+def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[Key]:
+    value = getattr(scenario, name)
+    if name in NOT_VARIED or name in ("vehicle", "engine_parameters", "stations"):
+        return
+    if name in ("aircraft", "engine", "controller"):
+        yield Key(name, "choice", value, choices=tuple(_names(name)))
+    elif name in LISTS:
+        for place, entry in enumerate(value):
+            for key in _below(f"{name}.{place}", entry):
+                yield _of_entry(key, entry, scenario.step_s)
+    else:
+        yield from _leaves(name, _annotated(field), value)
+
+
+def _names(name: str) -> list[str]:
+    from cosim.engine import engine_names
+
+    if name == "controller":
+        return list(PREDICTORS)
+    return aircraft_names() if name == "aircraft" else engine_names()
+
+
+def _of_entry(key: Key, entry: BaseModel, step: float) -> Key:
+    """A key of a command, disturbance or fault: times in whole steps, the amplitude in the unit of its signal."""
+    last = key.path.split(".")[-1]
+    kind = str(getattr(entry, "kind", ""))
+    if last in WHOLE_STEPS and kind not in ("table", "sticks"):
+        return replace(key, grid=step)
+    if last == "amplitude" and hasattr(entry, "signal"):
+        return replace(key, unit=_unit(entry.signal))
+    return key
+
+
+def _below(path: str, value: BaseModel) -> Iterator[Key]:
+    """The keys of a table."""
+    for name, field in type(value).model_fields.items():
+        yield from _leaves(f"{path}.{name}", _annotated(field), getattr(value, name))
+
+
+def _annotated(field: FieldInfo) -> Any:
+    """A field's annotation with the bounds that pydantic keeps apart from it."""
+    return Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
+
+
+def _leaves(path: str, annotation: Any, value: Any) -> Iterator[Key]:
+    """The keys at and below ``path``, where ``value`` stands."""
+    if isinstance(value, BaseModel):
+        yield from _below(path, value)
+        return
+    plain, bounds = _peeled(annotation)
+    arguments = get_args(plain)
+    if isinstance(value, Mapping):
+        for name, each in value.items():
+            yield from _leaves(f"{path}.{name}", arguments[1] if len(arguments) == 2 else Any, each)
+    elif isinstance(value, (list, tuple)):
+        for place, each in enumerate(value):
+            inner = arguments[place] if get_origin(plain) is tuple and Ellipsis not in arguments else arguments[0]
+            yield from _leaves(f"{path}.{place}", inner, each)
+    else:
+        key = _leaf(path, plain, bounds, value)
+        if key is not None:
+            yield key
+
+
+def _leaf(path: str, plain: Any, bounds: list[Any], value: Any) -> Key | None:
+    """One value's key; None for text, tables that are not stated, and choices that are none."""
+    if get_origin(plain) is Literal:
+        choices = get_args(plain)
+        return Key(path, "choice", value, choices=choices) if len(choices) > 1 else None
+    if plain is bool:
+        return Key(path, "bool", value)
+    if plain not in (float, int):
+        return None
+    key = Key(path, "int" if plain is int else "float", value, _unit(path))
+    for bound in bounds:
+        if isinstance(bound, Ge):
+            key = replace(key, low=float(bound.ge))  # type: ignore[arg-type]
+        elif isinstance(bound, Gt):
+            key = replace(key, low=float(bound.gt), open_low=True)  # type: ignore[arg-type]
+        elif isinstance(bound, Le):
+            key = replace(key, high=float(bound.le))  # type: ignore[arg-type]
+        elif isinstance(bound, Lt):
+            key = replace(key, high=float(bound.lt), open_high=True)  # type: ignore[arg-type]
+    return key
+
+
+def _peeled(annotation: Any) -> tuple[Any, list[Any]]:
+    """What an annotation comes to without its wrappings and without None, and the bounds that were in them."""
+    bounds: list[Any] = []
+    while True:
+        if get_origin(annotation) is Annotated:
+            annotation, *more = get_args(annotation)
+            for each in more:
+                bounds += each.metadata if isinstance(each, FieldInfo) else [each]
+        elif _is_union(annotation):
+            left = [part for part in get_args(annotation) if part is not type(None)]
+            if len(left) != 1:
+                return annotation, bounds
+            annotation = left[0]
+        else:
+            return annotation, bounds
+
+
+def _is_union(annotation: Any) -> bool:
+    from types import UnionType
+
+    return get_origin(annotation) in (Union, UnionType)
+
+
+def _unit(path: str) -> str:
+    """The unit that the name says, its place in a list aside."""
+    name = next((part for part in reversed(path.split(".")) if not part.isdigit()), "")
+    if name in ODD_UNITS:
+        return ODD_UNITS[name]
+    return next((unit for end, unit in UNITS.items() if f"_{name}".endswith(f"_{end}")), "")
+
+
+def _archive(scenario: Scenario, engine: str) -> Archive:
+    """An engine's archive; a file is seen from the scenario's folder."""
+    from cosim.engine.spec import find_source
+
+    return find_source(str(scenario.folder / engine) if is_file(engine) else engine).archive
+
+
+def _parameters(path: str, archive: Archive, given: Mapping[str, float]) -> Iterator[Key]:
+    """The parameters that an engine declares and the simulation does not set itself."""
+    from cosim.engine.archive import INTEGERS
+
+    start = archive.ports["start"].variable.name if "start" in archive.ports else None
+    for variable in archive.parameters:
+        if variable.name == start or variable.start is None:
+            continue
+        whole = variable.type in INTEGERS or variable.type == "Boolean"
+        low, high = (0.0, 1.0) if variable.type == "Boolean" else (variable.min, variable.max)
+        nominal = given.get(variable.name, variable.start)
+        yield Key(
+            f"{path}.{variable.name}",
+            "int" if whole else "float",
+            round(nominal) if whole else nominal,
+            _declared(variable.name, variable.unit),
+            -inf if low is None else low,
+            inf if high is None else high,
+        )
+
+
+def _declared(name: str, unit: str | None) -> str:
+    return unit if unit and unit != "1" else _unit(name)
+
+
+def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
+    """What may stand at each station instead of the scenario's engine."""
+    from cosim.engine import engine_names
+
+    names = tuple(engine_names())
+    for number in range(1, jets + 1):
+        stated = scenario.stations.get(str(number))  # type: ignore[call-overload]
+        engine = stated.engine if stated else None
+        given = stated.parameters if stated else {}
+        yield Key(f"stations.{number}.engine", "choice", engine or scenario.engine, choices=names)
+        common = scenario.engine_parameters if engine is None else {}
+        archive = _archive(scenario, engine or scenario.engine)
+        yield from _parameters(f"stations.{number}.parameters", archive, {**common, **given})
+
+
+def _nearest(name: str, keys: Iterable[str]) -> str:
+    """Which keys were meant: those that end alike, or have its words in their parts."""
+    alike = {PLACE.sub("#", path): path for path in reversed(list(keys))}  # the first of those at different places
+    scored = sorted((-_likeness(name, path), len(path), path) for path in alike.values())
+    least = max(0.6, -scored[0][0] - 0.15)
+    close = [path for score, _, path in scored[:OFFERED] if -score >= least]
+    if close:
+        return f"did you mean {' or '.join([', '.join(close[:-1]), close[-1]] if len(close) > 1 else close)}?"
+    return "hexjet sweep SCENARIO --keys lists all of them"
+
+
+def _likeness(name: str, path: str) -> float:
+    """0 to 1: of ``name`` and the whole path, or as many of its last parts; places in lists do not count."""
+    if not name:
+        return 0.0
+    parts = [part for part in path.split(".") if not part.isdigit()]
+    wanted = [part for part in name.split(".") if not part.isdigit()] or [name]
+    tail = parts[-len(wanted) :]
+    if all(want in part for want, part in zip(wanted, tail, strict=False)) and len(tail) == len(wanted):
+        share = sum(map(len, wanted)) / sum(map(len, tail))
+        return 0.9 + 0.1 * share
+    plain = ".".join(wanted)
+    like = max(_ratio(plain, ".".join(each)) for each in (tail, parts))
+    return like if len(wanted) > 1 else max(like, *(0.95 * _ratio(plain, part) for part in parts))
+
+
+def _ratio(one: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, one, other).ratio()

@@ -1,0 +1,143 @@
+"""A study from the options of a command line: texts in, one checked study out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from math import inf, isfinite
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.base.paths import data_folder
+from cosim.base.toml import (
+    nearest,
+    parse_setting,
+    read_toml,
+    validate,
+)
+from cosim.campaign.study.distributions import parse_vary
+from cosim.campaign.study.study import (
+    DESIGNS,
+    Correlation,
+    Study,
+    dotted,
+    is_path,
+    study_names,
+)
+from cosim.spec.scenario import Range, Scenario, scenario_names
+
+
+def open_study(
+    name: str | Path,
+    *,
+    vary: Sequence[str] = (),
+    correlate: Sequence[str] = (),
+    success: Sequence[str] = (),
+    settings: Sequence[str] = (),
+    controllers: Sequence[str] = (),
+    design: str | None = None,
+    runs: int | None = None,
+    repeats: int | None = None,
+    seed: int | None = None,
+) -> Study:
+    """A study, or a scenario as one, with a command line's options written over it.
+
+    ``vary``, ``correlate``, ``success`` and ``settings`` are texts; what is given for a key replaces what the study has
+    for it, and ``controllers`` replace the study's.  Without a ``design`` a scenario is flown over a grid if every key
+    has levels or values and no ``runs`` are given, and else over a Latin hypercube.  Raises InputError.
+    """
+    data, folder, where = _opened(name)
+    listed = [parse_vary(text).model_dump(mode="json", exclude_none=True) for text in vary]
+    data["vary"] = _written_over(data.get("vary", []), listed, lambda table: table.get("key"))
+    pairs = [parse_correlate(text).model_dump(mode="json") for text in correlate]
+    data["correlate"] = _written_over(data.get("correlate", []), pairs, lambda table: frozenset(table.get("keys", [])))
+    data["success"] = {
+        **data.get("success", {}),
+        **{metric: span.model_dump(exclude_none=True) for metric, span in parse_success(success).items()},
+    }
+    data["settings"] = {
+        **dict(dotted(data.get("settings", {}))),
+        **{".".join(path): value for path, value in map(parse_setting, settings)},
+    }
+    if controllers:
+        data["controllers"] = [str(Path(each).absolute()) if is_path(each) else each for each in controllers]
+    given = {"design": design, "runs": runs, "repeats": repeats, "seed": seed}
+    data |= {key: value for key, value in given.items() if value is not None}
+    if not data["vary"]:
+        raise InputError(f"{where}: nothing varies; --vary KEY=LO:HI says what does")
+    data.setdefault("design", _usual_design(data))
+    if data["design"] not in DESIGNS:
+        raise InputError(f"--design {data['design']}: {nearest(str(data['design']), DESIGNS)}")
+    return Study.from_table(data, folder, where)
+
+
+def _opened(name: str | Path) -> tuple[dict[str, Any], Path, str]:
+    """The table of a study's file, or one that has nothing but a scenario."""
+    path = Path(name)
+    if path.suffix != ".toml" and not path.is_file():
+        if str(name) in study_names():
+            path = data_folder("studies") / f"{name}.toml"
+        elif str(name) in scenario_names():
+            return {"name": str(name), "scenario": str(name)}, Path(), f"scenario {name}"
+        else:
+            names = [*study_names(), *scenario_names()]
+            raise InputError(
+                f"unknown study or scenario {str(name)!r}; {nearest(str(name), names)}, or the path of a .toml file"
+            )
+    if not path.is_file():
+        raise InputError(f"{path}: no such study or scenario file")
+    table = read_toml(path)
+    if "vary" in table or "scenario" in table:
+        return table, path.parent, str(path)
+    scenario = Scenario.from_table(table, path.parent, str(path))
+    return {"name": scenario.name, "scenario": str(path.absolute())}, path.parent, str(path)
+
+
+def _usual_design(data: Mapping[str, Any]) -> str:
+    discrete = all("levels" in table or "values" in table for table in data["vary"])
+    return "grid" if discrete and data.get("runs") is None else "latin-hypercube"
+
+
+def _written_over(tables: Any, new: list[dict[str, Any]], what: Any) -> list[Any]:
+    """``tables`` with those of ``new`` in the place of what has the same key, or behind all."""
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        return [tables] if new == [] else new  # the model says what is wrong with it
+    replaced = {what(table): table for table in new}
+    if len(replaced) < len(new):
+        return [*tables, *new]  # the model says which one is there twice
+    kept = [replaced.pop(what(table), table) for table in tables]
+    return [*kept, *replaced.values()]
+
+
+def parse_correlate(text: str) -> Correlation:
+    """Read ``KEY,KEY=R``.  Raises InputError: one line."""
+    match = re.fullmatch(r"\s*([^=,\s]+)\s*,\s*([^=,\s]+)\s*=\s*(\S+)\s*", text)
+    if match is None:
+        raise InputError(f"--correlate {text}: write it as KEY,KEY=R with the rank correlation R above -1 and below 1")
+    try:
+        rank = float(match[3])
+    except ValueError as error:
+        raise InputError(f"--correlate {text}: {match[3]!r} is not a number") from error
+    return validate(Correlation, {"keys": [match[1], match[2]], "rank": rank}, f"--correlate {text}")
+
+
+def parse_success(texts: Iterable[str]) -> dict[str, Range]:
+    """Read ``METRIC<=X`` and ``METRIC>=X``; one of each for a metric makes a span.  Raises InputError: one line."""
+    found: dict[str, dict[str, float]] = {}
+    for text in texts:
+        match = re.fullmatch(r"\s*([^<>=\s]+)\s*(<=|>=)\s*(\S+)\s*", text)
+        if match is None:
+            raise InputError(f"--success {text}: write it as METRIC<=X or METRIC>=X")
+        try:
+            limit = float(match[3])
+        except ValueError as error:
+            raise InputError(f"--success {text}: {match[3]!r} is not a number") from error
+        side = "max" if match[2] == "<=" else "min"
+        if not isfinite(limit) or side in found.get(match[1], {}):
+            raise InputError(f"--success {text}: {'there is one already' if isfinite(limit) else 'must be finite'}")
+        found.setdefault(match[1], {})[side] = limit
+    empty = next((metric for metric, span in found.items() if span.get("min", -inf) > span.get("max", inf)), None)
+    if empty is not None:
+        raise InputError(f"--success {empty}: nothing lies between {found[empty]['min']:g} and {found[empty]['max']:g}")
+    return {metric: Range(**span) for metric, span in found.items()}

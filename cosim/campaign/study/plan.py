@@ -1,0 +1,83 @@
+"""The flights of a study: every draw with every controller, numbered from 0.
+
+Flights of one draw are neighbours: they meet the same numbers, the same noise and the same turbulence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, overload
+
+from cosim.campaign.study.keys import Value, with_values
+from cosim.campaign.study.study import Study, is_path
+
+if TYPE_CHECKING:
+    from cosim.campaign.study.draws import Draw
+    from cosim.spec.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flight of a study; ``values`` are absolute, by dotted key.
+
+    A ``controller`` that is a file is named as seen from the study's folder.
+    """
+
+    number: int
+    draw: int
+    controller: str
+    seed: int
+    values: Mapping[str, Value]
+
+
+class _Flights(Sequence[Flight]):
+    """Made when asked for: a study of a million flights is not held in memory."""
+
+    def __init__(self, draws: Sequence[Draw], controllers: Sequence[str]) -> None:
+        self._draws = draws
+        self._controllers = controllers
+
+    def __len__(self) -> int:
+        return len(self._draws) * len(self._controllers)
+
+    @overload
+    def __getitem__(self, index: int) -> Flight: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Flight]: ...
+
+    def __getitem__(self, index: int | slice) -> Flight | Sequence[Flight]:
+        if isinstance(index, slice):
+            return [self[each] for each in range(*index.indices(len(self)))]
+        number = range(len(self))[index]  # IndexError past the end, which iteration needs
+        draw_number, place = divmod(number, len(self._controllers))
+        draw = self._draws[draw_number]
+        return Flight(number, draw.number, self._controllers[place], draw.seed, draw.values)
+
+
+def flights(study: Study) -> Sequence[Flight]:
+    """Every flight of ``study``, in the order in which they are flown."""
+    from cosim.campaign.study.draws import draws
+
+    return _Flights(draws(study), controllers(study))
+
+
+def controllers(study: Study) -> list[str]:
+    """What each draw is flown with, as the rows name it: a file by its name as seen from the study's folder."""
+    return [_seen_from(study.folder, name) for name in study.flown_with]
+
+
+def scenario_of(study: Study, flight: Flight) -> Scenario:
+    """The scenario of one flight, which expects nothing.  Raises InputError if its values make none."""
+    name = flight.controller
+    controller = str(study.folder / name) if is_path(name) else name
+    return with_values(study.base(), {**flight.values, "controller": controller, "seed": flight.seed})
+
+
+def _seen_from(folder: Path, controller: str) -> str:
+    """A controller's file by its name where it is in the folder, so that rows are the same wherever that is."""
+    if is_path(controller) and Path(controller).is_relative_to(folder.absolute()):
+        return Path(controller).relative_to(folder.absolute()).as_posix()
+    return controller

@@ -1,0 +1,334 @@
+"""A study as its TOML states it: which scenario is flown, what is drawn for each flight, and what counts as success.
+
+One draw gives every varied key a value, and one seed to the noise and the turbulence of its flight.  Each draw is flown
+with every controller of the study, so that controllers are compared on the same draws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from math import pi, prod, sin
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, PrivateAttr, model_validator
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.paths import data_folder, files_in
+from cosim.base.toml import (
+    Model,
+    nearest,
+    read_toml,
+    set_path,
+    validate,
+)
+from cosim.campaign.study.distributions import Vary, parse_vary
+from cosim.campaign.study.keys import (
+    Key,
+    find_key,
+    split,
+    with_values,
+)
+from cosim.campaign.study.values import check_vary
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.spec.scenario import Range, Scenario, find_scenario
+
+__all__ = ["Correlation", "Study", "Vary", "check", "find_study", "parse_vary", "study_names"]
+
+Design = Literal["grid", "latin-hypercube", "random", "sobol"]
+DESIGNS: tuple[Design, ...] = ("grid", "latin-hypercube", "random", "sobol")
+MOST_DRAWS = 10_000_000  # chosen by us: a year of this machine; more is a typing error
+OWN_COLUMNS = {  # a row of the campaign has these itself
+    "controller": "list controllers (--controller): each draw is flown with every one",
+    "seed": "every draw has a seed of its own, made from the study's",
+    "duration_s": "a row says under this name how long the flight lasted; set it with --set",
+}
+
+
+def _once_each(names: list[str]) -> list[str]:
+    twice = next((name for place, name in enumerate(names) if name in names[:place]), None)
+    if twice is not None:
+        raise ValueError(f"{twice} is there twice")
+    return names
+
+
+class Correlation(Model):
+    """The rank correlation (Spearman's) of what is drawn for two keys; their distributions stay as they are."""
+
+    keys: tuple[str, str]
+    rank: Annotated[float, Field(gt=-1.0, lt=1.0)]
+
+    @property
+    def normal(self) -> float:
+        """The correlation of two normal variables with this rank correlation: 2 sin(pi rank / 6) (Pearson, 1907)."""
+        return 2.0 * sin(pi * self.rank / 6.0)
+
+
+class Study(Model):
+    """Many flights of one scenario."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    title: str = ""
+    description: str = ""
+    scenario: str  # a name in scenarios/, or a file as seen from the study's folder
+    settings: dict[str, Any] = Field(
+        default_factory=dict
+    )  # written over the scenario by dotted key, as hexjet fly --set does
+    controllers: Annotated[list[str], AfterValidator(_once_each)] = Field(default_factory=list)  # none: the scenario's
+    design: Design
+    runs: Annotated[int, Field(ge=1, le=MOST_DRAWS)] | None = None  # draws; a grid has as many as it has points
+    repeats: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 1  # of a whole grid, with other seeds
+    seed: Annotated[int, Field(ge=0, lt=2**53)] = 1
+    vary: Annotated[list[Vary], Field(min_length=1)]
+    correlate: list[Correlation] = Field(default_factory=list)
+    success: dict[str, Range] = Field(default_factory=dict)  # metrics that must hold beside a completed flight
+
+    _folder: Path = PrivateAttr(default_factory=Path)
+    _where: str = PrivateAttr(default="study")
+    _base: Scenario | None = PrivateAttr(default=None)  # once it is needed
+    _keys: dict[str, Key] = PrivateAttr(default_factory=dict)
+
+    @property
+    def folder(self) -> Path:
+        """What relative file names in the study start from."""
+        return self._folder
+
+    @property
+    def draws(self) -> int:
+        """How many draws; times the controllers, how many flights."""
+        if self.design != "grid":
+            assert self.runs is not None
+            return self.runs
+        return self.repeats * prod(_levels(vary) for vary in self.vary)
+
+    @property
+    def flown_with(self) -> list[str]:
+        """The controllers, one at least."""
+        return self.controllers or [self.base().controller]
+
+    def base(self) -> Scenario:
+        """The scenario with the study's settings, before any draw; what it expected is left out."""
+        if self._base is None:
+            path = _scenario_path(self.scenario, self.folder)
+            data = read_toml(path)
+            for key, value in dotted(self.settings):
+                set_path(data, split(key), value, f"{self._where}: settings")
+            where = f"{self._where}: settings" if self.settings else str(path)
+            self._base = Scenario.from_table({**data, "expect": []}, path.parent, where)
+        return self._base
+
+    def key(self, name: str) -> Key:
+        """A varied key, with the nominal value that factors and offsets start from."""
+        if name not in self._keys:
+            self._keys[name] = find_key(self.base(), name)
+        return self._keys[name]
+
+    def correlations(self) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """The correlation matrix of normal variables that gives the ranks asked for, in the order of ``vary``."""
+        places = {vary.key: place for place, vary in enumerate(self.vary)}
+        matrix = np.eye(len(self.vary))
+        for each in self.correlate:
+            a, b = (places[key] for key in each.keys)
+            matrix[a, b] = matrix[b, a] = each.normal
+        return matrix
+
+    def notes(self) -> list[str]:
+        """What is allowed and yet worth a word before flying."""
+        if self.design == "sobol" and self.draws & (self.draws - 1):
+            below = 1 << (self.draws.bit_length() - 1)
+            return [
+                f"sobol: {self.draws} runs are no power of two; Sobol's points are balanced at {below} and {2 * below}"
+            ]
+        return []
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both state the same, wherever they were read."""
+        return isinstance(other, Study) and self.table() == other.table()
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def table(self) -> dict[str, Any]:
+        """The study as a table of TOML, with what it states and no defaults."""
+        stated = self.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+        return {key: stated[key] for key in Study.model_fields if key in stated}
+
+    def resolved(self, scenario: Path | None = None) -> Study:
+        """The same study, valid in any folder: files by absolute path.
+
+        ``scenario``: a file that has the settings in it already, to be flown instead; a relative path stays relative to
+        the study's folder, that of the file which :meth:`save` writes.
+        """
+        changes: dict[str, Any] = {}
+        if scenario is not None:
+            changes = {"scenario": scenario.as_posix(), "settings": {}}
+        elif is_path(self.scenario):
+            changes = {"scenario": str(_scenario_path(self.scenario, self.folder).absolute())}
+        return self.changed(**changes)
+
+    def changed(self, **changes: Any) -> Study:
+        """A copy with these fields, not checked against the scenario."""
+        copy = self.model_copy(update=changes)
+        copy._base, copy._keys = None, {}
+        return copy
+
+    def save(self, path: Path) -> None:
+        """Write the study as TOML.  Raises FlightError if that fails."""
+        import tomli_w
+
+        try:
+            path.write_text(tomli_w.dumps(self.table(), multiline_strings=True), encoding="utf-8")
+        except OSError as error:
+            raise FlightError(f"{path}: {error.strerror or error}") from error
+
+    @classmethod
+    def load(cls, name: str | Path) -> Study:
+        """Read a study by its name in ``studies/`` or by path.
+
+        Raises InputError for an unknown name (lists the known ones), wrong TOML, or a wrong key or value.
+        """
+        path = find_study(name)
+        return cls.from_table(read_toml(path), path.parent, str(path))
+
+    @classmethod
+    def from_table(cls, data: Mapping[str, Any], folder: Path, where: str) -> Study:
+        """Validate a parsed table and check it against its scenario; ``where`` names its source in the error."""
+        study = validate(cls, data, where)
+        study._folder, study._where = folder, where
+        files = [str((folder / name).absolute()) if is_path(name) else name for name in study.controllers]
+        study = study.model_copy(update={"controllers": files}) if files != study.controllers else study
+        check(study, where)
+        return study
+
+    @model_validator(mode="after")
+    def _design_fits(self) -> Study:
+        """A grid has points and no number of runs; whatever is drawn has a number of runs and no levels."""
+        if self.design != "grid":
+            for vary in self.vary:
+                if vary.levels is not None:
+                    raise ValueError(
+                        f"{vary.key} has {vary.levels} levels, which only a grid has; leave them out under "
+                        f"design = {self.design!r}, or give every key levels or values under design = 'grid'"
+                    )
+            if self.runs is None:
+                raise ValueError(f"runs is missing (--runs): how many draws the {self.design} has")
+            if self.repeats != 1:
+                raise ValueError(f"repeats: only a grid is repeated; a {self.design} has more runs instead")
+            return self
+        for vary in self.vary:
+            if not vary.discrete:
+                raise ValueError(
+                    f"{vary.key} needs levels or values in a grid, such as {vary.key}=LO:HI:5; distributions belong to "
+                    "latin-hypercube, random and sobol"
+                )
+        if self.runs is not None:
+            raise ValueError("runs: a grid has as many draws as it has points; repeats flies it more than once")
+        if self.draws > MOST_DRAWS:
+            raise ValueError(f"a grid of {self.draws} draws; at most {MOST_DRAWS}")
+        return self
+
+    @model_validator(mode="after")
+    def _correlations_fit(self) -> Study:
+        """Each pair once, of keys that have an order, and all together possible."""
+        by_key = {vary.key: vary for vary in self.vary}
+        pairs: set[frozenset[str]] = set()
+        for each in self.correlate:
+            if self.design == "grid":
+                raise ValueError("correlate: the points of a grid are not drawn; use latin-hypercube, random or sobol")
+            for key in each.keys:
+                if key not in by_key:
+                    raise ValueError(f"correlate: {key!r} is not varied; {nearest(key, by_key)}")
+                if any(isinstance(value, (str, bool)) for value in by_key[key].values or []):
+                    raise ValueError(f"correlate: the values of {key} have no order, and no correlation")
+            if each.keys[0] == each.keys[1]:
+                raise ValueError(f"correlate: {each.keys[0]} with itself")
+            if frozenset(each.keys) in pairs:
+                raise ValueError(f"correlate: {each.keys[0]} and {each.keys[1]} are there twice")
+            pairs.add(frozenset(each.keys))
+        smallest = float(np.linalg.eigvalsh(self.correlations())[0])
+        if smallest < 1e-6:
+            raise ValueError(
+                "correlate: these correlations cannot hold together (the matrix is not positive definite: its smallest "
+                f"eigenvalue is {smallest:.3g})"
+            )
+        needed = 1 + len({key for pair in pairs for key in pair})
+        if pairs and self.design == "latin-hypercube" and (self.runs or 0) < needed:
+            raise ValueError(f"runs = {self.runs}: a latin-hypercube with these correlations needs at least {needed}")
+        return self
+
+
+def check(study: Study, where: str) -> None:
+    """Hold a study against its scenario: keys, their ranges, controllers, metrics.
+
+    Raises InputError: one line with the key, the value and what is allowed.
+    """
+    from cosim.results.metrics import metric_names
+
+    for name in study.controllers:
+        if not is_path(name) and name not in PREDICTORS:
+            raise InputError(f"{where}: controllers: unknown controller {name!r}; {nearest(name, PREDICTORS)}")
+    for name in study.success:
+        if name not in metric_names():
+            raise InputError(f"{where}: success: unknown metric {name!r}; {nearest(name, metric_names())}")
+    seen: set[str] = set()
+    for vary in study.vary:
+        if vary.key in OWN_COLUMNS:
+            raise InputError(f"{where}: vary {vary.key}: {OWN_COLUMNS[vary.key]}")
+        if vary.key in seen:
+            raise InputError(f"{where}: vary {vary.key}: is there twice")
+        seen.add(vary.key)
+    try:
+        for vary in study.vary:
+            check_vary(vary, study.key(vary.key))
+        for controller in study.flown_with:  # files exist, and are for this aircraft
+            with_values(study.base(), {"controller": controller})
+        _check_together(study)
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from error
+
+
+def _levels(vary: Vary) -> int:
+    return len(vary.values) if vary.values is not None else vary.levels or 1
+
+
+def study_names() -> list[str]:
+    """Every study that is shipped."""
+    return files_in("studies")
+
+
+def find_study(name: str | Path) -> Path:
+    """The file of a study given by name or path."""
+    path = Path(name)
+    if path.suffix == ".toml" or path.is_file():
+        if not path.is_file():
+            raise InputError(f"{path}: no such study file")
+        return path
+    if str(name) not in study_names():
+        raise InputError(f"unknown study {str(name)!r}; {nearest(str(name), study_names())}, or a path")
+    return data_folder("studies") / f"{name}.toml"
+
+
+def dotted(settings: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, Any]]:
+    """Nested tables as dotted keys, as the command line has them."""
+    for key, value in settings.items():
+        if isinstance(value, Mapping) and value:
+            yield from dotted(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", value
+
+
+def _check_together(study: Study) -> None:
+    """Another aircraft or engine can be drawn together with what else is drawn."""
+    nominal = {vary.key: study.key(vary.key).nominal for vary in study.vary}
+    stated = {name: value for name, value in nominal.items() if value is not None}
+    for vary in study.vary:
+        for value in (vary.values or []) if vary.key.split(".")[-1] in ("aircraft", "engine") else []:
+            with_values(study.base(), {**stated, vary.key: value})
+
+
+def is_path(name: str) -> bool:
+    return name.lower().endswith(".toml") or "/" in name
+
+
+def _scenario_path(name: str, folder: Path) -> Path:
+    return find_scenario(folder / name if is_path(name) else name)

@@ -1,0 +1,109 @@
+"""From a number that was drawn to the value of a key: factors and offsets, whole numbers, levels of a grid."""
+
+from __future__ import annotations
+
+from math import ceil, exp, floor, isfinite, log
+
+from cosim.base.errors import InputError
+from cosim.campaign.study.distributions import Vary
+from cosim.campaign.study.keys import Key, Value
+
+
+def check_vary(vary: Vary, key: Key) -> None:
+    """One key and what it is drawn from."""
+    if key.kind in ("choice", "bool"):
+        if vary.values is None:
+            raise InputError(f"vary {vary.text}: {key.path} is one of {key.allowed}; list values of them")
+        for value in vary.values:
+            key.fit(value)
+        return
+    if any(isinstance(value, (str, bool)) for value in vary.values or []):
+        raise InputError(f"vary {vary.text}: {key.path} must be {key.allowed}")
+    if vary.relative:
+        if key.nominal is None:
+            raise InputError(f"vary {vary.text}: the scenario states no {key.path} that a {vary.relative} could be of")
+        if vary.relative == "factor" and not key.nominal:
+            raise InputError(f"vary {vary.text}: {key.path} is 0, and stays so times any factor; += adds to it")
+    low, high = absolute_support(vary, key)
+    if not _inside(low, high, key):
+        shown = f"{low:g} to {high:g}"
+        unbounded = "" if isfinite(low) and isfinite(high) else "; state min and max, it is truncated there"
+        raise InputError(f"vary {vary.text}: {key.path} would be {shown}, and must be {key.allowed}{unbounded}")
+    _check_steps(vary, key, low, high)
+
+
+def _check_steps(vary: Vary, key: Key, low: float, high: float) -> None:
+    """Whole numbers, and times of whole steps: there are enough of them for what is asked."""
+    step = quantum(key)
+    if step is None:
+        return
+    what = "whole numbers" if key.kind == "int" else f"whole steps of {step:g} s"
+    for value in [] if vary.relative else vary.values or []:
+        if abs(round(float(value) / step) * step - float(value)) > 1e-6 * step:
+            raise InputError(f"vary {vary.text}: {key.path} = {value}: takes {what}")
+    first, last = whole_bounds(low, high, step)
+    wanted = len(vary.values or []) or vary.levels or 2
+    found = 0 if last < first else len(set(levels(vary, key))) if vary.discrete else int(min(last - first + 1.0, 2.0))
+    if found < wanted:
+        raise InputError(f"vary {vary.text}: {key.path} takes {what}; {wanted} are needed, and here are {found}")
+
+
+def levels(vary: Vary, key: Key) -> list[Value]:
+    """The points of a grid: the values, or the levels of a range with both ends among them, evenly or in ratio."""
+    if key.kind in ("choice", "bool"):
+        return [key.fit(value) for value in vary.values or []]
+    if vary.values is not None:
+        drawn = [float(value) for value in vary.values]
+    else:
+        assert vary.range is not None
+        drawn = _between(*vary.range, vary.levels or 2, vary.scale == "log")
+    return [key.fit(value) for value in whole([absolute(each, vary, key) for each in drawn], vary, key)]
+
+
+def _between(low: float, high: float, count: int, in_ratio: bool) -> list[float]:
+    """``count`` numbers from ``low`` to ``high``; those between rounded to 12 digits (0.3, not 0.30000000000000004)."""
+    shares = [place / (count - 1) for place in range(1, count - 1)]
+    inner = [low * exp(share * log(high / low)) if in_ratio else low + share * (high - low) for share in shares]
+    return [low, *(float(f"{each:.12g}") for each in inner), high]
+
+
+def whole(values: list[float], vary: Vary, key: Key) -> list[float]:
+    """Values to the nearest that the key takes and that lies within the bounds, where it takes steps only."""
+    step = quantum(key)
+    if step is None:
+        return values
+    first, last = whole_bounds(*absolute_support(vary, key), step)
+    return [min(max(floor(value / step + 0.5), first), last) * step for value in values]
+
+
+def quantum(key: Key) -> float | None:
+    """Of what the key takes whole multiples only: 1 for integers, the control step for times; None: of nothing."""
+    return 1.0 if key.kind == "int" else key.grid
+
+
+def whole_bounds(low: float, high: float, step: float) -> tuple[float, float]:
+    """The first and the last whole number of steps within bounds; infinite where a bound is."""
+    slack = 1e-9  # the division's rounding must not cost the bound itself
+    first = float(ceil(low / step - slack)) if isfinite(low) else low
+    return first, float(floor(high / step + slack)) if isfinite(high) else high
+
+
+def absolute(drawn: float, vary: Vary, key: Key) -> float:
+    """The value that a drawn number stands for."""
+    if not vary.relative:
+        return drawn
+    assert isinstance(key.nominal, (int, float))
+    return drawn * key.nominal if vary.relative == "factor" else drawn + key.nominal
+
+
+def absolute_support(vary: Vary, key: Key) -> tuple[float, float]:
+    """The least and the largest value that the key can get."""
+    ends = [absolute(end, vary, key) for end in vary.support]
+    return min(ends), max(ends)
+
+
+def _inside(low: float, high: float, key: Key) -> bool:
+    """Whether all between, a bound that is never reached aside, is allowed."""
+    above = low > key.low if key.open_low and isfinite(low) else low >= key.low
+    below = high < key.high if key.open_high and isfinite(high) else high <= key.high
+    return above and below

@@ -1,0 +1,1 @@
+"""Who flies: processes here, machines elsewhere."""

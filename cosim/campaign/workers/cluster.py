@@ -1,0 +1,421 @@
+"""Flights on a Dask cluster: the only module that imports ``distributed``.
+
+A task is a few flights of a study.  The study travels with them by its contents, so that a worker needs the package and
+no file, and whoever joins later can fly too.  Tasks of a worker that is lost are Dask's to give to another; a flight is
+a function of its study alone, so that flying it again makes the same row.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import logging
+import os
+import warnings
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from itertools import count as numbers
+from itertools import islice
+from math import ceil
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Thread
+from time import monotonic, sleep
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+from uuid import uuid4
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.scratch import scratch
+from cosim.campaign.folder import Frozen, freeze
+from cosim.campaign.workers import remote
+from cosim.campaign.workers.flight_row import Row, failed_row
+from cosim.campaign.workers.protocol import time_limit
+
+if TYPE_CHECKING:
+    from cosim.campaign.study.plan import Flight
+    from cosim.campaign.study.study import Study
+
+# Chosen by us.
+CONNECT_S = 4.0  # until a scheduler must have answered
+FIRST_WORKER_S = 10.0  # until it must have a worker
+NO_WORKER_S = 120.0  # the same in the middle of a campaign: a batch system takes a machine away and brings another
+CHECK_S = 20.0  # until a worker should have said what is installed there; one that is busy says it with its first task
+CLOSE_S = 2.0  # for a connection to be closed as it should be
+LOOK_S = 1.0  # how often it is looked how many workers there are
+TASK_S = 0.5  # of work in a task: a hundred times what it takes to hand one out
+MOST_IN_TASK = 64  # flights
+TASKS_A_THREAD = 2  # one that is flown and one that waits
+
+
+class DaskWorkers:
+    """The workers of the Dask scheduler at ``address``, or for None ``count`` threads of this process.
+
+    ``address`` is one such as ``tcp://host:8786``, or a scheduler file (``.json``).  Whatever else Dask needs to know,
+    such as certificates for ``tls://``, it takes from its own configuration.  ``time_limit_s``: as for LocalWorkers.
+
+    Raises InputError if Dask is not installed, the scheduler does not answer or has no workers, or what is installed
+    with a worker is not what is installed here.
+    """
+
+    def __init__(self, address: str | None, count: int | None = None, time_limit_s: float | None = None) -> None:
+        if time_limit_s is not None and not time_limit_s > 0.0:
+            raise InputError(f"time limit = {time_limit_s:g} s: must be above 0")
+        if address is not None and count is not None:
+            raise InputError(f"--workers {count}: a cluster has the workers that it has; leave it out with --cluster")
+        self._dask = _dask()
+        self._time_limit = time_limit_s
+        self._where = address or "the cluster of this process"
+        self._frozen: tuple[Study, Frozen] | None = None
+        self._cluster: Any = None
+        self._client: Any = None
+        self._quiet = _Quiet()
+        try:
+            self._client = self._there(address) if address else self._here(count or len(os.sched_getaffinity(0)))
+            self._threads = _Threads(self._client)
+            self._check_workers()
+        except BaseException:
+            self.close()
+            raise
+
+    def _here(self, count: int) -> Any:
+        # Threads of this process: what they do they do in processes of their own, started by command.
+        self._cluster = self._dask.LocalCluster(
+            n_workers=1,
+            threads_per_worker=count,
+            processes=False,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+            memory_limit=0,
+            local_directory=str(scratch()),
+        )
+        return self._dask.Client(self._cluster, set_as_default=False)
+
+    def _there(self, address: str) -> Any:
+        found = _scheduler_at(address)
+        with warnings.catch_warnings():  # of versions: those that matter are looked at here
+            warnings.simplefilter("ignore")
+            try:
+                return self._dask.Client(found, timeout=CONNECT_S, set_as_default=False, name="hexjet")
+            except (OSError, ValueError, TypeError) as error:
+                raise InputError(f"--cluster {address}: {_line(error)}") from error
+
+    def _check_workers(self) -> None:
+        """Refuse workers that would fly something else."""
+        end = monotonic() + FIRST_WORKER_S
+        while not (workers := self._threads.look()):
+            if monotonic() > end:
+                place = f"--scheduler-file {self._where}" if self._where.endswith(".json") else self._where
+                raise InputError(f"--cluster {self._where}: has no workers; one is started with: dask worker {place}")
+            sleep(0.1)
+        told = {name: self._client.submit(remote.installed, workers=[name], pure=False) for name in workers}
+        end = monotonic() + CHECK_S
+        for name, future in told.items():
+            try:
+                theirs = future.result(timeout=max(0.1, end - monotonic()))
+            except TimeoutError:
+                continue
+            except Exception as error:
+                raise InputError(f"--cluster {self._where}: worker {name}: {_told(error)}") from error
+            wrong = remote.differences(theirs, remote.installed())
+            if wrong:
+                raise InputError(f"--cluster {self._where}: worker {name} has {', '.join(wrong)}")
+
+    def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
+        """See :class:`cosim.campaign.workers.protocol.Workers`."""
+        limit = time_limit(study) if self._time_limit is None else self._time_limit
+        tasks = _Tasks(self._client, study, self._packed(study), flights, limit)
+        try:
+            while not tasks.done:
+                tasks.hand_out(TASKS_A_THREAD * self._threads.count)
+                yield from tasks.collect()
+                self._need_cluster()
+        finally:
+            tasks.cancel()
+
+    def _packed(self, study: Study) -> Frozen:
+        """Everything that flying ``study`` elsewhere takes."""
+        if self._frozen is None or self._frozen[0] is not study:
+            self._frozen = study, freeze(study)
+        return self._frozen[1]
+
+    def _need_cluster(self) -> None:
+        """Raise FlightError if there is nobody any more who could fly."""
+        if self._client.status in ("closing", "closed"):
+            raise FlightError(f"{self._where}: the scheduler is lost")
+        without = self._threads.without_s
+        if without > NO_WORKER_S:
+            raise FlightError(f"{self._where}: has had no workers for {without:.0f} s")
+
+    def close(self) -> None:
+        client, cluster = self._client, self._cluster
+        self._client = self._cluster = None
+        try:
+            if client is not None and client.status == "running":
+                client.run(_end_idle, wait=False, on_error="ignore")
+            for each in (client, cluster):
+                with suppress(TimeoutError):
+                    if each is not None:
+                        each.close(timeout=CLOSE_S)
+            if cluster is not None:
+                remote.end_idle()
+        finally:
+            self._quiet.end()
+
+    def __enter__(self) -> DaskWorkers:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class _Threads:
+    """How many flights the cluster can fly at a time, asked every now and then."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._known: dict[str, int] = {}
+        self._asked = -LOOK_S
+        self._seen = monotonic()  # when there last was one
+
+    @property
+    def count(self) -> int:
+        if monotonic() > self._asked + LOOK_S:
+            self.look()
+        return sum(self._known.values())
+
+    @property
+    def without_s(self) -> float:
+        """For how long there have been none, s."""
+        return 0.0 if self._known else monotonic() - self._seen
+
+    def look(self) -> dict[str, int]:
+        """Threads by worker."""
+        with suppress(OSError, TimeoutError):
+            self._known = dict(self._client.sync(self._client.scheduler.ncores, callback_timeout=CONNECT_S))
+        self._asked = monotonic()
+        if self._known:
+            self._seen = self._asked
+        return self._known
+
+
+class _Tasks:
+    """The flights of one study as tasks: so many at a time, and their rows as they come."""
+
+    def __init__(self, client: Any, study: Study, frozen: Frozen, flights: Iterable[Flight], limit: float) -> None:
+        self._client = client
+        self._study = study
+        self._frozen = frozen
+        self._digest = _digest(frozen)
+        self._limit = limit
+        self._flights = iter(flights)
+        self._taken: deque[Flight] = deque()
+        self._back: deque[list[Flight]] = deque()  # came back from tasks that were lost
+        self._packed: Any | None = None  # the study, once it is on the cluster
+        self._under_way: dict[str, tuple[Any, list[Flight]]] = {}
+        self._ended: SimpleQueue[Any] = SimpleQueue()
+        self._usual: float | None = None  # s, of a flight
+        self._all_out = False
+        self._name = f"hexjet-{uuid4().hex[:12]}"
+        self._number = numbers()
+
+    @property
+    def done(self) -> bool:
+        return self._all_out and not self._back and not self._under_way
+
+    def hand_out(self, most: int) -> None:
+        """Have ``most`` tasks under way, as long as there are flights."""
+        while len(self._under_way) < most and self._client.status == "running":
+            batch = self._back.popleft() if self._back else self._next(most)
+            if not batch:
+                return
+            self._submit(batch)
+
+    def collect(self) -> Iterator[Row]:
+        """Wait until a task ends, though not for long, and give the rows of all that have."""
+        with suppress(Empty):
+            future = self._ended.get(timeout=LOOK_S)
+            while True:
+                yield from self._rows(future)
+                future = self._ended.get_nowait()
+
+    def cancel(self) -> None:
+        """Take back what is under way."""
+        futures = [future for future, _ in self._under_way.values()]
+        self._under_way.clear()
+        if futures and self._client.status == "running":
+            with suppress(OSError, TimeoutError):
+                self._client.cancel(futures, force=True)
+
+    def _next(self, tasks: int) -> list[Flight]:
+        """The flights of the next task of so many: one, until it is known how long that takes, and fewer at the end."""
+        size = 1 if self._usual is None else min(MOST_IN_TASK, max(1, round(TASK_S / max(self._usual, 1e-3))))
+        missing = size * tasks - len(self._taken)
+        self._taken.extend(islice(self._flights, max(0, missing)))
+        self._all_out = not self._taken
+        size = min(size, ceil(len(self._taken) / tasks))
+        return [self._taken.popleft() for _ in range(size)]
+
+    def _submit(self, batch: list[Flight]) -> None:
+        with warnings.catch_warnings():  # an engine may be large
+            warnings.simplefilter("ignore")
+            if self._packed is None:
+                name = f"{self._name}-study-{next(self._number)}"
+                self._packed = self._client.submit(_same, self._frozen, key=name)
+            future = self._client.submit(
+                _fly,
+                self._packed,
+                self._digest,
+                remote.installed(),
+                batch,
+                self._limit,
+                key=f"{self._name}-flights-{next(self._number)}",
+                pure=False,
+            )
+        self._under_way[str(future.key)] = future, batch
+        future.add_done_callback(self._ended.put)
+
+    def _rows(self, future: Any) -> Iterator[Row]:
+        known = self._under_way.pop(str(future.key), None)
+        if known is None:
+            return
+        batch = known[1]
+        if future.status in ("cancelled", "lost"):  # with the scheduler, or by somebody else
+            self._back.append(batch)
+            self._packed = None
+            return
+        try:
+            rows: list[Row] = future.result(timeout=CONNECT_S)
+        except _dask().KilledWorker as error:
+            yield from self._after_losses(batch, error)
+        except (TimeoutError, CancelledError):  # its worker has gone with the rows: Dask has it flown again
+            self._under_way[str(future.key)] = known
+            self._ended.put(future)
+        except (FlightError, InputError) as error:
+            raise FlightError(str(error)) from error
+        except Exception as error:
+            raise FlightError(f"a worker cannot fly: {_told(error)}") from error
+        else:
+            self._learn(rows)
+            yield from rows
+
+    def _after_losses(self, batch: list[Flight], error: Any) -> Iterator[Row]:
+        """Flights that lost several workers, so that Dask gives them up: each is tried once more, alone."""
+        if len(batch) > 1:
+            self._back.extend([flight] for flight in batch)
+            return
+        times = error.allowed_failures + 1
+        reason = f"the worker was lost in this flight {times} times; the last was {error.last_worker.address}"
+        yield failed_row(self._study, batch[0], reason)
+
+    def _learn(self, rows: Sequence[Row]) -> None:
+        for row in rows:
+            seconds = row.get("wall_s")
+            if isinstance(seconds, float):
+                self._usual = seconds if self._usual is None else self._usual + 0.1 * (seconds - self._usual)
+
+
+def _same(frozen: Frozen) -> Frozen:
+    """The study as a task, which Dask repeats where its result was lost."""
+    return frozen
+
+
+def _fly(frozen: Frozen, digest: str, expected: Mapping[str, str], flights: list[Flight], limit: float) -> list[Row]:
+    """What a worker does."""
+    worker = _dask().get_worker()
+    wrong = remote.differences(remote.installed(), expected)
+    if wrong:
+        raise FlightError(f"worker {worker.address} has {', '.join(wrong)}")
+    return remote.fly_together(frozen, digest, flights, limit, Path(worker.local_directory))
+
+
+async def _end_idle() -> None:
+    """What a worker does in the end, and nobody waits for: its processes need not wait for more flights."""
+    remote.end_idle()
+
+
+def _digest(frozen: Frozen) -> str:
+    digest = hashlib.sha256(json.dumps([frozen.study, frozen.scenario], sort_keys=True, default=str).encode())
+    for name, content in sorted(frozen.files.items()):
+        digest.update(f"{name} {hashlib.sha256(content).hexdigest()}".encode())
+    return digest.hexdigest()
+
+
+def _dask() -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        raise InputError(
+            f"--cluster needs Dask, which is not installed ({error}): pip install 'hexjet-cosim[cluster]'"
+        ) from error
+    return distributed
+
+
+def _scheduler_at(address: str) -> str:
+    """The address of a scheduler that answers; Dask's client is less patient with its user.  Raises InputError."""
+    if address.endswith(".json"):
+        try:
+            found = str(json.loads(Path(address).read_text(encoding="utf-8"))["address"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(f"--cluster {address}: no scheduler file: {_line(error)}") from error
+    else:
+        found = address
+    answer: list[BaseException | dict[str, Any]] = []
+
+    def ask() -> None:
+        try:
+            answer.append(asyncio.run(asyncio.wait_for(_identity(found), CONNECT_S)))
+        except Exception as error:
+            answer.append(error)
+
+    asking = Thread(target=ask, daemon=True)  # a notebook has a loop that runs already
+    asking.start()
+    asking.join()
+    if isinstance(answer[0], (OSError, TimeoutError)):
+        raise InputError(
+            f"--cluster {address}: no scheduler answers within {CONNECT_S:g} s; one is started with: dask scheduler"
+        ) from answer[0]
+    if isinstance(answer[0], BaseException):
+        like = "; an address looks like tcp://HOST:8786" if isinstance(answer[0], ValueError) else ""
+        raise InputError(f"--cluster {address}: {_line(answer[0])}{like}") from answer[0]
+    if answer[0].get("type") != "Scheduler":
+        raise InputError(f"--cluster {address}: is a {answer[0].get('type')}, not a scheduler")
+    return found
+
+
+async def _identity(address: str) -> dict[str, Any]:
+    dask = _dask()
+    how = dask.Security().get_connection_args("client")
+    async with dask.rpc(address, connection_args=how) as scheduler:
+        found: dict[str, Any] = await scheduler.identity()
+        return found
+
+
+def _told(error: BaseException) -> str:
+    """What went wrong with a worker, in one line."""
+    if isinstance(error, ModuleNotFoundError) and str(error.name).split(".")[0] == "cosim":
+        return "hexjet-cosim is not installed there"
+    return f"{type(error).__name__}: {_line(error)}"
+
+
+def _line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+class _Quiet:
+    """Dask tells of every connection that is lost; here that is told by one line."""
+
+    def __init__(self) -> None:
+        names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
+        self._levels = {name: logging.getLogger(name).level for name in [*names, "asyncio"]}
+        for name in self._levels:
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+
+    def end(self) -> None:
+        for name, level in self._levels.items():
+            logging.getLogger(name).setLevel(level)

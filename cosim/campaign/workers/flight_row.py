@@ -1,0 +1,127 @@
+"""One flight of a study and its row.
+
+A row says everything about a flight: what was varied, what came of it, and hashes of its whole log and of what it was
+made from, by which the same flight flown elsewhere, or another year, is known to be the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from functools import cache
+from socket import gethostname
+from typing import TYPE_CHECKING
+
+from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
+from cosim.campaign.study.plan import Flight, scenario_of
+from cosim.flight import fly
+from cosim.results import metrics
+from cosim.results.digest import DigestSink
+from cosim.results.metrics import check_expectations, metric_names
+
+if TYPE_CHECKING:
+    from cosim.campaign.study.study import Study
+    from cosim.results.run import Run
+
+Value = float | int | str | bool | None
+Row = dict[str, Value]
+Kinds = dict[str, type[Value]]
+
+_FIRST: Kinds = {"flight": int, "draw": int, "controller": str, "seed": int}
+_OUTCOME: Kinds = {"outcome": str, "reason": str, "success": bool, "beyond": str, "steps": int, "duration_s": float}
+_LAST: Kinds = {"log_sha256": str, "inputs_sha256": str, "inputs": str, "wall_s": float, "worker": str}
+_KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
+BY_CHANCE = ("wall_s", "worker")  # what may differ when a flight is flown again
+
+
+def kinds(study: Study) -> Kinds:
+    """The columns of a study's rows in their order, and what is in each.
+
+    What was not measured is None; flight, draw, controller, seed, what was varied, outcome, reason and success always
+    have a value.
+    """
+    varied = {vary.key: _kind(study, vary.key) for vary in study.vary}
+    return _FIRST | varied | _OUTCOME | dict.fromkeys(_metrics(), float) | _LAST
+
+
+def fly_one(study: Study, flight: Flight) -> Row:
+    """Fly one flight and make its row; whatever goes wrong is a row ``failed`` that says why.
+
+    Raises FlightError where it is the machine that fails, its disk being full, say: the flight is to be flown again.
+    """
+    begin = time.perf_counter()
+    try:
+        scenario = scenario_of(study, flight)
+        sink = DigestSink(metrics.columns())
+        flown = _flown(study, fly(scenario, sink=sink), sink.hexdigest())
+    except Exception as error:
+        trouble = _machine_trouble(error)
+        if trouble is not None:
+            raise FlightError(f"{_worker()}: {trouble.strerror}") from error
+        told = isinstance(error, (InputError, FlightError))
+        reason = str(error) if told else ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
+        flown = {"reason": reason}
+    return failed_row(study, flight, "") | flown | {"wall_s": time.perf_counter() - begin, "worker": _worker()}
+
+
+def failed_row(study: Study, flight: Flight, reason: str) -> Row:
+    """The row of a flight of which nothing is known but why."""
+    stated: Row = {"flight": flight.number, "draw": flight.draw, "controller": flight.controller, "seed": flight.seed}
+    failed: Row = {"outcome": "failed", "reason": reason, "success": False}
+    return {**dict.fromkeys(kinds(study)), **stated, **flight.values, **failed}
+
+
+def inputs(run: Run) -> str:
+    """What a run was made from, as JSON: versions of what computes, and hashes of the files of aircraft and engines."""
+    summary = run.summary
+    files = {name: value for name, value in summary.sha256.items() if not name.endswith(" as flown")}
+    return json.dumps({"versions": summary.versions, "sha256": files}, sort_keys=True)
+
+
+def inputs_sha256(run: Run) -> str:
+    """Hash of :func:`inputs` and of every number that the aircraft and the engines flew with."""
+    scenario = run.scenario
+    return hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
+
+
+def _flown(study: Study, run: Run, digest: str) -> Row:
+    summary = run.summary
+    measured = summary.flat_metrics
+    return {
+        "outcome": summary.outcome,
+        "reason": summary.reason,
+        "success": summary.outcome == "completed"
+        and not summary.beyond
+        and not check_expectations(measured, study.success),
+        "beyond": " ".join(summary.beyond),
+        "steps": summary.steps,
+        "duration_s": summary.duration_s,
+        **measured,
+        "log_sha256": digest,
+        "inputs_sha256": inputs_sha256(run),
+        "inputs": inputs(run),
+    }
+
+
+def _kind(study: Study, key: str) -> type[Value]:
+    found = study.key(key)
+    return type(found.choices[0]) if found.kind == "choice" and found.choices else _KINDS[found.kind]
+
+
+def _machine_trouble(error: BaseException | None) -> OSError | None:
+    """The error of the operating system behind another, if it says that the machine has no more to give."""
+    while error is not None and not (isinstance(error, OSError) and error.errno in MACHINE_TROUBLE):
+        error = error.__cause__ or error.__context__
+    return error
+
+
+@cache
+def _metrics() -> tuple[str, ...]:
+    return tuple(metric_names())
+
+
+@cache
+def _worker() -> str:
+    return f"{gethostname()}:{os.getpid()}"

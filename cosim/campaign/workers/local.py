@@ -1,0 +1,352 @@
+"""Flights in processes of this machine.
+
+Every process has a connection of its own, and nothing is shared between them: one that is killed at any moment, in the
+middle of a message or while it starts, takes nothing with it but the flight under way.  The processes are started by
+command and not forked, so that the program that starts them may be anything: threads, notebooks, a script without a
+guarded main part.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from math import ceil
+from multiprocessing.connection import Connection, Pipe, wait
+from select import poll
+from threading import Thread
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.threads import ONE_THREAD
+from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
+from cosim.campaign.workers.protocol import (
+    LOSSES,
+    lost,
+    time_limit,
+    too_slow,
+)
+
+if TYPE_CHECKING:
+    from cosim.campaign.study.plan import Flight
+    from cosim.campaign.study.study import Study
+
+Fly = Callable[["Study", "Flight"], Row]
+
+AHEAD_S = 0.25  # of work that waits in a process, so that it need not wait for the next flight
+MOST_AHEAD = 8  # flights
+LOOK_S = 1.0  # how often processes are looked at whose end nobody told
+BACKSTOP_S = 10.0  # after its limit a flight ends its process by itself, should nobody be there to do it
+START_LIMIT_S = 60.0  # chosen by us: until a process is ready, which takes half a second
+STARTS = 8  # processes in a row that end before they are ready: then something else is wrong
+READY = "ready"
+_PR_SET_PDEATHSIG = 1  # of linux/prctl.h
+_COMMAND = "import sys; from cosim.campaign.workers.local import serve; serve(int(sys.argv[1]), sys.argv[2])"
+
+
+class LocalWorkers:
+    """``count`` processes of this machine; ``time_limit_s`` is of each flight, by default as the study's length asks.
+
+    ``fly`` makes the row of a flight in the processes, which import it by its name.  The processes start with the first
+    flights, at most one a flight, and stay for further studies until :meth:`close`.
+    """
+
+    def __init__(self, count: int, time_limit_s: float | None = None, fly: Fly = fly_one) -> None:
+        if count < 1:
+            raise InputError(f"workers = {count}: at least 1")
+        if time_limit_s is not None and not time_limit_s > 0.0:
+            raise InputError(f"time limit = {time_limit_s:g} s: must be above 0")
+        self._count = count
+        self._time_limit = time_limit_s
+        self._fly = fly
+        self._processes: list[_Process] = []
+        self._starts = 0  # that came to nothing, in a row
+
+    def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
+        """See :class:`cosim.campaign.workers.protocol.Workers`."""
+        self._end_busy()  # with flights that nobody waits for any more
+        limit = time_limit(study) if self._time_limit is None else self._time_limit
+        waiting = _Waiting(flights)
+        ahead = _Ahead()
+        try:
+            while self._hand_out(study, waiting, ahead.flights, limit):
+                yield from self._collect(study, waiting, ahead, limit)
+        finally:
+            self._end_busy()
+
+    def close(self) -> None:
+        while self._processes:
+            self._end(self._processes[-1])
+
+    def __enter__(self) -> LocalWorkers:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _hand_out(self, study: Study, waiting: _Waiting, ahead: int, limit: float) -> bool:
+        """Give every process its flights, one each before anyone has two; False when there is nothing left to do."""
+        for held in range(1 + ahead):
+            if held == 0:
+                self._start_missing(waiting)
+            for process in self._processes:
+                if len(process.given) == held and (flight := waiting.next()) is not None:
+                    process.give(study, flight, limit)
+        return any(process.given for process in self._processes)
+
+    def _start_missing(self, waiting: _Waiting) -> None:
+        idle = sum(not process.given for process in self._processes)
+        while len(self._processes) < self._count and waiting.more_than(idle):
+            self._processes.append(_Process(self._fly))
+            idle += 1
+
+    def _collect(self, study: Study, waiting: _Waiting, ahead: _Ahead, limit: float) -> Iterator[Row]:
+        """Wait until something happens, and give the rows that came of it."""
+        by_connection = {process.connection: process for process in self._processes}
+        for connection in wait(list(by_connection), self._patience(limit)):
+            process = by_connection[connection]  # type: ignore[index]
+            message = process.receive()
+            if message is None:
+                yield from self._after_loss(study, process, waiting)
+            elif isinstance(message, FlightError):
+                raise message
+            elif message == READY:
+                self._starts = 0
+            else:
+                ahead.learn(process.took)
+                yield message
+        for process in list(self._processes):
+            if process.late(limit):
+                flight, *rest = self._end(process)
+                waiting.put_back(rest)
+                yield failed_row(study, flight, too_slow(limit)) | process.mark(limit)
+            elif not process.alive:
+                yield from self._after_loss(study, process, waiting)
+
+    def _patience(self, limit: float) -> float:
+        ends = [process.since + limit for process in self._processes if process.since is not None and process.given]
+        return max(0.0, min([LOOK_S, *(end - time.monotonic() for end in ends)]))
+
+    def _after_loss(self, study: Study, process: _Process, waiting: _Waiting) -> Iterator[Row]:
+        """What a lost process had is flown again, and what it was flying counts the loss."""
+        begun, end = process.since is not None, process.how_it_ended()
+        given = self._end(process)
+        if not begun:
+            self._starts += 1
+            if self._starts >= STARTS:
+                raise FlightError(f"{STARTS} processes in a row ended before they could fly; the last {end}")
+        elif given and waiting.lose(given[0]) >= LOSSES:
+            yield failed_row(study, given.pop(0), lost(end)) | process.mark()
+        waiting.put_back(given)
+
+    def _end_busy(self) -> None:
+        for process in [each for each in self._processes if each.given]:
+            self._end(process)
+
+    def _end(self, process: _Process) -> list[Flight]:
+        """End a process; what it had been given and not flown."""
+        self._processes.remove(process)
+        process.end()
+        return list(process.given)
+
+
+class _Waiting:
+    """Flights that no process has yet; those given back come first."""
+
+    def __init__(self, flights: Iterable[Flight]) -> None:
+        self._flights = iter(flights)
+        self._first: deque[Flight] = deque()
+        self._losses: Counter[int] = Counter()
+
+    def next(self) -> Flight | None:
+        return self._first.popleft() if self.more_than(0) else None
+
+    def more_than(self, count: int) -> bool:
+        """Whether there are; no more are taken from the study than it takes to know."""
+        while len(self._first) <= count:
+            try:
+                self._first.append(next(self._flights))
+            except StopIteration:
+                return False
+        return True
+
+    def put_back(self, flights: Iterable[Flight]) -> None:
+        self._first.extendleft(reversed(list(flights)))
+
+    def lose(self, flight: Flight) -> int:
+        """Count a process that was lost in this flight; how many there were."""
+        self._losses[flight.number] += 1
+        return self._losses[flight.number]
+
+
+class _Ahead:
+    """How many flights wait in a process: none where they are long, so that all processes end together."""
+
+    def __init__(self) -> None:
+        self.flights = 0
+        self._usual: float | None = None  # s, of a flight
+
+    def learn(self, seconds: float) -> None:
+        self._usual = seconds if self._usual is None else self._usual + 0.1 * (seconds - self._usual)
+        self.flights = min(MOST_AHEAD, ceil(AHEAD_S / max(self._usual, 1e-3))) if self._usual < AHEAD_S else 0
+
+
+class _Process:
+    """One process, what it has been given, and since when it is at the first of it."""
+
+    def __init__(self, fly: Fly) -> None:
+        self.given: deque[Flight] = deque()
+        self.since: float | None = None  # None: it is not ready yet
+        self.took = 0.0  # s, the last flight
+        self._begun = time.monotonic()
+        self._study: Study | None = None
+        try:
+            self._folder = tempfile.mkdtemp(prefix="hexjet-worker-")  # whatever its flights put aside, it goes with it
+        except OSError as error:
+            raise FlightError(f"no process could be started: {tempfile.gettempdir()}: {error.strerror}") from error
+        self.connection, theirs = Pipe()
+        environment = os.environ | ONE_THREAD | {"TMPDIR": self._folder}
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-c", _COMMAND, str(theirs.fileno()), self._folder],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=environment,
+                process_group=0,  # Ctrl-C is answered by the process that waits
+            )
+        except OSError as error:
+            self.connection.close()
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise FlightError(f"no process could be started: {error.strerror or error}") from error
+        finally:
+            theirs.close()
+        self._send(sys.path)
+        self._send(fly)
+
+    @property
+    def alive(self) -> bool:
+        if self.since is None and time.monotonic() > self._begun + START_LIMIT_S:
+            return False
+        return self._process.poll() is None or self.connection.poll()
+
+    def give(self, study: Study, flight: Flight, limit: float) -> None:
+        if self._study is not study:
+            self._send((study, limit))
+            self._study = study
+        self._send(flight)
+        if not self.given and self.since is not None:
+            self.since = time.monotonic()
+        self.given.append(flight)
+
+    def receive(self) -> Any:
+        """A row, that the process is ready, or why it cannot go on; None: it is lost."""
+        try:
+            message = self.connection.recv()
+        except (EOFError, OSError, pickle.UnpicklingError):
+            return None
+        now = time.monotonic()
+        if isinstance(message, dict):
+            self.given.popleft()
+            self.took = now - (self.since or now)
+        self.since = now
+        return message
+
+    def late(self, limit: float) -> bool:
+        """Whether it is past its limit, and has not just said that it is done."""
+        begun = self.since is not None and self.given
+        return bool(begun) and time.monotonic() > (self.since or 0.0) + limit and not self.connection.poll()
+
+    def how_it_ended(self) -> str:
+        with suppress(subprocess.TimeoutExpired):
+            code = self._process.wait(1.0)
+            return f"ended by {signal.Signals(-code).name}" if code < 0 else f"left with status {code}"
+        return "closed its connection"
+
+    def mark(self, wall_s: float | None = None) -> Row:
+        """What a row says of who flew it."""
+        return {"worker": f"{os.uname().nodename}:{self._process.pid}", "wall_s": wall_s}
+
+    def end(self) -> None:
+        with suppress(OSError):
+            os.killpg(self._process.pid, signal.SIGKILL)  # with whatever an engine has started
+        self._process.wait()
+        self.connection.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _send(self, message: Any) -> None:
+        with suppress(OSError):  # it is gone, which is seen when it is listened to
+            self.connection.send(message)
+
+
+def serve(descriptor: int, folder: str) -> None:
+    """The process: fly what comes until nobody is there any more; ``folder`` is its own, and goes with it."""
+    os.set_inheritable(descriptor, False)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _have_it_ended()
+    Thread(target=_leave_with, args=(descriptor, folder), daemon=True).start()
+    with suppress(EOFError, OSError):  # the other end is gone
+        _fly_what_comes(Connection(descriptor), folder)
+    _leave(folder)
+
+
+def _fly_what_comes(connection: Connection[Any, Any], folder: str) -> None:
+    sys.path[:] = connection.recv()
+    fly: Fly = connection.recv()
+    connection.send(READY)
+    study, limit = connection.recv()
+    while True:
+        message = connection.recv()
+        if isinstance(message, tuple):
+            study, limit = message
+            continue
+        signal.setitimer(signal.ITIMER_REAL, limit + BACKSTOP_S)
+        try:
+            answer: Row | FlightError = fly(study, message)
+        except FlightError as error:
+            answer = error
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        if not os.path.isdir(folder):
+            return  # somebody cleaned up, and the flight may have failed for it: another process flies it again
+        connection.send(answer)
+
+
+def _leave_with(descriptor: int, folder: str) -> None:
+    """End this process when the one that started it goes, however it goes."""
+    hung_up = poll()
+    hung_up.register(descriptor, 0)
+    hung_up.poll()
+    _leave(folder)
+
+
+def _have_it_ended() -> None:
+    """Have the system end this process too, a second later: while C code holds Python's lock, no thread can.
+
+    It sends SIGHUP, number 1, and what answers that is ``alarm`` itself: ``alarm(1)``.
+    """
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "prctl"):  # on Linux alone
+        libc.signal(int(signal.SIGHUP), libc.alarm)
+        libc.prctl(_PR_SET_PDEATHSIG, int(signal.SIGHUP))
+
+
+def _leave(folder: str) -> None:
+    """End this process at once, and leave nothing behind."""
+    gone = f"{folder}-gone"
+    with suppress(OSError):
+        os.rename(folder, gone)  # a flight under way puts nothing more into it
+    shutil.rmtree(gone, ignore_errors=True)
+    os._exit(1)

@@ -1,0 +1,132 @@
+"""What a worker on a cluster does with a few flights of a study that came to it by its contents.
+
+They are flown in a process of their own beside the worker, as on one machine: an engine that crashes or hangs takes no
+worker with it, and threads of one worker share nothing but the machine.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import platform
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from threading import Lock, Timer
+from typing import TYPE_CHECKING
+
+from cosim.base.cache import Memory
+from cosim.base.paths import data_folder
+from cosim.campaign.folder import STUDY, Frozen, load
+from cosim.campaign.workers.flight_row import Row
+from cosim.campaign.workers.local import LocalWorkers
+from cosim.results.run import versions
+
+if TYPE_CHECKING:
+    from cosim.campaign.study.plan import Flight
+    from cosim.campaign.study.study import Study
+
+IDLE_S = 60.0  # chosen by us: after which a process without flights ends
+PARTS = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy")  # of what there is, those that make a flight's numbers
+FILES = "files of aircraft, engines and program"  # compared by their contents
+
+_studies: Memory[Study] = Memory(4)
+_unpacking = Lock()
+
+
+class _Processes:
+    """Processes that wait for flights; each is used by one thread at a time."""
+
+    def __init__(self) -> None:
+        self._idle: dict[LocalWorkers, tuple[float, Timer]] = {}  # the time limit that they have
+        self._lock = Lock()
+
+    def take(self, limit: float) -> LocalWorkers:
+        with self._lock:
+            found = next((workers for workers, (theirs, _) in self._idle.items() if theirs == limit), None)
+            if found is None:
+                return LocalWorkers(1, limit)
+            _, timer = self._idle.pop(found)
+        timer.cancel()
+        return found
+
+    def give_back(self, workers: LocalWorkers, limit: float) -> None:
+        timer = Timer(IDLE_S, self._end, (workers,))
+        timer.daemon = True
+        with self._lock:
+            self._idle[workers] = limit, timer
+        timer.start()
+
+    def end_idle(self) -> None:
+        with self._lock:
+            idle, self._idle = self._idle, {}
+        for workers, (_, timer) in idle.items():
+            timer.cancel()
+            workers.close()
+
+    def _end(self, workers: LocalWorkers) -> None:
+        with self._lock:
+            if self._idle.pop(workers, None) is None:
+                return  # somebody has just taken it
+        workers.close()
+
+
+_processes = _Processes()
+atexit.register(_processes.end_idle)
+
+
+def fly_together(frozen: Frozen, digest: str, flights: Sequence[Flight], limit: float, folder: Path) -> list[Row]:
+    """The rows of some flights of the study with this digest; ``folder`` is one that goes when the worker goes."""
+    with _unpacking:  # a worker has several threads
+        _unpack(frozen, folder / digest)
+        study = _studies.get((digest, folder), lambda: load(folder / digest))
+    workers = _processes.take(limit)
+    try:
+        rows = list(workers.fly(study, flights))
+    except BaseException:
+        workers.close()
+        raise
+    _processes.give_back(workers, limit)
+    return rows
+
+
+def end_idle() -> None:
+    """End the processes of this worker that wait for flights."""
+    _processes.end_idle()
+
+
+@cache
+def installed() -> dict[str, str]:
+    """What makes a flight's numbers here, and may be another elsewhere."""
+    known = versions()
+    minor = ".".join(platform.python_version_tuple()[:2])
+    return {"python": minor, **{name: known.get(name, "none") for name in PARTS}, FILES: _files()}
+
+
+def differences(theirs: Mapping[str, str], ours: Mapping[str, str]) -> list[str]:
+    """In words, what is installed otherwise there than here."""
+    return [
+        f"other {name}" if name == FILES else f"{name} {theirs.get(name, 'none')} (here {value})"
+        for name, value in ours.items()
+        if theirs.get(name) != value
+    ]
+
+
+def _unpack(frozen: Frozen, folder: Path) -> None:
+    """Write the study down if that was not done yet, or somebody has cleaned up since."""
+    if not (folder / STUDY).is_file():  # the last that is written
+        folder.mkdir(parents=True, exist_ok=True)
+        frozen.write(folder)
+
+
+def _files() -> str:
+    package = Path(__file__).resolve().parents[2]
+    found = [(package, path) for path in package.rglob("*.py") if "data" not in path.relative_to(package).parts]
+    for name, kinds in (("aircraft", ("*.toml", "*.xml")), ("engines", ("*.toml", "*.c", "*.h"))):
+        root = data_folder(name)
+        found += [(root, path) for kind in kinds for path in root.rglob(kind)]
+    digest = hashlib.sha256()
+    for root, path in sorted(found, key=lambda each: (each[0].name, each[1].relative_to(each[0]).as_posix())):
+        digest.update(f"{root.name}/{path.relative_to(root).as_posix()}\n".encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()

@@ -1,0 +1,1 @@
+"""From moments and thrust to throttles and tilts."""

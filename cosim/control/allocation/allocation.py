@@ -1,0 +1,261 @@
+"""Allocation: collective and three torque commands to throttles and tilts.
+
+On tilting banks roll is differential throttle between the banks, pitch is both banks tilted alike, yaw is them tilted
+apart.  What does not fit is refused and reported, in this order: roll is kept before collective (attitude before
+height), pitch before yaw; a roll command beyond half the throttle range, or tilts beyond the servos' range, are cut.
+On a multirotor all three are differential throttle, and roll and pitch are kept before yaw, yaw before collective.
+
+Told of an engine that is lost, weak or stuck, the allocation of tilting banks is planned anew (:mod:`.replan`): the
+same commands then give the same force and moments as with all engines, as far as the engines that are left can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf
+
+from cosim.base.errors import InputError
+from cosim.base.signals import (
+    AXES,
+    NO_JETS,
+    ZERO3,
+    Actuation,
+    JetHealth,
+    Unallocated,
+    Vector3,
+)
+from cosim.control.allocation.reallocation import Plan, plan
+from cosim.spec.vehicle import AllocationLimits, Jet
+
+_LEAST_SHARE = 0.25  # of hover thrust, below which tilts are not enlarged further
+_FLAT = 1e-9  # of throttle per collective: does not follow it
+
+
+class TiltAllocator:
+    """Throttles and tilts of a vehicle with two banks of jets.
+
+    ``hover`` is the throttle at which the vehicle hovers: tilt commands are stated at hover thrust and are enlarged
+    or reduced in inverse proportion to the collective, so that their moment stays the same.  ``idle`` is the thrust of
+    a jet without throttle, over what full throttle adds to it.  ``lift``: how far a jet's throttle may go up in one
+    allocation for collective beyond the plan's own, see :meth:`_beyond`.
+    Raises InputError where the banks leave no lever for roll or pitch.
+    """
+
+    def __init__(
+        self,
+        jets: Sequence[Jet],
+        limits: AllocationLimits,
+        tilt_range: float,
+        hover: float,
+        idle: float = 0.0,
+        lift: float = inf,
+    ) -> None:
+        self._jets, self._limits, self._idle = jets, limits, idle
+        self._plan: Plan | None = None
+        self._lift = lift
+        self._extra = 0.0  # of the last allocation
+        self._low, self._high = limits.throttle_min, limits.throttle_max
+        self._range = tilt_range
+        self.hover = hover
+        for jet in jets:
+            if jet.position_m[1] == 0.0 or (jet.position_m[1] > 0.0) != (jet.servo == "right"):
+                raise InputError(
+                    f"vehicle.jets: the {jet.servo} servo's jet at y = {jet.position_m[1]:g} m is not on its side"
+                )
+        self._left = tuple(jet.servo == "left" for jet in jets)
+        lever = sum(jet.position_m[2] for jet in jets)
+        if lever == 0.0:
+            raise InputError(
+                "vehicle.jets: with all jets at the height of the centre of gravity, tilting gives no pitch"
+            )
+        # a forward tilt pushes forward at z: nose up where the jets stand below the centre of gravity
+        self._pitch_sign = 1.0 if lever > 0.0 else -1.0
+        self._lever = lever
+        self._hover_thrust = hover + idle
+
+    def reset(self) -> None:
+        self._plan = None
+        self._extra = 0.0
+
+    def replan(self, health: Sequence[JetHealth]) -> bool:
+        found = plan(self._jets, self._limits, self.hover, self._idle, health)
+        if found is None:
+            return False
+        self._plan = found
+        self._extra = 0.0
+        return True
+
+    def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
+        """``collective`` in throttle; ``torque`` roll in throttle, pitch and yaw in rad of tilt at hover thrust.
+
+        ``added`` is a disturbance of the torque command that the controller does not know: it moves the actuators,
+        and what is refused is stated against the sum.
+        """
+        roll, pitch, yaw = torque
+        if added != ZERO3:
+            roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
+        if self._plan is not None:
+            return self._as_planned(self._plan, collective, roll, pitch, yaw)
+        low, high = self._low, self._high
+        half = 0.5 * (high - low)
+        r = half if roll > half else (-half if roll < -half else roll)
+        spread = r if r >= 0.0 else -r
+        least, most = low + spread, high - spread
+        c = least if collective < least else (most if collective > most else collective)
+        left, right = c + r, c - r
+
+        share = (c + self._idle) / self._hover_thrust
+        if share < _LEAST_SHARE:
+            share = _LEAST_SHARE
+        # what fits is refused exactly nothing, not a rounding error: the integrals stop on any refusal
+        limit = self._range
+        p = self._pitch_sign * pitch / share
+        left_pitch = left_yaw = 0.0
+        if p > limit or p < -limit:
+            p = limit if p > 0.0 else -limit
+            left_pitch = pitch - self._pitch_sign * p * share
+        room = limit - (p if p >= 0.0 else -p)
+        y = yaw / share
+        if y > room or y < -room:
+            y = room if y > 0.0 else -room
+            left_yaw = yaw - y * share
+
+        return Actuation(
+            tuple([left if on_left else right for on_left in self._left]),
+            (p + y, p - y),
+            Unallocated(roll - r, left_pitch, left_yaw, collective - c),
+            NO_JETS,
+        )
+
+    def _as_planned(self, plan: Plan, collective: float, roll: float, pitch: float, yaw: float) -> Actuation:
+        """With engines lost: the same order of what is kept, the throttles from the plan's weights."""
+        low, high = self._low, self._high
+        least_roll, most_roll = plan.roll_range
+        r = least_roll if roll < least_roll else (most_roll if roll > most_roll else roll)
+        trims, rolls, ups, frees = plan.trim, plan.roll, plan.up, plan.free
+        jets = range(len(trims))
+        at_roll = [trims[i] + r * rolls[i] for i in jets]
+        least, most = -inf, inf
+        for i in jets:
+            base, slope = at_roll[i], ups[i]
+            if -_FLAT <= slope <= _FLAT:
+                continue
+            bottom, top = (low - base) / slope, (high - base) / slope
+            if slope < 0.0:
+                bottom, top = top, bottom
+            least, most = (bottom if bottom > least else least), (top if top < most else most)
+        up = collective - plan.centre
+        # rounding may leave the two apart by nothing
+        above = least if up < least else (most if up > most else up)
+        lifted = [at_roll[i] + above * ups[i] for i in jets]
+        missing = up - above if up > most else 0.0
+        extra = self._extra = self._beyond(plan, lifted, missing)
+        if extra > 0.0:
+            lifted = [lifted[i] + extra * plan.boost[i] for i in jets]
+        # what fits is refused exactly nothing
+        c = collective if up >= least and extra == missing else plan.centre + above + extra
+        throttle = tuple([_between(low, lifted[i], high) if frees[i] else at_roll[i] for i in jets])
+
+        share = max(_LEAST_SHARE, (c + self._idle) / self._hover_thrust)
+        constant, per_up, per_roll, per_boost = plan.pitch
+        left = constant + above * per_up + r * per_roll + extra * per_boost
+        # what the throttles leave of pitch is tilted away
+        balance = -left / (self._lever * max(_LEAST_SHARE, self._idle + c))
+        wanted = self._pitch_sign * pitch / share + balance
+        p = _within(self._range, wanted)
+        y = _within(self._range - abs(p), yaw / share)
+        return Actuation(
+            throttle,
+            (p + y, p - y),
+            Unallocated(
+                roll - r,
+                0.0 if p == wanted else self._pitch_sign * (wanted - p) * share,
+                0.0 if y == yaw / share else yaw - y * share,
+                collective - c,
+            ),
+            NO_JETS,
+        )
+
+    def _beyond(self, plan: Plan, lifted: list[float], wanted: float) -> float:
+        """How much of the collective ``wanted`` beyond the plan's own the engines at ``lifted`` can still give.
+
+        It grows no faster than ``lift`` allows: engines that are all on their way up as fast as they go have none left
+        between them to keep the vehicle level with, whatever their throttles say.
+        """
+        if wanted <= 0.0:
+            return 0.0
+        room, steepest = wanted, 0.0
+        for slope, at in zip(plan.boost, lifted, strict=True):
+            if slope > _FLAT:
+                room = min(room, (self._high - at) / slope)
+                steepest = max(steepest, slope)
+            elif slope < -_FLAT:
+                room = min(room, (self._low - at) / slope)
+        if steepest == 0.0:
+            return 0.0
+        return max(0.0, min(room, self._extra + self._lift / steepest))
+
+
+class RotorAllocator:
+    """Throttles of a multirotor whose rotors point straight up.
+
+    Torque commands are in throttle: a unit of roll adds one to the rotors on the left and takes one from those on
+    the right; pitch does so front and rear, yaw by the sense of rotation.  ``hover``: the throttle of hover.
+
+    It does not plan around a lost rotor: without one of four there is no level hover at all, and without it and the
+    opposite one (both turn the same way) there is one only while the vehicle spins, which this cascade does not fly
+    (:func:`cosim.control.allocation.reallocation.attainable` computes both).
+    Raises InputError where the rotors give no moment about an axis.
+    """
+
+    def __init__(self, jets: Sequence[Jet], limits: AllocationLimits, hover: float) -> None:
+        self._low, self._high = limits.throttle_min, limits.throttle_max
+        self.hover = hover
+        self._signs = tuple(
+            (-_sign(jet.position_m[1]), _sign(jet.position_m[0]), _sign(jet.reaction_m)) for jet in jets
+        )
+        for index, axis in enumerate(AXES):
+            signs = [sign[index] for sign in self._signs]
+            if not (max(signs) > 0.0 > min(signs)):
+                raise InputError(f"vehicle.jets: the rotors give no {axis} moment both ways")
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def replan(self, health: Sequence[JetHealth]) -> bool:
+        return False
+
+    def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
+        """All four commands in throttle; ``added`` as for :class:`TiltAllocator`."""
+        roll, pitch, yaw = torque
+        if added != ZERO3:
+            roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
+        low, high = self._low, self._high
+        room = 0.5 * (high - low)
+        spread = abs(roll) + abs(pitch)
+        scale = room / spread if spread > room else 1.0
+        r, p = roll * scale, pitch * scale
+        left = room - min(spread, room)
+        y = left if yaw > left else (-left if yaw < -left else yaw)
+        span = abs(r) + abs(p) + abs(y)
+        least, most = low + span, high - span
+        # rounding may leave the two apart by nothing
+        c = least if collective < least else (most if collective > most else collective)
+        return Actuation(
+            tuple([min(high, max(low, c + a * r + b * p + d * y)) for a, b, d in self._signs]),
+            (0.0, 0.0),
+            Unallocated(roll - r, pitch - p, yaw - y, collective - c),
+            NO_JETS,
+        )
+
+
+def _between(low: float, value: float, high: float) -> float:
+    return low if value < low else (high if value > high else value)
+
+
+def _within(limit: float, value: float) -> float:
+    return limit if value > limit else (-limit if value < -limit else value)
+
+
+def _sign(value: float) -> float:
+    return 1.0 if value > 0.0 else (-1.0 if value < 0.0 else 0.0)

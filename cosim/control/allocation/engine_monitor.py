@@ -1,0 +1,216 @@
+"""The engine monitor: which engines do what they are told, from what a flight computer knows of them.
+
+It is told the throttles commanded and what the engines' own controllers report: the speed of the spool, turned into
+thrust through the engine's static curves, or where no speed is reported the thrust itself, which then stands for the
+estimate that an electronic speed controller makes from speed and current.  It is never told of a fault.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from math import ceil, exp, floor
+from typing import NamedTuple
+
+from cosim.base.signals import EngineOutput, JetHealth, PerJet
+from cosim.spec.vehicle import MonitorSettings
+
+_LOST = 0.2  # of the thrust commanded: an engine that gives less is not used any more; chosen by us
+_FOLLOWS = 0.3  # of what its command moved: an engine that moved less does not follow it; chosen by us
+_EXACT = 0.5  # of the threshold: an engine within it is taken to follow its command at that moment
+
+
+class EngineReference(NamedTuple):
+    """How a healthy engine answers: static curves, and a lag behind a delay."""
+
+    throttle: Sequence[float]
+    thrust: Sequence[float]  # N, at each throttle
+    speed: Sequence[float] | None  # rad/s, at each throttle; None where the engine reports none
+    lag: float  # s, about hover
+    delay: float  # s
+    shortest: float  # s, lag anywhere in its range, up or down
+    longest: float  # s
+
+    def thrust_at(self, throttle: float) -> float:
+        """Thrust at rest [N]."""
+        return _interpolate(self.throttle, self.thrust, throttle)
+
+    def thrust_of(self, thrust: float, speed: float) -> float:
+        """The thrust [N] that a report stands for: of the spool's speed where there is one."""
+        if self.speed is None or speed != speed:
+            return thrust
+        return _interpolate(self.speed, self.thrust, speed)
+
+
+class EngineMonitor:
+    """Compares every engine with an interval that a healthy one cannot leave, and says what can be had of it.
+
+    A healthy engine is a lag behind a delay, neither known exactly: ``tau x' = T(u(t - d)) - x`` with ``tau`` within a
+    factor of what was measured and ``d`` within some seconds of it.  With ``T_min`` and ``T_max`` over the delays that
+    may be, the bound ``h`` that follows ``T_max`` with the shortest lag when rising and with the longest when falling
+    stays above ``x``, and its counterpart below it (comparison principle).  An engine that is outside by more than the
+    threshold for the confirmation time is judged:
+
+    - its command moved and it did not: *stuck* where it stands, if that lasts;
+    - it gives more than any healthy engine would, unasked: *stuck* where it heads for;
+    - else *weak*: what it heads for over what was commanded; below a fifth it is *lost*.
+
+    Where it heads for is ``(x_k - a x_{k-m}) / (1 - a)`` with ``a = exp(-m dt / tau)``, over the ``m`` steps in which
+    it was outside.  A weak engine may get well; lost and stuck ones are not used again until :meth:`reset`, but the
+    thrust they give is followed.  ``limits`` are the least and the most share that may be commanded; ``hover`` is a
+    jet's thrust in hover, to which the threshold refers.
+    """
+
+    def __init__(
+        self,
+        settings: MonitorSettings,
+        references: Sequence[EngineReference],
+        hover: float,
+        limits: tuple[float, float],
+        step: float,
+    ) -> None:
+        self._references = tuple(references)
+        self._thrust_at = [_curve(each) for each in references]
+        self._speeds = any(each.speed is not None for each in references)
+        self._threshold = settings.threshold * hover
+        self._limits = limits
+        self._confirm = max(1, round(settings.confirm_s / step))
+        self._stuck = max(1, round(settings.stuck_s / step))
+        factor, spread = settings.lag_factor, settings.delay_spread_s
+        self._shares = [
+            (_share(step, each.shortest / factor), _share(step, each.longest * factor)) for each in references
+        ]
+        over = max(1, self._confirm - 1)
+        self._left = [exp(-over * step / each.lag) if each.lag > 0.0 else 0.0 for each in references]
+        delays = [each.delay for each in references]
+        self._early = max(0, floor((min(delays) - spread) / step + 1e-9))
+        self._late = ceil((max(delays) + spread) / step - 1e-9)
+        self.reset([0.0] * len(self._references))
+
+    def reset(self, throttle: Sequence[float]) -> None:
+        """All engines healthy, settled at ``throttle``."""
+        count = len(self._references)
+        self._fixed = [0.0] * count  # N, of an engine that does not follow its command
+        self.health: tuple[JetHealth, ...] = (JetHealth(),) * count
+        self.gains: PerJet = (1.0,) * count
+        self.resume(throttle)
+
+    def resume(self, throttle: Sequence[float]) -> None:
+        """Look again after engines were off on purpose: settled at ``throttle``, as well or ill as they were."""
+        at_rest = tuple(each.thrust_at(u) for each, u in zip(self._references, throttle, strict=True))
+        count = len(at_rest)
+        self._past = [at_rest] * (self._late + 1)  # thrust that the commands ask for at rest, oldest first
+        self._reported = [at_rest] * max(2, self._confirm)  # oldest first
+        self._high, self._low = list(at_rest), list(at_rest)
+        self._outside = [0] * count
+        self._agreed = [(x, x) for x in at_rest]  # report and reference when they last agreed
+
+    def update(self, throttle: PerJet, output: EngineOutput) -> bool:
+        """Look at one step: the throttles held over it, the engines' report at its end.  True if a verdict changed."""
+        references = self._references
+        past = self._past
+        past.append(tuple([at(throttle[i]) for i, at in enumerate(self._thrust_at)]))
+        del past[0]
+        reports = output.thrust
+        if self._speeds:
+            reports = tuple(
+                [each.thrust_of(f, w) for each, f, w in zip(references, reports, output.spool_speed, strict=True)]
+            )
+        self._reported.append(reports)
+        del self._reported[0]
+        suspects = []
+        threshold = self._threshold
+        for i, x in enumerate(reports):
+            least = most = past[0][i]
+            for j in range(1, self._late - self._early + 1):
+                asked = past[j][i]
+                least, most = (asked if asked < least else least), (asked if asked > most else most)
+            fast, slow = self._shares[i]
+            high, low = self._high[i], self._low[i]
+            high += (fast if most > high else slow) * (most - high)
+            low += (fast if least < low else slow) * (least - low)
+            self._high[i], self._low[i] = high, low
+            gain, fixed = self.gains[i], self._fixed[i]
+            over, under = x - gain * high - fixed, gain * low + fixed - x
+            if over <= threshold and under <= threshold:
+                self._outside[i] = 0
+                if over <= _EXACT * threshold and under <= _EXACT * threshold:
+                    self._agreed[i] = (x, 0.5 * (low + high))
+                continue
+            self._outside[i] += 1
+            if self._outside[i] >= self._confirm:
+                suspects.append(i)
+        changed = [self._judge(i, reports[i]) for i in suspects]
+        return any(changed)
+
+    def give_up(self, i: int) -> None:
+        """Engine ``i`` is shut off on purpose: take it for lost."""
+        self._found(i, 0.0, 0.0)
+
+    def started(self, throttle: PerJet, output: EngineOutput) -> bool:
+        """Every engine that is not given up reports what it gives at rest at its ``throttle``, within the threshold."""
+        reports = zip(self._references, self.gains, throttle, output.thrust, output.spool_speed, strict=True)
+        return all(
+            gain == 0.0 or abs(each.thrust_of(f, w) - each.thrust_at(u)) <= self._threshold
+            for each, gain, u, f, w in reports
+        )
+
+    def settled(self, throttle: PerJet, output: EngineOutput) -> bool:
+        """Every engine's report is within the threshold of what it gives at rest at its ``throttle``, or of nothing."""
+        reports = zip(self._references, throttle, output.thrust, output.spool_speed, strict=True)
+        return all(each.thrust_of(f, w) <= each.thrust_at(u) + self._threshold for each, u, f, w in reports)
+
+    def _judge(self, i: int, x: float) -> bool:
+        """Decide what an engine is that has been outside for long enough; False while it cannot be told."""
+        reference, gain = 0.5 * (self._low[i] + self._high[i]), self.gains[i]
+        left = self._left[i]
+        heading = max(0.0, (x - left * self._reported[0][i]) / (1.0 - left))
+        if gain == 0.0:
+            return self._found(i, 0.0, heading)
+        x_then, reference_then = self._agreed[i]
+        moved, asked = abs(x - x_then), gain * abs(reference - reference_then)
+        if moved < _FOLLOWS * asked:
+            return self._outside[i] >= self._stuck and self._found(i, 0.0, x)
+        if x > self._high[i] + self._threshold:
+            # slow to come down, or running away
+            return moved > asked and self._found(i, 0.0, heading)
+        share = min(1.0, heading / reference) if reference > 0.0 else 1.0
+        return self._found(i, 0.0 if share < _LOST else share, 0.0)
+
+    def _found(self, i: int, gain: float, fixed: float) -> bool:
+        self._outside[i] = 0
+        if (gain, fixed) == (self.gains[i], self._fixed[i]):
+            return False
+        each = self._references[i]
+        idle, span = each.thrust[0], each.thrust[-1] - each.thrust[0]
+        low, high = self._limits
+        # a lost engine's throttle is closed: should it be lit again, it gives the least it can
+        command = min(high, max(low, (fixed - idle) / span)) if fixed else 0.0
+        self._fixed[i] = fixed
+        self.health = (*self.health[:i], JetHealth(gain, fixed / span, command), *self.health[i + 1 :])
+        self.gains = tuple(one.gain for one in self.health)
+        return True
+
+
+def _curve(reference: EngineReference) -> Callable[[float], float]:
+    """Throttle to thrust at rest; a straight curve without the search."""
+    start, slope = reference.thrust[0], reference.thrust[-1] - reference.thrust[0]
+    straight = all(
+        abs(start + u * slope - f) <= 1e-9 * abs(slope)
+        for u, f in zip(reference.throttle, reference.thrust, strict=True)
+    )
+    return (lambda u: start + u * slope) if straight else reference.thrust_at
+
+
+def _share(step: float, lag: float) -> float:
+    return 1.0 - exp(-step / lag) if lag > 0.0 else 1.0
+
+
+def _interpolate(xs: Sequence[float], ys: Sequence[float], x: float) -> float:
+    """Linear between the points, held beyond the ends."""
+    if x <= xs[0]:
+        return ys[0]
+    if x >= xs[-1]:
+        return ys[-1]
+    k = bisect_right(xs, x)
+    return ys[k - 1] + (ys[k] - ys[k - 1]) * (x - xs[k - 1]) / (xs[k] - xs[k - 1])

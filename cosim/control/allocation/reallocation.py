@@ -1,0 +1,322 @@
+"""Re-planning around engines that are lost, weak or stuck: what is left, and how it gives what all engines gave.
+
+Everything is stated in *shares*: thrust over the range ``T(1) - T(0)`` of one healthy engine, so that a healthy engine
+at command ``u`` gives ``idle + u``.  With all engines healthy, collective ``c`` and roll ``r`` ask jet ``i`` for
+``idle + c + s_i r``, with ``s_i`` +1 on the left and -1 on the right.  The force and the moments about x and y of that
+are what a plan gives with the engines that are left:
+
+    sum w_i v_i = sum w_i (idle + c + s_i r),   w = 1, y, x,   v_i = gain_i (idle + u_i) + fixed_i
+
+so that the rest of the controller, its identified models and its hover feed-forward stay as they are.  The commands are
+affine in collective and roll, ``u = trim + up (c - c0) + roll r``; their weights come from a linear program that leaves
+the most roll either way around hover.  What those weights cannot give of a large collective the engines that are kept
+free for roll give too, as far as roll does not ask for them: ``boost`` leads on from there to the most that is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from cosim.base.signals import JetHealth
+from cosim.spec.vehicle import AllocationLimits, Jet
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
+
+_KEPT = 0.15  # of hover thrust, kept either way for height while roll is used; chosen by us: 1.5 m/s^2 of climb
+_PARTS_KEPT = (1.0, 0.5, 0.25, 0.1)  # of that, tried in turn: an engine that runs away leaves little room downward
+_EXCESS_COST = 0.05  # of the most any jet departs from its usual command, against roll authority: spreads the load
+_ROUNDING = 1e-9  # share m
+_LEAST_GAIN = 1e-6  # of collective, less than which is not worth a second direction
+_FLAT = 1e-9  # of throttle per collective: does not follow it
+_RESIDUAL_COST = 1e3  # of pitch left to the tilt, against roll authority: throttle balances pitch where it can
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Commands of all jets as an affine function of collective and roll; see the module's text.
+
+    ``boost`` is what each jet adds for collective beyond the largest that ``up`` reaches.  ``pitch`` is the pitch
+    moment that the throttles leave, in share m: constant, per collective, per roll, per collective of ``boost``.
+    """
+
+    centre: float
+    free: tuple[bool, ...]  # the jets that follow their commands; the others are told ``trim``
+    trim: tuple[float, ...]
+    up: tuple[float, ...]
+    roll: tuple[float, ...]
+    roll_range: tuple[float, float]  # beyond it no collective is left
+    boost: tuple[float, ...]
+    pitch: tuple[float, float, float, float]
+
+
+class Attainable(NamedTuple):
+    """What the engines that are left can do at rest, level and without tilt, with no roll and no pitch moment.
+
+    ``thrust`` is the most they lift over the weight; ``roll`` the largest roll moment either way while they hold
+    the weight, over what all engines give, None if they cannot hold it.  On a multirotor yaw is balanced too, unless
+    ``yaw`` is False.
+    """
+
+    lost: tuple[int, ...]  # jets 1 to 6
+    thrust: float
+    roll: float | None
+    yaw: bool
+
+
+def plan(
+    jets: Sequence[Jet], limits: AllocationLimits, hover: float, idle: float, health: Sequence[JetHealth]
+) -> Plan | None:
+    """The commands that keep collective and roll, and no parasitic pitch; None if the engines left have no balance.
+
+    ``hover`` is the share asked of every jet in hover.
+    """
+    import numpy as np
+
+    low, high = limits.throttle_min, limits.throttle_max
+    rows, side = _rows(jets), _side(jets)
+    gain = np.array([each.gain for each in health])
+    fixed = np.array([each.fixed for each in health])
+    free = np.flatnonzero(gain > 0.0)
+    if not free.size:
+        return None
+    given = rows[:, free] * gain[free]
+    stands = rows @ fixed + given.sum(axis=1) * idle  # without any command
+    per_collective, per_roll = rows.sum(axis=1), rows @ side
+    at_zero = per_collective * idle - stands  # what the commands must add for c = 0
+    top = _most_collective(given, at_zero, per_collective, low, high)
+    if top is None:
+        return None
+    most = min(top[0], hover * (1.0 + 2.0 * _KEPT))
+    centre, kept = (hover, min(_KEPT * hover, 0.5 * (most - hover))) if most > hover else (0.9 * most, 0.05 * most)
+    found = None
+    for part in _PARTS_KEPT:
+        reserve = part * kept
+        found = _weights(
+            given,
+            at_zero + per_collective * centre,
+            per_collective * reserve,
+            per_roll,
+            side[free],
+            (low, high, centre, reserve),
+        )
+        if found is not None:
+            break
+    if found is None:
+        return None
+    trim, up, roll, reach = found
+    up, roll = up / reserve, roll / reach
+    trim, up, roll = (
+        _exact(given, value, wanted)
+        for value, wanted in (
+            (trim, at_zero + per_collective * centre),
+            (up, per_collective),
+            (roll, per_roll),
+        )
+    )
+    boost = _boost(trim, up, centre, top, high, low)
+    left = [
+        float(residual[2])
+        for residual in (
+            given @ trim - at_zero - per_collective * centre,
+            given @ up - per_collective,
+            given @ roll - per_roll,
+            given @ boost - per_collective if boost.any() else np.zeros(3),
+        )
+    ]
+    constant, per_up, per_reach, per_boost = (0.0 if abs(value) < _ROUNDING else value for value in left)
+    everything = np.zeros((4, len(jets)))
+    everything[0] = [each.command for each in health]
+    everything[:, free] = (trim, up, roll, boost)
+    return Plan(
+        centre=centre,
+        free=tuple(each.gain > 0.0 for each in health),
+        trim=tuple(everything[0].tolist()),
+        up=tuple(everything[1].tolist()),
+        roll=tuple(everything[2].tolist()),
+        roll_range=_roll_range(trim, up, roll, low, high),
+        boost=tuple(everything[3].tolist()),
+        pitch=(constant, per_up, per_reach, per_boost),
+    )
+
+
+def attainable(
+    jets: Sequence[Jet], limits: AllocationLimits, hover: float, idle: float, lost: Sequence[int], yaw: bool = True
+) -> Attainable:
+    """What is left without the jets ``lost`` (1 to 6), by linear programs over all commands within their limits."""
+    import numpy as np
+
+    left = [i for i in range(len(jets)) if i + 1 not in lost]
+    rows = _rows(jets)
+    if yaw and any(jet.reaction_m for jet in jets):
+        rows = np.vstack([rows, [jet.reaction_m for jet in jets]])
+    free, balance = rows[:, left], rows[1:, left]
+    weight = len(jets) * (idle + hover)
+    if not left:
+        return Attainable(tuple(sorted(lost)), 0.0, None, yaw)
+    bounds = (limits.throttle_min + idle, limits.throttle_max + idle)
+    best = _linprog(-free[0], eq=(balance, np.zeros(len(balance))), bounds=bounds)
+    thrust = -best.fun / weight if best is not None else 0.0
+    roll = None
+    if thrust >= 1.0:
+        everything = list(range(len(jets)))
+        roll = _roll_authority(rows, left, weight, bounds) / _roll_authority(rows, everything, weight, bounds)
+    return Attainable(tuple(sorted(lost)), float(thrust), roll, yaw)
+
+
+def attainable_sets(
+    jets: Sequence[Jet], limits: AllocationLimits, hover: float, idle: float, most_lost: int = 2
+) -> list[Attainable]:
+    """:func:`attainable` for every combination of up to ``most_lost`` lost jets; of a multirotor without yaw too."""
+    reacting = any(jet.reaction_m for jet in jets)
+    return [
+        attainable(jets, limits, hover, idle, lost, yaw)
+        for count in range(most_lost + 1)
+        for lost in combinations(range(1, len(jets) + 1), count)
+        for yaw in ((True, False) if reacting else (True,))
+    ]
+
+
+def _roll_authority(rows: Array, left: list[int], weight: float, bounds: tuple[float, float]) -> float:
+    """The smaller of the largest roll moments either way, with the weight held and everything else balanced."""
+    import numpy as np
+
+    held = np.delete(rows[:, left], 1, axis=0)
+    wanted = np.zeros(len(held))
+    wanted[0] = weight
+    ends = [_linprog(sign * rows[1, left], eq=(held, wanted), bounds=bounds) for sign in (1.0, -1.0)]
+    return float(min(0.0 if end is None else -end.fun for end in ends))
+
+
+def _rows(jets: Sequence[Jet]) -> Array:
+    """Force, and lever about x and y, of each jet: shape (3, jets)."""
+    import numpy as np
+
+    return np.array([[1.0, jet.position_m[1], jet.position_m[0]] for jet in jets]).T
+
+
+def _side(jets: Sequence[Jet]) -> Array:
+    import numpy as np
+
+    return np.array([-1.0 if jet.position_m[1] > 0.0 else 1.0 for jet in jets])
+
+
+def get_ready() -> None:
+    """Load the solver, which takes 0.2 s: a flight that may have to plan anew does so before it begins."""
+    import scipy.optimize  # noqa: F401
+
+
+def _linprog(cost: Any, ub: Any = None, eq: Any = None, bounds: Any = None) -> Any:
+    """scipy's linear program; None where it has no solution."""
+    from scipy.optimize import linprog
+
+    a, b = ub if ub is not None else (None, None)
+    e, f = eq if eq is not None else (None, None)
+    found = linprog(cost, A_ub=a, b_ub=b, A_eq=e, b_eq=f, bounds=bounds, method="highs")
+    return found if found.status == 0 else None
+
+
+def _most_collective(
+    given: Array, at_zero: Array, per_collective: Array, low: float, high: float
+) -> tuple[float, Array] | None:
+    """The largest collective that the free jets give in balance, and their commands; None if there is none above 0."""
+    import numpy as np
+
+    count = given.shape[1]
+    cost = np.append(np.zeros(count), -1.0)
+    found = _linprog(
+        cost,
+        eq=(np.column_stack([given, -per_collective]), at_zero),
+        bounds=[(low, high)] * count + [(0.0, None)],
+    )
+    return None if found is None or found.x[-1] <= 1e-6 else (float(found.x[-1]), found.x[:count])
+
+
+def _boost(trim: Array, up: Array, centre: float, top: tuple[float, Array], high: float, low: float) -> Array:
+    """Commands per collective on the straight line from the most that ``up`` gives without roll to ``top``.
+
+    Both ends give their collective in balance, and so does everything between them.
+    """
+    import numpy as np
+
+    room = [
+        ((high if slope > 0.0 else low) - base) / slope
+        for base, slope in zip(trim, up, strict=True)
+        if abs(slope) > _FLAT
+    ]
+    reached = min(room, default=0.0)
+    gain = top[0] - centre - reached
+    if gain <= _LEAST_GAIN:
+        return np.zeros(len(trim))
+    boost: Array = (top[1] - trim - reached * up) / gain
+    boost[np.abs(boost) < _FLAT] = 0.0
+    return boost
+
+
+def _weights(
+    given: Array, trim: Array, up: Array, roll: Array, side: Array, limits: tuple[float, float, float, float]
+) -> tuple[Array, Array, Array, float] | None:
+    """Trim, the commands for ``up`` more and for ``reach`` of roll, and the largest ``reach`` for which all fit.
+
+    Every corner ``trim +- up +- roll`` is within the limits, which are low, high, centre and what is kept for ``up``.
+    Pitch may be left over on ``up`` and ``roll``, at a cost; so may, at a small one, what the jets do beyond what
+    they did when all were healthy, so that no jet does more than its share where it need not.
+    """
+    import numpy as np
+
+    low, high, centre, kept = limits
+    n = given.shape[1]
+    zero, none = np.zeros((3, n)), np.zeros((3, 1))
+    # unknowns: trim, up, roll (n each); reach; pitch left over by up and by roll (2 each); largest excess of each
+    over_up, over_roll = np.zeros((3, 7)), np.zeros((3, 7))
+    over_up[2, :2], over_roll[2, 2:4] = (1.0, -1.0), (1.0, -1.0)
+    equal = np.vstack(
+        [
+            np.hstack([given, zero, zero, none, np.zeros((3, 7))]),
+            np.hstack([zero, given, zero, none, over_up]),
+            np.hstack([zero, zero, given, -roll[:, None], over_roll]),
+        ]
+    )
+    eye, off, empty, ones = np.eye(n), np.zeros((n, n)), np.zeros((n, 8)), np.ones((n, 1))
+    corners = np.vstack([np.hstack([eye, a * eye, b * eye, empty]) for a, b in product((1.0, -1.0), repeat=2)])
+    columns = np.eye(8)[5:]
+    usual = np.zeros((n, 1)), np.zeros((n, 1)), side[:, None]
+    excess, wanted = [], []
+    for index, value in enumerate((centre, kept, 0.0)):
+        chosen = [eye if place == index else off for place in range(3)]
+        for sign in (1.0, -1.0):
+            beyond = np.hstack([-sign * usual[index], np.zeros((n, 4)), -ones * columns[index][None, 5:]])
+            excess.append(np.hstack([*(sign * part for part in chosen), beyond]))
+            wanted.append(np.full(n, sign * value))
+    unequal = np.vstack([corners, -corners, *excess])
+    bound = np.concatenate([np.full(4 * n, high), np.full(4 * n, -low), *wanted])
+    cost = np.concatenate([np.zeros(3 * n), [-1.0], np.full(4, _RESIDUAL_COST), np.full(3, _EXCESS_COST)])
+    bounds = [(None, None)] * (3 * n) + [(0.0, None)] * 8
+    found = _linprog(cost, (unequal, bound), (equal, np.concatenate([trim, up, np.zeros(3)])), bounds)
+    if found is None or found.x[3 * n] < 1e-6:
+        return None
+    return found.x[:n], found.x[n : 2 * n], found.x[2 * n : 3 * n], float(found.x[3 * n])
+
+
+def _exact(given: Array, value: Array, wanted: Array) -> Array:
+    """``value`` moved by the least that gives ``wanted`` to rounding, where the jets can."""
+    import numpy as np
+
+    moved: Array = value + np.linalg.lstsq(given, wanted - given @ value, rcond=None)[0]
+    return moved if np.allclose(given @ moved, wanted, rtol=0.0, atol=1e-9) else value
+
+
+def _roll_range(trim: Array, up: Array, roll: Array, low: float, high: float) -> tuple[float, float]:
+    """The rolls for which there is a collective at all; the unknowns are that collective, from the centre, and roll."""
+    import numpy as np
+
+    both = np.column_stack([up, roll])
+    ub = np.vstack([both, -both]), np.append(high - trim, trim - low)
+    ends = [_linprog((0.0, sign), ub, bounds=[(None, None), (None, None)]) for sign in (1.0, -1.0)]
+    lowest, highest = (0.0 if end is None else float(end.x[1]) for end in ends)
+    return (lowest, highest)

@@ -1,0 +1,104 @@
+"""From shares of thrust to throttles: what allocation asks for is a thrust, whatever the engine's static curve."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+from cosim.base.errors import InputError
+from cosim.base.signals import PerJet
+
+STRAIGHT = 1e-9  # of the thrust between throttle 0 and 1: a curve this close to its chord is a straight line
+
+
+class StaticCurve(NamedTuple):
+    """Thrust of one engine at rest, at throttles from 0 to 1, and the engine's name for complaints."""
+
+    engine: str
+    throttle: Sequence[float]
+    thrust: Sequence[float]  # N
+
+    @property
+    def span(self) -> float:
+        """Thrust between throttle 0 and 1, N."""
+        return self.thrust[-1] - self.thrust[0]
+
+    @property
+    def straight(self) -> bool:
+        low, span = self.thrust[0], self.span
+        return all(
+            abs(f - (low + u * span)) <= STRAIGHT * abs(span) for u, f in zip(self.throttle, self.thrust, strict=True)
+        )
+
+
+class ThrustMap:
+    """Shares of thrust, 0 to 1, to throttles, one static curve per station.
+
+    Controllers, allocation and identified models count in shares: a share c asks for the thrust at rest
+    ``T = T_0 + c (T_1 - T_0)`` of the ``reference`` engine at throttle 0 and 1, so that equal changes of c are equal
+    changes of thrust at every station.  A station's throttle is its own measured curve inverted, linear between the
+    points, held at 0 and 1 where its engine cannot give T.  With one kind of engine and a straight curve throttle = c.
+
+    Raises InputError if a curve does not grow from point to point.
+    """
+
+    def __init__(self, reference: StaticCurve, stations: Sequence[StaticCurve]) -> None:
+        inverse = {id(curve): inverted(curve) for curve in (reference, *stations)}
+        self._low, self._span = reference.thrust[0], reference.span
+        # None: the throttle is the share, to the last bit
+        self._stations = [
+            None if reference.straight and _same(curve, reference) else inverse[id(curve)] for curve in stations
+        ]
+        self.identity = not any(self._stations)
+        self._share = inverse[id(reference)] if reference.straight else self._linear
+        # thrust at throttle 0, in shares: the thrust itself is proportional to c + idle
+        self.idle = self._low / self._span if abs(self._low) > STRAIGHT * self._span else 0.0
+
+    def _linear(self, thrust: float) -> float:
+        return (thrust - self._low) / self._span
+
+    def share(self, thrust: float) -> float:
+        """The share that asks a station for ``thrust`` [N]."""
+        return self._share(thrust)
+
+    def throttle(self, shares: PerJet) -> PerJet:
+        """One throttle per station."""
+        if self.identity:
+            return shares
+        low, span = self._low, self._span
+        return tuple(
+            [
+                c if throttle is None else min(max(throttle(low + c * span), 0.0), 1.0)
+                for throttle, c in zip(self._stations, shares, strict=True)
+            ]
+        )
+
+
+def _same(one: StaticCurve, other: StaticCurve) -> bool:
+    return one is other or (one.throttle, one.thrust) == (other.throttle, other.thrust)
+
+
+def inverted(curve: StaticCurve) -> Callable[[float], float]:
+    """Thrust at rest [N] to throttle, linear between the points and beyond the ends.
+
+    Raises InputError if the thrust does not grow with the throttle: nothing could then be inverted.
+    """
+    throttles, thrusts = curve.throttle, curve.thrust
+    for (u, v), (f, g) in zip(pairwise(throttles), pairwise(thrusts), strict=True):
+        if g <= f:
+            does = "is the same, " if g == f else f"falls from {f:.6g} to "
+            raise InputError(
+                f"engine {curve.engine}: its thrust at rest must grow with the throttle, "
+                f"but from throttle {u:g} to {v:g} it {does}{g:.6g} N"
+            )
+
+    slopes = [(v - u) / (b - a) for (u, v), (a, b) in zip(pairwise(throttles), pairwise(thrusts), strict=True)]
+    inner = thrusts[1:-1]
+
+    def throttle(thrust: float) -> float:
+        i = bisect_left(inner, thrust)
+        return throttles[i] + slopes[i] * (thrust - thrusts[i])
+
+    return throttle

@@ -1,0 +1,130 @@
+"""How fast the vehicle may sink at a height: what its thrust and its engines' lateness allow to stop before the ground.
+
+Two uses.  Where the height is controlled the set-point of height keeps within it.  Where the collective comes by stick
+or set-point a floor under the collective keeps the vehicle within it: a pilot may fall from any height, and is caught.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import NamedTuple
+
+from cosim.control.altitude import GRAVITY
+from cosim.control.autopilot.shaper import MEAN, SHARE
+
+# Chosen by us.
+_CATCH_SHARE = 0.5  # of the thrust beyond the weight is planned for catching a fall; the rest is for lean and error
+_LEAST_UPRIGHT = 0.5  # thrust is not raised further for a lean beyond 60 degrees
+_TRIM = 0.4 * GRAVITY  # m/s^2, what the floor may learn of a weight that it is wrong about
+_SENSED_S = 0.15  # the climb rate is a GNSS receiver's: 0.1 s late, and 0.05 s old on average
+
+
+class HeightLimits(NamedTuple):
+    """Bounds of the height that is asked for: m/s^2, m/s^3; and what a descent is planned with: m/s^2, s."""
+
+    acceleration: float
+    jerk: float
+    braking: float
+    late: float
+
+
+def height_limits(height: float, gain: float, speed: float, up: float, down: float) -> HeightLimits:
+    """Bounds from the gains K_h of the height and K of the climb rate [1/s], and the thrust's accelerations [m/s^2].
+
+    As for the leans: ``A = min(K speed, (1/4) up, (1/4) down)`` and ``J = A K / 0.5``; braking is planned at ``3/4 A``,
+    and the vehicle is later than its set-point by ``1/K_h + 1/K`` and half of the jerk's mean, ``0.25/K``.
+    """
+    k = max(gain, 0.1)
+    a = min(k * speed, SHARE * up, SHARE * down)
+    return HeightLimits(a, a * k / MEAN, 0.75 * a, 1.0 / max(height, 0.1) + (1.0 + 0.5 * MEAN) / k)
+
+
+def thrust_margins(hover: float, idle: float, least: float, most: float) -> tuple[float, float]:
+    """Accelerations [m/s^2] up and down that full and least throttle give in level hover.
+
+    Thrust is as ``throttle + idle``: ``up = g ((most + idle) / (hover + idle) - 1)``, down alike.
+    """
+    weight = hover + idle
+    return GRAVITY * (most - hover) / weight, GRAVITY * (hover - least) / weight
+
+
+def descent_for(height: float, braking: float, late: float, end: float = 0.0) -> float:
+    """The rate of descent [m/s] from which the vehicle slows down to ``end`` [m/s] within ``height`` [m].
+
+    It sinks on for ``late`` [s] before the thrust answers and then brakes with ``braking`` [m/s^2]:
+    ``h = (v - v_e) t + (v^2 - v_e^2) / (2 a)``, so ``v = sqrt((a t + v_e)^2 + 2 a h) - a t``.
+    """
+    at = braking * late
+    return sqrt((at + end) ** 2 + 2.0 * braking * max(0.0, height)) - at
+
+
+class Floor:
+    """The least collective, where it is not the height that is asked for.
+
+    With ``v`` from :func:`descent_for` at the present height (a = half of the thrust beyond the weight, t = four times
+    the longest time in which engines and sensed climb rate answer), the vehicle sinking at ``s``, and ``k = 1/(2 T)``
+    with T that time about hover, where the floor keeps the engines:
+
+        acceleration upwards = s dv/dh + k (s - v) + (k/4) k integral(s - v)
+
+    and the collective is what gives it, upright; it counts where it is more than what was asked for.  The integral
+    learns, while the floor acts, by how much the weight is another one than it is told: enough for a vehicle that is
+    lighter to come down, not for one that is heavier to be caught by engines that take seconds.
+
+    What comes out moves from least to most throttle in no less than ``answer``: engines that are all driven into the
+    limit of their acceleration have none left between them to keep the vehicle level with.
+    """
+
+    def __init__(
+        self, hover: float, idle: float, least: float, most: float, near: float, answer: float, step: float
+    ) -> None:
+        """Delay and lag [s] of the engines: ``near`` hover, and ``answer`` the longest anywhere in their range."""
+        self._hover, self._idle = hover, idle
+        self._least, self._most = least, most
+        self._step = step
+        self._braking = _CATCH_SHARE * thrust_margins(hover, idle, least, most)[0]
+        self._late = 4.0 * (answer + _SENSED_S)
+        self._k = 0.5 / (near + _SENSED_S)
+        self._most_change = (most - least) * step / max(answer, step)
+        self.reset()
+
+    def reset(self) -> None:
+        """On the ground, or the height is controlled."""
+        self._trim = 0.0
+        self._last: float | None = None
+        self.acting = False
+
+    def level(self, collective: float) -> None:
+        """The height is controlled, at this collective; from here it goes on."""
+        self.reset()
+        self._last = collective
+
+    def allowed(self, height: float, end: float) -> float:
+        """The rate of descent [m/s] that is let be at a height [m] above the ground; ``end``: at the ground."""
+        return descent_for(height, self._braking, self._late, end)
+
+    def under(self, asked: float, height: float, sink: float, end: float, upright: float, weight: float) -> float:
+        """The collective: ``asked`` or what the floor needs where that is more, without steps.
+
+        ``upright``: cosine of the lean; ``weight``: as a share of that at the start.
+        """
+        v = self.allowed(height, end)
+        slope = self._braking / (v + self._braking * self._late) if height > 0.0 else 0.0
+        k = self._k
+        up = max(0.0, sink) * slope + k * (sink - v) + self._trim
+        thrust = (self._hover + self._idle) * weight * (1.0 + up / GRAVITY) / max(upright, _LEAST_UPRIGHT)
+        least = min(max(thrust - self._idle, self._least), self._most)
+        self.acting = least > asked
+        if self.acting:
+            self._trim += 0.25 * k * k * (sink - v) * self._step
+            self._trim = min(max(self._trim, -_TRIM), _TRIM)
+        else:
+            self._trim = 0.0
+        return self.slowed(max(asked, least))
+
+    def slowed(self, asked: float) -> float:
+        """The collective on its way to ``asked``."""
+        if self._last is not None:
+            asked = min(max(asked, self._last - self._most_change), self._last + self._most_change)
+        self._last = asked
+        return asked

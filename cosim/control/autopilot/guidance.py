@@ -1,0 +1,169 @@
+"""From what a mode wants (a place, a velocity, a height, a heading) to the command of one step, without jumps."""
+
+from __future__ import annotations
+
+from math import inf, pi
+
+from cosim.base.signals import Command, Measured
+from cosim.control.autopilot.descent import HeightLimits
+from cosim.control.autopilot.navigation import (
+    Fix,
+    Pair,
+    PositionController,
+    Track,
+    Tracker,
+    lean_for,
+    wrap,
+)
+from cosim.control.autopilot.parameters import Parameters
+
+_LEAD = 1.0  # m that the height asked for may be ahead of the vehicle beyond what its climb rate needs
+
+
+class Guide:
+    """Keeps the set-points of position, height and heading; each starts from where the vehicle is.
+
+    A set-point that was not used in the step before is taken up from the present state, so that changing modes does
+    not step the command of anything but the acceleration.
+    """
+
+    def __init__(
+        self,
+        tracker: Tracker,
+        position: PositionController,
+        parameters: Parameters,
+        limits: HeightLimits,
+        step: float,
+    ) -> None:
+        self.tracker = tracker
+        self._height = Tracker(limits.acceleration, limits.jerk, step)
+        self._position = position
+        self._parameters = parameters
+        self._step = step
+        self.reset()
+
+    def reset(self) -> None:
+        """No set-point is in use."""
+        self._k = -1
+        self._tracked = self._held = self._aimed = -2
+        self.altitude = self.yaw = self._climb = 0.0
+        self._position.reset()
+
+    def limit(self, limits: HeightLimits) -> None:
+        """Other bounds of the height; what is asked for goes on from where it is."""
+        self._height.limit(limits.acceleration, limits.jerk)
+        track = self._height.track
+        self._height.start(track.position, track.velocity)
+
+    def begin(self, k: int, measured: Measured, yaw: float, fix: Fix, sink: float = inf) -> None:
+        """The instant for the calls that follow; ``sink``: the most rate of descent [m/s] that may be asked for."""
+        self._k = k
+        self._measured = measured
+        self._yaw = yaw
+        self._fix = fix
+        self._sink = sink
+
+    def towards(self, place: Pair, speed: float) -> Pair:
+        """Roll and pitch (rad) that fly to a place."""
+        self._take_up_track()
+        return self._lean(self.tracker.towards(place, speed))
+
+    def around(self, centre: Pair, radius: float, speed: float, clockwise: bool) -> Pair:
+        """Roll and pitch (rad) that fly round a centre."""
+        self._take_up_track()
+        return self._lean(self.tracker.around(centre, radius, speed, clockwise))
+
+    def at_velocity(self, velocity: Pair) -> Pair:
+        """Roll and pitch (rad) that fly at a velocity."""
+        self._take_up_track()
+        return self._lean(self.tracker.at_velocity(velocity))
+
+    def to_height(self, altitude: float, up: float, down: float) -> float:
+        """The height asked for, on its way to ``altitude`` at these rates at most."""
+        self._take_up_height()
+        off = altitude - self.altitude
+        if self._waits(off):
+            return self.altitude
+        speed = up if off > 0.0 else min(down, self._sink)
+        return self._raised(self._height.towards((altitude, 0.0), speed))
+
+    def at_climb(self, rate: float) -> float:
+        """The height asked for, moving at ``rate``."""
+        self._take_up_height()
+        rate = max(rate, -self._sink)
+        if self._waits(rate):
+            return self.altitude
+        return self._raised(self._height.at_velocity((rate, 0.0)))
+
+    def to_yaw(self, yaw: float | None) -> float:
+        """The heading asked for, on its way to ``yaw`` the short way round; None stays."""
+        self._take_up_yaw()
+        if yaw is not None:
+            most = self._parameters["HJ_YAW_RATE"] * pi / 180.0 * self._step
+            self.yaw = wrap(self.yaw + min(max(wrap(yaw - self.yaw), -most), most))
+        return self.yaw
+
+    def at_turn(self, rate: float) -> float:
+        """The heading asked for, turning at ``rate``, never more than a radian ahead of the vehicle."""
+        self._take_up_yaw()
+        ahead = wrap(self.yaw + rate * self._step - self._yaw)
+        self.yaw = wrap(self._yaw + min(max(ahead, -1.0), 1.0))
+        return self.yaw
+
+    def command(self, lean: Pair, altitude: float, yaw: float) -> Command:
+        """Everything by closed loops."""
+        track = self.track
+        return Command((lean[0], lean[1], yaw), altitude, place=None if track is None else track.position)
+
+    @property
+    def track(self) -> Track | None:
+        """The set-point of position, where one is in use."""
+        return self.tracker.track if self._tracked == self._k else None
+
+    @property
+    def holds_height(self) -> bool:
+        return self._held == self._k
+
+    @property
+    def rest(self) -> float:
+        """The height at which the set-point comes to rest if climbing or sinking ends now."""
+        return self._height.ahead[0]
+
+    def _lean(self, track: Track) -> Pair:
+        return lean_for(self._position.update(track, self._fix), self._yaw)
+
+    def _take_up_track(self) -> None:
+        if self._tracked not in (self._k, self._k - 1):
+            self.tracker.start(self._fix.position, self._fix.velocity)
+        self._tracked = self._k
+
+    def _take_up_height(self) -> None:
+        if self._held not in (self._k, self._k - 1):
+            # the loop itself asks for no more than these: a fall is caught by it, not by the set-point
+            up, down = self._parameters["HJ_SPEED_UP"], self._parameters["HJ_SPEED_DN"]
+            self._climb = min(max(-self._measured.velocity[2], -down), up)
+            # where the law asks for the climb rate that there is
+            self.altitude = self._measured.altitude + self._climb / self._gain()
+            self._height.start((self.altitude, 0.0), (self._climb, 0.0))
+        self._held = self._k
+
+    def _take_up_yaw(self) -> None:
+        if self._aimed not in (self._k, self._k - 1):
+            self.yaw = self._yaw
+        self._aimed = self._k
+
+    def _waits(self, change: float) -> bool:
+        """Does the vehicle not follow, so that the height asked for has to wait for it?"""
+        ahead = self.altitude - self._measured.altitude
+        if abs(ahead) < _LEAD + abs(self._climb) / self._gain() or ahead * change <= 0.0:
+            return False
+        self._climb = 0.0
+        self._height.start((self.altitude, 0.0), (0.0, 0.0))
+        return True
+
+    def _raised(self, track: Track) -> float:
+        self.altitude, self._climb = track.position[0], track.velocity[0]
+        return self.altitude
+
+    def _gain(self) -> float:
+        return max(self._parameters["HJ_ALT_P"], 0.1)

@@ -1,0 +1,66 @@
+"""A mission: its items, where it stands, and what comes next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cosim.control.autopilot.requests import ItemKind, MissionItem
+
+_MOST_JUMPS = 10_000  # in one go: a circle of jumps without anything to fly
+
+
+class Mission:
+    """Items and progress.  ``current`` is the place in the list; past the end the mission is done."""
+
+    def __init__(self) -> None:
+        self.items: tuple[MissionItem, ...] = ()
+        self.restart(0)
+        self.reached = -1
+
+    def load(self, items: Sequence[MissionItem]) -> None:
+        """A new mission, from its first item."""
+        self.items = tuple(items)
+        self.restart(0)
+        self.reached = -1
+
+    def restart(self, index: int) -> None:
+        """Go on from item ``index`` with every jump still to be made."""
+        self.current = index
+        self.since = -1  # the step at which the item's waiting began
+        self._jumps: dict[int, int] = {}
+
+    @property
+    def item(self) -> MissionItem | None:
+        """The present item; None when the mission is done."""
+        return self.items[self.current] if self.current < len(self.items) else None
+
+    @property
+    def done(self) -> bool:
+        return self.current >= len(self.items)
+
+    def advance(self) -> MissionItem | None:
+        """The next item to be flown; None at the end or in a circle of jumps."""
+        self.reached = self.current
+        self.since = -1
+        self.current += 1
+        return self.skip_jumps()
+
+    def skip_jumps(self) -> MissionItem | None:
+        """Follow jumps from the present item, and pass what is left out."""
+        for _ in range(_MOST_JUMPS):
+            item = self.item
+            if item is not None and item.kind is ItemKind.LEFT_OUT:
+                self.current += 1
+                continue
+            if item is None or item.kind is not ItemKind.JUMP or item.target is None:
+                return item
+            made = self._jumps.get(self.current, 0)
+            if made < item.repeat:
+                self._jumps[self.current] = made + 1
+                self.current = item.target
+            else:
+                # a jump that is met again after its count, from outside, counts anew
+                self._jumps[self.current] = 0
+                self.current += 1
+        self.current = len(self.items)
+        return None

@@ -1,0 +1,333 @@
+"""The vehicle's parameters: what a ground station may read and change while it flies.
+
+Names are at most 16 characters.  ``HJ_*`` are ours; the others are PX4's, because ground stations look for them.
+Every change of a gain goes through the control blocks' ``retune``, which makes it without a bump in the command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import degrees, isfinite, radians
+from typing import Literal, NamedTuple
+
+from cosim.base.errors import InputError
+from cosim.base.protocols import Predictor
+from cosim.base.signals import AXES
+from cosim.control.altitude import AltitudeController
+from cosim.control.attitude import AttitudeController
+from cosim.control.autopilot.navigation import PositionController, Tracker
+from cosim.control.predictors.registry import PREDICTORS, TITLES
+from cosim.control.rate import RateController
+from cosim.spec.vehicle import (
+    Control,
+    PilotSettings,
+    PositionGains,
+    PredictorTuning,
+    RateGains,
+)
+
+CONTROLLERS = tuple(PREDICTORS)  # the value of HJ_PRED_TYPE is the place in this list
+CATCH_UP_STEPS = 1000  # that a predictor that comes in flight is told of: 4 s at 250 Hz, 40 delays of a jet
+_FLOAT32 = 1e-6  # relative: a bound that went through a 32-bit float is still the bound
+_LARGEST = 10.0  # times the default is the most a gain may be; chosen by us: beyond it no loop here is stable
+
+
+class Meaning(NamedTuple):
+    """One value of an enumeration."""
+
+    value: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One line of the table; ``least`` and ``most`` are in ``unit``, as the value is."""
+
+    name: str
+    kind: Literal["float", "int"]
+    default: float
+    least: float
+    most: float
+    unit: str
+    group: str
+    text: str
+    values: tuple[Meaning, ...] = ()
+    read_only: bool = False
+    decimals: int = field(default=3)
+
+
+NOTHING, HOLD, RETURN, LAND = range(4)  # what a failsafe does
+_ACTIONS = (Meaning(0, "message only"), Meaning(1, "hold"), Meaning(2, "return"), Meaning(3, "land"))
+
+
+class Parameters:
+    """The table and its present values."""
+
+    def __init__(self, table: Sequence[Parameter]) -> None:
+        self.table = {line.name: line for line in table}
+        self._values: dict[str, float] = {line.name: line.default for line in table}
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self.table.values())
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Every value by name, in the table's order."""
+        return self._values
+
+    def changed(self) -> dict[str, float]:
+        """What is not at its default: enough to bring the vehicle back to where it is."""
+        return {name: value for name, value in self._values.items() if value != self.table[name].default}
+
+    def check(self, name: str, value: float) -> float:
+        """The value that would be stored.  Raises InputError for a wrong name, kind or range."""
+        line = self.table.get(name)
+        if line is None:
+            raise InputError(f"unknown parameter {name!r}")
+        if not isfinite(value):
+            raise InputError(f"{name} = {value!r}: must be a finite number")
+        if line.read_only and value != self._values[name]:
+            raise InputError(f"{name} = {value:g}: cannot be changed, it is {self._values[name]:g}")
+        if line.kind == "int" and value != int(value):
+            raise InputError(f"{name} = {value!r}: must be a whole number")
+        slack = _FLOAT32 * max(abs(line.least), abs(line.most))
+        if not line.least - slack <= value <= line.most + slack:
+            unit = f" {line.unit}" if line.unit else ""
+            raise InputError(f"{name} = {value:g}: must be from {line.least:g} to {line.most:g}{unit}")
+        return min(line.most, max(line.least, value))
+
+    def set(self, name: str, value: float) -> None:
+        """Store a value.  Raises InputError for a wrong name, kind or range."""
+        self._values[name] = self.check(name, value)
+
+
+PredictorMaker = Callable[[str, float, PredictorTuning], list[Predictor]]
+
+
+class Blocks(NamedTuple):
+    """What a change of a parameter reaches.
+
+    ``predictors`` makes the three axes' predictors for a controller's name, the delay of the roll model in samples
+    and a tuning; it raises InputError where the vehicle has no model for them.
+    """
+
+    attitude: AttitudeController
+    altitude: AltitudeController
+    rate: RateController
+    position: PositionController
+    tracker: Tracker
+    predictors: PredictorMaker
+
+
+class Live:
+    """Hands changed parameters to the control blocks."""
+
+    def __init__(self, parameters: Parameters, control: Control, blocks: Blocks, step: float) -> None:
+        self._parameters = parameters
+        self._control = control
+        self._blocks = blocks
+        self._step = step
+        blocks.rate.remember(CATCH_UP_STEPS)
+
+    def set(self, name: str, value: float) -> None:
+        """Store a value and let it act from the next step on.  Raises InputError where it is not allowed."""
+        parameters = self._parameters
+        value = parameters.check(name, value)
+        if value == parameters[name]:
+            return
+        new = dict(parameters.values) | {name: value}
+        if name.startswith("HJ_PRED_"):
+            self._predict(new)
+        elif name in _RATE_NAMES:
+            self._blocks.rate.retune(rate_gains(self._control, new))
+        elif name.startswith("HJ_ATT_") or name.startswith("HJ_RLIM_"):
+            self._aim(new)
+        elif name in ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I", "HJ_SPEED_UP", "HJ_SPEED_DN"):
+            self._climb(new)
+        elif name in ("HJ_POS_P", "HJ_VEL_P", "HJ_LEAN_MAX"):
+            lean = radians(new["HJ_LEAN_MAX"])
+            self._blocks.position.retune(new["HJ_POS_P"], new["HJ_VEL_P"], lean)
+        elif name in ("HJ_ACC_HOR", "HJ_JERK_HOR"):
+            self._blocks.tracker.limit(new["HJ_ACC_HOR"], new["HJ_JERK_HOR"])
+        parameters.set(name, value)
+
+    def _predict(self, values: Mapping[str, float]) -> None:
+        tuning = self._control.predictor.model_copy(
+            update={
+                "filter_s": values["HJ_PRED_FILT"],
+                "observer_rad_s": values["HJ_PRED_OBS"],
+                "model_observer_rad_s": values["HJ_PRED_OBS_M"],
+                "disturbance_observer_rad_s": values["HJ_PRED_OBS_D"],
+            }
+        )
+        made = self._blocks.predictors(CONTROLLERS[int(values["HJ_PRED_TYPE"])], values["HJ_PRED_DELAY"], tuning)
+        self._blocks.rate.retune(rate_gains(self._control, values), made)
+
+    def _aim(self, values: Mapping[str, float]) -> None:
+        old = self._control.attitude
+        gain = [values[f"HJ_ATT_{axis.upper()}"] for axis in AXES]
+        limit = [radians(values[f"HJ_RLIM_{axis.upper()}"]) for axis in AXES]
+        changed = {"gain_1_s": tuple(gain), "rate_limit_rad_s": tuple(limit)}
+        self._blocks.attitude.retune(old.model_copy(update=changed), self._step)
+
+    def _climb(self, values: Mapping[str, float]) -> None:
+        self._blocks.altitude.retune(
+            self._control.altitude.model_copy(
+                update={
+                    "position_1_s": values["HJ_ALT_P"],
+                    "velocity_1_s": values["HJ_CLIMB_P"],
+                    "integral_1_s2": values["HJ_CLIMB_I"],
+                    "climb_limit_m_s": values["HJ_SPEED_UP"],
+                    "descent_limit_m_s": values["HJ_SPEED_DN"],
+                }
+            )
+        )
+
+
+_RATE_NAMES = frozenset(f"HJ_{axis.upper()}_{term}" for axis in AXES for term in "PID")
+
+
+def rate_gains(control: Control, values: Mapping[str, float]) -> list[RateGains]:
+    """The three rate laws with the gains of ``values``."""
+    return [
+        law.model_copy(update={term: values[f"HJ_{axis.upper()}_{term.upper()}"] for term in "pid"})
+        for axis, law in zip(AXES, (control.rate.roll, control.rate.pitch, control.rate.yaw), strict=True)
+    ]
+
+
+def table(control: Control, pilot: PilotSettings, controller: str, delay: float | None) -> list[Parameter]:
+    """Every parameter of a vehicle; ``delay`` is that of its roll model in samples, None where it has no model.
+
+    Raises InputError for a vehicle without a table [control.position].
+    """
+    if control.position is None:
+        raise InputError("vehicle.control.position is missing: this vehicle cannot be flown by the autopilot")
+    return [
+        *_loops(control),
+        *_position(control.position),
+        *_flight(pilot),
+        *_predictor(control.predictor, controller, delay),
+        *_failsafes(pilot),
+        *_of_px4(),
+    ]
+
+
+def _gain(name: str, default: float, unit: str, group: str, text: str, most: float | None = None) -> Parameter:
+    return Parameter(name, "float", default, 0.0, most or _LARGEST * default, unit, group, text, decimals=5)
+
+
+def _loops(control: Control) -> Iterator[Parameter]:
+    rate = (control.rate.roll, control.rate.pitch, control.rate.yaw)
+    # commands are in throttle on roll, in rad of tilt on pitch and yaw
+    units = (("s/rad", "1/rad", "s^2/rad"), ("s", "1", "s^2"), ("s", "1", "s^2"))
+    for axis, law, (of_p, of_i, of_d) in zip(AXES, rate, units, strict=True):
+        name = f"HJ_{axis.upper()}"
+        yield _gain(f"{name}_P", law.p, of_p, "Rate loop", f"{axis} rate, proportional gain")
+        most = _LARGEST * max(law.i, law.p)
+        yield _gain(f"{name}_I", law.i, of_i, "Rate loop", f"{axis} rate, integral gain", most)
+        most = max(_LARGEST * law.d, law.p)  # a derivative time of a second at the default P
+        yield _gain(f"{name}_D", law.d, of_d, "Rate loop", f"{axis} rate, derivative gain", most)
+    attitude = control.attitude
+    for axis, gain, limit in zip(AXES, attitude.gain_1_s, attitude.rate_limit_rad_s, strict=True):
+        yield _gain(f"HJ_ATT_{axis.upper()}", gain, "1/s", "Attitude loop", f"{axis}: rate asked for per error")
+        text = f"{axis}: most rate that the attitude loop asks for"
+        yield Parameter(
+            f"HJ_RLIM_{axis.upper()}", "float", degrees(limit), 5.0, 720.0, "deg/s", "Attitude loop", text, decimals=1
+        )
+    height = control.altitude
+    yield _gain("HJ_ALT_P", height.position_1_s, "1/s", "Height", "climb rate asked for per error of height")
+    yield _gain("HJ_CLIMB_P", height.velocity_1_s, "1/s", "Height", "acceleration asked for per error of climb rate")
+    yield _gain("HJ_CLIMB_I", height.integral_1_s2, "1/s^2", "Height", "its integral")
+    yield Parameter("HJ_SPEED_UP", "float", height.climb_limit_m_s, 0.1, 20.0, "m/s", "Height", "most climb rate")
+    yield Parameter("HJ_SPEED_DN", "float", height.descent_limit_m_s, 0.1, 20.0, "m/s", "Height", "most descent rate")
+
+
+def _position(gains: PositionGains) -> Iterator[Parameter]:
+    yield _gain("HJ_POS_P", gains.position_1_s, "1/s", "Position", "speed asked for per error of position")
+    yield _gain("HJ_VEL_P", gains.velocity_1_s, "1/s", "Position", "acceleration asked for per error of velocity")
+    text = "most lean that automatic flight asks for"
+    yield Parameter("HJ_LEAN_MAX", "float", degrees(gains.lean_rad), 2.0, 45.0, "deg", "Position", text, decimals=1)
+
+
+def _flight(pilot: PilotSettings) -> Iterator[Parameter]:
+    def line(name: str, default: float, least: float, most: float, unit: str, text: str) -> Parameter:
+        return Parameter(name, "float", default, least, most, unit, "Automatic flight", text)
+
+    yield line("MPC_XY_VEL_MAX", pilot.speed_m_s, 0.2, 50.0, "m/s", "horizontal speed of automatic flight")
+    yield line("HJ_ACC_HOR", pilot.acceleration_m_s2, 0.1, 10.0, "m/s^2", "horizontal acceleration of set-points")
+    yield line("HJ_JERK_HOR", pilot.jerk_m_s3, 0.1, 100.0, "m/s^3", "horizontal jerk of set-points, from rest on")
+    yield line("HJ_CLIMB_AUTO", pilot.climb_m_s, 0.1, 20.0, "m/s", "climb rate of automatic flight")
+    yield line("HJ_DESC_AUTO", pilot.descent_m_s, 0.1, 20.0, "m/s", "descent rate of automatic flight")
+    yield line("MPC_LAND_SPEED", pilot.land_m_s, 0.1, 2.0, "m/s", "descent rate of the last metres of a landing")
+    yield line("HJ_LAND_SLOW_H", 3.0, 0.5, 50.0, "m", "height above the ground, or home, below which it sinks slowly")
+    yield line("MIS_TAKEOFF_ALT", pilot.takeoff_height_m, 1.0, 500.0, "m", "height of a take-off that names none")
+    yield line("RTL_RETURN_ALT", pilot.return_height_m, 2.0, 1000.0, "m", "least height above home of the way back")
+    yield line("HJ_YAW_RATE", degrees(pilot.yaw_rate_rad_s), 1.0, 180.0, "deg/s", "turn rate of set-points")
+    yield line("HJ_STICK_LEAN", degrees(pilot.stick_lean_rad), 2.0, 45.0, "deg", "lean at full stick")
+    yield line("HJ_ACC_RADIUS", 1.5, 0.2, 50.0, "m", "a waypoint is reached within this distance")
+    yield line("HJ_SPOOL_TIME", pilot.spool_s, 0.2, 60.0, "s", "from idle to hover thrust before take-off")
+
+
+def _predictor(tuning: PredictorTuning, controller: str, delay: float | None) -> Iterator[Parameter]:
+    group = "Predictor"
+    values = tuple(Meaning(i, name) for i, name in enumerate(CONTROLLERS))
+    last = len(CONTROLLERS) - 1 if delay is not None else 0
+    text = "; ".join(f"{i} {TITLES[name]}" for i, name in enumerate(CONTROLLERS))
+    yield Parameter("HJ_PRED_TYPE", "int", CONTROLLERS.index(controller), 0, last, "", group, text, values[: last + 1])
+    text = "delay that the roll predictor takes the engines to have"
+    most = min(1000.0, max(4.0 * delay, 100.0)) if delay is not None else 0.0
+    yield Parameter("HJ_PRED_DELAY", "float", delay or 0.0, 0.0, most, "samples", group, text, decimals=2)
+    text = "filtered-smith: time constant of the robustness filter"
+    yield Parameter("HJ_PRED_FILT", "float", tuning.filter_s, 0.0, 10.0, "s", group, text)
+    for name, default, who in (
+        ("HJ_PRED_OBS", tuning.observer_rad_s, "state"),
+        ("HJ_PRED_OBS_M", tuning.model_observer_rad_s, "state-model"),
+        ("HJ_PRED_OBS_D", tuning.disturbance_observer_rad_s, "state-disturbance"),
+    ):
+        text = f"{who}: how fast its observer is"
+        yield Parameter(name, "float", default, 0.1, 400.0, "rad/s", group, text, decimals=1)
+
+
+def _failsafes(pilot: PilotSettings) -> Iterator[Parameter]:
+    def line(name: str, default: float, most: float, unit: str, text: str, least: float = 0.0) -> Parameter:
+        return Parameter(name, "float", default, least, most, unit, "Failsafe", text)
+
+    def action(name: str, default: int, text: str) -> Parameter:
+        return Parameter(name, "int", default, 0, 3, "", "Failsafe", text, _ACTIONS)
+
+    yield action("HJ_LINK_ACT", RETURN, "when no ground station is heard any more")
+    yield line("HJ_LINK_DELAY", 1.0, 300.0, "s", "after the loss has been noticed")
+    yield line("HJ_STICK_TIME", 0.5, 5.0, "s", "sticks older than this are let go", 0.1)
+    yield line("HJ_OFFB_TIME", 0.5, 5.0, "s", "set-points older than this end OFFBOARD", 0.1)
+    yield line("HJ_FENCE_RAD", 0.0, 1e4, "m", "fence: most distance from home, 0 is none")
+    yield line("HJ_FENCE_ALT", 0.0, 1e4, "m", "fence: most height above home, 0 is none")
+    yield action("HJ_FENCE_ACT", RETURN, "when the fence is passed")
+    yield line("HJ_FUEL_LOW", 20.0, 100.0, "%", "fuel or battery: low")
+    yield line("HJ_FUEL_CRIT", 8.0, 100.0, "%", "fuel or battery: critical, the vehicle lands")
+    yield action("HJ_FUEL_ACT", RETURN, "when fuel or battery are low")
+    yield line("HJ_ENDURANCE", pilot.endurance_s, 1e5, "s", "hover on a full battery, 0: not estimated")
+    yield action("HJ_ENG_ACT", LAND, "when an engine fails in the air")
+    yield action("HJ_SENS_ACT", RETURN, "when the barometer fails or the gyro is biased")
+    yield line("HJ_ARM_LEAN", 10.0, 30.0, "deg", "most lean that may be armed at", 1.0)
+    yield line("HJ_TIP_LEAN", 60.0, 90.0, "deg", "a lean for half a second that counts as lost control", 20.0)
+    yield line("HJ_DISARM_LAND", 2.0, 60.0, "s", "from landing to disarming")
+    yield line("HJ_DISARM_IDLE", 10.0, 600.0, "s", "armed without taking off, 0: stays armed")
+
+
+def _of_px4() -> Iterator[Parameter]:
+    """What ground stations read to learn that a PX4 vehicle needs no set-up."""
+    for name, value, text in (
+        ("SYS_AUTOSTART", 22000, "an airframe is chosen (PX4 keeps 22000 to 22999 for others' own)"),
+        ("COM_RC_IN_MODE", 1, "sticks come over MAVLink only"),
+        ("CAL_GYRO0_ID", 1, "the gyro needs no calibration"),
+        ("CAL_ACC0_ID", 1, "the accelerometer needs no calibration"),
+        ("SYS_HAS_MAG", 0, "there is no magnetometer: the heading is measured as attitude is"),
+        ("SYS_HITL", 0, "nobody else simulates this vehicle"),
+    ):
+        yield Parameter(name, "int", value, value, value, "", "System", text, read_only=True)
+    off_on = (Meaning(0, "refused"), Meaning(1, "allowed"))
+    yield Parameter("SYS_FAILURE_EN", "int", 0, 0, 1, "", "System", "failures on request", off_on)

@@ -1,0 +1,551 @@
+"""What a ground station may ask of the vehicle, one frozen record each, and the answer it gets.
+
+Frames: north, east and down are NED with the origin of the flight; *altitude* is height in m above that origin, as
+``Measured.altitude``; *height* is above home.  None is "not given".  Every number is finite and in range when a record
+exists; the constructors raise InputError with one line otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from enum import Enum
+from math import isfinite, pi, sqrt
+from types import NoneType, UnionType
+from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+from cosim.base.errors import InputError
+from cosim.base.signals import Quaternion
+
+
+class Bounds(NamedTuple):
+    """The closed range of a number."""
+
+    least: float
+    most: float
+
+
+# Chosen by us: far beyond any flight of these vehicles, near enough that no arithmetic overflows.
+Metres = Annotated[float, Bounds(-1e5, 1e5)]
+Speed = Annotated[float, Bounds(0.0, 1e3)]
+Velocity = Annotated[float, Bounds(-1e3, 1e3)]
+Angle = Annotated[float, Bounds(-2.0 * pi, 2.0 * pi)]
+AngularRate = Annotated[float, Bounds(-50.0, 50.0)]
+Stick = Annotated[float, Bounds(-1.0, 1.0)]
+Share = Annotated[float, Bounds(0.0, 1.0)]
+Seconds = Annotated[float, Bounds(0.0, 1e5)]
+Number = Annotated[float, Bounds(-1e9, 1e9)]
+Index = Annotated[int, Bounds(0, 10_000)]
+
+LONGEST_MISSION = 1000  # items; chosen by us
+MOST_ZONES, MOST_CORNERS, MOST_RALLY = 50, 500, 100  # of a fence, of one polygon; rally points; chosen by us
+
+
+class Result(Enum):
+    """How a request ended, in MAVLink's words."""
+
+    ACCEPTED = "accepted"
+    DENIED = "denied"
+    TEMPORARILY_REJECTED = "temporarily_rejected"
+    UNSUPPORTED = "unsupported"
+    FAILED = "failed"
+
+
+class Answer(NamedTuple):
+    """The one answer to a request; ``text`` says why where it was not accepted."""
+
+    accepted: bool
+    result: Result
+    text: str
+
+
+class _Checked:
+    """Checks every field of a record against its annotation when it is made."""
+
+    def __post_init__(self) -> None:
+        hints = _hints(type(self))
+        for name, hint in hints.items():
+            where = f"{type(self).__name__}.{name}"
+            object.__setattr__(self, name, _check(getattr(self, name), hint, where))
+
+
+@dataclass(frozen=True)
+class Arm(_Checked):
+    """Start flying; ``force`` skips the checks that are not about the vehicle's safety on the ground."""
+
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class Disarm(_Checked):
+    """Engines to idle; in the air only with ``force``, and then they are shut off."""
+
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class SetMode(_Checked):
+    mode: str
+
+
+@dataclass(frozen=True)
+class Takeoff(_Checked):
+    """Climb to a height above home; without one to the parameter's."""
+
+    altitude_m: Metres | None = None
+
+
+@dataclass(frozen=True)
+class Land(_Checked):
+    """Land below the present place."""
+
+
+@dataclass(frozen=True)
+class ReturnHome(_Checked):
+    """Climb, fly home, land."""
+
+
+@dataclass(frozen=True)
+class Goto(_Checked):
+    """Fly to a place and hold there; what is not given stays as it is."""
+
+    north: Metres | None = None
+    east: Metres | None = None
+    altitude: Metres | None = None
+    yaw: Angle | None = None
+    speed: Speed | None = None
+
+
+class OrbitYaw(Enum):
+    """Where the nose points on a circle."""
+
+    CENTRE = "centre"
+    AS_IT_IS = "as_it_is"
+    TANGENT = "tangent"
+
+
+@dataclass(frozen=True)
+class Orbit(_Checked):
+    """Fly round a centre until something else is asked, or ``turns`` times; what is not given is as where it is.
+
+    ``speed``, m/s, may come out less: the vehicle has to lean into the circle.
+    """
+
+    radius: Annotated[float, Bounds(1.0, 1e4)]
+    clockwise: bool = True
+    speed: Speed | None = None
+    north: Metres | None = None
+    east: Metres | None = None
+    altitude: Metres | None = None
+    yaw: OrbitYaw = OrbitYaw.CENTRE
+    turns: Annotated[float, Bounds(0.0, 1e4)] = 0.0  # 0: without end
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.north is None) != (self.east is None):
+            raise InputError("Orbit: give north and east, or neither")
+
+
+@dataclass(frozen=True)
+class Hold(_Checked):
+    """Stop and stay."""
+
+
+@dataclass(frozen=True)
+class SetSpeed(_Checked):
+    """Horizontal speed of automatic flight until the next arming, m/s."""
+
+    m_s: Speed
+
+
+@dataclass(frozen=True)
+class SetHome(_Checked):
+    """Where to return to; what is not given is taken from where the vehicle is."""
+
+    north: Metres | None = None
+    east: Metres | None = None
+    altitude: Metres | None = None
+
+
+@dataclass(frozen=True)
+class Kill(_Checked):
+    """Shut the engines off at once; in the air only with ``force``."""
+
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class Sticks(_Checked):
+    """Manual sticks: roll right, pitch forward (nose down), yaw right in -1..1; throttle 0..1, centre 0.5."""
+
+    roll: Stick
+    pitch: Stick
+    yaw: Stick
+    throttle: Share
+
+
+@dataclass(frozen=True)
+class OffboardAttitude(_Checked):
+    """Either an attitude (body to NED, normalised here) or body rates, rad/s; ``thrust`` is the collective."""
+
+    quaternion: tuple[Stick, Stick, Stick, Stick] | None = None
+    rates: tuple[AngularRate, AngularRate, AngularRate] | None = None
+    thrust: Share = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.quaternion is None) == (self.rates is None):
+            raise InputError("OffboardAttitude: give either quaternion or rates")
+        if self.quaternion is not None and abs(sqrt(sum(v * v for v in self.quaternion)) - 1.0) > 0.05:
+            raise InputError(f"OffboardAttitude.quaternion = {list(self.quaternion)}: must be of length 1")
+
+
+@dataclass(frozen=True)
+class OffboardVelocity(_Checked):
+    """NED velocity, m/s, with a heading or a turn rate or neither."""
+
+    north: Velocity
+    east: Velocity
+    down: Velocity
+    yaw: Angle | None = None
+    yaw_rate: AngularRate | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.yaw is not None and self.yaw_rate is not None:
+            raise InputError("OffboardVelocity: give yaw or yaw_rate, not both")
+
+
+@dataclass(frozen=True)
+class OffboardPosition(_Checked):
+    north: Metres
+    east: Metres
+    down: Metres
+    yaw: Angle | None = None
+
+
+class ItemKind(Enum):
+    WAYPOINT = "waypoint"  # north, east, altitude; hold_s, acceptance_m, yaw
+    TAKEOFF = "takeoff"  # altitude
+    LAND = "land"  # north and east, or where it is
+    RETURN = "return"
+    SPEED = "speed"  # speed
+    DELAY = "delay"  # hold_s
+    JUMP = "jump"  # to item `target`, `repeat` times
+    LEFT_OUT = "left_out"  # of a payload that is not here: passed at once, so that the other items keep their numbers
+
+
+_NEEDS = {
+    ItemKind.WAYPOINT: ("north", "east", "altitude"),
+    ItemKind.TAKEOFF: ("altitude",),
+    ItemKind.SPEED: ("speed",),
+    ItemKind.JUMP: ("target",),
+}
+
+
+@dataclass(frozen=True)
+class MissionItem(_Checked):
+    """One item of a mission; which fields count follows from its kind."""
+
+    kind: ItemKind
+    north: Metres | None = None
+    east: Metres | None = None
+    altitude: Metres | None = None
+    yaw: Angle | None = None
+    hold_s: Seconds = 0.0
+    acceptance_m: Annotated[float, Bounds(0.0, 1e3)] = 0.0  # 0: the parameter's
+    speed: Annotated[float, Bounds(0.1, 1e3)] | None = None
+    target: Index | None = None
+    repeat: Annotated[int, Bounds(0, 1000)] = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in _NEEDS.get(self.kind, ()):
+            if getattr(self, name) is None:
+                raise InputError(f"MissionItem {self.kind.value}: {name} is missing")
+        if (self.north is None) != (self.east is None):
+            raise InputError(f"MissionItem {self.kind.value}: give north and east, or neither")
+
+
+@dataclass(frozen=True)
+class MissionUpload(_Checked):
+    """A new mission in place of the old one."""
+
+    items: tuple[MissionItem, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.items) > LONGEST_MISSION:
+            raise InputError(f"MissionUpload.items: {len(self.items)} items, at most {LONGEST_MISSION} are allowed")
+        for index, item in enumerate(self.items):
+            if item.target is not None and item.target >= len(self.items):
+                raise InputError(
+                    f"MissionUpload.items[{index}].target = {item.target}: there are items 0 to {len(self.items) - 1}"
+                )
+
+
+@dataclass(frozen=True)
+class MissionStart(_Checked):
+    """Fly the mission from its present item."""
+
+
+@dataclass(frozen=True)
+class MissionSetCurrent(_Checked):
+    index: Index
+
+
+@dataclass(frozen=True)
+class MissionClear(_Checked):
+    """No mission."""
+
+
+class ZoneKind(Enum):
+    STAY_IN_POLYGON = "stay_in_polygon"
+    STAY_OUT_OF_POLYGON = "stay_out_of_polygon"
+    STAY_IN_CIRCLE = "stay_in_circle"
+    STAY_OUT_OF_CIRCLE = "stay_out_of_circle"
+
+
+_POLYGONS = (ZoneKind.STAY_IN_POLYGON, ZoneKind.STAY_OUT_OF_POLYGON)
+
+
+@dataclass(frozen=True)
+class FenceZone(_Checked):
+    """A polygon by its corners (north, east), or a circle by its centre and ``radius``, m."""
+
+    kind: ZoneKind
+    points: tuple[tuple[Metres, Metres], ...]
+    radius: Annotated[float, Bounds(0.0, 1e5)] = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        corners = len(self.points)
+        if self.kind in _POLYGONS and not 3 <= corners <= MOST_CORNERS:
+            raise InputError(f"FenceZone.points: {corners} corners, a polygon has 3 to {MOST_CORNERS}")
+        if self.kind not in _POLYGONS and (corners != 1 or self.radius <= 0.0):
+            raise InputError("FenceZone: a circle has one centre and a radius above 0")
+
+
+@dataclass(frozen=True)
+class FenceUpload(_Checked):
+    """A new fence in place of the old one; without zones there is none."""
+
+    zones: tuple[FenceZone, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.zones) > MOST_ZONES:
+            raise InputError(f"FenceUpload.zones: {len(self.zones)} zones, at most {MOST_ZONES} are allowed")
+
+
+@dataclass(frozen=True)
+class RallyPoint(_Checked):
+    """A place to return to where it is nearer than home; ``altitude``: of the flight there, at least."""
+
+    north: Metres
+    east: Metres
+    altitude: Metres
+
+
+@dataclass(frozen=True)
+class RallyUpload(_Checked):
+    """New rally points in place of the old ones."""
+
+    points: tuple[RallyPoint, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.points) > MOST_RALLY:
+            raise InputError(f"RallyUpload.points: {len(self.points)} points, at most {MOST_RALLY} are allowed")
+
+
+@dataclass(frozen=True)
+class SetParameter(_Checked):
+    name: str
+    value: Number
+
+
+@dataclass(frozen=True)
+class InjectFault(_Checked):
+    """A fault from the next step on, by the kinds of a scenario's faults.
+
+    ``amount`` is the one number of its kind (throttle, share, lag, delay, angle, the barometer's bias), ``vector`` the
+    bias of another sensor.  The simulation says which combinations there are.
+    """
+
+    fault: str
+    jets: tuple[Index, ...] = ()
+    servo: str | None = None
+    sensor: str | None = None
+    amount: Number | None = None
+    vector: tuple[Number, Number, Number] | None = None
+    duration_s: Seconds | None = None  # absent: to the end
+
+
+@dataclass(frozen=True)
+class ClearFaults(_Checked):
+    """Every injected fault ends."""
+
+
+@dataclass(frozen=True)
+class LinkLost(_Checked):
+    """The last ground station has gone quiet."""
+
+
+@dataclass(frozen=True)
+class LinkBack(_Checked):
+    """A ground station is there again."""
+
+
+Request = (
+    Arm
+    | Disarm
+    | SetMode
+    | Takeoff
+    | Land
+    | ReturnHome
+    | Goto
+    | Orbit
+    | Hold
+    | SetSpeed
+    | SetHome
+    | Kill
+    | Sticks
+    | OffboardAttitude
+    | OffboardVelocity
+    | OffboardPosition
+    | MissionUpload
+    | MissionStart
+    | MissionSetCurrent
+    | MissionClear
+    | FenceUpload
+    | RallyUpload
+    | SetParameter
+    | InjectFault
+    | ClearFaults
+    | LinkLost
+    | LinkBack
+)
+_KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Request)}
+_HINTS: dict[type[Any], dict[str, Any]] = {}
+
+
+def to_dict(request: Request) -> dict[str, Any]:
+    """A request as plain JSON values, with its class under ``request``; fields at their default are left out."""
+    return {"request": type(request).__name__, **_plain(request)}
+
+
+def from_dict(data: Mapping[str, Any]) -> Request:
+    """The request that :func:`to_dict` wrote.  Raises InputError for anything else."""
+    values = dict(data)
+    name = values.pop("request", None)
+    if not isinstance(name, str) or name not in _KINDS:
+        raise InputError(f"request = {name!r}: must be one of {', '.join(_KINDS)}")
+    made: Request = _make(_KINDS[name], values, name)
+    return made
+
+
+def quaternion_of(request: OffboardAttitude) -> Quaternion | None:
+    """The unit quaternion of an attitude set-point."""
+    if request.quaternion is None:
+        return None
+    w, x, y, z = request.quaternion
+    scale = 1.0 / sqrt(w * w + x * x + y * y + z * z)
+    return (w * scale, x * scale, y * scale, z * scale)
+
+
+def _make(kind: type[Any], values: Mapping[str, Any], where: str) -> Any:
+    known = [field.name for field in fields(kind)]
+    for key in values:
+        if key not in known:
+            raise InputError(f"{where}: unknown key {key!r}; it has {', '.join(known) or 'none'}")
+    try:
+        return kind(**values)
+    except TypeError as error:  # a field without a default is not there
+        absent = [name for name in known if name not in values]
+        raise InputError(f"{where}: not complete; absent: {', '.join(absent)}") from error
+
+
+def _plain(record: Any) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for field in fields(record):
+        value = getattr(record, field.name)
+        if value != field.default or type(value) is not type(field.default):
+            found[field.name] = _plain_value(value)
+    return found
+
+
+def _plain_value(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain_value(each) for each in value]
+    if isinstance(value, Enum):
+        return value.value
+    return _plain(value) if isinstance(value, _Checked) else value
+
+
+def _hints(kind: type[Any]) -> dict[str, Any]:
+    if kind not in _HINTS:
+        _HINTS[kind] = get_type_hints(kind, include_extras=True)
+    return _HINTS[kind]
+
+
+def _check(value: Any, hint: Any, where: str) -> Any:
+    """``value`` in the type that ``hint`` asks for."""
+    origin, args = get_origin(hint), get_args(hint)
+    if origin in (UnionType, Union):
+        if value is None:
+            return None
+        (inner,) = (arg for arg in args if arg is not NoneType)
+        return _check(value, inner, where)
+    if origin is Annotated:
+        return _bounded(_number(value, args[0], where), args[1], where)
+    if origin is tuple:
+        if not isinstance(value, (list, tuple)):
+            raise InputError(f"{where} = {value!r}: must be a list")
+        kinds = [args[0]] * len(value) if args[-1] is Ellipsis else list(args)
+        if len(kinds) != len(value):
+            raise InputError(f"{where}: {len(value)} values, {len(kinds)} are needed")
+        pairs = enumerate(zip(value, kinds, strict=True))
+        return tuple(_check(each, kind, f"{where}[{i}]") for i, (each, kind) in pairs)
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return _member(value, hint, where)
+    if isinstance(hint, type) and issubclass(hint, _Checked):
+        if isinstance(value, hint):
+            return value
+        if not isinstance(value, Mapping):
+            raise InputError(f"{where} = {value!r}: must be a table")
+        return _make(hint, value, where)
+    if not isinstance(value, hint):
+        raise InputError(f"{where} = {value!r}: must be {'true or false' if hint is bool else 'a text'}")
+    return value
+
+
+def _member(value: Any, kind: type[Enum], where: str) -> Enum:
+    if isinstance(value, kind):
+        return value
+    allowed = {str(member.value): member for member in kind}
+    if not isinstance(value, str) or value not in allowed:
+        raise InputError(f"{where} = {value!r}: must be one of {', '.join(allowed)}")
+    return allowed[value]
+
+
+def _number(value: Any, kind: type[float] | type[int], where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError(f"{where} = {value!r}: must be a number")
+    if kind is int:
+        if value != value or abs(value) > 2**53 or int(value) != value:
+            raise InputError(f"{where} = {value!r}: must be a whole number")
+        return int(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = float("inf")
+    if not isfinite(number):
+        raise InputError(f"{where} = {value!r}: must be a finite number")
+    return number
+
+
+def _bounded(value: float, bounds: Bounds, where: str) -> float:
+    if not bounds.least <= value <= bounds.most:
+        raise InputError(f"{where} = {value!r}: must be from {bounds.least:g} to {bounds.most:g}")
+    return value

@@ -1,0 +1,67 @@
+"""What the autopilot and its loops fly with: the sensors where they work, estimates where they do not.
+
+Nobody tells it of a fault: each estimator finds out from what its sensors say.
+"""
+
+from __future__ import annotations
+
+from cosim.base.signals import Measured
+from cosim.control.altitude import GRAVITY
+from cosim.control.autopilot.inertial import InertialEstimator
+from cosim.control.autopilot.vertical import VerticalEstimator
+from cosim.spec.vehicle import Sensors
+
+
+class Senses:
+    """Attitude and rates, height and climb rate, each from whatever is left to tell it.
+
+    Where all sensors work, attitude and horizontal position are the sensors' own; rates are the gyro's less its bias;
+    height and climb rate are always estimates.
+    """
+
+    def __init__(self, sensors: Sensors, step: float, gain: float) -> None:
+        """``gain``: of the attitude loop, 1/s, the slowest of roll and pitch."""
+        self.inertial = InertialEstimator(sensors, step, gain)
+        self.vertical = VerticalEstimator(sensors, step)
+
+    def reset(self, measured: Measured | None) -> None:
+        """As if the vehicle had been where it is ``measured`` for long; None: where the first measurement says."""
+        self._placed = measured is not None
+        self.inertial.reset(measured)
+        if measured is None:
+            self.vertical.reset(0.0, 0.0)
+        else:
+            self.vertical.reset(measured.altitude, -measured.velocity[2])
+
+    def update(self, k: int, measured: Measured, still: bool) -> Measured:
+        """What to fly step ``k`` with; ``still``: the vehicle stands."""
+        if not self._placed:
+            self.reset(measured)
+        attitude, rate = self.inertial.update(measured, still)
+        vertical = self.vertical
+        vertical.update(k, measured, attitude, still)
+        north, east, _ = measured.velocity
+        return Measured(
+            rate, attitude, measured.position, (north, east, -vertical.rate), vertical.height, measured.specific_force
+        )
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """What is wrong, in words, the GNSS receiver aside."""
+        inertial, vertical = self.inertial, self.vertical
+        found = []
+        if not inertial.has_attitude:
+            found.append("attitude lost")
+        if not inertial.has_rate:
+            found.append("gyro lost")
+        elif inertial.biased:
+            found.append("gyro biased")
+        if not vertical.has_height:
+            found.append("barometer lost")
+        return tuple(found)
+
+    @property
+    def lift(self) -> float | None:
+        """Specific force upwards over gravity; None without an accelerometer."""
+        vertical = self.vertical
+        return (vertical.lift - vertical.bias) / GRAVITY if vertical.has_force else None

@@ -1,0 +1,161 @@
+"""Keeps the attitude that is asked for within what the engines of this vehicle can follow.
+
+Sticks, missions and set-points ask for leans, headings and rates that step.  A loop that has to answer for late engines
+drives its command to the stop on such a step, and with its command at the stop it is no longer the loop that was
+designed.  So what is asked for moves with bounded rate, acceleration and jerk: both leans as one vector, so that a
+diagonal reversal is a straight line, and the heading beside them.  The bounds follow from the designed loop and from
+the torque that there is: :func:`attitude_limits`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from cosim.base.signals import Vector3
+from cosim.control.altitude import GRAVITY
+from cosim.control.autopilot.navigation import (
+    Pair,
+    Tracker,
+    limited,
+    wrap,
+)
+from cosim.spec.vehicle import EngineLead, Vehicle
+
+# Chosen by us.
+SHARE = 0.25  # of the torque's room goes to what is asked for; the rest is for wind, noise and overshoot
+MEAN = 0.5  # of the attitude loop's time constant: the acceleration asked for takes this long to build up
+_SLOWEST = 0.1  # 1/s: an attitude loop with less gain than this is not flown
+
+
+class AttitudeLimits(NamedTuple):
+    """Bounds of what the attitude loop is asked for: rad, rad/s, rad/s^2, rad/s^3; roll and pitch share theirs."""
+
+    rate: float
+    acceleration: float
+    jerk: float
+    yaw_rate: float
+    yaw_acceleration: float
+    yaw_jerk: float
+
+
+def attitude_limits(
+    gain: Sequence[float], authority: Sequence[float], lean: float, yaw_rate: float, rate_limit: Sequence[float]
+) -> AttitudeLimits:
+    """Bounds from the attitude loop's gains K (roll, pitch, yaw; 1/s) and the angular accelerations that may be used.
+
+    With ``K = min(K_roll, K_pitch)`` and the most lean L that is asked for,
+
+        rate          K L                        what the loop itself asks for when it is a full lean behind
+        acceleration  min(K^2 L, authority)      what it does in the first instant after a step of L
+        jerk          acceleration K / 0.5       from rest on; twice that where the acceleration turns round
+
+    so that content faster than the loop's own answer is taken out.  Heading: ``yaw_rate``, ``yaw_rate min(K, K_yaw)``,
+    and the same again.  ``authority``: see :func:`angular_authority`; no rate is beyond ``rate_limit``.
+    """
+    k = max(min(gain[0], gain[1]), _SLOWEST)
+    k_yaw = max(min(k, gain[2]), _SLOWEST)
+    a = min(k * k * lean, authority[0], authority[1])
+    turn = min(yaw_rate, rate_limit[2])
+    a_yaw = min(turn * k_yaw, authority[2])
+    return AttitudeLimits(
+        min(k * lean, rate_limit[0], rate_limit[1]), a, a * k / MEAN, turn, a_yaw, a_yaw * k_yaw / MEAN
+    )
+
+
+def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float]) -> Vector3:
+    """Angular acceleration [rad/s^2] about each axis that set-points may use: a quarter of what hover leaves.
+
+    ``A = (1/4) room K_u / e``: ``room`` is what hover leaves of the command (throttle either way, or tilt), ``K_u`` the
+    angular acceleration per command (moment over inertia; thrust from the weight, at ``hover`` with the share ``idle``
+    that an engine gives without throttle), and ``e = 1 + 2 zeta K/w + (K/w)^2`` what a lead asks for beyond that to
+    turn the vehicle at the loop's own speed K [1/s] through lags of ``w``, ``zeta`` (``1 + K/w`` for a single one,
+    ``1 + K tau`` through a servo).
+    """
+    jets, control = vehicle.jets, vehicle.control
+    limits, inertia = control.allocation, vehicle.inertia_kg_m2
+    weight = vehicle.mass_kg * GRAVITY
+    room = min(hover - limits.throttle_min, limits.throttle_max - hover)
+    per_jet = weight / len(jets) / (hover + idle)  # N per throttle, of one jet
+    found = []
+    for axis, name in enumerate(("roll", "pitch", "yaw")):
+        servo = vehicle.servo
+        if servo is not None and axis > 0:
+            if axis == 1:
+                moment = weight * abs(sum(jet.position_m[2] for jet in jets)) / len(jets)
+            else:
+                moment = weight * sum(abs(jet.position_m[1]) for jet in jets) / len(jets)
+            extra = 1.0 + gain[axis] * servo.lag_s
+            found.append(SHARE * servo.range_rad * moment / inertia[axis] / extra)
+            continue
+        lever = sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[axis]) for jet in jets)
+        lead = getattr(control.lead, name, None)
+        found.append(SHARE * room * lever * per_jet / inertia[axis] / _extra(lead, gain[axis]))
+    return (found[0], found[1], found[2])
+
+
+def _extra(lead: EngineLead | bool | None, gain: float) -> float:
+    if not isinstance(lead, EngineLead):
+        return 1.0
+    x = gain / lead.natural_rad_s
+    return 1.0 + x if lead.damping is None else 1.0 + 2.0 * lead.damping * x + x * x
+
+
+class Shaper:
+    """Leans, heading or rates that were asked for, to those that the loops are given.
+
+    Attitudes are followed by two :class:`Tracker`, of the leans (rad) and of the heading: from rest to rest a change of
+    lean D takes ``D/R + R/(2 A) + R/(2 0.75 A) + A/J`` (rate R, acceleration A, jerk J), and nothing overshoots.
+    Rates are followed in the same way and within the same bounds; the lean that they add up to is not bounded.
+    """
+
+    def __init__(self, limits: AttitudeLimits, step: float) -> None:
+        self._step = step
+        self._limits = limits
+        self._lean = Tracker(limits.acceleration, limits.jerk, step)
+        self._yaw = Tracker(limits.yaw_acceleration, limits.yaw_jerk, step)
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is asked for; the next set-point starts from where the vehicle is."""
+        self._used = self._rates = False
+
+    def limit(self, limits: AttitudeLimits) -> None:
+        """Other bounds from the next update on; what is asked for goes on from where it is."""
+        self._limits = limits
+        self._lean.limit(limits.acceleration, limits.jerk)
+        self._yaw.limit(limits.yaw_acceleration, limits.yaw_jerk)
+        if self._used:
+            lean, yaw = self._lean.track, self._yaw.track
+            self._lean.start(lean.position, lean.velocity)
+            self._yaw.start(yaw.position, yaw.velocity)
+
+    def attitude(self, wanted: Vector3, now: Vector3) -> Vector3:
+        """Roll, pitch and yaw (rad) for the attitude loop; ``now`` is the vehicle's own attitude."""
+        if not self._used or self._rates:
+            self._begin(now)
+        self._rates = False
+        roll, pitch = self._lean.towards((wanted[0], wanted[1]), self._limits.rate).position
+        # the heading is counted on beyond half a turn, the short way from where the point ahead is
+        ahead = self._yaw.point[0]
+        yaw, _ = self._yaw.towards((ahead + wrap(wanted[2] - ahead), 0.0), self._limits.yaw_rate).position
+        return (roll, pitch, wrap(yaw))
+
+    def rate(self, wanted: Vector3, now: Vector3) -> Vector3:
+        """Body rates (rad/s) for the rate loop."""
+        if not self._used:
+            self._begin(now)
+        self._rates = True
+        limits = self._limits
+        p, q = self._lean.at_velocity(limited(wanted[0], wanted[1], limits.rate)).velocity
+        most = limits.yaw_rate
+        r, _ = self._yaw.at_velocity((min(max(wanted[2], -most), most), 0.0)).velocity
+        return (p, q, r)
+
+    def _begin(self, now: Vector3) -> None:
+        rates: tuple[Pair, Pair] = ((0.0, 0.0), (0.0, 0.0))
+        if self._used:
+            rates = (self._lean.track.velocity, self._yaw.track.velocity)
+        self._lean.start((now[0], now[1]), rates[0])
+        self._yaw.start((now[2], 0.0), rates[1])
+        self._used = True

@@ -1,0 +1,1 @@
+"""What a late engine will have done: Smith's predictor, state predictors."""

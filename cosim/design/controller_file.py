@@ -1,0 +1,166 @@
+"""The controller file: what a design came to, as ``hexjet fly --controller FILE.toml`` reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from cosim.base.errors import InputError
+from cosim.base.toml import (
+    Model,
+    merge,
+    nearest,
+    parse_setting,
+    read_toml,
+    set_path,
+    validate,
+)
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.design.tune import Requirements
+from cosim.spec.scenario import Scenario, find_scenario
+from cosim.spec.vehicle import load_vehicle
+
+
+class AxisRecord(Model):
+    """What a design says about one channel; for people, a flight does not read it."""
+
+    controller: str
+    peak_sensitivity: float
+    gain_margin_db: float | None = None  # of more gain
+    gain_margin_down_db: float | None = None  # of less, below 0; None: none, or a file from before it was stated
+    phase_margin_deg: float | None = None
+    delay_margin_s: float | None = None
+    bandwidth_hz: float
+    tolerated: float  # times the tolerances until instability
+    overshoot: float | None = None  # share of a step; None in a file from before it was stated, as the next
+    settling_s: float | None = None  # of a step, within 5 %
+    candidates: dict[str, float] = Field(default_factory=dict)  # that kept the requirements: what the search minimised
+
+
+class LevelRecord(Model):
+    """What a design says about the channels that engines answer, with a part of the fuel."""
+
+    fuel: float  # share of the tank
+    mass_kg: float
+    share: float  # of the engines' range, in hover
+    designed: bool  # or between two levels of the schedule that are
+    held: dict[str, float] = Field(default_factory=dict)  # peak sensitivity with the gains of a full tank, where stable
+    axes: dict[str, AxisRecord]
+
+
+class Purpose(Model):
+    """What a controller was designed for."""
+
+    aircraft: str
+    engine: str
+    family: str  # what the models are filed under
+    engine_sha256: str
+    engine_parameters: dict[str, float] = Field(default_factory=dict)  # that were not the engine's own
+    vehicle_changes: dict[str, Any] = Field(default_factory=dict)  # of the aircraft, the same way
+    step_s: float
+    substeps: int
+    added_delay_samples: int = 0
+    bank_inertia_kg_m2: float | None = None  # of a tilting bank; None in a file from before it was a part of a design
+    model: str  # where the model comes from
+    requirements: Requirements
+    axes: dict[str, AxisRecord]
+    levels: list[LevelRecord] = Field(default_factory=list)
+
+
+class ControllerFile(Model):
+    """The file as a whole."""
+
+    controller: str
+    vehicle: dict[str, Any]
+    design: Purpose
+
+
+def read_controller(path: Path) -> ControllerFile:
+    """Read a controller file.  Raises InputError that names the file and what is wrong with it."""
+    found = validate(ControllerFile, read_toml(path), str(path))
+    if found.controller not in PREDICTORS:
+        raise InputError(f"{path}: controller = {found.controller!r}; {nearest(found.controller, PREDICTORS)}")
+    load_vehicle(found.design.aircraft, found.vehicle, f"{path}: vehicle")
+    control = found.vehicle.get("control", {})
+    if "schedule" not in control and load_vehicle(found.design.aircraft)[0].control.schedule:
+        # from before there were schedules: its gains are for every thrust, and the aircraft's own factors not for them
+        without = merge(found.vehicle, {"control": {"schedule": False}})
+        found = found.model_copy(update={"vehicle": without})
+    if _older_than_banks(found):
+        without = merge(found.vehicle, {"servo": {"bank_inertia_kg_m2": 0.0}})
+        found = found.model_copy(update={"vehicle": without})
+    return found
+
+
+def _older_than_banks(file: ControllerFile) -> bool:
+    """Whether a file is from before the reaction of tilting banks, and its gains therefore not for it."""
+    servo = load_vehicle(file.design.aircraft)[0].servo
+    stated = any("bank_inertia_kg_m2" in each.get("servo", {}) for each in (file.vehicle, file.design.vehicle_changes))
+    return file.design.bank_inertia_kg_m2 is None and not stated and bool(servo and servo.bank_inertia_kg_m2)
+
+
+def with_controller(
+    name: str | Path, path: Path, settings: Sequence[str] = (), aircraft: str | None = None
+) -> Scenario:
+    """A scenario, flown by ``aircraft`` if given, with a controller file over it, and settings over both.
+
+    Raises InputError for a file that was made for another aircraft or another control step.
+    """
+    file = read_controller(path)
+    source = find_scenario(name)
+    table = read_toml(source)
+    flown = aircraft or table.get("aircraft", Scenario.model_fields["aircraft"].default)
+    if flown != file.design.aircraft:
+        raise InputError(f"{path}: designed for aircraft {file.design.aircraft!r}, not for {flown!r}")
+    table = merge(table, {"aircraft": flown, "controller": file.controller, "vehicle": file.vehicle, "expect": []})
+    for text in settings:
+        key, value = parse_setting(text)
+        set_path(table, key, value, f"{source}: --set")
+    scenario = Scenario.from_table(table, source.parent, str(source))
+    if abs(scenario.step_s - file.design.step_s) > 1e-9:
+        raise InputError(
+            f"{path}: designed for steps of {file.design.step_s:g} s; {source.name} has step_s = {scenario.step_s:g}"
+        )
+    return scenario
+
+
+def differences(scenario: Scenario, path: Path) -> list[str]:
+    """In which ways a flight is not what its controller file was designed for."""
+    from cosim.engine import load_engine
+
+    file = validate(ControllerFile, read_toml(path), str(path))
+    made = file.design
+    spec = load_engine(
+        str(scenario.engine), scenario.engine_parameters, scenario.step_s, unchecked=scenario.engine_unchecked
+    )
+    found = []
+    if spec.sha256 != made.engine_sha256:
+        found.append(f"designed for engine {made.engine} ({made.engine_sha256[:12]}), flown with {spec.name} "
+                     f"({spec.sha256[:12]})")  # fmt: skip
+    elif any(spec.parameters.get(key) != value for key, value in made.engine_parameters.items()) or any(
+        made.engine_parameters.get(key) != value for key, value in scenario.engine_parameters.items()
+    ):
+        found.append(
+            f"designed for engine parameters {made.engine_parameters or 'of its own'}, flown with "
+            f"{dict(scenario.engine_parameters) or 'its own'}"
+        )
+    flown, given = _airframe(scenario.vehicle), _airframe(made.vehicle_changes)
+    if _older_than_banks(file) and flown.get("servo", {}).get("bank_inertia_kg_m2") == 0.0:
+        found.append(f"designed when {made.aircraft} had no reaction of its tilting banks: flown without it, "
+                     "servo.bank_inertia_kg_m2 = 0")  # fmt: skip
+        servo = {key: value for key, value in flown["servo"].items() if key != "bank_inertia_kg_m2"}
+        flown = {key: value for key, value in flown.items() if key != "servo"} | ({"servo": servo} if servo else {})
+    if flown != given:
+        found.append(f"designed for {made.aircraft} with {given or 'no changes'}, flown with {flown or 'none'}")
+    for key in ("substeps", "added_delay_samples"):
+        if getattr(scenario, key) != getattr(made, key):
+            found.append(f"designed for {key} = {getattr(made, key)}, flown with {getattr(scenario, key)}")
+    return found
+
+
+def _airframe(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Changes of a vehicle that are not its controller."""
+    return {key: value for key, value in changes.items() if key not in ("control", "identified")}

@@ -1,0 +1,133 @@
+"""From a design to its controller file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import FlightError, InputError
+from cosim.design.channel import Channel
+from cosim.design.controller_file import AxisRecord, LevelRecord, Purpose
+from cosim.design.design import Assessment, Design
+from cosim.spec.vehicle import RateModel
+
+
+def write_controller(found: Design, path: Path) -> None:
+    """Write the controller file of a design.
+
+    Raises FlightError if it cannot be written, InputError where no design was found.
+    """
+    import tomli_w
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(tomli_w.dumps(controller_table(found)), encoding="utf-8")
+    except OSError as error:
+        raise FlightError(f"{path}: {error.strerror or error}") from error
+
+
+def controller_table(found: Design) -> dict[str, Any]:
+    """The file's content.  Raises InputError for a design that was not found."""
+    if not found.ok:
+        raise InputError(f"no acceptable design: {found.reason}")
+    chosen = {axis: each.after for axis, each in found.axes.items() if each.after is not None}
+    roll, altitude = chosen["roll"].tuning, chosen["altitude"].tuning
+    axes = ("roll", "pitch", "yaw")
+    vehicle: dict[str, Any] = {
+        "control": {
+            "attitude": {"gain_1_s": [_rounded(chosen[axis].tuning.angle_gain) for axis in axes]},
+            "rate": {
+                axis: {key: _rounded(value) for key, value in chosen[axis].tuning.gains.model_dump().items()}
+                for axis in axes
+            },
+            "altitude": {
+                "position_1_s": _rounded(altitude.angle_gain),
+                "velocity_1_s": _rounded(altitude.gains.p),
+                "integral_1_s2": _rounded(altitude.gains.i),
+            },
+            "predictor": {key: _rounded(value) for key, value in roll.predictor.model_dump().items()},
+        }
+    }
+    leads = {axis: each.tuning.lead for axis, each in chosen.items()}
+    if any(leads.values()) or found.vehicle.control.lead is not None:
+        # false overrules a lead that the aircraft states
+        vehicle["control"]["lead"] = {
+            axis: {key: _rounded(value) for key, value in lead.model_dump(exclude_none=True).items()} if lead else False
+            for axis, lead in leads.items()
+        }
+    if found.schedule is not None:
+        vehicle["control"]["schedule"] = found.schedule.model_dump(mode="json", exclude_none=True)
+    elif found.vehicle.control.schedule:
+        vehicle["control"]["schedule"] = False  # overrules the aircraft's
+    if roll.controller != "baseline":
+        vehicle["identified"] = {
+            found.engine.family: {
+                axis: _model(found.axes[axis].channel, chosen[axis], found.model_source).model_dump()
+                for axis in axes
+                if chosen[axis].controller != "baseline"
+            }
+        }
+    scenario, spec = found.scenario, found.engine
+    purpose = Purpose(
+        aircraft=found.vehicle.name,
+        engine=spec.name,
+        family=spec.family,
+        engine_sha256=spec.sha256,
+        engine_parameters=dict(scenario.engine_parameters),
+        vehicle_changes=dict(scenario.vehicle),
+        step_s=scenario.step_s,
+        substeps=scenario.substeps,
+        added_delay_samples=scenario.added_delay_samples,
+        bank_inertia_kg_m2=found.vehicle.servo.bank_inertia_kg_m2 if found.vehicle.servo else None,
+        model=found.model_source,
+        requirements=found.need,
+        axes={axis: _record(each.after, each.candidates) for axis, each in found.axes.items() if each.after},
+        levels=[
+            LevelRecord(
+                fuel=each.level.fuel,
+                mass_kg=_rounded(each.level.mass_kg),
+                share=_rounded(each.level.share),
+                designed=each.designed,
+                held={axis: state.peak_sensitivity for axis, state in each.held.items() if state.peak_sensitivity},
+                axes={axis: _record(state) for axis, state in each.after.items() if state.stable},
+            )
+            for each in found.levels
+        ],
+    )
+    return {
+        "controller": roll.controller,
+        "vehicle": vehicle,
+        "design": purpose.model_dump(mode="json", exclude_none=True),
+    }
+
+
+def _rounded(value: float) -> float:
+    """Six digits: more are not meant."""
+    return float(f"{value:.6g}")
+
+
+def _model(channel: Channel, chosen: Assessment, source: str) -> RateModel:
+    """Without the delay that the controller adds itself, of which the flight tells the predictor."""
+    own = chosen.tuning.model
+    return own.model_copy(update={"delay_samples": own.delay_samples - channel.added_delay, "source": source})
+
+
+def _record(after: Assessment, candidates: Mapping[str, float] | None = None) -> AxisRecord:
+    assert after.margins is not None
+    return AxisRecord.model_validate(
+        {
+            "controller": after.controller,
+            "peak_sensitivity": after.peak_sensitivity,
+            "gain_margin_db": after.margins.gain_db,
+            "gain_margin_down_db": after.margins.gain_down_db,
+            "phase_margin_deg": after.margins.phase_deg,
+            "delay_margin_s": after.margins.delay_s,
+            "bandwidth_hz": after.bandwidth_hz,
+            "tolerated": after.tolerated,
+            "overshoot": after.overshoot,
+            "settling_s": after.settling_s,
+            "candidates": {name: value for name, value in (candidates or {}).items() if isfinite(value)},
+        }
+    )

@@ -1,0 +1,656 @@
+"""The design: identify the engine, form the channels, tune every candidate, choose, and say what limits it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import ceil, floor, inf, isfinite, pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.errors import InputError
+from cosim.base.toml import (
+    merge,
+    nearest,
+    parse_setting,
+    set_path,
+)
+from cosim.design.channel import (
+    Actuator,
+    Channel,
+    channels,
+    hover_share,
+)
+from cosim.design.closed_loop import Closed, Points
+from cosim.design.controller_file import read_controller
+from cosim.design.dynamics import Dynamics, fit_dynamics, lags
+from cosim.design.frequency import Array, wrapped
+from cosim.design.identify import Identification, identify_engine
+from cosim.design.levels import AXES as LEVELLED
+from cosim.design.levels import (
+    DESIGNED,
+    SLACK,
+    Level,
+    at_share,
+    follow,
+    keeps,
+    lead_there,
+    levels,
+    schedule,
+)
+from cosim.design.tune import (
+    FINE,
+    Found,
+    Requirements,
+    near,
+    objective,
+    settle,
+    tune,
+)
+from cosim.design.tuning import CANDIDATES, Tuning
+from cosim.engine import EngineSpec, load_engine
+from cosim.spec.scenario import Scenario, is_file
+from cosim.spec.vehicle import (
+    EngineLead,
+    RateGains,
+    RateModel,
+    Schedule,
+    Vehicle,
+    load_vehicle,
+    read_models,
+)
+
+AXES = ("roll", "pitch", "yaw", "altitude")
+SWING = 0.005  # of the throttle, around hover: what an engine's limits on its acceleration do not see
+MISFIT = 0.005  # of one lag and a delay, above which more is fitted
+GAINS = 7  # in the grid of the tolerance
+BISECTIONS = 5
+WORTH = 0.06  # of the objective: a more complex controller must answer 3 % faster to be chosen
+LEAD_WORTH = 0.19  # the same of a lead, 10 % faster: it works the throttle, and believes in the engine's lags
+TOGETHER = 5.0  # times the slowest pole: up to here a lead takes the second one with it
+WITH_LEAD = " + lead"
+LED = ("baseline", "state-model", "state-disturbance")  # tried with a lead where the choice is free
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Of the loop broken at the plant's input, attitude and rate loop closed; None where nothing is crossed."""
+
+    gain_db: float | None  # least factor up to instability
+    gain_down_db: float | None  # least factor down to it
+    phase_deg: float | None
+    delay_s: float | None
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """A tuning on a channel, measured."""
+
+    controller: str
+    tuning: Tuning
+    stable: bool
+    margins: Margins | None
+    peak_sensitivity: float | None
+    bandwidth_hz: float | None
+    tolerated: float | None  # times the tolerances until instability
+    noise: float | None  # of the command, one standard deviation, its unit
+    step_error: float | None  # integrated absolute error over fifty times the delay, rad s per rad (m s per m)
+    load_error: float | None  # rad s (m s) per unit of load at the plant's input
+    overshoot: float | None  # share of a step
+    settling_s: float | None  # within 5 % of a step; None where that takes longer than is looked at
+    step_peak: float | None  # command per unit of a step of the set-point
+
+
+@dataclass(frozen=True)
+class AxisDesign:
+    """One channel: what was, what was tried, what was chosen."""
+
+    channel: Channel
+    before: Assessment
+    candidates: Mapping[str, float]  # objective; infinite where the requirements cannot be kept
+    after: Assessment | None
+    limits: Mapping[str, float]  # bandwidth [Hz] without delay, without lag, without the bound on noise
+    checks: Mapping[str, bool]
+
+
+@dataclass(frozen=True)
+class LevelDesign:
+    """One amount of fuel: the channels that engines answer, with the gains of a full tank and with the schedule's."""
+
+    level: Level
+    designed: bool  # or between two levels that are
+    held: Mapping[str, Assessment]
+    after: Mapping[str, Assessment]  # the same where nothing is scheduled
+    kept: Mapping[str, bool]  # whether ``after`` keeps the requirements
+
+
+@dataclass(frozen=True)
+class Design:
+    """All channels of a vehicle with an engine."""
+
+    engine: EngineSpec
+    vehicle: Vehicle
+    scenario: Scenario
+    need: Requirements
+    identification: Identification | None  # of the engine; None where a model was given
+    model_source: str
+    axes: Mapping[str, AxisDesign]
+    levels: Sequence[LevelDesign]  # while fuel burns, a full tank first; empty without a tank
+    schedule: Schedule | None  # what follows the thrust level; None where the gains of a full tank do
+    reason: str  # why it is not acceptable; empty where it is
+    allowing: Mapping[str, float]  # what would allow one: "delay_s", "lag_factor"
+
+    @property
+    def ok(self) -> bool:
+        """Whether every requirement is kept."""
+        return not self.reason
+
+    @property
+    def controller(self) -> str:
+        """The chosen one; the best of what there is where none is acceptable."""
+        chosen = self.axes["roll"].after
+        return chosen.controller if chosen else "baseline"
+
+
+def design(
+    engine: str,
+    aircraft: str = "hexjet",
+    *,
+    controller: str = "auto",
+    need: Requirements | None = None,
+    settings: Sequence[str] = (),
+    model: Path | None = None,
+    amplitude: float | None = None,
+    lead: bool = True,
+    scheduled: bool = True,
+    start: Path | None = None,
+    say: Say = lambda text: None,
+) -> Design:
+    """Design controller, predictor and gains of an aircraft for an engine.
+
+    ``engine`` a name or a file; ``controller`` one of the candidates, or "auto" for the best of them; ``settings``
+    ``KEY=VALUE`` over a scenario, such as ``engine_parameters.delay_samples=40``; ``model`` a file with the identified
+    response of an axis, taken instead of what engine and airframe make together.  ``amplitude`` of the sweep of the
+    engine, in throttle: larger for an engine whose limits the flight will reach.  The air is the standard atmosphere's
+    at sea level.
+
+    ``start`` a controller file: its candidate alone is searched for, from its gains on.  ``scheduled``: whether gains
+    may follow the thrust level where the vehicle burns fuel.
+
+    Raises InputError for an unknown name, a vehicle that the engines do not lift, or an engine that does not answer.
+    """
+    need = need or Requirements()
+    if controller != "auto" and controller not in CANDIDATES:
+        raise InputError(f"--controller {controller}: {nearest(controller, ('auto', *CANDIDATES))}")
+    scenario, vehicle = _scenario(engine, aircraft, settings)
+    unchecked = scenario.engine_unchecked
+    spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked)
+    share = hover_share(vehicle, spec)
+    limits = vehicle.control.allocation
+    if not limits.throttle_min < share < limits.throttle_max:
+        raise InputError(
+            f"engine {spec.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at {share:.2f} of its range, "
+            f"outside {limits.throttle_min:g} to {limits.throttle_max:g}: it cannot be controlled, whatever the gains"
+        )
+    say(f"identifying {spec.name}")
+    found = _identify(scenario, vehicle, spec, amplitude)
+    dynamics = Actuator.of(spec.name, _dynamics(found))
+    wanted = channels(scenario, vehicle, spec, dynamics)
+    given = read_models(model).get(spec.family, {}) if model else {}
+    if model and not given:
+        raise InputError(f"{model}: holds no model of {vehicle.name} with engine {spec.family!r}")
+    for axis, table in given.items():
+        wanted[axis] = replace(wanted[axis], identified=RateModel(**table))
+    source = f"{found.source}; with the airframe of {vehicle.name}"
+    begin = None if start is None else _begin(start, wanted, vehicle, spec)
+    names = CANDIDATES if controller == "auto" else (controller,)
+    if begin is None:
+        axes = _axes(wanted, vehicle, scenario, spec, names, need, source, say, lead)
+    else:
+        axes = _again(wanted, vehicle, spec, need, source, begin, say)
+    reason = _why_not(axes, need)
+    allowing = _allowing(axes["roll"], names, need, say, lead) if reason and start is None else {}
+    burning: list[LevelDesign] = []
+    plan: Schedule | None = None
+    if vehicle.fuel is not None and not reason and not model:
+        there = _levels(scenario, vehicle, spec, dynamics, amplitude, say)
+        plan, burning, reason = _burn(axes, there, need, begin, scheduled, say)
+    return Design(spec, vehicle, scenario, need, found, source, axes, burning, plan, reason, allowing)
+
+
+def needed(axis: str, need: Requirements) -> Requirements:
+    """What is asked of one channel: a bandwidth of roll and pitch alone."""
+    return need if axis in ("roll", "pitch") else need.model_copy(update={"min_bandwidth_hz": 0.0})
+
+
+def _levels(
+    scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, full: Actuator, amplitude: float | None, say: Say
+) -> list[Level]:
+    def dynamics(there: Vehicle) -> Actuator:
+        if there.mass_kg == vehicle.mass_kg:
+            return full
+        say(f"identifying {spec.name} at {there.mass_kg:.4g} kg")
+        return Actuator.of(spec.name, _dynamics(_identify(scenario, there, spec, amplitude)))
+
+    return levels(scenario, vehicle, spec, dynamics)
+
+
+def _burn(
+    axes: Mapping[str, AxisDesign],
+    found: Sequence[Level],
+    need: Requirements,
+    begin: Mapping[str, Mapping[float, Tuning]] | None,
+    scheduled: bool,
+    say: Say,
+) -> tuple[Schedule | None, list[LevelDesign], str]:
+    """The schedule, where one is needed, every level, and what is wrong with them."""
+    full = {axis: each.after.tuning for axis, each in axes.items() if axis in LEVELLED and each.after is not None}
+    plan: Schedule | None = None
+    fits = all(keeps(level.channels[axis], full[axis], needed(axis, need)) for level in found for axis in LEVELLED)
+    if scheduled and not fits:
+        tunings = {}
+        for axis in LEVELLED:
+            say(f"{axis}: with less fuel")
+            own = follow(axis, found, full[axis], needed(axis, need), (begin or {}).get(axis, {}))
+            if own is None:
+                return None, [], f"{axis}: no gains keep the requirements with less fuel"
+            tunings[axis] = own
+        plan = schedule(found, tunings)
+    burning = []
+    for level in found:
+        acting = (
+            at_share(plan, {a: t.lead for a, t in full.items()}, full, level.share, axes["roll"].channel.step)
+            if (plan)
+            else full
+        )
+        held = {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in LEVELLED}
+        after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
+        slack = 0.0 if level.fuel in DESIGNED else SLACK
+        kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need), slack) for axis in LEVELLED}
+        burning.append(LevelDesign(level, level.fuel in DESIGNED, held, after, kept))
+    missed = [f"{axis} with {each.level.fuel:.0%} of the fuel" for each in burning for axis in each.kept
+              if plan and not each.kept[axis]]  # fmt: skip
+    between = (
+        f"between the levels of the schedule a requirement is missed, {', '.join(missed)}; a stricter one leaves room"
+    )
+    return plan, burning, between if missed else ""
+
+
+def _begin(
+    start: Path, wanted: Mapping[str, Channel], vehicle: Vehicle, spec: EngineSpec
+) -> dict[str, dict[float, Tuning]]:
+    """Where a search begins that goes on from a controller file: by axis, and by fuel."""
+    file = read_controller(start)
+    if file.design.aircraft != vehicle.name:
+        raise InputError(f"{start}: designed for aircraft {file.design.aircraft!r}, not for {vehicle.name!r}")
+    stated = merge(file.vehicle, {"mass_kg": vehicle.mass_kg})
+    designed, _ = load_vehicle(file.design.aircraft, stated, f"{start}: vehicle")
+    found: dict[str, dict[float, Tuning]] = {}
+    for axis, channel in wanted.items():
+        own = shipped(channel, designed, spec)
+        found[axis] = {1.0: replace(own, controller=file.design.axes[axis].controller)}
+    plan = designed.control.schedule
+    if plan and designed.fuel:
+        step = wanted["roll"].step
+        full = {axis: found[axis][1.0] for axis in LEVELLED}
+        for level, fuel in zip(reversed(plan.level), DESIGNED, strict=False):
+            there = at_share(plan, {axis: each.lead for axis, each in full.items()}, full, level.share, step)
+            for axis in LEVELLED:
+                found[axis][fuel] = there[axis]
+    return found
+
+
+def _again(
+    wanted: Mapping[str, Channel],
+    vehicle: Vehicle,
+    spec: EngineSpec,
+    need: Requirements,
+    source: str,
+    begin: Mapping[str, Mapping[float, Tuning]],
+    say: Say,
+) -> dict[str, AxisDesign]:
+    """Every axis from where a search begins, with the candidate that it has there."""
+    found: dict[str, AxisDesign] = {}
+    for axis in AXES:
+        channel, asked, start = wanted[axis], needed(axis, need), begin[axis][1.0]
+        say(f"{axis}: {start.controller}")
+        roll = found["roll"].after if found else None
+        predictor = roll.tuning.predictor if roll else start.predictor
+        start = replace(
+            start, model=believed(channel, source), lead=lead_there(start.lead, channel), predictor=predictor
+        )
+        free = axis == "roll" or vehicle.servo is not None or axis == "altitude"
+        tuned = near(channel, start, asked, free)
+        before = assess(channel, shipped(channel, vehicle, spec), asked)
+        key = start.controller + (WITH_LEAD if start.lead else "")
+        if tuned is None:
+            found[axis] = AxisDesign(channel, before, {key: inf}, None, {}, {})
+            continue
+        after = assess(channel, tuned, asked)
+        value = objective(Closed(Points(channel, close=FINE), tuned))
+        found[axis] = AxisDesign(channel, before, {key: value}, after, {}, tolerance_checks(channel, tuned, asked))
+    return found
+
+
+def believed(channel: Channel, source: str) -> RateModel:
+    """A channel's model as its predictor has it: the flight adds to it the delay that the controller adds itself."""
+    own = channel.model(source)
+    return own.model_copy(update={"delay_samples": own.delay_samples + channel.added_delay})
+
+
+def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scenario, Vehicle]:
+    """Hover with this engine, at the sample time of the aircraft's own models."""
+    table: dict[str, Any] = {"name": "design", "duration_s": 1.0, "aircraft": aircraft}
+    table["engine"] = str(Path(engine).absolute()) if is_file(engine) else engine
+    for text in settings:
+        key, value = parse_setting(text)
+        set_path(table, key, value, "design: --set")
+    scenario = Scenario.from_table(table, Path(), "design")
+    if scenario.stations:
+        raise InputError("design: --set stations: a design is for one engine at all stations")
+    vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle, "design: vehicle")
+    steps = {model.sample_time_s for models in vehicle.identified.values() for model in models.values()}
+    if "step_s" not in table and len(steps) == 1:
+        scenario = scenario.replace(step_s=steps.pop())
+    return scenario, vehicle
+
+
+def _identify(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, amplitude: float | None) -> Identification:
+    """The engine's response around hover."""
+    throttle = throttle_for(spec, vehicle)
+    amplitude = min(SWING, 0.4 * min(throttle, 1.0 - throttle)) if amplitude is None else amplitude
+    return identify_engine(
+        scenario.engine, scenario.engine_parameters, step=scenario.step_s, throttle=throttle, amplitude=amplitude
+    )
+
+
+def _dynamics(found: Identification) -> Dynamics:
+    """One lag and a delay, as identified; where that does not follow the response, what does."""
+    model = found.chosen.model
+    if found.chosen.misfit <= MISFIT and model.rate > 0.0:
+        return replace(lags([1.0 / model.rate], model.delay_samples, model.step), misfit=found.chosen.misfit)
+    return fit_dynamics(found.response, model.delay_samples, 1.0 / max(model.rate, 0.01))
+
+
+def throttle_for(spec: EngineSpec, vehicle: Vehicle) -> float:
+    """The throttle at which each engine carries its part of the weight."""
+    curve = spec.curve
+    thrust = curve.thrust[0] + hover_share(vehicle, spec) * (curve.thrust[-1] - curve.thrust[0])
+    return float(np.interp(thrust, curve.thrust, curve.throttle))
+
+
+# ---- the axes
+
+
+def _axes(
+    wanted: Mapping[str, Channel],
+    vehicle: Vehicle,
+    scenario: Scenario,
+    spec: EngineSpec,
+    names: Sequence[str],
+    need: Requirements,
+    source: str,
+    say: Say,
+    lead: bool,
+) -> dict[str, AxisDesign]:
+    leads = {axis: engine_lead(wanted[axis]) if lead else None for axis in AXES}
+    predictor = vehicle.control.predictor
+    roll = _axis(wanted["roll"], vehicle, scenario, spec, names, need, source, predictor, say, leads["roll"])
+    chosen = roll.after.tuning if roll.after else None
+    found = {"roll": roll}
+    for axis in AXES[1:]:
+        channel = wanted[axis]
+        # jets that tilt give pitch and yaw by servo; rotors give them like roll, through the same predictor
+        predicted = chosen is not None and axis != "altitude" and vehicle.servo is None
+        names = (chosen.controller,) if predicted and chosen else ("baseline",)
+        predictor = chosen.predictor if chosen else vehicle.control.predictor
+        found[axis] = _axis(
+            channel, vehicle, scenario, spec, names, needed(axis, need), source, predictor, say, leads[axis],
+            free=not predicted,
+        )  # fmt: skip
+    return found
+
+
+def _axis(
+    channel: Channel,
+    vehicle: Vehicle,
+    scenario: Scenario,
+    spec: EngineSpec,
+    names: Sequence[str],
+    need: Requirements,
+    source: str,
+    predictor: Any,
+    say: Say,
+    lead: EngineLead | None,
+    free: bool = True,
+) -> AxisDesign:
+    fixed = shipped(channel, vehicle, spec)
+    before = assess(channel, fixed, need)
+    model = believed(channel, source)
+    start = replace(fixed, predictor=predictor)
+    tried: dict[str, Found] = {}
+    for with_lead in (None,) if lead is None else (None, lead):
+        for name in names:
+            if with_lead and len(names) > 1 and name not in LED:
+                continue
+            key = name + WITH_LEAD if with_lead else name
+            say(f"{channel.name}: {key}")
+            tried[key] = tune(channel, name, model, start, need, free, with_lead)
+    best = _simplest({key: each.objective for key, each in tried.items()})
+    if not isfinite(tried[best].objective):
+        return AxisDesign(channel, before, {name: each.objective for name, each in tried.items()}, None, {}, {})
+    after = assess(channel, settle(channel, tried[best].tuning, need, free) or tried[best].tuning, need)
+    limits = {}
+    if channel.name == "roll":
+        say("what limits it")
+        limits = _limits(channel, after, need, lead)
+    return AxisDesign(
+        channel,
+        before,
+        {name: each.objective for name, each in tried.items()},
+        after,
+        limits,
+        tolerance_checks(channel, after.tuning, need),
+    )
+
+
+def _simplest(objectives: Mapping[str, float]) -> str:
+    """The first of the candidates, which are in the order of what they take, that is as good as the best.
+
+    Those with a lead only where it pays.
+    """
+    led = {name: value for name, value in objectives.items() if name.endswith(WITH_LEAD)}
+    plain = {name: value for name, value in objectives.items() if name not in led}
+    least = min(plain.values())
+    among = led if led and min(led.values()) < least - LEAD_WORTH else plain
+    enough = min(among.values()) + WORTH
+    return next(name for name, value in among.items() if value <= enough)
+
+
+def engine_lead(channel: Channel) -> EngineLead | None:
+    """A lead for the slowest lag of the engines, or for the slowest two poles; None where no engine answers.
+
+    Its own poles are where the engine's are, for the search to move.
+    """
+    if channel.identified is not None or channel.unit == "rad":
+        return None
+    slowest, *others = sorted(channel.actuator.dynamics.poles, key=abs)
+    w = abs(slowest)
+    # a slow lag beside two poles that swing stands alone
+    if others and (slowest.imag or (not others[0].imag and abs(others[0]) < TOGETHER * w)):
+        natural = float(np.sqrt(w * abs(others[0])))
+        damping = float(-(slowest + others[0]).real / (2.0 * natural))
+        return EngineLead(natural_rad_s=natural, damping=damping, pole_rad_s=natural)
+    return EngineLead(natural_rad_s=w, pole_rad_s=w)
+
+
+def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
+    """The aircraft's own gains on a channel, with Smith's predictor where it states a model for the engine."""
+    control = vehicle.control
+    lead = getattr(control.lead, channel.name, None) or None
+    if channel.name == "altitude":
+        own = control.altitude
+        gains = RateGains(
+            p=own.velocity_1_s, i=own.integral_1_s2, d=0.0, d_filter_s=1.0, integral_limit=own.integral_limit_m_s2
+        )
+        return Tuning("baseline", own.position_1_s, gains, control.predictor, channel.model("none"), lead)
+    gains = getattr(control.rate, channel.name)
+    angle = control.attitude.gain_1_s[AXES.index(channel.name)]
+    model = vehicle.identified.get(spec.family, {}).get(channel.name)  # type: ignore[call-overload]
+    if model is None or abs(model.sample_time_s - channel.step) > 1e-9:
+        return Tuning("baseline", angle, gains, control.predictor, channel.model("none"), lead)
+    model = model.model_copy(update={"delay_samples": model.delay_samples + channel.added_delay})
+    return Tuning("smith", angle, gains, control.predictor, model, lead)
+
+
+def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
+    """Everything that is reported of a tuning, with more points than the search takes."""
+    closed = Closed(Points(channel, close=FINE), tuning)
+    if closed.unstable_poles:
+        return Assessment(tuning.controller, tuning, False, *[None] * 10)
+    settled = bool(tuning.gains.i) and not closed.load_left
+    return Assessment(
+        tuning.controller,
+        tuning,
+        True,
+        margins(closed),
+        closed.peak_sensitivity,
+        closed.bandwidth,
+        closed.tolerated(need.delay_samples(channel), need.gain_tolerance),
+        closed.noise,
+        closed.step_error,
+        closed.load_error if settled else None,
+        closed.overshoot,
+        closed.settling_s if isfinite(closed.settling_s) else None,
+        closed.step_peak,
+    )
+
+
+def margins(closed: Closed) -> Margins:
+    """Gain, phase and delay margins from the loop's response, straight lines between its points."""
+    theta = closed.points.theta
+    inside = theta < pi * (1.0 - 1e-9)
+    last = closed.open_loop[~inside].real  # at half the sampling rate it is real: a gain may put a pole at -1
+    loop, omega = closed.open_loop[inside], theta[inside] / closed.points.channel.step
+    size, phase = np.log(np.abs(loop)), np.unwrap(np.angle(loop))
+
+    def crossings(value: Array) -> tuple[NDArray[np.intp], Array]:
+        """Where ``value`` changes its sign: the point before, and the part of the way to the next."""
+        at = np.flatnonzero(np.sign(value[:-1]) * np.sign(value[1:]) < 0.0)
+        return at, value[at] / (value[at] - value[at + 1])
+
+    at, part = crossings(loop.imag)
+    real = np.concatenate([loop.real[at] + part * np.diff(loop.real)[at], last])
+    gains = -1.0 / real[real < 0.0]
+    up, down = gains[gains > 1.0], gains[gains < 1.0]
+    at, part = crossings(size)
+    angle = phase[at] + part * np.diff(phase)[at] + pi
+    delays = angle % (2.0 * pi) / (omega[at] + part * np.diff(omega)[at])
+    turns = [wrapped(float(np.degrees(each))) for each in angle]
+    return Margins(
+        gain_db=float(20.0 * np.log10(up.min())) if len(up) else None,
+        gain_down_db=float(20.0 * np.log10(down.max())) if len(down) else None,
+        phase_deg=min(turns, key=abs, default=None),
+        delay_s=float(delays.min()) if len(delays) else None,
+    )
+
+
+def _limits(channel: Channel, after: Assessment, need: Requirements, lead: EngineLead | None) -> dict[str, float]:
+    """The bandwidth that the same controller would reach without one of its limits."""
+    free = need.model_copy(update={"min_bandwidth_hz": 0.0})
+    kept = lead if after.tuning.lead else None
+    cases: dict[str, tuple[Channel, Requirements]] = {"delay": (channel.with_delay(0.0), free)}
+    if channel.identified is None:
+        cases["lag"] = (channel.with_lags(0.0), free)
+    cases["noise and saturation"] = (channel, free.model_copy(update={"noise_share": 1e6, "step_rad": 0.0}))
+    found = {}
+    for what, (changed, needed) in cases.items():
+        led = None if what == "lag" else kept
+        tuned = tune(changed, after.controller, changed.model("without"), after.tuning, needed, lead=led)
+        if isfinite(tuned.objective):
+            found[what] = Closed(Points(changed, close=FINE), tuned.tuning).bandwidth
+    return found
+
+
+def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> dict[str, bool]:
+    """Stable at every whole sample of the delay's tolerance times a grid of gains; and with lags 30 % off."""
+    wide = need.delay_samples(channel)
+    own = channel.actuator_delay
+    delays = sorted({max(0.0, own - wide), own, own + wide, *_whole(own - wide, own + wide)})
+    gains = np.linspace(1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance, GAINS)
+    found = {}
+    found[f"gain {gains[0]:.2f} to {gains[-1]:.2f} times delay {delays[0]:g} to {delays[-1]:g} samples"] = all(
+        _stable(replace(channel.with_delay(delay), gain=channel.gain * gain), tuning)
+        for delay in delays
+        for gain in (gains if channel.identified is None else gains[GAINS // 2 : GAINS // 2 + 1])
+    )
+    if channel.identified is None:
+        found[f"lags of the {_what(channel)} 0.7 and 1.3 times"] = all(
+            _stable(channel.with_lags(factor), tuning) for factor in (0.7, 1.3)
+        )
+    return found
+
+
+def _what(channel: Channel) -> str:
+    return "tilt servo" if channel.unit == "rad" else "engine"
+
+
+def _whole(low: float, high: float) -> list[float]:
+    return [float(n) for n in range(max(0, ceil(low)), floor(high) + 1)]
+
+
+def _stable(channel: Channel, tuning: Tuning) -> bool:
+    return Closed(Points(channel, close=2000), tuning).unstable_poles == 0
+
+
+# ---- where there is none
+
+
+def _why_not(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
+    for axis, found in axes.items():
+        if found.after is None:
+            wanted = f", {need.min_bandwidth_hz:g} Hz included" if axis in ("roll", "pitch") else ""
+            return f"{axis}: no gains keep the requirements{wanted}"
+    return ""
+
+
+def _allowing(
+    roll: AxisDesign, names: Sequence[str], need: Requirements, say: Say, with_lead: bool
+) -> dict[str, float]:
+    """The longest delay, and the largest part of the lags, with which roll could keep the requirements."""
+    channel = roll.channel
+    if roll.after is not None:
+        return {}
+    tried = [name for name in names if name in ("baseline", "state-disturbance")] or list(names)
+    found = {}
+    whole = channel.actuator_delay
+
+    def works(changed: Channel) -> bool:
+        fixed = roll.before.tuning
+        lead, model = engine_lead(changed) if with_lead else None, changed.model("trial")
+        return any(isfinite(tune(changed, name, model, fixed, need, lead=lead).objective) for name in tried)
+
+    say("which delay would allow one")
+    if whole > 0.0 and (share := _largest(lambda part: works(channel.with_delay(round(part * whole))))) is not None:
+        found["delay_s"] = round(share * whole) * channel.step
+    if channel.identified is None:
+        say("which lag would allow one")
+        if (share := _largest(lambda part: works(channel.with_lags(part)))) is not None:
+            found["lag_factor"] = share
+    return found
+
+
+def _largest(works: Callable[[float], bool]) -> float | None:
+    """The largest part of 1 that works, by bisection; None if 0 does not."""
+    if not works(0.0):
+        return None
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if works(middle) else (low, middle)
+    return low

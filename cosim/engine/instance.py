@@ -1,0 +1,385 @@
+"""One FMU instance: loaded, instantiated and initialized through FMPy, then handed to the C loop for stepping."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import math
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import cosim.engine._bank as _bank
+from cosim.engine.archive import REALS, Archive
+from cosim.engine.container import one_line
+from cosim.engine.ports import (
+    INPUTS,
+    OUTPUTS,
+    STANDARD_AIR,
+    Air,
+    Variable,
+)
+
+STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
+DISCARD = 2
+FATAL = 4
+PENDING = 5
+LAST_SUCCESSFUL_TIME = 2  # of fmi2StatusKind
+
+EVENT_FUNCTIONS = ("fmi3EnterEventMode", "fmi3UpdateDiscreteStates", "fmi3EnterStepMode")
+MOST_UPDATES = 10_000  # of discrete states, before it counts as endless
+
+# What failed, in the words of the C loop -> in ours.
+FAULTS = {
+    "set": "setting its inputs returned {status}",
+    "step": "doStep returned {status}",
+    "get": "getting its outputs returned {status}",
+    "terminate": "it asked to end the simulation",
+    "early": "it returned early from doStep and gets no further",
+    "parts": "it does not reach the end of the step",
+    "event": "it asked for event handling, for which it has no mode",
+    "enter": "entering event mode returned {status}",
+    "update": "updating its discrete states returned {status}",
+    "leave": "leaving event mode returned {status}",
+    "endless": "its events do not come to an end",
+    "nan": "{port} is not finite",
+    "input": "{port} is not finite",
+}
+
+Setting = tuple[Variable, float]
+
+
+class SlaveError(Exception):
+    """An FMU refused: one line without its name, which the caller knows."""
+
+
+class Slave:
+    """An instance of ``archive``, whose unpacked files are in ``folder``.
+
+    Raises SlaveError if the library does not load or the FMU refuses to be instantiated.
+    """
+
+    def __init__(self, archive: Archive, folder: Path, name: str) -> None:
+        self.archive = archive
+        self._resources = folder / "resources"
+        self._python = any(self._resources.rglob("*.py"))
+        self.log = _bank.Log()
+        self._stepping = False
+        self._dead = False
+        self._inputs = _canonical(0.0, STANDARD_AIR)  # what they were set to
+        self.fmu: Any = _load(archive, folder, name)
+        try:
+            with _modules_of_its_own(self._resources) if self._python else nullcontext():
+                self._instantiate()
+        except BaseException:
+            self.fmu.freeLibrary()
+            self.fmu = None
+            raise
+
+    def _instantiate(self) -> None:
+        # FMPy's own instantiate() would print the FMU's messages; this way the C loop's log gets them
+        fmu = self.fmu
+        name, token, resources = fmu.instanceName.encode(), self.archive.token.encode(), self._resources
+        if self.archive.fmi == 2:
+            from fmpy.fmi2 import fmi2CoSimulation  # type: ignore[import-untyped]
+
+            self._callbacks = _callbacks2(self.log)
+            fmu.component = fmu.fmi2Instantiate(
+                instanceName=name,
+                fmuType=fmi2CoSimulation,
+                guid=token,
+                resourceLocation=resources.as_uri().encode(),
+                callbacks=ctypes.byref(self._callbacks),
+                visible=False,
+                loggingOn=True,
+            )
+        else:
+            from fmpy.fmi3 import fmi3IntermediateUpdateCallback, fmi3LogMessageCallback  # type: ignore[import-untyped]
+
+            self._callbacks = fmi3LogMessageCallback(_bank.LOGGER3), fmi3IntermediateUpdateCallback()
+            fmu.component = fmu.fmi3InstantiateCoSimulation(
+                instanceName=name,
+                instantiationToken=token,
+                resourcePath=f"{resources}{os.sep}".encode(),
+                visible=False,
+                loggingOn=True,
+                eventModeUsed=self.archive.event_mode,
+                earlyReturnAllowed=self.archive.event_mode or self.archive.returns_early,
+                requiredIntermediateVariables=None,
+                nRequiredIntermediateVariables=0,
+                instanceEnvironment=self.log.address,
+                logMessage=self._callbacks[0],
+                intermediateUpdate=self._callbacks[1],
+            )
+        if not fmu.component:
+            raise SlaveError(self._with_log("cannot be instantiated"))
+
+    def initialize(self, settings: Sequence[Setting], throttle: float, air: Air = STANDARD_AIR) -> float:
+        """Set parameters and inputs, leave initialization mode at time 0, and return the thrust [N] there.
+
+        Raises SlaveError if the FMU returns an error on the way.
+        """
+        self._inputs = _canonical(throttle, air)
+        if self.archive.fmi == 2:
+            self.call("setupExperiment", startTime=0.0)
+        self._set(settings)
+        self.call("enterInitializationMode")
+        ports = self.archive.ports
+        wanted = self._inputs | {"run": 1.0}
+        self._set([(ports[name].variable, ports[name].value(x)) for name, x in wanted.items() if name in ports])
+        self.call("exitInitializationMode")
+        self._stepping = True
+        if self.archive.event_mode:
+            self._handle_events()
+        thrust = self.output("thrust")
+        if not math.isfinite(thrust):
+            raise SlaveError("thrust is not finite at the start")
+        return thrust
+
+    def output(self, name: str) -> float:
+        """What the engine reports now on a port that it has, in SI units."""
+        port = self.archive.ports[name]
+        size = len(port.variable.starts)
+        more = {"nValues": size} if size > 1 else {}
+        values = self.call(f"get{port.variable.type}", [port.variable.reference], **more)
+        value = port.scale * float(values[port.variable.index])
+        return value + port.offset if port.offset else value
+
+    def set_run(self, on: bool) -> bool:
+        """Set the port ``run`` between two steps; False if the engine has none."""
+        port = self.archive.ports.get("run")
+        if port is None:
+            return False
+        self._set([(port.variable, port.value(float(on)))])
+        return True
+
+    def _set(self, settings: Sequence[Setting]) -> None:
+        """Set variables; the elements of an array that are not among them stay at their start values."""
+        arrays: dict[tuple[str, int], tuple[Variable, list[float]]] = {}
+        for variable, value in settings:
+            # FMI 2.0 counts its references anew for every type
+            _, values = arrays.setdefault((variable.type, variable.reference), (variable, list(variable.starts)))
+            values[variable.index] = value
+        for variable, values in arrays.values():
+            kind: type = float if variable.type in REALS else bool if variable.type == "Boolean" else int
+            self.call(f"set{variable.type}", [variable.reference], [kind(value) for value in values])
+
+    def _handle_events(self) -> None:
+        """From event mode to step mode."""
+        for _ in range(MOST_UPDATES):
+            again, terminate, *_ = self.call("updateDiscreteStates")
+            if terminate:
+                raise SlaveError(self._with_log("it asked to end the simulation at its start"))
+            if not again:
+                break
+        else:
+            raise SlaveError("its events at the start do not come to an end")
+        self.call("enterStepMode")
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> Any:
+        """Call one of FMPy's wrappers.  Raises SlaveError if it returns worse than a warning."""
+        from fmpy.fmi1 import FMICallException  # type: ignore[import-untyped]
+
+        try:
+            return getattr(self.fmu, name)(*args, **kwargs)
+        except FMICallException as error:
+            self.failed(error.status)
+            raise SlaveError(self._with_log(f"{error.function} returned {_status(error.status)}")) from error
+
+    def failed(self, status: int) -> None:
+        """Remember that the FMU is in its error state, where little may be called, or beyond all calls."""
+        self._stepping = False
+        self._dead = self._dead or status == FATAL
+
+    def _with_log(self, text: str) -> str:
+        said = one_line(self.log.take())
+        return f"{text}: {said}" if said else text
+
+    def explain(self, failure: _bank.FailureError, moment: str) -> str:
+        """What went wrong in the C loop and when, with what the FMU itself said about it."""
+        _, what, status, port = failure.args
+        more = self._reached() if what == "step" and status == DISCARD and self.archive.fmi == 2 else ""
+        if what == "step" and status == PENDING:
+            more = ", which is for FMUs that step in the background; these are not supported"
+        self.failed(status)
+        text = FAULTS[what].format(status=_status(status), port=port)
+        return self._with_log(f"{text} {moment}{more}")
+
+    def _reached(self) -> str:
+        """FMI 2.0: how far a step that was discarded has come, where the FMU says so."""
+        from fmpy.fmi2 import fmi2Real
+
+        component, value = ctypes.c_void_p(self.fmu.component), fmi2Real(math.nan)
+        status = self.fmu.dll.fmi2GetRealStatus(component, LAST_SUCCESSFUL_TIME, ctypes.byref(value))
+        known = status <= 1 and math.isfinite(value.value)
+        return f"; it came as far as its own time {value.value:g} s" if known else ""
+
+    def row(self, done: int = 0) -> _bank.Row:
+        """What the C loop needs to step this instance, which has ``done`` communication steps behind it."""
+        archive = self.archive
+        sets, inputs = self._blocks("set", INPUTS)
+        gets, outputs = self._blocks("get", OUTPUTS)
+        return (
+            archive.fmi,
+            self.fmu.component,
+            self._address(f"fmi{archive.fmi}DoStep"),
+            tuple(self._address(name) if archive.event_mode else 0 for name in EVENT_FUNCTIONS),
+            done,
+            sets,
+            gets,
+            inputs,
+            outputs,
+            tuple(self._inputs[name] for name in INPUTS),
+        )
+
+    def _address(self, name: str) -> int:
+        return ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value or 0
+
+    def _blocks(
+        self, way: Literal["set", "get"], names: Sequence[str]
+    ) -> tuple[tuple[_bank.Block, ...], tuple[_bank.Place | None, ...]]:
+        """One call for all ports of a type, that of the first port first, and where each port is among the values."""
+        ports = {name: self.archive.ports[name] for name in names if name in self.archive.ports}
+        types = list(dict.fromkeys(port.variable.type for port in ports.values()))
+        first = len(ports[names[0]].variable.starts)  # values of the throttle alone, which is set in every step
+        blocks: list[_bank.Block] = []
+        places: dict[str, _bank.Place] = {}
+        for number, kind in enumerate(types):
+            values: list[float] = []
+            begin: dict[int, int] = {}  # reference: its first value
+            for name, port in ports.items():
+                v = port.variable
+                if v.type != kind:
+                    continue
+                if v.reference not in begin:
+                    begin[v.reference] = len(values)
+                    values += v.starts
+                index = begin[v.reference] + v.index
+                if way == "set":
+                    values[index] = port.value(self._inputs[name])
+                    places[name] = number, index, port.gain, port.bias, port.low, port.high
+                else:
+                    places[name] = number, index, port.scale, port.offset, -math.inf, math.inf
+            function = self._address(f"fmi{self.archive.fmi}{way.capitalize()}{kind}")
+            alone = (1, first) if number == 0 else (0, 0)
+            blocks.append((function, kind == "Float32", tuple(begin), tuple(values), *alone))
+        return tuple(blocks), tuple(places.get(name) for name in names)
+
+    def close(self) -> None:
+        """Terminate and free the instance, and let go of the library."""
+        if self.fmu is None:
+            return
+        fmu, self.fmu = self.fmu, None
+        if self._python:
+            _leave_path(self._resources)
+        if self._dead:
+            return  # after a fatal error nothing may be called any more, not even to free it
+        version = self.archive.fmi
+        if self._stepping:
+            getattr(fmu.dll, f"fmi{version}Terminate")(ctypes.c_void_p(fmu.component))
+        fmu.freeInstance()
+
+
+@contextmanager
+def _modules_of_its_own(resources: Path) -> Iterator[None]:
+    """For an FMU that is written in Python and runs in this interpreter, as PythonFMU's do: its modules are its own.
+
+    It imports them by name from its resources, which it puts at the end of the path.  An FMU with a module of the same
+    name that was there before, also one that is long closed, would otherwise lend it its code without a word.
+    """
+    place = str(resources)
+    sys.path.insert(0, place)
+    importlib.invalidate_caches()
+    try:
+        yield
+    finally:
+        _leave_path(resources)
+        sys.path.append(place)  # for what it imports later
+        for name, module in list(sys.modules.items()):
+            if str(getattr(module, "__file__", None) or "").startswith(place + os.sep):
+                del sys.modules[name]  # the instance keeps what it has
+
+
+def _leave_path(resources: Path) -> None:
+    sys.path[:] = [place for place in sys.path if Path(place) != resources]
+
+
+def _canonical(throttle: float, air: Air) -> dict[str, float]:
+    return dict(zip(INPUTS, (throttle, *air), strict=True))
+
+
+class _Functions(dict[str, Any]):
+    """The functions of a library, each looked up when it is called first."""
+
+    def __init__(self, library: Any, signatures: Mapping[str, tuple[Any, Any, Any]]) -> None:
+        self._library, self._signatures = library, signatures
+
+    def __missing__(self, name: str) -> Any:
+        function = self[name] = getattr(self._library, name)
+        function.argnames, function.argtypes, function.restype = self._signatures[name]
+        return function
+
+
+@lru_cache(maxsize=64)
+def _kind(fmi: int, _sha256: str) -> Any:
+    """FMPy's class for the instances of one archive.
+
+    FMPy looks for all of some 70 functions in the library, and at the signatures of its own, whenever it makes an
+    instance.  Here the first one does; if they are all there, the others need not look.
+    """
+    from fmpy.fmi2 import FMU2Slave
+    from fmpy.fmi3 import FMU3Slave
+
+    kind: Any = FMU2Slave if fmi == 2 else FMU3Slave
+    signatures: dict[str, tuple[Any, Any, Any]] = {}
+
+    def load_functions(fmu: Any) -> None:
+        if signatures:
+            fmu._functions = _Functions(fmu.dll, signatures)
+            return
+        kind._loadFunctions(fmu)
+        signatures.update((name, (f.argnames, f.argtypes, f.restype)) for name, f in fmu._functions.items())
+
+    return type(kind.__name__, (kind,), {"_loadFunctions": load_functions})  # FMPy reads the version from its name
+
+
+def _load(archive: Archive, folder: Path, name: str) -> Any:
+    kind = _kind(archive.fmi, archive.sha256)
+    here = Path.cwd()
+    try:
+        return kind(
+            guid=archive.token,
+            unzipDirectory=str(folder),
+            modelIdentifier=archive.identifier,
+            instanceName=name,
+        )
+    except Exception as error:  # FMPy raises bare exceptions here
+        reason = one_line(error).replace(f"{folder}{os.sep}", "")
+        raise SlaveError(f"its shared library does not load: {reason}") from error
+    finally:
+        os.chdir(here)  # FMPy changes it, and leaves it changed when loading fails
+
+
+def _callbacks2(log: _bank.Log) -> Any:
+    from fmpy import calloc, free  # type: ignore[import-untyped]
+    from fmpy.fmi2 import (
+        fmi2CallbackAllocateMemoryTYPE,
+        fmi2CallbackFreeMemoryTYPE,
+        fmi2CallbackFunctions,
+        fmi2CallbackLoggerTYPE,
+    )
+
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(_bank.LOGGER2)
+    callbacks.allocateMemory = ctypes.cast(calloc, fmi2CallbackAllocateMemoryTYPE)
+    callbacks.freeMemory = ctypes.cast(free, fmi2CallbackFreeMemoryTYPE)
+    callbacks.componentEnvironment = log.address
+    return callbacks
+
+
+def _status(status: int) -> str:
+    return STATUS.get(status, f"status {status}")

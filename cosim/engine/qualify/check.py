@@ -1,0 +1,503 @@
+"""``hexjet fmu check``: is this FMU a sound engine, and how does it answer its throttle?
+
+The archive is read here, where nothing of it is executed; the FMU is run in a process of its own
+(``cosim.engine.qualify.supervisor``), part by part (``cosim.engine.qualify.trial``).  A flight asks the same of an
+engine that is not of the library before it loads it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+import tempfile
+import time
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.engine.archive import Archive
+from cosim.engine.container import DAMAGE
+from cosim.engine.measure import Measured, measure_once
+from cosim.engine.ports import (
+    KINDS,
+    STANDARD_AIR,
+    Air,
+    Port,
+    Variable,
+    plain,
+)
+from cosim.engine.qualify.supervisor import Apart, Limits, run_apart
+from cosim.engine.response import (
+    NO_CHANGE,
+    Curve,
+    Response,
+    curve_problems,
+)
+from cosim.engine.spec import (
+    EngineSource,
+    find_source,
+    need_whole_steps,
+    resolve_parameters,
+)
+from cosim.engine.unpacked import unpack
+
+DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
+LIMITS = Limits()
+# A trial makes some 100,000 steps: an FMU that prints a line in each would fill a log with megabytes in every minute.
+MOST_PRINTED = 2**20  # bytes
+
+PARTS = (
+    "validate", "load", "start", "run", "repeat", "measure", "respond", "together", "reset", "restore", "serialize",
+    "time", "grow",
+)  # fmt: skip
+NEEDED = ("load", "start", "run", "measure")  # without these there is nothing to judge by
+DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
+
+
+@dataclass
+class CheckReport:
+    """What was found; ``problems`` is empty for a sound engine, ``notes`` is worth knowing.
+
+    Times are in s, thrusts in N.  A field is None where a problem before it kept it from being found.
+    """
+
+    path: str
+    name: str
+    fmi_version: str
+    sha256: str
+    step: float
+    ports: list[dict[str, Any]]
+    inputs: list[dict[str, Any]]
+    outputs: list[dict[str, Any]]
+    parameters: list[dict[str, Any]]
+    features: list[str] = field(default_factory=list)  # of FMI, that it uses or offers
+    throttle: list[float] | None = None  # of the static curve
+    thrust: list[float] | None = None
+    delay_samples_up: int | None = None  # communication steps
+    delay_samples_down: int | None = None
+    tenth_up: float | None = None  # from the throttle's move to 10 % of the change: delay, lag and slow start together
+    tenth_down: float | None = None
+    rise_time_up: float | None = None  # 10 to 90 %
+    rise_time_down: float | None = None
+    course_up: list[float] | None = None  # thrust after the throttle was opened, every ``course_step_up`` s
+    course_down: list[float] | None = None
+    course_step_up: float | None = None
+    course_step_down: float | None = None
+    deterministic: bool | None = None
+    processes_agree: bool | None = None  # two processes, bit for bit
+    independent: bool | None = None  # six at once
+    reset_restores_start: bool | None = None
+    state_restores: bool | None = None  # None also if the FMU does not claim it
+    serialized_state_restores: bool | None = None
+    microseconds_per_step: float | None = None
+    bytes_per_instance: float | None = None  # resident, without the library itself
+    bytes_per_step: float | None = None  # that are not given back
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def ok(self) -> bool:
+        """Whether no problem was found."""
+        return not self.problems
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain lists, numbers and strings, for JSON."""
+        return {"ok": self.ok, **asdict(self)}
+
+    def lines(self) -> list[tuple[str, str]]:
+        """What to tell a reader, label and text, problems left out."""
+        rows = [
+            ("file", self.path),
+            ("model", f"{self.name}, FMI {self.fmi_version}, sha256 {self.sha256[:12]}"),
+            *((each["port"].replace("_", " "), _port_text(each)) for each in self.ports),
+            *(("input", _variable_text(v)) for v in self._unused(self.inputs)),
+            *(("output", _variable_text(v)) for v in self._unused(self.outputs)),
+            *(("parameter", _variable_text(v)) for v in self._unused(self.parameters)),
+            ("FMI features", ", ".join(self.features) or "not found"),
+            ("step", f"{self.step:g} s"),
+            *self.response_lines(),
+            *self.verdict_lines(),
+        ]
+        return [*rows, *(("note", note) for note in self.notes)]
+
+    def _unused(self, variables: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+        used = {each["name"] for each in self.ports}
+        return [v for v in variables if v["name"] not in used]
+
+    def response_lines(self) -> list[tuple[str, str]]:
+        """Static thrust, delay and rise time."""
+        rows = []
+        if self.throttle is not None and self.thrust is not None:
+            shown = range(0, len(self.throttle), len(self.throttle) // 5)
+            points = (f"{self.throttle[k]:g}: {round(self.thrust[k], 3) + 0.0:g}" for k in shown)
+            rows.append(("static thrust [N]", ", ".join(points)))
+        for way in ("up", "down"):
+            delay, tenth, rise = (getattr(self, f"{what}_{way}") for what in ("delay_samples", "tenth", "rise_time"))
+            if delay is not None and rise is not None:
+                first = "" if tenth is None else f", 10 % after {tenth:.4g} s"
+                text = f"delay {delay} samples ({delay * self.step:g} s){first}, then 10 to 90 % in {rise:.4g} s"
+                rows.append((f"throttle {way}", text))
+        return rows
+
+    def verdict_lines(self) -> list[tuple[str, str]]:
+        """What was tried and came out good or bad, and what a step and an instance cost."""
+        rows = [
+            ("runs repeat", _verdict(self.deterministic)),
+            ("two processes agree", _verdict(self.processes_agree)),
+            ("six at once", _verdict(self.independent)),
+            ("reset", _verdict(self.reset_restores_start)),
+            ("saved state", _verdict(self.state_restores)),
+            ("serialized state", _verdict(self.serialized_state_restores)),
+        ]
+        if self.microseconds_per_step is not None:
+            rows.append(("one step takes", f"{self.microseconds_per_step:.2f} us"))
+        if self.bytes_per_instance is not None:
+            rows.append(("one instance takes", f"{self.bytes_per_instance / 1024.0:.0f} kB"))
+        if self.bytes_per_step is not None:
+            rows.append(("a step leaves behind", f"{self.bytes_per_step:.0f} bytes"))
+        return rows
+
+
+def _port_text(port: dict[str, Any]) -> str:
+    unit = f" [{port['unit']}]" if port["unit"] else ""
+    if port["from"] is not None:
+        what = f", {port['from']:g} to {port['to']:g} are 0 to 1"
+    elif (port["scale"], port["offset"]) != (1.0, 0.0):
+        what = f", 1 is {port['scale'] + port['offset']:g} {port['si']}, 0 is {port['offset']:g}"
+    else:
+        what = ""
+    return f"{port['name']}{unit}{what}, found {port['found']}"
+
+
+def _variable_text(v: dict[str, Any]) -> str:
+    unit = "" if v["unit"] in (None, "1") else f" {v['unit']}"
+    start = "" if v["start"] is None else f" = {v['start']:g}{unit}"
+    limits = "" if v["min"] is None and v["max"] is None else f", {_limit(v['min'])} to {_limit(v['max'])}"
+    what = f": {v['description']}" if v["description"] else ""
+    return f"{v['name']}{start or unit}{limits}{what}"
+
+
+def _limit(value: float | None) -> str:
+    return "any" if value is None else f"{value:g}"
+
+
+def _verdict(found: bool | None) -> str:
+    return {True: "good", False: "bad", None: "not tried"}[found]
+
+
+# ---- the check
+
+
+def limits_of(seconds: float) -> Limits:
+    """Limits for a check that may take so long; a single call to the FMU may take all of it, if that is less."""
+    return replace(LIMITS, seconds=seconds, silence=min(LIMITS.silence, seconds))
+
+
+def check_fmu(
+    name_or_path: str,
+    step: float | None = None,
+    parameters: Mapping[str, float] | None = None,
+    limits: Limits | None = None,
+) -> CheckReport:
+    """Check an FMU by path, by mapping file, or by its name in the library.
+
+    ``step`` [s] is the control step it would be flown with: unless given, that of the Hex-Jet, for an engine of the
+    library its own.  Whatever the FMU does, it does in another process.
+
+    Raises InputError if the file cannot be used as an engine at all: one line that says why.
+    """
+    return _check(name_or_path, step, parameters or {}, limits or LIMITS)[0]
+
+
+def _check(
+    name_or_path: str,
+    step: float | None,
+    parameters: Mapping[str, float],
+    limits: Limits,
+    parts: Sequence[str] = PARTS,
+    air: Air = STANDARD_AIR,
+) -> tuple[CheckReport, Measured | None]:
+    source = find_source(name_or_path)
+    archive = source.archive
+    step = step or (source.engine.internal_step if source.engine else DEFAULT_STEP_S)
+    need_whole_steps(archive, source.engine, step)
+    start = archive.ports["start"].variable.name if "start" in archive.ports else None
+    resolve_parameters(archive, {**source.mapping.parameters, **parameters}, start)
+    unpack(archive).close()
+    report = CheckReport(
+        path=str(source.path),
+        name=archive.model,
+        fmi_version=archive.version,
+        sha256=archive.sha256,
+        step=step,
+        ports=[_described_port(name, port, source) for name, port in archive.ports.items()],
+        inputs=_described(archive.inputs),
+        outputs=_described(archive.outputs),
+        parameters=_described(archive.parameters),
+        problems=_checksums(archive.path),
+        notes=_notes(archive),
+    )
+    if report.problems:
+        return report, None
+    # the child runs in a folder of its own
+    name = name_or_path if source.engine else str(Path(name_or_path).absolute())
+    task = {"name": name, "parameters": dict(parameters), "step": step, "air": list(air)}
+    return report, _Trying(task, limits, report).all(parts)
+
+
+class _Trying:
+    """The parts of a trial in one child after another, as long as there is something left to try."""
+
+    def __init__(self, task: Mapping[str, Any], limits: Limits, report: CheckReport) -> None:
+        self._task, self._limits, self._report = task, limits, report
+        self._end = time.monotonic() + limits.seconds
+        self._printed = 0
+        self._found: dict[str, Any] = {}
+
+    def all(self, parts: Sequence[str]) -> Measured | None:
+        """Fill in the report, and return what a flight would measure again."""
+        while parts:
+            apart = self._run(parts)
+            begun = [message["part"] for message in apart.messages if "part" in message]
+            over = any(message.get("over") for message in apart.messages)
+            last = begun[-1] if begun else parts[0]
+            if over or not apart.crashed or last in NEEDED:
+                break
+            parts = parts[parts.index(last) + 1 :]  # a crash in one part need not hide what the others have to say
+        measured = self._fill()
+        if "digest" in self._found and self._end > time.monotonic() and not self._report.problems:
+            self._again()
+        if self._printed > MOST_PRINTED:
+            self._add([f"prints too much: {self._printed / 2**20:.0f} MB while it was tried"])
+        elif self._printed:
+            self._report.notes.append(
+                f"prints to standard output or standard error ({self._printed} bytes in the trial)"
+            )
+        return measured
+
+    def _run(self, parts: Sequence[str]) -> Apart:
+        limits = replace(self._limits, seconds=max(0.1, self._end - time.monotonic()))
+        apart = run_apart({**self._task, "parts": list(parts)}, limits)
+        for message in apart.messages:
+            self._found |= message.get("found", {})
+            self._add(message.get("problems", []))
+        if apart.end is not None:
+            self._add([apart.end])
+        if apart.left_behind:
+            self._add(["leaves processes behind"])
+        self._printed += apart.printed
+        return apart
+
+    def _again(self) -> None:
+        """The same run in another process: addresses, process number and time of day are not the same there."""
+        digest = self._found.pop("digest")
+        if self._run(["run"]).end is None:
+            self._report.processes_agree = self._found.get("digest") == digest
+            if not self._report.processes_agree:
+                self._add(["two processes with the same throttle differ"])
+
+    def _add(self, problems: Iterable[str]) -> None:
+        for problem in problems:
+            if problem not in self._report.problems:
+                self._report.problems.append(problem)
+
+    def _fill(self) -> Measured | None:
+        found, report = self._found, self._report
+        for each in fields(CheckReport):
+            if each.name in found and each.name != "notes":
+                setattr(report, each.name, found[each.name])
+        report.notes.extend(found.get("notes", []))
+        for way in ("up", "down"):
+            if way in found:
+                response = Response(**found[way])
+                setattr(report, f"delay_samples_{way}", response.delay)
+                setattr(report, f"rise_time_{way}", response.rise)
+        if "measured" not in found:
+            return None
+        measured = _measured(found["measured"])
+        if measured.quiet > NO_CHANGE:
+            report.notes.append(
+                f"its thrust trembles at rest; it is taken to stand still to {measured.quiet:g} of itself"
+            )
+        return measured
+
+
+def _measured(data: Mapping[str, Any]) -> Measured:
+    curve = Curve(tuple(data["throttle"]), tuple(data["thrust"]))
+    return Measured(curve, Response(**data["response"]), data["start"], float(data["quiet"]))
+
+
+def _described(variables: Iterable[Variable]) -> list[dict[str, Any]]:
+    return [{key: getattr(v, key) for key in DESCRIBED} for v in variables]
+
+
+def _described_port(name: str, port: Port, source: EngineSource) -> dict[str, Any]:
+    v = port.variable
+    stated = source.engine.ports if source.engine else source.mapping.ports.model_dump(exclude_none=True)
+    if name in stated:
+        found = "in engine.toml" if source.engine else "in the mapping file"
+    elif plain(v.name) == plain(name):
+        found = "by its name"
+    elif any(plain(text) in KINDS[name].names for text in (v.name, v.name.rpartition(".")[2])):
+        found = "by a usual name"
+    else:
+        found = "by its unit" if name == "thrust" else "as the only one"
+    ranged = KINDS[name].causality == "input" and name in ("throttle",)
+    return {
+        "port": name,
+        "name": v.name,
+        "unit": v.unit if name in ("throttle", "run", "start") else _unit(name, source) or v.unit,
+        "from": port.value(0.0) if ranged else None,
+        "to": port.value(1.0) if ranged else None,
+        "scale": port.scale,
+        "offset": port.offset,
+        "si": KINDS[name].quantity.si,
+        "found": found,
+    }
+
+
+def _unit(name: str, source: EngineSource) -> str | None:
+    stated = None if source.engine else getattr(source.mapping.units, name, None)
+    return str(stated) if stated else None
+
+
+def _checksums(path: Path) -> list[str]:
+    try:
+        with zipfile.ZipFile(path) as fmu:
+            damaged = fmu.testzip()
+    except DAMAGE as error:
+        raise InputError(f"{path}: {error}") from error
+    return [f"{damaged} fails its checksum"] if damaged else []
+
+
+def _notes(archive: Archive) -> list[str]:
+    notes = list(archive.port_notes)
+    if not archive.saves_state:
+        notes.append("cannot save its state")
+    if archive.once_per_process:
+        notes.append("may be instantiated once per process: every engine gets a library of its own")
+    return notes
+
+
+# ---- before a flight
+
+_fit: set[tuple[str, str, float]] = set()  # found fit in this process: sha256 of the archive, mapping, step
+
+
+def measure_apart(name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR) -> Measured:
+    """Static curve and response of an FMU that is not of the library, tried and measured in another process.
+
+    An FMU that was found fit is remembered by its contents and by what it was asked, and not tried again: in another
+    ``air`` than the standard one at sea level it is only measured.  A process that flies it again, with other
+    parameters or in another air, measures it itself.
+
+    Raises InputError if it is unfit: one line with the first problem.  SlaveError, ResponseError if it fails here.
+    """
+    source = find_source(name_or_path)
+    content = source.archive.sha256, source.mapping.model_dump_json(), step
+    tried = content in _fit
+    place = _memory(source, parameters, step, air)
+    known = _recall(place)
+    if known is None and tried:
+        return _measure_here(source, parameters, step, air)
+    measured = known or _measure_apart(name_or_path, source, parameters, step, air)
+    if known is None:
+        _remember(place, measured)
+    _fit.add(content)
+    return measured
+
+
+def _measure_here(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> Measured:
+    archive, given = source.archive, {**source.mapping.parameters, **parameters}
+    start = archive.ports["start"].variable.name if "start" in archive.ports else None
+    _, settings = resolve_parameters(archive, given, start)
+    measured = measure_once(archive, settings, start, step, air)
+    _need_no_problems(source, curve_problems(measured.curve, measured.quiet))
+    return measured
+
+
+def _measure_apart(
+    name_or_path: str, source: EngineSource, parameters: Mapping[str, float], step: float, air: Air
+) -> Measured:
+    parts: Sequence[str] = PARTS
+    if air != STANDARD_AIR:
+        measure_apart(name_or_path, parameters, step)
+        parts = ("measure",)
+    report, measured = _check(name_or_path, step, parameters, LIMITS, parts, air)
+    _need_no_problems(source, report.problems)
+    assert measured is not None
+    return measured
+
+
+def _need_no_problems(source: EngineSource, problems: Sequence[str]) -> None:
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise InputError(
+            f"{source.path}: is not fit to fly: {problems[0]}{more}; hexjet fmu check says all, "
+            "--unchecked-engine flies it all the same"
+        )
+
+
+def _memory(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> Path:
+    """Where it is remembered what was found about an engine; the name holds everything that it depends on."""
+    key = {
+        "archive": source.archive.sha256,
+        "mapping": source.mapping.model_dump(mode="json"),
+        "parameters": dict(sorted(parameters.items())),
+        "step": step,
+        "air": air,
+        "python": sys.version,
+        "code": _code(),
+    }
+    name = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
+    return _cache_folder() / "engines" / f"{name}.json"
+
+
+def _cache_folder() -> Path:
+    stated = os.environ.get("XDG_CACHE_HOME")
+    if stated and Path(stated).is_absolute():
+        return Path(stated) / "hexjet"
+    return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "hexjet"
+
+
+@cache
+def _code() -> str:
+    """What the modules of this package are, so that nothing is remembered from an older version of them."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parents[1].rglob("*")):
+        if path.suffix in (".py", ".c"):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _recall(place: Path) -> Measured | None:
+    """What is remembered, or None; a file that cannot be read or understood is as good as none."""
+    try:
+        found = _measured(json.loads(place.read_text(encoding="utf-8")))
+        sane = len(found.curve.throttle) == len(found.curve.thrust) > 1 and found.response.delay >= 0
+        return found if sane else None
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+
+
+def _remember(place: Path, measured: Measured) -> None:
+    data = {
+        **measured.curve._asdict(),
+        "response": measured.response._asdict(),
+        "start": measured.start,
+        "quiet": measured.quiet,
+    }
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=place.parent)
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            json.dump(data, stream)
+        os.replace(name, place)
+    except OSError:
+        pass  # it is tried again next time

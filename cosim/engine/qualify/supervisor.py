@@ -1,0 +1,224 @@
+"""Work with a foreign FMU in a process of its own, which may crash, hang or eat memory and harm nobody.
+
+The child is ``cosim.engine.qualify.child``.  It says what it is about to do before it does it, as JSON lines
+through a pipe, so that the parent knows what the FMU was asked for when it died.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cosim.engine.container import one_line
+
+POLL_S = 0.02  # how often time and memory are looked at
+MOST_MESSAGES = 2**24  # bytes; a check says less than 100 kB
+KEPT_OUTPUT = 2000  # bytes of what the FMU printed last
+TO_VANISH_S = 0.3  # for the processes of a child that has ended
+BACKSTOP_S = 10.0  # after the parent's limit the child's own alarm ends it, should the parent be gone
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a child may take; chosen by us.  An engine worth flying needs a second and a few MB."""
+
+    seconds: float = 120.0  # of wall time, all in all
+    silence: float = 30.0  # s within one call to the FMU, or 250 steps; MATLAB's run time takes 20 to start
+    megabytes: float = 1024.0  # resident
+
+
+@dataclass
+class Apart:
+    """What came of a task; ``end`` is None if it was finished, else what became of the process, in words."""
+
+    messages: list[dict[str, Any]] = field(default_factory=list)
+    end: str | None = None
+    crashed: bool = False  # or left by itself: another child may try what comes behind
+    moment: str = "while its process started"  # what the FMU was asked for last
+    printed: int = 0  # bytes
+    last_words: str = ""
+    left_behind: bool = False  # processes that it did not end
+
+
+def run_apart(task: Mapping[str, Any], limits: Limits) -> Apart:
+    """Hand a task to a new child process and wait until it is done, dead, or beyond its limits.
+
+    Nothing of it is left when this returns: processes that the child started are ended with it.
+    """
+    apart = Apart()
+    folder = tempfile.TemporaryDirectory(prefix="engine-apart-", ignore_cleanup_errors=True)
+    with folder as scratch, _child(task, limits, scratch) as (child, pipe):
+        assert child.stdout is not None
+        readers = {pipe: _lines_into(apart), child.stdout.fileno(): _output_into(apart)}
+        apart.end = _watch(child, readers, limits)
+        for descriptor, take in readers.items():
+            _drain(descriptor, take)
+        done = any("done" in message for message in apart.messages)
+        if apart.end is None and not (done and child.returncode == 0):
+            apart.end, apart.crashed = _ended(child.returncode), True
+            if apart.last_words:
+                apart.end += f'; it printed: "{apart.last_words}"'
+        if apart.end is not None:
+            apart.end = apart.end.replace("{moment}", apart.moment)
+        apart.left_behind = apart.end is None and _lives(child.pid)
+    return apart
+
+
+@contextlib.contextmanager
+def _child(task: Mapping[str, Any], limits: Limits, scratch: str) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
+    read, write = os.pipe()
+    # the same modules as here, whatever the folder or the environment say
+    paths = [os.path.abspath(path) for path in sys.path]
+    start = f"import sys; sys.path[:] = {paths!r}; from cosim.engine.qualify.child import main; main({write})"
+    try:
+        child = subprocess.Popen(
+            [sys.executable, "-I", "-c", start],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            pass_fds=(write,),
+            cwd=scratch,
+            start_new_session=True,
+            env=dict(os.environ),  # else the new process reads the environment while another thread may change it
+        )
+    finally:
+        os.close(write)
+    try:
+        assert child.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            child.stdin.write(json.dumps({"seconds": limits.seconds + BACKSTOP_S, "task": dict(task)}).encode())
+        with contextlib.suppress(BrokenPipeError):
+            child.stdin.close()
+        yield child, read
+    finally:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+        if child.stdout is not None:
+            child.stdout.close()
+        os.close(read)
+
+
+def _watch(
+    child: subprocess.Popen[bytes], readers: Mapping[int, Callable[[bytes], bool]], limits: Limits
+) -> str | None:
+    """Read what the child says until it ends; the words for what it was ended for, None if it ended by itself."""
+    begin = heard = time.monotonic()
+    with selectors.DefaultSelector() as selector:
+        for descriptor in readers:
+            os.set_blocking(descriptor, False)
+            selector.register(descriptor, selectors.EVENT_READ)
+        while child.poll() is None:
+            if not selector.get_map():
+                time.sleep(POLL_S)
+            for key, _ in selector.select(POLL_S):
+                data = os.read(key.fd, 2**16)
+                if not data:
+                    selector.unregister(key.fd)
+                elif readers[key.fd](data):
+                    heard = time.monotonic()
+            now = time.monotonic()
+            if now - begin > limits.seconds:
+                return f"takes too long: was not done within {limits.seconds:.3g} s, and ended {{moment}}"
+            if now - heard > limits.silence:
+                return f"hangs {{moment}}: no answer within {limits.silence:g} s"
+            if _megabytes(child.pid) > limits.megabytes:
+                return f"took more than {limits.megabytes:g} MB of memory {{moment}}"
+    return None
+
+
+def _drain(descriptor: int, take: Callable[[bytes], bool]) -> None:
+    """What is still in a pipe; a process that was left behind may keep it open, so its end is not waited for."""
+    with contextlib.suppress(BlockingIOError):
+        while data := os.read(descriptor, 2**16):
+            take(data)
+
+
+def _lines_into(apart: Apart) -> Callable[[bytes], bool]:
+    rest, total = bytearray(), 0
+
+    def take(data: bytes) -> bool:
+        nonlocal total
+        total += len(data)
+        if total > MOST_MESSAGES:
+            return False
+        rest.extend(data)
+        *lines, tail = bytes(rest).split(b"\n")
+        rest[:] = tail
+        for line in lines:
+            with contextlib.suppress(ValueError):  # an FMU may write into a pipe that is not its own
+                message = json.loads(line)
+                if isinstance(message, dict):
+                    apart.moment = str(message.pop("at", apart.moment))
+                    if message:
+                        apart.messages.append(message)
+        return True
+
+    return take
+
+
+def _output_into(apart: Apart) -> Callable[[bytes], bool]:
+    kept = bytearray()
+
+    def take(data: bytes) -> bool:
+        apart.printed += len(data)
+        kept.extend(data)
+        del kept[:-KEPT_OUTPUT]
+        lines = [line for line in bytes(kept).decode(errors="replace").splitlines() if line.strip()]
+        apart.last_words = one_line(lines[-1])[:200] if lines else ""
+        return False  # printing is no sign of getting on
+
+    return take
+
+
+def _ended(code: int | None) -> str:
+    if code is not None and code < 0:
+        try:
+            return f"crashed {{moment}} ({signal.Signals(-code).name}: {signal.strsignal(-code)})"
+        except ValueError:
+            return f"crashed {{moment}} (signal {-code})"
+    return f"ended its process {{moment}} (exit status {code})"
+
+
+def _megabytes(process: int) -> float:
+    """Resident memory; 0 where there is no ``/proc`` to tell."""
+    try:
+        pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def _lives(group: int) -> bool:
+    """Whether a process group still has a member, some time after its leader has ended; zombies do not count."""
+    give_up = time.monotonic() + TO_VANISH_S
+    while True:
+        try:
+            os.killpg(group, 0)
+        except (ProcessLookupError, PermissionError):
+            return False
+        if sys.platform == "linux" and not _awake_members(group):
+            return False
+        if time.monotonic() > give_up:
+            return True
+        time.sleep(POLL_S)
+
+
+def _awake_members(group: int) -> bool:
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            state, _, leader = path.read_text().rpartition(")")[2].split()[:3]
+            if int(leader) == group and state != "Z":
+                return True
+    return False

@@ -1,0 +1,466 @@
+"""What ``hexjet fmu check`` does with an FMU: in the child process, part by part, each on instances of its own."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import locale
+import os
+import resource
+import struct
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cosim.engine._bank as _bank
+from cosim.base.errors import FlightError, InputError
+from cosim.base.signals import EngineOutput
+from cosim.engine.archive import library_of, validate
+from cosim.engine.bank import EngineBank
+from cosim.engine.instance import Slave, SlaveError
+from cosim.engine.load import load_unchecked
+from cosim.engine.measure import Measured, measure
+from cosim.engine.ports import STANDARD_AIR, Air
+from cosim.engine.qualify.check import NEEDED
+from cosim.engine.response import (
+    NO_CHANGE,
+    Hold,
+    Response,
+    ResponseError,
+    crossing,
+    curve_problems,
+    settle,
+    step_response,
+    window_for,
+)
+from cosim.engine.spec import (
+    EngineSource,
+    EngineSpec,
+    find_source,
+    resolve_parameters,
+)
+from cosim.engine.unpacked import contents, unpack
+
+Say = Callable[[dict[str, Any]], None]
+Found = tuple[dict[str, Any], list[str]]  # of the report, and problems
+
+RUN_S = 20.0  # of simulated time under a throttle that keeps changing
+TRIAL_STEPS = 500
+SAVED_AT = 37
+CHUNK = 250  # steps between two signs of life
+TOGETHER = 6  # engines of a Hex-Jet
+TIMED_STEPS = 20_000
+GROWTH_STEPS = 10_000  # after which memory is read, three times
+LEAST_LEAK = 16.0  # bytes a step: the smallest block that malloc hands out, so that a leak in every step is more
+MOST_POINTS = 2000  # points of a step response that are drawn
+
+FEATURES = {
+    "canHandleVariableCommunicationStepSize": "variable step",
+    "canGetAndSetFMUstate": "saved state",
+    "canSerializeFMUstate": "serialized state",
+    "hasEventMode": "event mode",
+    "mightReturnEarlyFromDoStep": "early return",
+    "providesIntermediateUpdate": "intermediate update",
+    "providesDirectionalDerivative": "directional derivatives",
+    "canInterpolateInputs": "interpolated inputs",
+    "canRunAsynchronuously": "asynchronous steps",
+    "needsExecutionTool": "needs its tool on this machine",
+    "canBeInstantiatedOnlyOncePerProcess": "one instance per process",
+}
+INTERFACES = {"modelExchange": "model exchange", "scheduledExecution": "scheduled execution"}
+
+
+class Task(NamedTuple):
+    """What is to be tried, as it travels to the child."""
+
+    name: str  # of the library, or an absolute path
+    parameters: Mapping[str, float]
+    step: float  # s
+    parts: Sequence[str]
+    air: Sequence[float] = STANDARD_AIR  # in which its thrust is measured
+
+
+class Trial:
+    """One engine, unpacked, and the ways to run it."""
+
+    def __init__(self, source: EngineSource, task: Task, folder: Path, say: Say) -> None:
+        self.archive, self.task, self.folder, self.say, self.step = source.archive, task, folder, say, task.step
+        ports = self.archive.ports
+        self.start = ports["start"].variable.name if "start" in ports else None
+        given = {**source.mapping.parameters, **task.parameters}
+        self.measured: Measured | None = None
+        _, self.settings = resolve_parameters(self.archive, given, self.start)
+
+    @contextmanager
+    def slave(self, throttle: float = 0.0) -> Iterator[Slave]:
+        """A fresh instance, initialized at a throttle and freed afterwards, with a word before each of these."""
+        self.say({"at": "when it was instantiated"})
+        slave = Slave(self.archive, self.folder, "checked")
+        try:
+            self.initialize(slave, throttle)
+            yield slave
+        except (_bank.FailureError, SlaveError) as error:
+            text = slave.explain(error, "while it was stepped") if isinstance(error, _bank.FailureError) else str(error)
+            self.say({"problems": [text]})  # now, because freeing what has failed may well be the end
+            raise SlaveError(text) from error
+        finally:
+            self.say({"at": "when it was terminated and freed"})
+            slave.close()
+
+    def initialize(self, slave: Slave, throttle: float = 0.0) -> None:
+        """Set the parameters that the user gave and bring a slave into step mode."""
+        self.say({"at": "when it was initialized"})
+        slave.initialize(self.settings, throttle)
+
+    def native(self, slave: Slave, done: int = 0) -> _bank.Bank:
+        """The C loop around an instance that has ``done`` steps behind it."""
+        return _bank.Bank((slave.row(done),), self.step, EngineOutput)
+
+    def hold(self, slave: Slave) -> Hold:
+        """Stepping of a fresh instance, with signs of life."""
+        native = self.native(slave)
+        count = 0
+
+        def hold(throttle: float, steps: int) -> list[float]:
+            nonlocal count
+            thrusts: list[float] = []
+            while len(thrusts) < steps:
+                now = min(CHUNK, steps - len(thrusts))
+                self.stepping(count)
+                thrusts += native.hold(0, throttle, now)
+                count += now
+            return thrusts
+
+        return hold
+
+    def stepping(self, k: int) -> None:
+        """A sign of life."""
+        self.say({"at": f"while it was stepped, {k * self.step:g} s after its start or later"})
+
+    def zigzag(self, slave: Slave, begin: int = 0, end: int = TRIAL_STEPS) -> list[float]:
+        """Thrusts under a throttle that keeps changing within 0..1, from an instance with ``begin`` steps behind it."""
+        native = self.native(slave, begin)
+        thrusts: list[float] = []
+        for k in range(begin, end):
+            if k == begin or k % CHUNK == 0:
+                self.stepping(k)
+            try:
+                thrusts += native.hold(0, zigzag(k), 1)
+            except _bank.FailureError as failure:
+                raise SlaveError(slave.explain(failure, f"at step {k} ({k * self.step:g} s)")) from failure
+        return thrusts
+
+
+def zigzag(k: int) -> float:
+    """A throttle that visits 20 values from 0 to 1 in an order that is neither up nor down."""
+    return (k * 7 % 20) / 19
+
+
+def perform(order: Mapping[str, Any], say: Say) -> None:
+    """Do the parts that a task asks for; say ``part`` before each, ``found`` and ``problems`` after it."""
+    task = Task(**order)
+    say({"at": "while its archive was read"})
+    source = find_source(task.name)
+    with unpack(source.archive) as folder:
+        trial = Trial(source, task, folder, say)
+        before = contents(trial.folder)
+        for part in task.parts:
+            say({"part": part})
+            over = False
+            try:
+                found, problems = PARTS[part](trial)
+            except (SlaveError, ResponseError, InputError, FlightError) as error:
+                found, problems, over = {}, [str(error)], part in NEEDED
+            say({"of": part, "found": found, "problems": problems, "over": over})
+            if over:
+                break
+        after = contents(trial.folder)
+        # what it adds is its own affair: an FMU written in Python leaves compiled modules
+        if any(after.get(name) != digest for name, digest in before.items()):
+            say({"of": "files", "found": {}, "problems": ["changes or deletes files of its own archive"]})
+
+
+# ---- what the FMU shares with everything else in its process
+
+
+def _surroundings() -> dict[str, Any]:
+    third, smallest = [1.0, 3.0], [sys.float_info.min, 0.5]  # in lists, so that Python computes it here and now
+    return {
+        "the working directory": os.getcwd(),
+        "how the processor rounds": (third[0] / third[1], -third[0] / third[1]),
+        "how the processor handles tiny numbers (is it built with -ffast-math?)": (
+            # as text: where tiny numbers count as 0, they also compare equal to it
+            (smallest[0] * smallest[1]).hex()
+        ),
+        "the locale's decimal point": locale.localeconv()["decimal_point"],
+    }
+
+
+def _changes(before: Mapping[str, Any]) -> list[str]:
+    after = _surroundings()
+    with suppress(OSError):
+        os.chdir(before["the working directory"])
+    return [f"changes {what}, for everything in the same process" for what in before if after[what] != before[what]]
+
+
+# ---- the parts
+
+
+# Dependencies between variables: nothing here reads them, and some exporters leave them out.
+UNUSED = "ModelStructure"
+
+
+def _validate(trial: Trial) -> Found:
+    from fmpy import read_model_description  # type: ignore[import-untyped]
+
+    trial.say({"at": "while its description was validated"})
+    complaints = validate(trial.archive.path)
+    remarks = [text for text in complaints if text.startswith(UNUSED)]
+    features = _features(read_model_description(str(trial.archive.path), validate=False))
+    return {"features": features, "notes": remarks}, [text for text in complaints if text not in remarks]
+
+
+def _features(description: Any) -> list[str]:
+    """What of FMI an FMU offers or uses, in words."""
+    slave = description.coSimulation
+    kinds = Counter(v.type for v in description.modelVariables)
+    said = [
+        *(words for key, words in FEATURES.items() if getattr(slave, key, False)),
+        *(words for key, words in INTERFACES.items() if getattr(description, key) is not None),
+        *(["sources"] if description.buildConfigurations else []),
+        *(["arrays"] if any(v.dimensions for v in description.modelVariables) else []),
+        *(f"{kinds[kind]} of type {kind}" for kind in ("Binary", "Clock", "String") if kinds[kind]),
+    ]
+    if slave.fixedInternalStepSize is not None:
+        said.append(f"internal step {float(slave.fixedInternalStepSize):g} s")
+    return [*said, f"{len(description.modelVariables)} variables"]
+
+
+def _load(trial: Trial) -> Found:
+    """The library alone, before it is asked for anything."""
+    import fmpy
+
+    library = trial.folder / library_of(trial.archive)
+    before = _surroundings()
+    here = Path.cwd()
+    trial.say({"at": "when its shared library was loaded"})
+    os.chdir(library.parent)  # as FMPy does, for libraries that lie beside it
+    try:
+        handle = ctypes.CDLL(str(library))._handle
+    except OSError as error:
+        reason = str(error).replace(f"{library.parent}{os.sep}", "")
+        raise SlaveError(f"its shared library does not load: {reason}") from error
+    finally:
+        os.chdir(here)
+    trial.say({"at": "when its shared library was unloaded"})
+    fmpy.freeLibrary(handle)
+    return {}, _changes(before)
+
+
+def _start(trial: Trial) -> Found:
+    """One instance and one step."""
+    before = _surroundings()
+    with trial.slave() as slave:
+        trial.zigzag(slave, 0, 1)
+    return {}, _changes(before)
+
+
+def _run(trial: Trial) -> Found:
+    before = _surroundings()
+    with trial.slave() as slave:
+        thrusts = trial.zigzag(slave, 0, max(TRIAL_STEPS, round(RUN_S / trial.step)))
+    digest = hashlib.sha256(struct.pack(f"<{len(thrusts)}d", *thrusts)).hexdigest()
+    return {"digest": digest}, _changes(before)
+
+
+def _measure(trial: Trial) -> Found:
+    """What a flight wants to know, by the same function, so that it need not be measured again."""
+    trial.say({"at": "while its thrust was measured"})
+    found = trial.measured = measure(
+        trial.archive,
+        trial.settings,
+        trial.start,
+        trial.step,
+        lambda: trial.say({"at": "while its thrust was measured"}),
+        Air(*trial.task.air),
+    )
+    curve = found.curve._asdict()
+    measured = {**curve, "response": found.response._asdict(), "start": found.start, "quiet": found.quiet}
+    return {**curve, "up": found.response._asdict(), "measured": measured}, curve_problems(found.curve, found.quiet)
+
+
+def _respond(trial: Trial) -> Found:
+    """The throttle opened and closed, both ways as they are drawn."""
+    with trial.slave() as slave:
+        courses: dict[str, Any] = {}
+        hold = trial.hold(slave)
+        quiet = trial.measured.quiet if trial.measured else NO_CHANGE
+        before = settle(hold, 0.0, window_for(round(1.0 / trial.step)), trial.step, quiet)
+        for way, throttle in (("up", 1.0), ("down", 0.0)):
+            course = [before]
+
+            def recorded(throttle: float, steps: int, course: list[float] = course) -> list[float]:
+                thrusts = list(hold(throttle, steps))
+                course.extend(thrusts)
+                return thrusts
+
+            response: Response = step_response(recorded, before, throttle, trial.step, quiet)
+            before = response.after
+            shown = course[: _drawn(course, response)]
+            every = max(1, len(shown) // MOST_POINTS)
+            courses |= {way: response._asdict(), f"course_{way}": shown[::every]}
+            courses[f"course_step_{way}"] = every * trial.step
+            courses[f"tenth_{way}"] = crossing(course, 0.1, response.before, response.after) * trial.step
+    return courses, []
+
+
+def _drawn(course: Sequence[float], response: Response) -> int:
+    """How much of a course is worth drawing: a little more than it takes to come within a thousandth."""
+    far = 1e-3 * abs(response.after - response.before)
+    last = max(k for k, thrust in enumerate(course) if abs(thrust - response.after) > far)
+    return min(len(course), last + max(10, last // 4))
+
+
+def _repeat(trial: Trial) -> Found:
+    """Two runs, the first instance alive during the second: they must not share anything."""
+    with trial.slave() as slave:
+        first = trial.zigzag(slave)
+        if not trial.archive.once_per_process:
+            with trial.slave() as other:
+                second = trial.zigzag(other)
+    if trial.archive.once_per_process:
+        with trial.slave() as other:
+            second = trial.zigzag(other)
+    problems = [] if first == second else ["two runs with the same throttle differ"]
+    return {"deterministic": first == second}, problems
+
+
+def _together(trial: Trial) -> Found:
+    """Six engines at once, as a vehicle has them: what one of them answers is what it answers alone."""
+    trial.say({"at": "while six of it were instantiated"})
+    memory = _resident()
+    spec = _spec(trial)
+    runs = []
+    for count in (TOGETHER, 1):
+        with EngineBank(spec, count, trial.step) as bank:
+            begin = _resident()
+            for _ in range(2):  # a second flight of the same bank
+                trial.say({"at": f"while {count} of it were started"})
+                bank.reset(0.25)
+                trial.say({"at": f"while {count} of it were stepped"})
+                runs.append([bank.step(k, _shifted(k, count)).thrust[-1] for k in range(TRIAL_STEPS)])
+        trial.say({"at": f"when {count} of it were freed"})
+        if count == TOGETHER:
+            memory = begin - memory
+    good = all(run == runs[0] for run in runs)
+    problems = [] if good else ["six of it at once do not answer as one alone: they are not independent"]
+    return {"independent": good, "bytes_per_instance": max(0.0, memory) / TOGETHER}, problems
+
+
+def _shifted(k: int, count: int) -> tuple[float, ...]:
+    """The zigzag for the last engine, shifted more and more for those before it."""
+    return tuple(zigzag(k + 3 * (count - 1 - i)) for i in range(count))
+
+
+def _spec(trial: Trial) -> EngineSpec:
+    trial.say({"at": "while its thrust was measured"})
+    task = trial.task
+    return load_unchecked(task.name, task.parameters, task.step, measured=trial.measured)
+
+
+def _reset(trial: Trial) -> Found:
+    with trial.slave() as slave:
+        first = trial.zigzag(slave)
+        trial.say({"at": "when it was reset"})
+        slave.call("reset")
+        trial.initialize(slave)
+        good = trial.zigzag(slave) == first
+    return {"reset_restores_start": good}, [] if good else ["a run after a reset differs from the first"]
+
+
+def _restore(trial: Trial) -> Found:
+    if not trial.archive.saves_state:
+        return {}, []
+    with trial.slave() as slave:
+        good = _continues(trial, slave, lambda state: state)
+    return {"state_restores": good}, [] if good else ["a run from a restored state differs from the first"]
+
+
+def _serialize(trial: Trial) -> Found:
+    if not trial.archive.serializes_state:
+        return {}, []
+
+    with trial.slave() as slave:
+        good = _continues(
+            trial, slave, lambda state: slave.call("deserializeFMUState", slave.call("serializeFMUState", state))
+        )
+    return {"serialized_state_restores": good}, [] if good else ["a run from a serialized state differs from the first"]
+
+
+def _continues(trial: Trial, slave: Slave, copy: Callable[[Any], Any]) -> bool:
+    """Save the state in mid-run, run on, go back to it, or to what ``copy`` makes of it, and see the same again."""
+    trial.zigzag(slave, 0, SAVED_AT)
+    trial.say({"at": "when its state was saved"})
+    saved = slave.call("getFMUState")
+    first = trial.zigzag(slave, SAVED_AT)
+    trial.say({"at": "when its state was restored"})
+    copied = copy(saved)
+    slave.call("setFMUState", copied)
+    second = trial.zigzag(slave, SAVED_AT)
+    trial.say({"at": "when a saved state was freed"})
+    for state in {id(state): state for state in (saved, copied)}.values():
+        slave.call("freeFMUState", state)
+    return first == second
+
+
+def _time(trial: Trial) -> Found:
+    with trial.slave() as slave:
+        hold = trial.hold(slave)
+        begin = time.perf_counter()
+        hold(0.5, TIMED_STEPS)
+        each = (time.perf_counter() - begin) / TIMED_STEPS * 1e6
+    return {"microseconds_per_step": each}, []
+
+
+def _grow(trial: Trial) -> Found:
+    """Resident memory after many steps, and again after as many: what a step leaves behind for good."""
+    with trial.slave() as slave:
+        hold = trial.hold(slave)
+        resident = []
+        for _ in range(3):
+            for _ in range(GROWTH_STEPS // CHUNK):
+                hold(0.5, CHUNK)
+            resident.append(_resident())
+    each = min(b - a for a, b in pairwise(resident)) / GROWTH_STEPS
+    leaks = each >= LEAST_LEAK
+    return {"bytes_per_step": max(0.0, each)}, [f"takes {each:.0f} bytes more memory in every step"] if leaks else []
+
+
+def _resident() -> float:
+    """Bytes of memory in use; where there is no ``/proc``, the most there ever were."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * float(os.sysconf("SC_PAGE_SIZE"))
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1.0 if sys.platform == "darwin" else 1024.0)
+
+
+PARTS: Mapping[str, Callable[[Trial], Found]] = {
+    "validate": _validate,
+    "load": _load,
+    "start": _start,
+    "run": _run,
+    "measure": _measure,
+    "respond": _respond,
+    "repeat": _repeat,
+    "together": _together,
+    "reset": _reset,
+    "restore": _restore,
+    "serialize": _serialize,
+    "time": _time,
+    "grow": _grow,
+}

@@ -1,0 +1,1 @@
+"""The vehicle before ground stations: MAVLink and the local page."""

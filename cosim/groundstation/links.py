@@ -1,0 +1,284 @@
+"""What hangs on a session: MAVLink links with everything that runs behind them, and the local page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.control.autopilot.autopilot import Status
+from cosim.control.autopilot.modes import Severity
+from cosim.control.autopilot.requests import MissionItem, Request
+from cosim.groundstation.exchange import (
+    Exchange,
+    Facts,
+    Restart,
+    Shutdown,
+)
+from cosim.groundstation.mavlink.exchange import PATIENCE, Reply, Ticket
+from cosim.groundstation.mavlink.exchange import Exchange as MavlinkExchange
+from cosim.groundstation.mavlink.services.ftp import Bytes, File, FileService
+from cosim.groundstation.mavlink.services.logs import (
+    LOG_FOLDER,
+    LogService,
+    Shelf,
+    finished_runs,
+)
+from cosim.groundstation.mavlink.services.metadata import Metadata
+from cosim.groundstation.mavlink.services.missions import MissionService
+from cosim.groundstation.mavlink.services.params import ParameterService
+from cosim.groundstation.mavlink.snapshot import (
+    About,
+    Personality,
+    Predicting,
+    Snapshot,
+)
+from cosim.groundstation.mavlink.vehicle import Vehicle
+from cosim.groundstation.mavlink.wire import endpoint
+from cosim.groundstation.mavlink.wire.link import Link
+from cosim.groundstation.mavlink.wire.signing import Signing, read_key
+from cosim.groundstation.mavlink.wire.tlog import Log
+from cosim.groundstation.session import Onlookers
+from cosim.results.request_log import REQUESTS
+from cosim.results.run import TELEMETRY
+
+
+class Links:
+    """Opens the links of ``urls`` (without any: the two that ground stations listen to) and the page.
+
+    Nothing is said on them before the first flight begins.  ``public``: servers may listen to the network.
+    ``sign_key``: a file with the key.  ``web``: the page's port, None for no page.  ``system``: the vehicle's MAVLink
+    id, by which stations tell several apart.  Raises InputError for a URL, key, port or id that cannot be used.
+    """
+
+    def __init__(
+        self,
+        urls: Sequence[str] = (),
+        public: bool = False,
+        sign_key: Path | None = None,
+        personality: Personality = "px4",
+        web: int | None = None,
+        system: int = 1,
+    ) -> None:
+        if system not in endpoint.SYSTEMS:
+            most = endpoint.SYSTEMS[-1]
+            raise InputError(f"--system {system}: must be from 1 to {most}; ground stations have the ids above")
+        self.exchange = Exchange()
+        self.system = system
+        self.endpoints = [endpoint.parse(url, public) for url in urls or endpoint.default(system)]
+        self._personality = personality
+        signing = None if sign_key is None else Signing(read_key(sign_key))
+        self._port = _Port(self.exchange)
+        self.link = Link(self.endpoints, system, signing=signing)
+        self.link.tell = lambda text: self.exchange.say(Severity.WARNING, text)
+        self._page = None
+        self._vehicle: Vehicle | None = None
+        self._parameters: ParameterService | None = None
+        self._shelf: Shelf | None = None
+        self._folder: Path | None = None
+        try:
+            if web is not None:
+                from cosim.groundstation.web.server import WebServer
+
+                self._page = WebServer(self.exchange, web)
+                self._page.start()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def urls(self) -> list[str]:
+        """Where the links are, with the ports that were taken."""
+        return [
+            each._replace(port=port or each.port).url
+            for each, port in zip(self.endpoints, self.link.ports, strict=True)
+        ]
+
+    @property
+    def page(self) -> str | None:
+        """Where the page is."""
+        return self._page.url if self._page is not None else None
+
+    @property
+    def heard(self) -> int:
+        """Ground stations that have sent something."""
+        return sum(peer.heard >= 0.0 for peer in self.link.peers)
+
+    @property
+    def counts(self) -> dict[str, Any]:
+        """What the links have taken, what they have refused and why, and what went wrong here."""
+        link = self.link
+        return {
+            "taken": link.taken,
+            "refused": dict(link.refused),
+            "turned_away": self.exchange.turned_away,
+            "failures": dict(link.failures),
+        }
+
+    def begin(self, facts: Facts) -> None:
+        """A flight begins: its telemetry goes to its folder."""
+        self._folder = facts.folder
+        if facts.folder is not None and facts.folder.is_dir():
+            self._record(Log(facts.folder / TELEMETRY, self.system))
+        if self._vehicle is None:
+            self._start(facts)
+        elif self._parameters is not None:
+            self._parameters.replace(facts.parameters)
+
+    def end(self) -> None:
+        """A flight is done with; its run is among the logs."""
+        self._record(None)
+        if self._shelf is not None:
+            self._shelf.renew()
+
+    def onlookers(self) -> Onlookers:
+        """Lets a flight that nobody can change be watched on these links."""
+        return Onlookers(self.exchange, self.begin)
+
+    def close(self) -> None:
+        """Close everything; may be called twice."""
+        if self._page is not None:
+            self._page.stop()
+            self._page = None
+        self._port.leave()
+        self.link.close()
+        if self._shelf is not None:
+            self._shelf.close()
+            self._shelf = None
+
+    def __enter__(self) -> Links:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _start(self, facts: Facts) -> None:
+        about = about_of(facts, self._personality, self.system)
+        vehicle = self._vehicle = Vehicle(about, self._port, self.link, endings=(Restart(), Shutdown()))
+        page = self._page
+        if page is not None:
+            vehicle.pages = lambda: page.clients
+        self._parameters = ParameterService(facts.parameters, vehicle.ask, self._personality)
+        metadata = Metadata(facts.parameters, about.name, about.version)
+        shelf = self._shelf = Shelf(self._runs)
+
+        files = Files({path: Bytes(data) for path, data in metadata.files.items()}, shelf)
+        missions = MissionService(self._port.mission, self._port.status, vehicle.ask, facts.geodesy)
+        vehicle.services += [self._parameters, missions, FileService(lambda: files), LogService(shelf)]
+        vehicle.on_request |= metadata.on_request
+        self.link.start(vehicle)
+
+    def _record(self, log: Log | None) -> None:
+        before, self.link.log = self.link.log, log
+        if before is not None:
+            before.close()
+
+    def _runs(self) -> list[Path]:
+        """Finished runs beside this one that were flown like it, the oldest first."""
+        if self._folder is None:
+            return []
+        return [run for run in finished_runs(self._folder.parent) if (run / REQUESTS).exists()]
+
+
+class Files(Mapping[str, File]):
+    """What can be read over MAVLink: descriptions, and the logs, which are made once somebody asks for one of them."""
+
+    def __init__(self, ready: Mapping[str, File], shelf: Shelf) -> None:
+        self._ready, self._shelf = ready, shelf
+
+    def __getitem__(self, path: str) -> File:
+        if path in self._ready or not path.startswith(LOG_FOLDER):
+            return self._ready[path]
+        return self._shelf.files()[path]
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._ready
+        yield from self._shelf.files()
+
+    def __len__(self) -> int:
+        return len(self._ready) + len(self._shelf.files())
+
+
+class _Port(MavlinkExchange):
+    """The links' end of the meeting place."""
+
+    def __init__(self, hub: Exchange) -> None:
+        super().__init__()
+        self._hub = hub
+        self._told = 0
+        self.leave = hub.subscribe(self._news)
+
+    def _news(self) -> None:
+        """In the flight's thread: a new snapshot is there."""
+        snapshot = self._hub.snapshot
+        if snapshot is None or snapshot.sample is None:
+            return
+        new = [message for message in self._hub.messages if message.number > self._told]
+        self._told = new[-1].number if new else self._told
+        seen = snapshot.diagnostics
+        step = snapshot.facts.scenario.step_s
+        predicting = Predicting(
+            (seen[0][0], seen[1][0], seen[2][0]),
+            (seen[0][1], seen[1][1], seen[2][1]),
+            (seen[0][2] * step, seen[1][2] * step, seen[2][2] * step),
+        )
+        status, pace = snapshot.status, snapshot.pace
+        if snapshot.ending is not None and snapshot.ending.outcome != "completed":
+            status = status._replace(failsafe=snapshot.ending.reason)
+        load = float("nan") if pace.load is None else pace.load
+        # what is told is the instant after the step, beside what acted until then
+        sample = snapshot.sample._replace(
+            k=snapshot.k, time=snapshot.time, state=snapshot.state, measured=snapshot.measured
+        )
+        self.publish(Snapshot(sample, status, predicting, load, pace.missed), new)
+        if not new:
+            self.wake()
+
+    def ask(self, request: Request | Restart | Shutdown, reply: Reply | None, now: float, who: str = "") -> None:
+        """Put a request to the flight; ``reply`` gets exactly one answer, in the link's thread."""
+        if reply is None:
+            self._hub.ask(request, None, who or "mavlink")
+            return
+        ticket = Ticket(request, reply, now + PATIENCE, who=who)  # type: ignore[arg-type]
+        self._waiting.append(ticket)
+        self._hub.ask(request, lambda answer: self.answer(ticket, answer), who or "mavlink", ticket.until)
+
+    def mission(self) -> tuple[MissionItem, ...]:
+        """What the pilot would fly."""
+        snapshot = self._hub.snapshot
+        return snapshot.mission if snapshot is not None else ()
+
+    def status(self) -> Status | None:
+        snapshot = self._hub.snapshot
+        return snapshot.status if snapshot is not None else None
+
+
+def about_of(facts: Facts, personality: Personality, system: int = 1) -> About:
+    """What the telemetry needs to know of a vehicle."""
+    vehicle, sensors = facts.vehicle, facts.vehicle.sensors
+    return About(
+        facts.geodesy,
+        len(vehicle.jets),
+        vehicle.name,
+        _version(),
+        personality,
+        system,
+        tilt_range=vehicle.servo.range_rad if vehicle.servo else float("nan"),
+        full_thrust=tuple(spec.curve.thrust[-1] for spec in facts.stations),
+        fuel_capacity=vehicle.fuel.mass_kg if vehicle.fuel else float("nan"),
+        position_noise=sensors.gnss.position_noise_m,
+        velocity_noise=sensors.gnss.velocity_noise_m_s,
+        height_noise=sensors.barometer.noise_m,
+    )
+
+
+def _version() -> str:
+    try:
+        return version("hexjet-cosim")
+    except PackageNotFoundError:  # the clone itself, not installed
+        return "0.0.0"

@@ -1,0 +1,118 @@
+"""The pilot's modes as each personality numbers them.
+
+PX4: main mode in bits 16 to 23 of custom_mode, sub mode in bits 24 to 31 (PX4, px4_custom_mode.h).
+ArduPilot: Copter's numbers (COPTER_MODE).  A vehicle of no personality uses PX4's, because MAVSDK reads those.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from cosim.control.autopilot.modes import BY_STICK, LandedState, Mode
+from cosim.groundstation.mavlink.snapshot import Personality
+
+AUTOPILOT: dict[Personality, int] = {"px4": 12, "ardupilot": 3, "generic": 0}  # MAV_AUTOPILOT
+HEXAROTOR = 13  # MAV_TYPE
+
+_AUTO = 4
+_PX4: dict[Mode, tuple[int, int]] = {
+    Mode.MANUAL: (1, 0),
+    Mode.ALTCTL: (2, 0),
+    Mode.POSCTL: (3, 0),
+    Mode.TAKEOFF: (_AUTO, 2),
+    Mode.HOLD: (_AUTO, 3),
+    Mode.MISSION: (_AUTO, 4),
+    Mode.RTL: (_AUTO, 5),
+    Mode.LAND: (_AUTO, 6),
+    Mode.OFFBOARD: (6, 0),
+    Mode.STABILIZED: (7, 0),
+    Mode.ORBIT: (3, 1),  # a sub mode of position control there
+}
+# What flies to places on request is GUIDED there; it is also where a take-off is flown.
+_COPTER: dict[Mode, int] = {
+    Mode.STABILIZED: 0,
+    Mode.MANUAL: 0,
+    Mode.ALTCTL: 2,
+    Mode.MISSION: 3,
+    Mode.HOLD: 4,
+    Mode.TAKEOFF: 4,
+    Mode.POSCTL: 5,
+    Mode.RTL: 6,
+    Mode.LAND: 9,
+    Mode.OFFBOARD: 20,
+    Mode.ORBIT: 7,  # CIRCLE
+}
+_FROM_PX4 = {value: mode for mode, value in _PX4.items()}
+_FROM_COPTER = {
+    0: Mode.STABILIZED, 2: Mode.ALTCTL, 3: Mode.MISSION, 4: Mode.HOLD, 5: Mode.POSCTL, 6: Mode.RTL, 9: Mode.LAND,
+    16: Mode.POSCTL, 17: Mode.HOLD, 20: Mode.OFFBOARD,
+}  # fmt: skip
+
+# MAV_STANDARD_MODE
+STANDARD: dict[Mode, int] = {
+    Mode.POSCTL: 1, Mode.ALTCTL: 4, Mode.RTL: 5, Mode.MISSION: 6, Mode.LAND: 7, Mode.TAKEOFF: 8,
+}  # fmt: skip
+FROM_STANDARD = {value: mode for mode, value in STANDARD.items()}
+
+# MAV_MODE_PROPERTY
+_ADVANCED, _AUTOMATIC = 1, 4
+
+
+class Listed(NamedTuple):
+    """A line of AVAILABLE_MODES; the names are those that QGroundControl uses for PX4."""
+
+    mode: Mode
+    name: str
+    properties: int
+
+
+LIST = (
+    Listed(Mode.MANUAL, "Manual", 0),
+    Listed(Mode.STABILIZED, "Stabilized", 0),
+    Listed(Mode.ALTCTL, "Altitude", 0),
+    Listed(Mode.POSCTL, "Position", 0),
+    Listed(Mode.HOLD, "Hold", _AUTOMATIC),
+    Listed(Mode.TAKEOFF, "Takeoff", _AUTOMATIC),
+    Listed(Mode.LAND, "Land", _AUTOMATIC),
+    Listed(Mode.RTL, "Return", _AUTOMATIC),
+    Listed(Mode.MISSION, "Mission", _AUTOMATIC),
+    Listed(Mode.OFFBOARD, "Offboard", _AUTOMATIC | _ADVANCED),
+)
+
+LANDED: dict[LandedState, int] = {  # MAV_LANDED_STATE
+    LandedState.ON_GROUND: 1,
+    LandedState.IN_AIR: 2,
+    LandedState.TAKING_OFF: 3,
+    LandedState.LANDING: 4,
+}
+
+# MAV_MODE_FLAG
+CUSTOM, AUTO, GUIDED, STABILIZE, MANUAL_INPUT, ARMED = 1, 4, 8, 16, 64, 128
+
+
+def custom_mode(mode: Mode, personality: Personality) -> int:
+    """HEARTBEAT.custom_mode."""
+    if personality == "ardupilot":
+        return _COPTER[mode]
+    main, sub = _PX4[mode]
+    return main << 16 | sub << 24
+
+
+def base_mode(mode: Mode, armed: bool) -> int:
+    """HEARTBEAT.base_mode."""
+    flags = MANUAL_INPUT | STABILIZE if mode in BY_STICK else STABILIZE | GUIDED | AUTO
+    return CUSTOM | flags | (ARMED if armed else 0)
+
+
+def from_custom(value: int, personality: Personality) -> Mode | None:
+    """The mode of SET_MODE.custom_mode; None where there is none."""
+    if personality == "ardupilot":
+        return _FROM_COPTER.get(value)
+    if value & 0xFFFF:
+        return None
+    return from_main_sub(value >> 16 & 0xFF, value >> 24 & 0xFF)
+
+
+def from_main_sub(main: int, sub: int) -> Mode | None:
+    """The mode of PX4's two numbers, as DO_SET_MODE has them.  Sub modes count in AUTO only."""
+    return _FROM_PX4.get((main, sub if main == _AUTO else 0))

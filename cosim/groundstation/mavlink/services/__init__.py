@@ -1,0 +1,1 @@
+"""MAVLink's protocols, one a file: commands, missions, parameters, files, logs."""

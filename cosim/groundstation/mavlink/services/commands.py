@@ -1,0 +1,522 @@
+"""COMMAND_LONG and COMMAND_INT: what each number asks of the pilot, or the answer that needs no pilot.
+
+A parameter that is NaN is not given.  Numbers and meanings are those of MAVLink's common.xml.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from math import hypot, isfinite, radians, remainder, tau
+from typing import Any, NamedTuple
+
+from cosim.base.errors import InputError
+from cosim.control.autopilot.modes import Mode
+from cosim.control.autopilot.requests import (
+    Arm,
+    ClearFaults,
+    Disarm,
+    Goto,
+    Hold,
+    InjectFault,
+    Kill,
+    Land,
+    MissionSetCurrent,
+    MissionStart,
+    Orbit,
+    OrbitYaw,
+    Request,
+    Result,
+    ReturnHome,
+    SetHome,
+    SetMode,
+    SetSpeed,
+    Takeoff,
+)
+from cosim.groundstation.mavlink.modes import (
+    CUSTOM,
+    FROM_STANDARD,
+    LIST,
+    from_custom,
+    from_main_sub,
+)
+from cosim.groundstation.mavlink.snapshot import About, Snapshot
+from cosim.groundstation.mavlink.streams import BY_ID, FASTEST, interval
+from cosim.groundstation.mavlink.telemetry import View, gps_global_origin, mode_line
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, mav
+from cosim.groundstation.mavlink.wire.peer import Peer
+
+
+class Ack(IntEnum):
+    """MAV_RESULT."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+    UNSUPPORTED_FRAME = 9
+
+
+OF_RESULT = {result: Ack[result.name] for result in Result}
+
+GLOBAL, LOCAL_NED, RELATIVE, GLOBAL_INT, RELATIVE_INT = 0, 1, 3, 5, 6  # MAV_FRAME
+ABSOLUTE_FRAMES, RELATIVE_FRAMES = (GLOBAL, GLOBAL_INT), (RELATIVE, RELATIVE_INT)
+_NOT_GIVEN = 0x7FFFFFFF  # x and y of COMMAND_INT
+FORCE = 21196.0  # p2 of COMPONENT_ARM_DISARM
+
+PLACE_MAX = 100e3  # m north or east of the origin: what the pilot's requests take
+ORIGIN_NEAR = 1.0  # m: what rounding to 1e-7 deg and a station's own numbers may be off by; chosen by us
+ORIGIN_FIXED = "the origin stays where the flight began; --place puts it elsewhere"
+
+# INJECT_FAILURE; how bad a failure is that has no number is chosen by us, so that it is felt and can be flown with.
+_MOTOR, _SERVO = 101, 102
+_SENSORS = {0: "gyro", 3: "barometer", 4: "gnss"}
+_OK, _OFF, _STUCK, _WRONG, _SLOW, _DELAYED = 0, 1, 2, 4, 5, 6
+_THRUST_LOSS, _LAG_S, _DELAY_S = 0.5, 0.5, 0.1
+_GYRO_BIAS, _BAROMETER_BIAS, _GNSS_BIAS = (0.05, 0.0, 0.0), 3.0, (5.0, 0.0, 0.0)  # rad/s; m; m, NED
+_SIDES = ("left", "right")
+
+
+class Order(NamedTuple):
+    """A command as both messages have it; None: not given.  Latitude and longitude are degrees."""
+
+    number: int
+    p: tuple[float | None, ...]  # 1 to 7, from 0
+    frame: int | None  # None: COMMAND_LONG has none
+    confirmation: int
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude; None where one is missing, or both are 0 as those send who mean none."""
+        lat, lon = self.p[4], self.p[5]
+        return None if lat is None or lon is None or lat == lon == 0.0 else (lat, lon)
+
+
+class Plan(NamedTuple):
+    """What is to be done: requests one after another until one is refused, or a result at once."""
+
+    requests: tuple[Request, ...] = ()
+    result: Ack = Ack.ACCEPTED
+    text: str = ""
+    messages: tuple[Message, ...] = ()  # after the acknowledgement
+
+
+class Context(NamedTuple):
+    """What a command is seen in."""
+
+    about: About
+    snapshot: Snapshot
+    view: View
+    peer: Peer
+    requested: Callable[[int], Sequence[Message] | None]  # beside the telemetry; None: not there
+    endings: tuple[Any, ...] = ()  # what to ask for a reboot, and for a shutdown
+
+
+def order_of(message: Message) -> Order:
+    """The order in a COMMAND_LONG or COMMAND_INT."""
+    first = [message.param1, message.param2, message.param3, message.param4]
+    if message.msgname == "COMMAND_LONG":
+        values = [*first, message.param5, message.param6, message.param7]
+        return Order(message.command, tuple(map(_given, values)), None, message.confirmation)
+    # 1e-4 m where the frame is local: such frames are refused by those who use places
+    place = [None if value == _NOT_GIVEN else value * 1e-7 for value in (message.x, message.y)]
+    return Order(message.command, (*map(_given, first), *place, _given(message.z)), message.frame, 0)
+
+
+def _given(value: float) -> float | None:
+    return value if isfinite(value) else None
+
+
+def plan(order: Order, context: Context) -> Plan:
+    """What a command comes to.  Raises nothing."""
+    handler = _HANDLERS.get(order.number)
+    if handler is None:
+        return Plan(result=Ack.UNSUPPORTED)
+    try:
+        return handler(order, context)
+    except InputError as error:
+        return Plan(result=Ack.DENIED, text=str(error))
+
+
+def _do(*requests: Request) -> Plan:
+    return Plan(requests)
+
+
+def _refuse(text: str, result: Ack = Ack.DENIED) -> Plan:
+    return Plan(result=result, text=text)
+
+
+def _whole(value: float | None) -> int:
+    """A number that stands for itself, -1 where it is none."""
+    return int(value) if value is not None and value == int(value) and abs(value) < 2**31 else -1
+
+
+# --- flight ----------------------------------------------------------------------------------------------------
+
+
+def _arm(order: Order, context: Context) -> Plan:
+    wanted, force = order.p[0], order.p[1] == FORCE
+    if wanted == 1.0:
+        return _do(Arm(force))
+    if wanted == 0.0:
+        return _do(Disarm(force))
+    return _refuse("arm: parameter 1 must be 0 or 1")
+
+
+def _take_off(order: Order, context: Context) -> Plan:
+    """Parameter 7: above sea level, as PX4 and QGroundControl have it; above home for ArduPilot or a relative frame."""
+    wanted = order.p[6]
+    if wanted is None:
+        return _do(Takeoff())
+    if order.frame in RELATIVE_FRAMES or context.about.personality == "ardupilot":
+        return _do(Takeoff(wanted))
+    if order.frame is not None and order.frame not in ABSOLUTE_FRAMES:
+        return _refuse("", Ack.UNSUPPORTED_FRAME)
+    view = context.view
+    if wanted < view.sea_level + 1.0:
+        here = f"the vehicle is at {view.sea_level:.0f} m"
+        return _refuse(f"take-off refused: {wanted:.0f} m above sea level asked for, {here}")
+    return _do(Takeoff(wanted - view.sea_level + view.height))
+
+
+def _land(order: Order, context: Context) -> Plan:
+    if order.place is not None:
+        north, east = _local(order.place, context)
+        here = context.snapshot.status.fix.position
+        if (north - here[0]) ** 2 + (east - here[1]) ** 2 > 4.0:
+            return _refuse("land refused: it lands where it is; fly to the place first")
+    return _do(Land())
+
+
+def _go_home(order: Order, context: Context) -> Plan:
+    return _do(ReturnHome())
+
+
+def _hold(order: Order, context: Context) -> Plan:
+    return _do(Hold())
+
+
+def _set_mode(order: Order, context: Context) -> Plan:
+    base, main, sub = (_whole(value) for value in order.p[:3])
+    if base < 0 or not base & CUSTOM:
+        return _refuse("mode: only custom modes are known here", Ack.UNSUPPORTED)
+    if context.about.personality == "ardupilot":
+        return _mode(from_custom(main, "ardupilot"), f"{main}")
+    return _mode(from_main_sub(main, sub), f"{main}, {sub}")
+
+
+def _set_standard_mode(order: Order, context: Context) -> Plan:
+    number = _whole(order.p[0])
+    return _mode(FROM_STANDARD.get(number), f"{number}")
+
+
+def _mode(mode: Mode | None, number: str) -> Plan:
+    if mode is None:
+        return _refuse(f"mode {number} is not known here", Ack.UNSUPPORTED)
+    return _do(SetMode(mode.value))
+
+
+def _reposition(order: Order, context: Context) -> Plan:
+    """Nothing given is a pause.  Yaw is rad."""
+    speed, yaw, altitude, place = order.p[0], order.p[3], order.p[6], order.place
+    if place is None and altitude is None and yaw is None:
+        return _do(Hold())
+    if order.frame is not None and order.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
+        return _refuse("", Ack.UNSUPPORTED_FRAME)
+    above = None if altitude is None else _altitude(order, altitude, context)
+    north, east = (None, None) if place is None else _local(place, context, above)
+    return _do(
+        Goto(
+            north,
+            east,
+            above,
+            None if yaw is None else remainder(yaw, tau),
+            speed if speed is not None and speed > 0.0 else None,
+        )
+    )
+
+
+def _orbit(order: Order, context: Context) -> Plan:
+    """DO_ORBIT: a negative radius turns to the left; parameter 4 is an angle, 0 without end."""
+    radius, speed, yaw, angle = order.p[:4]
+    if radius is None:
+        return _refuse("orbit: parameter 1, the radius, is missing")
+    if order.frame is not None and order.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
+        return _refuse("", Ack.UNSUPPORTED_FRAME)
+    above = None if order.p[6] is None else _altitude(order, order.p[6], context)
+    north, east = (None, None) if order.place is None else _local(order.place, context, above)
+    return _do(
+        Orbit(
+            abs(radius),
+            radius > 0.0,
+            speed if speed is not None and speed > 0.0 else None,
+            north,
+            east,
+            above,
+            _ORBIT_YAW.get(0 if yaw is None else int(yaw), OrbitYaw.AS_IT_IS),
+            0.0 if angle is None else abs(angle) / tau,
+        )
+    )
+
+
+_ORBIT_YAW = {0: OrbitYaw.CENTRE, 3: OrbitYaw.TANGENT}  # ORBIT_YAW_BEHAVIOUR; all others keep the heading
+
+
+def _yaw(order: Order, context: Context) -> Plan:
+    """CONDITION_YAW: degrees; relative to the nose where parameter 4 is 1, then parameter 3 gives the sense."""
+    angle = order.p[0]
+    if angle is None:
+        return _refuse("yaw: parameter 1 is missing")
+    wanted = radians(angle)
+    if order.p[3] == 1.0:
+        sense = -1.0 if order.p[2] is not None and order.p[2] < 0.0 else 1.0
+        wanted = context.view.euler[2] + sense * wanted
+    return _do(Goto(yaw=remainder(wanted, tau)))
+
+
+def _change_speed(order: Order, context: Context) -> Plan:
+    kind, speed = order.p[0], order.p[1]
+    if kind not in (None, 0.0, 1.0):
+        return _refuse("speed: only that over the ground can be set")
+    if speed is None or speed < 0.0:
+        return _refuse("speed: parameter 2 must be m/s")
+    return _do(SetSpeed(speed))
+
+
+def _set_home(order: Order, context: Context) -> Plan:
+    if order.p[0] == 1.0:
+        return _do(SetHome())
+    if order.place is None:
+        return _refuse("home: latitude and longitude are missing")
+    if order.frame is not None and order.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
+        return _refuse("", Ack.UNSUPPORTED_FRAME)
+    altitude = order.p[6]
+    above = None if altitude is None else _altitude(order, altitude, context)
+    return _do(SetHome(*_local(order.place, context, above), above))
+
+
+def _terminate(order: Order, context: Context) -> Plan:
+    if order.p[0] is None or order.p[0] < 0.5:
+        return _refuse("terminate: parameter 1 must be 1; there is no way back")
+    return _do(Kill(True))
+
+
+def _start_mission(order: Order, context: Context) -> Plan:
+    """From the present item, or from that of parameter 1 where it is not 0."""
+    first = _whole(order.p[0])
+    return _do(MissionSetCurrent(first), MissionStart()) if first > 0 else _do(MissionStart())
+
+
+def _set_item(order: Order, context: Context) -> Plan:
+    item = _whole(order.p[0])
+    return _refuse("mission: parameter 1 must be an item") if item < 0 else _do(MissionSetCurrent(item))
+
+
+def _pause(order: Order, context: Context) -> Plan:
+    if order.p[0] == 0.0:
+        return _do(Hold())
+    return _do(MissionStart()) if order.p[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
+
+
+def _local(place: tuple[float, float], context: Context, above: float | None = None) -> tuple[float, float]:
+    """North and east of a place at the height above the origin, or at the vehicle's."""
+    lat, lon = place
+    if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
+        raise InputError(f"{lat:g}, {lon:g} is no latitude and longitude")
+    geodesy = context.about.geodesy
+    height = geodesy.ground + (context.view.altitude if above is None else above)
+    north, east = geodesy.to_local(lat, lon, height)[:2]
+    if max(abs(north), abs(east)) > PLACE_MAX:
+        far, most = hypot(north, east) / 1e3, PLACE_MAX / 1e3
+        raise InputError(f"{lat:g}, {lon:g} is {far:.0f} km from where the flight began; {most:.0f} km is the most")
+    return north, east
+
+
+def _altitude(order: Order, value: float, context: Context) -> float:
+    """Above the origin."""
+    if order.frame in RELATIVE_FRAMES:
+        return value + context.view.altitude - context.view.height
+    return value - context.about.geodesy.ground
+
+
+# --- failures --------------------------------------------------------------------------------------------------
+
+
+def _fail(order: Order, context: Context) -> Plan:
+    unit, kind = _whole(order.p[0]), _whole(order.p[1])
+    which = 0 if order.p[2] is None else _whole(order.p[2])
+    if not context.about.failures:
+        return Plan(result=Ack.UNSUPPORTED)
+    if kind == _OK:
+        return _do(ClearFaults())  # there is no way to end one of several
+    faults: tuple[InjectFault, ...] = ()
+    if unit == _MOTOR:
+        if not 0 <= which <= context.about.jets:
+            return _refuse(f"failure: engine {which}; there are 1 to {context.about.jets}, and 0 for all")
+        faults = _engine_fault(kind, (which,) if which else tuple(range(1, context.about.jets + 1)))
+    elif unit == _SERVO and kind in (_OFF, _STUCK):
+        if not 0 <= which <= len(_SIDES):
+            return _refuse(f"failure: servo {which}; 1 is the left one, 2 the right one, 0 both")
+        sides = (_SIDES[which - 1],) if which else _SIDES
+        faults = tuple(InjectFault("servo_jam", servo=side) for side in sides)
+    elif unit in _SENSORS:
+        faults = _sensor_fault(kind, _SENSORS[unit])
+    return Plan(faults) if faults else _refuse("failure: not one that can be made here", Ack.UNSUPPORTED)
+
+
+def _engine_fault(kind: int, jets: tuple[int, ...]) -> tuple[InjectFault, ...]:
+    if kind == _OFF:
+        return (InjectFault("flame_out", jets),)
+    if kind == _STUCK:
+        return (InjectFault("stuck_throttle", jets),)
+    if kind == _WRONG:
+        return (InjectFault("thrust_loss", jets, amount=_THRUST_LOSS),)
+    if kind == _SLOW:
+        return (InjectFault("slow_spool", jets, amount=_LAG_S),)
+    if kind == _DELAYED:
+        return (InjectFault("delay_growth", jets, amount=_DELAY_S),)
+    return ()
+
+
+def _sensor_fault(kind: int, sensor: str) -> tuple[InjectFault, ...]:
+    if kind in (_OFF, _STUCK):
+        return (InjectFault("sensor_dropout", sensor=sensor),)
+    if kind != _WRONG:
+        return ()
+    if sensor == "barometer":
+        return (InjectFault("sensor_bias", sensor=sensor, amount=_BAROMETER_BIAS),)
+    return (InjectFault("sensor_bias", sensor=sensor, vector=_GYRO_BIAS if sensor == "gyro" else _GNSS_BIAS),)
+
+
+# --- what needs no pilot ---------------------------------------------------------------------------------------
+
+
+def _request_message(order: Order, context: Context) -> Plan:
+    number = _whole(order.p[0])
+    messages = context.requested(number)
+    if messages is None and number == BY_NAME["AVAILABLE_MODES"].id:
+        return _modes(order, context)
+    if messages is None and number == BY_NAME["MESSAGE_INTERVAL"].id:
+        return _get_interval(order._replace(p=(order.p[1], *order.p[1:])), context)
+    if messages is None and number in BY_ID:
+        messages = BY_ID[number].build(context.view)
+        if not messages:
+            return _refuse("", Ack.TEMPORARILY_REJECTED)  # not known yet: who waits for it asks again and again
+    if messages is None:
+        return Plan(result=Ack.UNSUPPORTED)
+    return Plan(messages=tuple(messages))
+
+
+def _modes(order: Order, context: Context) -> Plan:
+    index = 0 if order.p[1] is None else _whole(order.p[1])
+    if index == 0:
+        return Plan(messages=tuple(mode_line(context.about, i) for i in range(1, len(LIST) + 1)))
+    if not 1 <= index <= len(LIST):
+        return _refuse(f"mode {index}: there are 1 to {len(LIST)}")
+    return Plan(messages=(mode_line(context.about, index),))
+
+
+def _capabilities(order: Order, context: Context) -> Plan:
+    return _ask_for("AUTOPILOT_VERSION", order, context)
+
+
+def _version(order: Order, context: Context) -> Plan:
+    return _ask_for("PROTOCOL_VERSION", order, context)
+
+
+def _home(order: Order, context: Context) -> Plan:
+    return _ask_for("HOME_POSITION", order, context)
+
+
+def _ask_for(name: str, order: Order, context: Context) -> Plan:
+    return _request_message(order._replace(p=(float(BY_NAME[name].id), *order.p[1:])), context)
+
+
+def _get_interval(order: Order, context: Context) -> Plan:
+    number = _whole(order.p[0])
+    if not 0 <= number <= 0xFFFF:
+        return _refuse("interval: parameter 1 must be a message", Ack.UNSUPPORTED)
+    if number not in BY_ID:
+        return Plan(result=Ack.UNSUPPORTED, messages=(mav.MAVLink_message_interval_message(number, 0),))
+    every = interval(context.peer, number)
+    micro = round(every * 1e6) if every else -1
+    return Plan(messages=(mav.MAVLink_message_interval_message(number, micro),))
+
+
+def _set_origin(order: Order, context: Context) -> Plan:
+    """DO_SET_GLOBAL_ORIGIN: it is where the flight began and stays there, so only that place is taken.  Tells it."""
+    at = context.about.geodesy
+    told = tuple(gps_global_origin(context.view))
+    if order.place is None:
+        return Plan(result=Ack.DENIED, text="origin: latitude and longitude are missing", messages=told)
+    if order.frame is not None and order.frame not in ABSOLUTE_FRAMES:
+        return Plan(result=Ack.UNSUPPORTED_FRAME, messages=told)
+    off = hypot(*at.to_local(*order.place, at.ground)[:2])
+    if off > ORIGIN_NEAR:
+        return Plan(result=Ack.DENIED, text=ORIGIN_FIXED, messages=told)
+    return Plan(messages=told)
+
+
+def _set_interval(order: Order, context: Context) -> Plan:
+    """Parameter 2: us; -1 none, 0 the default.  For the station that asks."""
+    number, micro = _whole(order.p[0]), order.p[1]
+    if number not in BY_ID:
+        return Plan(result=Ack.UNSUPPORTED)
+    if micro is None or (micro < 0.0 and micro != -1.0) or micro > 3600e6:
+        return _refuse("interval: parameter 2 must be microseconds, at most an hour")
+    if micro == 0.0:
+        context.peer.intervals.pop(number, None)
+    else:
+        context.peer.intervals[number] = 0.0 if micro < 0.0 else max(FASTEST, micro * 1e-6)
+    return Plan()
+
+
+def _prearm(order: Order, context: Context) -> Plan:
+    status = context.snapshot.status
+    if status.armed:
+        return _refuse("pre-arm checks: already armed", Ack.TEMPORARILY_REJECTED)
+    text = f"not ready: {'; '.join(status.refusals)}" if status.refusals else "ready to arm"
+    return Plan(text=text)
+
+
+def _reboot(order: Order, context: Context) -> Plan:
+    """Parameter 1: 1 a new flight, 2 the end."""
+    wanted = _whole(order.p[0])
+    if not 1 <= wanted <= len(context.endings):
+        return Plan(result=Ack.UNSUPPORTED)
+    if context.snapshot.status.armed:
+        return _refuse("reboot refused: armed")
+    return _do(context.endings[wanted - 1])
+
+
+_HANDLERS: dict[int, Callable[[Order, Context], Plan]] = {
+    17: _hold,  # NAV_LOITER_UNLIM
+    20: _go_home,  # NAV_RETURN_TO_LAUNCH
+    21: _land,  # NAV_LAND
+    22: _take_off,  # NAV_TAKEOFF
+    115: _yaw,  # CONDITION_YAW
+    176: _set_mode,  # DO_SET_MODE
+    178: _change_speed,  # DO_CHANGE_SPEED
+    179: _set_home,  # DO_SET_HOME
+    185: _terminate,  # DO_FLIGHTTERMINATION
+    34: _orbit,  # DO_ORBIT
+    192: _reposition,  # DO_REPOSITION
+    193: _pause,  # DO_PAUSE_CONTINUE
+    224: _set_item,  # DO_SET_MISSION_CURRENT
+    246: _reboot,  # PREFLIGHT_REBOOT_SHUTDOWN
+    262: _set_standard_mode,  # DO_SET_STANDARD_MODE
+    300: _start_mission,  # MISSION_START
+    400: _arm,  # COMPONENT_ARM_DISARM
+    401: _prearm,  # RUN_PREARM_CHECKS
+    410: _home,  # GET_HOME_POSITION
+    420: _fail,  # INJECT_FAILURE
+    510: _get_interval,  # GET_MESSAGE_INTERVAL
+    511: _set_interval,  # SET_MESSAGE_INTERVAL
+    512: _request_message,  # REQUEST_MESSAGE
+    519: _version,  # REQUEST_PROTOCOL_VERSION
+    520: _capabilities,  # REQUEST_AUTOPILOT_CAPABILITIES
+    611: _set_origin,  # DO_SET_GLOBAL_ORIGIN
+}
+KNOWN = frozenset(_HANDLERS)
+ONCE = frozenset({22, 420})  # that are not done again when an acknowledgement was lost

@@ -1,0 +1,297 @@
+"""MAVLink's file transfer: files and folders that do not change, read only.  https://mavlink.io/en/services/ftp.html
+
+The session of a file is the number that its client says when it opens it, and every answer echoes it: MAVProxy counts
+its own, QGroundControl and MAVSDK have one file open and say 0 (MAVSDK does not look at what it is given).  Opening
+again on a number that is in use takes the place of the old file, so that a request that is repeated because its answer
+was lost does no harm; nor does any other: nothing here depends on what was asked before but the open file.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from cosim.groundstation.mavlink.services.service import (
+    MAX_CLIENTS,
+    Client,
+    Outgoing,
+    Pace,
+    Peer,
+    Service,
+    crc32,
+)
+from cosim.groundstation.mavlink.wire.dialect import Message
+from cosim.groundstation.mavlink.wire.dialect import mav as wire
+
+NONE, TERMINATE, RESET, LIST, OPEN, READ = 0, 1, 2, 3, 4, 5
+CRC, BURST, ACK, NAK = 14, 15, 128, 129
+_WRITING = range(6, 14)  # create, write, remove, rename ...
+FAIL, BAD_SIZE, BAD_SESSION, END, UNKNOWN, PROTECTED, NOT_FOUND = 1, 3, 4, 6, 7, 9, 10
+
+DATA = 239  # bytes a message carries
+_HEAD = struct.Struct("<HBBBBBxI")
+SESSIONS = 8  # open files of one client; chosen by us
+BURST_LENGTH = 100  # messages of one burst, then the client asks for the next: 24 kB
+RATE = 1000.0  # messages of bursts a second and client: 239 kB/s, where the link is not slower; chosen by us
+_CRC_PART = 1 << 22  # bytes of a checksum that are counted in one go
+
+
+class File(Protocol):
+    """Something that can be read: ``size`` in bytes, and any part of it."""
+
+    size: int
+
+    def read(self, offset: int, length: int) -> bytes: ...
+
+
+class Bytes:
+    """A file in memory."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self.size = len(data)
+
+    def read(self, offset: int, length: int) -> bytes:
+        return self._data[offset : offset + length]
+
+
+Files = Callable[[], Mapping[str, File]]  # every file there is now, by its whole path ("log/run.ulg")
+
+
+class _Request(NamedTuple):
+    sequence: int
+    session: int
+    opcode: int
+    size: int
+    offset: int
+    data: bytes
+
+
+@dataclass
+class _Burst:
+    request: _Request
+    offset: int
+    left: int  # messages
+    sequence: int
+
+
+@dataclass
+class _Checksum:
+    request: _Request
+    file: File
+    offset: int = 0
+    value: int = 0
+
+
+class _State:
+    """What is remembered of one client."""
+
+    def __init__(self) -> None:
+        self.open: OrderedDict[int, File] = OrderedDict()
+        self.burst: _Burst | None = None
+        self.checksum: _Checksum | None = None
+        self.pace = Pace(RATE, 16)
+
+
+class FileService(Service):
+    """The vehicle's files.  ``files``: see :data:`Files`; a path that begins with ``@MAV_LOG`` is one in ``log``."""
+
+    handles = frozenset({"FILE_TRANSFER_PROTOCOL"})
+
+    def __init__(self, files: Files) -> None:
+        self._files = files
+        self._clients: OrderedDict[Client, _State] = OrderedDict()
+
+    def handle(self, message: Message, client: Client, now: float) -> list[Message]:
+        """The answer to one request; a burst goes out later."""
+        request = _parse(message.payload)
+        if request is None:
+            return []
+        answer = self._answer(request, self._state(client))
+        return [] if answer is None else [_message(client, answer)]
+
+    def poll(self, now: float) -> Outgoing:
+        """The next part of every burst and checksum."""
+        out: Outgoing = []
+        for client, state in self._clients.items():
+            if state.burst is not None:
+                for _ in range(state.pace.take(now, state.burst.left, client.peer)):
+                    out.append((client.peer, _message(client, _next(state))))
+                    if state.burst is None:
+                        break
+            if state.checksum is not None:
+                answer = _count(state)
+                if answer:
+                    out.append((client.peer, _message(client, answer)))
+        return out
+
+    @property
+    def busy(self) -> bool:
+        return any(state.burst or state.checksum for state in self._clients.values())
+
+    def forget(self, peer: Peer) -> None:
+        """The peer is gone: its files are closed."""
+        for client in [each for each in self._clients if each.peer == peer]:
+            del self._clients[client]
+
+    def _state(self, client: Client) -> _State:
+        """That of the client; of too many, the one who was quiet longest is forgotten."""
+        if client not in self._clients:
+            if len(self._clients) >= MAX_CLIENTS:
+                self._clients.popitem(last=False)
+            self._clients[client] = _State()
+        self._clients.move_to_end(client)
+        return self._clients[client]
+
+    def _answer(self, request: _Request, state: _State) -> bytes | None:
+        code = request.opcode
+        if code == NONE:
+            return _ack(request)
+        if code == TERMINATE:
+            return self._close(request, state)
+        if code == RESET:
+            state.open.clear()
+            state.burst = state.checksum = None
+            return _ack(request)
+        if code in _WRITING:
+            return _nak(request, PROTECTED)
+        if code not in (LIST, OPEN, CRC, READ, BURST):
+            return _nak(request, UNKNOWN)
+        if request.size > DATA:
+            return _nak(request, BAD_SIZE)
+        if code in (READ, BURST):
+            return self._read(request, state)
+        path = _path(request.data)
+        if code == LIST:
+            return self._list(request, path)
+        file = None if path is None else self._files().get(path)
+        if file is None:
+            return _nak(request, NOT_FOUND)
+        if file.size >= 1 << 32:  # its size and places do not fit the fields
+            return _nak(request, FAIL)
+        if code == CRC:
+            state.checksum = _Checksum(request, file)
+            return None
+        state.open.pop(request.session, None)
+        if len(state.open) >= SESSIONS:
+            state.open.popitem(last=False)
+        state.open[request.session] = file
+        return _ack(request, struct.pack("<I", file.size))
+
+    def _close(self, request: _Request, state: _State) -> bytes:
+        """An end that comes twice is the same end: its first answer may have been lost."""
+        state.open.pop(request.session, None)
+        if state.burst is not None and state.burst.request.session == request.session:
+            state.burst = None
+        return _ack(request)
+
+    def _read(self, request: _Request, state: _State) -> bytes | None:
+        file = state.open.get(request.session)
+        if file is None:
+            return _nak(request, BAD_SESSION)
+        state.open.move_to_end(request.session)
+        if request.offset >= file.size:
+            return _nak(request, END)
+        if request.opcode == BURST:
+            state.burst = _Burst(request, request.offset, BURST_LENGTH, request.sequence)
+            return None
+        return _ack(request, file.read(request.offset, request.size or DATA), request.offset)
+
+    def _list(self, request: _Request, path: str | None) -> bytes:
+        entries = None if path is None else _entries(self._files(), path)
+        if entries is None:
+            return _nak(request, NOT_FOUND)
+        if request.offset >= len(entries):
+            return _nak(request, END)
+        data = b""
+        for entry in entries[request.offset :]:
+            if len(data) + len(entry) > DATA:
+                break
+            data += entry
+        return _ack(request, data, request.offset)
+
+
+def _next(state: _State) -> bytes:
+    """The next message of a burst; the last one of it says so."""
+    burst = state.burst
+    assert burst is not None
+    request, file = burst.request, state.open.get(burst.request.session)
+    burst.sequence += 1
+    if file is None:
+        state.burst = None
+        return _nak(request, BAD_SESSION, burst.sequence)
+    data = file.read(burst.offset, request.size or DATA)
+    at = burst.offset
+    burst.offset += len(data)
+    burst.left -= 1
+    last = burst.left == 0 or burst.offset >= file.size or not data
+    if last:
+        state.burst = None
+    return _pack(request, ACK, data, at, burst.sequence, last)
+
+
+def _count(state: _State) -> bytes | None:
+    """Go on with a checksum; the answer when it is done."""
+    job = state.checksum
+    assert job is not None
+    part = job.file.read(job.offset, _CRC_PART)
+    job.value = crc32(part, job.value)
+    job.offset += len(part)
+    if part and job.offset < job.file.size:
+        return None
+    state.checksum = None
+    return _ack(job.request, struct.pack("<I", job.value))
+
+
+def _entries(files: Mapping[str, File], folder: str) -> list[bytes] | None:
+    """What is in a folder, in FTP's words, sorted; None: there is no such folder."""
+    start = f"{folder}/" if folder else ""
+    found = {}
+    for path, file in files.items():
+        if path.startswith(start):
+            name, slash, _ = path[len(start) :].partition("/")
+            found[name] = f"D{name}\0" if slash else f"F{name}\t{file.size}\0"
+    return [found[name].encode() for name in sorted(found)] if found or not folder else None
+
+
+def _path(data: bytes) -> str | None:
+    """The path that a request names, without slashes at its ends; None for what can be none.
+
+    It is looked up among the files' names and never goes to the disk, so that ``..`` leads nowhere.
+    """
+    try:
+        text = data.split(b"\0")[0].decode("utf-8")
+    except UnicodeDecodeError:
+        return None
+    parts = [part for part in text.split("/") if part not in ("", ".")]
+    if parts and parts[0] == "@MAV_LOG":
+        parts[0] = "log"
+    return "/".join(parts)
+
+
+def _parse(payload: list[int]) -> _Request | None:
+    data = bytes(payload)
+    if len(data) < _HEAD.size:
+        return None
+    sequence, session, opcode, size, _, _, offset = _HEAD.unpack_from(data)
+    return _Request(sequence, session, opcode, size, offset, data[_HEAD.size : _HEAD.size + min(size, DATA)])
+
+
+def _ack(request: _Request, data: bytes = b"", offset: int = 0) -> bytes:
+    return _pack(request, ACK, data, offset, request.sequence + 1)
+
+
+def _nak(request: _Request, code: int, sequence: int | None = None) -> bytes:
+    return _pack(request, NAK, bytes((code,)), 0, request.sequence + 1 if sequence is None else sequence)
+
+
+def _pack(request: _Request, code: int, data: bytes, offset: int, sequence: int, last: bool = False) -> bytes:
+    head = _HEAD.pack(sequence & 0xFFFF, request.session, code, len(data), request.opcode, last, offset)
+    return (head + data).ljust(_HEAD.size + DATA, b"\0")
+
+
+def _message(client: Client, payload: bytes) -> Message:
+    return wire.MAVLink_file_transfer_protocol_message(0, client.system, client.component, list(payload))

@@ -1,0 +1,238 @@
+"""Items of a mission as they travel over MAVLink, and what the pilot flies for them."""
+
+from __future__ import annotations
+
+from math import degrees, isfinite, isnan, nan, pi, radians
+from typing import NamedTuple
+
+from cosim.base.errors import InputError
+from cosim.base.geodesy import Geodesy
+from cosim.control.autopilot.requests import ItemKind, MissionItem
+from cosim.groundstation.mavlink.wire.dialect import Message
+from cosim.groundstation.mavlink.wire.dialect import mav as wire
+
+ACCEPTED, ERROR = wire.MAV_MISSION_ACCEPTED, wire.MAV_MISSION_ERROR
+WRONG_FRAME, UNSUPPORTED = wire.MAV_MISSION_UNSUPPORTED_FRAME, wire.MAV_MISSION_UNSUPPORTED
+NO_SPACE, INVALID = wire.MAV_MISSION_NO_SPACE, wire.MAV_MISSION_INVALID
+PARAM1, PARAM2 = wire.MAV_MISSION_INVALID_PARAM1, wire.MAV_MISSION_INVALID_PARAM2
+PARAM4 = wire.MAV_MISSION_INVALID_PARAM4
+PARAM5, PARAM6, PARAM7 = (
+    wire.MAV_MISSION_INVALID_PARAM5_X,
+    wire.MAV_MISSION_INVALID_PARAM6_Y,
+    wire.MAV_MISSION_INVALID_PARAM7,
+)
+SEQUENCE, DENIED = wire.MAV_MISSION_INVALID_SEQUENCE, wire.MAV_MISSION_DENIED
+CANCELLED = wire.MAV_MISSION_OPERATION_CANCELLED
+
+WAYPOINT, LOITER_TIME = wire.MAV_CMD_NAV_WAYPOINT, wire.MAV_CMD_NAV_LOITER_TIME
+RETURN, LAND, TAKEOFF = wire.MAV_CMD_NAV_RETURN_TO_LAUNCH, wire.MAV_CMD_NAV_LAND, wire.MAV_CMD_NAV_TAKEOFF
+DELAY, JUMP, SPEED = wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_DO_JUMP, wire.MAV_CMD_DO_CHANGE_SPEED
+
+# What asks for a payload that no vehicle here has: cameras, gimbals, regions of interest, triggers; and the mark of
+# where a landing begins.  Such an item is passed at once.
+LEFT_OUT: dict[int, str] = {
+    getattr(wire, name): name.removeprefix("MAV_CMD_")
+    for name in (
+        "MAV_CMD_NAV_ROI",
+        "MAV_CMD_DO_LAND_START",
+        "MAV_CMD_DO_SET_ROI_LOCATION",
+        "MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET",
+        "MAV_CMD_DO_SET_ROI_NONE",
+        "MAV_CMD_DO_CONTROL_VIDEO",
+        "MAV_CMD_DO_SET_ROI",
+        "MAV_CMD_DO_DIGICAM_CONFIGURE",
+        "MAV_CMD_DO_DIGICAM_CONTROL",
+        "MAV_CMD_DO_MOUNT_CONFIGURE",
+        "MAV_CMD_DO_MOUNT_CONTROL",
+        "MAV_CMD_DO_SET_CAM_TRIGG_DIST",
+        "MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL",
+        "MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW",
+        "MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE",
+        "MAV_CMD_SET_CAMERA_MODE",
+        "MAV_CMD_SET_CAMERA_ZOOM",
+        "MAV_CMD_SET_CAMERA_FOCUS",
+        "MAV_CMD_IMAGE_START_CAPTURE",
+        "MAV_CMD_IMAGE_STOP_CAPTURE",
+        "MAV_CMD_DO_TRIGGER_CONTROL",
+        "MAV_CMD_VIDEO_START_CAPTURE",
+        "MAV_CMD_VIDEO_STOP_CAPTURE",
+        "MAV_CMD_OBLIQUE_SURVEY",
+    )
+    if hasattr(wire, name)
+}
+
+_SEA = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)  # z above the sea
+_HOME = (wire.MAV_FRAME_GLOBAL_RELATIVE_ALT, wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # z above home
+NOWHERE = 2**31 - 1  # x or y that is not given
+
+
+class Item(NamedTuple):
+    """An item as it travels: ``x``, ``y`` in 1e-7 deg, ``z`` in m."""
+
+    frame: int
+    command: int
+    params: tuple[float, float, float, float]
+    x: int
+    y: int
+    z: float
+    autocontinue: int = 1
+
+
+class ItemError(Exception):
+    """An item that cannot be flown; ``code`` is the MAV_MISSION_RESULT that says why."""
+
+    def __init__(self, code: int, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+def to_flown(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
+    """What the pilot flies for an item; heights above home are taken from ``home_altitude``.  Raises ItemError."""
+    command, (p1, p2, _, p4) = item.command, item.params
+    try:
+        if command in (WAYPOINT, LOITER_TIME):
+            return _waypoint(item, geodesy, home_altitude)
+        if command == TAKEOFF:
+            altitude = altitude_of(item, geodesy, home_altitude)
+            return MissionItem(ItemKind.TAKEOFF, altitude=altitude, yaw=_yaw(p4))
+        if command == LAND:
+            # no place, or 0, 0: where it is
+            somewhere = item.x not in (0, NOWHERE) or item.y not in (0, NOWHERE)
+            north, east = place_of(item, geodesy, 0.0) if somewhere else (None, None)
+            return MissionItem(ItemKind.LAND, north, east, yaw=_yaw(p4))
+        if command in LEFT_OUT:
+            return MissionItem(ItemKind.LEFT_OUT)
+        if command == RETURN:
+            return MissionItem(ItemKind.RETURN)
+        if command == DELAY:
+            return MissionItem(ItemKind.DELAY, hold_s=_number(p1, PARAM1, "delay", 0.0))
+        if command == JUMP:
+            target = _whole(p1, PARAM1, "item to jump to")
+            return MissionItem(ItemKind.JUMP, target=target, repeat=_whole(p2, PARAM2, "number of jumps"))
+        if command == SPEED:
+            if p1 not in (0.0, 1.0):
+                raise ItemError(PARAM1, "only the horizontal speed can be set")
+            return MissionItem(ItemKind.SPEED, speed=_number(p2, PARAM2, "speed", 0.1))
+    except InputError as error:  # a number beyond what the pilot flies
+        raise ItemError(_code_of(str(error)), str(error)) from error
+    raise ItemError(UNSUPPORTED, f"command {command} is not known here")
+
+
+def to_item(item: MissionItem, geodesy: Geodesy) -> Item:
+    """A mission's item as it travels, heights above the sea."""
+    x = y = 0
+    if item.north is not None and item.east is not None:
+        latitude, longitude, _ = geodesy.to_geodetic(item.north, item.east, item.altitude or 0.0)
+        x, y = round(1e7 * latitude), round(1e7 * longitude)
+    z = 0.0 if item.altitude is None else geodesy.ground + item.altitude
+    yaw = nan if item.yaw is None else degrees(item.yaw)
+    there = wire.MAV_FRAME_GLOBAL_INT
+    nowhere = wire.MAV_FRAME_MISSION
+    kind = item.kind
+    if kind is ItemKind.WAYPOINT:
+        return Item(there, WAYPOINT, (item.hold_s, item.acceptance_m, 0.0, yaw), x, y, z)
+    if kind is ItemKind.TAKEOFF:
+        return Item(there, TAKEOFF, (0.0, 0.0, 0.0, yaw), NOWHERE, NOWHERE, z)
+    if kind is ItemKind.LAND:
+        return Item(there, LAND, (0.0, 0.0, 0.0, yaw), x, y, geodesy.ground)
+    if kind is ItemKind.SPEED:
+        return Item(nowhere, SPEED, (1.0, item.speed or 0.0, -1.0, 0.0), 0, 0, 0.0)
+    if kind in (ItemKind.DELAY, ItemKind.LEFT_OUT):  # what was left out is not known any more: a pause of no length
+        return Item(nowhere, DELAY, (item.hold_s, -1.0, -1.0, -1.0), 0, 0, 0.0)
+    if kind is ItemKind.JUMP:
+        return Item(nowhere, JUMP, (float(item.target or 0), float(item.repeat), 0.0, 0.0), 0, 0, 0.0)
+    return Item(nowhere, RETURN, (0.0, 0.0, 0.0, 0.0), 0, 0, 0.0)
+
+
+def received(message: Message) -> Item:
+    """An item of MISSION_ITEM_INT or of the old MISSION_ITEM, whose place is in degrees."""
+    x, y = message.x, message.y
+    if message.get_type() == "MISSION_ITEM":
+        x, y = _degrees(x), _degrees(y)
+    params = (message.param1, message.param2, message.param3, message.param4)
+    return Item(message.frame, message.command, params, x, y, message.z, message.autocontinue)
+
+
+def _degrees(value: float) -> int:
+    """Degrees to 1e-7 deg; what is no angle becomes "not given"."""
+    return round(1e7 * value) if abs(value) <= 200.0 else NOWHERE
+
+
+def _waypoint(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
+    hold, radius, _, yaw = item.params
+    altitude = altitude_of(item, geodesy, home_altitude)
+    north, east = place_of(item, geodesy, altitude)
+    if item.command == LOITER_TIME:  # its other parameters are of circles
+        radius = 0.0
+    return MissionItem(
+        ItemKind.WAYPOINT,
+        north,
+        east,
+        altitude,
+        _yaw(yaw),
+        _number(hold, PARAM1, "time to hold", 0.0, 0.0),
+        _number(radius, PARAM2, "radius", 0.0, 0.0),
+    )
+
+
+def place_of(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float]:
+    if not -900_000_000 <= item.x <= 900_000_000:
+        raise ItemError(PARAM5, "the latitude is none")
+    if not -1_800_000_000 <= item.y <= 1_800_000_000:
+        raise ItemError(PARAM6, "the longitude is none")
+    if item.frame not in (*_SEA, *_HOME):
+        raise ItemError(WRONG_FRAME, f"frame {item.frame} is not known here")
+    north, east, _ = geodesy.to_local(item.x * 1e-7, item.y * 1e-7, geodesy.ground + altitude)
+    return north, east
+
+
+def altitude_of(item: Item, geodesy: Geodesy, home_altitude: float) -> float:
+    """Height above the ground at the start."""
+    if item.frame not in (*_SEA, *_HOME):
+        raise ItemError(WRONG_FRAME, f"frame {item.frame} is not known here")
+    if not isfinite(item.z):
+        raise ItemError(PARAM7, "it has no height")
+    return item.z - geodesy.ground if item.frame in _SEA else item.z + home_altitude
+
+
+def _yaw(angle: float) -> float | None:
+    """Degrees to rad within a turn; NaN is "as it is"."""
+    if isnan(angle):
+        return None
+    if abs(angle) > 360.0:
+        raise ItemError(PARAM4, "the heading is beyond 360 deg")
+    return (radians(angle) + pi) % (2.0 * pi) - pi
+
+
+def _number(value: float, code: int, what: str, least: float, missing: float | None = None) -> float:
+    """A parameter that must be at least ``least``; NaN is ``missing``."""
+    if isnan(value) and missing is not None:
+        return missing
+    if not (isfinite(value) and value >= least):
+        raise ItemError(code, f"{what} {value:g}: at least {least:g} is needed")
+    return value
+
+
+def _whole(value: float, code: int, what: str) -> int:
+    if not (isfinite(value) and value >= 0.0 and value == int(value)):
+        raise ItemError(code, f"{what} {value:g}: must be a whole number")
+    return int(value)
+
+
+_FIELDS: dict[str, int] = {
+    "north": PARAM5,
+    "east": PARAM6,
+    "altitude": PARAM7,
+    "hold_s": PARAM1,
+    "acceptance_m": PARAM2,
+    "speed": PARAM2,
+    "target": PARAM1,
+    "repeat": PARAM2,
+    "yaw": PARAM4,
+}
+
+
+def _code_of(text: str) -> int:
+    """The result for the field that an error of ``MissionItem`` names."""
+    name = text.removeprefix("MissionItem.").split(" ")[0]
+    return _FIELDS.get(name, int(INVALID))

@@ -1,0 +1,94 @@
+"""Component metadata: names, units, ranges and groups of the parameters, for a ground station to show.
+
+Two JSON files, packed with xz, that are read over MAVLink's file transfer, and the message that says where the first
+one is.  https://mavlink.io/en/services/component_information.html
+"""
+
+from __future__ import annotations
+
+import json
+import lzma
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from cosim.control.autopilot.parameters import Parameter
+from cosim.groundstation.mavlink.services.service import crc32
+from cosim.groundstation.mavlink.wire.dialect import Message
+from cosim.groundstation.mavlink.wire.dialect import mav as wire
+
+GENERAL, PARAMETERS = "etc/extras/component_general.json.xz", "etc/extras/parameters.json.xz"  # where PX4 has them
+_TYPE_PARAMETER = 1  # COMP_METADATA_TYPE
+_VERSION = 1  # of both files: the only one that QGroundControl reads
+
+
+class Metadata:
+    """The files of one vehicle, and the messages that lead to them.
+
+    ``on_request``: COMPONENT_METADATA, and COMPONENT_INFORMATION for older ground stations, by their numbers; each is
+    made of simulation time in ms.
+    """
+
+    def __init__(self, parameters: Iterable[Parameter], name: str, version: str) -> None:
+        inner = _packed({"version": _VERSION, "parameters": [describe(line) for line in parameters]})
+        general = _packed(
+            {
+                "version": _VERSION,
+                "vendorName": "hexjet-cosim",
+                "modelName": name,
+                "firmwareVersion": _dotted(version),
+                "metadataTypes": [{"type": _TYPE_PARAMETER, "uri": _uri(PARAMETERS), "fileCrc": crc32(inner)}],
+            }
+        )
+        self.files: Mapping[str, bytes] = {GENERAL: general, PARAMETERS: inner}
+        crc, uri = crc32(general), _uri(GENERAL).encode()
+
+        def component_metadata(boot: int) -> Message:
+            return wire.MAVLink_component_metadata_message(boot, crc, uri)
+
+        def component_information(boot: int) -> Message:
+            return wire.MAVLink_component_information_message(boot, crc, uri, 0, b"")
+
+        self.on_request: Mapping[int, Callable[[int], Message]] = {
+            wire.MAVLINK_MSG_ID_COMPONENT_METADATA: component_metadata,
+            wire.MAVLINK_MSG_ID_COMPONENT_INFORMATION: component_information,
+        }
+
+
+def describe(line: Parameter) -> dict[str, Any]:
+    """A parameter in the words of MAVLink's parameter.schema.json."""
+    number = int if line.kind == "int" else float
+    found: dict[str, Any] = {
+        "name": line.name,
+        "type": "Int32" if line.kind == "int" else "Float",
+        "shortDesc": line.text[:1].upper() + line.text[1:],
+        "group": line.group,
+        "category": "Standard",
+        "default": number(line.default),
+        "min": number(line.least),
+        "max": number(line.most),
+    }
+    if line.unit:
+        found["units"] = line.unit
+    if line.kind == "float":
+        found["decimalPlaces"] = line.decimals
+    if line.values:
+        found["values"] = [{"value": each.value, "description": each.text} for each in line.values]
+    if line.read_only:
+        found["readOnly"] = True
+    return found
+
+
+def _packed(content: Mapping[str, Any]) -> bytes:
+    """JSON in xz, with the check sum that every reader of xz knows (not all know the usual CRC64)."""
+    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    return lzma.compress(text.encode(), format=lzma.FORMAT_XZ, check=lzma.CHECK_CRC32)
+
+
+def _uri(path: str) -> str:
+    return f"mftp:///{path}"
+
+
+def _dotted(version: str) -> str:
+    """Three numbers of a version such as 0.1.0.dev3."""
+    numbers = [part for part in version.split(".") if part.isdigit()]
+    return ".".join([*numbers, "0", "0", "0"][:3])

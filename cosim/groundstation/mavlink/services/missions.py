@@ -1,0 +1,403 @@
+"""The mission protocol: a mission as MAVLink items, up to the vehicle and down from it.
+
+The vehicle is the one who asks for every item of an upload, again after a quarter of a second; a download has no state
+here at all.  What was uploaded is given back as it came; a mission from elsewhere is written as items.
+https://mavlink.io/en/services/mission.html
+
+Fence and rally points travel the same way and are :mod:`cosim.groundstation.mavlink.services.plans`'s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import nan
+
+from cosim.base.errors import InputError
+from cosim.base.geodesy import Geodesy
+from cosim.control.autopilot.autopilot import Status
+from cosim.control.autopilot.requests import (
+    LONGEST_MISSION,
+    Answer,
+    FenceUpload,
+    MissionClear,
+    MissionItem,
+    MissionSetCurrent,
+    MissionUpload,
+    RallyUpload,
+    Request,
+    Result,
+)
+from cosim.groundstation.mavlink.services.items import (
+    ACCEPTED,
+    CANCELLED,
+    DENIED,
+    ERROR,
+    LEFT_OUT,
+    NO_SPACE,
+    NOWHERE,
+    PARAM1,
+    SEQUENCE,
+    UNSUPPORTED,
+    Item,
+    ItemError,
+    received,
+    to_flown,
+    to_item,
+)
+from cosim.groundstation.mavlink.services.plans import (
+    CHECKS,
+    from_fence,
+    from_rally,
+    to_fence,
+    to_rally,
+)
+from cosim.groundstation.mavlink.services.service import (
+    Answers,
+    Ask,
+    Client,
+    Outgoing,
+    Peer,
+    Service,
+    status_text,
+)
+from cosim.groundstation.mavlink.telemetry import mission_progress, mission_standing
+from cosim.groundstation.mavlink.wire.dialect import Message
+from cosim.groundstation.mavlink.wire.dialect import mav as wire
+
+ASK_AGAIN = 0.25  # s without the item that was asked for; as PX4
+GIVE_UP = 5.0  # s without any progress of an upload; as PX4
+TELL_AGAIN = 1.0  # s between two MISSION_CURRENT without a change
+REPEATS = 3  # times that a finished item is told, because nobody acknowledges it
+
+MISSION, ALL = wire.MAV_MISSION_TYPE_MISSION, wire.MAV_MISSION_TYPE_ALL
+FENCE, RALLY = wire.MAV_MISSION_TYPE_FENCE, wire.MAV_MISSION_TYPE_RALLY
+_KINDS = (MISSION, FENCE, RALLY)
+
+
+_NAMES = {MISSION: "mission", FENCE: "fence", RALLY: "rally"}
+_CLEARING: dict[int, Request] = {MISSION: MissionClear(), FENCE: FenceUpload(()), RALLY: RallyUpload(())}
+
+
+@dataclass
+class _Upload:
+    client: Client
+    count: int
+    asked: float  # when the present item was last asked for
+    moved: float  # when anything last came
+    which: int = MISSION
+    items: list[Item] = field(default_factory=list)
+    flown: list[MissionItem] = field(default_factory=list)
+    waiting: bool = False  # for the pilot's answer
+
+
+class MissionService(Service):
+    """The mission protocol of one vehicle.
+
+    ``items`` and ``status`` read the pilot: the mission that it has, and its state or None before its first step.
+    """
+
+    handles = frozenset(
+        {
+            "MISSION_REQUEST_LIST",
+            "MISSION_COUNT",
+            "MISSION_ITEM_INT",
+            "MISSION_ITEM",
+            "MISSION_REQUEST_INT",
+            "MISSION_REQUEST",
+            "MISSION_ACK",
+            "MISSION_CLEAR_ALL",
+            "MISSION_SET_CURRENT",
+            "MISSION_WRITE_PARTIAL_LIST",
+            "MISSION_REQUEST_PARTIAL_LIST",
+        }
+    )
+
+    def __init__(
+        self,
+        items: Callable[[], tuple[MissionItem, ...]],
+        status: Callable[[], Status | None],
+        ask: Ask,
+        geodesy: Geodesy,
+    ) -> None:
+        self._items, self._status, self._geodesy = items, status, geodesy
+        self._answers = Answers(ask)
+        self._upload: _Upload | None = None
+        self._last: tuple[Client, int, int, int] | None = None  # who uploaded, how many items, of what, with which end
+        self._flown: tuple[MissionItem, ...] = ()  # what the pilot got of the last upload
+        self._sent: list[Item] = []  # and what came
+        self._told: tuple[int, ...] = ()
+        self._told_at = -TELL_AGAIN
+        self._reached = -1
+        self._repeats = 0
+        self._now = 0.0
+
+    def handle(self, message: Message, client: Client, now: float) -> list[Message]:
+        """The answers to one message."""
+        self._now = now
+        kind = message.get_type()
+        if kind == "MISSION_SET_CURRENT":
+            return self._set_current(message.seq, client)
+        if kind in ("MISSION_WRITE_PARTIAL_LIST", "MISSION_REQUEST_PARTIAL_LIST"):
+            return [_ack(client, UNSUPPORTED, message.mission_type)]
+        if kind == "MISSION_ACK":
+            self._acknowledged(message, client)
+            return []
+        which = message.mission_type
+        if kind == "MISSION_CLEAR_ALL" and which == ALL:
+            return self._clear_all(client)
+        if which not in _KINDS:
+            return [_ack(client, UNSUPPORTED, which)]
+        if kind == "MISSION_REQUEST_LIST":
+            count = len(self._list(which))
+            return [wire.MAVLink_mission_count_message(client.system, client.component, count, which)]
+        if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
+            return [self._give(message.seq, client, kind == "MISSION_REQUEST", which)]
+        if kind == "MISSION_COUNT":
+            return self._begin(message.count, client, which)
+        if kind == "MISSION_CLEAR_ALL":
+            return self._clear(client, which)
+        return self._take(message, client, which)
+
+    def poll(self, now: float) -> Outgoing:
+        """Answers of the pilot, items asked for again, and where the mission stands."""
+        self._now = now
+        out = self._answers.take()
+        upload = self._upload
+        if upload is not None and not upload.waiting:
+            if now - upload.moved > GIVE_UP:
+                self._upload = None
+                out.append((upload.client.peer, _ack(upload.client, CANCELLED, upload.which)))
+            elif now - upload.asked > ASK_AGAIN:
+                upload.asked = now
+                out.append((upload.client.peer, self._wanted(upload)))
+        return out + [(None, message) for message in self._progress(now)]
+
+    @property
+    def busy(self) -> bool:
+        return self._upload is not None
+
+    def forget(self, peer: Peer) -> None:
+        """The peer is gone: its unfinished upload too."""
+        if self._upload is not None and self._upload.client.peer == peer and not self._upload.waiting:
+            self._upload = None
+
+    # ---- down
+
+    def _list(self, which: int) -> list[Item]:
+        """What there is of a kind, as it travels."""
+        if which == MISSION:
+            return self._as_items()
+        status = self._status()
+        if status is None:
+            return []
+        if which == FENCE:
+            return from_fence(status.zones, self._geodesy)
+        return from_rally(status.rally, self._geodesy)
+
+    def _give(self, index: int, client: Client, old: bool, which: int) -> Message:
+        """An item; ``old``: in degrees as 32-bit floats (half a metre), as who asks so expects it."""
+        items = self._list(which)
+        if not 0 <= index < len(items):
+            return _ack(client, SEQUENCE, which)
+        item, status = items[index], self._status()
+        current = int(which == MISSION and status is not None and status.mission_current == index)
+        if not old:
+            place: tuple[float, float] = (item.x, item.y)
+            make, frame = wire.MAVLink_mission_item_int_message, item.frame
+        else:
+            place = (nan if item.x == NOWHERE else item.x * 1e-7, nan if item.y == NOWHERE else item.y * 1e-7)
+            old_frames = {
+                wire.MAV_FRAME_GLOBAL_INT: wire.MAV_FRAME_GLOBAL,
+                wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+            }
+            make, frame = wire.MAVLink_mission_item_message, old_frames.get(item.frame, item.frame)
+        return make(
+            client.system,
+            client.component,
+            index,
+            frame,
+            item.command,
+            current,
+            item.autocontinue,
+            *item.params,
+            *place,
+            item.z,
+            which,
+        )
+
+    def _as_items(self) -> list[Item]:
+        """The pilot's mission as items: those that came, if it is that one."""
+        flown = self._items()
+        if flown is self._flown or flown == self._flown:
+            return self._sent
+        self._flown, self._sent = flown, [to_item(item, self._geodesy) for item in flown]
+        return self._sent
+
+    # ---- up
+
+    def _begin(self, count: int, client: Client, which: int) -> list[Message]:
+        upload = self._upload
+        if upload is not None and upload.client != client:
+            return [_ack(client, ERROR, which)]  # another upload is under way
+        if upload is not None and upload.waiting:
+            return []
+        self._upload = None
+        if count == 0:
+            return self._clear(client, which)
+        if count > LONGEST_MISSION:
+            said = _say(f"{_NAMES[which]} refused: {count} items, {LONGEST_MISSION} are allowed")
+            return [_ack(client, NO_SPACE, which), *said]
+        self._upload = _Upload(client, count, self._now, self._now, which)
+        return [self._wanted(self._upload)]
+
+    def _take(self, message: Message, client: Client, which: int) -> list[Message]:
+        """An item of an upload; what is not the one that was asked for is dropped and asked for again in time."""
+        upload = self._upload
+        if upload is None or upload.client != client or upload.which != which:
+            if self._last is not None and self._last[:3] == (client, message.seq + 1, which):
+                return [_ack(client, self._last[3], which)]  # the acknowledgement was lost
+            return [_ack(client, ERROR, which)]
+        if upload.waiting or message.seq != len(upload.items):
+            return []
+        item = received(message)
+        try:
+            if which == MISSION:
+                upload.flown.append(to_flown(item, self._geodesy, self._home_altitude()))
+            else:
+                CHECKS[which](item)
+        except ItemError as error:
+            return self._refuse(upload, error.code, f"{_NAMES[which]} item {message.seq} refused: {error}")
+        upload.items.append(item)
+        upload.asked = upload.moved = self._now
+        if len(upload.items) < upload.count:
+            return [self._wanted(upload)]
+        try:
+            request = self._request(upload)
+        except InputError as error:  # a jump to nowhere: nothing else is left to check
+            return self._refuse(upload, PARAM1, f"mission refused: {error}")
+        except ItemError as error:
+            return self._refuse(upload, error.code, f"{_NAMES[which]} refused: {error}")
+        upload.waiting = True
+        if not self._answers.request(request, upload.client, lambda answer: self._uploaded(upload, request, answer)):
+            return self._refuse(upload, ERROR, f"{_NAMES[which]} refused: too many requests")
+        return []
+
+    def _request(self, upload: _Upload) -> MissionUpload | FenceUpload | RallyUpload:
+        """What the pilot is asked when all items are there.  Raises InputError, ItemError."""
+        if upload.which == FENCE:
+            return to_fence(upload.items, self._geodesy)
+        if upload.which == RALLY:
+            return to_rally(upload.items, self._geodesy, self._home_altitude())
+        return MissionUpload(tuple(upload.flown))
+
+    def _uploaded(self, upload: _Upload, request: Request, answer: Answer) -> Outgoing:
+        peer = upload.client.peer
+        if not answer.accepted:
+            code = ERROR if answer.result is Result.FAILED else DENIED
+            return [(peer, message) for message in self._refuse(upload, code, answer.text)]
+        self._upload = None
+        out: Outgoing = [(peer, self._end(upload, ACCEPTED))]
+        if isinstance(request, MissionUpload):
+            self._flown, self._sent = request.items, upload.items
+            out += [(peer, message) for message in _say(_left_out(upload.items))]
+        return out
+
+    def _refuse(self, upload: _Upload, code: int, text: str) -> list[Message]:
+        self._upload = None
+        return [self._end(upload, code), *_say(text)]
+
+    def _end(self, upload: _Upload, code: int) -> Message:
+        self._last = (upload.client, len(upload.items), upload.which, code)
+        return _ack(upload.client, code, upload.which)
+
+    def _wanted(self, upload: _Upload) -> Message:
+        client, at = upload.client, len(upload.items)
+        return wire.MAVLink_mission_request_int_message(client.system, client.component, at, upload.which)
+
+    def _acknowledged(self, message: Message, client: Client) -> None:
+        """The end of a download, of which nothing is kept, or of an upload that its sender gave up."""
+        upload = self._upload
+        if upload is not None and upload.client == client and not upload.waiting and message.type != ACCEPTED:
+            self._upload = None
+
+    # ---- the rest
+
+    def _clear(self, client: Client, which: int) -> list[Message]:
+        return self._ask_to_clear(client, [_CLEARING[which]], which)
+
+    def _clear_all(self, client: Client) -> list[Message]:
+        return self._ask_to_clear(client, list(_CLEARING.values()), ALL)
+
+    def _ask_to_clear(self, client: Client, requests: list[Request], which: int) -> list[Message]:
+        """One acknowledgement when every request is answered."""
+        refused: list[str] = []
+        left = len(requests)
+
+        def then(answer: Answer) -> Outgoing:
+            nonlocal left
+            left -= 1
+            if not answer.accepted:
+                refused.append(answer.text)
+            return [] if left else [(client.peer, _ack(client, DENIED if refused else ACCEPTED, which))]
+
+        for request in requests:
+            if not self._answers.request(request, client, then):
+                return [_ack(client, ERROR, which)]  # once: ``left`` does not come to 0 any more
+        return []
+
+    def _set_current(self, index: int, client: Client) -> list[Message]:
+        def then(answer: Answer) -> Outgoing:
+            if answer.accepted:
+                status = self._status()
+                if status is not None and status.mission_current == index:
+                    self._told = ()  # nothing will change, and yet an answer is waited for
+                return []
+            return [(client.peer, message) for message in _say(answer.text)]
+
+        try:
+            self._answers.request(MissionSetCurrent(index), client, then)
+        except InputError:
+            return _say(f"mission item {index}: there are {len(self._items())}")
+        return []
+
+    def _progress(self, now: float) -> list[Message]:
+        status = self._status()
+        if status is None:
+            return []
+        out = []
+        if status.mission_reached != self._reached:
+            self._reached = status.mission_reached
+            self._repeats = REPEATS if self._reached >= 0 else 0
+        new = mission_standing(status)
+        due = now - self._told_at >= TELL_AGAIN
+        if new != self._told or due:
+            self._told, self._told_at = new, now
+            out.append(mission_progress(status))
+        if self._repeats and (self._repeats == REPEATS or due):
+            self._repeats -= 1
+            out.append(wire.MAVLink_mission_item_reached_message(self._reached))
+        return out
+
+    def _home_altitude(self) -> float:
+        """Of home, as it is when the mission comes; of the ground at the start in the second before home is known."""
+        status = self._status()
+        return status.home.altitude if status is not None and status.home is not None else 0.0
+
+
+def _ack(client: Client, code: int, which: int = MISSION) -> Message:
+    return wire.MAVLink_mission_ack_message(client.system, client.component, code, which)
+
+
+def _say(text: str) -> list[Message]:
+    return status_text(text, wire.MAV_SEVERITY_WARNING) if text else []
+
+
+def _left_out(items: list[Item]) -> str:
+    """What of a mission asks for a payload that is not here, in words; empty where nothing does."""
+    names = list(dict.fromkeys(LEFT_OUT[item.command] for item in items if item.command in LEFT_OUT))
+    count = sum(item.command in LEFT_OUT for item in items)
+    if not count:
+        return ""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return f"mission: {count} item{'s' if count > 1 else ''} left out, no such payload: {', '.join(names[:3])}{more}"

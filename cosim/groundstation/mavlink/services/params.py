@@ -1,0 +1,211 @@
+"""The parameter protocol: the pilot's parameters as a ground station reads and sets them.
+
+A set is a request to the pilot, executed between two steps; the answer goes out when it is done.  Every change, whoever
+made it, is told to every ground station.
+
+How a whole number travels in PARAM_VALUE's 32-bit float depends on whom the vehicle claims to be: PX4 puts the bits of
+the integer there, ArduPilot the number itself, and a generic autopilot has floats only.
+"""
+
+from __future__ import annotations
+
+import struct
+from math import isfinite
+
+import numpy as np
+
+from cosim.base.errors import InputError
+from cosim.control.autopilot.parameters import Parameter, Parameters
+from cosim.control.autopilot.requests import Answer, SetParameter
+from cosim.groundstation.mavlink.services.service import (
+    MAX_CLIENTS,
+    Answers,
+    Ask,
+    Client,
+    Outgoing,
+    Pace,
+    Peer,
+    Service,
+    crc32,
+    text_of,
+)
+from cosim.groundstation.mavlink.snapshot import Personality
+from cosim.groundstation.mavlink.wire.dialect import Message
+from cosim.groundstation.mavlink.wire.dialect import mav as wire
+
+HASH = "_HASH_CHECK"  # PX4's: a ground station that has the same set cached reads no list
+NO_INDEX = 65535
+LIST_RATE = 100.0  # values a second; chosen by us: 3.7 kB/s, two thirds of what a radio of 57600 baud carries
+LIST_BURST = 10
+
+REAL32, INT32, UINT32 = wire.MAV_PARAM_TYPE_REAL32, wire.MAV_PARAM_TYPE_INT32, wire.MAV_PARAM_TYPE_UINT32
+_WHOLE = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE: its bytes
+# MAV_PARAM_ERROR; the last two are in the MAVLink project's own definitions, not in pymavlink's
+UNKNOWN, OUT_OF_RANGE, READ_ONLY, UNSUPPORTED_TYPE, OTHER_TYPE = 1, 2, 5, 6, 7
+
+
+class ParameterService(Service):
+    """PARAM_REQUEST_LIST, PARAM_REQUEST_READ, PARAM_SET in; PARAM_VALUE, PARAM_ERROR out."""
+
+    handles = frozenset({"PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"})
+
+    def __init__(self, parameters: Parameters, ask: Ask, personality: Personality = "px4") -> None:
+        self._personality = personality
+        self._answers = Answers(ask)
+        self._lists: dict[Client, tuple[int, Pace]] = {}  # how far each list has got
+        self.replace(parameters)
+
+    def replace(self, parameters: Parameters) -> None:
+        """Those of another flight of the same vehicle."""
+        self._parameters = parameters
+        # PX4 sorts by name, and the hash goes in this order
+        self._lines = sorted(parameters, key=lambda line: line.name)
+        self._index = {line.name: i for i, line in enumerate(self._lines)}
+        self._told = dict(parameters.values)
+        self._lists = {client: (0, pace) for client, (_, pace) in self._lists.items()}
+
+    def handle(self, message: Message, client: Client, now: float) -> list[Message]:
+        """The answers to one message."""
+        kind = message.get_type()
+        if kind == "PARAM_REQUEST_LIST":
+            if client in self._lists or len(self._lists) < MAX_CLIENTS:
+                first = -1 if self._personality == "px4" else 0  # -1: the hash
+                pace = self._lists[client][1] if client in self._lists else Pace(LIST_RATE, LIST_BURST)
+                self._lists[client] = (first, pace)
+            return []
+        if kind == "PARAM_REQUEST_READ":
+            return [self._read(message, client)]
+        return self._set(message, client)
+
+    def poll(self, now: float) -> Outgoing:
+        """Answers of the pilot, changes that others made, and the next part of every list."""
+        out = self._answers.take()
+        values = dict(self._parameters.values)
+        if values != self._told:
+            out += [(None, self._value(self._index[n])) for n, v in values.items() if v != self._told[n]]
+            self._told = values
+        for client, (at, pace) in list(self._lists.items()):
+            end = at + pace.take(now, len(self._lines) - at, client.peer)
+            out += [(client.peer, self._value(i) if i >= 0 else self._hash_value()) for i in range(at, end)]
+            if end == len(self._lines):
+                del self._lists[client]
+            else:
+                self._lists[client] = (end, pace)
+        return out
+
+    @property
+    def busy(self) -> bool:
+        return bool(self._lists)
+
+    def forget(self, peer: Peer) -> None:
+        """The peer is gone."""
+        self._lists = {client: state for client, state in self._lists.items() if client.peer != peer}
+
+    def hash(self) -> int:
+        """PX4's hash over every name and value."""
+        state, values = 0, self._parameters.values
+        for line in self._lines:
+            state = crc32(line.name.encode(), state)
+            form = "<i" if line.kind == "int" else "<f"
+            number = int(values[line.name]) if line.kind == "int" else values[line.name]
+            state = crc32(struct.pack(form, number), state)
+        return state
+
+    def _read(self, message: Message, client: Client) -> Message:
+        index, name = message.param_index, text_of(message.param_id)
+        if index >= 0:
+            return self._value(index) if index < len(self._lines) else self._error(client, "", index, UNKNOWN)
+        if name == HASH and self._personality == "px4":
+            return self._hash_value()
+        if name not in self._index:
+            return self._error(client, name, -1, UNKNOWN)
+        return self._value(self._index[name])
+
+    def _set(self, message: Message, client: Client) -> list[Message]:
+        name = text_of(message.param_id)
+        if name == HASH and self._personality == "px4":
+            # the ground station has the same set in its cache and wants no list any more
+            if struct.pack("<f", message.param_value) == struct.pack("<f", self._hash_value().param_value):
+                self._lists.pop(client, None)
+            return []
+        if name not in self._index:
+            return [self._error(client, name, -1, UNKNOWN)]
+        line = self._lines[self._index[name]]
+        value = self._decode(message.param_value, message.param_type, line)
+        if isinstance(value, _Refused):
+            return self._refuse(client, name, value.code)
+        value = self._meant(value, line)
+        try:
+            self._parameters.check(name, value)
+            request = SetParameter(name, value)
+        except InputError:
+            code = READ_ONLY if line.read_only and isfinite(value) else OUT_OF_RANGE
+            return self._refuse(client, name, code)
+        self._answers.request(request, client, lambda answer: self._done(answer, client, name))
+        return []
+
+    def _done(self, answer: Answer, client: Client, name: str) -> Outgoing:
+        if not answer.accepted:
+            return [(client.peer, each) for each in self._refuse(client, name, OUT_OF_RANGE)]
+        self._told[name] = self._parameters[name]
+        return [(None, self._value(self._index[name]))]
+
+    def _refuse(self, client: Client, name: str, code: int) -> list[Message]:
+        """The error, and for a ground station that does not know this message the value as it is."""
+        return [self._error(client, name, -1, code), self._value(self._index[name])]
+
+    def _value(self, index: int) -> Message:
+        line = self._lines[index]
+        value, kind = self._encode(self._parameters[line.name], line)
+        return wire.MAVLink_param_value_message(line.name.encode(), value, kind, len(self._lines), index)
+
+    def _hash_value(self) -> Message:
+        (value,) = struct.unpack("<f", struct.pack("<I", self.hash()))
+        return wire.MAVLink_param_value_message(HASH.encode(), value, UINT32, len(self._lines), NO_INDEX)
+
+    def _error(self, client: Client, name: str, index: int, code: int) -> Message:
+        return wire.MAVLink_param_error_message(
+            client.system, client.component, name.encode("ascii", "replace")[:16], index, code
+        )
+
+    def _encode(self, value: float, line: Parameter) -> tuple[float, int]:
+        """A value as PARAM_VALUE carries it, and its MAV_PARAM_TYPE."""
+        if line.kind == "float" or self._personality == "generic":
+            return value, REAL32
+        if self._personality == "ardupilot":
+            return float(int(value)), INT32
+        (bits,) = struct.unpack("<f", struct.pack("<i", int(value)))
+        return bits, INT32
+
+    def _decode(self, value: float, kind: int, line: Parameter) -> float | _Refused:
+        """What PARAM_SET means."""
+        if kind != REAL32 and kind not in _WHOLE:
+            return _Refused(UNSUPPORTED_TYPE)
+        if self._personality == "ardupilot":  # its clients are free in what they claim
+            return value
+        wanted = INT32 if line.kind == "int" and self._personality == "px4" else REAL32
+        if kind != wanted and not (wanted == INT32 and kind in _WHOLE):
+            return _Refused(OTHER_TYPE)
+        if kind == REAL32:
+            return value
+        form = _WHOLE[kind]
+        (whole,) = struct.unpack_from(form, struct.pack("<f", value))
+        return float(whole)
+
+    def _meant(self, value: float, line: Parameter) -> float:
+        """The number that somebody meant who could only say it in 32 bits.
+
+        The present value or the default if it is one of these, else the shortest number that is the same in 32 bits:
+        0.1 and not 0.10000000149.  Either way it reads back equal.
+        """
+        if not isfinite(value):
+            return value
+        for known in (self._parameters[line.name], line.default):
+            if np.float32(known) == np.float32(value):
+                return known
+        return float(str(np.float32(value)))
+
+
+class _Refused:
+    def __init__(self, code: int) -> None:
+        self.code = code

@@ -1,0 +1,130 @@
+"""What the services of the vehicle (parameters, missions, files, logs) have in common.
+
+A service lives in the thread of the links, and holds no socket and no clock: ``now`` is monotonic time, s, and a test
+can make it run.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Hashable, Sequence
+from typing import NamedTuple
+
+from cosim.control.autopilot.requests import Answer, Request
+from cosim.groundstation.mavlink.wire.dialect import Message
+from cosim.groundstation.mavlink.wire.dialect import mav as wire
+
+Peer = Hashable  # an address, as the link knows it
+Outgoing = list[tuple[Peer | None, Message]]
+# request, what to do with the answer (later, from any thread), who asks
+Ask = Callable[[Request, Callable[[Answer], None], str], None]
+
+MAX_CLIENTS = 16  # that a service remembers something of; chosen by us: more than anybody connects
+_TEXT = 50  # bytes of a STATUSTEXT
+_text_id = 0
+
+
+class Client(NamedTuple):
+    """Who is asking: several may be behind one address."""
+
+    peer: Peer
+    system: int
+    component: int
+
+    @property
+    def text(self) -> str:
+        """For people to read."""
+        return f"{getattr(self.peer, 'name', self.peer)} {self.system}/{self.component}"
+
+
+class Service:
+    """What a service does unless it does something else.
+
+    ``handles``: names of the messages that it takes.  ``busy``: it wants to be polled every 10 ms, not every 50.
+    """
+
+    handles: frozenset[str] = frozenset()
+
+    @property
+    def busy(self) -> bool:
+        return False
+
+    def handle(self, message: Message, client: Client, now: float) -> Sequence[Message]:
+        """The answers to a message for this vehicle; they go to the client's peer."""
+        return ()
+
+    def poll(self, now: float) -> Outgoing:
+        """What is due to go out, to one peer or (None) to all."""
+        return []
+
+    def forget(self, peer: Peer) -> None:
+        """The peer is gone."""
+
+
+class Pace:
+    """How many messages may go out: ``rate`` a second, and not more than ``burst`` at once."""
+
+    def __init__(self, rate: float, burst: int) -> None:
+        self._rate, self._burst = rate, float(burst)
+        self._saved = self._burst
+        self._last: float | None = None
+
+    def take(self, now: float, most: int, peer: Peer) -> int:
+        """Of ``most`` messages, how many may go now; none while the link to the peer is behind."""
+        if self._last is not None:
+            self._saved = min(self._burst, self._saved + max(0.0, now - self._last) * self._rate)
+        self._last = now
+        if getattr(peer, "behind", False):
+            return 0
+        given = min(most, int(self._saved))
+        self._saved -= given
+        return given
+
+
+class Answers:
+    """Answers of the pilot, put in from any thread and taken out in the link's."""
+
+    def __init__(self, ask: Ask, most: int = 100) -> None:
+        self._ask, self._most = ask, most
+        self._ready: deque[tuple[Callable[[Answer], Outgoing], Answer]] = deque()
+        self._open = 0
+
+    def request(self, request: Request, client: Client, then: Callable[[Answer], Outgoing]) -> bool:
+        """Ask the pilot; ``then`` makes messages of the answer.  False: too much is open, the client will ask again."""
+        if self._open >= self._most:
+            return False
+        self._open += 1
+        self._ask(request, lambda answer: self._ready.append((then, answer)), client.text)
+        return True
+
+    def take(self) -> Outgoing:
+        """The messages of every answer that has come."""
+        found: Outgoing = []
+        while self._ready:
+            then, answer = self._ready.popleft()
+            self._open -= 1
+            found += then(answer)
+        return found
+
+
+def status_text(text: str, severity: int) -> list[Message]:
+    """STATUSTEXT, in as many pieces as it needs (at most five)."""
+    global _text_id
+    data = text.encode("ascii", "replace")[: 5 * _TEXT]
+    pieces = [data[start : start + _TEXT] for start in range(0, len(data), _TEXT)]
+    _text_id = _text_id % 65535 + 1
+    number = _text_id if len(pieces) > 1 else 0  # 0: it is one piece
+    return [wire.MAVLink_statustext_message(severity, piece, number, i) for i, piece in enumerate(pieces)]
+
+
+def text_of(value: str | bytes) -> str:
+    """A text field of a message, which ends at its first NUL; what is not ASCII is spelt out."""
+    data = value.encode("latin-1", "replace") if isinstance(value, str) else bytes(value)
+    return data.split(b"\0")[0].decode("ascii", "backslashreplace")
+
+
+def crc32(data: bytes, start: int = 0) -> int:
+    """MAVLink's CRC32: polynomial 0xEDB88320, no inversion before or after; ``start``: of what came before."""
+    from zlib import crc32 as inverted
+
+    return inverted(data, start ^ 0xFFFFFFFF) ^ 0xFFFFFFFF

@@ -1,0 +1,108 @@
+"""MANUAL_CONTROL and SET_*_TARGET: sticks and set-points that come many times a second, without an acknowledgement."""
+
+from __future__ import annotations
+
+from math import cos, isfinite, remainder, sin, tau
+
+from cosim.base.errors import InputError
+from cosim.control.autopilot.requests import (
+    OffboardAttitude,
+    OffboardPosition,
+    OffboardVelocity,
+    Sticks,
+)
+from cosim.groundstation.mavlink.services.commands import ABSOLUTE_FRAMES, LOCAL_NED, RELATIVE_FRAMES
+from cosim.groundstation.mavlink.telemetry import View
+from cosim.groundstation.mavlink.wire.dialect import Message
+
+_OFFSET_NED, _BODY_NED, _BODY_OFFSET, _BODY_FRD = 7, 8, 9, 12  # MAV_FRAME
+_BY_NOSE = (_BODY_NED, _BODY_OFFSET, _BODY_FRD)  # velocities are along and across the heading
+_POSITION, _VELOCITY, _ACCELERATION, _FORCE, _YAW, _TURN = 0b111, 0b111 << 3, 0b111 << 6, 1 << 9, 1 << 10, 1 << 11
+_NO_RATES, _NO_THRUST, _NO_ATTITUDE = 0b111, 1 << 6, 1 << 7
+
+Wanted = OffboardAttitude | OffboardVelocity | OffboardPosition
+
+
+def sticks(message: Message) -> Sticks:
+    """The sticks of MANUAL_CONTROL: x forward, y right, z thrust 0 to 1000, r right as PX4 and QGroundControl have it.
+
+    Raises InputError for an axis that is not sent or out of range.
+    """
+    axes = (message.x, message.y, message.r, message.z)
+    if any(not -1000 <= axis <= 1000 for axis in axes):
+        raise InputError("sticks: x, y, z and r must all be given, from -1000 to 1000")
+    return Sticks(message.y / 1000.0, message.x / 1000.0, message.r / 1000.0, max(0, message.z) / 1000.0)
+
+
+def attitude(message: Message) -> OffboardAttitude:
+    """The set-point of SET_ATTITUDE_TARGET: the attitude, or all three rates, and the thrust.  Raises InputError."""
+    mask, rates = message.type_mask, (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
+    if mask & _NO_THRUST:
+        raise InputError("attitude set-point: the thrust is missing")
+    if not mask & _NO_ATTITUDE and all(isfinite(value) for value in message.q):
+        return OffboardAttitude(quaternion=tuple(message.q), thrust=message.thrust)
+    if mask & _NO_RATES:
+        raise InputError("attitude set-point: neither an attitude nor three rates")
+    return OffboardAttitude(rates=rates, thrust=message.thrust)
+
+
+def local(message: Message, view: View) -> Wanted:
+    """The set-point of SET_POSITION_TARGET_LOCAL_NED; a position goes before a velocity.  Raises InputError."""
+    frame = message.coordinate_frame
+    if frame not in (LOCAL_NED, _OFFSET_NED, *_BY_NOSE):
+        raise InputError(f"set-point: frame {frame} is not known here")
+    nose = view.euler[2] if frame in _BY_NOSE else 0.0
+    yaw = _yaw(message, nose)
+    place = (message.x, message.y, message.z)
+    if _has(message.type_mask, _POSITION, place):
+        x, y, z = place
+        if frame in (_BODY_OFFSET, _BODY_FRD):
+            x, y = _turned(x, y, nose)
+        if frame in (_OFFSET_NED, _BODY_OFFSET, _BODY_FRD):
+            here = view.status.fix.position
+            x, y, z = x + here[0], y + here[1], z - view.altitude
+        return OffboardPosition(x, y, z, yaw)
+    return _velocity(message, nose, yaw)
+
+
+def world(message: Message, view: View) -> Wanted:
+    """The set-point of SET_POSITION_TARGET_GLOBAL_INT.  Raises InputError."""
+    frame = message.coordinate_frame
+    if frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
+        raise InputError(f"set-point: frame {frame} is not known here")
+    yaw = _yaw(message, 0.0)
+    lat, lon = message.lat_int * 1e-7, message.lon_int * 1e-7
+    if not _has(message.type_mask, _POSITION, (lat, lon, message.alt)):
+        return _velocity(message, 0.0, yaw)
+    if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
+        raise InputError(f"set-point: {lat:g}, {lon:g} is no latitude and longitude")
+    geodesy = view.about.geodesy
+    above = message.alt + (view.altitude - view.height if frame in RELATIVE_FRAMES else -geodesy.ground)
+    north, east, _ = geodesy.to_local(lat, lon, geodesy.ground + above)
+    return OffboardPosition(north, east, -above, yaw)
+
+
+def _velocity(message: Message, nose: float, yaw: float | None) -> OffboardVelocity:
+    speeds = (message.vx, message.vy, message.vz)
+    if not _has(message.type_mask, _VELOCITY, speeds):
+        raise InputError("set-point: neither a whole position nor a whole velocity")
+    vx, vy = _turned(speeds[0], speeds[1], nose)
+    turn = None if message.type_mask & _TURN or not isfinite(message.yaw_rate) or yaw is not None else message.yaw_rate
+    return OffboardVelocity(vx, vy, speeds[2], yaw, turn)
+
+
+def _has(mask: int, bits: int, values: tuple[float, ...]) -> bool:
+    """Are all of these given?"""
+    return not mask & bits and all(isfinite(value) for value in values)
+
+
+def _yaw(message: Message, nose: float) -> float | None:
+    if message.type_mask & _YAW or not isfinite(message.yaw):
+        return None
+    return remainder(message.yaw + nose, tau)
+
+
+def _turned(x: float, y: float, angle: float) -> tuple[float, float]:
+    """Along and across a heading to north and east."""
+    c, s = cos(angle), sin(angle)
+    return x * c - y * s, x * s + y * c

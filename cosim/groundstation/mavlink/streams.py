@@ -1,0 +1,120 @@
+"""Which messages are due: rates in wall-clock time, per ground station, on one grid.
+
+Every message counts its slots from one start, so that stations with the same rate get the same message at the
+same time, which is built once; a slot that was missed is left out and not made up for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from math import ceil, floor, inf, log, sqrt
+
+from cosim.groundstation.mavlink.telemetry import STREAMS, Stream
+from cosim.groundstation.mavlink.wire.dialect import (
+    BY_NAME,
+    CHECKSUM,
+    HEADER_2,
+    Packed,
+)
+from cosim.groundstation.mavlink.wire.peer import Peer
+
+FASTEST = 0.004  # s: a control step; nothing is new more often
+BY_ID: dict[int, Stream] = {BY_NAME[stream.name].id: stream for stream in STREAMS}
+DEFAULT: dict[int, float] = {number: 1.0 / stream.rate if stream.rate else 0.0 for number, stream in BY_ID.items()}
+
+
+HEARTBEAT = BY_NAME["HEARTBEAT"].id
+_STEP = 1.1  # by which intervals are stretched, so that they do not change all the time; chosen by us
+_MOST = 256.0  # chosen by us: what is so rare is no telemetry any more
+_LOOK = 1.0  # s between two looks at what a line carries
+_OVERHEAD = HEADER_2 + CHECKSUM
+# where in its interval each message has its slots: steps of the golden ratio are never close together
+_PHASE = {number: index * (sqrt(5.0) - 1.0) / 2.0 % 1.0 for index, number in enumerate(BY_ID)}
+
+
+def interval(peer: Peer, number: int) -> float:
+    """Seconds between two messages to a station; 0: it gets none by itself.
+
+    On a line that does not carry them all, every interval but the heartbeat's is longer by the same factor.
+    """
+    every = peer.intervals.get(number, DEFAULT[number])
+    return every if number == HEARTBEAT else every * peer.stretch
+
+
+class Streams:
+    """The clockwork; ``start``: when the first slot begins."""
+
+    def __init__(self, start: float) -> None:
+        self._start = start
+        self._next: dict[tuple[int, float], float] = {}
+        self._at = start
+        self._sizes: dict[int, tuple[int, int]] = {}  # of all that belong to one message, as it was last: bytes, frames
+
+    def sized(self, stream: Stream, packets: Sequence[Packed]) -> None:
+        """What a message came to."""
+        number = BY_NAME[stream.name].id
+        self._sizes[number] = sum(_OVERHEAD + len(packed.payload) for packed in packets), len(packets)
+
+    def demand(self, peer: Peer, numbers: Iterable[int] = BY_ID) -> float:
+        """Bytes a second that a station has asked for, as far as the messages have been made already."""
+        total = 0.0
+        for number in numbers:
+            every = peer.intervals.get(number, DEFAULT[number])
+            size, frames = self._sizes.get(number, (0, 0))
+            total += (size + frames * peer.signature) / every if every else 0.0
+        return total
+
+    def _fit(self, peer: Peer, now: float) -> None:
+        """Make what a station gets fit its line."""
+        if peer.line is None or not self._sizes or now - peer.stretched < _LOOK:
+            return
+        peer.stretched = now
+        fixed = self.demand(peer, (HEARTBEAT,))
+        room = peer.telemetry_rate - fixed
+        need = (self.demand(peer) - fixed) / room if room > 0.0 else _MOST
+        steps = ceil(log(max(need, 1.0), _STEP) - 1e-9)
+        wanted = min(_MOST, _STEP**steps)
+        if wanted > peer.stretch or wanted * _STEP < peer.stretch or (steps == 0 and peer.stretch > 1.0):
+            peer.stretch = wanted
+            for number in BY_ID:  # what has just been sent is not due again because it comes more seldom
+                if every := interval(peer, number):
+                    self._next.setdefault((number, every), self._slot(now, number, every))
+
+    def _slot(self, now: float, number: int, every: float) -> float:
+        """The next one after now; messages take turns within an interval, so that a line is not filled all at once."""
+        start = self._start + _PHASE[number] * every
+        return start + (floor((now - start) / every + 1e-9) + 1) * every
+
+    @property
+    def next(self) -> float:
+        """When something is due again, as of the last call."""
+        return self._at
+
+    def due(self, now: float, peers: Sequence[Peer]) -> Iterator[tuple[Stream, list[Peer]]]:
+        """Every message that is due, with who gets it; nobody where it is only for the log."""
+        for peer in peers:
+            self._fit(peer, now)
+        earliest = inf
+        following = self._next
+        wanted: dict[tuple[int, float], float] = {}
+        for number, stream in BY_ID.items():
+            default = DEFAULT[number]
+            takers: dict[float, list[Peer]] = {default: []} if default else {}
+            for peer in peers:
+                every = interval(peer, number)
+                if every:
+                    takers.setdefault(every, []).append(peer)
+            found: list[Peer] = []
+            any_due = False
+            for every, them in takers.items():
+                at = following.get((number, every), self._start)
+                if now >= at:
+                    any_due = True
+                    found += them
+                    at = self._slot(now, number, every)
+                wanted[number, every] = at
+                earliest = min(earliest, at)
+            if any_due:
+                yield stream, found
+        self._next = wanted
+        self._at = earliest

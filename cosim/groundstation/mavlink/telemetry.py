@@ -1,0 +1,666 @@
+"""The vehicle's messages out, each a function of one snapshot; units and invalid values as the definitions have them.
+
+What is not known is left out or told as unknown; nothing is made up for a gauge.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from math import atan2, ceil, degrees, hypot, isfinite, isnan, nan, pi
+
+from cosim.base.frames import (
+    conjugate,
+    from_euler,
+    rotate,
+    to_euler,
+)
+from cosim.control.autopilot.autopilot import Status
+from cosim.control.autopilot.modes import Home, LandedState, Mode
+from cosim.groundstation.mavlink.modes import (
+    AUTOPILOT,
+    HEXAROTOR,
+    LANDED,
+    LIST,
+    STANDARD,
+    base_mode,
+    custom_mode,
+)
+from cosim.groundstation.mavlink.snapshot import About, Snapshot
+from cosim.groundstation.mavlink.wire.dialect import Message, mav
+
+U8, U16, I16, U32, I32 = 0xFF, 0xFFFF, 0x7FFF, 0xFFFFFFFF, 0x7FFFFFFF
+KELVIN = 273.15
+# kg/m^3: in the middle of what Jet A-1 may be at 15 degC (775 to 840, ASTM D1655); fuel flow is asked for by volume
+KEROSENE = 808.0
+_RPM = 30.0 / pi
+_G = 9.80665  # m/s^2, exact: the unit of HIL_STATE_QUATERNION's acceleration is 1/1000 of it
+
+_GYRO, _ACCEL, _MAG, _BARO, _GPS = 1, 2, 4, 8, 32
+_RATE, _ATTITUDE, _YAW, _HEIGHT, _PLACE, _MOTORS = 1024, 2048, 4096, 8192, 16384, 32768
+_GEOFENCE, _AHRS, _BATTERY, _PREARM, _PROPULSION = 1 << 20, 1 << 21, 1 << 25, 1 << 28, 1 << 30
+# no magnetometer: the heading is measured as attitude is, and MAVSDK is never content without the bit
+_SENSORS = _GYRO | _ACCEL | _MAG | _BARO | _GPS | _RATE | _ATTITUDE | _YAW | _HEIGHT | _PLACE | _MOTORS | _AHRS
+
+# MAV_PROTOCOL_CAPABILITY
+_CAPABILITIES = 2 | 4 | 8 | 32 | 64 | 128 | 256 | 2048 | 8192 | 16384 | 32768
+_BYTEWISE, _C_CAST = 16, 131072
+PARAMETER_ENCODING = {"px4": _BYTEWISE, "ardupilot": _C_CAST, "generic": 0}
+
+_LOCAL_NED, _BODY_FRD = 1, 12  # MAV_FRAME
+_LIQUID = 1  # MAV_FUEL_TYPE
+_NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5  # MISSION_STATE
+
+
+@dataclass
+class Since:
+    """What has to be remembered from one snapshot to the next: wall-clock times, microseconds since 1970."""
+
+    armed: int = 0
+    took_off: int = 0
+    landed_ms: int = 0  # simulation time
+    flights: int = 0
+    clock: Callable[[], float] = field(default=time.time)
+
+    def look(self, before: Snapshot | None, now: Snapshot) -> None:
+        """Note what has changed."""
+        was, status = before.status if before else None, now.status
+        if status.armed and not (was and was.armed):
+            self.armed, self.took_off, self.landed_ms = self._now(), 0, 0
+            self.flights += 1
+        if status.landed is LandedState.IN_AIR and not self.took_off:
+            self.took_off = self._now()
+        if was and status.landed is LandedState.ON_GROUND and was.landed is not LandedState.ON_GROUND:
+            self.landed_ms = boot_ms(now)
+
+    def _now(self) -> int:
+        return int(self.clock() * 1e6)
+
+
+class View:
+    """A snapshot with what several messages need of it, computed once."""
+
+    def __init__(self, about: About, snapshot: Snapshot, since: Since) -> None:
+        self.about = about
+        self.snapshot = snapshot
+        self.since = since
+        self.sample = snapshot.sample
+        self.status = snapshot.status
+        self.measured = snapshot.sample.measured
+        self.euler = to_euler(self.measured.attitude)
+        self.place = about.geodesy.to_geodetic(*self.status.fix.position, self.altitude)[:2]
+        self.ms = boot_ms(snapshot)
+        self.us = round(snapshot.time * 1e6)
+
+    @property
+    def altitude(self) -> float:
+        """Above the origin, m."""
+        return self.measured.altitude
+
+    @property
+    def height(self) -> float:
+        """Above home, m."""
+        return self.altitude - (self.status.home.altitude if self.status.home else 0.0)
+
+    @property
+    def sea_level(self) -> float:
+        return self.about.geodesy.ground + self.altitude
+
+
+def boot_ms(snapshot: Snapshot) -> int:
+    """Simulation time in the 32 bits that there are for it."""
+    return round(snapshot.time * 1e3) & U32
+
+
+def clamp(value: float, least: int, most: int) -> int:
+    """Rounded into what a field can hold; NaN becomes 0."""
+    return 0 if isnan(value) else round(min(max(value, least), most))
+
+
+def e7(angle_deg: float) -> int:
+    return clamp(angle_deg * 1e7, -I32, I32)
+
+
+def mm(metres: float) -> int:
+    return clamp(metres * 1e3, -I32, I32)
+
+
+def heartbeat(v: View) -> list[Message]:
+    status, personality = v.status, v.about.personality
+    state = 5 if status.failsafe else 4 if status.armed else 3
+    mode = custom_mode(status.mode, personality)
+    return [
+        mav.MAVLink_heartbeat_message(
+            HEXAROTOR, AUTOPILOT[personality], base_mode(status.mode, status.armed), mode, state, 3
+        )
+    ]
+
+
+def sys_status(v: View) -> list[Message]:
+    status = v.status
+    burns = not isnan(v.about.fuel_capacity)
+    battery = 0 if burns or status.remaining is None else _BATTERY
+    present = _SENSORS | _GEOFENCE | _PREARM | _PROPULSION | battery
+    enabled = present & ~_GEOFENCE  # healthy and off: MAVProxy takes a fence that is not healthy for a breach
+    lost = any(health == 0.0 for health in v.sample.health[: v.about.jets])
+    health = present & ~(_PREARM if not (status.ready or status.armed) else 0) & ~(_PROPULSION if lost else 0)
+    load = v.snapshot.load
+    return [
+        mav.MAVLink_sys_status_message(
+            present, enabled, health,
+            0 if isnan(load) else clamp(load * 1000.0, 0, 1000),
+            U16, -1, _percent(v) if battery else -1, 0, 0, 0, 0, 0, 0,
+        )
+    ]  # fmt: skip
+
+
+def _percent(v: View) -> int:
+    remaining = v.status.remaining
+    return -1 if remaining is None else clamp(100.0 * remaining, 0, 100)
+
+
+def system_time(v: View) -> list[Message]:
+    return [mav.MAVLink_system_time_message(int(v.since.clock() * 1e6), v.ms)]
+
+
+def gps_raw_int(v: View) -> list[Message]:
+    about, (vn, ve, _) = v.about, v.measured.velocity
+    north, east, down = v.measured.position
+    lat, lon, metres = about.geodesy.to_geodetic(north, east, -down)
+    course = degrees(_heading(vn, ve)) * 100.0
+    height = mm(metres)
+    return [
+        mav.MAVLink_gps_raw_int_message(
+            v.us, 3 if v.status.positioned else 1, e7(lat), e7(lon), height, U16, U16,
+            clamp(hypot(vn, ve) * 100.0, 0, U16 - 1), clamp(course, 0, 35999), U8, height,
+            clamp(about.position_noise * 1e3, 0, I32), clamp(about.position_noise * 1e3, 0, I32),
+            clamp(about.velocity_noise * 1e3, 0, I32), 0, 0,
+        )
+    ]  # fmt: skip
+
+
+def _heading(north: float, east: float) -> float:
+    """0 to 2 pi."""
+    return atan2(east, north) % (2.0 * pi)
+
+
+def attitude(v: View) -> list[Message]:
+    return [mav.MAVLink_attitude_message(v.ms, *v.euler, *v.measured.rate)]
+
+
+def attitude_quaternion(v: View) -> list[Message]:
+    return [mav.MAVLink_attitude_quaternion_message(v.ms, *v.measured.attitude, *v.measured.rate)]
+
+
+def local_position_ned(v: View) -> list[Message]:
+    fix = v.status.fix
+    down = v.measured.velocity[2]
+    return [mav.MAVLink_local_position_ned_message(v.ms, *fix.position, -v.altitude, *fix.velocity, down)]
+
+
+def global_position_int(v: View) -> list[Message]:
+    vn, ve = v.status.fix.velocity
+    speeds = (clamp(speed * 100.0, -I16, I16) for speed in (vn, ve, v.measured.velocity[2]))
+    heading = clamp(degrees(v.euler[2]) % 360.0 * 100.0, 0, 35999)
+    lat, lon = v.place
+    return [
+        mav.MAVLink_global_position_int_message(
+            v.ms, e7(lat), e7(lon), mm(v.sea_level), mm(v.height), *speeds, heading
+        )
+    ]  # fmt: skip
+
+
+def servo_output_raw(v: View) -> list[Message]:
+    """Six throttles and two tilts as pulses: 1000 to 2000 us, 1500 is straight up."""
+    actuation, reach = v.sample.actuation, v.about.tilt_range
+    pulses = [0] * 16
+    for i, throttle in enumerate(actuation.throttle[: v.about.jets]):
+        pulses[i] = clamp(1000.0 + 1000.0 * throttle, 0, U16)
+    for i, tilt in enumerate(actuation.tilt):
+        pulses[6 + i] = 0 if isnan(reach) else clamp(1500.0 + 500.0 * tilt / reach, 0, U16)
+    return [mav.MAVLink_servo_output_raw_message(v.us & U32, 0, *pulses)]
+
+
+def actuator_output_status(v: View) -> list[Message]:
+    """Throttles 0 to 1 at 0 to 5, tilts at 6 and 7: -1 to 1, or rad where the servo's range is not stated."""
+    actuation, reach = v.sample.actuation, v.about.tilt_range
+    values = [0.0] * 32
+    jets = v.about.jets
+    values[:jets] = actuation.throttle[:jets]
+    values[6:8] = [tilt if isnan(reach) else tilt / reach for tilt in actuation.tilt]
+    return [mav.MAVLink_actuator_output_status_message(v.us, (1 << jets) - 1 | 0b11 << 6, values)]
+
+
+def vfr_hud(v: View) -> list[Message]:
+    heading = clamp(degrees(v.euler[2]) % 360.0, 0, 360) % 360
+    throttle = clamp(100.0 * v.sample.collective, 0, 100)
+    speed = hypot(*v.status.fix.velocity)
+    # nothing on board measures the speed through the air
+    return [mav.MAVLink_vfr_hud_message(nan, speed, heading, throttle, v.sea_level, -v.measured.velocity[2])]
+
+
+def attitude_target(v: View) -> list[Message]:
+    command = v.sample.command
+    quaternion = from_euler(*command.attitude)
+    mask = 0 if command.rate is None else 128  # the attitude is not what is followed
+    return [mav.MAVLink_attitude_target_message(v.ms, mask, quaternion, *v.sample.rate_setpoint, v.sample.collective)]
+
+
+_POSITION_ONLY = 0b1101_1111_1000  # of a target: velocity, acceleration and turn rate are not given
+
+
+def position_target_local_ned(v: View) -> list[Message]:
+    target = v.status.target
+    if target is None:
+        return []
+    return [
+        mav.MAVLink_position_target_local_ned_message(
+            v.ms, _LOCAL_NED, _POSITION_ONLY & ~(1 << 10), target.north, target.east, -target.altitude,
+            0.0, 0.0, 0.0, 0.0, 0.0, 0.0, v.status.yaw, 0.0,
+        )
+    ]  # fmt: skip
+
+
+def position_target_global_int(v: View) -> list[Message]:
+    target = v.status.target
+    if target is None:
+        return []
+    lat, lon, height = v.about.geodesy.to_geodetic(*target)
+    return [
+        mav.MAVLink_position_target_global_int_message(
+            v.ms, 5, _POSITION_ONLY & ~(1 << 10), e7(lat), e7(lon), height,
+            0.0, 0.0, 0.0, 0.0, 0.0, 0.0, v.status.yaw, 0.0,
+        )
+    ]  # fmt: skip
+
+
+def altitude(v: View) -> list[Message]:
+    return [mav.MAVLink_altitude_message(v.us, v.altitude, v.sea_level, v.altitude, v.height, nan, nan)]
+
+
+def battery_status(v: View) -> list[Message]:
+    """The pilot's estimate for a vehicle that flies on a battery; with a tank, a bus of which nothing is measured."""
+    burns = not isnan(v.about.fuel_capacity)
+    function = 3 if burns else 1  # MAV_BATTERY_FUNCTION: avionics, all
+    voltages = [U16] * 10
+    percent = -1 if burns else _percent(v)
+    return [mav.MAVLink_battery_status_message(0, function, 0, I16, voltages, -1, -1, -1, percent, 0, 0, [0] * 4, 0, 0)]
+
+
+def fuel_status(v: View) -> list[Message]:
+    """Millilitres and millilitres a second of kerosene, as MAVLink has liquid fuel; what is known here is mass."""
+    full, fuel = v.about.fuel_capacity, v.sample.fuel
+    if isnan(full) or isnan(fuel):
+        return []
+    left = min(1.0, max(0.0, fuel / full))
+    flow = sum(flow for flow in v.sample.engines.fuel_flow[: v.about.jets])
+    capacity, rate = (mass / KEROSENE * 1e6 for mass in (full, flow))
+    percent = clamp(100.0 * left, 0, 100)
+    return [
+        mav.MAVLink_fuel_status_message(
+            0, capacity, (1.0 - left) * capacity, left * capacity, percent, rate, nan, _LIQUID
+        )
+    ]
+
+
+def autopilot_version(v: View) -> list[Message]:
+    about = v.about
+    version = _version(about.version)
+    capabilities = _CAPABILITIES | PARAMETER_ENCODING[about.personality]
+    identity = list(about.name.encode()[:18].ljust(18, b"\0"))
+    return [
+        mav.MAVLink_autopilot_version_message(
+            capabilities, version, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, about.system, identity
+        )
+    ]
+
+
+def _version(text: str) -> int:
+    """Major, minor, patch and kind of release, a byte each.
+
+    QGroundControl asks for an update of anything below 1.4.1, so what this project calls 0.1 is 2.1 here.  The kind is
+    128, a beta: an official release would be compared with PX4's newest.
+    """
+    major, minor, patch = _numbers(text)
+    return min(major + 2, U8) << 24 | minor << 16 | patch << 8 | 128
+
+
+def _numbers(version: str) -> tuple[int, int, int]:
+    """Major, minor and patch, each what a byte holds."""
+    numbers = [min(int(part), U8) if part.isdigit() else 0 for part in version.split(".")[:3]]
+    major, minor, patch = (*numbers, 0, 0, 0)[:3]
+    return major, minor, patch
+
+
+def protocol_version(v: View) -> list[Message]:
+    return [mav.MAVLink_protocol_version_message(200, 100, 200, [0] * 8, [0] * 8)]
+
+
+def component_information_basic(v: View) -> list[Message]:
+    capabilities = _CAPABILITIES | PARAMETER_ENCODING[v.about.personality]
+    name, version = v.about.name.encode()[:31], v.about.version.encode()[:23]
+    return [mav.MAVLink_component_information_basic_message(v.ms, capabilities, 0, b"", name, version, b"", b"")]
+
+
+def home_position(v: View) -> list[Message]:
+    home: Home | None = v.status.home
+    if home is None:
+        return []
+    lat, lon, height = v.about.geodesy.to_geodetic(*home)
+    return [
+        mav.MAVLink_home_position_message(
+            e7(lat),
+            e7(lon),
+            mm(height),
+            home.north,
+            home.east,
+            -home.altitude,
+            [1.0, 0.0, 0.0, 0.0],
+            nan,
+            nan,
+            nan,
+            v.us,
+        )
+    ]
+
+
+def orbit_execution_status(v: View) -> list[Message]:
+    """While it flies round a centre: where, and with which radius (negative: to the left)."""
+    orbit, centre = v.status.orbit, v.status.target
+    if orbit is None or centre is None:
+        return []
+    lat, lon, height = v.about.geodesy.to_geodetic(*centre)
+    radius = orbit.radius if orbit.clockwise else -orbit.radius
+    return [mav.MAVLink_orbit_execution_status_message(v.us, radius, 5, e7(lat), e7(lon), height)]
+
+
+def gps_global_origin(v: View) -> list[Message]:
+    start = v.about.geodesy
+    return [
+        mav.MAVLink_gps_global_origin_message(e7(start.latitude_deg), e7(start.longitude_deg), mm(start.ground), v.us)
+    ]
+
+
+def extended_sys_state(v: View) -> list[Message]:
+    return [mav.MAVLink_extended_sys_state_message(0, LANDED[v.status.landed])]
+
+
+def estimator_status(v: View) -> list[Message]:
+    # attitude, horizontal and vertical speed, relative place; with a home also the absolute ones and their prediction
+    flags = 1 | 2 | 4 | 8 | (16 | 32 | 256 | 512 if v.status.home is not None else 0)
+    about = v.about
+    return [
+        mav.MAVLink_estimator_status_message(
+            v.us, flags, nan, nan, nan, nan, nan, nan, about.position_noise, about.height_noise
+        )
+    ]
+
+
+def wind_cov(v: View) -> list[Message]:
+    """The simulation's own wind: nothing on board measures it."""
+    wind = v.sample.state.wind
+    return [mav.MAVLink_wind_cov_message(v.us, *wind, nan, nan, v.sea_level, nan, nan)]
+
+
+def current_mode(v: View) -> list[Message]:
+    mode = v.status.mode
+    number = custom_mode(mode, v.about.personality)
+    return [mav.MAVLink_current_mode_message(STANDARD.get(mode, 0), number, 0)]
+
+
+def available_modes(v: View) -> list[Message]:
+    return [mode_line(v.about, index) for index in range(1, len(LIST) + 1)]
+
+
+def mode_line(about: About, index: int) -> Message:
+    """AVAILABLE_MODES of one mode, counted from 1."""
+    mode, name, properties = LIST[index - 1]
+    number = custom_mode(mode, about.personality)
+    return mav.MAVLink_available_modes_message(
+        len(LIST), index, STANDARD.get(mode, 0), number, properties, name.encode()
+    )
+
+
+def mission_progress(status: Status) -> Message:
+    """MISSION_CURRENT: where the mission stands."""
+    return mav.MAVLink_mission_current_message(*mission_standing(status))
+
+
+def mission_standing(status: Status) -> tuple[int, int, int, int]:
+    """The present item, how many there are (65535: none), the state, and whether it is being flown."""
+    count = status.mission_count
+    return (max(0, min(status.mission_current, count - 1)), count or 65535, *_state(status))
+
+
+def _state(status: Status) -> tuple[int, int]:
+    """MISSION_STATE, and whether the mission is being flown (1) or not (2)."""
+    flies = status.mode is Mode.MISSION and status.armed
+    if not status.mission_count:
+        return _NO_MISSION, 2
+    if status.mission_done:
+        return _COMPLETE, 1 if flies else 2
+    if flies:
+        return _ACTIVE, 1
+    begun = status.mission_current > 0 or status.mission_reached >= 0
+    return (_PAUSED if begun else _NOT_STARTED), 2
+
+
+def mission_current(v: View) -> list[Message]:
+    return [mission_progress(v.status)]
+
+
+def _engines(v: View) -> list[int]:
+    """The first engine of each message: there is room for four."""
+    return [4 * i for i in range(ceil(v.about.jets / 4))]
+
+
+def _spools(v: View) -> list[float]:
+    return [speed * _RPM for speed in v.sample.engines.spool_speed[: v.about.jets]]
+
+
+def esc_status(v: View) -> list[Message]:
+    """Spool speeds.  Left out where no engine reports one: the field has no value for "unknown"."""
+    rpm = _spools(v)
+    if not any(isfinite(speed) for speed in rpm):
+        return []
+    unknown = [nan] * 4
+    return [
+        mav.MAVLink_esc_status_message(
+            first, v.us, [clamp(speed, -I32, I32) for speed in _four(rpm, first, 0.0)], unknown, unknown
+        )
+        for first in _engines(v)
+    ]
+
+
+def esc_info(v: View) -> list[Message]:
+    """Which engines are there and do as they are told; of temperatures only the exhaust's are known, and too hot."""
+    health = [1.0 if share > 0.0 else 0.0 for share in v.sample.health[: v.about.jets]]
+    counter = v.sample.k & U16
+    return [
+        mav.MAVLink_esc_info_message(
+            first, v.us, counter, v.about.jets, 0,
+            sum(1 << i for i, alive in enumerate(_four(health, first, 0.0)) if alive),
+            [0] * 4, [0] * 4, [I16] * 4,
+        )
+        for first in _engines(v)
+    ]  # fmt: skip
+
+
+def _four(values: Sequence[float], first: int, missing: float) -> list[float]:
+    return [values[i] if i < len(values) else missing for i in range(first, first + 4)]
+
+
+def efi_status(v: View) -> list[Message]:
+    """Each engine's control unit; NaN where the engine does not say, 0 for voltage and pressure as they define it."""
+    sample, engines = v.sample, v.sample.engines
+    found = []
+    for i in range(v.about.jets):
+        full = v.about.full_thrust[i] if i < len(v.about.full_thrust) else nan
+        flow = engines.fuel_flow[i] / KEROSENE * 1e6 * 60.0  # cm^3/min
+        throttle = 100.0 * sample.actuation.throttle[i]
+        load = 100.0 * engines.thrust[i] / full
+        exhaust = engines.exhaust_temperature[i] - KELVIN
+        found.append(
+            mav.MAVLink_efi_status_message(
+                int(sample.health[i] > 0.0), float(i), engines.spool_speed[i] * _RPM, nan, flow, load, throttle,
+                nan, nan, nan, nan, nan, nan, nan, exhaust, throttle, nan, 0.0, 0.0,
+            )
+        )  # fmt: skip
+    return found
+
+
+def raw_rpm(v: View) -> list[Message]:
+    """Of the first four engines: no station shows more."""
+    return [mav.MAVLink_raw_rpm_message(i, rpm) for i, rpm in enumerate(_spools(v)[:4]) if isfinite(rpm)]
+
+
+def predictor_array(v: View) -> list[Message]:
+    """DEBUG_FLOAT_ARRAY "predictor": seven times roll, pitch, yaw.
+
+    Measured rate, predicted rate, model without delay, model with delay (rad/s), delay (s), set-point of the rate
+    (rad/s), command.
+    """
+    sample, inside = v.sample, v.snapshot.predicting
+    if inside is None:
+        return []
+    rows = (
+        sample.measured.rate, sample.rate_predicted, inside.model, inside.delayed, inside.delay,
+        sample.rate_setpoint, sample.torque_command,
+    )  # fmt: skip
+    values = [value for row in rows for value in row]
+    return [mav.MAVLink_debug_float_array_message(v.us, b"predictor", 1, values + [0.0] * (58 - len(values)))]
+
+
+def named_values(v: View) -> list[Message]:
+    """The roll axis of the predictor for those who plot single numbers."""
+    sample, inside = v.sample, v.snapshot.predicting
+    if inside is None:
+        return []
+    measured, predicted = sample.measured.rate[0], sample.rate_predicted[0]
+    values = {
+        b"rate_p": measured,
+        b"pred_p": predicted,
+        b"pred_err": predicted - measured,
+        b"model_p": inside.model[0],
+        b"delay_ms": inside.delay[0] * 1e3,
+    }
+    return [
+        mav.MAVLink_named_value_float_message(v.ms, name, value) for name, value in values.items() if isfinite(value)
+    ]
+
+
+def debug_vect(v: View) -> list[Message]:
+    """Predicted rates about the three axes, rad/s."""
+    if v.snapshot.predicting is None:
+        return []
+    return [mav.MAVLink_debug_vect_message(b"rate_pred", v.us, *v.sample.rate_predicted)]
+
+
+def flight_information(v: View) -> list[Message]:
+    since = v.since
+    return [mav.MAVLink_flight_information_message(v.ms, since.armed, since.took_off, since.flights, since.landed_ms)]
+
+
+def odometry(v: View) -> list[Message]:
+    """Place and attitude in NED, velocity in the body's axes."""
+    fix = v.status.fix
+    velocity = (*fix.velocity, v.measured.velocity[2])
+    body = rotate(conjugate(v.measured.attitude), velocity)
+    unknown = [nan] * 21
+    return [
+        mav.MAVLink_odometry_message(
+            v.us, _LOCAL_NED, _BODY_FRD, *fix.position, -v.altitude, v.measured.attitude, *body, *v.measured.rate,
+            unknown, unknown, 0, 8, 0,
+        )
+    ]  # fmt: skip
+
+
+def highres_imu(v: View) -> list[Message]:
+    """Measured rates, and the specific force that a perfect accelerometer would feel: the vehicle has none."""
+    force, rate = v.sample.state.specific_force, v.measured.rate
+    updated = 0b111_111  # accelerations and rates
+    return [mav.MAVLink_highres_imu_message(v.us, *force, *rate, nan, nan, nan, nan, nan, nan, nan, updated, 0)]
+
+
+def hil_state_quaternion(v: View) -> list[Message]:
+    """The truth of the simulation."""
+    state = v.sample.state
+    lat, lon, height = v.about.geodesy.to_geodetic(*state.position[:2], state.altitude)
+    speeds = [clamp(speed * 100.0, -I16, I16) for speed in state.velocity]
+    air = clamp(100.0 * hypot(*(a - b for a, b in zip(state.velocity, state.wind, strict=True))), 0, U16)
+    force = [clamp(value / _G * 1e3, -I16, I16) for value in state.specific_force]
+    return [
+        mav.MAVLink_hil_state_quaternion_message(
+            v.us, state.attitude, *state.rate, e7(lat), e7(lon), mm(height),
+            *speeds, air, air, *force,
+        )
+    ]  # fmt: skip
+
+
+def statustext(severity: int, text: str, number: int) -> list[Message]:
+    """A line of any length; ``number`` (not 0) holds its pieces of 50 characters together."""
+    data = text.encode("ascii", "replace")[: 50 * 256]
+    if len(data) <= 50:
+        return [mav.MAVLink_statustext_message(severity, data)]
+    pieces = [data[i : i + 50] for i in range(0, len(data), 50)]
+    if len(pieces[-1]) == 50 and len(pieces) < 256:
+        pieces.append(b"")  # a piece that is full says that there is more
+    number = number % U16 + 1
+    return [mav.MAVLink_statustext_message(severity, piece, number, i) for i, piece in enumerate(pieces)]
+
+
+Build = Callable[[View], list[Message]]
+
+
+@dataclass(frozen=True)
+class Stream:
+    """One message, or one kind of them: how often by itself, in wall-clock Hz; 0 is on request only."""
+
+    name: str
+    rate: float
+    build: Build
+
+
+STREAMS = (
+    Stream("HEARTBEAT", 1.0, heartbeat),
+    Stream("SYS_STATUS", 2.0, sys_status),
+    Stream("SYSTEM_TIME", 1.0, system_time),
+    Stream("GPS_RAW_INT", 5.0, gps_raw_int),
+    Stream("ATTITUDE", 25.0, attitude),
+    Stream("ATTITUDE_QUATERNION", 25.0, attitude_quaternion),
+    Stream("LOCAL_POSITION_NED", 10.0, local_position_ned),
+    Stream("GLOBAL_POSITION_INT", 10.0, global_position_int),
+    Stream("SERVO_OUTPUT_RAW", 2.0, servo_output_raw),
+    Stream("MISSION_CURRENT", 0.0, mission_current),
+    Stream("VFR_HUD", 5.0, vfr_hud),
+    Stream("ATTITUDE_TARGET", 5.0, attitude_target),
+    Stream("POSITION_TARGET_LOCAL_NED", 2.0, position_target_local_ned),
+    Stream("POSITION_TARGET_GLOBAL_INT", 0.0, position_target_global_int),
+    Stream("HIGHRES_IMU", 0.0, highres_imu),
+    Stream("HIL_STATE_QUATERNION", 0.0, hil_state_quaternion),
+    Stream("ALTITUDE", 2.0, altitude),
+    Stream("BATTERY_STATUS", 1.0, battery_status),
+    Stream("AUTOPILOT_VERSION", 0.0, autopilot_version),
+    Stream("GPS_GLOBAL_ORIGIN", 0.0, gps_global_origin),
+    Stream("EFI_STATUS", 1.0, efi_status),
+    Stream("ESTIMATOR_STATUS", 1.0, estimator_status),
+    Stream("WIND_COV", 1.0, wind_cov),
+    Stream("HOME_POSITION", 0.5, home_position),
+    Stream("ORBIT_EXECUTION_STATUS", 2.0, orbit_execution_status),
+    Stream("EXTENDED_SYS_STATE", 2.0, extended_sys_state),
+    Stream("DEBUG_VECT", 0.0, debug_vect),
+    Stream("NAMED_VALUE_FLOAT", 10.0, named_values),
+    Stream("FLIGHT_INFORMATION", 0.0, flight_information),
+    Stream("ESC_INFO", 1.0, esc_info),
+    Stream("ESC_STATUS", 10.0, esc_status),
+    Stream("PROTOCOL_VERSION", 0.0, protocol_version),
+    Stream("ODOMETRY", 0.0, odometry),
+    Stream("RAW_RPM", 1.0, raw_rpm),
+    Stream("DEBUG_FLOAT_ARRAY", 5.0, predictor_array),
+    Stream("FUEL_STATUS", 1.0, fuel_status),
+    Stream("ACTUATOR_OUTPUT_STATUS", 1.0, actuator_output_status),
+    Stream("COMPONENT_INFORMATION_BASIC", 0.0, component_information_basic),
+    Stream("AVAILABLE_MODES", 0.0, available_modes),
+    Stream("CURRENT_MODE", 0.5, current_mode),
+)

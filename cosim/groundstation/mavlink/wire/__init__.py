@@ -1,0 +1,1 @@
+"""Bytes: frames, transports, links, signing."""

@@ -1,0 +1,83 @@
+"""Where a link goes: ``udpout:127.0.0.1:14550``, ``udpin:``, ``tcp:``, ``tcpin:``, ``serial:/dev/ttyUSB0:57600``."""
+
+from __future__ import annotations
+
+import socket
+from ipaddress import ip_address
+from typing import NamedTuple
+
+from cosim.base.errors import InputError
+
+SYSTEMS = range(1, 251)  # ids of vehicles; ground stations take those above
+_SINGLE = 10  # MAVSDK's ports end with 14549, where all the others share the last one; PX4's simulation does the same
+NETWORK = ("udpout", "udpin", "tcp", "tcpin")
+LOOPBACK = "127.0.0.1"
+_BAUD = 57600  # of the usual telemetry radios
+_FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or serial:DEVICE[:BAUD]"
+
+
+def default(system: int = 1) -> tuple[str, str]:
+    """Where a vehicle sends to if nobody says otherwise, by its system id.
+
+    QGroundControl listens on 14550 to all vehicles; programs with MAVSDK to one each, 14540 the first.
+    """
+    return "udpout:127.0.0.1:14550", f"udpout:127.0.0.1:{14540 + min(system, _SINGLE) - 1}"
+
+
+class Endpoint(NamedTuple):
+    """One link as the user asked for it."""
+
+    kind: str  # one of NETWORK, or serial
+    host: str  # an address, or the serial device
+    port: int  # or the serial speed
+    family: int = socket.AF_INET
+
+    @property
+    def url(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host and self.kind != "serial" else self.host
+        return f"{self.kind}:{host}:{self.port}"
+
+
+def parse(url: str, public: bool = False) -> Endpoint:
+    """The endpoint of a URL.
+
+    ``public``: a server may listen to the network and not only to this machine.  Raises InputError.
+    """
+    kind, colon, rest = url.strip().partition(":")
+    rest = rest.removeprefix("//")
+    if not colon or not rest or kind not in (*NETWORK, "serial"):
+        raise InputError(f"link {url!r}: must be {_FORMS}")
+    if kind == "serial":
+        device, _, speed = rest.rpartition(":")
+        if not device:
+            return Endpoint(kind, rest, _BAUD, 0)
+        if not (speed.isascii() and speed.isdigit() and 0 < int(speed) <= 4_000_000):
+            raise InputError(f"link {url!r}: the speed {speed!r} must be a number of baud")
+        return Endpoint(kind, device, int(speed), 0)
+    host, _, port = rest.rpartition(":")
+    if not (port.isascii() and port.isdigit() and len(port) < 6 and 0 <= int(port) < 65536):
+        raise InputError(f"link {url!r}: the port {port!r} must be a number from 0 to 65535")
+    serves = kind in ("udpin", "tcpin")
+    if not serves and int(port) == 0:
+        raise InputError(f"link {url!r}: port 0 is for udpin and tcpin only")
+    host = host.removeprefix("[").removesuffix("]")
+    if not host:
+        if not serves:
+            raise InputError(f"link {url!r}: the host is missing; must be {_FORMS}")
+        host = LOOPBACK
+    address, family = _resolve(host, url)
+    if serves and not public and not ip_address(address.partition("%")[0]).is_loopback:
+        raise InputError(
+            f"link {url!r}: {host} is open to the network, and whoever reaches it can fly the vehicle; "
+            "allow it with --public, or use 127.0.0.1"
+        )
+    return Endpoint(kind, address, int(port), family)
+
+
+def _resolve(host: str, url: str) -> tuple[str, int]:
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError) as error:
+        raise InputError(f"link {url!r}: the host {host!r} is not known") from error
+    family, *_, address = next((each for each in found if each[0] == socket.AF_INET), found[0])
+    return str(address[0]), int(family)

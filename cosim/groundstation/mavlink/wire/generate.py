@@ -1,0 +1,66 @@
+"""Makes the module of MAVLink messages from ``hexjet.xml`` and the definitions that pymavlink bundles.
+
+The build runs it; by hand: ``python cosim/groundstation/mavlink/wire/generate.py``.  It imports nothing of the
+package, because the build's environment holds pymavlink and not what ``import cosim`` may need.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import py_compile
+import tempfile
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+SOURCE = Path(__file__).with_name("hexjet.xml")
+TARGET = "_messages.py"
+BUNDLED = ("development", "common", "standard", "minimal")  # what hexjet.xml includes, and what that includes in turn
+_HEAD = "# mypy: ignore-errors\n# ruff: noqa\n# Made by cosim/groundstation/mavlink/wire/generate.py from hexjet.xml\n"
+
+
+class GenerateError(RuntimeError):
+    """The messages could not be made."""
+
+
+def generate(folder: Path) -> Path:
+    """Write the module into ``folder`` and return its path.  Raises GenerateError."""
+    try:
+        import pymavlink
+        from pymavlink.generator import mavgen
+    except ImportError as error:
+        raise GenerateError(f"the MAVLink messages cannot be made: {error}") from error
+    bundled = Path(pymavlink.__file__).parent / "dialects" / "v20"
+    said = io.StringIO()
+    with tempfile.TemporaryDirectory(prefix="hexjet-messages-") as name:
+        work = Path(name)
+        for source in (*(bundled / f"{each}.xml" for each in BUNDLED), SOURCE):
+            _without_prose(source, work / source.name)
+        made = work / TARGET
+        options = mavgen.Opts(str(made), wire_protocol="2.0", language="Python3", validate=False)
+        try:
+            with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+                done = mavgen.mavgen(options, [str(work / SOURCE.name)])
+        except SystemExit as error:  # how mavgen gives up
+            raise GenerateError(f"mavgen ended with {error.code}: {said.getvalue()[-300:]}") from error
+        if not done or not made.exists():
+            raise GenerateError(f"mavgen refused {SOURCE.name}: {said.getvalue()[-300:]}")
+        text = made.read_text(encoding="utf-8")
+    target = folder / TARGET
+    target.write_text(_HEAD + text, encoding="utf-8")
+    return target
+
+
+def _without_prose(source: Path, target: Path) -> None:
+    """Descriptions would be three quarters of the module, and of the time to load it."""
+    tree = ET.parse(source)
+    for element in tree.iter():
+        if element.tag in ("description", "param", "field", "deprecated", "superseded"):
+            element.text = ""
+    tree.write(target, encoding="utf-8", xml_declaration=True)
+
+
+if __name__ == "__main__":
+    made = generate(Path(__file__).parent)
+    py_compile.compile(str(made), doraise=True)  # a second of compiling that no first flight should wait for
+    print(made)

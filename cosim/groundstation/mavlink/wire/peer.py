@@ -1,0 +1,251 @@
+"""One ground station as the link knows it: what it sent, what waits to be sent to it, which rates it asked for.
+
+What waits has three classes.  Answers (acknowledgements, heartbeats, texts, the protocols) go first.  Lists and files,
+and telemetry, take turns at what is left, byte by byte.  Telemetry is never queued behind itself: of every message the
+newest waits, in the place in the row that the one before had, so that what goes out is as young as the line allows.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+from enum import Enum
+from math import inf
+
+from cosim.groundstation.mavlink.wire.dialect import CHECKSUM, HEADER_2, Packed
+from cosim.groundstation.mavlink.wire.frames import Frame, Parser, Sender
+
+# Chosen by us.
+LIMIT = 512_000  # bytes of answers and lists that may wait
+_LIMIT_S = 10.0  # on a line what it carries in this time, if that is less
+BULK = 2000  # bytes of answers and lists that wait before a list or a file pauses
+_BULK_S = 0.1  # on a line what it carries in this time, if that is less
+FRAMES_A_SECOND = 1000  # that are read from one station; beyond it they are thrown away unread
+_BURST = 1000
+_AHEAD = 0.02  # s of a line's bytes that may lie in its driver: what an answer waits for what was sent before it
+# Of a line, for telemetry; PX4 takes half of it where its MAV_0_RATE is 0 (baud / 20 bytes a second).
+SHARE = 0.5
+# How a line that takes less than it should is slowed down and comes back, once a second, and how far down.
+_SLOWER, _FASTER, _SLOWEST = 0.75, 0.05, 0.05
+_RADIO_LOW = 25  # % free in a radio's buffer, below which it is slowed down
+
+_Item = tuple[Packed, int | None]
+
+
+class Kind(Enum):
+    """What a message is to the queue."""
+
+    ANSWER = 1
+    BULK = 2
+
+
+class Line:
+    """How many bytes may be handed over, for a line that takes ``rate`` bytes a second.
+
+    The driver of a serial port would take seconds of bytes at once, and everything after them would wait for them.
+    """
+
+    def __init__(self, rate: float, now: float) -> None:
+        self.full_rate = rate
+        self.health = 1.0  # the share of the rate that it has shown to carry
+        self._saved = self._most
+        self._last = self._judged = now
+        self._held = False
+
+    @property
+    def rate(self) -> float:
+        """Bytes a second, now."""
+        return self.full_rate * self.health
+
+    @property
+    def _most(self) -> float:
+        return _AHEAD * self.rate
+
+    def free(self, now: float) -> bool:
+        """May something be handed over?  One frame may overdraw, the next waits for it."""
+        self._saved = min(self._most, self._saved + (now - self._last) * self.rate)
+        self._last = now
+        if now - self._judged >= 1.0:
+            self._judged = now
+            self.health = max(_SLOWEST, self.health * _SLOWER) if self._held else min(1.0, self.health + _FASTER)
+            self._held = False
+        return self._saved > 0.0
+
+    def take(self, count: int) -> None:
+        """So many bytes were handed over."""
+        self._saved -= count
+
+    def hold(self) -> None:
+        """It did not take what it should have had room for."""
+        self._held = True
+
+    @property
+    def next(self) -> float:
+        """When it is free again."""
+        return self._last + max(0.0, -self._saved) / self.rate + 1e-4
+
+
+class Peer:
+    """A ground station on a link.
+
+    ``transmit``: hands bytes to the operating system and says how many it took, without ever waiting.  ``whole``:
+    frames are datagrams, so one is taken whole or not at all.  ``line``: bytes a second that it carries; None: not
+    known, and telemetry goes at the rates that were asked for.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        transmit: Callable[[bytes], int],
+        parser: Parser,
+        sender: Sender,
+        whole: bool,
+        clock: Callable[[], float],
+        refused: Counter[str],
+        line: float | None = None,
+    ) -> None:
+        self.name = name
+        self.whole = whole
+        self._clock = clock
+        self.since = now = clock()
+        self.heard = -1.0  # when the last frame came; -1: none yet
+        self.intervals: dict[int, float] = {}  # s, by message; 0: not sent
+        self.stretch = 1.0  # how much longer they are, so that they fit the line
+        self.stretched = -inf  # when that was last worked out
+        self.line = None if line is None else Line(line, now)
+        self.received = self.sent = self.dropped = 0
+        self.signature = sender.signature  # bytes of it on every frame
+        self.stuck = False  # more answers wait than there is room for
+        self._transmit = transmit
+        self._parser = parser
+        self._sender = sender
+        self._refused = refused
+        self._answers: deque[_Item] = deque()
+        self._bulk: deque[_Item] = deque()
+        self._telemetry: dict[tuple[int, int], Packed] = {}
+        self._frame = b""  # what is left of the frame that is being handed over
+        self._waiting = 0  # bytes of answers and bulk
+        self._balance = 0  # bytes by which bulk is ahead of telemetry while both wait
+        self._blocked: float | None = None  # since when nothing has been taken
+        self._credit = float(_BURST)
+        self._credited = now
+
+    def feed(self, data: bytes, now: float) -> list[Frame]:
+        """The frames in what has come; empty, and counted, for a station that floods."""
+        if self.credit(now) < 1.0:
+            self._refused["flood"] += 1
+            return []
+        frames = self._parser.feed(data)
+        self._credit -= max(1, len(frames))
+        if frames:
+            self.heard = now
+            self.received += len(frames)
+        return frames
+
+    def credit(self, now: float) -> float:
+        """Frames that may be read from the station now."""
+        self._credit = min(float(_BURST), self._credit + (now - self._credited) * FRAMES_A_SECOND)
+        self._credited = now
+        return self._credit
+
+    def silent(self, now: float) -> float:
+        """Seconds since it was heard, or came."""
+        return now - max(self.heard, self.since)
+
+    def radio(self, free_percent: int) -> None:
+        """A radio on the way says how much of its buffer is free (RADIO_STATUS)."""
+        if self.line is not None and free_percent < _RADIO_LOW:
+            self.line.hold()
+
+    # --- out -----------------------------------------------------------------------------------------------------
+
+    def send(self, packed: Packed, kind: Kind = Kind.ANSWER, component: int | None = None) -> bool:
+        """Queue a message that must arrive.  False: there is no room."""
+        if self._waiting > self._limit:
+            self.stuck = True
+            self.dropped += 1
+            return False
+        (self._answers if kind is Kind.ANSWER else self._bulk).append((packed, component))
+        self._waiting += self._size(packed)
+        self.flush()
+        return True
+
+    def stream(self, packed: Packed, place: int = 0) -> None:
+        """Telemetry: in place of the one before that still waits; ``place``: which, of several of the same message."""
+        key = (packed.message_id, place)
+        if key in self._telemetry:
+            self.dropped += 1
+        self._telemetry[key] = packed
+        self.flush()
+
+    def flush(self) -> None:
+        """Give the operating system what it takes, and the line what it carries."""
+        while self._frame or self._answers or self._bulk or self._telemetry:
+            now = self._clock()
+            if self.line is not None and not self.line.free(now):
+                return
+            frame = self._frame = self._frame or self._sender.frame(*self._next())
+            taken = self._transmit(frame)
+            if taken < len(frame) and self.line is not None:
+                self.line.hold()
+            if taken <= 0:
+                self._blocked = now if self._blocked is None else self._blocked
+                return
+            self._blocked = None
+            if self.line is not None:
+                self.line.take(taken)
+            self._frame = b"" if self.whole else frame[taken:]
+            if self._frame:
+                return
+            self.sent += 1
+
+    def _next(self) -> _Item:
+        """Take what goes next out of its queue."""
+        answers, bulk, telemetry = self._answers, self._bulk, self._telemetry
+        if answers:
+            item = answers.popleft()
+            self._waiting -= self._size(item[0])
+            return item
+        if not (bulk and telemetry):
+            self._balance = 0
+        if bulk and (not telemetry or self._balance <= 0):
+            item = bulk.popleft()
+            self._waiting -= self._size(item[0])
+            self._balance += self._size(item[0])
+            return item
+        packed = telemetry.pop(next(iter(telemetry)))
+        self._balance -= self._size(packed)
+        return packed, None
+
+    @property
+    def due(self) -> float:
+        """When :meth:`flush` can go on because the line is free again; inf: that is not what it waits for."""
+        idle = not (self._frame or self._answers or self._bulk or self._telemetry)
+        return inf if idle or self.line is None or self._blocked is not None else self.line.next
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that wait."""
+        return len(self._frame) + self._waiting + sum(map(self._size, self._telemetry.values()))
+
+    @property
+    def behind(self) -> bool:
+        """Do so many answers wait that lists and files should pause?"""
+        return self._waiting > (BULK if self.line is None else min(BULK, _BULK_S * self.line.rate))
+
+    @property
+    def _limit(self) -> float:
+        return LIMIT if self.line is None else min(LIMIT, max(BULK, _LIMIT_S * self.line.full_rate))
+
+    def _size(self, packed: Packed) -> int:
+        """Bytes of its frame."""
+        return HEADER_2 + len(packed.payload) + CHECKSUM + self.signature
+
+    def blocked(self, now: float) -> float:
+        """Seconds for which nothing has been taken though something waits."""
+        return 0.0 if self._blocked is None else now - self._blocked
+
+    @property
+    def telemetry_rate(self) -> float:
+        """Bytes a second that telemetry may take of the line; inf where the line is not known."""
+        return inf if self.line is None else SHARE * self.line.rate

@@ -1,0 +1,86 @@
+"""Signatures of MAVLink 2: the key, the vehicle's own time stamps, and what is believed of others'.
+
+A signature is the link's id, a time stamp (48 bit, 10 us since 2015-01-01) and the first six bytes of
+SHA-256(key, frame up to here).  https://mavlink.io/en/guide/message_signing.html
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from cosim.base.errors import InputError
+
+EPOCH = 1420070400.0  # s: 2015-01-01 as UNIX time
+_TICKS = 100_000  # a second
+_BEHIND = 60 * _TICKS  # a stream that is new may be so far behind
+_SHORTEST = 8  # characters of a pass phrase; chosen by us
+_HEX = "hex:"
+
+
+def read_key(path: Path) -> bytes:
+    """The key in a file: a pass phrase, or ``hex:`` and 64 digits.
+
+    The key of a pass phrase is its SHA-256, as in QGroundControl and MAVProxy.  Raises InputError.
+    """
+    try:
+        text = path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: the signing key cannot be read: {error}") from error
+    if text.startswith(_HEX):
+        try:
+            key = bytes.fromhex(text.removeprefix(_HEX))
+        except ValueError:
+            key = b""
+        if len(key) != 32:
+            raise InputError(f"{path}: {_HEX} must be followed by 64 hexadecimal digits")
+        return key
+    if len(text) < _SHORTEST or "\n" in text:
+        raise InputError(f"{path}: must hold one line: a pass phrase of at least {_SHORTEST} characters, or {_HEX}...")
+    return hashlib.sha256(text.encode()).digest()
+
+
+class Signing:
+    """One key for every link; each link signs with its own id.
+
+    A time stamp is used once: the vehicle's rise from frame to frame and never fall behind the clock or behind what
+    was accepted from others; another's must rise within its stream (link, system, component), and a new stream may be
+    at most a minute behind.
+    """
+
+    def __init__(self, key: bytes, clock: Callable[[], float] = time.time) -> None:
+        self._key = key
+        self._clock = clock
+        self._last = 0  # the highest time stamp sent or accepted
+        self._streams: dict[tuple[int, int, int], int] = {}
+
+    def sign(self, frame: bytes, link: int) -> bytes:
+        """The 13 bytes to put behind a frame with its checksum."""
+        self._last = max(self._last + 1, self._now())
+        head = bytes((link,)) + self._last.to_bytes(6, "little")
+        return head + self._digest(frame + head)
+
+    def refuse(self, frame: bytes, system: int, component: int) -> str:
+        """Why a signed frame (whole, with its signature) is not believed; empty if it is.
+
+        The time stamp counts only once the signature has proved right, so nobody without the key moves it.
+        """
+        if not hmac.compare_digest(self._digest(frame[:-6]), frame[-6:]):
+            return "signature"
+        stamp = int.from_bytes(frame[-12:-6], "little")
+        stream = (frame[-13], system, component)
+        last = self._streams.get(stream)
+        if stamp <= last if last is not None else stamp + _BEHIND < max(self._last, self._now()):
+            return "replay"
+        self._streams[stream] = stamp
+        self._last = max(self._last, stamp)
+        return ""
+
+    def _now(self) -> int:
+        return int((self._clock() - EPOCH) * _TICKS)
+
+    def _digest(self, data: bytes) -> bytes:
+        return hashlib.sha256(self._key + data).digest()[:6]

@@ -1,0 +1,64 @@
+"""Telemetry logs: every frame behind its time, 8 bytes big-endian, microseconds since 1970.
+
+What QGroundControl, MAVExplorer and mavlogdump read.  A message that goes to several ground stations is logged once,
+with a sequence of the log's own.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+from cosim.base.errors import InputError
+from cosim.groundstation.mavlink.wire.dialect import Packed
+from cosim.groundstation.mavlink.wire.frames import Sender
+
+_STAMP = struct.Struct(">Q")
+
+
+class Log:
+    """A file that grows frame by frame.  Raises InputError where it cannot be opened."""
+
+    def __init__(self, path: Path, system: int = 1, component: int = 1, clock: Callable[[], float] = time.time) -> None:
+        try:
+            self._file: BinaryIO | None = path.open("wb")
+        except OSError as error:
+            raise InputError(f"{path}: the telemetry log cannot be written: {error}") from error
+        self._clock = clock
+        self._sender = Sender(system, component)  # a log is not signed: it would hold one signature of several
+        self.frames = 0
+        self.failed = ""  # why there is no more of it
+
+    def sent(self, packed: Packed) -> None:
+        """A message that went out."""
+        if self._file is not None:
+            self._write(self._sender.frame(packed))
+
+    def received(self, raw: bytes) -> None:
+        """A frame that came in, as it came."""
+        self._write(raw)
+
+    def flush(self) -> None:
+        self._do(lambda file: file.flush())
+
+    def close(self) -> None:
+        self._do(lambda file: file.close())
+        self._file = None
+
+    def _write(self, frame: bytes) -> None:
+        stamp = _STAMP.pack(int(self._clock() * 1e6))
+        self._do(lambda file: file.write(stamp + frame))
+        self.frames += 1
+
+    def _do(self, action: Callable[[BinaryIO], object]) -> None:
+        """A full disk ends the log and not the link."""
+        if self._file is None:
+            return
+        try:
+            action(self._file)
+        except OSError as error:
+            self.failed = str(error)
+            self._file = None

@@ -1,0 +1,104 @@
+"""The parameters of a vehicle as they are kept between flights: one small TOML file for each vehicle."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.toml import read_toml
+
+_FORMAT = 1
+_HEAD = "# What differs from the defaults; written by hexjet gcs.\n"
+
+
+def default_file(vehicle: str) -> Path:
+    """Where a vehicle's parameters are kept if nobody says otherwise: the platform's folder for settings."""
+    import click
+
+    return Path(click.get_app_dir("hexjet")) / "parameters" / f"{vehicle}.toml"
+
+
+class ParameterStore:
+    """The file of one vehicle's changed parameters.
+
+    What the vehicle refuses (a name of another version, a range of another engine) is told once and stays in the file.
+    A file that cannot be understood is never written over: it is renamed to ``NAME.broken`` first.
+    """
+
+    def __init__(self, path: Path, vehicle: str) -> None:
+        self.path = path
+        self._vehicle = vehicle
+        self._refused: dict[str, float] = {}
+        self._written: dict[str, float] | None = None
+
+    def load(self) -> dict[str, float]:
+        """Every value in the file; none if there is no file.  Raises InputError: one line, what is wrong and where."""
+        if not self.path.exists():
+            return {}
+        data = read_toml(self.path)
+        known = {"format", "vehicle", "parameters"}
+        for key in data:
+            if key not in known:
+                raise InputError(f"{self.path}: unknown key {key!r}; allowed: {', '.join(sorted(known))}")
+        if data.get("format") != _FORMAT:
+            raise InputError(f"{self.path}: format = {data.get('format')!r}: must be {_FORMAT}")
+        if data.get("vehicle") != self._vehicle:
+            raise InputError(
+                f"{self.path}: vehicle = {data.get('vehicle')!r}: these are not the parameters of {self._vehicle}"
+            )
+        table = data.get("parameters", {})
+        if not isinstance(table, dict):
+            raise InputError(f"{self.path}: parameters: must be a table of names and numbers")
+        for name, value in table.items():
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise InputError(f"{self.path}: parameters.{name} = {value!r}: must be a number")
+        self._written = {name: float(value) for name, value in table.items()}
+        return dict(self._written)
+
+    def restore(self, put: Callable[[str, float], None]) -> list[str]:
+        """Hand every value of the file to ``put``; a line for each that it refuses with InputError.
+
+        Raises InputError for a file that cannot be read.
+        """
+        complaints = []
+        for name, value in self.load().items():
+            try:
+                put(name, value)
+            except InputError as error:
+                self._refused[name] = value
+                complaints.append(f"{self.path}: {error}")
+        return complaints
+
+    def save(self, changed: Mapping[str, float]) -> None:
+        """Write what differs from the defaults, whole or not at all.  Raises InputError if it cannot be written."""
+        values = {**{n: v for n, v in self._refused.items() if n not in changed}, **changed}
+        if values == self._written or (not values and not self.path.exists()):
+            return
+        import tomli_w
+
+        from cosim.base.files import one_line, replacing
+
+        numbers = {name: values[name] for name in sorted(values)}
+        text = _HEAD + tomli_w.dumps({"format": _FORMAT, "vehicle": self._vehicle, "parameters": numbers})
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._put_aside()
+            with replacing(self.path) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{self.path}: {one_line(error)}") from error
+        self._written = values
+
+    def _put_aside(self) -> None:
+        """Rename a file that is not ours to overwrite."""
+        try:
+            ParameterStore(self.path, self._vehicle).load()
+        except InputError:
+            aside = self.path.with_name(f"{self.path.name}.broken")
+            number = 1
+            while aside.exists():
+                number += 1
+                aside = self.path.with_name(f"{self.path.name}.broken-{number}")
+            os.rename(self.path, aside)

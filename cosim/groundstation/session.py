@@ -1,0 +1,608 @@
+"""A vehicle that waits for a ground station: flights one after the other, flown by what they are asked to do.
+
+The flight runs in the calling thread, paced by the clock; links and the local page run in threads of their own and
+meet it in an :class:`cosim.groundstation.exchange.Exchange`.  Nothing that they do can hold up a step for longer
+than Python takes to change threads.
+"""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Queue
+from threading import Thread
+from typing import Any
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.geodesy import Geodesy
+from cosim.base.protocols import EngineState, Observer
+from cosim.base.signals import Sample
+from cosim.control.autopilot.autopilot import Autopilot, Status
+from cosim.control.autopilot.modes import (
+    Home,
+    LandedState,
+    Mode,
+    Severity,
+)
+from cosim.control.autopilot.navigation import Fix
+from cosim.control.autopilot.parameters import Parameters, table
+from cosim.control.autopilot.requests import (
+    Answer,
+    MissionClear,
+    MissionUpload,
+    Request,
+    Result,
+    SetParameter,
+)
+from cosim.flight import record, reserve_folder, with_page
+from cosim.groundstation.exchange import (
+    Asked,
+    Exchange,
+    Facts,
+    Restart,
+    Shutdown,
+)
+from cosim.groundstation.parameter_store import ParameterStore
+from cosim.results.autopilot_record import PilotRecord
+from cosim.results.request_log import REQUESTS, RequestLog
+from cosim.results.run import (
+    AUTOPILOT,
+    Recording,
+    Run,
+    claim_folder,
+)
+from cosim.simulation.build import build
+from cosim.simulation.ending import Ending
+from cosim.simulation.pacing import Pace
+from cosim.simulation.step import Simulation
+from cosim.simulation.with_autopilot import with_autopilot
+from cosim.spec.scenario import Scenario, is_file
+from cosim.spec.vehicle import load_vehicle
+
+LONGEST_S = 86_400.0  # of one flight that has no planned end: a day
+# Chosen by us: a request costs some 10 us, a new predictor 3 ms, a step has 4 ms of which stepping takes a tenth.
+_MOST_A_STEP = 8  # requests
+_REQUEST_TIME = 0.5e-3  # s of a step after which the next request waits for the next step
+_PUBLISH_EVERY = 2e-3  # s of wall time: twice as often as steps at 250 Hz; a flight at full speed publishes less
+_WARN_EVERY = 10.0  # s of wall time between two messages about missed deadlines
+_SWITCH = 0.5e-3  # s after which a thread that computes gives way; Python's 5 ms are longer than a step
+_OVER_EVERY = 0.02  # s between two looks at what is asked after the end of a flight
+
+
+class Session:
+    """Flights on request, each recorded in a folder of its own.
+
+    ``factor``: of real time, None as fast as it goes.  ``out``: the first run's folder, or None for new ones in
+    ``runs/``; a restart goes to the next of ``OUT-2``, ``OUT-3``... that is free.  ``parameters``: a TOML file that
+    parameters are read from, and written to whenever one is changed.  ``duration`` [s of flight] ends the session;
+    without it :meth:`stop` does.  ``begun`` is called when a flight's folder is there, ``over`` when a flight is done
+    with.
+    Raises InputError for a scenario that cannot be flown, and for a file of parameters that cannot be used.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        exchange: Exchange,
+        *,
+        factor: float | None = 1.0,
+        out: Path | None = None,
+        parameters: Path | None = None,
+        duration: float | None = None,
+        report: bool = True,
+        begun: Callable[[Facts], None] = lambda facts: None,
+        over: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.scenario = waiting_scenario(scenario, duration)
+        self.exchange = exchange
+        self.factor = factor
+        self.duration = duration
+        self.runs: list[Run] = []
+        self._out = out
+        self._report = report
+        self._begun, self._over = begun, over
+        self._keeper = _Keeper(parameters, vehicle_key(scenario), lambda text: exchange.say(Severity.WARNING, text))
+        self._stopping = ""
+        self._restart = False
+        self._numbered = 1  # of the last folder beside ``out``
+        self._next: _Flight | None = self._build()  # what is wrong with the input is said before any link opens
+
+    @property
+    def facts(self) -> Facts:
+        """Of the flight that is flown or about to be."""
+        assert self._next is not None
+        return self._next.facts
+
+    @property
+    def parameters(self) -> Path | None:
+        """Where parameters are kept."""
+        return self._keeper.path
+
+    def stop(self, why: str) -> None:
+        """End the session after the present step; from any thread, and from a signal handler."""
+        self._stopping = self._stopping or why
+
+    def run(self) -> list[Run]:
+        """Fly until stopped.  The runs, each with its files in place."""
+        try:
+            return self._fly_on()
+        finally:
+            self._keeper.close()
+
+    def _fly_on(self) -> list[Run]:
+        while True:
+            flight = self._next or self._build()
+            self._next = None
+            try:
+                ending = self._fly(flight)
+                over = ending.outcome != "completed"
+                if over:
+                    self._linger(flight, ending)
+            finally:
+                self._over()
+                flight.close()
+            if not self._restart:
+                return self.runs
+            self._restart = False
+
+    # --- one flight ----------------------------------------------------------------------------------------------
+
+    def _build(self) -> _Flight:
+        """A flight that is not begun: nothing is written yet."""
+        number = len(self.runs) + 1
+        simulation = build(self.scenario)
+        try:
+            pilot = with_autopilot(simulation)
+            facts = facts_of(simulation, number, pilot.parameters, self._folder(number), self.factor)
+        except BaseException:
+            simulation.close()
+            raise
+        return _Flight(simulation, pilot, facts, Pace(simulation.dt, self.factor))
+
+    def _folder(self, number: int) -> Path:
+        """The run's folder, made, so that what is wrong with it is said before anybody connects."""
+        if self._out is None:
+            return reserve_folder(Path("runs"), f"gcs-{self.scenario.aircraft}")
+        if number == 1:
+            claim_folder(self._out)
+            return self._out
+        # a folder that holds another run already is left alone: a vehicle that is asked to reboot must come back
+        self._numbered = max(number, self._numbered + 1)
+        while (folder := self._out.with_name(f"{self._out.name}-{self._numbered}")).exists():
+            self._numbered += 1
+        return folder
+
+    def _fly(self, flight: _Flight) -> Ending:
+        simulation, exchange = flight.simulation, self.exchange
+        recording = flight.begin()
+        assert flight.noting is not None
+        while flight.facts.number > 1 and (late := exchange.take(1)):  # meant for the flight before
+            for _, _, done in late:
+                if done is not None:
+                    done(Answer(False, Result.TEMPORARILY_REJECTED, "a new flight begins"))
+        self._keeper.restore(flight.put)
+        self._begun(flight.facts)
+        exchange.say(Severity.INFO, f"flight {flight.facts.number}: {flight.facts.vehicle.name}")
+        flight.publish(exchange, None, None)
+        with steady():
+            begin = time.perf_counter()
+            try:
+                observers: list[Observer] = [recording, flight.noting, _Publisher(flight, exchange)]
+                ending = simulation.run(observers, flight.pace, lambda k: self._between(flight, k))
+            except FlightError as error:  # a log cannot be written: the disk is full, say
+                ending = Ending("failed", str(error))
+            wall = time.perf_counter() - begin
+        flight.said = pass_on(flight.pilot, exchange, flight.said)
+        if ending.outcome == "completed":
+            exchange.say(Severity.INFO, f"flight over: {ending.reason}", simulation.k)
+        else:
+            exchange.say(Severity.CRITICAL, f"{ending.outcome}: {ending.reason}"[:200], simulation.k)
+            exchange.say(Severity.NOTICE, "the flight is over; reboot the vehicle for a new one", simulation.k)
+        flight.publish(exchange, None, ending)
+        self.runs.append(flight.finish(ending, wall, self._report))
+        return ending
+
+    def _between(self, flight: _Flight, k: int) -> Ending | None:
+        """What was asked since the last step, within bounds; the end of the flight, if that is asked."""
+        if self._stopping:
+            flies = flight.pilot.armed and flight.pilot.status.landed is not LandedState.ON_GROUND
+            return Ending("completed", f"{self._stopping}{' in the air' if flies else ''}")
+        until = 0.0
+        for _ in range(_MOST_A_STEP):
+            taken = self.exchange.take(1)
+            if not taken:
+                break
+            until = until or time.perf_counter() + _REQUEST_TIME
+            for sender, request, done in taken:
+                answer = self._answer(flight, sender, request, k)
+                if isinstance(request, (MissionUpload, MissionClear)):
+                    flight.publish(self.exchange, None, None)  # who has the answer may read the mission back
+                if done is not None:
+                    done(answer)
+            if time.perf_counter() > until:
+                break
+        if self._restart:
+            return Ending("completed", "a restart was asked for")
+        return None
+
+    def _answer(self, flight: _Flight, sender: str, request: Asked, k: int) -> Answer:
+        if isinstance(request, (Restart, Shutdown)):
+            what = "restart" if isinstance(request, Restart) else "shutdown"
+            if flight.pilot.armed:
+                return Answer(False, Result.TEMPORARILY_REJECTED, f"{what} refused: it is armed")
+            self._leave(request, sender)
+            return Answer(True, Result.ACCEPTED, "")
+        answer = flight.ask(sender, request, k)
+        if isinstance(request, SetParameter) and answer.accepted:
+            self._keeper.keep(flight.pilot.parameters.changed())
+        return answer
+
+    def _leave(self, request: Restart | Shutdown, sender: str) -> None:
+        if isinstance(request, Restart):
+            self._restart = True
+        else:
+            self.stop(f"shut down by {sender}")
+
+    def _linger(self, flight: _Flight, ending: Ending) -> None:
+        """A flight has ended by itself: tell who asks so, until there is a restart or the session ends."""
+        exchange = self.exchange
+        patience = None
+        if self.duration is not None:
+            left = max(0.0, self.duration - flight.simulation.k * flight.simulation.dt)
+            patience = time.monotonic() + (left / self.factor if self.factor else 0.0)
+        while not (self._restart or self._stopping) and (patience is None or time.monotonic() < patience):
+            for sender, request, done in exchange.take(_MOST_A_STEP):
+                answer = Answer(False, Result.FAILED, f"the flight is over: {ending.reason}")
+                if isinstance(request, (Restart, Shutdown)):
+                    self._leave(request, sender)
+                    answer = Answer(True, Result.ACCEPTED, "")
+                if done is not None:
+                    done(answer)
+            flight.publish(exchange, None, ending)
+            time.sleep(_OVER_EVERY)
+
+
+@dataclass
+class _Flight:
+    """One flight and what belongs to it."""
+
+    simulation: Simulation
+    pilot: Autopilot
+    facts: Facts
+    pace: Pace
+    recording: Recording | None = None
+    log: RequestLog | None = None
+    noting: PilotRecord | None = None
+    sample: Sample | None = None
+    said: int = 0  # messages of the pilot that have been passed on
+
+    def begin(self) -> Recording:
+        """Make the run's folder.  Raises InputError if it is not usable."""
+        assert self.facts.folder is not None
+        self.recording = record(self.simulation, self.facts.folder, {REQUESTS: b""}, background=True)
+        self.log = RequestLog(self.facts.folder / REQUESTS)
+        self.noting = PilotRecord(self.pilot, self.facts.folder / AUTOPILOT, self.simulation.dt)
+        return self.recording
+
+    def ask(self, sender: str, request: Request, k: int) -> Answer:
+        """Put a request to the pilot and write it down.  Raises FlightError if that fails."""
+        assert self.log is not None
+        answer = self.pilot.handle(request, k)
+        self.log.write(k, sender, request, answer)
+        return answer
+
+    def put(self, name: str, value: float) -> None:
+        """A parameter that was kept.  Raises InputError where it is refused."""
+        answer = self.ask("parameters", SetParameter(name, value), 0)
+        if not answer.accepted:
+            raise InputError(answer.text)
+
+    def publish(self, exchange: Exchange, sample: Sample | None, ending: Ending | None) -> None:
+        """Let everybody see how things stand."""
+        self.said = pass_on(self.pilot, exchange, self.said)
+        self.sample = sample or self.sample
+        simulation, status = self.simulation, self.pilot.status
+        if ending is not None:
+            refusals = (f"the flight is over: {ending.reason}",)
+            landed = LandedState.ON_GROUND if ending.outcome == "crashed" else status.landed
+            status = status._replace(
+                armed=False, ready=False, refusals=refusals, engines=EngineState.OFF, landed=landed
+            )
+        exchange.publish(
+            self.facts,
+            simulation.k,
+            self.sample,
+            simulation.state,
+            simulation.measured,
+            status,
+            self.pace.report,
+            ending,
+            tuple(self.pilot.mission.items),
+            simulation.controller.diagnostics,
+        )
+
+    def finish(self, ending: Ending, wall: float, report: bool) -> Run:
+        """Put the run's files into place; its scenario ends where the flight has ended."""
+        assert self.recording is not None
+        self.close_record()
+        self.recording.shorten(self.simulation.k)
+        run = self.recording.finish(ending.outcome, ending.reason, wall, self.pace.report)
+        return with_page(run) if report else run
+
+    def close(self) -> None:
+        if self.log is not None:
+            self.log.close()
+        self.close_record()
+        self.simulation.close()
+
+    def close_record(self) -> None:
+        """Everything that the autopilot did is on disk, as far as there is room."""
+        if self.noting is not None:
+            with suppress(FlightError):
+                self.noting.close()
+
+
+class _Publisher:
+    """An observer that publishes, not more often than anybody looks, and says when deadlines are missed."""
+
+    def __init__(self, flight: _Flight, exchange: Exchange) -> None:
+        self._flight, self._exchange = flight, exchange
+        self._last = self._warned = time.monotonic()
+        self._missed = 0
+
+    def observe(self, sample: Sample) -> None:
+        now = time.monotonic()
+        if now - self._last < _PUBLISH_EVERY:
+            return
+        self._last = now
+        self._flight.publish(self._exchange, sample, None)
+        if now - self._warned >= _WARN_EVERY:
+            self._warned = now
+            self._warn()
+
+    def _warn(self) -> None:
+        report = self._flight.pace.report
+        missed = report.missed - self._missed
+        self._missed = report.missed
+        if missed:
+            self._exchange.say(
+                Severity.WARNING,
+                f"{missed} deadlines missed in {_WARN_EVERY:g} s, latest by {1e3 * report.worst:.1f} ms",
+                self._flight.simulation.k,
+            )
+
+
+class _Keeper:
+    """Writes parameters to their file in a thread of its own: a disk may take longer than a step.
+
+    ``path`` None: they are kept for the session alone.  Raises InputError for a file that cannot be used.
+    """
+
+    def __init__(self, path: Path | None, vehicle: str, complain: Callable[[str], None]) -> None:
+        self.path = path
+        self._store = None if path is None else ParameterStore(path, vehicle)
+        self._complain = complain
+        self._values = self._store.load() if self._store else {}
+        self._first = True
+        self._work: Queue[dict[str, float] | None] = Queue()
+        self._thread: Thread | None = None
+
+    def restore(self, put: Callable[[str, float], None]) -> None:
+        """Hand what is kept to a new flight."""
+        if self._store is not None and self._first:
+            for text in self._store.restore(put):
+                self._complain(text)
+        else:
+            for name, value in self._values.items():
+                put(name, value)
+        self._first = False
+
+    def keep(self, values: dict[str, float]) -> None:
+        """These from now on."""
+        self._values = values
+        if self._store is None:
+            return
+        if self._thread is None:
+            self._thread = Thread(target=self._write, name="parameters")
+            self._thread.start()
+        self._work.put(values)
+
+    def close(self) -> None:
+        """Everything is written."""
+        if self._thread is not None:
+            self._work.put(None)
+            self._thread.join()
+            self._thread = None
+
+    def _write(self) -> None:
+        assert self._store is not None
+        while (values := self._work.get()) is not None:
+            try:
+                self._store.save(values)
+            except InputError as error:
+                self._complain(f"parameters not saved: {error}")
+
+
+class Onlookers:
+    """Lets a flight that follows a script, or a recorded one, be watched; whoever asks something of it is refused."""
+
+    def __init__(self, exchange: Exchange, begun: Callable[[Facts], None] = lambda facts: None) -> None:
+        self._exchange = exchange
+        self._begun = begun
+
+    def __call__(self, simulation: Simulation, pace: Pace, folder: Path | None, factor: float | None) -> _Onlooker:
+        pilot = simulation.pilot if isinstance(simulation.pilot, Autopilot) else None
+        parameters = pilot.parameters if pilot else _parameters(simulation)
+        facts = facts_of(simulation, 1, parameters, folder, factor)
+        self._begun(facts)
+        return _Onlooker(simulation, pilot, facts, pace, self._exchange)
+
+
+class _Onlooker:
+    """Publishes a flight that nobody can change."""
+
+    def __init__(
+        self, simulation: Simulation, pilot: Autopilot | None, facts: Facts, pace: Pace, exchange: Exchange
+    ) -> None:
+        self._simulation, self._pilot, self._facts, self._pace = simulation, pilot, facts, pace
+        self._exchange = exchange
+        self._said = 0
+        self._last = -1.0
+
+    def observe(self, sample: Sample) -> None:
+        now = time.monotonic()
+        if now - self._last < _PUBLISH_EVERY:
+            return
+        self._last = now
+        exchange, simulation, pilot = self._exchange, self._simulation, self._pilot
+        for _, _, done in exchange.take(_MOST_A_STEP):
+            if done is not None:
+                done(Answer(False, Result.DENIED, "this flight follows its script"))
+        if pilot is not None:
+            self._said = pass_on(pilot, exchange, self._said)
+        status = scripted_status(simulation, sample) if pilot is None else pilot.status
+        exchange.publish(
+            self._facts,
+            simulation.k,
+            sample,
+            simulation.state,
+            simulation.measured,
+            status,
+            self._pace.report,
+            None,
+            tuple(pilot.mission.items) if pilot else (),
+            simulation.controller.diagnostics,
+        )
+
+
+def pass_on(pilot: Autopilot, exchange: Exchange, said: int) -> int:
+    """Pass on what the pilot has said after its message ``said``; the number of its last one."""
+    messages = pilot.messages
+    if messages and messages[-1].number > said:
+        for message in messages:
+            if message.number > said:
+                exchange.say(message.severity, message.text, message.k)
+        return messages[-1].number
+    return said
+
+
+def scripted_status(simulation: Simulation, sample: Sample) -> Status:
+    """What a ground station is told of a flight that no autopilot flies: armed, and holding what the script says."""
+    north, east, _ = simulation.measured.position
+    fix = Fix((north, east), simulation.measured.velocity[:2], (0.0, 0.0))
+    on_ground = simulation.state.on_ground
+    return Status(
+        simulation.k,
+        Mode.HOLD,
+        True,
+        LandedState.ON_GROUND if on_ground else LandedState.IN_AIR,
+        EngineState.FLY,
+        True,
+        (),
+        Home(0.0, 0.0, 0.0),
+        fix,
+        None,
+        None,
+        sample.command.altitude,
+        sample.command.attitude[2],
+        0,
+        0,
+        -1,
+        False,
+        "",
+        None,
+        False,
+        False,
+    )
+
+
+def waiting_scenario(scenario: Scenario, duration: float | None) -> Scenario:
+    """The scenario with its vehicle standing on the ground, and an autopilot in place of its commands."""
+    watched = load_vehicle(scenario.aircraft, scenario.vehicle, f"scenario {scenario.name}: vehicle")[0].control.monitor
+    heading = scenario.initial.attitude_deg[2]
+    still = (0.0, 0.0, 0.0)
+    return scenario.replace(
+        command=[],
+        expect=[],
+        requests=REQUESTS,
+        monitor=scenario.monitored if watched is None else True,
+        duration_s=round(LONGEST_S / scenario.step_s) * scenario.step_s if duration is None else duration,
+        initial={
+            "on_ground": True,
+            "attitude_deg": (0.0, 0.0, heading),
+            "velocity_ned_m_s": still,
+            "rate_deg_s": still,
+        },
+    )
+
+
+def place_at(text: str) -> dict[str, float]:
+    """``LAT,LON`` in degrees as a scenario's environment.  Raises InputError if it is not two numbers."""
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InputError(f"--place {text}: must be LAT,LON in degrees, such as 22.35,113.59") from error
+    return {"latitude_deg": latitude, "longitude_deg": longitude}
+
+
+def facts_of(
+    simulation: Simulation, number: int, parameters: Parameters, folder: Path | None, factor: float | None
+) -> Facts:
+    """What there is to know of a flight before its first step."""
+    place = simulation.scenario.environment
+    geodesy = Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
+    stations = tuple(simulation.stations)
+    return Facts(number, simulation.scenario, simulation.vehicle, stations, geodesy, parameters, folder, factor)
+
+
+def vehicle_key(scenario: Scenario) -> str:
+    """What parameters are kept for: another engine or controller has other defaults."""
+    engine = Path(scenario.engine).stem if is_file(scenario.engine) else scenario.engine
+    return f"{scenario.aircraft}-{engine}-{scenario.controller}"
+
+
+@contextmanager
+def steady() -> Iterator[None]:
+    """While a flight is paced: no long collections of garbage, and threads that give way soon."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH)
+    gc.collect()
+    gc.freeze()  # what is there now stays, and need not be looked at again
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(before)
+
+
+@contextmanager
+def stopped_by_signals(session: Session) -> Iterator[None]:
+    """Ctrl-C and SIGTERM end the session properly; a second one ends the process as usual."""
+    kept: dict[int, Any] = {}
+
+    def stop(number: int, frame: object) -> None:
+        session.stop(f"stopped by {signal.Signals(number).name}")
+        for each, handler in kept.items():
+            signal.signal(each, handler)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        kept[number] = signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for each, handler in kept.items():
+            signal.signal(each, handler)
+
+
+def _parameters(simulation: Simulation) -> Parameters:
+    """What the autopilot of this vehicle would show, if it has one."""
+    control = simulation.vehicle.control
+    if control.position is None or control.pilot is None:
+        return Parameters([])
+    return Parameters(table(control, control.pilot, simulation.scenario.controller, None))

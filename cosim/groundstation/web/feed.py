@@ -1,0 +1,127 @@
+"""What the page is told, as plain JSON values: the flight once, its state many times a second.
+
+Angles are in degrees here, temperatures in degrees Celsius, speeds of rotation in revolutions a minute; the page shows
+what it gets.  None is "not known".  Attitude, height, rates and place are those that the vehicle itself goes by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import degrees, isfinite, pi
+from typing import Any
+
+from cosim.base.frames import to_euler
+from cosim.base.protocols import EngineState
+from cosim.base.signals import Sample
+from cosim.control.autopilot.modes import (
+    DIRECT,
+    Home,
+    Message,
+    Mode,
+)
+from cosim.groundstation.exchange import Facts, Snapshot
+
+Point = tuple[float | None, ...]  # of the strip chart: t [s], measured p, q, r, predicted p, q, r [deg/s]
+
+_ZERO_CELSIUS = 273.15  # K
+_RPM = 60.0 / (2.0 * pi)  # per rad/s
+_TELLING = 4  # digits after the point; a tenth of a millimetre, and less than any sensor here tells
+
+
+def flight(facts: Facts) -> dict[str, Any]:
+    """What does not change during a flight."""
+    scenario, vehicle = facts.scenario, facts.vehicle
+    return {
+        "type": "flight",
+        "number": facts.number,
+        "scenario": scenario.name,
+        "vehicle": vehicle.name,
+        "controller": scenario.controller,
+        "engines": [{"name": spec.name, "most_N": _plain(spec.curve.thrust[-1])} for spec in facts.stations],
+        "watched": scenario.monitored,
+        "takeoff_m": facts.parameters["MIS_TAKEOFF_ALT"],
+        "modes": [mode.value for mode in Mode if mode is not Mode.ORBIT],
+        "direct": [mode.value for mode in Mode if mode in DIRECT],
+    }
+
+
+def state(snapshot: Snapshot) -> dict[str, Any]:
+    """The flight at one instant."""
+    status, measured, pace, ending = snapshot.status, snapshot.measured, snapshot.pace, snapshot.ending
+    sample = snapshot.sample
+    return {
+        "type": "state",
+        "t": round(snapshot.time, 3),
+        "mode": status.mode.value,
+        "armed": status.armed,
+        "landed": status.landed.value,
+        "engines_do": status.engines.value,
+        "ready": status.ready,
+        "refusals": status.refusals,
+        "failsafe": status.failsafe,
+        "home": _place(status.home),
+        "target": _place(status.target),
+        "position": _all(status.fix.position),
+        "velocity": _all((*status.fix.velocity, measured.velocity[2])),
+        "height": _plain(measured.altitude),
+        "height_asked": _plain(status.altitude),
+        "attitude_deg": _degrees(to_euler(measured.attitude)),
+        "attitude_asked_deg": _degrees(sample.command.attitude) if sample and sample.command.rate is None else None,
+        "remaining": _plain(status.remaining),
+        "jets": [] if sample is None else jets(snapshot.facts, sample, status.engines is EngineState.OFF),
+        "pace": {"asked": pace.factor, "reached": _plain(pace.reached), "missed": pace.missed},
+        "ending": None if ending is None else {"outcome": ending.outcome, "reason": ending.reason},
+    }
+
+
+def jets(facts: Facts, sample: Sample, off: bool) -> list[dict[str, Any]]:
+    """Each engine: what it is asked for, what it gives, and what it says of itself; ``off``: all are shut off.
+
+    The thrust asked for is the steady one at the throttle asked for, from the engine's static curve.
+    """
+    out, told = sample.engines, []
+    for jet, spec in enumerate(facts.stations):
+        throttle = 0.0 if off else sample.actuation.throttle[jet]
+        told.append(
+            {
+                "throttle": _plain(throttle),
+                "asked_N": 0.0 if off else _plain(spec.thrust_at(throttle)),
+                "thrust_N": _plain(out.thrust[jet]),
+                "rpm": _plain(out.spool_speed[jet] * _RPM),
+                "exhaust_C": _plain(out.exhaust_temperature[jet] - _ZERO_CELSIUS),
+                "fuel_g_s": _plain(1e3 * out.fuel_flow[jet]) if spec.has("fuel_flow") else None,
+                "health": _plain(sample.health[jet]),
+                "fault": bool(sample.faults[jet]),
+            }
+        )
+    return told
+
+
+def point(sample: Sample) -> Point:
+    """What the strip chart draws: the rates measured at the beginning of the step, and what the rate loop was fed."""
+    rates = (*sample.measured.rate, *sample.rate_predicted)
+    return (round(sample.time, 3), *(round(degrees(rate), 2) if isfinite(rate) else None for rate in rates))
+
+
+def lines(messages: Iterable[Message], step: float) -> list[dict[str, Any]]:
+    """Messages for the people on the ground."""
+    return [
+        {"number": each.number, "t": round(each.k * step, 3), "severity": each.severity.name, "text": each.text}
+        for each in messages
+    ]
+
+
+def _plain(value: float | None) -> float | None:
+    return None if value is None or not isfinite(value) else round(value, _TELLING)
+
+
+def _all(values: Iterable[float]) -> list[float | None]:
+    return [_plain(value) for value in values]
+
+
+def _degrees(values: Iterable[float]) -> list[float | None]:
+    return [_plain(degrees(value)) for value in values]
+
+
+def _place(home: Home | None) -> list[float | None] | None:
+    return None if home is None else _all(home)

@@ -1,0 +1,440 @@
+"""The server of the local page: a few files and one WebSocket, in a thread of its own, on the loopback alone.
+
+Who may command: a page that this server has given out.  Every request must name this server in ``Host``, so that no
+other name resolved to the loopback gets in; a WebSocket must come from this server's own origin; and its first message
+must carry the token that is written into the page, which no foreign page can read.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import logging
+import os
+import secrets
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from html import escape
+from http import HTTPStatus
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from typing import Any
+
+from websockets.asyncio.server import ServerConnection, broadcast, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request as HttpRequest
+from websockets.http11 import Response
+from websockets.typing import Origin
+
+from cosim.base.errors import InputError
+from cosim.base.signals import Sample
+from cosim.control.autopilot import requests as rq
+from cosim.groundstation.exchange import (
+    Asked,
+    Done,
+    Exchange,
+    Restart,
+    Snapshot,
+)
+from cosim.groundstation.web import feed
+
+# Chosen by us, with the reason.
+FRAMES_1_S = 20  # smooth to the eye, a tenth of what a core can send
+LARGEST = 4096  # bytes of a message from a page; the longest that the page sends has 200
+RATE_1_S = 80.0  # messages from one page; sticks come 20 times a second
+BURST = 160.0
+CLIENTS = 8  # pages open at once
+WAITING = 64 * 1024  # bytes waiting for a page that does not read: it misses frames; a frame has 2 kB
+KERNEL = 32 * 1024  # bytes waiting for it in the kernel, whose own choice would be seconds of old frames
+STUCK_S = 10.0  # after so long without reading the page is let go
+HELLO_S = 5.0  # for the token to arrive
+_STRIP = 4000  # points of the strip chart that may wait: a second at 16 times real time
+_POINTS = 40  # of the strip chart in one frame; 20 frames a second show four times the bandwidth of any loop here
+_TOKEN = "@TOKEN@"
+
+WRONG_TOKEN = 4401  # close codes of our own
+TOO_MANY = 4429
+
+# what the page offers; parameters, missions and faults are for ground stations
+ALLOWED = (
+    rq.Arm,
+    rq.Disarm,
+    rq.SetMode,
+    rq.Takeoff,
+    rq.Land,
+    rq.ReturnHome,
+    rq.Goto,
+    rq.Hold,
+    rq.SetSpeed,
+    rq.Kill,
+    rq.Sticks,
+)
+_TYPES = {
+    "html": "text/html; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+    "css": "text/css; charset=utf-8",
+    "svg": "image/svg+xml",
+}
+
+
+class WebServer:
+    """Serves the page of one session; ``port`` 0 takes any that is free.
+
+    ``start`` raises InputError where the port is taken.  Everything the flight's thread does here is to leave its last
+    sample for the strip chart; frames are made and sent in the server's thread, and a page that is slow misses frames.
+    """
+
+    def __init__(self, exchange: Exchange, port: int) -> None:
+        if not 0 <= port <= 65535:
+            raise InputError(f"--web {port}: must be a port from 0 to 65535")
+        self._exchange = exchange
+        self.port = port
+        self.refused = 0  # connections and messages that were not taken
+        self.skipped = 0  # frames that a slow page missed
+        self._token = secrets.token_urlsafe(32)
+        self._pages: dict[ServerConnection, _Page] = {}
+        self._strip: deque[tuple[int, Sample]] = deque(maxlen=_STRIP)
+        self._drawn = (0, -1)  # flight and step of the newest point
+        self._thread: threading.Thread | None = None
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://127.0.0.1:{self.port}/"
+
+    @property
+    def clients(self) -> int:
+        """Pages that are connected and have shown the token."""
+        return len(self._pages)
+
+    # --- the thread ----------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Serve from now on."""
+        try:
+            listening = socket.create_server(("127.0.0.1", self.port))
+        except OSError as error:
+            raise InputError(
+                f"--web {self.port}: the port cannot be opened: {os.strerror(error.errno or 0)}"
+            ) from error
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL)  # its connections have it from here
+        self.port = listening.getsockname()[1]
+        self._hosts = {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost")}
+        self._files = _read(self._token, self._hosts)
+        running = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._main(listening, running)), name="web")
+        self._thread.daemon = True  # a session that ends badly is not kept alive by its page
+        self._thread.start()
+        running.wait()
+
+    def stop(self) -> None:
+        """Say goodbye to every page and end the thread; may be called twice."""
+        if self._thread is not None:
+            self._soon(self._stopping.set)
+            self._thread.join()
+            self._thread = None
+
+    def __enter__(self) -> WebServer:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    async def _main(self, listening: socket.socket, running: threading.Event) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._stopping = asyncio.Event()
+        quiet = logging.getLogger(
+            "cosim.groundstation.web"
+        )  # a browser that opens a connection ahead of need is no error
+        quiet.addHandler(logging.NullHandler())
+        quiet.propagate = False
+        async with serve(
+            self._serve,
+            sock=listening,
+            origins=[Origin(f"http://{host}") for host in self._hosts],
+            process_request=self._answer,
+            compression=None,
+            open_timeout=HELLO_S,
+            ping_interval=5,
+            ping_timeout=STUCK_S,
+            close_timeout=1,
+            max_size=LARGEST,
+            max_queue=4,
+            server_header=None,
+            logger=quiet,
+        ):
+            leave = self._exchange.subscribe(self._news)
+            frames = asyncio.create_task(self._frames())
+            running.set()
+            await self._stopping.wait()
+            leave()
+            frames.cancel()
+            self._frame()  # what the pages are to see last
+
+    # --- files ---------------------------------------------------------------------------------------------------
+
+    def _answer(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
+        """A file, a refusal, or None where a WebSocket may be opened (its origin is looked at next)."""
+        host = request.headers.get_all("Host")
+        if len(host) != 1 or host[0].lower() not in self._hosts:
+            self.refused += 1
+            return _response(HTTPStatus.MISDIRECTED_REQUEST, b"This is not the server you are looking for.\n")
+        if request.method != "GET":
+            self.refused += 1
+            refusal = _response(HTTPStatus.METHOD_NOT_ALLOWED, b"GET only.\n")
+            refusal.headers["Allow"] = "GET"
+            return refusal
+        path = request.path.partition("?")[0]
+        if path == "/live":
+            if request.headers.get("Upgrade", "").lower() != "websocket":
+                return _response(HTTPStatus.UPGRADE_REQUIRED, b"A WebSocket.\n")
+            return None
+        found = self._files.get(path)
+        if found is None:
+            return _response(HTTPStatus.NOT_FOUND, b"Not found.\n")
+        kind, body, policy = found
+        return _response(HTTPStatus.OK, body, kind, policy)
+
+    # --- one page ------------------------------------------------------------------------------------------------
+
+    async def _serve(self, connection: ServerConnection) -> None:
+        """One WebSocket, from its first message to its end."""
+        try:
+            if not await self._admit(connection):
+                return
+            numbers = {page.number for page in self._pages.values()}
+            page = _Page(next(number for number in range(1, CLIENTS + 1) if number not in numbers))
+            self._pages[connection] = page
+            async for text in connection:
+                if not page.may_send(time.monotonic()):
+                    self.refused += 1
+                    await connection.close(TOO_MANY, "too many messages")
+                    return
+                self._take(connection, page, text)
+        except ConnectionClosed:
+            pass
+        finally:
+            self._pages.pop(connection, None)
+
+    async def _admit(self, connection: ServerConnection) -> bool:
+        """Has the page shown the token, and is there room for it?"""
+        try:
+            async with asyncio.timeout(HELLO_S):
+                hello = _parsed(await connection.recv())
+            token = hello.get("token")
+        except (TimeoutError, InputError):
+            token = None
+        if not (isinstance(token, str) and token.isascii() and hmac.compare_digest(token, self._token)):
+            self.refused += 1
+            await connection.close(WRONG_TOKEN, "wrong token")
+            return False
+        if len(self._pages) >= CLIENTS:
+            self.refused += 1
+            await connection.close(TOO_MANY, f"{CLIENTS} pages are open already")
+            return False
+        return True
+
+    def _take(self, connection: ServerConnection, page: _Page, text: str | bytes) -> None:
+        """One message of a page: ``{"id": n, "request": ..., ...}``."""
+        number: Any = None
+        try:
+            message = _parsed(text)
+            number = message.pop("id", None)
+            if number is not None and (isinstance(number, bool) or not isinstance(number, int)):
+                number = None
+                raise InputError("id: must be a whole number")
+            asked = _asked(message)
+        except InputError as error:
+            self.refused += 1
+            _send(
+                connection, {"type": "answer", "id": number, "accepted": False, "result": "failed", "text": str(error)}
+            )
+            return
+        self._exchange.ask(asked, self._reply(connection, number), f"web-{page.number}")
+
+    def _reply(self, connection: ServerConnection, number: int | None) -> Done | None:
+        """What sends the answer; nobody waits for that of a stick."""
+        if number is None:
+            return None
+
+        def done(answer: rq.Answer) -> None:
+            told = {"accepted": answer.accepted, "result": answer.result.value, "text": answer.text}
+            self._soon(lambda: _send(connection, {"type": "answer", "id": number, **told}))
+
+        return done
+
+    def _soon(self, act: Callable[[], None]) -> None:
+        """Do it in the server's thread, if that still runs."""
+        with suppress(RuntimeError):  # it does not
+            self._loop.call_soon_threadsafe(act)
+
+    # --- out -----------------------------------------------------------------------------------------------------
+
+    def _news(self) -> None:
+        """In the flight's thread: keep what the strip chart needs."""
+        snapshot = self._exchange.snapshot
+        if snapshot is None or snapshot.sample is None or not self._pages:
+            return
+        drawn = (snapshot.facts.number, snapshot.sample.k)
+        if drawn != self._drawn:  # a flight that is over says so again and again
+            self._drawn = drawn
+            self._strip.append((snapshot.facts.number, snapshot.sample))
+
+    async def _frames(self) -> None:
+        while True:
+            await asyncio.sleep(1.0 / FRAMES_1_S)
+            self._frame()
+
+    def _frame(self) -> None:
+        """Send the present state to every page that reads what it is sent."""
+        snapshot = self._exchange.snapshot
+        if snapshot is None or not self._pages:
+            self._strip.clear()
+            return
+        now, ready = time.monotonic(), []
+        for connection, page in list(self._pages.items()):
+            if page.reads(connection, now):
+                ready.append(connection)
+            elif now - page.read_at > STUCK_S:
+                connection.transport.abort()
+            else:
+                self.skipped += 1
+        frame = feed.state(snapshot) | {"age_s": round(now - snapshot.published, 2), "strip": self._points(snapshot)}
+        for connection in ready:
+            self._tell(connection, self._pages[connection], snapshot)
+        broadcast(ready, _dump(frame))
+
+    def _points(self, snapshot: Snapshot) -> list[feed.Point]:
+        """What is new for the strip chart, thinned evenly where the flight runs faster than it can be drawn."""
+        new = []
+        while self._strip:
+            number, sample = self._strip.popleft()
+            if number == snapshot.facts.number:
+                new.append(sample)
+        return [feed.point(sample) for sample in new[:: 1 + len(new) // _POINTS]]
+
+    def _tell(self, connection: ServerConnection, page: _Page, snapshot: Snapshot) -> None:
+        """The flight and the messages that the page does not know of."""
+        if page.flight != snapshot.facts.number:
+            page.flight = snapshot.facts.number
+            _send(connection, feed.flight(snapshot.facts))
+        messages = [each for each in self._exchange.messages if each.number > page.told]
+        if messages:
+            page.told = messages[-1].number
+            lines = feed.lines(messages, snapshot.facts.scenario.step_s)
+            _send(connection, {"type": "messages", "lines": lines})
+
+
+class _Page:
+    """What is known of one open page."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self.flight = 0  # that it was told of
+        self.told = 0  # the last message that it was sent
+        self.read_at = time.monotonic()
+        self._allowance, self._counted = BURST, self.read_at
+
+    def may_send(self, now: float) -> bool:
+        """Count one message at ``now`` [s]; False if there were too many."""
+        self._allowance = min(BURST, self._allowance + RATE_1_S * (now - self._counted)) - 1.0
+        self._counted = now
+        return self._allowance >= 0.0
+
+    def reads(self, connection: ServerConnection, now: float) -> bool:
+        """Is little enough waiting for it?"""
+        if connection.transport.get_write_buffer_size() > WAITING:
+            return False
+        self.read_at = now
+        return True
+
+
+def _asked(message: dict[str, Any]) -> Asked:
+    """The request in a message.  Raises InputError for what the page may not ask."""
+    if message == {"request": "Restart"}:
+        return Restart()
+    request = rq.from_dict(message)
+    if not isinstance(request, ALLOWED):
+        raise InputError(f"request = {type(request).__name__!r}: is not for the page")
+    return request
+
+
+def _parsed(text: str | bytes) -> dict[str, Any]:
+    """A message as a table.  Raises InputError for anything else."""
+    if isinstance(text, bytes):
+        raise InputError("message: must be text")
+
+    def refuse(word: str) -> float:
+        raise InputError(f"message: {word} is no number here")
+
+    try:
+        found = json.loads(text, parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("message: is not JSON") from None
+    if not isinstance(found, dict):
+        raise InputError("message: must be a table")
+    return found
+
+
+def _send(connection: ServerConnection, told: dict[str, Any]) -> None:
+    """Send without waiting; one that does not read gets nothing, and is let go soon."""
+    if connection.transport.get_write_buffer_size() <= 2 * WAITING:
+        broadcast([connection], _dump(told))
+
+
+def _dump(told: dict[str, Any]) -> str:
+    return json.dumps(told, separators=(",", ":"), allow_nan=False)
+
+
+def _read(token: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
+    """Every file of the page by its path: kind, content, and the policy of a document."""
+    sockets = " ".join(sorted(f"ws://{host}" for host in hosts))
+    policy = (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+        f"connect-src 'self' {sockets}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+    found = {
+        path: (_TYPES[path.rpartition(".")[2]], body, policy)
+        for path, body in _walk(files("cosim.groundstation.web") / "static", "/")
+        if path.rpartition(".")[2] in _TYPES
+    }
+    kind, body, _ = found.pop("/index.html")
+    page = body.decode().replace(_TOKEN, escape(token)).encode()
+    return found | {"/": (kind, page, policy)}
+
+
+def _walk(folder: Traversable, above: str) -> list[tuple[str, bytes]]:
+    found = []
+    for each in folder.iterdir():
+        if each.is_dir():
+            found += _walk(each, f"{above}{each.name}/")
+        else:
+            found.append((above + each.name, each.read_bytes()))
+    return found
+
+
+def _response(status: HTTPStatus, body: bytes, kind: str = "text/plain; charset=utf-8", policy: str = "") -> Response:
+    headers = Headers(
+        {
+            "Content-Type": kind,
+            "Content-Length": str(len(body)),
+            "Connection": "close",
+            "Cache-Control": "no-store",
+            "Content-Security-Policy": policy or "default-src 'none'; frame-ancestors 'none'",
+            "X-Content-Type-Options": "nosniff",
+            "X-Frame-Options": "DENY",
+            "Referrer-Policy": "no-referrer",
+            "Cross-Origin-Opener-Policy": "same-origin",
+            "Cross-Origin-Resource-Policy": "same-origin",
+        }
+    )
+    return Response(status.value, status.phrase, headers, body)

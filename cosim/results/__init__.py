@@ -1,0 +1,1 @@
+"""What a flight leaves: columns, the log, metrics, the run folder, exports."""

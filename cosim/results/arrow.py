@@ -1,0 +1,302 @@
+"""Arrow and Parquet: a flight's log on disk, and tables of anything else.
+
+The only module that imports ``pyarrow``.  In a run's folder the rows go to an Arrow IPC stream, each block in one
+write, so that a killed process loses at most its last block; at the end the stream becomes a Parquet file whose bytes
+depend on the rows alone.
+
+A flight's log goes around what makes pyarrow import pandas where that is installed (``pa.array``, ``to_numpy``): it
+costs more than a short flight, and 35 MB.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.files import lock, one_line, replacing
+from cosim.results.columns import COLUMNS, NAMES, known
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Array = NDArray[np.float64]
+Value = float | int | bool | str | None
+
+ROW_GROUP = 16_384  # rows of Parquet written at once: 16 MB of float64
+_END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"  # Arrow IPC streaming format
+
+
+class StreamSink:
+    """Appends the blocks to a new Arrow IPC stream, and holds a lock on it for as long as it is open.
+
+    ``note`` travels in the stream's metadata.  Raises InputError if the file exists or cannot be made.
+    """
+
+    def __init__(self, path: Path, note: str) -> None:
+        self.path = path
+        try:
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o666)
+        except OSError as error:
+            raise InputError(f"{path}: {one_line(error)}") from error
+        lock(self._file)
+        self._size = 0
+        self._append(_schema(note).serialize().to_pybytes())
+
+    def write(self, table: Array) -> None:
+        """Append a record batch.  Raises FlightError if it cannot be written; nothing of it is in the file then."""
+        columns = np.asarray(table, "<f8").ravel()
+        self._append(_batch_head(table.shape[1]), columns.view(np.uint8).data)
+
+    def end(self) -> None:
+        """Mark the stream as complete.  Raises FlightError."""
+        self._append(_END_OF_STREAM)
+
+    def close(self) -> None:
+        """Close the file and give up the lock."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def _append(self, *parts: bytes | memoryview) -> None:
+        size = sum(map(len, parts))
+        try:
+            written = os.writev(self._file, parts)
+            if written < size:
+                rest = memoryview(b"".join(parts))[written:]
+                while rest:
+                    rest = rest[os.write(self._file, rest) :]
+        except OSError as error:
+            os.ftruncate(self._file, self._size)  # half a message would hide what is written after it
+            raise FlightError(f"{self.path}: {one_line(error)}") from error
+        self._size += size
+
+
+@cache
+def _batch_head(rows: int) -> bytes:
+    """What comes before the columns in a record batch of so many rows.
+
+    Behind it a batch of float64 without nulls is its columns, one after the other: whole multiples of 8 bytes, as Arrow
+    aligns them.
+    """
+    import pyarrow as pa
+
+    zeros = pa.Array.from_buffers(pa.float64(), rows, [None, pa.py_buffer(bytes(8 * rows))])
+    columns = [zeros] * len(NAMES)
+    message: bytes = pa.RecordBatch.from_arrays(columns, schema=_schema()).serialize().to_pybytes()
+    return message[: len(message) - 8 * rows * len(NAMES)]
+
+
+class ParquetLog:
+    """A log in a Parquet file; every column is read when it is asked for.  Raises InputError if it cannot be read."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with _parquet(self._path) as file:
+            self.columns: tuple[str, ...] = tuple(file.schema_arrow.names)
+            self._rows: int = file.metadata.num_rows
+
+    def __len__(self) -> int:
+        return self._rows
+
+    def __getitem__(self, name: str) -> Array:
+        with _parquet(self._path) as file:
+            column = file.read([known(name, self.columns)], use_threads=False).column(0)
+            return np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
+
+    def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
+        """The named columns, at most ``rows`` rows at a time."""
+        wanted = [known(name, self.columns) for name in names]
+        with _parquet(self._path) as file:
+            for batch in file.iter_batches(batch_size=rows, columns=wanted, use_threads=False):
+                yield {name: _numbers(batch.column(name)) for name in names}
+
+
+def _numbers(column: pa.Array) -> Array:
+    return np.asarray(np.from_dlpack(column), np.float64)
+
+
+def read_note(stream: Path) -> str | None:
+    """The note in a stream's metadata; None if the stream is torn before its end."""
+    import pyarrow as pa
+
+    try:
+        with pa.OSFile(str(stream)) as file, pa.ipc.open_stream(file) as reader:
+            return str((reader.schema.metadata or {}).get(b"note", b""), "utf-8")
+    except pa.ArrowException:
+        return None
+    except OSError as error:
+        raise InputError(f"{stream}: {one_line(error)}") from error
+
+
+def stream_to_parquet(stream: Path, parquet: Path) -> int:
+    """Convert every complete batch of a stream, torn or not, and return the number of rows.
+
+    The Parquet file appears under its name only when it is complete; how the rows were cut into batches leaves no trace
+    in it.  Raises FlightError if it cannot be written.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    rows = 0
+    try:
+        with (
+            replacing(parquet) as temporary,
+            pq.ParquetWriter(
+                temporary,
+                _schema(),
+                compression="zstd",
+                use_dictionary=False,
+                column_encoding=dict.fromkeys(NAMES, "BYTE_STREAM_SPLIT"),
+            ) as writer,
+        ):
+            for table in _regrouped(_complete_batches(stream)):
+                writer.write_table(table, row_group_size=ROW_GROUP)
+                rows += table.num_rows
+    except (OSError, pa.ArrowException) as error:
+        raise FlightError(f"{parquet}: {one_line(error)}") from error
+    return rows
+
+
+def _schema(note: str | None = None) -> pa.Schema:
+    import pyarrow as pa
+
+    fields = [
+        pa.field(
+            c.name, pa.float64(), nullable=False, metadata={"unit": c.unit, "frame": c.frame, "meaning": c.meaning}
+        )
+        for c in COLUMNS
+    ]
+    return pa.schema(fields, metadata=None if note is None else {"note": note})
+
+
+def _complete_batches(stream: Path) -> Iterator[pa.RecordBatch]:
+    """The batches of a stream up to its end or to the place where it is torn."""
+    import pyarrow as pa
+
+    with closing(pa.OSFile(str(stream))) as file:
+        try:
+            reader = pa.ipc.open_stream(file)
+        except pa.ArrowInvalid:
+            return
+        while True:
+            try:
+                batch = reader.read_next_batch()
+            except (StopIteration, pa.ArrowInvalid, OSError):
+                return
+            yield batch
+
+
+def _regrouped(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
+    """The same rows in tables of ROW_GROUP rows, the last one shorter."""
+    import pyarrow as pa
+
+    waiting: list[pa.RecordBatch] = []
+    count = 0
+    for batch in batches:
+        while count + batch.num_rows >= ROW_GROUP:
+            part = batch.slice(0, ROW_GROUP - count)
+            batch = batch.slice(ROW_GROUP - count)
+            yield pa.Table.from_batches([*waiting, part])
+            waiting, count = [], 0
+        if batch.num_rows:
+            waiting.append(batch)
+            count += batch.num_rows
+    if waiting:
+        yield pa.Table.from_batches(waiting)
+
+
+def write_table(
+    path: Path,
+    columns: Mapping[str, Sequence[Value]],
+    note: Mapping[str, str] | None = None,
+    kinds: Mapping[str, type[Value]] | None = None,
+) -> None:
+    """Write columns of one length to a Parquet file, whole or not at all; ``note`` travels in its metadata.
+
+    A column is of float (64 bits), int (64 bits), bool or str: what ``kinds`` says or else what its values are.  Whole
+    numbers among others are floats then, and so is nothing but None.  None and NaN stay apart.
+
+    Raises InputError for a value that is not of its column's kind, FlightError if the file cannot be written.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    arrays = {name: _array(name, values, (kinds or {}).get(name)) for name, values in columns.items()}
+    table = pa.table(arrays).replace_schema_metadata(dict(note or {}) or None)
+    try:
+        with replacing(path) as temporary:
+            pq.write_table(table, temporary, compression="zstd")
+    except (OSError, pa.ArrowException) as error:
+        raise FlightError(f"{path}: {one_line(error)}") from error
+
+
+def read_table(
+    paths: Path | Sequence[Path], names: Sequence[str] | None = None, lacking: bool = False
+) -> dict[str, list[Value]]:
+    """The columns of one file, or of several one after the other; only the ``names``, if they are given.
+
+    Where a file lacks a column, its rows have None; with ``lacking`` also where every file does.  Raises InputError if
+    a file cannot be read, or none has a name.
+    """
+    columns: dict[str, list[Value]] = {}
+    rows = 0
+    for path in [paths] if isinstance(paths, Path) else paths:
+        with _parquet(path) as file:
+            held = file.schema_arrow.names
+            table = file.read([name for name in held if names is None or name in names], use_threads=False)
+            length = file.metadata.num_rows
+        for name in held:
+            column = columns.setdefault(name, [None] * rows)
+            if name in table.column_names:
+                column.extend(table.column(name).to_pylist())
+        rows += length
+        for values in columns.values():
+            values.extend([None] * (rows - len(values)))
+    if names is not None and lacking:
+        return {name: columns.get(name, [None] * rows) for name in names}
+    return columns if names is None else {known(name, columns, "table"): columns[name] for name in names}
+
+
+def read_table_note(path: Path) -> dict[str, str]:
+    """What :func:`write_table` was given as ``note``.  Raises InputError if the file cannot be read."""
+    with _parquet(path) as file:
+        found = file.schema_arrow.metadata or {}
+    return {str(key, "utf-8"): str(value, "utf-8") for key, value in found.items()}
+
+
+def _array(name: str, values: Sequence[Value], stated: type[Value] | None) -> pa.Array:
+    import pyarrow as pa
+
+    types = {float: pa.float64(), int: pa.int64(), bool: pa.bool_(), str: pa.string()}
+    found = {type(value) for value in values if value is not None}
+    kinds = {next((kind for kind in (bool, *types) if issubclass(each, kind)), each) for each in found}
+    numbers = {float, int}
+    kind = stated or (next(iter(kinds)) if len(kinds) == 1 else float)
+    if kind not in types or not kinds <= (numbers if kind is float else {kind}):
+        held = ", ".join(sorted(each.__name__ for each in kinds))
+        allowed = f"{kind.__name__} or None" if stated else "one of float, int, bool and str in a column, or None"
+        raise InputError(f"column {name!r}: {held}; allowed: {allowed}")
+    try:
+        return pa.array(values, types[kind], from_pandas=False)
+    except (pa.ArrowException, OverflowError) as error:
+        raise InputError(f"column {name!r}: {one_line(error)}") from error
+
+
+@contextmanager
+def _parquet(path: Path) -> Iterator[Any]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        with pq.ParquetFile(path, pre_buffer=False) as file:
+            yield file
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(f"{path}: cannot be read as Parquet: {one_line(error)}") from error

@@ -1,0 +1,171 @@
+"""``autopilot.jsonl``: what the autopilot did, beside the rows of a flight: states, messages, parameters, estimates.
+
+An observer writes a line whenever something changes, and the estimate at a fixed rate, so that an hour of flight is a
+few megabytes.  The file follows from the flight alone: who flies a run again gets it again, byte for byte.
+
+==============  ======================================================================================================
+kind            what else is in the line
+==============  ======================================================================================================
+``parameters``  ``values``: every parameter by name, at the start; whole where the vehicle counts
+``parameter``   ``name``, ``value``: changed by somebody
+``state``       ``mode``, ``armed``, ``landed``, ``engines``, ``failsafe``: the autopilot's own words
+``mission``     ``count``, ``current``, ``reached``
+``home``        ``north``, ``east``, ``altitude``: m, NED and height above the ground at the start
+``message``     ``severity`` as in syslog, ``text``
+``estimate``    ``position``, ``velocity`` (north and east, m and m/s), ``altitude``, ``yaw`` (asked for, m and rad),
+                ``track`` (set-point of position, m; or null), ``positioned`` (GNSS fixes come): ten times a second
+==============  ======================================================================================================
+
+``k`` is the step in which it was so; a message carries the step before which it was said.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.signals import Sample
+from cosim.control.autopilot.autopilot import Autopilot, Status
+from cosim.results.run import AUTOPILOT
+
+ESTIMATE_S = 0.1  # between two estimates; chosen by us: PX4 logs its local position as often
+_KEPT = 64 * 1024  # bytes that wait for a write: a kill loses as little as a few seconds
+
+Line = dict[str, Any]
+
+
+class PilotRecord:
+    """Observes a flight that ``pilot`` flies, and writes its file.  Raises InputError if the file cannot be made."""
+
+    def __init__(self, pilot: Autopilot, path: Path, step: float) -> None:
+        self._pilot = pilot
+        self._every = max(1, round(ESTIMATE_S / step))
+        self._path = path
+        self._last: dict[str, Line] = {}
+        self._values: dict[str, float] = {}
+        self._said = 0
+        self._waiting: list[bytes] = []
+        self._size = 0
+        try:
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror or error}") from error
+
+    def observe(self, sample: Sample) -> None:
+        """After a step.  Raises FlightError if the file cannot be written."""
+        self.look(sample.k)
+
+    def look(self, k: int) -> None:
+        """Write what is new."""
+        pilot = self._pilot
+        self._messages()
+        self._parameters(k)
+        state: Line = {
+            "mode": pilot.mode.value,
+            "armed": pilot.armed,
+            "landed": pilot.landed.value,
+            "engines": pilot.engines.value,
+            "failsafe": pilot.failsafe,
+        }
+        self._changed("state", k, state)
+        mission = pilot.mission
+        if mission.items or "mission" in self._last:
+            count = len(mission.items)
+            self._changed("mission", k, {"count": count, "current": mission.current, "reached": mission.reached})
+        if pilot.home is not None:
+            self._changed("home", k, pilot.home._asdict())
+        if k % self._every == 0:
+            self._write("estimate", k, **_estimate(pilot.status))
+
+    def close(self) -> None:
+        """What was said after the last step, and everything is in the file; may be called twice."""
+        if self._file >= 0:
+            try:
+                self._messages()
+                self._flush()
+            finally:
+                os.close(self._file)
+                self._file = -1
+
+    def _messages(self) -> None:
+        messages = self._pilot.messages
+        if messages and messages[-1].number > self._said:
+            for message in messages:
+                if message.number > self._said:
+                    self._write("message", message.k, severity=int(message.severity), text=message.text)
+            self._said = messages[-1].number
+
+    def _parameters(self, k: int) -> None:
+        table, values = self._pilot.parameters.table, self._pilot.parameters.values
+        if not self._values:
+            self._values = dict(values)
+            told = {name: int(value) if table[name].kind == "int" else value for name, value in values.items()}
+            self._write("parameters", k, values=told)
+        elif values != self._values:
+            for name, value in values.items():
+                if value != self._values[name]:
+                    self._write("parameter", k, name=name, value=int(value) if table[name].kind == "int" else value)
+            self._values = dict(values)
+
+    def _changed(self, kind: str, k: int, now: Line) -> None:
+        if self._last.get(kind) != now:
+            self._last[kind] = now
+            self._write(kind, k, **now)
+
+    def _write(self, kind: str, k: int, **rest: Any) -> None:
+        line = (json.dumps({"k": k, "kind": kind, **rest}, allow_nan=False) + "\n").encode()
+        self._waiting.append(line)
+        self._size += len(line)
+        if self._size > _KEPT or kind in ("state", "message"):
+            self._flush()
+
+    def _flush(self) -> None:
+        rest = memoryview(b"".join(self._waiting))
+        self._waiting, self._size = [], 0
+        try:
+            while rest:
+                rest = rest[os.write(self._file, rest) :]
+        except OSError as error:
+            raise FlightError(f"{self._path}: {error.strerror or error}") from error
+
+
+def read_pilot_record(folder: Path) -> list[Line]:
+    """Every line of a run's file in the order of its steps; none where the run has no autopilot, or is older.
+
+    A last line that is torn is left out.  Raises InputError for a file that :class:`PilotRecord` does not write.
+    """
+    path = folder / AUTOPILOT
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return []
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    return list(_lines(path, text))
+
+
+def _lines(path: Path, text: str) -> Iterator[Line]:
+    for number, line in enumerate(text.split("\n")[:-1], 1):
+        try:
+            found = json.loads(line)
+        except ValueError as error:
+            raise InputError(f"{path}, line {number}: not JSON ({error})") from error
+        if not isinstance(found, dict) or not isinstance(found.get("k"), int) or not isinstance(found.get("kind"), str):
+            raise InputError(f"{path}, line {number}: must be an object with the step k and a kind")
+        yield found
+
+
+def _estimate(status: Status) -> Line:
+    fix = status.fix
+    return {
+        "position": list(fix.position),
+        "velocity": list(fix.velocity),
+        "track": None if status.track is None else list(status.track),
+        "positioned": status.positioned,
+        "altitude": status.altitude,
+        "yaw": status.yaw,
+    }

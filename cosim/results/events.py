@@ -1,0 +1,208 @@
+"""What happened in a flight: one list that report, exports and whoever else ask, each entry with its time.
+
+Faults, the engine monitor's verdicts and contacts are read from the log, so that they are there also of a flight that
+was killed; what disturbed it is in the scenario, and what an autopilot said in its record beside the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.signals import JETS
+from cosim.results.autopilot_record import read_pilot_record
+from cosim.results.metrics import Record
+from cosim.simulation.fault_schedule import SENSORS, SERVOS
+
+if TYPE_CHECKING:
+    from cosim.results.recorder import Log
+    from cosim.results.run import Run
+    from cosim.spec.scenario import DisturbanceEntry, Fault, Scenario
+
+Kind = Literal["fault", "monitor", "disturbance", "contact", "pilot"]
+APART_S = 0.5  # contacts nearer to each other than this are one
+MOST = 500  # of one kind: more is noise, and the log has it all
+
+
+class Event(Record):
+    """Something that happened; ``end_s`` None: at one instant, or, of a fault or disturbance, to the end."""
+
+    time_s: float
+    kind: Kind
+    text: str
+    end_s: float | None = None
+    severity: int = 6  # as in syslog: 2 critical, 3 error, 4 warning, 6 information
+    banded: bool = False  # a stretch of time that a figure is to show; steady wind is not, it is there all the while
+
+    @property
+    def lasts(self) -> bool:
+        """Whether it is a stretch of time rather than an instant."""
+        return self.kind in ("fault", "disturbance")
+
+
+def events_of(run: Run) -> list[Event]:
+    """Everything of a run, in the order of time."""
+    log, step = run.log, run.summary.step_s
+    if not len(log):
+        return []
+    scenario: Scenario | None
+    try:
+        scenario = run.scenario
+    except (InputError, FlightError):  # of another version, or gone: the log is still there
+        scenario = None
+    end = len(log) * step
+    found = [
+        *faults(log, step, scenario.fault if scenario else ()),
+        *verdicts(log, step),
+        *contacts(log, step),
+        *(disturbances(scenario, end) if scenario else ()),
+        *said(run.folder, step),
+    ]
+    return sorted(found, key=lambda event: event.time_s)
+
+
+def spans(mask: NDArray[np.bool_], step: float) -> list[tuple[float, float | None]]:
+    """The times between which a mask is true; None for an end that lies beyond the log."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
+    return [
+        (float(start * step), None if end == mask.size else float(end * step))
+        for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    ][:MOST]
+
+
+def faults(log: Log, step: float, stated: Sequence[Fault] = ()) -> Iterator[Event]:
+    """Every stretch in which a fault acts, by jet, servo and sensor; in the words of the scenario where it has them."""
+    places = [("jet", str(jet)) for jet in range(1, JETS + 1)] + [("servo", side) for side in SERVOS]
+    places += [("sensor", name) for name in SENSORS]
+    for what, name in places:
+        column = f"fault_{name}" if what == "sensor" else f"fault_{what}_{name}"
+        if column not in log.columns:
+            continue
+        for start, end in spans(log[column] > 0.0, step):
+            told = [
+                fault_text(fault) for fault in stated if _is_of(fault, what, name) and _acts(fault, start, end, step)
+            ]
+            where = f"jet {name}" if what == "jet" else f"{name} {'servo' if what == 'servo' else ''}".strip()
+            yield Event(
+                time_s=start,
+                kind="fault",
+                text=f"{where}: {' and '.join(told) or 'a fault acts'}",
+                end_s=end,
+                severity=4,
+                banded=True,
+            )
+
+
+def _is_of(fault: Fault, what: str, name: str) -> bool:
+    if what == "jet":
+        return int(name) in getattr(fault, "jet", ())
+    return getattr(fault, what, None) == name
+
+
+def _acts(fault: Fault, start: float, end: float | None, step: float) -> bool:
+    """Whether a fault acts at any time between ``start`` and ``end``."""
+    over = None if fault.duration_s is None else fault.start_s + fault.duration_s
+    half = 0.5 * step
+    return (end is None or fault.start_s < end - half) and (over is None or over > start + half)
+
+
+def fault_text(fault: Fault) -> str:
+    """A fault in words, without its place and time."""
+    match fault.kind:
+        case "flame_out":
+            return "flame-out"
+        case "stuck_throttle":
+            return "throttle stuck" if fault.throttle is None else f"throttle stuck at {100.0 * fault.throttle:g} %"
+        case "thrust_loss":
+            return f"{100.0 * fault.share:g} % of the thrust lost"
+        case "slow_spool":
+            return f"slower by a lag of {fault.lag_s:g} s"
+        case "delay_growth":
+            return f"later by {fault.delay_s:g} s"
+        case "servo_jam":
+            return "jammed" if fault.angle_deg is None else f"jammed at {fault.angle_deg:g} deg"
+        case "sensor_bias":
+            return f"biased by {', '.join(f'{value:g}' for value in fault.bias)}"
+        case "sensor_dropout":
+            return "silent"
+
+
+def verdicts(log: Log, step: float) -> Iterator[Event]:
+    """Every change of what the engine monitor believes of a jet."""
+    for jet in range(1, JETS + 1):
+        name = f"health_{jet}"
+        if name not in log.columns:
+            continue
+        health = log[name]
+        if not np.all(np.isfinite(health)):
+            continue
+        believed = np.concatenate(([1.0], health))
+        for row in np.flatnonzero(np.diff(believed) != 0.0)[:MOST].tolist():
+            yield Event(time_s=row * step, kind="monitor", text=f"jet {jet} {_judged(believed[row + 1])}", severity=4)
+
+
+def _judged(health: float) -> str:
+    if health >= 1.0:
+        return "taken for healthy again"
+    return "given up" if health <= 0.0 else f"taken for weak: {100.0 * health:.0f} % of what it is told"
+
+
+def contacts(log: Log, step: float) -> Iterator[Event]:
+    """When the vehicle leaves the ground and stands on it again, bounces left out."""
+    contact = (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
+    edges = np.flatnonzero(np.diff(contact.astype(np.int8))) + 1
+    last = contact[0]
+    for place, row in enumerate(edges.tolist()):
+        following = edges[place + 1] if place + 1 < edges.size else contact.size
+        if contact[row] != last and (following - row) * step >= APART_S:
+            last = contact[row]
+            yield Event(time_s=row * step, kind="contact", text="touches the ground" if last else "leaves the ground")
+
+
+def disturbances(scenario: Scenario, end: float) -> Iterator[Event]:
+    """What the scenario does to the vehicle from outside, as far as the flight lasts."""
+    if any(scenario.environment.wind_ned_m_s):
+        yield Event(time_s=0.0, kind="disturbance", text=f"wind of {_speed(scenario.environment.wind_ned_m_s)}")
+    for entry in scenario.disturbance:
+        if entry.start_s < end:
+            length = entry.rise_s + entry.hold_s + entry.fall_s if entry.kind == "gust" else entry.duration_s
+            over = None if length is None or entry.start_s + length > end else entry.start_s + length
+            yield Event(time_s=entry.start_s, kind="disturbance", text=_disturbance(entry), end_s=over, banded=True)
+
+
+def _disturbance(entry: DisturbanceEntry) -> str:
+    match entry.kind:
+        case "force":
+            return f"force of {_size(entry.force_n)} N"
+        case "moment":
+            return f"moment of {_size(entry.moment_n_m)} N m"
+        case "torque_command":
+            return f"{entry.shape} on the {entry.axis} command"
+        case "payload":
+            return f"load of {entry.mass_kg:g} kg"
+        case "wind":
+            return f"wind changes by {_speed(entry.velocity_ned_m_s)}"
+        case "gust":
+            return f"gust of {_speed(entry.velocity_ned_m_s)}"
+
+
+def _size(vector: Iterable[float]) -> str:
+    return f"{float(np.linalg.norm(list(vector))):.3g}"
+
+
+def _speed(velocity: Iterable[float]) -> str:
+    return f"{_size(velocity)} m/s"
+
+
+def said(folder: Path | None, step: float) -> Iterator[Event]:
+    """What the autopilot of a run said, its modes among it."""
+    for line in read_pilot_record(folder) if folder is not None else ():
+        if line["kind"] == "message":
+            yield Event(
+                time_s=max(line["k"], 0) * step, kind="pilot", text=str(line["text"]), severity=int(line["severity"])
+            )

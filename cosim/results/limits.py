@@ -1,0 +1,163 @@
+"""What a flight may do and still count as flown: limits on its metrics, for every flight.
+
+The outcome says how a flight ended; it is ``completed`` wherever the vehicle went meanwhile.  The limits say whether it
+went where it was asked to go, and did so by means that it has.  They come from the size of the vehicle and from what
+the scenario commands, so that one set of numbers serves every vehicle and every scenario; a scenario's table
+``[limits]`` states others.  A flight beyond one of them is not flown as planned, and says by which figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cosim.base.protocols import Columns
+from cosim.base.signals import AXES
+from cosim.control.altitude import GRAVITY
+from cosim.results.metrics import (
+    PLACE,
+    Array,
+    Record,
+    asks_for_a_place,
+)
+from cosim.results.wording import metric
+
+if TYPE_CHECKING:
+    from cosim.spec.scenario import Scenario
+    from cosim.spec.vehicle import Vehicle
+
+# Chosen by us, in spans of the vehicle and in its Froude speed sqrt(g span), so that a vehicle and its scaled copy are
+# held to the same.  A span is 0.4 m on the prototype.
+HEIGHT_SPANS = 5.0  # 2 m: no shipped disturbance costs as much, a tenth of the weight taken up at once included
+PLACE_SPANS = 10.0  # 4 m: GNSS that is off by a metre, and the first gust before the estimate of the wind has it
+DRIFT_SPANS = 25.0  # 10 m: nobody holds the place, but nobody would say either that the vehicle hovered
+SPEEDS = 2.0  # 4 m/s
+SATURATED_PERCENT = 50.0  # most of its time in the air a vehicle is to have what its controllers ask for
+
+LIMITED = {  # the keys of [limits] and the metrics that they limit
+    "height_error_m": "altitude.max_abs_error_m",
+    "place_error_m": "position.max_abs_error_m",
+    "drift_m": "position.drift_m",
+    "speed_m_s": "speed.max_m_s",
+    "saturated_percent": "effort.saturated_percent",
+    "throttle_activity_1_s": "effort.throttle_1_s",
+    "tilt_activity_rad_s": "effort.tilt_rad_s",
+    "fuel_burnt_kg": "fuel_burnt_kg",
+}
+
+
+class Yardstick(Record):
+    """What the limits of a flight are made from, beside its log."""
+
+    span_m: float
+    height_law: tuple[float, float, float]  # gain 1/s, most climb and most descent m/s
+    stated: dict[str, float | None]  # by the keys of LIMITED; None: none
+    piloted: bool  # by an autopilot that is asked things: where it flies is no drift
+
+
+def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
+    """What a flight of this scenario with this vehicle is held to."""
+    gains = vehicle.control.altitude
+    stated = scenario.limits.model_dump(exclude_none=True)
+    return Yardstick(
+        span_m=vehicle.aero.span_m,
+        height_law=(gains.position_1_s, gains.climb_limit_m_s, gains.descent_limit_m_s),
+        stated={key: None if value is False else float(value) for key, value in stated.items()},
+        piloted=scenario.requests is not None,
+    )
+
+
+def flight_limits(held: Yardstick, log: Columns, step_s: float) -> dict[str, float]:
+    """The most that each limited metric may be in this flight, by the metric's name.
+
+    The height's error may be ``HEIGHT_SPANS`` beyond what the height law leaves by itself, the drift ``DRIFT_SPANS``
+    beyond the way that the commanded leans explain, the speed ``SPEEDS`` beyond the speed that they explain.  There is
+    none on drift where a place is asked for, none on drift and speed where a pilot flies or body rates are commanded.
+    """
+    span = held.span_m
+    setpoint, altitude = log["altitude_setpoint_m"], log["altitude_m"]
+    found = {
+        "height_error_m": HEIGHT_SPANS * span + height_lag(setpoint, altitude, held.height_law, step_s),
+        "saturated_percent": SATURATED_PERCENT,
+    }
+    placed, speed = asks_for_a_place(log), SPEEDS * sqrt(GRAVITY * span)
+    if placed:
+        found["place_error_m"] = PLACE_SPANS * span
+    if not held.piloted:
+        if placed:
+            found["speed_m_s"] = speed + track_speed(log[PLACE[0]], log[PLACE[1]], step_s)
+        else:
+            roll, pitch, yaw = (log[f"{axis}_setpoint_rad"] for axis in AXES)
+            start = (log["velocity_north_m_s"][:1], log["velocity_east_m_s"][:1])
+            asked = lean_motion(roll, pitch, yaw, start, step_s)
+            if asked is not None:
+                found |= {"drift_m": DRIFT_SPANS * span + asked[0], "speed_m_s": speed + asked[1]}
+    merged: dict[str, float | None] = {**found, **held.stated}
+    return {LIMITED[key]: value for key, value in merged.items() if value is not None}
+
+
+def height_lag(setpoint: Array, altitude: Array, law: tuple[float, float, float], step_s: float) -> float:
+    """The largest height error (m) that a vehicle has which follows the height law without any error of its own.
+
+    ``h' = clip(K (h_set - h), -descent, climb)``: a step leaves its size, a ramp its rate over K.  Where the height is
+    asked for anew the law begins where the vehicle is.
+    """
+    known = np.isfinite(setpoint)
+    if not np.any(known):
+        return 0.0
+    here = setpoint[known]
+    if np.all(here == here[0]) and np.all(known):
+        return float(abs(here[0] - altitude[0]))
+    gain, up, down = law
+    worst, height, asked = 0.0, 0.0, False
+    for wanted, actual in zip(setpoint.tolist(), altitude.tolist(), strict=True):
+        if wanted != wanted:  # NaN: the collective is commanded
+            asked = False
+            continue
+        if not asked:
+            height, asked = actual, True
+        off = wanted - height
+        worst = max(worst, abs(off))
+        height += step_s * min(max(gain * off, -down), up)
+    return worst
+
+
+def lean_motion(
+    roll: Array, pitch: Array, yaw: Array, velocity: tuple[Array, Array], step_s: float
+) -> tuple[float, float] | None:
+    """The way (m) and the largest speed (m/s) that commanded leans explain: in still air, without drag.
+
+    ``a = g tan(lean)`` of thrust along the body's -z axis that holds the weight, added up from the ``velocity`` at the
+    start.  None where an angle is not commanded.
+    """
+    if not roll.size or not all(np.all(np.isfinite(angle)) for angle in (roll, pitch, yaw)):
+        return None
+    upright = np.cos(roll) * np.cos(pitch)
+    scale = np.where(upright > 0.0, -GRAVITY * step_s / np.maximum(upright, 1e-3), 0.0)
+    sine, rolled = np.cos(roll) * np.sin(pitch), np.sin(roll)
+    north = velocity[0] + np.cumsum(scale * (sine * np.cos(yaw) + rolled * np.sin(yaw)))
+    east = velocity[1] + np.cumsum(scale * (sine * np.sin(yaw) - rolled * np.cos(yaw)))
+    speed = np.hypot(north, east)
+    return float(np.sum(speed) * step_s), float(np.max(speed))
+
+
+def track_speed(north: Array, east: Array, step_s: float) -> float:
+    """The largest speed (m/s) of the place asked for."""
+    speed = np.hypot(np.diff(north), np.diff(east)) / step_s
+    known = speed[np.isfinite(speed)]
+    return float(np.max(known)) if known.size else 0.0
+
+
+def beyond(limits: Mapping[str, float], flat: Mapping[str, float | None]) -> list[str]:
+    """The limited metrics that are beyond their limit, by name; what a flight has not is within."""
+    return [name for name, most in limits.items() if (value := flat.get(name)) is not None and value > most]
+
+
+def told(name: str, limits: Mapping[str, float], flat: Mapping[str, float | None]) -> str:
+    """A metric and its limit in words: ``drift from the start 125.7 m, limit 10 m``."""
+    of, value = metric(name), flat[name]
+    assert value is not None
+    return f"{of.label} {of.factor * value:.4g} {of.unit}, limit {of.factor * limits[name]:.4g} {of.unit}"

@@ -1,0 +1,397 @@
+"""What a flight's log says in numbers: pure functions of its columns.
+
+Errors are set-point minus true angle, wrapped to (-pi, pi], where a set-point exists.  Overshoot and settling time are
+stated only for a set-point that moves in steps and nothing but steps: it is constant for at least ``HOLD_S`` after each
+of its changes.  A set-point that differs from the attitude at the start of the flight is a step at that moment.
+
+What is said of an axis at the end is the mean over the last second; of height, place and speed, that of the last row.
+docs/metrics.md has every definition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from cosim.base.protocols import Columns
+from cosim.base.signals import AXES, JETS
+from cosim.base.toml import nearest
+from cosim.results.columns import RATES
+from cosim.spec.scenario import Range
+
+Array = NDArray[np.float64]
+
+HOLD_S = 0.2  # chosen by us: shorter than any doublet worth flying, longer than the holds of recorded sticks at 10 Hz
+SMALLEST_STEP_RAD = 1e-3  # chosen by us: a smaller offset at the start is trim or noise, not a command
+SETTLING_BAND = 0.05  # of the step's size, the common 5 % convention
+FINAL_S = 1.0  # the end of the flight that tells whether it is at rest
+FLIGHT_M = 0.2  # chosen by us: less is a hop at take-off or a bounce
+AT_LIMIT = 1e-9  # throttle, rad: rounding between a limit and a command that was cut there
+REFUSED = ("refused_roll", "refused_pitch", "refused_yaw", "refused_collective")
+PLACE = ("north_setpoint_m", "east_setpoint_m")
+_THROTTLES = tuple(f"throttle_{jet}" for jet in range(1, JETS + 1))
+_HEALTH = tuple(f"health_{jet}" for jet in range(1, JETS + 1))
+_FLOWS = tuple(f"fuel_flow_{jet}_kg_s" for jet in range(1, JETS + 1))
+TILTS = ("tilt_left_command_rad", "tilt_right_command_rad")
+
+
+class Record(BaseModel):
+    """A frozen record of a summary; keys that a newer version wrote are left aside."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class AxisMetrics(Record):
+    """One axis.  None stands for what this flight cannot tell."""
+
+    commanded: bool  # its set-point changes during the flight, or differs from the attitude at the start
+    rmse_rad: float | None = None
+    max_abs_error_rad: float | None = None
+    overshoot_percent: float | None = None  # of the step's size, past it in its direction; worst step
+    settling_time_s: float | None = None  # from a step until within 5 % of its size for good; worst step
+    rate_rmse_rad_s: float | None = None  # true rate against its set-point
+    final_error_rad: float | None = None  # mean absolute error over the last second
+    oscillation_rad: float | None = None  # half the peak-to-peak of the error over the last second
+
+
+class AltitudeMetrics(Record):
+    """Height above the ground against its set-point."""
+
+    rmse_m: float | None = None
+    max_abs_error_m: float | None = None
+    final_error_m: float | None = None
+
+
+class PositionMetrics(Record):
+    """Horizontal place: from where the flight began, and from the place asked for where one is."""
+
+    drift_m: float | None = None  # largest distance from the start
+    final_drift_m: float | None = None
+    rmse_m: float | None = None  # of the distance from the place asked for
+    max_abs_error_m: float | None = None
+    final_error_m: float | None = None
+
+
+class SpeedMetrics(Record):
+    """Horizontal speed over the ground."""
+
+    max_m_s: float | None = None
+    final_m_s: float | None = None
+
+
+class EffortMetrics(Record):
+    """What the actuators were made to do."""
+
+    saturated_percent: float | None = None  # of the steps in the air
+    throttle_1_s: float | None = None  # way of a throttle per second, mean over the jets
+    tilt_rad_s: float | None = None  # the same of a servo's command
+
+
+class Metrics(Record):
+    """Everything that is measured of one flight."""
+
+    axes: dict[str, AxisMetrics]
+    altitude: AltitudeMetrics
+    touchdown_m_s: float | None = None  # descent speed just before the first contact after a flight
+    position: PositionMetrics = PositionMetrics()
+    speed: SpeedMetrics = SpeedMetrics()
+    effort: EffortMetrics = EffortMetrics()
+    fuel_burnt_kg: float | None = None
+
+
+class Reach(Record):
+    """How far the actuators can be told to go."""
+
+    throttle: tuple[tuple[float, float], ...]  # least and most, jets 1 to 6
+    tilt_rad: float | None = None  # either way; None: nothing tilts
+
+
+class Step(NamedTuple):
+    """One step of a set-point: it acts on rows ``first`` to ``end - 1``."""
+
+    first: int
+    end: int
+    size: float  # rad, with its sign
+
+
+def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> Metrics:
+    """The metrics of a whole flight; ``step_s`` is the control step.  A few columns at a time are held.
+
+    Without ``reach`` only what allocation refused counts as saturation.
+    """
+    contact = (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
+    altitude = log["altitude_m"]
+    return Metrics(
+        axes={axis: _axis_of(log, axis, rate, step_s) for axis, rate in zip(AXES, RATES, strict=True)},
+        altitude=altitude_metrics(log["altitude_setpoint_m"], altitude, contact),
+        touchdown_m_s=touchdown(contact, altitude, log["velocity_down_m_s"]),
+        position=_position_of(log),
+        speed=speed_metrics(np.hypot(log["velocity_north_m_s"], log["velocity_east_m_s"])),
+        effort=EffortMetrics(
+            saturated_percent=share_percent(saturated(log, reach), ~contact),
+            throttle_1_s=activity((log[name] for name in _THROTTLES), step_s),
+            tilt_rad_s=activity((log[name] for name in TILTS), step_s),
+        ),
+        fuel_burnt_kg=_fuel_of(log, step_s),
+    )
+
+
+def columns() -> tuple[str, ...]:
+    """The names of the columns that :func:`flight_metrics` and the limits of a flight read."""
+    names = [name for axis, rate in zip(AXES, RATES, strict=True) for name in _axis_columns(axis, rate)]
+    return (
+        *names,
+        *("altitude_setpoint_m", "altitude_m", "on_ground", "hull_contact", "velocity_down_m_s"),
+        *("north_m", "east_m", *PLACE, "velocity_north_m_s", "velocity_east_m_s"),
+        *(*REFUSED, *_THROTTLES, *_HEALTH, *TILTS, *_FLOWS, "fuel_kg"),
+    )
+
+
+def _axis_columns(axis: str, rate: str) -> tuple[str, str, str, str]:
+    return f"{axis}_setpoint_rad", f"{axis}_rad", f"rate_{rate}_setpoint_rad_s", f"rate_{rate}_rad_s"
+
+
+def _axis_of(log: Columns, axis: str, rate: str, step_s: float) -> AxisMetrics:
+    setpoint, angle, rate_setpoint, true_rate = (log[name] for name in _axis_columns(axis, rate))
+    return axis_metrics(setpoint, angle, rate_setpoint, true_rate, step_s)
+
+
+def axis_metrics(setpoint: Array, angle: Array, rate_setpoint: Array, rate: Array, step_s: float) -> AxisMetrics:
+    """The metrics of one axis from its columns (rad, rad/s)."""
+    error = wrap(setpoint - angle)
+    last = _last(error, step_s)
+    steps = find_steps(setpoint, angle, step_s)
+    return AxisMetrics(
+        commanded=bool(steps) or bool(np.any(np.diff(setpoint[np.isfinite(setpoint)]) != 0.0)),
+        rmse_rad=_rms(error),
+        max_abs_error_rad=_largest(np.abs(error)),
+        overshoot_percent=_worst([overshoot(error[s.first : s.end], s.size) for s in steps]),
+        settling_time_s=_worst([settling_time(error[s.first : s.end], s.size, step_s) for s in steps]),
+        rate_rmse_rad_s=_rms(rate_setpoint - rate),
+        final_error_rad=float(np.mean(np.abs(last))) if last.size else None,
+        oscillation_rad=float(0.5 * np.ptp(last)) if last.size else None,
+    )
+
+
+def find_steps(setpoint: Array, angle: Array, step_s: float) -> list[Step]:
+    """The steps of a set-point (rad); none if it ever moves in another way or is missing on some row."""
+    if not setpoint.size or not np.all(np.isfinite(setpoint)):
+        return []
+    changes = np.flatnonzero(np.diff(setpoint) != 0.0) + 1
+    starts = setpoint[changes - 1]
+    held = np.diff(np.concatenate((changes, [setpoint.size])))
+    if abs(wrap(setpoint[:1] - angle[:1])[0]) > SMALLEST_STEP_RAD:
+        held = np.append(changes[0] if changes.size else setpoint.size, held)
+        changes, starts = np.append(0, changes), np.append(angle[0], starts)
+    if np.any(held < HOLD_S / step_s - 0.5):  # half a row, against rounding
+        return []
+    targets = setpoint[changes]
+    return [
+        Step(int(first), int(first + rows), float(size))
+        for first, rows, size in zip(changes, held, wrap(targets - starts), strict=True)
+    ]
+
+
+def overshoot(error: Array, size: float) -> float | None:
+    """How far a response runs past its target, in percent of the step's size; ``error`` is target minus response."""
+    past = _largest(-error * np.sign(size))
+    return None if past is None else max(0.0, 100.0 * past / abs(size))
+
+
+def settling_time(error: Array, size: float, step_s: float) -> float | None:
+    """Time from a step's first row to the first row from which the error stays within 5 % of the step's size.
+
+    None if the last row is outside.
+    """
+    outside = np.flatnonzero(~(np.abs(error) <= SETTLING_BAND * abs(size)))
+    settled = int(outside[-1]) + 1 if outside.size else 0
+    return None if settled == error.size else settled * step_s
+
+
+def altitude_metrics(setpoint: Array, altitude: Array, contact: NDArray[np.bool_] | None = None) -> AltitudeMetrics:
+    """Height error (m) on the rows that have a set-point.
+
+    Where the vehicle stands (``contact``) and a lower height is asked for there is no error: the ground carries it.
+    """
+    error = setpoint - altitude
+    if contact is not None:
+        error = np.where(contact & (error < 0.0), 0.0, error)
+    size = np.abs(error)
+    return AltitudeMetrics(rmse_m=_rms(error), max_abs_error_m=_largest(size), final_error_m=_at_end(size))
+
+
+def position_metrics(drift: Array, off: Array) -> PositionMetrics:
+    """From the distances (m) to the start and, NaN where none is asked for, to the place asked for."""
+    return PositionMetrics(
+        drift_m=_largest(drift),
+        final_drift_m=_at_end(drift),
+        rmse_m=_rms(off),
+        max_abs_error_m=_largest(off),
+        final_error_m=_at_end(off),
+    )
+
+
+def speed_metrics(speed: Array) -> SpeedMetrics:
+    """From the horizontal speed (m/s)."""
+    return SpeedMetrics(max_m_s=_largest(speed), final_m_s=_at_end(speed))
+
+
+def saturated(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
+    """The rows on which allocation refused something, or a throttle or tilt was told to go to an end of its range.
+
+    A jet that the monitor has given up, whose throttle is closed for that, does not count.
+    """
+    found = np.zeros(log["on_ground"].size, dtype=np.bool_)
+    for name in REFUSED:
+        found |= np.abs(log[name]) > 0.0
+    if reach is None:
+        return found
+    for name, health, (least, most) in zip(_THROTTLES, _HEALTH, reach.throttle, strict=False):
+        throttle = log[name]
+        found |= ((throttle <= least + AT_LIMIT) | (throttle >= most - AT_LIMIT)) & ~(log[health] < 1.0)
+    if reach.tilt_rad is not None:
+        for name in TILTS:
+            found |= np.abs(log[name]) >= reach.tilt_rad - AT_LIMIT
+    return found
+
+
+def share_percent(rows: NDArray[np.bool_], of: NDArray[np.bool_]) -> float | None:
+    """How many of some rows are among ``rows``, in percent of them; None of none."""
+    count = int(np.count_nonzero(of))
+    return 100.0 * int(np.count_nonzero(rows & of)) / count if count else None
+
+
+def activity(commands: Iterable[Array], step_s: float) -> float | None:
+    """The way that a command goes per second, up and down added: sum |u_k+1 - u_k| / time, mean over the commands.
+
+    The total variation of a control signal, the common measure of its effort.  A command without a number is left out.
+    """
+    found = [
+        float(np.sum(np.abs(np.diff(each)))) / ((each.size - 1) * step_s)
+        for each in commands
+        if each.size > 1 and np.all(np.isfinite(each))
+    ]
+    return sum(found) / len(found) if found else None
+
+
+def fuel_burnt(left: Array, flows: Iterable[Array], step_s: float) -> float | None:
+    """Fuel (kg) burnt from the first row to the last: what has left the tank, or what the engines report in all.
+
+    None where there is no tank and no engine reports its flow.
+    """
+    if left.size and np.all(np.isfinite(left)):
+        return float(left[0] - left[-1])
+    known = [float(np.sum(flow[:-1])) for flow in flows if flow.size and np.all(np.isfinite(flow))]
+    return sum(known) * step_s if known else None
+
+
+def _position_of(log: Columns) -> PositionMetrics:
+    north, east = log["north_m"], log["east_m"]
+    drift = np.hypot(north - north[:1], east - east[:1]) if north.size else north
+    if not asks_for_a_place(log):
+        return position_metrics(drift, np.full(drift.size, np.nan))
+    wanted_north, wanted_east = (log[name] for name in PLACE)
+    return position_metrics(drift, np.hypot(wanted_north - north, wanted_east - east))
+
+
+def asks_for_a_place(log: Columns) -> bool:
+    """Whether a place is asked for at any time."""
+    return PLACE[0] in log.columns and bool(np.any(np.isfinite(log[PLACE[0]])))
+
+
+def _fuel_of(log: Columns, step_s: float) -> float | None:
+    return fuel_burnt(log["fuel_kg"], (log[name] for name in _FLOWS), step_s)
+
+
+def touchdown(contact: NDArray[np.bool_], altitude: Array, velocity_down: Array) -> float | None:
+    """Descent speed (m/s) on the last row before the first contact that ends a flight.
+
+    A flight is a stretch in the air that was at least ``FLIGHT_M`` above where it ends.
+    """
+    edges = np.diff(contact.astype(np.int8))
+    landings = np.flatnonzero(edges == 1) + 1
+    departures = np.append(0, np.flatnonzero(edges == -1) + 1)
+    for row in landings:
+        since = departures[departures < row][-1]
+        if np.max(altitude[since:row]) - altitude[row] >= FLIGHT_M:
+            return float(velocity_down[row - 1])
+    return None
+
+
+def wrap(angle: Array) -> Array:
+    """Angles (rad) brought to (-pi, pi]; those within it are not touched."""
+    return np.where(np.abs(angle) <= pi, angle, pi - np.mod(pi - angle, 2.0 * pi))
+
+
+def flatten(metrics: Metrics) -> dict[str, float | None]:
+    """Every metric under the name that an expectation uses, such as ``roll.overshoot_percent``."""
+    flat: dict[str, float | None] = {}
+    for axis, of_axis in metrics.axes.items():
+        flat |= {f"{axis}.{name}": value for name, value in of_axis.model_dump(exclude={"commanded"}).items()}
+    flat |= {f"altitude.{name}": value for name, value in metrics.altitude.model_dump().items()}
+    flat["touchdown_m_s"] = metrics.touchdown_m_s
+    for part in ("position", "speed", "effort"):
+        flat |= {f"{part}.{name}": value for name, value in getattr(metrics, part).model_dump().items()}
+    return flat | {"fuel_burnt_kg": metrics.fuel_burnt_kg}
+
+
+def metric_names() -> list[str]:
+    """Every name that an expectation may use."""
+    nothing = AxisMetrics(commanded=False)
+    return list(flatten(Metrics(axes=dict.fromkeys(AXES, nothing), altitude=AltitudeMetrics())))
+
+
+def check_expectations(flat: Mapping[str, float | None], expected: Mapping[str, Range]) -> list[str]:
+    """One line for every expectation that is not met, or that names no metric."""
+    complaints = []
+    for name, allowed in expected.items():
+        if name not in flat:
+            complaints.append(f"unknown metric {name!r}; {nearest(name, flat)}")
+            continue
+        value = flat[name]
+        low, high = allowed.min, allowed.max
+        if value is None:
+            complaints.append(f"{name}: this flight has none, expected {_span(low, high)}")
+        elif (low is not None and value < low) or (high is not None and value > high):
+            complaints.append(f"{name} = {value:.6g}, expected {_span(low, high)}")
+    return complaints
+
+
+def _span(low: float | None, high: float | None) -> str:
+    if low is None:
+        return f"at most {high:g}"
+    return f"at least {low:g}" if high is None else f"{low:g} to {high:g}"
+
+
+def _last(values: Array, step_s: float) -> Array:
+    """What is known of the last second."""
+    last = values[-round(FINAL_S / step_s) :]
+    return last[np.isfinite(last)]
+
+
+def _at_end(values: Array) -> float | None:
+    return float(values[-1]) if values.size and np.isfinite(values[-1]) else None
+
+
+def _rms(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    largest = float(np.max(np.abs(known), initial=0.0))
+    if not largest:
+        return 0.0 if known.size else None
+    return largest * float(np.sqrt(np.mean(np.square(known / largest))))  # scaled: no square overflows
+
+
+def _largest(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.max(known)) if known.size else None
+
+
+def _worst(values: list[float | None]) -> float | None:
+    """The largest; None if there are none, or if one of them is None."""
+    known = [value for value in values if value is not None]
+    return max(known) if known and len(known) == len(values) else None

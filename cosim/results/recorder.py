@@ -1,0 +1,173 @@
+"""Recording a flight: one row of float64 a control step, handed on in blocks of one second of flight.
+
+In a run's folder the blocks go to disk (:mod:`cosim.results.arrow`), so that a killed process loses at most its
+last second; without a folder they stay in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from queue import Full, Queue
+from threading import Thread
+from typing import Protocol
+
+import numpy as np
+
+from cosim.base.errors import FlightError
+from cosim.base.signals import Sample
+from cosim.results._rows import Rows
+from cosim.results.arrow import ROW_GROUP, Array
+from cosim.results.columns import NAMES, known
+
+_BEHIND = 60  # blocks, of 0.3 MB at 250 Hz, that may wait for a disk
+WALL_FLUSH_S = 1.0  # a slow flight is handed on this often too
+_EULER = NAMES.index("roll_measured_rad")  # three columns that come from the measured quaternion
+
+
+class Sink(Protocol):
+    """Takes blocks of the log, shape (columns, rows)."""
+
+    def write(self, table: Array) -> None: ...
+
+
+class KeepingSink(Sink, Protocol):
+    """Keeps the blocks, or something of them, in memory."""
+
+    def log(self) -> Log:
+        """What was kept."""
+
+
+class Log(Protocol):
+    """The columns of a finished flight, each read when asked for."""
+
+    @property
+    def columns(self) -> tuple[str, ...]: ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, name: str) -> Array: ...
+
+    def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]: ...
+
+
+class Observe(Protocol):
+    """Records one row.  Raises FlightError if a full block cannot be written, TypeError for what is no sample."""
+
+    def __call__(self, sample: Sample, /) -> None: ...
+
+
+class Recorder:
+    """An observer of the control loop that makes every sample a row; ``step_s`` is the control step."""
+
+    def __init__(self, step_s: float, sink: Sink) -> None:
+        self._blocks = _Blocks(sink)
+        self._rows = Rows(max(1, round(1.0 / step_s)), WALL_FLUSH_S, self._blocks.hand_on)
+        self.observe: Observe = self._rows.add  # itself: it is called once a step
+
+    @property
+    def steps(self) -> int:
+        """Rows recorded so far."""
+        return self._blocks.handed_on + len(self._rows)
+
+    def flush(self) -> None:
+        """Hand on what is not handed on yet.  Raises FlightError if it cannot be written."""
+        self._blocks.hand_on(self._rows)
+
+
+class _Blocks:
+    """Makes rows a block of columns of its own, which a sink may keep."""
+
+    def __init__(self, sink: Sink) -> None:
+        self._sink = sink
+        self.handed_on = 0  # rows
+
+    def hand_on(self, rows: Rows) -> None:
+        count = len(rows)
+        if count:
+            table, angles = np.empty((len(NAMES), count)), np.empty((5, count))
+            rows.read(0, table)
+            rows.read(len(NAMES), angles)
+            roll_y, roll_x, yaw_y, yaw_x, sine_of_pitch = angles
+            np.arctan2(roll_y, roll_x, table[_EULER])
+            np.arcsin(sine_of_pitch, table[_EULER + 1])
+            np.arctan2(yaw_y, yaw_x, table[_EULER + 2])
+            self._sink.write(table)
+            self.handed_on += count
+        rows.clear()
+
+
+class MemorySink:
+    """Keeps the blocks in memory: 0.25 MB a second of flight at 250 Hz."""
+
+    def __init__(self) -> None:
+        self.tables: list[Array] = []
+
+    def write(self, table: Array) -> None:
+        self.tables.append(table)
+
+    def log(self) -> Log:
+        """What was recorded."""
+        return MemoryLog(self.tables)
+
+
+class BackgroundSink:
+    """Hands blocks on in a thread of its own, so that a flight that keeps step with the clock does not wait for a disk.
+
+    What went wrong there is raised by the next :meth:`write`, or by :meth:`settle`.
+    """
+
+    def __init__(self, sink: Sink) -> None:
+        self._sink = sink
+        self._blocks: Queue[Array | None] = Queue(_BEHIND)
+        self._error: FlightError | None = None
+        self._thread = Thread(target=self._work, name="recorder", daemon=True)
+        self._thread.start()
+
+    def write(self, table: Array) -> None:
+        """Raises FlightError if a block before could not be written, or too many wait."""
+        self._complain()
+        try:
+            self._blocks.put_nowait(table)
+        except Full:
+            raise FlightError(f"the log is {_BEHIND} blocks behind: the disk is too slow") from None
+
+    def settle(self) -> None:
+        """Wait until everything is written; nothing may be written afterwards.  Raises FlightError."""
+        if self._thread.is_alive():
+            self._blocks.put(None)
+            self._thread.join()
+        self._complain()
+
+    def _complain(self) -> None:
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+
+    def _work(self) -> None:
+        while (table := self._blocks.get()) is not None:
+            if self._error is None:
+                try:
+                    self._sink.write(table)
+                except FlightError as error:
+                    self._error = error
+
+
+class MemoryLog:
+    """A log whose blocks are in memory, each of shape (columns, rows)."""
+
+    def __init__(self, tables: list[Array], columns: tuple[str, ...] = NAMES) -> None:
+        self.columns = columns
+        self._tables = tables
+
+    def __len__(self) -> int:
+        return sum(table.shape[1] for table in self._tables)
+
+    def __getitem__(self, name: str) -> Array:
+        index = self.columns.index(known(name, self.columns))
+        return np.concatenate([np.empty(0), *(table[index] for table in self._tables)])
+
+    def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
+        """The named columns, block by block; ``rows`` does not matter here."""
+        indices = [self.columns.index(known(name, self.columns)) for name in names]
+        for table in self._tables:
+            yield {name: table[index] for name, index in zip(names, indices, strict=True)}

@@ -1,0 +1,1 @@
+"""Pages: a run as one file that opens offline."""

@@ -1,0 +1,99 @@
+"""The page of a checked engine: thrust at rest over throttle, and thrust after the throttle was moved."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.errors import FlightError
+from cosim.base.files import one_line, replacing
+from cosim.engine.qualify.check import CheckReport
+from cosim.engine.response import NO_CHANGE
+from cosim.results.report.flight_figures import BLUE, ORANGE
+from cosim.results.report.page import TEMPLATES, render
+from cosim.results.run import REPORT
+
+Figure = dict[str, Any]
+
+WAYS = (("up", "opened, 0 to 1", ORANGE), ("down", "closed, 1 to 0", BLUE))
+
+
+def write_check(found: CheckReport, folder: Path) -> Path:
+    """Write ``check.json`` and the page of a checked engine, and return the page's path.
+
+    Raises FlightError if a file cannot be written.
+    """
+    path, data = folder / REPORT, folder / "check.json"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with replacing(data) as temporary:
+            temporary.write_text(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise FlightError(f"{data}: {one_line(error)}") from error
+    render(TEMPLATES / "check.html", path, check_figures(found), report=found, still=f"{NO_CHANGE:.0e}")
+    return path
+
+
+def check_figures(report: CheckReport) -> dict[str, Figure]:
+    """Plotly's figure schema; what was not found is not drawn."""
+    figures = {}
+    if report.throttle is not None and report.thrust is not None:
+        figures["curve"] = {
+            "data": [_trace("thrust at rest", ORANGE, report.throttle, report.thrust, "lines+markers")],
+            "layout": _layout("throttle", ".2f"),
+        }
+    courses = [
+        (label, colour, getattr(report, f"course_{way}"), getattr(report, f"course_step_{way}"))
+        for way, label, colour in WAYS
+    ]
+    drawn = [(label, colour, course, step) for label, colour, course, step in courses if course and step]
+    if drawn:
+        layout = _layout("time since the throttle was moved [s]", ".3f")
+        layout["shapes"] = [_mark(report, way, colour) for way, _, colour in WAYS if _delay(report, way)]
+        figures["response"] = {
+            "data": [
+                _trace(label, colour, [k * step for k in range(len(course))], course, "lines")
+                for label, colour, course, step in drawn
+            ],
+            "layout": layout,
+        }
+    return figures
+
+
+def _delay(report: CheckReport, way: str) -> float:
+    return float(getattr(report, f"delay_samples_{way}") or 0) * report.step
+
+
+def _mark(report: CheckReport, way: str, colour: str) -> Figure:
+    """A dotted line where the delay ends."""
+    at = _delay(report, way)
+    line = {"color": colour, "width": 1.2, "dash": "dot"}
+    return {"type": "line", "x0": at, "x1": at, "yref": "paper", "y0": 0.0, "y1": 1.0, "line": line}
+
+
+def _trace(label: str, colour: str, x: list[float], y: list[float], mode: str) -> Figure:
+    return {
+        "type": "scatter",
+        "mode": mode,
+        "name": label,
+        "x": np.array(x),
+        "y": np.array(y),
+        "line": {"color": colour, "width": 1.8},
+        "marker": {"color": colour, "size": 5},
+        "hovertemplate": f"{label}: %{{y:.5~g}} N<extra></extra>",
+        "showlegend": mode == "lines",
+    }
+
+
+def _layout(title: str, form: str) -> Figure:
+    return {
+        "height": 360,
+        "margin": {"l": 64, "r": 12, "t": 34, "b": 44},
+        "hovermode": "x unified",
+        "legend": {"orientation": "h", "x": 0, "y": 1, "xanchor": "left", "yanchor": "bottom"},
+        "xaxis": {"title": {"text": title}, "hoverformat": form},
+        "yaxis": {"title": {"text": "thrust [N]"}, "rangemode": "tozero"},
+    }

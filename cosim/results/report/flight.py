@@ -1,0 +1,276 @@
+"""A finished run as one HTML page that opens offline, and several runs laid over each other."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Sequence
+from math import degrees
+from pathlib import Path
+from typing import Any
+
+from cosim.base.signals import AXES
+from cosim.results.events import Event, events_of
+from cosim.results.metrics import AxisMetrics, metric_names
+from cosim.results.report.flight_figures import comparison_figures, run_colour, run_figures
+from cosim.results.report.page import TEMPLATES, render
+from cosim.results.run import (
+    LOG,
+    REPORT,
+    SCENARIO,
+    Run,
+    Summary,
+)
+from cosim.results.wording import (
+    AXIS_ROWS,
+    NONE,
+    WHOLE_ROWS,
+    metric,
+    shown,
+)
+
+KINDS = {
+    "fault": "fault",
+    "monitor": "engine monitor",
+    "disturbance": "from outside",
+    "contact": "ground",
+    "pilot": "autopilot",
+}
+GRAVE = 3  # severities up to this, errors, are set off
+
+
+def write_report(run: Run, path: Path) -> None:
+    """Write the page of one run.  Raises FlightError if the file cannot be written."""
+    summary = run.summary
+    events = events_of(run)
+    figures = run_figures(run.log, summary, events) if summary.steps else {}
+    render(
+        TEMPLATES / "report.html",
+        path,
+        figures,
+        axis_rows=AXIS_ROWS,
+        shaded=bool(figures and figures["attitude"]["layout"]["shapes"]),
+        events=event_rows(events),
+        kinds={event.kind for event in events},
+        refused=any(trace["name"] == "refused" for trace in figures.get("effort", {"data": []})["data"]),
+        summary=summary,
+        verdict=verdict(summary),
+        metrics=metric_table(summary),
+        whole=whole_rows(summary),
+        expectations=expectation_rows(summary),
+        ledger_total=ledger_total(summary),
+        jets=jet_drawing(summary),
+        files={"log": LOG, "scenario": SCENARIO},
+        folder=run.folder,
+        command_path=shlex.quote((run.folder / SCENARIO).as_posix()) if run.folder is not None else "",
+    )
+
+
+def compare_report(runs: Sequence[Run], path: Path) -> None:
+    """Write one page with several runs laid over each other.  Raises FlightError if the file cannot be written."""
+    labels = run_labels([run.summary for run in runs])
+    render(
+        TEMPLATES / "compare.html",
+        path,
+        comparison_figures(runs, labels),
+        runs=[
+            {
+                "label": label,
+                "colour": run_colour(number),
+                "summary": run.summary,
+                "verdict": verdict(run.summary),
+                "link": _link(run, path),
+            }
+            for number, (label, run) in enumerate(zip(labels, runs, strict=True))
+        ],
+        rows=comparison_rows([run.summary for run in runs]),
+    )
+
+
+# ---- words and tables
+
+
+def verdict(summary: Summary) -> str:
+    """What came of the flight, in one or two sentences."""
+    flown = f"{summary.duration_s:.2f} s"
+    if summary.outcome == "completed":
+        parts = [f"Flew all {flown}{', but beyond its limits' if summary.beyond else ''}."]
+    else:
+        parts = [f"{summary.outcome.capitalize()} after {flown} of {summary.planned_s:g} s: {summary.reason}."]
+    parts += [f"{text[0].upper()}{text[1:]}." for text in summary.exceeded]
+    commanded = [_axis_verdict(axis, metrics) for axis, metrics in summary.metrics.items() if metrics.commanded]
+    parts += commanded or [_worst_error(summary)]
+    if summary.touchdown_m_s is not None:
+        parts.append(f"Touched down at {summary.touchdown_m_s:.2f} m/s.")
+    return " ".join(part for part in parts if part)
+
+
+def _axis_verdict(axis: str, metrics: AxisMetrics) -> str:
+    said = []
+    if metrics.overshoot_percent is not None:
+        said.append(f"{metrics.overshoot_percent:.0f} % overshoot")
+        settling = metrics.settling_time_s
+        said.append("not settled" if settling is None else f"settled within {settling:.2f} s")
+    if metrics.oscillation_rad is not None and degrees(metrics.oscillation_rad) >= 1.0:
+        said.append(f"swinging by ±{degrees(metrics.oscillation_rad):.1f}° at the end")
+    elif metrics.final_error_rad is not None:
+        said.append(f"{degrees(metrics.final_error_rad):.2g}° off at the end")
+    return f"{axis.capitalize()}: {', '.join(said)}." if said else ""
+
+
+def _worst_error(summary: Summary) -> str:
+    errors = [(metrics.max_abs_error_rad, axis) for axis, metrics in summary.metrics.items()]
+    known = [(error, axis) for error, axis in errors if error is not None]
+    if not known:
+        return ""
+    error, axis = max(known)
+    return f"Largest attitude error: {degrees(error):.2g}°, in {axis}."
+
+
+def metric_table(summary: Summary) -> list[dict[str, Any]]:
+    """One row an axis, commanded ones first, with its cells in the order of AXIS_ROWS."""
+    ordered = sorted(summary.metrics.items(), key=lambda item: not item[1].commanded)
+    return [
+        {
+            "axis": axis,
+            "commanded": metrics.commanded,
+            "cells": [axis_cell(metrics, key, factor, digits) for _, key, _, factor, digits in AXIS_ROWS],
+        }
+        for axis, metrics in ordered
+    ]
+
+
+def whole_rows(summary: Summary) -> list[dict[str, Any]]:
+    """What is measured of the whole flight, as far as this one can tell: label, value, unit, limit, and whether it is
+    beyond that.
+    """
+    flat, rows = summary.flat_metrics, []
+    for name, digits in WHOLE_ROWS:
+        of, value, most = metric(name), flat.get(name), summary.limits.get(name)
+        if value is not None:
+            limit = "" if most is None else f"{of.factor * most:.4g}"
+            cell = shown(value, of.factor, digits)
+            label = of.label[0].upper() + of.label[1:]
+            rows.append(
+                {"label": label, "value": cell, "unit": of.unit, "limit": limit, "beyond": name in summary.beyond}
+            )
+    return rows
+
+
+def event_rows(events: Sequence[Event]) -> list[dict[str, str]]:
+    """What happened, as texts: when, until when, of which kind, and what."""
+    return [
+        {
+            "time": f"{event.time_s:.3f}",
+            "until": "" if not event.lasts else "the end" if event.end_s is None else f"{event.end_s:.3f}",
+            "kind": KINDS[event.kind],
+            "text": event.text,
+            "grave": "unmet" if event.severity <= GRAVE else "",
+        }
+        for event in events
+    ]
+
+
+def comparison_rows(summaries: Sequence[Summary]) -> list[dict[str, Any]]:
+    """The metrics of the axes that any run commands, and of height, one row each; the least of a row is marked."""
+    rows: list[dict[str, Any]] = []
+    for axis in AXES:
+        found = [summary.metrics[axis] for summary in summaries]
+        if any(metrics.commanded for metrics in found):
+            for title, key, unit, factor, digits in AXIS_ROWS:
+                texts = [axis_cell(metrics, key, factor, digits) for metrics in found]
+                values = [getattr(metrics, key) for metrics in found]
+                rows.append({"axis": axis, "title": title, "unit": unit, "cells": _marked(texts, values)})
+    whole = [summary.flat_metrics for summary in summaries]
+    for name, digits in WHOLE_ROWS:
+        of = metric(name)
+        values = [flat.get(name) for flat in whole]
+        texts = [shown(value, of.factor, digits) for value in values]
+        title = of.label[0].upper() + of.label[1:]
+        rows.append({"axis": "whole flight", "title": title, "unit": of.unit, "cells": _marked(texts, values)})
+    return [row for row in rows if any(cell["text"] != NONE for cell in row["cells"])]
+
+
+def _marked(texts: Sequence[str], values: Sequence[float | None]) -> list[dict[str, Any]]:
+    least = min((value for value in values if value is not None), default=None)
+    differ = len(set(texts)) > 1
+    return [
+        {"text": text, "best": differ and value is not None and value == least}
+        for text, value in zip(texts, values, strict=True)
+    ]
+
+
+def expectation_rows(summary: Summary) -> list[dict[str, Any]]:
+    """What was expected, what came of it, and whether that is good enough."""
+    expectation = summary.expectation
+    if expectation is None:
+        return []
+    flat = summary.flat_metrics
+    rows: list[dict[str, Any]] = [
+        {
+            "what": "outcome",
+            "expected": " or ".join(expectation.outcome),
+            "found": summary.outcome,
+            "met": summary.outcome in expectation.outcome,
+        }
+    ]
+    for name, allowed in expectation.metrics.items():
+        value = flat.get(name)
+        bounds = [f"≥ {allowed.min:g}"] if allowed.min is not None else []
+        bounds += [f"≤ {allowed.max:g}"] if allowed.max is not None else []
+        rows.append(
+            {
+                "what": name if name in metric_names() else f"{name} (unknown)",
+                "expected": " and ".join(bounds),
+                "found": NONE if value is None else f"{value:.4g}",
+                "met": not any(
+                    complaint.startswith((f"{name} ", f"{name}:", f"unknown metric {name!r}"))
+                    for complaint in summary.complaints
+                ),
+            }
+        )
+    return rows
+
+
+def ledger_total(summary: Summary) -> float | None:
+    """The sum of the delay ledger in samples; None if an element does not say."""
+    samples = [row.samples for row in summary.delay_ledger]
+    known = [value for value in samples if value is not None]
+    return sum(known) if known and len(known) == len(samples) else None
+
+
+def jet_drawing(summary: Summary) -> list[dict[str, Any]]:
+    """The jets seen from above, nose up, in a square of 100 by 100."""
+    if not summary.jets_m:
+        return []
+    reach = max(max(abs(x), abs(y)) for x, y, _ in summary.jets_m) or 1.0
+    return [
+        {"number": number, "x": 50.0 + 36.0 * y / reach, "y": 52.0 - 36.0 * x / reach}
+        for number, (x, y, _) in enumerate(summary.jets_m, start=1)
+    ]
+
+
+def run_labels(summaries: Sequence[Summary]) -> list[str]:
+    """Short names that tell runs apart: whatever of controller, engine, scenario, aircraft and seed differs."""
+    parts = [
+        [str(getattr(summary, key)) for summary in summaries]
+        for key in ("controller", "engine", "scenario", "aircraft", "seed")
+    ]
+    telling = [values for values in parts if len(set(values)) > 1] or parts[:1]
+    labels = [", ".join(words) for words in zip(*telling, strict=True)]
+    repeated = {label for label in labels if labels.count(label) > 1}
+    return [f"{label} #{number}" if label in repeated else label for number, label in enumerate(labels, start=1)]
+
+
+def axis_cell(metrics: AxisMetrics, key: str, factor: float, digits: int) -> str:
+    """One metric of an axis as a table has it."""
+    if key == "settling_time_s" and metrics.settling_time_s is None and metrics.overshoot_percent is not None:
+        return "not settled"
+    return shown(getattr(metrics, key), factor, digits)
+
+
+def _link(run: Run, path: Path) -> str:
+    """The run's own report as seen from a page, if it is there."""
+    if run.folder is None or not (run.folder / REPORT).is_file():
+        return ""
+    return Path(os.path.relpath(run.folder / REPORT, path.parent)).as_posix()

@@ -1,0 +1,520 @@
+"""The figures of a report: plain dicts of Plotly's figure schema, made from the columns of a log.
+
+No library draws here; Plotly's JavaScript does, in the page.  Angles are shown in degrees, everything else in SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import ceil, pi
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.signals import AXES, JETS
+from cosim.results.columns import RATES
+from cosim.results.events import Event
+from cosim.results.recorder import Log
+from cosim.results.run import Run, Summary
+
+Array = NDArray[np.float64]
+Figure = dict[str, Any]
+
+MOST_POINTS = 4000  # per trace; more cannot be seen and makes the page slow
+MOST_SHADES = 30  # per figure
+MOST_MARKS = 60
+PANEL_PX = 165
+DEG = 180.0 / pi
+
+BLUE, ORANGE, MAGENTA, GREEN, RED, GREY = "#2f7de1", "#f08c00", "#c2339b", "#2f9e44", "#e03131", "#868e96"
+RUN_COLOURS = (ORANGE, BLUE, GREEN, MAGENTA, RED, "#7048e8", "#1098ad", "#a0522d")
+JET_ROWS = ((3, 1), (6, 5), (2, 4))  # front to back, left and right: the Hex-Jet's numbering
+
+
+class Trace(NamedTuple):
+    """One column drawn in a panel."""
+
+    column: str
+    label: str
+    colour: str = BLUE
+    dash: str = "solid"
+    width: float = 1.8
+    held: bool = False  # drawn as a staircase: what is asked for is held over a control step
+    only_if_moving: bool = False  # left out where it is 0 throughout
+
+
+class Panel(NamedTuple):
+    """One pair of axes; columns times ``scale`` come to ``unit``."""
+
+    title: str
+    unit: str
+    traces: Sequence[Trace]
+    scale: float = 1.0
+    least_span: float = 0.0  # so that the noise around a constant does not fill the panel
+
+
+def _setpoint(column: str) -> Trace:
+    return Trace(column, "set-point", GREY, "dash", 1.5, held=True)
+
+
+def _followed(name: str, si: str, unit: str, scale: float, least_span: float) -> Panel:
+    """A quantity of which a set-point is followed: as measured, true, and asked for; its columns end with ``si``."""
+    traces = [
+        Trace(f"{name}_measured_{si}", "measured", ORANGE, width=1.2),
+        Trace(f"{name}_{si}", "true", BLUE),
+        _setpoint(f"{name}_setpoint_{si}"),
+    ]
+    return Panel(name.capitalize(), unit, traces, scale, least_span)
+
+
+def _asked(column: str, label: str) -> Trace:
+    """Something a controller asks for: noisy, so a thin line behind the others."""
+    return Trace(column, label, GREY, width=1.1, held=True)
+
+
+def _effort(name: str) -> list[Trace]:
+    return [
+        Trace(f"torque_{name}", "asked for", BLUE, width=1.5, held=True),
+        Trace(f"disturbance_torque_{name}", "disturbance", MAGENTA, "dot", held=True, only_if_moving=True),
+        Trace(f"refused_{name}", "refused", RED, held=True, only_if_moving=True),
+    ]
+
+
+def _vector(pattern: str, names: tuple[str, str, str]) -> list[Trace]:
+    return [
+        Trace(pattern.format(name), name, colour) for name, colour in zip(names, (BLUE, ORANGE, GREEN), strict=True)
+    ]
+
+
+ATTITUDE = [_followed(axis, "rad", "deg", DEG, 4.0) for axis in AXES]
+RATE = [
+    Panel(
+        f"{axis.capitalize()} rate",
+        "deg/s",
+        [
+            _asked(f"rate_{rate}_setpoint_rad_s", "set-point"),
+            Trace(f"rate_{rate}_measured_rad_s", "measured", ORANGE, width=1.5),
+            Trace(f"rate_{rate}_predicted_rad_s", "predicted", BLUE, width=1.5),
+        ],
+        DEG,
+        least_span=10.0,
+    )
+    for axis, rate in zip(AXES, RATES, strict=True)
+]
+TILT = [
+    Panel(
+        f"{side.capitalize()} servo",
+        "deg",
+        [_asked(f"tilt_{side}_command_rad", "commanded"), Trace(f"tilt_{side}_rad", "actual", width=1.4)],
+        DEG,
+        least_span=4.0,
+    )
+    for side in ("left", "right")
+]
+EFFORT = [
+    Panel(
+        "Collective",
+        "throttle",
+        [
+            Trace("collective", "asked for", BLUE, width=1.5, held=True),
+            Trace("refused_collective", "refused", RED, held=True, only_if_moving=True),
+        ],
+        least_span=0.2,
+    ),
+    Panel("Roll", "throttle", _effort("roll"), least_span=0.05),
+    Panel("Pitch", "deg of tilt", _effort("pitch"), DEG, least_span=2.0),
+    Panel("Yaw", "deg of tilt", _effort("yaw"), DEG, least_span=2.0),
+]
+HEIGHT = [
+    _followed("altitude", "m", "m", 1.0, 2.0),
+    Panel("Climb rate", "m/s", [Trace("velocity_down_m_s", "true", BLUE)], scale=-1.0, least_span=1.0),
+]
+PLACE = [_followed(name, "m", "m", 1.0, 2.0) for name in ("north", "east")]
+OUTSIDE = [  # a panel is left out where it is 0 throughout
+    Panel("Force", "N", _vector("disturbance_force_{}_N", ("x", "y", "z"))),
+    Panel("Moment", "N m", _vector("disturbance_moment_{}_N_m", ("x", "y", "z"))),
+    Panel("Wind", "m/s", _vector("wind_{}_m_s", ("north", "east", "down"))),
+    Panel("Payload", "kg", [Trace("payload_kg", "mass", held=True)]),
+]
+_UPSETS = (
+    *(f"disturbance_force_{x}_N" for x in "xyz"),
+    *(f"disturbance_moment_{x}_N_m" for x in "xyz"),
+    *(f"disturbance_torque_{axis}" for axis in AXES),
+    "payload_kg",
+)
+
+
+ENGINES = (  # a panel is left out where no engine says anything
+    ("Spool speed", "rpm", "spool_speed_{}_rad_s", 30.0 / pi),
+    ("Exhaust temperature", "K", "exhaust_temperature_{}_K", 1.0),
+    ("Fuel flow", "g/s", "fuel_flow_{}_kg_s", 1e3),
+)
+SPOOLS = Panel("Moment of the spools", "N m", _vector("spool_moment_{}_N_m", ("x", "y", "z")))
+TANK = Panel("Fuel on board", "kg", [Trace("fuel_kg", "fuel", BLUE)])
+
+
+def run_figures(log: Log, summary: Summary, events: Sequence[Event] = ()) -> dict[str, Figure]:
+    """The figures of one run, by the name of their place on the page; ``events`` are marked in all over time."""
+    reader = Reader(log, summary.step_s)
+    marks = [*reader.upsets(), *event_marks(events, len(log) * summary.step_s)]
+    figures = {
+        "attitude": stacked(reader, ATTITUDE, marks),
+        "rate": stacked(reader, RATE, marks),
+        "thrust": thrust_figure(reader, summary, marks),
+        "tilt": stacked(reader, TILT, marks),
+        "effort": stacked(reader, EFFORT, marks),
+        "height": stacked(reader, HEIGHT, marks),
+        "track": track_figure([reader], ["track"], [BLUE]),
+    }
+    if any(reader.known(trace.column) for panel in PLACE for trace in panel.traces if trace.label == "set-point"):
+        figures["place"] = stacked(reader, PLACE, marks)
+    outside = [panel for panel in OUTSIDE if any(reader.moves(trace.column) for trace in panel.traces)]
+    if outside:
+        figures["outside"] = stacked(reader, outside, marks)
+    inside = engine_panels(reader)
+    if inside:
+        figures["engines"] = stacked(reader, inside, marks)
+    return figures
+
+
+def event_marks(events: Sequence[Event], end: float) -> list[Figure]:
+    """Shades over faults, gusts and changes of the wind, and a line where the monitor or the autopilot says something.
+
+    Other disturbances are shaded from the log.
+    """
+    shades, lines = [], []
+    for event in events:
+        if event.kind == "fault" and event.banded:
+            shades.append(_shade(event.time_s, end if event.end_s is None else event.end_s, RED))
+        elif event.kind == "disturbance" and event.banded and event.text.startswith(("gust", "wind")):
+            shades.append(_shade(event.time_s, end if event.end_s is None else event.end_s))
+        elif event.kind in ("monitor", "pilot"):
+            lines.append(_mark(event.time_s, ORANGE if event.kind == "monitor" else BLUE))
+    unlike = {tuple(sorted((key, str(value)) for key, value in mark.items())): mark for mark in [*shades, *lines]}
+    return list(unlike.values())[:MOST_MARKS]
+
+
+def engine_panels(reader: Reader) -> list[Panel]:
+    """What the engines report beside their thrust, their spools' moment and the tank, as far as there is any of it."""
+    panels = []
+    for title, unit, pattern, scale in ENGINES:
+        jets = range(1, JETS + 1)
+        traces = [Trace(pattern.format(jet), f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in jets]
+        known = [trace for trace in traces if reader.known(trace.column)]
+        if known:
+            panels.append(Panel(title, unit, known, scale))
+    healths = [Trace(f"health_{jet}", f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in range(1, JETS + 1)]
+    given_up = [trace for trace in healths if reader.known(trace.column) and np.nanmin(reader.log[trace.column]) < 1.0]
+    if given_up:
+        panels.append(Panel("Health, as monitored", "1", given_up, least_span=1.2))
+    return panels + [panel for panel in (SPOOLS, TANK) if reader.known(panel.traces[0].column)]
+
+
+def comparison_figures(runs: Sequence[Run], labels: Sequence[str]) -> dict[str, Figure]:
+    """The attitudes, rates, efforts, heights and tracks of several runs, each over the others."""
+    readers = [Reader(run.log, run.summary.step_s) for run in runs]
+    chosen = {"attitude": (ATTITUDE, "true"), "rate": (RATE, "measured"), "effort": (EFFORT, "asked for")}
+    figures = {name: overlaid(readers, labels, panels, which) for name, (panels, which) in chosen.items()}
+    figures["height"] = overlaid(readers, labels, HEIGHT, "true")
+    figures["track"] = track_figure(readers, labels, [run_colour(number) for number in range(len(runs))])
+    return figures
+
+
+def run_colour(number: int) -> str:
+    """The colour of the n-th of several runs."""
+    return RUN_COLOURS[number % len(RUN_COLOURS)]
+
+
+# ---- reading
+
+
+class Reader:
+    """The columns of a log as Plotly wants them, thinned out where there are more rows than can be seen."""
+
+    def __init__(self, log: Log, step_s: float) -> None:
+        self.log = log
+        self.step_s = step_s
+
+    def xy(self, values: Array) -> Figure:
+        """The x and y of a trace for one value a row."""
+        rows = thinned(values)
+        if rows is None:
+            return {"x0": 0.0, "dx": self.step_s, "y": values.astype(np.float32)}
+        return {"x": rows * self.step_s, "y": values[rows].astype(np.float32)}
+
+    def moves(self, column: str) -> bool:
+        """Whether a column is ever anything but 0."""
+        return bool(np.any(np.abs(self.log[column]) > 0.0))
+
+    def known(self, column: str) -> bool:
+        """Whether a column is there and ever a number."""
+        return column in self.log.columns and bool(np.any(np.isfinite(self.log[column])))
+
+    def upsets(self) -> list[Figure]:
+        """Shades over the times at which something disturbs the vehicle, wind apart."""
+        disturbed = np.zeros(len(self.log), dtype=bool)
+        for column in _UPSETS:
+            disturbed |= self.log[column] != 0.0
+        return [_shade(start, end) for start, end in self.stretches(disturbed)]
+
+    def stretches(self, mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
+        """The times between which a mask is true, gaps of less than 0.1 s closed; none if there are too many to see."""
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
+        starts, ends = edges[::2] * self.step_s, edges[1::2] * self.step_s
+        apart = starts[1:] - ends[:-1] >= 0.1
+        first = np.concatenate(([True], apart))[: starts.size]
+        last = np.concatenate((apart, [True]))[: ends.size]
+        found = list(zip(starts[first].tolist(), ends[last].tolist(), strict=True))
+        return found if len(found) <= MOST_SHADES else []
+
+
+def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp] | None:
+    """The rows to draw, at most ``most``: the first, the last, and the least and the greatest of each of many equal
+    stretches, so that no peak is lost; None for all rows.  A stretch without a number stays a gap.
+    """
+    if values.size <= most:
+        return None
+    inner = values[1:-1]
+    length = ceil(inner.size / (most // 2 - 1))
+    padded = np.full(ceil(inner.size / length) * length, np.nan)
+    padded[: inner.size] = inner
+    stretches = padded.reshape(-1, length)
+    known = np.isfinite(stretches)
+    starts = 1 + length * np.arange(len(stretches))
+    low = starts + np.argmin(np.where(known, stretches, np.inf), axis=1)
+    high = starts + np.argmax(np.where(known, stretches, -np.inf), axis=1)
+    return np.unique(np.concatenate(([0], low, high, [values.size - 1])))
+
+
+# ---- figures over time
+
+
+def stacked(reader: Reader, panels: Sequence[Panel], shades: Sequence[Figure] = ()) -> Figure:
+    """Panels above each other over one time axis."""
+    data = [
+        _line(reader, panel, number, trace)
+        for number, panel in enumerate(panels)
+        for trace in panel.traces
+        if not trace.only_if_moving or reader.moves(trace.column)
+    ]
+    return {"data": _named_once(data), "layout": _stacked_layout(panels, data) | {"shapes": list(shades)}}
+
+
+def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
+    """Panels above each other; in each the trace ``which`` of every run, and the longest run's set-point."""
+    data: list[Figure] = []
+    longest = max(readers, key=lambda reader: len(reader.log))
+    for number, panel in enumerate(panels):
+        for run, (reader, label) in enumerate(zip(readers, labels, strict=True)):
+            trace = next(trace for trace in panel.traces if trace.label == which)
+            data.append(_line(reader, panel, number, trace._replace(label=label, colour=run_colour(run))))
+        setpoint = [trace for trace in panel.traces if trace.label == "set-point"]
+        if which == "true" and setpoint:
+            data.append(_line(longest, panel, number, setpoint[0]))
+    return {"data": _named_once(data), "layout": _stacked_layout(panels, data)}
+
+
+def thrust_figure(reader: Reader, summary: Summary, marks: Sequence[Figure] = ()) -> Figure:
+    """A panel for each jet, where the jet sits: the thrust at rest for its throttle, and the thrust it delivered.
+
+    All six have one scale.
+    """
+    curves = [np.array(curve, dtype=float).reshape(-1, 2) for curve in thrust_curves(summary)]
+    rows = jet_rows(summary.jets_m)
+    count = sum(len(row) for row in rows)
+    layout = _layout(len(rows) * PANEL_PX + 100)
+    layout["annotations"] = []
+    layout["margin"]["t"] = 62
+    layout["legend"]["y"] = 1.04
+    data: list[Figure] = []
+    for number, (row, side, jet) in enumerate((r, s, jet) for r, pair in enumerate(rows) for s, jet in enumerate(pair)):
+        panel = Panel(f"Jet {jet}", "N", [])
+        axes = {"xaxis": _axis("x", side), "yaxis": _axis("y", number)}
+        curve = curves[jet - 1]
+        if len(curve):
+            at_rest = np.interp(reader.log[f"throttle_{jet}"], curve[:, 0], curve[:, 1])
+            data.append(_values(reader, at_rest, panel, _asked("", "commanded")) | axes)
+        data.append(_values(reader, reader.log[f"thrust_{jet}_N"], panel, Trace("", "delivered", width=1.5)) | axes)
+        low, high = _domain(row, len(rows), gap=0.08)
+        layout[_axis("yaxis", number)] = {"domain": [low, high], "anchor": axes["xaxis"], "showticklabels": side == 0}
+        if side == 0:
+            layout[_axis("yaxis", number)]["title"] = {"text": "thrust [N]"}
+        layout["annotations"].append(_heading(panel.title, 0.52 * side, high))
+    scale = _span([trace["y"] for trace in data], least=4.0)
+    for number in range(count):
+        layout[_axis("yaxis", number)]["range"] = scale
+    for side in range(2):
+        layout[_axis("xaxis", side)] = _time_axis(data) | {
+            "domain": [0.52 * side, 0.48 + 0.52 * side],
+            "anchor": _axis("y", count - 2 + side),
+            **({"matches": "x"} if side else {}),
+        }
+    layout["shapes"] = [mark | {"xref": _axis("x", side)} for side in range(2) for mark in marks]
+    return {"data": _named_once(data), "layout": layout}
+
+
+def thrust_curves(summary: Summary) -> list[list[tuple[float, float]]]:
+    """Throttle and thrust at rest of the engine at each station, empty where it is not known."""
+    own = [list(station.curve) for station in summary.stations]
+    return [curve or summary.engine_curve for curve in own + [[]] * (JETS - len(own))]
+
+
+def jet_rows(jets_m: Sequence[Sequence[float]]) -> tuple[tuple[int, int], ...]:
+    """Jet numbers from front to back, (left, right), from their places in the body frame if these are known."""
+    if not jets_m:
+        return JET_ROWS
+    places = sorted((-x, y, number) for number, (x, y, _) in enumerate(jets_m, start=1))
+    left = [number for _, y, number in places if y < 0.0]
+    right = [number for _, y, number in places if y >= 0.0]
+    return tuple(zip(left, right, strict=True)) if len(left) == len(right) else JET_ROWS
+
+
+# ---- the track
+
+
+def track_figure(readers: Sequence[Reader], labels: Sequence[str], colours: Sequence[str]) -> Figure:
+    """Seen from above with equal scales: each run from its start (open circle) to its end (filled)."""
+    data: list[Figure] = []
+    for reader, label, colour in zip(readers, labels, colours, strict=True):
+        every = max(1, ceil(len(reader.log) / MOST_POINTS))
+        last = max(len(reader.log) - 1, 0)
+        east, north = (
+            np.append(reader.log[name][:last:every], reader.log[name][last:]).astype(np.float32)
+            for name in ("east_m", "north_m")
+        )
+        common = {
+            "type": "scatter",
+            "legendgroup": label,
+            "hovertemplate": "%{y:.2f} m north, %{x:.2f} m east<extra></extra>",
+        }
+        data.append(
+            common | {"x": east, "y": north, "mode": "lines", "name": label, "line": {"color": colour, "width": 2}}
+        )
+        marker = {
+            "symbol": ["circle-open", "circle"],
+            "size": 10,
+            "color": colour,
+            "line": {"width": 2, "color": colour},
+        }
+        ends = {"x": east[[0, -1]], "y": north[[0, -1]]} if east.size else {"x": east, "y": north}
+        data.append(common | ends | {"mode": "markers", "name": "start, end", "showlegend": False, "marker": marker})
+    layout = _layout(2 * PANEL_PX + 80) | {"hovermode": "closest", "showlegend": len(readers) > 1}
+    layout["xaxis"] = {"title": {"text": "east [m]"}, "range": _span([trace["x"] for trace in data], 2.0)}
+    layout["yaxis"] = {"title": {"text": "north [m]"}, "range": _span([trace["y"] for trace in data], 2.0)}
+    layout["yaxis"] |= {"scaleanchor": "x", "scaleratio": 1}
+    return {"data": data, "layout": layout}
+
+
+# ---- pieces
+
+
+def _line(reader: Reader, panel: Panel, number: int, trace: Trace) -> Figure:
+    """A trace in the panel with this number, counted from 0."""
+    return _values(reader, panel.scale * reader.log[trace.column], panel, trace) | {"yaxis": _axis("y", number)}
+
+
+def _values(reader: Reader, values: Array, panel: Panel, trace: Trace) -> Figure:
+    return {
+        "type": "scatter",
+        "mode": "lines" if values.size > 1 else "markers",
+        "name": trace.label,
+        "legendgroup": trace.label,
+        "hovertemplate": f"{panel.title}, {trace.label}: %{{y:.4~g}} {panel.unit}<extra></extra>",
+        "line": {
+            "color": trace.colour,
+            "width": trace.width,
+            "dash": trace.dash,
+            "shape": "hv" if trace.held else "linear",
+        },
+        **reader.xy(values),
+    }
+
+
+def _named_once(data: list[Figure]) -> list[Figure]:
+    """Show each label once in the legend; a click on it works on all panels."""
+    seen: set[str] = set()
+    for trace in data:
+        trace["showlegend"] = trace["name"] not in seen
+        seen.add(trace["name"])
+    return data
+
+
+def _stacked_layout(panels: Sequence[Panel], data: Sequence[Mapping[str, Any]]) -> Figure:
+    layout = _layout(len(panels) * PANEL_PX + 80)
+    for number, panel in enumerate(panels):
+        low, high = _domain(number, len(panels), gap=0.04)
+        axis = {"domain": [low, high], "anchor": "x", "title": {"text": f"{panel.title} [{panel.unit}]"}}
+        drawn = [trace["y"] for trace in data if trace["yaxis"] == _axis("y", number)]
+        narrow = _span(drawn, panel.least_span)
+        if narrow[1] - narrow[0] <= panel.least_span:
+            axis["range"] = narrow
+        layout[_axis("yaxis", number)] = axis
+    layout["xaxis"] = _time_axis(data) | {"anchor": _axis("y", len(panels) - 1)}
+    return layout
+
+
+def _layout(height: int) -> Figure:
+    return {
+        "height": height,
+        "margin": {"l": 64, "r": 12, "t": 40, "b": 44},
+        "hovermode": "x unified",
+        "hoversubplots": "axis",
+        "legend": {
+            "orientation": "h",
+            "traceorder": "normal",
+            **{"xref": "paper", "yref": "paper", "x": 0, "y": 1, "xanchor": "left", "yanchor": "bottom"},
+        },
+    }
+
+
+def _time_axis(data: Sequence[Mapping[str, Any]]) -> Figure:
+    ends = [(t["x"][-1] if "x" in t else t["x0"] + t["dx"] * (len(t["y"]) - 1)) for t in data if len(t["y"])]
+    return {
+        "title": {"text": "time [s]"},
+        "hoverformat": ".3f",
+        "range": [0.0, max([float(end) for end in ends] + [1e-3])],
+    }
+
+
+def _axis(letter: str, number: int) -> str:
+    """Plotly's name of the n-th axis, counted from 0: x, x2, x3."""
+    return letter if number == 0 else f"{letter}{number + 1}"
+
+
+def _domain(row: int, rows: int, gap: float) -> tuple[float, float]:
+    """Where the n-th of several panels begins and ends, bottom and top, between 0 and 1."""
+    height = (1.0 - gap * (rows - 1)) / rows
+    low = (rows - 1 - row) * (height + gap)
+    return round(low, 6), round(low + height, 6)
+
+
+def _heading(text: str, x: float, y: float) -> Figure:
+    place = {"x": x, "y": y, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
+    return {"text": f"<b>{text}</b>", "showarrow": False, **place}
+
+
+def _mark(at: float, colour: str) -> Figure:
+    return {
+        "type": "line",
+        **{"xref": "x", "yref": "paper", "x0": at, "x1": at, "y0": 0, "y1": 1, "layer": "below"},
+        "line": {"width": 1.2, "color": colour, "dash": "dot"},
+    }
+
+
+def _shade(start: float, end: float, colour: str = GREY) -> Figure:
+    return {
+        "type": "rect",
+        **{"xref": "x", "yref": "paper", "x0": start, "x1": end, "y0": 0, "y1": 1, "layer": "below"},
+        "fillcolor": colour,
+        "opacity": 0.14,
+        "line": {"width": 0},
+    }
+
+
+def _span(values: Sequence[Array], least: float) -> list[float]:
+    """From least to greatest with a margin, widened to ``least`` around the middle."""
+    known = np.concatenate([np.empty(0), *(part[np.isfinite(part)] for part in values)])
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    margin = max(0.06 * (high - low), 0.5 * (least - (high - low)))
+    return [low - margin, high + margin]

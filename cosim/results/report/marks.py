@@ -1,0 +1,87 @@
+"""Pages of Markdown in which a command writes its figures between marks, and leaves the text around them alone.
+
+A mark is ``<!-- measured: NAME -->`` before a part and ``<!-- end -->`` after it, each on a line of its own.  What is
+between them is written anew, so that no figure is typed by hand.  A page may hold marks of several commands.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.files import replacing
+
+_PART = re.compile(r"^<!-- measured: (.*?) -->\n(.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL)
+_MARK = re.compile(r"^<!-- (?:measured: .*|end) -->$", re.MULTILINE)
+
+
+def parts_of(page: str, where: Path | str) -> dict[str, str]:
+    """What stands between the marks of a page, by name.  Raises InputError where its marks do not come in pairs."""
+    found = dict(_PART.findall(page))
+    if len(_MARK.findall(page)) != 2 * len(found):
+        raise InputError(
+            f"{where}: its marks do not come in pairs <!-- measured: NAME --> and <!-- end -->; nothing was written"
+        )
+    return found
+
+
+def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:
+    """The page with ``parts`` (whole lines) between the marks of their names; other marks stay as they are.
+
+    Raises InputError for marks that do not come in pairs and for a part that has no mark.
+    """
+    known = parts_of(page, where)
+    if missing := [name for name in parts if name not in known]:
+        raise InputError(f"{where}: no mark <!-- measured: {missing[0]} -->; there are {', '.join(known) or 'none'}")
+
+    def part(match: re.Match[str]) -> str:
+        name = match.group(1)
+        return f"<!-- measured: {name} -->\n{parts.get(name, match.group(2))}<!-- end -->"
+
+    return _PART.sub(part, page)
+
+
+def check_marks(path: Path, names: Iterable[str]) -> None:
+    """Before hours of measuring: raises InputError if the page cannot be read or written, or lacks one of the marks."""
+    known = parts_of(_read(path), path)
+    for name in names:
+        if name not in known:
+            raise InputError(f"{path}: no mark <!-- measured: {name} -->; there are {', '.join(known) or 'none'}")
+    if not os.access(path, os.W_OK):
+        raise InputError(f"{path}: cannot be written to")
+
+
+def write_marks(path: Path, parts: Mapping[str, str]) -> None:
+    """Write ``parts`` between their marks.  Raises InputError as :func:`filled`, and if the file cannot be written."""
+    page = filled(_read(path), parts, path)
+    try:
+        with replacing(path) as temporary:
+            temporary.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
+    """A table in Markdown, its first ``left`` columns to the left and the others to the right."""
+    rules = ["---" if n < left else "---:" for n in range(len(columns))]
+    return "".join(f"{line}\n" for line in (row(columns), row(rules), *map(row, rows)))
+
+
+def row(cells: Iterable[str]) -> str:
+    """One row of a table, without the end of the line."""
+    return f"| {' | '.join(map(cell, cells))} |"
+
+
+def cell(text: str) -> str:
+    """A text that Markdown leaves as it is."""
+    return re.sub(r"([\\`*_|<>])", r"\\\1", text)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error

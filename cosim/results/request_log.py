@@ -1,0 +1,121 @@
+"""``requests.jsonl``: what was asked of the autopilot, before which step, by whom, and what it answered.
+
+Written while a flight lasts, a line a request, and flown again later without a ground station.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cosim.base.errors import FlightError, InputError
+from cosim.control.autopilot.autopilot import Autopilot
+from cosim.control.autopilot.requests import (
+    Answer,
+    Request,
+    from_dict,
+    to_dict,
+)
+
+REQUESTS = "requests.jsonl"
+_OURS = ("step", "sender", "result", "text")  # keys of a line that are not the request's
+
+
+class Entry(NamedTuple):
+    """One line."""
+
+    step: int
+    sender: str
+    request: Request
+    result: str  # of the answer it got
+
+
+class RequestLog:
+    """Appends lines to a new file; each is handed to the system whole, so that a killed process loses none.
+
+    Raises InputError if the file cannot be made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror or error}") from error
+
+    def write(self, k: int, sender: str, request: Request, answer: Answer) -> None:
+        """A request that was handled before step ``k``.  Raises FlightError if it cannot be written."""
+        line: dict[str, Any] = {"step": k, "sender": sender, "result": answer.result.value}
+        if answer.text:
+            line["text"] = answer.text
+        rest = memoryview((json.dumps(line | to_dict(request), allow_nan=False) + "\n").encode())
+        try:
+            while rest:
+                rest = rest[os.write(self._file, rest) :]
+        except OSError as error:
+            raise FlightError(f"{self.path}: {error.strerror or error}") from error
+
+    def close(self) -> None:
+        """May be called twice."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+
+def read_requests(path: Path) -> list[Entry]:
+    """Every line of the file; a last one that is torn was never flown and is left out.
+
+    Raises InputError, naming the line, for anything that :class:`RequestLog` does not write.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    found: list[Entry] = []
+    for number, line in enumerate(text.split("\n")[:-1], 1):
+        entry = _entry(line, f"{path}, line {number}")
+        if found and entry.step < found[-1].step:
+            raise InputError(f"{path}, line {number}: step {entry.step} comes after step {found[-1].step}")
+        found.append(entry)
+    return found
+
+
+def _entry(line: str, where: str) -> Entry:
+    try:
+        data = json.loads(line)
+    except ValueError as error:
+        raise InputError(f"{where}: not JSON ({error})") from error
+    if not isinstance(data, dict):
+        raise InputError(f"{where}: must be a JSON object")
+    step = data.get("step")
+    if not isinstance(step, int) or isinstance(step, bool) or step < 0:
+        raise InputError(f"{where}: step = {step!r}: must be a whole number, 0 or more")
+    rest = {key: value for key, value in data.items() if key not in _OURS}
+    try:
+        return Entry(step, str(data.get("sender", "")), from_dict(rest), str(data.get("result", "")))
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
+class Replay:
+    """Asks a pilot what it was asked before: call it before every step."""
+
+    def __init__(self, pilot: Autopilot, entries: Sequence[Entry]) -> None:
+        self._pilot = pilot
+        self._entries = entries
+        self._next = 0
+        self.otherwise: list[str] = []  # a line for each answer that is not the one it got then
+
+    def __call__(self, k: int) -> None:
+        while self._next < len(self._entries) and self._entries[self._next].step <= k:
+            entry = self._entries[self._next]
+            self._next += 1
+            answer = self._pilot.handle(entry.request, k)
+            if entry.result and answer.result.value != entry.result:
+                name = type(entry.request).__name__
+                self.otherwise.append(
+                    f"{name} before step {k} ({entry.sender}): {entry.result} then, {answer.result.value} now"
+                )

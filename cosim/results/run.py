@@ -1,0 +1,542 @@
+"""A run and its folder: begun before the first step, finished after the last, opened again later.
+
+``summary.json``, ``scenario.toml`` with the files it names, ``flight.parquet`` and ``report.html``.  While the flight
+lasts its rows are in ``flight.arrows``; that file goes only when everything made from it is in place, so that a run
+which was killed is finished by :func:`open_run`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from platform import python_version
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.files import locked, replacing
+from cosim.base.toml import Vector
+from cosim.results.arrow import (
+    ParquetLog,
+    StreamSink,
+    read_note,
+    stream_to_parquet,
+)
+from cosim.results.limits import (
+    Yardstick,
+    beyond,
+    flight_limits,
+    told,
+)
+from cosim.results.metrics import (
+    AltitudeMetrics,
+    AxisMetrics,
+    EffortMetrics,
+    Metrics,
+    PositionMetrics,
+    Reach,
+    Record,
+    SpeedMetrics,
+    check_expectations,
+    flatten,
+    flight_metrics,
+)
+from cosim.results.recorder import (
+    BackgroundSink,
+    KeepingSink,
+    Log,
+    MemorySink,
+    Recorder,
+)
+from cosim.simulation.pacing import PaceReport
+from cosim.spec.scenario import Expectation, Scenario
+
+Outcome = Literal["completed", "crashed", "diverged", "failed"]
+# As planned: completed, within the limits of the flight, and with what its scenario expects.
+Verdict = Literal["as planned", "not as expected", "beyond limits", "not completed"]
+
+SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
+    "summary.json",
+    "scenario.toml",
+    "flight.parquet",
+    "flight.arrows",
+    "report.html",
+)
+TELEMETRY = "telemetry.tlog"
+AUTOPILOT = "autopilot.jsonl"
+RUN_FILES = (SUMMARY, SCENARIO, LOG, STREAM, REPORT, TELEMETRY, AUTOPILOT)
+_WIDTH = 120  # characters of a table or list on one line of the summary
+PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")
+
+
+class DelayRow(Record):
+    """One element of the chain from command to measured rate, and the samples of delay that it owns."""
+
+    element: str
+    owner: str
+    kind: str
+    samples: float | None  # None where its owner does not say
+
+
+class StationEngine(Record):
+    """The engine at one station; ``curve`` as ``Setup.engine_curve``, empty if it is that one."""
+
+    engine: str
+    sha256: str  # of its archive
+    curve: tuple[tuple[float, float], ...] = ()
+
+
+class Integration(Record):
+    """How the airframe is integrated: JSBSim's runs, and its methods by name."""
+
+    runs: int  # in a control step
+    run_s: float  # the time that each covers
+    rates: str  # angular acceleration to body rate
+    velocities: str
+    attitude: str
+    position: str
+    on_ground: str  # of rates and velocities instead, while anything touches the ground
+
+    @property
+    def methods(self) -> str:
+        """In words."""
+        air = [f"rates {self.rates}", f"velocities {self.velocities}"]
+        if self.rates == self.velocities:
+            air = [f"rates and velocities {self.rates}"]
+        if self.on_ground != self.rates or self.on_ground != self.velocities:
+            air[-1] += f" ({self.on_ground} while anything touches the ground)"
+        return ", ".join([*air, f"attitude {self.attitude}", f"position {self.position}"])
+
+
+class Setup(BaseModel):
+    """What is known of a run before its first step."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    scenario: str
+    title: str = ""
+    description: str = ""
+    aircraft: str
+    engine: str
+    controller: str
+    seed: int
+    step_s: float
+    integration: Integration | None = None  # None: of a run from before it was written down
+    planned_s: float  # how long the flight is meant to be
+    started: str = ""  # UTC, ISO 8601
+    engine_curve: list[tuple[float, float]] = []  # throttle, thrust of one engine at rest [N]
+    stations: list[StationEngine] = []  # jets 1 to 6
+    jets_m: list[Vector] = []  # engine stations, body
+    delay_ledger: list[DelayRow] = []
+    reach: Reach | None = None  # of throttles and tilts
+    yardstick: Yardstick | None = None  # what its limits are made from; None: it has none
+    expectation: Expectation | None = None  # what this controller with this engine must come to
+    versions: dict[str, str] = {}
+    sha256: dict[str, str] = {}  # of the aircraft model and of every FMU
+
+
+class Pacing(Record):
+    """How well a paced flight kept in step with the clock."""
+
+    factor: float | None  # asked for; None: as fast as it goes
+    missed_deadlines: int  # steps that were not done when the next one was due
+    worst_s: float  # how late the latest of them was
+    stalls: int  # after which the schedule was moved, rather than caught up with
+    lost_s: float  # by which it was moved, in all
+
+
+class Summary(Setup):
+    """What ``summary.json`` says."""
+
+    outcome: Outcome
+    reason: str
+    verdict: Verdict | None = None  # None: flown before there were any
+    steps: int
+    duration_s: float  # flown
+    wall_s: float | None = None  # spent on the steps; None if the process did not live to say so
+    realtime_factor: float | None = None
+    step_us: float | None = None
+    pacing: Pacing | None = None  # None: nothing was paced
+    metrics: dict[str, AxisMetrics]
+    altitude: AltitudeMetrics
+    touchdown_m_s: float | None = None
+    position: PositionMetrics = PositionMetrics()
+    speed: SpeedMetrics = SpeedMetrics()
+    effort: EffortMetrics = EffortMetrics()
+    fuel_burnt_kg: float | None = None
+    limits: dict[str, float] = {}  # the most that a metric may be, by its name
+    beyond: list[str] = []  # the metrics that are above that
+    expectations_met: bool | None = None  # None: nothing is expected
+    complaints: list[str] = []  # a line for each expectation that is not met
+
+    @property
+    def flat_metrics(self) -> dict[str, float | None]:
+        """Every metric under the name that an expectation uses, such as ``roll.rmse_rad``."""
+        return flatten(
+            Metrics(
+                axes=self.metrics,
+                altitude=self.altitude,
+                touchdown_m_s=self.touchdown_m_s,
+                position=self.position,
+                speed=self.speed,
+                effort=self.effort,
+                fuel_burnt_kg=self.fuel_burnt_kg,
+            )
+        )
+
+    @property
+    def as_planned(self) -> bool:
+        """Whether it completed within its limits and came to what its scenario expects."""
+        return self.outcome == "completed" and not self.beyond and self.expectations_met is not False
+
+    @property
+    def exceeded(self) -> list[str]:
+        """What is beyond its limit, in words and with both figures."""
+        return [told(name, self.limits, self.flat_metrics) for name in self.beyond]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run.  ``folder`` is None if it was flown without one; ``log["roll_rad"]`` is a column."""
+
+    summary: Summary
+    log: Log
+    folder: Path | None = None
+    flown: Scenario | None = None  # kept by the process that flew it
+
+    @property
+    def scenario(self) -> Scenario:
+        """The resolved scenario, from the run's folder if need be.  Raises InputError if it cannot be read."""
+        if self.flown is not None:
+            return self.flown
+        assert self.folder is not None
+        return Scenario.load(self.folder / SCENARIO)
+
+    @property
+    def outcome(self) -> Outcome:
+        return self.summary.outcome
+
+    @property
+    def reason(self) -> str:
+        return self.summary.reason
+
+    @property
+    def metrics(self) -> dict[str, AxisMetrics]:
+        return self.summary.metrics
+
+
+class Recording:
+    """A run that is being flown: an observer, and at the end :meth:`finish`."""
+
+    def __init__(
+        self, setup: Setup, scenario: Scenario, sink: KeepingSink | StreamSink, background: bool = False
+    ) -> None:
+        self._setup = setup
+        self._scenario = scenario
+        self._sink = sink
+        self._behind = BackgroundSink(sink) if background else None
+        self._recorder = Recorder(setup.step_s, self._behind or sink)
+        self.observe = self._recorder.observe
+
+    def restate(self, scenario: Scenario) -> None:
+        """The scenario as it was flown in the end, with what came by command.  Raises FlightError."""
+        self._scenario = scenario
+        if isinstance(self._sink, StreamSink):
+            _write(self._sink.path.with_name(SCENARIO), _toml(scenario))
+
+    def shorten(self, steps: int) -> None:
+        """A flight without a planned end is over: its scenario flies as many steps as it did.  Raises FlightError."""
+        if steps:
+            duration = steps * self._setup.step_s
+            self._setup = self._setup.model_copy(update={"planned_s": duration})
+            self.restate(self._scenario.replace(duration_s=duration))
+
+    def finish(
+        self,
+        outcome: Outcome,
+        reason: str,
+        wall_s: float | None = None,
+        pace: PaceReport | None = None,
+    ) -> Run:
+        """Put the run's files into place; ``wall_s`` is the time spent on the steps.
+
+        A log that could not be written to its end makes the run ``failed``.  Raises FlightError if the files cannot be
+        written; what was recorded stays and :func:`open_run` takes it up again.
+        """
+        if not isinstance(self._sink, StreamSink):
+            self._recorder.flush()
+            log = self._sink.log()
+            return Run(summarize(self._setup, log, outcome, reason, wall_s, pace), log, None, self._scenario)
+        try:
+            self._recorder.flush()
+            if self._behind is not None:
+                self._behind.settle()
+            self._sink.end()
+        except FlightError as error:
+            outcome, reason = "failed", str(error)
+        folder = self._sink.path.parent
+        try:
+            summary, log = _settle(folder, self._setup, outcome, reason, wall_s, pace)
+        finally:
+            self._sink.close()
+        self._sink.path.unlink()
+        return Run(summary, log, folder, self._scenario)
+
+
+def begin_run(
+    setup: Setup,
+    scenario: Scenario,
+    folder: Path | None = None,
+    files: Mapping[str, Path | bytes] | None = None,
+    background: bool = False,
+    sink: KeepingSink | None = None,
+) -> Recording:
+    """Begin a run, in ``folder`` or in memory, where ``sink`` may keep less than all.
+
+    ``scenario`` is resolved: what is written to ``scenario.toml`` flies as it is.  ``files``, or contents, are put
+    beside it under their keys.  ``background``: a thread writes the rows.  Raises InputError if the folder already
+    holds a run or cannot be written to.
+    """
+    if folder is None:
+        return Recording(setup, scenario, sink or MemorySink())
+    claim_folder(folder, files or {})
+    stream = StreamSink(folder / STREAM, setup.model_dump_json())
+    try:
+        for name, source in (files or {}).items():
+            _write(folder / name, source if isinstance(source, bytes) else source.read_bytes())
+        _write(folder / SCENARIO, _toml(scenario))
+    except (OSError, FlightError) as error:
+        stream.close()
+        stream.path.unlink(missing_ok=True)
+        raise InputError(str(error)) from error
+    return Recording(setup, scenario, stream, background)
+
+
+def claim_folder(folder: Path, files: Mapping[str, Path | bytes] | None = None) -> None:
+    """Make a run's folder if need be.  Raises InputError if it already holds a run or cannot be written to."""
+    try:
+        _refuse_if_used(folder, files or {})
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror or error}") from error
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"{folder}: cannot be written to")
+
+
+def open_run(folder: Path | str) -> Run:
+    """Open a finished run, or finish one that was killed with everything it had written.
+
+    Raises InputError if there is no run, if it is still being flown, or if its files cannot be read.
+    """
+    folder = Path(folder)
+    if (folder / STREAM).is_file():
+        _recover(folder)
+    for name in (SUMMARY, LOG):
+        if not (folder / name).is_file():
+            raise InputError(f"{folder}: no run here ({name} is missing)")
+    path = folder / SUMMARY
+    try:
+        summary = Summary.model_validate_json(path.read_text(encoding="utf-8"))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{path}: not a run's summary: {key + ': ' if key else ''}{first['msg']}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    return Run(summary, ParquetLog(folder / LOG), folder)
+
+
+def finish_killed(scenario: Path) -> None:
+    """Finish the run that a scenario file belongs to if that run was killed, so that its scenario ends where it did.
+
+    Raises InputError while the run is being flown.
+    """
+    if scenario.name == SCENARIO and (scenario.parent / STREAM).is_file():
+        _recover(scenario.parent)
+
+
+def summarize(
+    setup: Setup, log: Log, outcome: Outcome, reason: str, wall_s: float | None, pace: PaceReport | None = None
+) -> Summary:
+    """The summary of a flight from its log."""
+    metrics = flight_metrics(log, setup.step_s, setup.reach)
+    flat = flatten(metrics)
+    steps = len(log)
+    duration = steps * setup.step_s
+    limits = flight_limits(setup.yardstick, log, setup.step_s) if setup.yardstick is not None and steps else {}
+    above = beyond(limits, flat)
+    complaints = _complaints(setup.expectation, outcome, flat)
+    return Summary(
+        **dict(setup),
+        outcome=outcome,
+        reason=reason,
+        verdict="not completed"
+        if outcome != "completed"
+        else "beyond limits"
+        if above
+        else "not as expected"
+        if complaints
+        else "as planned",
+        steps=steps,
+        duration_s=duration,
+        wall_s=wall_s,
+        realtime_factor=duration / wall_s if wall_s else None,
+        step_us=1e6 * wall_s / steps if wall_s is not None and steps else None,
+        pacing=None
+        if pace is None
+        else Pacing(
+            factor=pace.factor,
+            missed_deadlines=pace.missed,
+            worst_s=pace.worst,
+            stalls=pace.stalls,
+            lost_s=pace.lost,
+        ),
+        metrics=metrics.axes,
+        altitude=metrics.altitude,
+        touchdown_m_s=metrics.touchdown_m_s,
+        position=metrics.position,
+        speed=metrics.speed,
+        effort=metrics.effort,
+        fuel_burnt_kg=metrics.fuel_burnt_kg,
+        limits=limits,
+        beyond=above,
+        expectations_met=None if setup.expectation is None else not complaints,
+        complaints=complaints,
+    )
+
+
+def versions() -> dict[str, str]:
+    """What a run depends on: Python and the packages that make its numbers."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
+    found = {"python": python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:  # the clone itself, not installed
+            continue
+    return found
+
+
+def now() -> str:
+    """The time of day for :attr:`Setup.started`."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _complaints(expectation: Expectation | None, outcome: Outcome, flat: Mapping[str, float | None]) -> list[str]:
+    if expectation is None:
+        return []
+    wrong = (
+        [] if outcome in expectation.outcome else [f"outcome = {outcome}, expected {' or '.join(expectation.outcome)}"]
+    )
+    return wrong + check_expectations(flat, expectation.metrics)
+
+
+def _settle(
+    folder: Path,
+    setup: Setup,
+    outcome: Outcome,
+    reason: str,
+    wall_s: float | None,
+    pace: PaceReport | None = None,
+) -> tuple[Summary, ParquetLog]:
+    """Make Parquet and summary of a stream, and leave the stream."""
+    try:
+        stream_to_parquet(folder / STREAM, folder / LOG)
+        log = ParquetLog(folder / LOG)
+        summary = summarize(setup, log, outcome, reason, wall_s, pace)
+        _write(folder / SUMMARY, _json(summary).encode())
+    except FlightError as error:
+        raise FlightError(
+            f"{error}; what was flown is kept in {folder / STREAM}: hexjet report {folder} finishes it"
+        ) from error
+    return summary, log
+
+
+def _recover(folder: Path) -> None:
+    """Finish a run whose process did not."""
+    stream = folder / STREAM
+    with locked(stream, f"{folder}: a run is still being recorded here; wait until it ends"):
+        if not (folder / SUMMARY).is_file():
+            note = read_note(stream)
+            if note is None:
+                raise InputError(f"{stream}: torn before its first row; nothing of this run can be recovered")
+            try:
+                setup = Setup.model_validate_json(note)
+            except ValidationError as error:
+                raise InputError(f"{stream}: not a stream of this program") from error
+            summary, log = _settle(folder, setup, "failed", "interrupted", None)
+            _shorten(folder, summary, len(log))
+        elif not (folder / LOG).is_file():
+            stream_to_parquet(stream, folder / LOG)
+        stream.unlink()
+
+
+def _shorten(folder: Path, summary: Summary, steps: int) -> None:
+    """Let the scenario of a flight that had no planned end, being flown by request, end where its log ends."""
+    scenario = Scenario.load(folder / SCENARIO)
+    if scenario.requests is not None and steps:
+        flown = {"planned_s": steps * scenario.step_s}
+        _write(folder / SCENARIO, _toml(scenario.replace(duration_s=flown["planned_s"])))
+        _write(folder / SUMMARY, _json(summary.model_copy(update=flown)).encode())
+
+
+def _refuse_if_used(folder: Path, files: Mapping[str, Path | bytes]) -> None:
+    for name in files:
+        if name in RUN_FILES or Path(name).name != name:
+            raise InputError(f"scenario: a file named {name!r} cannot be copied into a run's folder")
+    held = [name for name in (*RUN_FILES, *files) if (folder / name).exists()]
+    if held:
+        raise InputError(f"{folder}: already holds a run ({held[0]}); choose another folder or remove it")
+
+
+def _toml(scenario: Scenario) -> bytes:
+    import tomli_w
+
+    return tomli_w.dumps(scenario.model_dump(mode="json", exclude_none=True)).encode()
+
+
+def _json(summary: Summary) -> str:
+    """The summary with what is asked for first on top; a table or list is one line, a long one a line an entry."""
+    data = summary.model_dump(mode="json")
+    first: tuple[str, ...] = (
+        "outcome",
+        "reason",
+        "verdict",
+        "beyond",
+        "limits",
+        "complaints",
+        "metrics",
+        "altitude",
+        "touchdown_m_s",
+    )
+    first += ("position", "speed", "effort", "fuel_burnt_kg")
+    lines = []
+    for key, value in ({name: data[name] for name in first} | data).items():
+        text = json.dumps(value, allow_nan=False)
+        if isinstance(value, dict) and len(text) > _WIDTH:
+            inner = (f"    {json.dumps(name)}: {json.dumps(part, allow_nan=False)}" for name, part in value.items())
+            text = "{\n" + ",\n".join(inner) + "\n  }"
+        elif isinstance(value, list) and len(text) > _WIDTH:
+            text = "[\n" + ",\n".join(f"    {json.dumps(part, allow_nan=False)}" for part in value) + "\n  ]"
+        lines.append(f"  {json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file that is either there whole or not at all.  Raises FlightError."""
+    try:
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
+    except OSError as error:
+        raise FlightError(f"{path}: {error.strerror or error}") from error

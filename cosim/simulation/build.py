@@ -1,0 +1,279 @@
+"""Wiring a flight: the one place where its blocks are made and joined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from math import hypot, inf
+
+from cosim.base.errors import InputError
+from cosim.base.protocols import Predictor
+from cosim.base.signals import AXES
+from cosim.base.toml import nearest
+from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
+from cosim.control.allocation.engine_monitor import EngineMonitor
+from cosim.control.allocation.reallocation import get_ready
+from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
+from cosim.control.altitude import GRAVITY, AltitudeController
+from cosim.control.attitude import AttitudeController
+from cosim.control.cascade import Cascade
+from cosim.control.lead import Lead
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.control.predictors.smith import NoPredictor
+from cosim.control.rate import RateController
+from cosim.control.schedule import GainSchedule
+from cosim.engine import (
+    Air,
+    EngineBank,
+    EngineSpec,
+    load_engine,
+)
+from cosim.engine.wrappers import EngineChain
+from cosim.simulation.commander import Commander
+from cosim.simulation.delay_ledger import delay_ledger
+from cosim.simulation.disturber import Disturber
+from cosim.simulation.ending import Judge
+from cosim.simulation.engine_reference import engine_reference
+from cosim.simulation.fault_schedule import SERVOS, FaultSchedule
+from cosim.simulation.mismatch import as_flown, engines_as_flown
+from cosim.simulation.step import Simulation
+from cosim.simulation.with_places import PlacePilot, flies_to_places
+from cosim.spec.scenario import Scenario, Station, is_file
+from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.vehicle.airframe import Airframe, start_height
+from cosim.vehicle.atmosphere import standard_air
+from cosim.vehicle.banks import Banks
+from cosim.vehicle.ground_effect import GroundJets
+from cosim.vehicle.intakes import Airstreams
+from cosim.vehicle.propulsion import Propulsion
+from cosim.vehicle.rotors import Spools
+from cosim.vehicle.sensors import FaultySensors, SensorSuite
+from cosim.vehicle.servo import TiltServo
+from cosim.vehicle.tank import Tank
+
+
+def build(scenario: Scenario) -> Simulation:
+    """Wire a flight.
+
+    Raises InputError for anything in the scenario, the vehicle, the engine or the controller that does not fit.
+    """
+    if scenario.controller not in PREDICTORS:
+        raise InputError(f"unknown controller {scenario.controller!r}; {nearest(scenario.controller, PREDICTORS)}")
+    scenario.count(scenario.duration_s, "duration_s")
+    vehicle, folder = load_vehicle(scenario.aircraft, scenario.vehicle, f"scenario {scenario.name}: vehicle")
+    engine, *stations = specs = _engines(scenario, vehicle)
+    laws = [spec.flame_out for spec in stations]
+    step, initial = scenario.step_s, scenario.initial
+    flown = as_flown(vehicle, scenario.mismatch)
+    spools = Spools(flown.jets, stations, step)
+    controller = _cascade(scenario, vehicle, engine, stations)
+    with ExitStack() as made:
+        airframe = Airframe(flown, folder, scenario.environment, step, scenario.substeps, scenario.seed, spools.any)
+        made.callback(airframe.close)
+        bank = EngineBank(stations, len(stations), step)
+        made.callback(bank.close)
+        engines = EngineChain(
+            bank,
+            laws,
+            lambda jet: engine_reference(stations[jet], step).lag,
+            step,
+            *engines_as_flown(scenario.mismatch, len(stations)),
+        )
+        servos = [TiltServo(vehicle.servo, step) for _ in SERVOS] if vehicle.servo else []
+        banks = Banks(vehicle.servo, flown.jets, step) if vehicle.servo else None
+        propulsion = Propulsion(
+            flown.jets,
+            engines,
+            servos,
+            spools if spools.any else None,
+            Tank(vehicle.fuel.mass_kg, step, initial.fuel) if vehicle.fuel else None,
+            banks if banks and banks.any else None,
+            Airstreams(vehicle.airflow, flown.jets) if vehicle.airflow else None,
+            GroundJets(vehicle.ground_effect, flown.jets) if vehicle.ground_effect else None,
+            airframe.air,
+        )
+        sensors = FaultySensors(SensorSuite(vehicle.sensors, step, scenario.seed, scenario.sensor_noise))
+        commander = Commander(scenario, start_height(flown, initial))
+        simulation = Simulation(
+            scenario,
+            vehicle,
+            specs,
+            delay_ledger(scenario, vehicle, stations),
+            commander,
+            PlacePilot(scenario, vehicle, commander, controller.allocator.hover, controller.thrust_map.idle)
+            if flies_to_places(scenario)
+            else None,
+            Disturber(scenario),
+            controller,
+            propulsion,
+            airframe,
+            sensors,
+            FaultSchedule(scenario, engines, servos, sensors, laws),
+            Judge(vehicle.limits),
+        )
+        made.pop_all()
+        return simulation
+
+
+def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
+    """The scenario's engine, then the one at each station; each engine with its parameters is measured once.
+
+    They are measured in the still air at the height where the flight starts.
+    """
+    jets = len(vehicle.jets)
+    air = Air(*standard_air(scenario.environment.ground_m + start_height(vehicle, scenario.initial)), 0.0)
+    for number in scenario.stations:
+        if int(number) > jets:
+            where = f"scenario {scenario.name}: stations.{number}"
+            raise InputError(f"{where}: {scenario.aircraft} has stations 1 to {jets}")
+    known: dict[tuple[str, frozenset[tuple[str, float]]], EngineSpec] = {}
+
+    def load(engine: str, parameters: dict[str, float]) -> EngineSpec:
+        key = engine, frozenset(parameters.items())
+        if key not in known:
+            # a file is seen from the scenario's folder
+            source = str(scenario.folder / engine) if is_file(engine) else engine
+            unchecked = scenario.engine_unchecked
+            known[key] = load_engine(source, parameters, scenario.step_s, unchecked=unchecked, air=air)
+        return known[key]
+
+    def at(station: Station) -> EngineSpec:
+        if station.engine is None:
+            return load(scenario.engine, {**scenario.engine_parameters, **station.parameters})
+        return load(station.engine, station.parameters)
+
+    engine = load(scenario.engine, scenario.engine_parameters)
+    stations = [scenario.stations.get(str(number)) for number in range(1, jets + 1)]  # type: ignore[call-overload]
+    return [engine, *(engine if station is None else at(station) for station in stations)]
+
+
+def _cascade(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, stations: Sequence[EngineSpec]) -> Cascade:
+    step = scenario.step_s
+    gains = vehicle.control
+    curves = {id(each): StaticCurve(each.name, *each.curve) for each in (engine, *stations)}
+    thrust_map = ThrustMap(curves[id(engine)], [curves[id(each)] for each in stations])
+    jets = len(vehicle.jets)
+    hover = thrust_map.share(vehicle.mass_kg * GRAVITY / jets)
+    if not gains.allocation.throttle_min < hover < gains.allocation.throttle_max:
+        raise InputError(
+            f"engine {engine.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at throttle {hover:.2f}, "
+            f"outside {gains.allocation.throttle_min:g} to {gains.allocation.throttle_max:g}"
+        )
+    _need_lift(vehicle, stations)
+    return Cascade(
+        AttitudeController(gains.attitude),
+        RateController(
+            (gains.rate.roll, gains.rate.pitch, gains.rate.yaw),
+            predictors(scenario, vehicle, engine),
+            step,
+            [_lead(vehicle, axis, step) for axis in AXES],
+        ),
+        AltitudeController(
+            gains.altitude,
+            vehicle.mass_kg,
+            lambda total: thrust_map.share(total / jets),
+            step,
+            _lead(vehicle, "altitude", step),
+        ),
+        TiltAllocator(
+            vehicle.jets,
+            gains.allocation,
+            vehicle.servo.range_rad,
+            hover,
+            thrust_map.idle,
+            _lift(scenario, vehicle, stations) if scenario.monitored else inf,
+        )
+        if vehicle.servo
+        else RotorAllocator(vehicle.jets, gains.allocation, hover),
+        thrust_map,
+        _monitor(scenario, vehicle, stations) if scenario.monitored else None,
+        GainSchedule(gains.schedule, gains.lead, step) if gains.schedule else None,
+        vehicle,
+        scenario.added_delay_samples,
+        opposites(vehicle) if gains.monitor is not None and gains.monitor.shut_opposite else (),
+        step,
+    )
+
+
+def _lift(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> float:
+    """How far a throttle may go up in a step for the height that is lost with an engine.
+
+    From least to most in no less than the longest lag of the engines: told to go faster they are at the limit of their
+    acceleration, all alike, and what roll asks for between them is lost.
+    """
+    limits, step = vehicle.control.allocation, scenario.step_s
+    longest = max(engine_reference(spec, step).longest for spec in stations)
+    return (limits.throttle_max - limits.throttle_min) * step / max(longest, step)
+
+
+def opposites(vehicle: Vehicle) -> tuple[int, ...]:
+    """For every jet, from 0, the one across the centre of gravity.  Raises InputError if one has none."""
+    places = [jet.position_m for jet in vehicle.jets]
+    found = []
+    for number, (x, y, _) in enumerate(places, 1):
+        across = [i for i, (a, b, _) in enumerate(places) if hypot(a + x, b + y) < 1e-3 * hypot(x, y)]
+        if len(across) != 1:
+            raise InputError(f"{vehicle.name}: control.monitor.shut_opposite: no jet stands opposite jet {number}")
+        found.append(across[0])
+    return tuple(found)
+
+
+def _lead(vehicle: Vehicle, command: str, step: float) -> Lead | None:
+    stated = getattr(vehicle.control.lead, command, None)
+    return Lead(stated, step) if stated else None
+
+
+def _need_lift(vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
+    """Refuse stations whose engines cannot carry the vehicle together, whatever the scenario's engine could."""
+    weight, most = vehicle.mass_kg * GRAVITY, sum(each.curve.thrust[-1] for each in stations)
+    if most <= weight:
+        raise InputError(
+            f"stations: the engines give at most {most:.1f} N together; {vehicle.name} ({vehicle.mass_kg:g} kg) "
+            f"weighs {weight:.1f} N"
+        )
+
+
+def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> EngineMonitor:
+    settings, limits = vehicle.control.monitor, vehicle.control.allocation
+    if settings is None:
+        raise InputError(
+            f"scenario {scenario.name}: {vehicle.name} has no [control.monitor] to watch its engines with; "
+            "state it, or set monitor = false"
+        )
+    get_ready()
+    known = {key: engine_reference(spec, scenario.step_s) for key, spec in {id(s): s for s in stations}.items()}
+    return EngineMonitor(
+        settings,
+        [known[id(spec)] for spec in stations],
+        vehicle.mass_kg * GRAVITY / len(stations),
+        (limits.throttle_min, limits.throttle_max),
+        scenario.step_s,
+    )
+
+
+def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[Predictor]:
+    """One predictor per axis: the controller's where the vehicle has an identified model for this engine, else none."""
+    if scenario.controller == "baseline":
+        return [NoPredictor() for _ in AXES]
+    models = vehicle.identified.get(engine.family, {})
+    if not models:
+        raise InputError(
+            f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "
+            f"{engine.family!r}; there are models for: {', '.join(sorted(vehicle.identified))} "
+            "(or fly --controller baseline)"
+        )
+    found: list[Predictor] = []
+    for axis in AXES:
+        model = models.get(axis)  # type: ignore[call-overload]
+        if model is not None and abs(model.sample_time_s - scenario.step_s) > 1e-9:
+            raise InputError(
+                f"vehicle.identified.{engine.family}.{axis}: the model's sample time {model.sample_time_s:g} s is not "
+                f"the scenario's step {scenario.step_s:g} s"
+            )
+        make = PREDICTORS[scenario.controller]
+        if model is not None and axis == "roll" and scenario.added_delay_samples:
+            # the controller adds this delay itself, so its predictor knows of it
+            delay = model.delay_samples + scenario.added_delay_samples
+            model = model.model_copy(update={"delay_samples": delay})
+        found.append(make(model, vehicle.control.predictor) if model is not None else NoPredictor())
+    return found

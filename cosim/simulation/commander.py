@@ -1,0 +1,252 @@
+"""What the script or the recorded pilot asks for, step by step."""
+
+from __future__ import annotations
+
+import csv
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from math import isfinite, log, pi, radians, sin
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.signals import Command
+from cosim.base.toml import nearest
+from cosim.spec.scenario import (
+    SIGNALS,
+    DoubletCommand,
+    PlaceCommand,
+    RampCommand,
+    Scenario,
+    StepCommand,
+    SticksCommand,
+    SweepCommand,
+    TableCommand,
+    VelocityCommand,
+)
+
+Waveform = Callable[[int], float]
+STICKS = ("roll", "pitch", "yaw", "throttle")
+_ROLL, _PITCH, _YAW, _ALTITUDE, _P, _Q, _R, _COLLECTIVE = range(len(SIGNALS))
+_IN_DEGREES = frozenset({_ROLL, _PITCH, _YAW, _P, _Q, _R})
+
+
+class Commander:
+    """The sum of a scenario's commands at every control step.
+
+    Before and between them the vehicle is asked to stay level, at its initial heading and height.  Any command of a
+    body rate replaces the attitude loop for the whole flight (the other rates are 0); a command of the collective
+    replaces the altitude hold from its own start on.  Places and velocities are not its own: see
+    :mod:`cosim.simulation.with_places`.
+    """
+
+    def __init__(self, scenario: Scenario, height: float) -> None:
+        self._waves: list[tuple[int, Waveform]] = []
+        collective: list[int] = []
+        for index, entry in enumerate(scenario.command):
+            where = f"command.{index}"
+            start = scenario.count(entry.start_s, f"{where}.start_s")
+            if isinstance(entry, (PlaceCommand, VelocityCommand)):
+                continue
+            before = len(self._waves)
+            if isinstance(entry, TableCommand):
+                self._waves += _table(entry, scenario, start, where)
+            elif isinstance(entry, SticksCommand):
+                self._waves += _sticks(entry, scenario, start, where)
+            else:
+                signal = SIGNALS.index(entry.signal)
+                wave = _shape(entry, scenario, start, where)
+                self._waves.append((signal, _scaled(wave, radians(1.0)) if signal in _IN_DEGREES else wave))
+            if any(signal == _COLLECTIVE for signal, _ in self._waves[before:]):
+                collective.append(start)
+        commanded = {signal for signal, _ in self._waves}
+        self.signals = [SIGNALS[signal] for signal in sorted(commanded)]
+        self._rate_mode = bool(commanded & {_P, _Q, _R})
+        # the height is held until the first command of the collective begins
+        self._collective_from = min(collective, default=None)
+        self._base = [0.0] * len(SIGNALS)
+        self._base[_YAW] = radians(scenario.initial.attitude_deg[2])
+        self._base[_ALTITUDE] = height
+        self._last_values: list[float] = []
+        self._last = Command((0.0, 0.0, 0.0), height)
+
+    def at(self, k: int) -> Command:
+        """The command held over step ``k``."""
+        if not self._waves and self._last_values:
+            return self._last
+        values = self._base.copy()
+        for signal, wave in self._waves:
+            values[signal] += wave(k)
+        begun = self._collective_from is not None and k >= self._collective_from
+        if values != self._last_values or begun != (self._last.collective is not None):
+            self._last_values = values
+            self._last = Command(
+                (values[_ROLL], values[_PITCH], values[_YAW]),
+                values[_ALTITUDE],
+                (values[_P], values[_Q], values[_R]) if self._rate_mode else None,
+                values[_COLLECTIVE] if begun else None,
+            )
+        return self._last
+
+
+def sweep(step: float, start: int, length: int, amplitude: float, low: float, high: float) -> Waveform:
+    """Exponential chirp: ``amplitude sin(2 pi low L (exp(t/L) - 1))``, ``L = D / ln(high/low)``, t from ``start``.
+
+    Its frequency is ``low`` Hz at the first and ``high`` Hz at the last of ``length`` steps.
+    """
+    ratio = high / low
+    growth = log(ratio)
+    scale = 2.0 * pi * low * step * (length / growth if growth else length)
+
+    def wave(k: int) -> float:
+        n = k - start
+        if not 0 <= n < length:
+            return 0.0
+        progress = ratio ** (n / length) - 1.0 if growth else n / length
+        return amplitude * sin(scale * progress)
+
+    return wave
+
+
+def doublet(start: int, width: int, amplitude: float) -> Waveform:
+    """``amplitude`` for ``width`` steps, then its opposite for as long."""
+
+    def wave(k: int) -> float:
+        n = k - start
+        return 0.0 if n < 0 or n >= 2 * width else (amplitude if n < width else -amplitude)
+
+    return wave
+
+
+def pulse(start: int, end: int | None, amplitude: float) -> Waveform:
+    """``amplitude`` from step ``start`` to before ``end``, or for good."""
+
+    def wave(k: int) -> float:
+        return amplitude if k >= start and (end is None or k < end) else 0.0
+
+    return wave
+
+
+def _shape(
+    entry: StepCommand | DoubletCommand | RampCommand | SweepCommand, scenario: Scenario, start: int, where: str
+) -> Waveform:
+    if isinstance(entry, StepCommand):
+        return pulse(start, None, entry.amplitude)
+    if isinstance(entry, DoubletCommand):
+        return doublet(start, scenario.count(entry.width_s, f"{where}.width_s"), entry.amplitude)
+    length = scenario.count(entry.duration_s, f"{where}.duration_s")
+    if isinstance(entry, SweepCommand):
+        return sweep(scenario.step_s, start, length, entry.amplitude, entry.from_hz, entry.to_hz)
+    amplitude = entry.amplitude
+    return lambda k: amplitude * min(1.0, max(0.0, (k - start) / length))
+
+
+def _scaled(wave: Waveform, factor: float) -> Waveform:
+    return lambda k: factor * wave(k)
+
+
+def _table(entry: TableCommand, scenario: Scenario, start: int, where: str) -> list[tuple[int, Waveform]]:
+    path = scenario.folder / entry.file
+    times, columns = read_columns(path, SIGNALS, f"{where}.file")
+    waves = []
+    for name, values in columns.items():
+        signal = SIGNALS.index(name)
+        factor = radians(1.0) if signal in _IN_DEGREES else 1.0
+        waves.append(
+            (signal, _interpolated(times, [factor * v for v in values], entry.interpolate, scenario.step_s, start))
+        )
+    return waves
+
+
+def _interpolated(times: Sequence[float], values: Sequence[float], how: str, step: float, start: int) -> Waveform:
+    """0 before the first row, the last row's value after it."""
+    linear = how == "linear"
+
+    def wave(k: int) -> float:
+        # half a billionth of a step of slack, so that a row on the grid counts from its own step on
+        t = (k - start) * step + 1e-9 * step
+        i = bisect_right(times, t) - 1
+        if i < 0:
+            return 0.0
+        if not linear or i + 1 == len(times):
+            return values[i]
+        share = (t - times[i]) / (times[i + 1] - times[i])
+        return values[i] + share * (values[i + 1] - values[i])
+
+    return wave
+
+
+def _sticks(entry: SticksCommand, scenario: Scenario, start: int, where: str) -> list[tuple[int, Waveform]]:
+    path = scenario.folder / entry.file
+    times, columns = read_columns(path, STICKS, f"{where}.file")
+    for name, values in columns.items():
+        worst = max(values, key=abs)
+        if abs(worst) > 1.0:
+            raise InputError(f"{path}: column {name} holds {worst:g}; sticks go from -1 to 1")
+    step = scenario.step_s
+    tilt = radians(entry.tilt_deg)
+    none = [0.0] * len(times)
+    position = {name: _interpolated(times, columns.get(name, none), "linear", step, start) for name in STICKS}
+    end = min(start + int(min(times[-1], scenario.duration_s) / step) + 1, scenario.steps)
+    return [
+        (_ROLL, _scaled(position["roll"], tilt)),
+        # stick forward is positive and asks for nose down
+        (_PITCH, _scaled(position["pitch"], -tilt)),
+        (_YAW, _running_sum(position["yaw"], radians(entry.yaw_rate_deg_s) * step, start, end)),
+        (_ALTITUDE, _running_sum(position["throttle"], entry.climb_m_s * step, start, end)),
+    ]
+
+
+def _running_sum(wave: Waveform, factor: float, start: int, end: int) -> Waveform:
+    """The sum of ``factor * wave`` over the steps before ``k``; constant from ``end`` on."""
+    sums = [0.0]
+    for k in range(start, end):
+        sums.append(sums[-1] + factor * wave(k))
+    return lambda k: sums[min(max(k - start, 0), len(sums) - 1)]
+
+
+def read_columns(path: Path, allowed: Sequence[str], where: str) -> tuple[list[float], dict[str, list[float]]]:
+    """Times and named columns of a CSV with a header line ``time_s,...``.
+
+    Raises InputError that names the file and the line: unknown column, a cell that is no finite number, times that
+    do not grow, no rows.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{where}: {path}: {getattr(error, 'strerror', None) or error}") from error
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    if not header or header[0] != "time_s":
+        raise InputError(f"{path}: line 1: the first column must be time_s")
+    for name in header[1:]:
+        if name not in allowed:
+            raise InputError(f"{path}: line 1: unknown column {name!r}; {nearest(name, allowed)}")
+    if len(set(header)) != len(header):
+        raise InputError(f"{path}: line 1: a column stands twice")
+    table: list[list[float]] = []
+    for number, row in enumerate(rows[1:], 2):
+        if not row:
+            continue
+        if len(row) != len(header):
+            raise InputError(f"{path}: line {number}: {len(row)} cells, the header has {len(header)}")
+        table.append([_number(cell, path, number) for cell in row])
+        if len(table) > 1 and table[-1][0] <= table[-2][0]:
+            raise InputError(
+                f"{path}: line {number}: time_s does not grow ({table[-2][0]:g} s, then {table[-1][0]:g} s)"
+            )
+    if not table or len(header) < 2:
+        raise InputError(f"{path}: no rows of data")
+    if table[0][0] < 0.0:
+        raise InputError(f"{path}: line 2: time_s starts below 0")
+    times, *columns = (list(column) for column in zip(*table, strict=True))
+    return times, dict(zip(header[1:], columns, strict=True))
+
+
+def _number(cell: str, path: Path, line: int) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise InputError(f"{path}: line {line}: {cell!r} is not a finite number")
+    return value

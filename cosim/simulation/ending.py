@@ -1,0 +1,57 @@
+"""How a flight ends, and when it does so before its time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, degrees, radians
+from typing import Literal
+
+from cosim.base.signals import AXES, State
+from cosim.spec.vehicle import Limits
+
+Outcome = Literal["completed", "crashed", "diverged", "failed"]
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a flight ended, and why, in words."""
+
+    outcome: Outcome
+    reason: str
+
+
+class Judge:
+    """Decides when a flight is over before its time."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._least_upright = cos(radians(limits.tilt_deg))
+        self._most_rate = radians(limits.rate_deg_s)
+        self.reset(on_ground=False)
+
+    def reset(self, on_ground: bool) -> None:
+        """A new flight; ``on_ground``: it starts standing."""
+        self._was_on_ground = on_ground
+        self._descent = 0.0
+
+    def look(self, state: State, now: float) -> Ending | None:
+        """The ending, if ``state`` at ``now`` [s] is one."""
+        _, x, y, _ = state.attitude
+        p, q, r = state.rate
+        most = self._most_rate
+        if state.hull_contact:
+            return Ending("crashed", f"the hull touched the ground at {now:.3f} s ({_lean(state)})")
+        limits = self._limits
+        if state.on_ground and not self._was_on_ground and self._descent > limits.touchdown_m_s:
+            return Ending("crashed", f"hit the ground at {self._descent:.1f} m/s at {now:.3f} s ({_lean(state)})")
+        self._was_on_ground = state.on_ground
+        self._descent = state.velocity[2]
+        if 1.0 - 2.0 * (x * x + y * y) < self._least_upright:
+            return Ending("diverged", f"leaned past {limits.tilt_deg:g} deg at {now:.3f} s ({_lean(state)})")
+        if not (-most < p < most and -most < q < most and -most < r < most):
+            return Ending("diverged", f"turned faster than {limits.rate_deg_s:g} deg/s at {now:.3f} s ({_lean(state)})")
+        return None
+
+
+def _lean(state: State) -> str:
+    return ", ".join(f"{axis} {degrees(angle):.0f} deg" for axis, angle in zip(AXES, state.euler, strict=True))

@@ -1,0 +1,65 @@
+"""What a healthy engine does, measured on the engine itself: the model that the engine monitor compares with."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import exp
+
+from cosim.base.cache import Memory
+from cosim.control.allocation.engine_monitor import EngineReference
+from cosim.engine import EngineBank, EngineSpec
+
+_AROUND = (0.4, 0.6)  # throttle; chosen by us: about hover, wide enough for the lag and not for the limits
+_OTHERS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # where a real engine's lag is another one
+_LONGEST_S = 20.0
+_STILL = 1e-6  # of the change: an answer has begun
+
+
+_references: Memory[EngineReference] = Memory(64)
+
+
+def engine_reference(spec: EngineSpec, step: float) -> EngineReference:
+    """Static curves, lag and delay of an engine: as it states them, and measured by stepping it where it does not.
+
+    An engine that states no lag is no linear one: its lag is measured up and down, from idle and over its whole range.
+    Raises EngineError if the engine fails.
+    """
+    key = (*spec.behaviour, spec.curve, spec.lag, spec.delay, step)
+    return _references.get(key, lambda: _measure(spec, step))
+
+
+def _measure(spec: EngineSpec, step: float) -> EngineReference:
+    lag, delay = spec.lag, spec.delay
+    lags = (lag, lag)
+    speed: list[float] | None = None
+    with EngineBank(spec, 1, step) as bank:
+        if spec.has("spool_speed"):
+            speed = [bank.reset(throttle).spool_speed[0] for throttle in spec.curve.throttle]
+            if not all(b > a for a, b in pairwise(speed)):
+                speed = None
+        if lag is None or delay is None:
+            measured, begins = _answer(bank, *_AROUND, step)
+            delay = begins if delay is None else delay
+            if lag is None:
+                # the time to 63 % counts from the throttle, so that it holds with the delay that is used
+                lag = max(step, measured + begins - delay)
+                others = [sum(_answer(bank, *each, step)) - delay for each in _OTHERS]
+                lags = max(step, min(lag, *others)), max(lag, *others)
+    short, long = lags
+    assert short is not None
+    assert long is not None
+    return EngineReference(spec.curve.throttle, spec.curve.thrust, speed, lag, delay, short, long)
+
+
+def _answer(bank: EngineBank, first: float, then: float, step: float) -> tuple[float, float]:
+    """Lag and delay [s] of a step of the throttle: how long nothing moves, and from there to 63 % of the change."""
+    after = bank.reset(then).thrust[0]
+    before = bank.reset(first).thrust[0]
+    begun = None
+    for k in range(round(_LONGEST_S / step)):
+        share = (bank.step(k, (then,)).thrust[0] - before) / (after - before)
+        if begun is None and abs(share) > _STILL:
+            begun = k
+        if begun is not None and share >= 1.0 - exp(-1.0):
+            return (k + 1 - begun) * step, begun * step
+    return _LONGEST_S, 0.0

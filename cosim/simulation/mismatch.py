@@ -1,0 +1,56 @@
+"""A vehicle that is not the one its controller was made for: of another mass, off balance, with other engines.
+
+Controller, predictor, allocation and engine monitor are made from what aircraft, identified models and engines state.
+Here is what flies instead.  Without a mismatch every block is the one that it is without this module.
+"""
+
+from __future__ import annotations
+
+from cosim.base.errors import InputError
+from cosim.base.signals import PerJet, Vector3
+from cosim.spec.scenario import Mismatch
+from cosim.spec.vehicle import Vehicle
+
+
+def as_flown(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
+    """The vehicle that flies where ``vehicle`` is what is known of it; the same object without a mismatch.
+
+    Its body axes start from the true centre of gravity, to which the moments of inertia stated belong then.
+    Raises InputError if there is more fuel than mass.
+    """
+    if mismatch.mass_factor == 1.0 and not any(mismatch.centre_m):
+        return vehicle
+    mass = vehicle.mass_kg * mismatch.mass_factor
+    fuel = vehicle.fuel
+    if fuel is not None and fuel.mass_kg >= mass:
+        raise InputError(
+            f"mismatch.mass_factor = {mismatch.mass_factor:g}: {vehicle.name} would have {mass:g} kg, with "
+            f"{fuel.mass_kg:g} kg of fuel in them"
+        )
+
+    def seen(place: Vector3) -> Vector3:
+        x, y, z = mismatch.centre_m
+        return (place[0] - x, place[1] - y, place[2] - z)
+
+    return vehicle.model_copy(
+        update={
+            "mass_kg": mass,
+            "jets": [jet.model_copy(update={"position_m": seen(jet.position_m)}) for jet in vehicle.jets],
+            "contacts": [each.model_copy(update={"position_m": seen(each.position_m)}) for each in vehicle.contacts],
+            "aero": vehicle.aero.model_copy(update={"centre_m": seen(vehicle.aero.centre_m)}),
+            "fuel": fuel and fuel.model_copy(update={"position_m": seen(fuel.position_m)}),
+        }
+    )
+
+
+def engines_as_flown(mismatch: Mismatch, jets: int) -> tuple[PerJet | None, int]:
+    """Thrust over that of the engines that are known, None where it is theirs, and by how many steps they are later.
+
+    Raises InputError for a factor of a jet that the vehicle has not.
+    """
+    single = mismatch.single_factors
+    for number, factor in enumerate(single[jets:], jets + 1):
+        if factor != 1.0:
+            raise InputError(f"mismatch.thrust_factor_{number} = {factor:g}: the aircraft has jets 1 to {jets}")
+    factors = tuple(mismatch.thrust_factor * factor for factor in single[:jets])
+    return (None if all(factor == 1.0 for factor in factors) else factors), mismatch.delay_samples

@@ -1,0 +1,217 @@
+"""One flight: the step, in which its blocks come one after the other, and the loop around it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
+
+from cosim.base.errors import EngineError, FlightError, InputError
+from cosim.base.protocols import (
+    Controller,
+    Disturbances,
+    EngineState,
+    Observer,
+    Pilot,
+    Report,
+)
+from cosim.base.signals import (
+    ZERO3,
+    Command,
+    Measured,
+    Sample,
+)
+from cosim.control.cascade import Cascade
+from cosim.engine import EngineSpec
+from cosim.simulation.commander import Commander
+from cosim.simulation.delay_ledger import LedgerRow
+from cosim.simulation.ending import Ending, Judge
+from cosim.simulation.fault_schedule import FaultSchedule
+from cosim.simulation.pacing import Pace
+from cosim.spec.scenario import Fault, Scenario
+from cosim.spec.vehicle import Vehicle
+from cosim.vehicle.airframe import Airframe
+from cosim.vehicle.propulsion import Propulsion
+from cosim.vehicle.sensors import FaultySensors
+
+_FLY: Final = EngineState.FLY
+
+Between = Callable[[int], Ending | None]  # gets the number of the step to come
+
+
+class Simulation:
+    """One flight: its blocks, made by :func:`cosim.simulation.build.build`, and the instant they stand at.
+
+    ``specs``: the scenario's engine, then the one at each station.  In flight no block is exchanged for another: what
+    a fault changes it changes inside.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        vehicle: Vehicle,
+        specs: Sequence[EngineSpec],
+        ledger: list[LedgerRow],
+        commander: Commander,
+        pilot: Pilot | None,
+        disturber: Disturbances,
+        controller: Controller,
+        propulsion: Propulsion,
+        airframe: Airframe,
+        sensors: FaultySensors,
+        faults: FaultSchedule,
+        judge: Judge,
+    ) -> None:
+        self.scenario = scenario
+        self.vehicle = vehicle
+        self.engine, *self.stations = specs
+        self.ledger = ledger
+        self.dt = scenario.step_s
+        self.commander, self.pilot, self.disturber = commander, pilot, disturber
+        self.controller, self.propulsion = controller, propulsion
+        self.airframe, self.sensors, self.faults, self.judge = airframe, sensors, faults, judge
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to ``t = 0``: everything at rest, the engines settled at the throttle that holds the vehicle up.
+
+        Faults that were given by command are forgotten.
+        """
+        self.k = 0
+        self.faults.reset()
+        propulsion, airframe, initial = self.propulsion, self.airframe, self.scenario.initial
+        wind = self.disturber.at(0).wind
+        propulsion.refuel()
+        throttle = self.controller.reset(initial.on_ground, propulsion.burnt)
+        # the air at the start is known once the airframe stands there, the thrust only in that air
+        at_rest = airframe.reset(initial, [ZERO3] * len(throttle), wind) if propulsion.wants_ambient else None
+        forces = propulsion.reset(throttle, at_rest, wind)
+        self.state = airframe.reset(initial, forces, wind, propulsion.momentum, propulsion.burnt)
+        self.measured = self.sensors.reset(self.state)
+        self.judge.reset(initial.on_ground)
+        if self.pilot is not None:
+            self.pilot.reset(self.measured)
+
+    def step(self) -> Sample:
+        """One control step over ``[t_k, t_k+1)``, every input held; see docs/design.md."""
+        k, state, measured, propulsion = self.k, self.state, self.measured, self.propulsion
+        if k >= self.faults.next:
+            self.faults.change(k, measured)
+        command, seen, engines = self._command(k)
+        disturbance = self.disturber.at(k)
+        actuation = self.controller.update(command, seen, disturbance, engines)
+        forces, moment = propulsion.step(k, actuation, state)
+        health = self.controller.watch(propulsion.output, propulsion.burnt)
+        self.airframe.carry(propulsion.momentum, propulsion.burnt)
+        self.state = self.airframe.step(forces, disturbance, moment)
+        self.measured = self.sensors.sample(self.state)
+        self.k = k + 1
+        signals: tuple[Any, ...] = self.controller.signals  # its vectors go into the sample as they are
+        rate_setpoint, rate_predicted, torque, collective, _ = signals
+        return Sample(
+            k,
+            k * self.dt,
+            command,
+            state,
+            measured,
+            rate_setpoint,
+            rate_predicted,
+            torque,
+            collective,
+            actuation,
+            propulsion.tilt,
+            propulsion.output,
+            disturbance,
+            propulsion.fuel,
+            propulsion.spool_moment,
+            self.faults.flags,
+            health,
+        )
+
+    def _command(self, k: int) -> tuple[Command, Measured, EngineState]:
+        """What the pilot or the script asks for, what it is flown with, and what the engines do meanwhile."""
+        pilot, measured = self.pilot, self.measured
+        if pilot is None:
+            return self.commander.at(k), measured, _FLY
+        controller = self.controller
+        report = Report(self.state.on_ground, controller.signals.allocated, controller.lost, self.propulsion.remaining)
+        command = pilot.update(k, measured, report)
+        return command, pilot.seen, pilot.engines
+
+    @property
+    def cascade(self) -> Cascade:
+        """The built-in controller, for who tunes or judges its parts.  Raises InputError where another one flies."""
+        if not isinstance(self.controller, Cascade):
+            raise InputError(f"{type(self.controller).__name__} flies, and has not the parts of the built-in cascade")
+        return self.controller
+
+    @property
+    def flown(self) -> Scenario:
+        """The scenario with the faults as they did act so far, those given by command too: it can be flown again."""
+        if not self.faults.commanded:
+            return self.scenario
+        stated = [fault.model_dump(mode="json", exclude_none=True) for fault in self.faults.flown]
+        return self.scenario.replace(fault=stated, monitor=self.scenario.monitored)
+
+    def inject(self, fault: Fault) -> None:
+        """Let ``fault`` begin at the next step, whatever its ``start_s``; :attr:`flown` states it from there on.
+
+        Whether engines are watched was settled before the flight: see ``monitor`` of the scenario.  Raises InputError
+        as for a scenario's fault.
+        """
+        self.faults.inject(fault, self.k)
+
+    def clear_faults(self) -> None:
+        """Let every fault that acts end at the next step; those still to come stay.
+
+        The vehicle is repaired: an engine that was taken for lost is believed again as soon as all stand idle.
+        """
+        self.controller.forgive()
+        self.faults.clear(self.k)
+
+    def run(
+        self, observers: Iterable[Observer] = (), pace: Pace | None = None, between: Between | None = None
+    ) -> Ending:
+        """Fly to the end of the scenario, or to where the flight is over.
+
+        Without a ``pace`` it flies as fast as it goes.  ``between`` is called before every step: there the pilot is
+        asked things, and the flight ended.
+        """
+        observe = [observer.observe for observer in observers]
+        judge = self.judge
+        if pace:
+            pace.start(self.k)
+        for _ in range(self.scenario.steps - self.k):
+            if between:
+                asked = between(self.k)
+                if asked:
+                    return asked
+            try:
+                sample = self.step()
+            except EngineError as error:
+                return Ending("failed", str(error))
+            except FlightError as error:
+                return Ending("failed", f"{error} at step {self.k} ({self.k * self.dt:.3f} s)")
+            for look in observe:
+                look(sample)
+            ending = judge.look(self.state, self.k * self.dt)
+            if ending:
+                # the log ends with the state that ended the flight, beside what acted until then
+                last = sample._replace(k=self.k, time=self.k * self.dt, state=self.state, measured=self.measured)
+                for look in observe:
+                    look(last)
+                return ending
+            if pace:
+                pace.wait(self.k)
+        late = f", {pace.missed} of them late" if pace and pace.missed else ""
+        return Ending("completed", f"flew {self.k} steps{late}")
+
+    def close(self) -> None:
+        """Free the engines and the airframe; may be called twice."""
+        self.propulsion.close()
+        self.airframe.close()
+
+    def __enter__(self) -> Simulation:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

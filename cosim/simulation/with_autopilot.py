@@ -1,0 +1,98 @@
+"""A flight that an autopilot flies: the one place where the two are joined."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+from cosim.base.errors import InputError
+from cosim.base.protocols import Predictor
+from cosim.base.toml import validate
+from cosim.control.autopilot.autopilot import Autopilot
+from cosim.control.autopilot.requests import InjectFault
+from cosim.simulation.build import predictors
+from cosim.simulation.engine_reference import engine_reference
+from cosim.simulation.step import Simulation
+from cosim.spec.scenario import Fault
+from cosim.spec.vehicle import PredictorTuning
+
+_FAULTS = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in get_args(Fault)}
+_AMOUNT = {
+    "stuck_throttle": "throttle",
+    "thrust_loss": "share",
+    "slow_spool": "lag_s",
+    "delay_growth": "delay_s",
+    "servo_jam": "angle_deg",
+    "sensor_bias": "bias",
+}
+
+
+def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
+    """An autopilot in place of the scenario's commands; from here on the flight does what it is asked.
+
+    ``airborne``: the flight begins in the air, armed and holding.
+    Raises InputError where the vehicle does not state [control.position] and [control.pilot], and where another
+    controller than the built-in one flies: its loops are tuned in flight.
+    """
+    scenario, vehicle, engine = simulation.scenario, simulation.vehicle, simulation.engine
+    cascade = simulation.cascade
+    roll = vehicle.identified.get(engine.family, {}).get("roll")
+    delay = None if roll is None else roll.delay_samples + scenario.added_delay_samples
+
+    def make(controller: str, samples: float, tuning: PredictorTuning) -> list[Predictor]:
+        models = dict(vehicle.identified.get(engine.family, {}))
+        if "roll" in models:
+            models["roll"] = models["roll"].model_copy(update={"delay_samples": samples})
+        control = vehicle.control.model_copy(update={"predictor": tuning})
+        changed = vehicle.model_copy(
+            update={"control": control, "identified": {**vehicle.identified, engine.family: models}}
+        )
+        # the delay that the controller adds is in `samples` already
+        flown = scenario.model_copy(update={"controller": controller, "added_delay_samples": 0})
+        return predictors(flown, changed, engine)
+
+    references = [engine_reference(spec, scenario.step_s) for spec in simulation.stations]
+    pilot = Autopilot(
+        vehicle,
+        scenario.step_s,
+        cascade.allocator.hover,
+        scenario.controller,
+        delay,
+        cascade.attitude,
+        cascade.altitude,
+        cascade.rate,
+        make,
+        lambda request: simulation.inject(fault_from(request)),
+        simulation.clear_faults,
+        airborne,
+        cascade.thrust_map.idle,
+        (
+            max(each.delay + each.lag for each in references),
+            max(each.delay + each.longest for each in references),
+        ),
+        scenario.sensor_noise,
+    )
+    pilot.reset(simulation.measured)
+    simulation.pilot = pilot
+    return pilot
+
+
+def fault_from(request: InjectFault) -> Fault:
+    """The scenario's fault that a request stands for.  Raises InputError for one that there is not."""
+    kind = _FAULTS.get(request.fault)
+    if kind is None:
+        raise InputError(f"fault {request.fault!r}: must be one of {', '.join(sorted(_FAULTS))}")
+    stated: dict[str, Any] = {"kind": request.fault, "start_s": 0.0}
+    if request.jets:
+        stated["jet"] = list(request.jets)
+    for key in ("servo", "sensor", "duration_s"):
+        if getattr(request, key) is not None:
+            stated[key] = getattr(request, key)
+    if request.amount is not None:
+        name = _AMOUNT.get(request.fault)
+        if name is None:
+            raise InputError(f"fault {request.fault}: it has no amount")
+        stated[name] = [request.amount] if name == "bias" else request.amount
+    if request.vector is not None:
+        stated["bias"] = list(request.vector)
+    fault: Fault = validate(kind, stated, f"fault {request.fault}")
+    return fault

@@ -1,0 +1,1 @@
+"""What files say: scenarios and vehicles as typed, checked models."""

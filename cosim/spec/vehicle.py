@@ -1,0 +1,559 @@
+"""A vehicle as its ``vehicle.toml`` states it: geometry, mass, engine stations, sensors, gains, identified models.
+
+Body frame: forward-right-down (FRD), origin at the centre of gravity of the vehicle as built.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+
+from cosim.base.cache import Memory
+from cosim.base.errors import InputError
+from cosim.base.paths import data_folder, names_in
+from cosim.base.toml import (
+    Model,
+    NotNegative,
+    Positive,
+    Vector,
+    merge,
+    nearest,
+    read_toml,
+    validate,
+)
+from cosim.spec.scaling import scaled
+
+Axis3 = tuple[NotNegative, NotNegative, NotNegative]
+Samples = Annotated[int, Field(ge=0, le=1000)]
+
+
+class Jet(Model):
+    """One engine station: a jet on a tilting bank, or a rotor that points straight up."""
+
+    position_m: Vector  # body, from the centre of gravity of the vehicle as built
+    servo: Literal["left", "right"] | None = None
+    reaction_m: float = 0.0  # yaw moment on the frame per thrust, positive turns the nose right
+    spin: Literal[-1, 0, 1] = 0  # sense of the rotor about the thrust, right-handed; 0: its spin is not modelled
+
+
+class Servo(Model):
+    """A tilt servo: first-order lag, then rate and range limits."""
+
+    lag_s: NotNegative
+    rate_limit_rad_s: Positive
+    range_rad: Positive  # either way from straight up
+    bank_inertia_kg_m2: NotNegative = 0.0  # of one bank about its tilt axis; 0: turning it does not turn the body
+    bank_imbalance_kg_m: float = 0.0  # mass of one bank times how far its centre is from that axis along the thrust
+
+
+class Fuel(Model):
+    """What is in the tank at the start: a part of ``Vehicle.mass_kg``, all of it at one place."""
+
+    mass_kg: Positive
+    position_m: Vector  # body
+
+
+class Airflow(Model):
+    """The air that one engine swallows: ``kg_s (thrust / at_thrust_n)^exponent``, and where on its axis it does so."""
+
+    kg_s: Positive
+    at_thrust_n: Positive
+    exponent: NotNegative
+    intake_m: float  # from the station along the thrust
+    exhaust_m: float  # the same for where it leaves
+
+
+class GroundEffect(Model):
+    """What jets do to the vehicle near the ground; see :mod:`cosim.vehicle.ground_effect`.  Each effect has its
+    switch."""
+
+    suckdown: bool = False  # lift loss by Wyatt's correlation
+    planform_m: Positive  # angular mean diameter of what is above the jets: (1 / pi) times the integral of its radius
+    jet_m: Positive  # diameter of one round jet with the area of all
+    planform_z_m: float = 0.0  # body: how far the planform lies below the centre of gravity
+    hot_gas: bool = False  # warmed intakes, of engines that take the ambient temperature
+    hot_gas_height_m: list[NotNegative] = Field(default_factory=list)  # of the centre of gravity, the least first
+    hot_gas_rise_k: list[NotNegative] = Field(default_factory=list)  # at each; the last is 0
+
+    @model_validator(mode="after")
+    def _complete(self) -> GroundEffect:
+        if self.jet_m >= self.planform_m:
+            raise ValueError(f"jet_m {self.jet_m:g} must be below planform_m {self.planform_m:g}")
+        heights, rises = self.hot_gas_height_m, self.hot_gas_rise_k
+        if len(heights) != len(rises):
+            raise ValueError(f"hot_gas_rise_k: needs one value for each of the {len(heights)} of hot_gas_height_m")
+        if self.hot_gas and len(heights) < 2:
+            raise ValueError("hot_gas: needs two or more heights in hot_gas_height_m, and their hot_gas_rise_k")
+        if any(b <= a for a, b in pairwise(heights)):
+            raise ValueError(f"hot_gas_height_m: every height must be above the one before it, not {heights}")
+        if rises and rises[-1] != 0.0:
+            raise ValueError(f"hot_gas_rise_k: the last must be 0, not {rises[-1]:g}: above it nothing is swallowed")
+        return self
+
+
+class Aero(Model):
+    """Body drag, one drag area per axis, and linear damping of the rates."""
+
+    span_m: Positive  # what JSBSim's turbulence model takes for the wing span: how coarse gusts must be to turn it
+    drag_area_m2: Axis3  # Cd times reference area along x, y, z
+    centre_m: Vector  # where the drag acts, body
+    damping_n_m_s: Axis3  # moment per rate about x, y, z
+
+
+class Contact(Model):
+    """A point that can touch the ground."""
+
+    name: str
+    kind: Literal["leg", "hull"]
+    position_m: Vector
+    spring_n_m: Positive
+    damping_n_s_m: NotNegative
+    friction_static: NotNegative
+    friction_dynamic: NotNegative
+
+
+class GyroSensor(Model):
+    """Rate gyro: first-order low-pass, constant bias, white noise, whole samples of latency."""
+
+    filter_s: NotNegative
+    noise_rad_s: NotNegative
+    bias_rad_s: Vector
+    latency_samples: Samples
+
+
+class AttitudeSensor(Model):
+    """Attitude estimate: small-angle white noise and constant bias, whole samples of latency.
+
+    ``ahrs_time_constant_s`` is that of a complementary filter, whose lean follows the direction of the specific force;
+    0: the lean is the true one.
+    """
+
+    noise_rad: NotNegative
+    bias_rad: Vector
+    latency_samples: Samples
+    ahrs_time_constant_s: NotNegative = 0.0
+
+
+class PositionSensor(Model):
+    """GNSS position and velocity, sampled and held at a rate of their own."""
+
+    position_noise_m: NotNegative
+    velocity_noise_m_s: NotNegative
+    period_samples: Annotated[int, Field(ge=1, le=10000)]
+    latency_samples: Samples
+
+
+class AltitudeSensor(Model):
+    """Barometric height above the starting ground."""
+
+    noise_m: NotNegative
+    bias_m: float
+    latency_samples: Samples
+
+
+class ForceSensor(Model):
+    """Accelerometer at the centre of gravity: specific force with white noise and constant bias, body axes.
+
+    The defaults are a small MEMS sensor's (TDK ICM-42688-P, data sheet DS-000347): 70 ug per root Hz make 0.008 m/s^2
+    of noise in 125 Hz, to which the engines add; 0.05 m/s^2 with them is chosen by us.  Its zero moves by 0.15 mg/K,
+    hence 0.03 m/s^2 at 20 K from where it was calibrated.
+    """
+
+    noise_m_s2: NotNegative = 0.05
+    bias_m_s2: Vector = (0.03, 0.03, 0.03)
+    latency_samples: Samples = 0
+
+
+class Sensors(Model):
+    gyro: GyroSensor
+    attitude: AttitudeSensor
+    gnss: PositionSensor
+    barometer: AltitudeSensor
+    accelerometer: ForceSensor = ForceSensor()
+
+
+class AttitudeGains(Model):
+    """Quaternion P: rate set-point = gain x attitude error, limited per axis."""
+
+    gain_1_s: Axis3
+    rate_limit_rad_s: tuple[Positive, Positive, Positive]
+
+
+class RateGains(Model):
+    """One axis of the rate PID; its output is in throttle (roll) or rad of tilt (pitch, yaw)."""
+
+    p: NotNegative
+    i: NotNegative
+    d: NotNegative
+    d_filter_s: Positive
+    integral_limit: NotNegative
+
+
+class RateControl(Model):
+    roll: RateGains
+    pitch: RateGains
+    yaw: RateGains
+
+
+class EngineLead(Model):
+    """Lags of an engine and what a lead on its command makes of them; see :mod:`cosim.control.lead`."""
+
+    natural_rad_s: Positive  # two poles of the engine; or, without a damping, one lag of 1 / this
+    damping: Positive | None = None
+    pole_rad_s: Positive  # each of them is moved to minus this
+
+
+class Leads(Model):
+    """A lead for each command that engines answer to; false is none, also where the aircraft states one."""
+
+    roll: EngineLead | Literal[False] | None = None
+    pitch: EngineLead | Literal[False] | None = None
+    yaw: EngineLead | Literal[False] | None = None
+    altitude: EngineLead | Literal[False] | None = None
+
+
+class ScheduledGains(Model):
+    """What a thrust level makes of one command's gains: factors on those stated, and its lead there."""
+
+    angle: Positive = 1.0  # on the attitude gain; of the height, on position_1_s
+    p: Positive = 1.0  # of the height, on velocity_1_s
+    i: Positive = 1.0  # of the height, on integral_1_s2
+    d: Positive = 1.0
+    natural_rad_s: Positive | None = None  # the engine's at this thrust, as in EngineLead
+    damping: Positive | None = None
+    pole_rad_s: Positive | None = None
+
+    @property
+    def lead(self) -> EngineLead | None:
+        """The lead at this level, where it states one."""
+        if self.natural_rad_s is None or self.pole_rad_s is None:
+            return None
+        return EngineLead(natural_rad_s=self.natural_rad_s, damping=self.damping, pole_rad_s=self.pole_rad_s)
+
+
+class ThrustLevel(Model):
+    """One level of a schedule."""
+
+    share: Annotated[float, Field(ge=0.0, le=1.0)]  # the collective, in shares of the engines' range
+    roll: ScheduledGains = ScheduledGains()
+    altitude: ScheduledGains = ScheduledGains()
+
+
+class Schedule(Model):
+    """Gains and leads that follow the thrust level: linear between levels, held beyond the first and the last."""
+
+    filter_s: Positive  # lag with which the collective is followed
+    level: Annotated[list[ThrustLevel], Field(min_length=2)]  # the least share first
+
+    @model_validator(mode="after")
+    def _rising(self) -> Schedule:
+        shares = [each.share for each in self.level]
+        if any(b <= a for a, b in pairwise(shares)):
+            raise ValueError(f"level: every share must be above the one before it, not {shares}")
+        return self
+
+
+class AltitudeGains(Model):
+    """Height: P to climb rate, PI to vertical acceleration, with the hover throttle fed forward."""
+
+    position_1_s: NotNegative
+    climb_limit_m_s: Positive
+    descent_limit_m_s: Positive
+    velocity_1_s: NotNegative
+    integral_1_s2: NotNegative
+    integral_limit_m_s2: NotNegative
+
+
+class AllocationLimits(Model):
+    throttle_min: Annotated[float, Field(ge=0.0, lt=1.0)]
+    throttle_max: Annotated[float, Field(gt=0.0, le=1.0)]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> AllocationLimits:
+        if self.throttle_min >= self.throttle_max:
+            raise ValueError(f"throttle_min {self.throttle_min} must be below throttle_max {self.throttle_max}")
+        return self
+
+
+class PredictorTuning(Model):
+    """What a predictor needs beside the identified model; each predictor reads its own."""
+
+    filter_s: NotNegative  # filtered Smith: time constant of the robustness filter
+    observer_rad_s: Positive  # state: both poles of the double-integrator observer at minus this
+    model_observer_rad_s: Positive  # state-model: observer poles
+    disturbance_observer_rad_s: Positive  # state-disturbance: observer poles
+
+
+class PositionGains(Model):
+    """Velocity and position control above the attitude loop, and the filter that estimates both from the GNSS."""
+
+    position_1_s: Positive
+    velocity_1_s: Positive
+    catch_up_m_s: Positive  # most speed asked for because of a position error
+    lean_rad: Annotated[float, Field(gt=0.0, lt=1.2)]  # most lean asked for
+    acceleration_noise_m_s15: Positive  # white, of what the attitude does not explain: m/s^2 per root Hz
+    disturbance_walk_m_s25: Positive  # of its slow part (wind on the body): m/s^2 per root s
+
+
+class PilotSettings(Model):
+    """What the autopilot flies with before anybody tells it otherwise."""
+
+    speed_m_s: Positive
+    acceleration_m_s2: Positive
+    jerk_m_s3: Positive
+    climb_m_s: Positive
+    descent_m_s: Positive
+    land_m_s: Positive
+    yaw_rate_rad_s: Positive
+    stick_lean_rad: Annotated[float, Field(gt=0.0, lt=1.2)]
+    takeoff_height_m: Positive
+    return_height_m: Positive
+    spool_s: Positive  # from idle to hover thrust before take-off
+    endurance_s: NotNegative = 0.0  # hover on a full battery; 0: not known, nothing is estimated
+
+
+class MonitorSettings(Model):
+    """When the engine monitor calls an engine faulty."""
+
+    threshold: Positive  # of a jet's thrust in hover, beyond what a healthy engine may do
+    confirm_s: Positive  # for so long without a break
+    stuck_s: Positive  # the same before an engine that does not follow its command is called stuck
+    lag_factor: Annotated[float, Field(ge=1.0)]  # a healthy lag is the nominal one within this factor
+    delay_spread_s: NotNegative  # a healthy delay is the nominal one within this
+    shut_opposite: bool = False  # with the first engine lost, shut off the one across the centre of gravity
+
+
+class Control(Model):
+    attitude: AttitudeGains
+    rate: RateControl
+    altitude: AltitudeGains
+    allocation: AllocationLimits
+    predictor: PredictorTuning
+    lead: Leads | None = None
+    schedule: Schedule | Literal[False] | None = None  # false: none, also where the aircraft states one
+    monitor: MonitorSettings | None = None
+    position: PositionGains | None = None
+    pilot: PilotSettings | None = None
+
+    @model_validator(mode="after")
+    def _leads_at_every_level(self) -> Control:
+        """A lead is divided out in the same form at every level; without one, what the levels say of it is not read."""
+        for number, level in enumerate(self.schedule.level if self.schedule else ()):
+            for name, stated in (("roll", level.roll), ("altitude", level.altitude)):
+                lead = getattr(self.lead, name, None)
+                if not lead:
+                    continue
+                where = f"schedule.level.{number}.{name}"
+                if stated.lead is None:
+                    raise ValueError(f"{where}: control.lead.{name} needs natural_rad_s and pole_rad_s at every level")
+                if (stated.damping is None) != (lead.damping is None):
+                    raise ValueError(
+                        f"{where}: damping must be stated where control.lead.{name} has one, and only there"
+                    )
+        return self
+
+
+def _with_pairs(real: list[float], pairs: list[tuple[float, float]]) -> list[float] | list[complex]:
+    if not pairs:
+        return real
+    return [*map(complex, real), *(complex(re, sign * im) for re, im in pairs for sign in (1.0, -1.0))]
+
+
+class RateModel(Model):
+    """An identified rate response: gain * prod(z - zeros) / prod(z - poles) * z^-delay, command to rad/s.
+
+    Poles and zeros that are not real come in pairs, of which the one with the positive imaginary part is stated.
+    """
+
+    gain: float
+    zeros: list[float]
+    poles: list[Annotated[float, Field(gt=-1.0, le=1.0)]]
+    zero_pairs: list[tuple[float, Positive]] = Field(default_factory=list)  # real and imaginary part
+    pole_pairs: list[tuple[float, Positive]] = Field(default_factory=list)
+    delay_samples: Annotated[float, Field(ge=0.0, le=1000.0)]  # need not be whole
+    sample_time_s: Positive
+    source: str
+
+    @model_validator(mode="after")
+    def _strictly_proper(self) -> RateModel:
+        if len(self.all_zeros) >= len(self.all_poles):
+            raise ValueError("a predictor needs a strictly proper model: fewer zeros than poles")
+        if any(re * re + im * im > 1.0 for re, im in self.pole_pairs):
+            raise ValueError("pole_pairs: must lie within the unit circle")
+        return self
+
+    @property
+    def all_poles(self) -> list[float] | list[complex]:
+        """The real ones first, then both of each pair."""
+        return _with_pairs(self.poles, self.pole_pairs)
+
+    @property
+    def all_zeros(self) -> list[float] | list[complex]:
+        """The same of the zeros."""
+        return _with_pairs(self.zeros, self.zero_pairs)
+
+    @model_serializer(mode="wrap")
+    def _without_empty_pairs(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        return {key: value for key, value in stated.items() if not key.endswith("_pairs") or value}
+
+
+class Limits(Model):
+    """Where a flight is over."""
+
+    tilt_deg: Annotated[float, Field(gt=0.0, le=180.0)]  # from upright, in the air: diverged
+    rate_deg_s: Positive  # any axis: diverged
+    touchdown_m_s: Positive  # a leg touching faster: crashed
+
+
+class Vehicle(Model):
+    """Everything that ``aircraft/<name>/vehicle.toml`` says."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
+    title: str
+    model: str  # the JSBSim model's file, beside vehicle.toml
+    engine: str | None = None  # what it is made for, and flies with where only the aircraft is named
+    mass_kg: Positive
+    inertia_kg_m2: tuple[Positive, Positive, Positive]
+    jets: Annotated[list[Jet], Field(min_length=4, max_length=6)]
+    contacts: Annotated[list[Contact], Field(min_length=1)]
+    servo: Servo | None = None
+    fuel: Fuel | None = None
+    airflow: Airflow | None = None  # None: no intake drag
+    ground_effect: GroundEffect | None = None  # None: the ground does nothing to the jets
+    aero: Aero
+    sensors: Sensors
+    control: Control
+    identified: dict[str, dict[Literal["roll", "pitch", "yaw"], RateModel]]
+    limits: Limits
+
+    @model_validator(mode="after")
+    def _all_tilt_or_none(self) -> Vehicle:
+        tilting = [jet.servo is not None for jet in self.jets]
+        if any(tilting) != all(tilting) or any(tilting) != (self.servo is not None):
+            raise ValueError("jets: either all jets have a servo and there is a table [servo], or none and no table")
+        return self
+
+    @model_validator(mode="after")
+    def _inertia_exists(self) -> Vehicle:
+        a, b, c = sorted(self.inertia_kg_m2)
+        if a + b < c:
+            raise ValueError(
+                f"inertia_kg_m2 {list(self.inertia_kg_m2)}: no body has one moment above the sum of the others"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _banks_are_a_part(self) -> Vehicle:
+        if self.servo and 2.0 * self.servo.bank_inertia_kg_m2 >= self.inertia_kg_m2[1]:
+            raise ValueError(
+                f"servo.bank_inertia_kg_m2 {self.servo.bank_inertia_kg_m2:g}: two banks are a part of the vehicle and "
+                f"must have less than its moment of inertia about y, {self.inertia_kg_m2[1]:g} kg m^2"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _exists_without_fuel(self) -> Vehicle:
+        if self.fuel is None:
+            return self
+        whole, fuel, place = self.mass_kg, self.fuel.mass_kg, self.fuel.position_m
+        if fuel >= whole:
+            raise ValueError(f"fuel.mass_kg {fuel:g} is a part of mass_kg {whole:g} and must be below it")
+        # about the empty vehicle's own centre of gravity, by the theorem of parallel axes
+        squares = [x * x for x in place]
+        shift = fuel * whole / (whole - fuel)
+        empty = [moment - shift * (sum(squares) - own) for moment, own in zip(self.inertia_kg_m2, squares, strict=True)]
+        a, b, c = sorted(empty)
+        if a <= 0.0 or a + b < c:
+            raise ValueError(
+                f"fuel: {fuel:g} kg at {list(place)} leave an empty vehicle with the moments of inertia "
+                f"{[round(moment, 6) for moment in empty]} kg m^2, which no body has"
+            )
+        return self
+
+
+class Scaled(Model):
+    """The table ``scaled``: everything that the file does not state is another aircraft's, at this mass."""
+
+    base: str
+    mass_kg: Positive
+
+
+class ModelFile(Model):
+    """Identified models in a file of their own, to be written over a vehicle's."""
+
+    identified: Annotated[dict[str, dict[Literal["roll", "pitch", "yaw"], RateModel]], Field(min_length=1)]
+
+
+def read_models(path: Path) -> dict[str, Any]:
+    """The table ``identified`` of a model file.  Raises InputError if it cannot be read or is not one."""
+    found: dict[str, Any] = validate(ModelFile, read_toml(path), str(path)).model_dump(mode="json")["identified"]
+    return found
+
+
+def aircraft_names() -> list[str]:
+    """Every aircraft that can be flown."""
+    return names_in("aircraft", "vehicle.toml")
+
+
+_known: Memory[tuple[dict[str, Any], Vehicle]] = Memory(32)
+
+
+def load_vehicle(name: str, overrides: dict[str, Any] | None = None, where: str = "vehicle") -> tuple[Vehicle, Path]:
+    """Read an aircraft's ``vehicle.toml`` with ``overrides`` merged over it, and say which folder it is in.
+
+    Raises InputError for an unknown aircraft (lists the known ones) or a wrong key.
+    """
+    if name not in aircraft_names():
+        raise InputError(f"unknown aircraft {name!r}; {nearest(name, aircraft_names())}")
+    folder = data_folder("aircraft") / name
+    path = folder / "vehicle.toml"
+    stated, vehicle = _known.get((path, *_texts(path)), lambda: _read(path))
+    if overrides:
+        vehicle = validate(Vehicle, merge(stated, _with_own_banks(overrides)), where)
+    return vehicle, folder
+
+
+def _with_own_banks(overrides: dict[str, Any]) -> dict[str, Any]:
+    """A servo that is stated whole, in a file from before banks had an inertia, has none: not that of the aircraft."""
+    servo = overrides.get("servo")
+    if not isinstance(servo, dict) or not {"lag_s", "rate_limit_rad_s", "range_rad"} <= set(servo):
+        return overrides
+    return overrides | {"servo": {"bank_inertia_kg_m2": 0.0, "bank_imbalance_kg_m": 0.0} | servo}
+
+
+def _texts(path: Path) -> list[bytes]:
+    """The files that an aircraft is made from: its own, and that of the one that it is a scaled copy of."""
+    law = read_toml(path).get("scaled")
+    base = law.get("base") if isinstance(law, dict) else None
+    files = [path, *([data_folder("aircraft") / base / "vehicle.toml"] if base in aircraft_names() else [])]
+    return [file.read_bytes() for file in files]
+
+
+def _read(path: Path) -> tuple[dict[str, Any], Vehicle]:
+    stated = _stated(path)
+    return stated, validate(Vehicle, stated, str(path))
+
+
+def _stated(path: Path) -> dict[str, Any]:
+    """What a ``vehicle.toml`` states, over what it takes from the aircraft that it is a scaled copy of."""
+    stated = read_toml(path)
+    if "scaled" not in stated:
+        return stated
+    where = f"{path}: scaled"
+    table = stated.pop("scaled")
+    if not isinstance(table, dict):
+        raise InputError(f"{where} = {table!r}: must be a table with base and mass_kg")
+    law = validate(Scaled, table, where)
+    folder = data_folder("aircraft") / law.base
+    if law.base not in aircraft_names():
+        raise InputError(f"{where}.base: unknown aircraft {law.base!r}; {nearest(law.base, aircraft_names())}")
+    base = read_toml(folder / "vehicle.toml")
+    if "scaled" in base:
+        raise InputError(f"{where}.base: {law.base} is a scaled copy itself; name the aircraft that it is made from")
+    original = validate(Vehicle, base, str(folder / "vehicle.toml")).model_dump(mode="json", exclude_none=True)
+    shared = {"model": f"../{law.base}/{original['model']}", "engine": None}
+    return merge(scaled(original, law.mass_kg) | shared, stated)

@@ -1,0 +1,582 @@
+"""The airframe: JSBSim behind SI units, FRD body axes and NED.
+
+The only module that imports ``jsbsim`` and the only place with lbf, ft and slug.  One control step is ``substeps``
+runs of JSBSim with every input held.
+
+JSBSim moves the state first and evaluates forces after, so a force that is written before a step is first felt in the
+run after the next: the method from acceleration to velocity makes up half a run of this (Adams and Bashforth) or none
+(rectangular rule).  The rest is made up here: in the first of several runs force and moment carry :data:`MAKE_UP` of
+their change on top, which gives the velocities the impulse of forces that act from the step's beginning, exactly and
+within the step.  With a single run a step there is no first run to correct, and a force acts half a run late, which the
+delay ledger lists.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Sequence
+from math import pi, radians
+from pathlib import Path
+from typing import Final
+
+os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner to standard output otherwise
+
+import jsbsim
+
+from cosim.base.cache import Memory
+from cosim.base.errors import FlightError, InputError
+from cosim.base.frames import from_euler
+from cosim.base.scratch import scratch
+from cosim.base.signals import (
+    ZERO3,
+    Disturbance,
+    State,
+    Vector3,
+)
+from cosim.spec.scenario import Environment, Initial
+from cosim.spec.vehicle import Vehicle
+
+FOOT: Final = 0.3048  # m, exact
+INCH: Final = 0.0254  # m, exact
+POUND_FORCE: Final = 4.4482216152605  # N, exact
+SLUG: Final = POUND_FORCE / FOOT  # kg
+SLUG_FT2: Final = SLUG * FOOT**2  # kg m^2
+POUND_FOOT: Final = POUND_FORCE * FOOT  # N m
+JSBSIM_POUNDS_PER_SLUG: Final = 32.174049  # the constant with which JSBSim turns weights into masses
+
+NEAR_GROUND: Final = 2.0  # m: below this height the contacts are looked at
+# JSBSim's methods, by the end of their property's name and its number for them
+RECTANGULAR: Final = 1.0
+ADAMS_BASHFORTH_2: Final = 3.0
+ADAMS_BASHFORTH_3: Final = 4.0
+BUSS_2: Final = 7.0  # augmented second order, exact for a rate that does not change
+METHODS: Final = {  # as a run's summary and page call them
+    RECTANGULAR: "rectangular rule",
+    ADAMS_BASHFORTH_2: "Adams-Bashforth 2",
+    ADAMS_BASHFORTH_3: "Adams-Bashforth 3",
+    BUSS_2: "Buss 2",
+}
+POSITIONS: Final = {"rotational": BUSS_2, "translational": ADAMS_BASHFORTH_3}
+RATES: Final = ("rotational", "translational")
+IN_THE_AIR: Final = ADAMS_BASHFORTH_2  # of both rates
+# JSBSim's friction is the force that stops a contact within one run of the rectangular rule.  Adams and Bashforth's
+# method would take half as much again and leave the rates swinging from run to run, for good.
+ON_THE_GROUND: Final = RECTANGULAR  # of both rates, while anything touches
+MAKE_UP: Final = {IN_THE_AIR: 0.5, ON_THE_GROUND: 1.0}
+
+_POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
+_RANKINE: Final = 5.0 / 9.0  # K, exact
+_NED = ("north", "east", "down")
+_number = itertools.count()  # of the airframes of this process
+_MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the spools, body; a property of our own in the model
+
+
+Node = Callable[[str], jsbsim.FGPropertyNode]  # a property by its name
+
+
+class _Read:
+    """Three properties of JSBSim, ``name`` with each of ``parts`` in it, as a vector in SI units."""
+
+    def __init__(self, node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> None:
+        self._x, self._y, self._z = (node(name.format(part)).get_double_value for part in parts)
+        self._unit = unit
+
+    def get(self) -> Vector3:
+        unit = self._unit
+        return (self._x() * unit, self._y() * unit, self._z() * unit)
+
+
+class _Write:
+    """The same for writing."""
+
+    def __init__(self, node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> None:
+        self._x, self._y, self._z = (node(name.format(part)).set_double_value for part in parts)
+        self._unit = unit
+
+    def put(self, x: float, y: float, z: float) -> None:
+        unit = self._unit
+        self._x(x / unit)
+        self._y(y / unit)
+        self._z(z / unit)
+
+    def put_in_plane(self, x: float, z: float) -> None:
+        """What has had no part along y and gets none."""
+        unit = self._unit
+        self._x(x / unit)
+        self._z(z / unit)
+
+
+class Airframe:
+    """JSBSim flying one vehicle.
+
+    ``step`` and ``substeps``: control step [s] and JSBSim runs in it.  ``spools``: spinning rotors are modelled;
+    without them the model is the file's own.  Raises InputError if the model does not load.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        folder: Path,
+        environment: Environment,
+        step: float,
+        substeps: int,
+        seed: int,
+        spools: bool = False,
+    ) -> None:
+        self.substeps = substeps
+        self.moving = True  # False: from the next reset on JSBSim does not run, to time what is around it
+        self._spools = spools
+        self._vehicle = vehicle
+        self._environment = environment
+        self._file = scratch() / f"{vehicle.name}-{next(_number)}.xml"
+        self._source = folder / vehicle.model
+        self._dt = step / substeps
+        self._seed = float(seed % 2**31)  # JSBSim keeps it in a C int
+        try:
+            xml = render(vehicle, self._source, spools)
+            self.sha256 = hashlib.sha256(xml).hexdigest()  # of the model with the vehicle's numbers in it
+            self.file_sha256 = hashlib.sha256(self._source.read_bytes()).hexdigest()
+            self._file.write_bytes(xml)
+            self._load()
+        except BaseException:
+            self.close()
+            raise
+
+    def _load(self) -> None:
+        fdm = jsbsim.FGFDMExec(str(self._file.parent), None)
+        fdm.set_debug_level(0)
+        fdm.set_aircraft_path(".")
+        # load_model answers False instead of raising
+        if not fdm.load_model(self._file.stem, add_model_to_path=False):
+            raise InputError(f"{self._source}: JSBSim could not load the model")
+        fdm.set_dt(self._dt)
+        self._fdm = fdm
+        self._run: Callable[[], bool] = fdm.run if self.moving else _stand_still
+        self._fresh = True
+        self._sideways = False
+        self._bind()
+        self._set("atmosphere/randomseed", self._seed)
+        for kind, position_method in POSITIONS.items():
+            self._set(f"simulation/integrator/position/{kind}", position_method)
+        self._use(IN_THE_AIR)
+
+    def _bind(self) -> None:
+        node = self._node
+        self._place = _Read(node, "position/from-start-neu-{}-ft", "neu", FOOT)
+        self._velocity = _Read(node, "velocities/v-{}-fps", _NED, FOOT)
+        self._euler = _Read(node, "attitude/{}-rad", ("phi", "theta", "psi"))
+        self._rate = _Read(node, "velocities/{}-rad_sec", "pqr")
+        self._felt = _Read(node, "accelerations/a-pilot-{}-ft_sec2", "xyz", FOOT)
+        self._height: Callable[[], float] = node("position/h-agl-ft").get_double_value
+        self._wind = _Read(node, "atmosphere/total-wind-{}-fps", _NED, FOOT)
+        self._air_rate = _Read(node, "atmosphere/{}-turb-rad_sec", "pqr")
+        self._get_mass: Callable[[], float] = node("inertia/mass-slugs").get_double_value
+        names = [f"external_reactions/jet{jet}" for jet in range(1, len(self._vehicle.jets) + 1)]
+        self._jets = [_Write(node, f"{name}/{{}}", "xyz", POUND_FORCE) for name in names]
+        self._push = _Write(node, "external_reactions/push/{}", "xyz", POUND_FORCE)
+        self._twist = _Write(node, "external_reactions/twist/{}", "lmn", POUND_FOOT)
+        self._methods = [node(f"simulation/integrator/rate/{kind}").set_double_value for kind in RATES]
+        for name in [*names, "external_reactions/push"]:
+            node(f"{name}/magnitude").set_double_value(1.0)
+            node(f"{name}/y").set_double_value(0.0)
+        node("external_reactions/twist/magnitude-lbsft").set_double_value(1.0)
+        self._push.put(*ZERO3)  # instead of the directions that the model's file needs to state
+        self._twist.put(*ZERO3)
+        self._legs, self._hull = self._contacts("leg"), self._contacts("hull")
+        self._set_wind = _Write(node, "atmosphere/wind-{}-fps", _NED, FOOT)
+        self._set_payload = node("inertia/pointmass-weight-lbs").set_double_value
+        self._payload_place = _Write(node, "inertia/pointmass-location-{}-inches", "XYZ")
+        self._momentum = _Write(node, _MOMENTUM, "xyz", SLUG_FT2) if self._spools else None
+        self._pressure: Callable[[], float] = node("atmosphere/P-psf").get_double_value
+        self._temperature: Callable[[], float] = node("atmosphere/T-R").get_double_value
+        if self._vehicle.fuel:
+            self._set_burnt = node(f"inertia/pointmass-weight-lbs[{self._last_point_mass()}]").set_double_value
+
+    def _contacts(self, kind: str) -> list[Callable[[], float]]:
+        """What says whether each contact of this kind touches."""
+        kinds = enumerate(contact.kind for contact in self._vehicle.contacts)
+        return [self._node(f"contact/unit[{unit}]/WOW").get_double_value for unit, each in kinds if each == kind]
+
+    def _node(self, name: str) -> jsbsim.FGPropertyNode:
+        # JSBSim silently creates a property that is written but does not exist, so every name is resolved first
+        found = self._fdm.get_property_manager().get_node(name)
+        if found is None:
+            raise InputError(f"{self._vehicle.model}: this JSBSim model has no property {name}")
+        return found
+
+    def _last_point_mass(self) -> int:
+        """The index of the point mass that :func:`render` adds for the burnt fuel."""
+        weights = self._fdm.query_property_catalog("inertia/pointmass-weight-lbs").splitlines()
+        return len(weights) - 1
+
+    def _set(self, name: str, value: float) -> None:
+        self._node(name).set_double_value(value)
+
+    def reset(
+        self,
+        initial: Initial,
+        forces: list[Vector3],
+        wind: Vector3,
+        momentum: Vector3 | None = None,
+        burnt: float = 0.0,
+    ) -> State:
+        """Put the vehicle at its initial state with ``forces`` (N, body, one per jet) already acting.
+
+        ``momentum``: of the spools, as for :meth:`set_momentum`; ``burnt``: fuel [kg] that it lacks from the start.
+        """
+        if not self._fresh:
+            # JSBSim's own reset leaves traces in the initial state; a new one is the same to the last bit
+            self._load()
+        self._fresh = False
+        place = self._environment
+        height = start_height(self._vehicle, initial)
+        settings = {
+            "ic/lat-geod-deg": place.latitude_deg,
+            "ic/long-gc-deg": place.longitude_deg,
+            "ic/terrain-elevation-ft": place.ground_m / FOOT,
+            "ic/h-agl-ft": height / FOOT,
+        }
+        for axis, angle in zip(("phi-deg", "theta-deg", "psi-true-deg"), initial.attitude_deg, strict=True):
+            settings[f"ic/{axis}"] = angle
+        for axis, speed in zip(("vn", "ve", "vd"), initial.velocity_ned_m_s, strict=True):
+            settings[f"ic/{axis}-fps"] = speed / FOOT
+        for axis, rate in zip("pqr", initial.rate_deg_s, strict=True):
+            settings[f"ic/{axis}-rad_sec"] = radians(rate)
+        for name, value in settings.items():
+            self._set(name, value)
+        self._disturbance = Disturbance()
+        self._forces, self._pushed, self._twisted = forces, ZERO3, ZERO3
+        self._full = self._mass = self._get_mass() * SLUG
+        self._burnt = 0.0
+        if burnt:
+            self.burn(burnt)
+        self._set("atmosphere/turb-type", 4.0 if place.turbulence_severity else 0.0)  # 4: MIL-F-8785C, Tustin form
+        self._set("atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps", place.turbulence_wind_m_s / FOOT)
+        self._set("atmosphere/turbulence/milspec/severity", float(place.turbulence_severity))
+        self._act(forces, ZERO3, ZERO3)
+        self._apply(Disturbance(wind=wind))
+        if momentum and self._spools:
+            self.set_momentum(momentum)
+        if not self._fdm.run_ic():
+            raise FlightError("JSBSim could not start from the initial state")
+        self._still = not (place.turbulence_severity or any(wind))
+        self._turbulent = place.turbulence_severity > 0
+        # JSBSim counts "up" from a datum of its own; ours is the ground below the start
+        self._datum = self._place.get()[2] - height
+        return self._read()
+
+    def step(self, forces: list[Vector3], disturbance: Disturbance, moment: Vector3 = ZERO3) -> State:
+        """Advance one control step with ``forces`` (N, body, at each jet's station) and ``disturbance`` held.
+
+        ``moment``: of the rotors on the frame, N m, body, without the gyroscopic part (see :meth:`set_momentum`).
+        Raises FlightError when JSBSim stops or the state is no longer finite.
+        """
+        if self._touching != (self._method == ON_THE_GROUND):
+            self._use(ON_THE_GROUND if self._touching else IN_THE_AIR)
+        if disturbance is not self._disturbance:
+            self._apply(disturbance)
+        push, twist = disturbance.force, _sum(disturbance.moment, moment)
+        run, runs = self._run, self.substeps
+        if runs > 1:
+            self._act_with(forces, push, twist, self._make_up)
+            if not run():
+                raise FlightError("JSBSim ended the run")
+            runs -= 1
+        self._act(forces, push, twist)
+        for _ in range(runs):
+            if not run():
+                raise FlightError("JSBSim ended the run")
+        return self._read()
+
+    def bare_run(self) -> Callable[[], bool]:
+        """JSBSim's own ``run``, good until the next reset: one of its steps with everything held, to time it alone."""
+        return self._run
+
+    def _use(self, method: float) -> None:
+        """From acceleration to velocity, of both kinds, from the next run on."""
+        for set_method in self._methods:
+            set_method(method)
+        self._method, self._make_up = method, MAKE_UP[method]
+
+    def _act(self, forces: list[Vector3], push: Vector3, twist: Vector3) -> None:
+        """Let these act from the end of the next run on: of the jets, and at the centre of gravity as built."""
+        for number, jet in enumerate(self._jets):
+            x, y, z = forces[number]
+            if y != 0.0 or self._sideways:
+                # jets tilt about y, so most vehicles never get here
+                self._sideways = True
+                jet.put(x, y, z)
+            else:
+                jet.put_in_plane(x, z)
+        if push != self._pushed:
+            self._push.put(*push)
+        if twist != self._twisted:
+            self._twist.put(*twist)
+        self._forces, self._pushed, self._twisted = forces, push, twist
+
+    def _act_with(self, forces: list[Vector3], push: Vector3, twist: Vector3, share: float) -> None:
+        """The same, with ``share`` of the change since the last on top."""
+        old = self._forces
+        ahead: list[Vector3] = []
+        for number, (x, y, z) in enumerate(forces):
+            a, b, c = old[number]
+            ahead.append((x + share * (x - a), y + share * (y - b), z + share * (z - c)))
+        if push != self._pushed:
+            push = _beyond(push, self._pushed, share)
+        if twist != self._twisted:
+            twist = _beyond(twist, self._twisted, share)
+        self._act(ahead, push, twist)
+
+    def _apply(self, disturbance: Disturbance) -> None:
+        """Hand over what differs from the step before, but for force and moment."""
+        old = self._disturbance
+        self._set_wind.put(*disturbance.wind)
+        if any(disturbance.wind) or disturbance.gust:
+            self._still = False
+        if disturbance.payload != old.payload:
+            self._apply_payload(disturbance.payload)
+        if disturbance.gust:
+            self._start_gust(*disturbance.gust)
+        self._disturbance = disturbance
+
+    def _apply_payload(self, payload: tuple[float, float, float, float]) -> None:
+        mass, x, y, z = payload
+        self._set_payload(mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
+        self._payload_place.put(*_structural((x, y, z)))
+        self._full = sum((self._vehicle.mass_kg, mass))
+        self._mass = self._full - self._burnt
+
+    def carry(self, momentum: Vector3, burnt: float) -> None:
+        """From the next run on carry rotors of this ``momentum``, where they are modelled, and lack ``burnt`` kg."""
+        if burnt != self._burnt:
+            self.burn(burnt)
+        if self._momentum is not None:
+            self._momentum.put(*momentum)
+
+    def set_momentum(self, momentum: Vector3) -> None:
+        """Hold the spools' angular momentum (kg m^2/s, body, against the airframe) from the next run on.
+
+        At every run JSBSim then adds the gyroscopic moment ``momentum x omega`` with the inertial body rates omega, and
+        integrates it with all other moments, in the air by the method of Adams and Bashforth of second order: a
+        nutation neither grows nor dies to speak of, where the rectangular rule would feed energy into it.
+        """
+        assert self._momentum is not None
+        self._momentum.put(*momentum)
+
+    def burn(self, mass: float) -> None:
+        """From the next run on the vehicle lacks ``mass`` [kg] of fuel: mass, centre of gravity and inertia follow.
+
+        The fuel is a point mass in its tank, and what is burnt a negative one beside the vehicle as built.
+        """
+        self._set_burnt(-mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
+        self._burnt = mass
+        self._mass = self._full - mass
+
+    def air(self) -> tuple[float, float]:
+        """Static pressure [Pa] and temperature [K] of the air where the vehicle is."""
+        return self._pressure() * _POUND_SQUARE_FOOT, self._temperature() * _RANKINE
+
+    def _start_gust(self, velocity: Vector3, rise: float, hold: float, fall: float) -> None:
+        gust = "atmosphere/cosine-gust"
+        size = sum(v * v for v in velocity) ** 0.5
+        self._set(f"{gust}/startup-duration-sec", rise)
+        self._set(f"{gust}/steady-duration-sec", hold)
+        self._set(f"{gust}/end-duration-sec", fall)
+        self._set(f"{gust}/magnitude-ft_sec", size / FOOT)
+        self._set(f"{gust}/frame", 3.0)  # local: NED
+        for axis, speed in zip("XYZ", velocity, strict=True):
+            self._set(f"{gust}/{axis}-velocity-ft_sec", speed / FOOT)
+        self._set(f"{gust}/start", 1.0)
+
+    def _read(self) -> State:
+        north, east, up = self._place.get()
+        velocity = vn, ve, vd = self._velocity.get()
+        roll, pitch, yaw = self._euler.get()
+        rate = p, q, r = self._rate.get()
+        height = self._height() * FOOT
+        total = north + east + up + vn + ve + vd + roll + pitch + yaw + p + q + r
+        if total - total != 0.0:  # NaN or infinite
+            raise FlightError("the airframe's state is not finite")
+        near = height < NEAR_GROUND
+        on_ground = near and any(touches() > 0.0 for touches in self._legs)
+        hull_contact = near and any(touches() > 0.0 for touches in self._hull)
+        self._touching = on_ground or hull_contact
+        return State(
+            (north, east, self._datum - up),
+            velocity,
+            from_euler(roll, pitch, yaw),
+            (roll, pitch, yaw if yaw < pi else yaw - 2.0 * pi),
+            rate,
+            self._felt.get(),
+            height,
+            ZERO3 if self._still else self._wind.get(),
+            self._mass,
+            on_ground,
+            hull_contact,
+            self._air_rate.get() if self._turbulent else ZERO3,
+        )
+
+    def external_wrench(self) -> tuple[Vector3, Vector3]:
+        """What JSBSim makes of the external forces: N, and N m about the present centre of gravity, body."""
+        get = self._fdm.get_property_value
+        force = [get(f"forces/fb{axis}-external-lbs") * POUND_FORCE for axis in "xyz"]
+        moment = [get(f"moments/{axis}-external-lbsft") * POUND_FOOT for axis in "lmn"]
+        return (force[0], force[1], force[2]), (moment[0], moment[1], moment[2])
+
+    def mass_properties(self) -> tuple[float, Vector3, Vector3]:
+        """Mass (kg), centre of gravity (m, body, from that of the vehicle as built), moments of inertia (kg m^2)."""
+        get = self._fdm.get_property_value
+        cg = [get(f"inertia/cg-{axis}-in") * INCH for axis in "xyz"]
+        inertia = [get(f"inertia/i{axis}{axis}-slugs_ft2") * SLUG_FT2 for axis in "xyz"]
+        return get("inertia/mass-slugs") * SLUG, (-cg[0], cg[1], -cg[2]), (inertia[0], inertia[1], inertia[2])
+
+    def inertial_rate(self) -> Vector3:
+        """Body rates against inertial space, rad/s."""
+        p, q, r = (self._fdm.get_property_value(f"velocities/{axis}i-rad_sec") for axis in "pqr")
+        return (p, q, r)
+
+    def latitude_longitude_deg(self) -> tuple[float, float]:
+        """Geodetic latitude and longitude, degrees."""
+        get = self._fdm.get_property_value
+        return get("position/lat-geod-deg"), get("position/long-gc-deg")
+
+    def close(self) -> None:
+        """Remove the temporary model; may be called twice."""
+        self._file.unlink(missing_ok=True)
+
+
+def _stand_still() -> bool:
+    return True
+
+
+def _sum(a: Vector3, b: Vector3) -> Vector3:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def _beyond(new: Vector3, old: Vector3, share: float) -> Vector3:
+    """``new``, and ``share`` of the way from ``old`` to it further on."""
+    x, y, z = new
+    return (x + share * (x - old[0]), y + share * (y - old[1]), z + share * (z - old[2]))
+
+
+def standing_height(vehicle: Vehicle) -> float:
+    """Height of the centre of gravity above the ground (m) when the vehicle stands at rest on its legs."""
+    legs = [contact for contact in vehicle.contacts if contact.kind == "leg"]
+    lowest = max(leg.position_m[2] for leg in legs)
+    standing = [leg for leg in legs if leg.position_m[2] == lowest]
+    sink = vehicle.mass_kg * 9.80665 / sum(leg.spring_n_m for leg in standing)
+    return lowest - sink
+
+
+def start_height(vehicle: Vehicle, initial: Initial) -> float:
+    """Height of the centre of gravity above the ground (m) at the start of a flight."""
+    return standing_height(vehicle) if initial.on_ground else initial.altitude_m
+
+
+def _structural(body: Vector3) -> tuple[float, float, float]:
+    """A body-frame place (m, FRD) in JSBSim's structural frame: inches, x aft, y right, z up."""
+    x, y, z = body
+    return (-x / INCH, y / INCH, -z / INCH)
+
+
+_RENDERED = {"mass_kg", "inertia_kg_m2", "aero", "jets", "contacts", "fuel"}  # what render reads of a vehicle
+_rendered: Memory[bytes] = Memory(64)
+
+
+def render(vehicle: Vehicle, model: Path, spools: bool = False) -> bytes:
+    """The JSBSim model with the vehicle's numbers written over the ones in the file, in JSBSim's own units.
+
+    A vehicle with a tank gets a point mass for the fuel that is burnt, and with ``spools`` a gyroscopic moment.
+
+    Raises InputError if the file cannot be read or lacks an element.
+    """
+    try:
+        text = model.read_bytes()
+    except OSError as error:
+        raise InputError(f"{model}: {error.strerror or error}") from error
+    return _rendered.get(
+        (model, text, vehicle.model_dump_json(include=_RENDERED), spools),
+        lambda: _render(vehicle, model, text, spools),
+    )
+
+
+def _render(vehicle: Vehicle, model: Path, text: bytes, spools: bool) -> bytes:
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise InputError(f"{model}: not valid XML: {error}") from error
+
+    def find(path: str) -> ET.Element:
+        element = root.find(path)
+        if element is None:
+            raise InputError(f"{model}: the model has no element {path}")
+        return element
+
+    def write(path: str, value: float, unit: str) -> None:
+        element = find(path)
+        element.text = repr(float(value))
+        element.set("unit", unit)
+
+    def place(path: str, body: Vector3) -> None:
+        find(path).set("unit", "IN")
+        for axis, value in zip("xyz", _structural(body), strict=True):
+            find(f"{path}/{axis}").text = repr(value + 0.0)
+
+    write("mass_balance/emptywt", vehicle.mass_kg / SLUG * JSBSIM_POUNDS_PER_SLUG, "LBS")
+    for axis, inertia in zip(("ixx", "iyy", "izz"), vehicle.inertia_kg_m2, strict=True):
+        write(f"mass_balance/{axis}", inertia / SLUG_FT2, "SLUG*FT2")
+    write("metrics/wingspan", vehicle.aero.span_m, "M")
+    place("metrics/location[@name='AERORP']", vehicle.aero.centre_m)
+    for number, jet in enumerate(vehicle.jets, 1):
+        place(f"external_reactions/force[@name='jet{number}']/location", jet.position_m)
+    if len(root.findall("ground_reactions/contact")) != len(vehicle.contacts):
+        raise InputError(f"{model}: the model and vehicle.toml do not have the same number of contacts")
+    for contact in vehicle.contacts:
+        path = f"ground_reactions/contact[@name='{contact.name}']"
+        place(f"{path}/location", contact.position_m)
+        write(f"{path}/spring_coeff", contact.spring_n_m, "N/M")
+        write(f"{path}/damping_coeff", contact.damping_n_s_m, "N/M/SEC")
+        find(f"{path}/static_friction").text = repr(contact.friction_static)
+        find(f"{path}/dynamic_friction").text = repr(contact.friction_dynamic)
+    constants = {element.text: element for element in root.findall("flight_control/property")}
+    values = {
+        f"aero/drag-area-{axis}-ft2": area / FOOT**2
+        for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True)
+    }
+    for axis, damping in zip(("roll", "pitch", "yaw"), vehicle.aero.damping_n_m_s, strict=True):
+        values[f"aero/damping-{axis}-lbf_ft_s"] = damping / POUND_FOOT
+    for name, value in values.items():
+        if name not in constants:
+            raise InputError(f"{model}: the model has no constant {name}")
+        constants[name].set("value", repr(value))
+    if vehicle.fuel:
+        burnt = ET.SubElement(find("mass_balance"), "pointmass", name="burnt fuel")
+        ET.SubElement(burnt, "weight", unit="LBS").text = "0"
+        at = ET.SubElement(burnt, "location", unit="IN")
+        for axis, inches in zip("xyz", _structural(vehicle.fuel.position_m), strict=True):
+            ET.SubElement(at, axis).text = repr(inches + 0.0)
+    if spools:
+        for axis in "xyz":
+            ET.SubElement(find("flight_control"), "property", value="0").text = _MOMENTUM.format(axis)
+        for axis, turn in zip(("ROLL", "PITCH", "YAW"), ("xyz", "yzx", "zxy"), strict=True):
+            find(f"aerodynamics/axis[@name='{axis}']").append(_gyroscopic(*turn))
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _gyroscopic(axis: str, second: str, third: str) -> ET.Element:
+    """JSBSim's function for one component of ``H x omega``: ``H_second omega_third - H_third omega_second``."""
+
+    def product(momentum: str, rate: str) -> str:
+        letter = "pqr"["xyz".index(rate)]
+        return (
+            f"<product><property>{_MOMENTUM.format(momentum)}</property>"
+            f"<property>velocities/{letter}i-rad_sec</property></product>"
+        )
+
+    return ET.fromstring(
+        f'<function name="rotors/gyroscopic-moment-{axis}-lbf_ft">'
+        f"<difference>{product(second, third)}{product(third, second)}</difference></function>"
+    )

@@ -1,0 +1,84 @@
+"""What a tilting bank does to the body that tilts it: the reaction to being turned, and to being moved if it is not
+balanced about its axis.
+
+A bank stands at an angle ``a`` about the body's y axis, its thrust along ``e = (sin a, 0, -cos a)``.  Against the body
+it turns at ``-a'`` about y and has the angular momentum ``h = -J a'`` there, with its moment of inertia ``J`` about the
+tilt axis.  What turns it turns the body the other way:
+
+    M = -h' - omega x h,        about y: + J a''
+
+With its centre of gravity ``c`` from the axis along the thrust and a mass ``m``, ``S = m c``, it also pushes its axis:
+
+    F = -S (a'' e_a - a'^2 e),  e_a = de/da
+
+Both are Newton's and Euler's laws for a part that moves against the rest; of gimballed rocket engines the effect is
+known as "tail wags dog".  Valid for banks that are light beside the vehicle: its centre of gravity and moments of
+inertia stay those with the banks upright.
+
+Angles are known at the ends of steps; ``a'`` is the mean over a step and ``a''`` its change from one step to the next,
+so that the body has at every step exactly the momentum that the banks have not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cosim.base.frames import jet_axis
+from cosim.base.signals import Vector3
+from cosim.spec.vehicle import Jet, Servo
+
+
+class Banks:
+    """The left and the right bank of a vehicle.
+
+    ``step``: control step, s.
+    """
+
+    def __init__(self, servo: Servo, jets: Sequence[Jet], step: float) -> None:
+        self._step = step
+        self._inertia = servo.bank_inertia_kg_m2
+        self._imbalance = servo.bank_imbalance_kg_m
+        self._on_left = tuple(jet.servo == "left" for jet in jets)
+        self._left = sum(self._on_left)
+        self._right = len(jets) - self._left
+        self.any = self._inertia > 0.0 or self._imbalance != 0.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Both at rest, thrust straight up."""
+        self._angles = (0.0, 0.0)
+        self._rates = (0.0, 0.0)
+
+    def act(
+        self, forces: list[Vector3], tilt: tuple[float, float], rate: Vector3
+    ) -> tuple[list[Vector3], tuple[float, float, float]]:
+        """``forces`` on the jets' stations (N, body) with what the banks push added, and their moment (N m, body).
+
+        ``tilt``: where the servos stand at the end of the step, rad; ``rate``: the body's, rad/s.
+        """
+        step, inertia = self._step, self._inertia
+        old_left, old_right = self._angles
+        was_left, was_right = self._rates
+        left, right = tilt
+        left_rate, right_rate = (left - old_left) / step, (right - old_right) / step
+        left_growth, right_growth = (left_rate - was_left) / step, (right_rate - was_right) / step
+        self._angles, self._rates = (left, right), (left_rate, right_rate)
+        p, _, r = rate
+        h = -inertia * (left_rate + right_rate)
+        moment = (r * h, inertia * (left_growth + right_growth), -p * h)
+        if not self._imbalance:
+            return forces, moment
+        left_x, left_z = self._push(left, left_rate, left_growth, self._left)
+        right_x, right_z = self._push(right, right_rate, right_growth, self._right)
+        pushed: list[Vector3] = []
+        for number, on_left in enumerate(self._on_left):
+            x, y, z = forces[number]
+            pushed.append((x + left_x, y, z + left_z) if on_left else (x + right_x, y, z + right_z))
+        return pushed, moment
+
+    def _push(self, angle: float, rate: float, growth: float, jets: int) -> tuple[float, float]:
+        """Along x and z, N, for each of the bank's stations: together they are the force at its middle."""
+        x, _, z = jet_axis(angle)
+        share = -self._imbalance / jets
+        # e_a = (cos a, 0, sin a) with e = (sin a, 0, -cos a)
+        return share * (-z * growth - x * rate * rate), share * (x * growth - z * rate * rate)

@@ -1,0 +1,66 @@
+"""What the ground does to a vehicle that hovers on jets: lift that is lost, and hot gas that the engines swallow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cosim.base.signals import State, Vector3
+from cosim.spec.vehicle import GroundEffect, Jet
+
+# Wyatt, Static tests of ground effect on planforms fitted with a centrally-located round lifting jet, ARC CP 749, 1964,
+# as later reports quote it.
+COEFFICIENT = 0.012
+EXPONENT = 2.3
+LEAST_HEIGHT = 0.3  # of D - d; chosen: the law has no limit towards the ground, lift loss has
+
+
+def lift_loss(height: float, planform: float, jet: float) -> float:
+    """Share of the thrust that a jet's entrainment between planform and ground takes, by Wyatt's correlation.
+
+        dL / T = 0.012 (h / (D - d))^-2.3
+
+    ``height`` h of the planform above the ground [m], ``planform`` its angular mean diameter D [m], ``jet`` the
+    diameter d of its one round jet [m].  Below 0.3 (D - d) it is held.
+    """
+    span = planform - jet
+    return float(COEFFICIENT * max(height / span, LEAST_HEIGHT) ** -EXPONENT)
+
+
+class GroundJets:
+    """Lift loss and warmed intakes of one vehicle near the ground.
+
+    The loss pulls along body z, through the centre of gravity; all jets count as one of their joint area.
+    """
+
+    def __init__(self, effect: GroundEffect, jets: Sequence[Jet]) -> None:
+        self.suckdown = effect.suckdown
+        self.hot_gas = effect.hot_gas
+        self._planform, self._jet, self._below = effect.planform_m, effect.jet_m, effect.planform_z_m
+        self._heights = list(effect.hot_gas_height_m)
+        self._rises = list(effect.hot_gas_rise_k)
+        # the force is spread over the stations: this is where that acts, and what it has in moment is taken back
+        self._mean_x = sum([jet.position_m[0] for jet in jets]) / len(jets)
+        self._mean_y = sum([jet.position_m[1] for jet in jets]) / len(jets)
+
+    def act(self, forces: list[Vector3], state: State) -> tuple[list[Vector3], Vector3]:
+        """``forces`` [N, body, at the stations] with the loss added, and a moment [N m] that keeps it at the centre."""
+        lift = -sum([z for _, _, z in forces])
+        if lift <= 0.0:
+            return forces, (0.0, 0.0, 0.0)
+        loss = lift * lift_loss(state.altitude - self._below, self._planform, self._jet)
+        each = loss / len(forces)
+        return [(x, y, z + each) for x, y, z in forces], (-self._mean_y * loss, self._mean_x * loss, 0.0)
+
+    def rise(self, altitude: float) -> float:
+        """K by which intakes are warmer than the air with the centre of gravity ``altitude`` [m] above the ground.
+
+        Linear between the stated heights, held below the first; the last one's is zero.
+        """
+        heights, rises = self._heights, self._rises
+        if altitude <= heights[0]:
+            return rises[0]
+        for i in range(1, len(heights)):
+            if altitude < heights[i]:
+                share = (altitude - heights[i - 1]) / (heights[i] - heights[i - 1])
+                return rises[i - 1] + share * (rises[i] - rises[i - 1])
+        return 0.0

@@ -1,0 +1,69 @@
+"""The air that the jets swallow: it has to be brought to the vehicle's speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cosim.base.frames import (
+    conjugate,
+    cross,
+    jet_axis,
+    rotate,
+)
+from cosim.base.signals import PerJet, State, Vector3
+from cosim.spec.vehicle import Airflow, Jet
+
+
+class Airstreams:
+    """What the six streams do to the airframe beside their thrust, by the momentum theorem.
+
+    ``m`` is one engine's mass flow, ``v`` the velocity of the centre of gravity through the air, ``e`` the jet's tilted
+    axis, ``r`` its station: air enters at ``r_i = r + a e`` and leaves at ``r_o = r + b e``,
+
+        intake drag   -m v           at r_i,
+        jet damping   -m omega x r_o  at r_o,
+
+    both across the axis: what acts along it is the engine's, which knows its air speed.  ``m = m_0 (T / T_0)^b``; the
+    air at rest in the engine is left out, a few grams.
+    """
+
+    def __init__(self, flow: Airflow, jets: Sequence[Jet]) -> None:
+        self._flow = flow.kg_s
+        self._thrust = flow.at_thrust_n
+        self._exponent = flow.exponent
+        self._intake, self._exhaust = flow.intake_m, flow.exhaust_m
+        self._stations: list[Vector3] = [jet.position_m for jet in jets]
+        self._left = [jet.servo == "left" for jet in jets]
+
+    def act(
+        self, forces: list[Vector3], thrust: PerJet, tilt: tuple[float, float], state: State
+    ) -> tuple[list[Vector3], Vector3]:
+        """``forces`` [N, body, at the stations] with the streams' added, and what these have in moment beyond r x F."""
+        vx, vy, vz = state.velocity
+        wx, wy, wz = state.wind
+        through_air = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
+        left, right = jet_axis(tilt[0]), jet_axis(tilt[1])
+        a, b = self._intake, self._exhaust
+        added: list[Vector3] = []
+        moment_x = moment_y = moment_z = 0.0
+        for i, newton in enumerate(thrust):
+            fx, fy, fz = forces[i]
+            x, y, z = self._stations[i]
+            e = left if self._left[i] else right
+            flow = self._flow * (newton / self._thrust) ** self._exponent if newton > 0.0 else 0.0
+            outlet = (x + b * e[0], y + b * e[1], z + b * e[2])
+            drag = _across(through_air, e, -flow)
+            damping = _across(cross(state.rate, outlet), e, -flow)
+            added.append((fx + drag[0] + damping[0], fy + drag[1] + damping[1], fz + drag[2] + damping[2]))
+            # both pushes are handed over at the station
+            push = (a * drag[0] + b * damping[0], a * drag[1] + b * damping[1], a * drag[2] + b * damping[2])
+            couple_x, couple_y, couple_z = cross(e, push)
+            moment_x, moment_y, moment_z = moment_x + couple_x, moment_y + couple_y, moment_z + couple_z
+        return added, (moment_x, moment_y, moment_z)
+
+
+def _across(vector: Vector3, axis: Vector3, factor: float) -> Vector3:
+    """``factor`` times the part of ``vector`` across the unit vector ``axis``."""
+    x, y, z = vector
+    along = x * axis[0] + y * axis[1] + z * axis[2]
+    return (factor * (x - along * axis[0]), factor * (y - along * axis[1]), factor * (z - along * axis[2]))

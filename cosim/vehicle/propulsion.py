@@ -1,0 +1,210 @@
+"""Propulsion: from throttles and tilts to forces and moments on the airframe.
+
+Engines with all that stands around them (:mod:`cosim.engine.wrappers`), the servos that tilt them, their rotors, their
+intakes, the tank, the banks' reaction and what the ground does to the jets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import nan
+from operator import mul
+
+from cosim.base.frames import (
+    conjugate,
+    cross,
+    jet_axis,
+    rotate,
+)
+from cosim.base.signals import (
+    NO_JETS,
+    UNKNOWN3,
+    ZERO3,
+    Actuation,
+    Ambient,
+    EngineOutput,
+    PerJet,
+    State,
+    Vector3,
+)
+from cosim.engine.wrappers import EngineChain
+from cosim.spec.vehicle import Jet
+from cosim.vehicle.banks import Banks
+from cosim.vehicle.ground_effect import GroundJets
+from cosim.vehicle.intakes import Airstreams
+from cosim.vehicle.rotors import Spools
+from cosim.vehicle.servo import TiltServo
+from cosim.vehicle.tank import Tank
+
+
+class Propulsion:
+    """Everything between the actuators' commands and the airframe; a part that the vehicle has not is None.
+
+    ``jets`` as they stand on the vehicle that flies; ``air()``: static pressure [Pa] and temperature [K] where it is.
+    After a step ``output``, ``tilt``, ``fuel`` and ``spool_moment`` say what the parts did over it; ``momentum`` of the
+    rotors (kg m^2/s, body) and ``burnt`` (kg, of a full tank) are the airframe's to carry.
+    """
+
+    def __init__(
+        self,
+        jets: Sequence[Jet],
+        engines: EngineChain,
+        servos: Sequence[TiltServo],
+        spools: Spools | None,
+        tank: Tank | None,
+        banks: Banks | None,
+        streams: Airstreams | None,
+        ground: GroundJets | None,
+        air: Callable[[], tuple[float, float]],
+    ) -> None:
+        self.engines = engines
+        self.servos = list(servos)
+        self.spools, self.tank, self.banks, self.streams = spools, tank, banks, streams
+        self._suckdown = ground if ground is not None and ground.suckdown else None
+        self._hot_gas = ground if ground is not None and ground.hot_gas else None
+        self._air = air
+        self._left = tuple(jet.servo == "left" for jet in jets)
+        self._places: list[Vector3] = [jet.position_m for jet in jets]
+        self._reactions = tuple(jet.reaction_m for jet in jets)
+        self._reacting = any(self._reactions)
+        self._wind = ZERO3
+        self._forget()
+
+    def _forget(self) -> None:
+        self.tilt = (0.0, 0.0)  # rad, where the left and the right servo stand
+        self.output = EngineOutput((), (), (), ())
+        self.fuel = nan  # kg on board at the step's beginning
+        self.momentum, self.spool_moment = ZERO3, UNKNOWN3
+        self._off = NO_JETS  # as last asked for
+
+    @property
+    def wants_ambient(self) -> bool:
+        """The air around the engines changes what they give: :meth:`reset` is to be told where the vehicle stands."""
+        return self.engines.wants_ambient
+
+    @property
+    def burnt(self) -> float:
+        """Fuel that is gone from a full tank, kg."""
+        return self.tank.burnt if self.tank is not None else 0.0
+
+    @property
+    def remaining(self) -> float | None:
+        """Share of a full tank that is on board; None without one."""
+        return self.tank.left / self.tank.mass if self.tank is not None else None
+
+    def refuel(self) -> None:
+        """As at the start of a flight."""
+        if self.tank is not None:
+            self.tank.reset()
+
+    def reset(self, throttle: PerJet, state: State | None, wind: Vector3) -> list[Vector3]:
+        """Engines at rest at ``throttle``, jets upright, nothing faulty: the forces, N, body, at each jet's station.
+
+        ``state`` for engines that want to know the air; ``wind`` at the start, m/s NED.
+        """
+        self._forget()
+        self._wind = wind  # JSBSim knows of none before its first run
+        for servo in self.servos:
+            servo.reset()
+        if self.banks is not None:
+            self.banks.reset()
+        ambient = self.ambient(state, wind) if state is not None else None
+        self.output = self.engines.reset(throttle, ambient)
+        if self.spools is not None:
+            self.spools.reset(self.output.spool_speed)
+            self.momentum = self.spools.momentum
+        return self.forces(self.output.thrust, self.tilt)
+
+    def step(self, k: int, actuation: Actuation, state: State) -> tuple[list[Vector3], Vector3]:
+        """Over step ``k`` from ``state``: a force at each jet's station [N, body] and a moment beside them [N m, body].
+
+        Thrust and tilt are those of the step's end.  Raises EngineError.
+        """
+        if actuation.off is not self._off:
+            self._switch(actuation.off)
+        ambient = self.ambient(state, state.wind if k else self._wind) if self.engines.wants_ambient else None
+        output = self.output = self.engines.step(k, actuation.throttle, ambient)
+        if self.servos:
+            left, right = actuation.tilt
+            self.tilt = (self.servos[0].update(left), self.servos[1].update(right))
+        tilt = self.tilt
+        if self.tank is not None:
+            self._burn(self.tank, output.fuel_flow)
+        moment = ZERO3
+        if self._reacting:
+            moment = (0.0, 0.0, sum(map(mul, self._reactions, output.thrust)))
+        if self.spools is not None:
+            change = self.spools.update(output.spool_speed, tilt)
+            self.momentum = self.spools.momentum
+            self.spool_moment = self.spools.moment(change, state.rate)
+            moment = _plus(change, moment)
+        forces = self.forces(output.thrust, tilt)
+        if self._suckdown is not None:  # of the thrust alone
+            forces, more = self._suckdown.act(forces, state)
+            moment = _plus(moment, more)
+        if self.streams is not None:
+            forces, more = self.streams.act(forces, output.thrust, tilt, state)
+            moment = _plus(moment, more)
+        if self.banks is not None:
+            forces, more = self.banks.act(forces, tilt, state.rate)
+            moment = _plus(moment, more)
+        return forces, moment
+
+    def _switch(self, off: frozenset[int]) -> None:
+        """Shut off what is to be off, and let what no longer is run again, where there is fuel."""
+        for jet in sorted(off - self._off):
+            self.engines.switch(jet, False)
+        if self.tank is None or not self.tank.empty:
+            for jet in sorted(self._off - off):
+                self.engines.switch(jet, True)
+        self._off = off
+
+    def _burn(self, tank: Tank, flows: PerJet) -> None:
+        """Burn a step's fuel, and shut all engines off when there is none left."""
+        self.fuel = tank.left
+        if tank.burn(flows) and tank.empty:
+            for jet in range(len(self._left)):
+                self.engines.switch(jet, False)
+
+    def forces(self, thrust: PerJet, tilt: tuple[float, float]) -> list[Vector3]:
+        """Each jet's thrust along its own tilted axis: N, body."""
+        left_x, _, left_z = jet_axis(tilt[0])
+        right_x, _, right_z = jet_axis(tilt[1])
+        return [
+            (thrust[jet] * left_x, 0.0, thrust[jet] * left_z)
+            if on_left
+            else (thrust[jet] * right_x, 0.0, thrust[jet] * right_z)
+            for jet, on_left in enumerate(self._left)
+        ]
+
+    def ambient(self, state: State, wind: Vector3) -> Ambient:
+        """The air at the engines: the vehicle's, and what blows into each intake along its jet as it stands.
+
+        The intake moves with the vehicle's velocity and its rates; ``wind`` (m/s NED, gusts and turbulence included)
+        is that at the vehicle.
+        """
+        vx, vy, vz = state.velocity
+        wx, wy, wz = wind
+        u, v, w = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
+        banks: list[tuple[float, Vector3]] = []
+        for tilt in self.tilt:
+            x, y, z = axis = jet_axis(tilt)
+            banks.append((u * x + v * y + w * z, cross(axis, state.rate)))
+        left, right = banks
+        speeds: list[float] = []
+        for (x, y, z), on_left in zip(self._places, self._left, strict=True):
+            # (velocity + rate x place) . axis = velocity . axis + place . (axis x rate)
+            along, (by_x, by_y, by_z) = left if on_left else right
+            speeds.append(along + by_x * x + by_y * y + by_z * z)
+        pressure, temperature = self._air()
+        if self._hot_gas is not None:
+            temperature += self._hot_gas.rise(state.altitude)
+        return Ambient(pressure, temperature, tuple(speeds))
+
+    def close(self) -> None:
+        """Free the engines; may be called twice."""
+        self.engines.close()
+
+
+def _plus(a: Vector3, b: Vector3) -> Vector3:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])

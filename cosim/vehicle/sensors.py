@@ -1,0 +1,281 @@
+"""What the controller is told: gyro, attitude, GNSS, barometer and accelerometer, with noise, bias, lag and latency.
+
+The noise comes from a generator of its own, seeded by the scenario, so that a change elsewhere does not change it; the
+accelerometer's from another one, so that what the other sensors give is the same with it as it was without.
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, exp, hypot, sin, sqrt
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from cosim.base.frames import (
+    IDENTITY,
+    multiply,
+    normalize,
+    rotate,
+)
+from cosim.base.protocols import Sensors
+from cosim.base.signals import (
+    ZERO3,
+    Measured,
+    Quaternion,
+    State,
+    Vector3,
+)
+from cosim.spec.scenario import SensorBias, SensorDropout, SensorFault
+from cosim.spec.vehicle import Sensors as SensorSettings
+
+T = TypeVar("T")
+Fix = tuple[Any, Any]  # position and velocity: vectors that are handed on as they are
+
+_DRAWS = 13  # standard normals a step: gyro 3, attitude 3, position 3, velocity 3, height 1
+_FORCE_DRAWS = 3  # of the accelerometer
+_BLOCK = 256  # steps drawn at once
+
+
+class Latency(Generic[T]):
+    """A value comes out a whole number of updates after it went in."""
+
+    def __init__(self, samples: int) -> None:
+        self.samples = samples
+        self._line: list[T] = []
+        self._at = 0
+
+    def reset(self, value: T) -> None:
+        """As if ``value`` had been there forever."""
+        self._line = [value] * self.samples
+        self._at = 0
+
+    def update(self, value: T) -> T:
+        if self.samples == 0:
+            return value
+        line, at = self._line, self._at
+        old = line[at]
+        line[at] = value
+        self._at = at + 1 if at + 1 < self.samples else 0
+        return old
+
+
+class LeanError:
+    """The error of an AHRS's lean: a complementary filter that takes the specific force for the vertical.
+
+    The gyro carries the attitude on, and it is turned back about a horizontal axis to where the specific force is
+    straight up, with the time constant ``tau``: of the angle between, ``1 - exp(-T/tau)`` in each step ``T``. The
+    law is that of Mahony, Hamel and Pflimlin ("Nonlinear Complementary Filters on the Special Orthogonal Group",
+    IEEE Trans. Automatic Control 53, 2008) with gain ``1/tau``, no integral term, and the angle in place of its
+    sine. A horizontal acceleration ``a`` that lasts thus becomes a lean of ``atan(a/g)``, approached as ``1 -
+    exp(-t/tau)``, and a gyro's bias ``b`` one of ``b tau``. The heading has no error: a magnetometer turns it back
+    about the vertical, at once. No acceleration is refused for its size.
+
+    Held is the rotation from the true attitude to the estimated one, in NED: a gyro without error leaves it as it is.
+    """
+
+    def __init__(self, tau: float, step: float) -> None:
+        self._dt = step
+        self._share = 1.0 - exp(-step / tau)
+        self.reset()
+
+    def reset(self) -> None:
+        """Aligned with the truth."""
+        self._error: Quaternion = IDENTITY
+
+    def update(self, attitude: Quaternion, gyro: Vector3, force: Vector3) -> Quaternion:
+        """The estimate of ``attitude``; ``gyro``: its error, rad/s, body; ``force``: as the accelerometer has it."""
+        dt, (p, q, r) = self._dt, gyro
+        n, e, d = rotate(attitude, (0.5 * dt * p, 0.5 * dt * q, 0.5 * dt * r))
+        error = normalize(multiply(self._error, (1.0, n, e, d)))
+        x, y, z = force
+        size = sqrt(x * x + y * y + z * z)
+        if size > 0.0:  # in free fall nothing is felt, and the gyro is alone
+            n, e, d = rotate(multiply(error, attitude), (-x / size, -y / size, -z / size))
+            across = hypot(n, e)
+            if across > 0.0:
+                half = 0.5 * self._share * atan2(across, d)
+                sine = sin(half) / across
+                error = multiply((cos(half), e * sine, -n * sine, 0.0), error)
+        w, x, y, z = error
+        self._error = normalize((w * w + z * z, w * x + z * y, w * y - z * x, 0.0))  # without its turn about down
+        return multiply(self._error, attitude)
+
+
+class SensorSuite:
+    """All sensors of the vehicle, sampled once a control step.
+
+    The gyro's filter is ``y += (1 - exp(-T/tau)) (rate - y)``: pole ``a = exp(-T/tau)``, a delay of ``a / (1 - a)``
+    samples at rest.  ``noisy`` False leaves filter, latency and hold, and takes away noise and bias.
+    """
+
+    def __init__(self, sensors: SensorSettings, step: float, seed: int, noisy: bool) -> None:
+        self._noisy = noisy
+        self._seed = seed
+        gyro, attitude, gnss, barometer = sensors.gyro, sensors.attitude, sensors.gnss, sensors.barometer
+        self._share = 1.0 - exp(-step / gyro.filter_s) if gyro.filter_s > 0.0 else 1.0
+        on = 1.0 if noisy else 0.0
+        self._gyro_noise = gyro.noise_rad_s * on
+        self._gyro_bias = _scaled(gyro.bias_rad_s, on)
+        self._attitude_noise = attitude.noise_rad * on
+        self._attitude_bias = _scaled(attitude.bias_rad, on)
+        tau = attitude.ahrs_time_constant_s
+        self._lean = LeanError(tau, step) if tau > 0.0 else None
+        self._position_noise = gnss.position_noise_m * on
+        self._velocity_noise = gnss.velocity_noise_m_s * on
+        self._height_noise = barometer.noise_m * on
+        self._height_bias = barometer.bias_m * on
+        self._period = gnss.period_samples
+        self._gyro_line: Latency[Vector3] = Latency(gyro.latency_samples)
+        self._attitude_line: Latency[Quaternion] = Latency(attitude.latency_samples)
+        self._gnss_line: Latency[Fix] = Latency(gnss.latency_samples)
+        self._height_line: Latency[float] = Latency(barometer.latency_samples)
+        self._late = gyro.latency_samples + attitude.latency_samples + barometer.latency_samples > 0
+        accelerometer = sensors.accelerometer
+        self._force_noise = accelerometer.noise_m_s2 * on
+        self._force_bias = _scaled(accelerometer.bias_m_s2, on)
+        self._force_line: Latency[Vector3] = Latency(accelerometer.latency_samples)
+        self._draws: list[list[float]] = []
+        self._force_draws: list[list[float]] = []
+
+    def reset(self, state: State) -> Measured:
+        """Start again as if the vehicle had been in ``state`` forever; the same noise follows."""
+        self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(0,)))
+        self._force_rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(1,)))
+        self._draws, self._force_draws = [], []
+        self._count = 0
+        self._rate = state.rate
+        self._fix: Fix = (state.position, state.velocity)
+        self._gyro_line.reset(state.rate)
+        self._attitude_line.reset(state.attitude)
+        self._gnss_line.reset(self._fix)
+        self._height_line.reset(state.altitude)
+        force = state.specific_force
+        self._force_line.reset(force)
+        if self._lean:
+            self._lean.reset()
+        return Measured(state.rate, state.attitude, state.position, state.velocity, state.altitude, force)
+
+    def sample(self, state: State) -> Measured:
+        """The measurements at the end of a step, from the true ``state`` there."""
+        p, q, r = state.rate
+        attitude = state.attitude
+        altitude = state.altitude
+        self._count += 1
+        new_fix = self._count % self._period == 0
+        force = state.specific_force
+        position, velocity = state.position, state.velocity
+        if self._noisy:
+            m = self._next_force_draws()
+            s = self._force_noise
+            x, y, z = force
+            bx, by, bz = self._force_bias
+            force = (x + s * m[0] + bx, y + s * m[1] + by, z + s * m[2] + bz)
+            n = self._next_draws()
+            s = self._gyro_noise
+            bp, bq, br = self._gyro_bias
+            off = (s * n[0] + bp, s * n[1] + bq, s * n[2] + br)
+            p += off[0]
+            q += off[1]
+            r += off[2]
+            if self._lean:
+                attitude = self._lean.update(attitude, off, force)
+            s = 0.5 * self._attitude_noise
+            ax, ay, az = self._attitude_bias
+            attitude = normalize(
+                multiply(attitude, (1.0, s * n[3] + 0.5 * ax, s * n[4] + 0.5 * ay, s * n[5] + 0.5 * az))
+            )
+            altitude += self._height_noise * n[12] + self._height_bias
+            if new_fix:
+                s, t = self._position_noise, self._velocity_noise
+                x, y, z = position
+                u, v, w = velocity
+                position = (x + s * n[6], y + s * n[7], z + s * n[8])
+                velocity = (u + t * n[9], v + t * n[10], w + t * n[11])
+        elif self._lean:
+            attitude = self._lean.update(attitude, ZERO3, force)
+        fp, fq, fr = self._rate
+        share = self._share
+        self._rate = rate = (fp + share * (p - fp), fq + share * (q - fq), fr + share * (r - fr))
+        if new_fix:
+            self._fix = (position, velocity)
+        if self._late:
+            rate = self._gyro_line.update(rate)
+            attitude = self._attitude_line.update(attitude)
+            altitude = self._height_line.update(altitude)
+        held_position, held_velocity = self._gnss_line.update(self._fix)
+        return Measured(rate, attitude, held_position, held_velocity, altitude, self._force_line.update(force))
+
+    def _next_draws(self) -> list[float]:
+        if not self._draws:
+            self._draws = self._rng.standard_normal((_BLOCK, _DRAWS)).tolist()
+            self._draws.reverse()
+        return self._draws.pop()
+
+    def _next_force_draws(self) -> list[float]:
+        if not self._force_draws:
+            self._force_draws = self._force_rng.standard_normal((_BLOCK, _FORCE_DRAWS)).tolist()
+            self._force_draws.reverse()
+        return self._force_draws.pop()
+
+
+class FaultySensors:
+    """The sensors with faults on what they give out: a bias is added to it, a dropout repeats the last of it.
+
+    The bias of the attitude is a small rotation about the body axes; of the GNSS, of position and of velocity.
+    """
+
+    def __init__(self, sensors: Sensors) -> None:
+        self._sensors = sensors
+        self._faults: list[tuple[SensorFault, Measured]] = []
+
+    def begin(self, fault: SensorFault, last: Measured) -> None:
+        """``fault`` acts on the next sample; ``last`` is the one before."""
+        self._faults.append((fault, last))
+
+    def end(self, fault: SensorFault) -> None:
+        """``fault`` is over from the next sample on."""
+        self._faults = [entry for entry in self._faults if entry[0] is not fault]
+
+    def reset(self, state: State) -> Measured:
+        self._faults = []
+        return self._sensors.reset(state)
+
+    def sample(self, state: State) -> Measured:
+        measured = self._sensors.sample(state)
+        for fault, last in self._faults:
+            measured = (
+                _held(measured, fault.sensor, last) if isinstance(fault, SensorDropout) else _off(measured, fault)
+            )
+        return measured
+
+
+def _held(measured: Measured, sensor: str, last: Measured) -> Measured:
+    if sensor == "gyro":
+        return measured._replace(rate=last.rate)
+    if sensor == "attitude":
+        return measured._replace(attitude=last.attitude)
+    if sensor == "gnss":
+        return measured._replace(position=last.position, velocity=last.velocity)
+    return measured._replace(altitude=last.altitude)
+
+
+def _off(measured: Measured, fault: SensorBias) -> Measured:
+    x, y, z = fault.vector
+    if fault.sensor == "gyro":
+        return measured._replace(rate=_sum(measured.rate, fault.vector))
+    if fault.sensor == "attitude":
+        turned = normalize(multiply(measured.attitude, (1.0, 0.5 * x, 0.5 * y, 0.5 * z)))
+        return measured._replace(attitude=turned)
+    if fault.sensor == "gnss":
+        return measured._replace(
+            position=_sum(measured.position, fault.vector), velocity=_sum(measured.velocity, fault.velocity_bias)
+        )
+    return measured._replace(altitude=measured.altitude + x)
+
+
+def _sum(a: Vector3, b: Vector3) -> Vector3:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def _scaled(vector: Vector3, factor: float) -> Vector3:
+    return (vector[0] * factor, vector[1] * factor, vector[2] * factor)

@@ -1,0 +1,44 @@
+"""The tank."""
+
+from __future__ import annotations
+
+from cosim.base.signals import PerJet
+
+
+class Tank:
+    """Fuel on board: what the engines say they burn is taken out until nothing is left.
+
+    The flow at a step's end holds for all of the step, like the thrust.  An engine that says nothing burns nothing, and
+    none fills the tank.
+    """
+
+    def __init__(self, mass: float, step: float, full: float = 1.0) -> None:
+        self.mass = mass
+        self._full = full
+        self._step = step
+        self.reset()
+
+    def reset(self) -> None:
+        """As full as it was at the start."""
+        self.burnt = (1.0 - self._full) * self.mass  # kg, of a full tank
+
+    @property
+    def left(self) -> float:
+        """Fuel still on board, kg."""
+        return self.mass - self.burnt
+
+    @property
+    def empty(self) -> bool:
+        return self.burnt >= self.mass
+
+    def burn(self, flows: PerJet) -> bool:
+        """Burn ``flows`` [kg/s], one per engine, for one step; whether anything was burnt."""
+        flow = 0.0
+        for each in flows:
+            if each > 0.0:  # NaN is not
+                flow += each
+        used = flow * self._step
+        if not used or self.empty:
+            return False
+        self.burnt = min(self.burnt + used, self.mass)
+        return True
