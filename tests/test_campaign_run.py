@@ -337,7 +337,7 @@ def test_a_flight_that_could_not_be_flown_is_told_so_again(tmp_path: Path, hexje
 def test_a_terminal_shows_how_far_it_is(monkeypatch: pytest.MonkeyPatch, quiet: bool) -> None:
     """Done of all and successes by controller; what was flown in another session counts for no rate."""
     from cosim.campaign.store import Tally
-    from cosim.cli.console import sweep_progress
+    from cosim.cli.campaign import sweep_progress
 
     class Terminal(io.StringIO):
         def isatty(self) -> bool:

@@ -22,7 +22,8 @@ from patience import PATIENCE
 
 from cosim.base.errors import InputError
 from cosim.base.paths import data_folder
-from cosim.cli.main import load_scenario, main
+from cosim.cli.main import main
+from cosim.cli.options import load_scenario
 from cosim.engine import (
     EngineBank,
     build_engines,

@@ -19,7 +19,8 @@ from cosim.base.frames import jet_axis
 from cosim.base.paths import data_folder
 from cosim.base.signals import ZERO3, Disturbance, State
 from cosim.base.toml import read_toml
-from cosim.cli.main import cli, load_scenario
+from cosim.cli.main import cli
+from cosim.cli.options import load_scenario
 from cosim.control.altitude import GRAVITY
 from cosim.design.controller_file import read_controller
 from cosim.engine import load_engine

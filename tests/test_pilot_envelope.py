@@ -15,7 +15,7 @@ from test_pilot_flight import Flight
 
 from cosim.base.frames import from_euler
 from cosim.base.signals import Sample, Vector3
-from cosim.cli.catalogue import catalogue
+from cosim.cli.runs import catalogue
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.descent import (
     Floor,

@@ -14,7 +14,8 @@ import cosim.simulation.build
 from cosim.base.errors import InputError
 from cosim.base.paths import data_folder
 from cosim.base.signals import Sample
-from cosim.cli.main import engine_choices, load_scenario, main
+from cosim.cli.main import main
+from cosim.cli.options import engine_choices, load_scenario
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap, inverted
 from cosim.engine import EngineBank, load_engine
 from cosim.flight import fly, resolve

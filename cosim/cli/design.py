@@ -1,0 +1,155 @@
+"""hexjet design: a controller for an engine."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from cosim.cli.console import part_progress, terminal
+from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example
+
+if TYPE_CHECKING:
+    from cosim.design.design import Design
+
+
+@click.command(epilog=example("hexjet design --engine turbojet --out turbojet.toml"))
+@click.option("--engine", required=True, metavar="NAME|FILE", help="A name, an .fmu or a .toml that maps one.")
+@click.option("--aircraft", default="hexjet", show_default=True, help="See: hexjet list aircraft.")
+@click.option(
+    "--controller",
+    default="auto",
+    show_default=True,
+    metavar="NAME",
+    help="One of the predictors, or the best of them.",
+)
+@click.option("--model", type=click.Path(path_type=Path), metavar="FILE.toml", help="As hexjet identify writes it.")
+@click.option(
+    "--amplitude",
+    type=Number(min=0.0, min_open=True, max=0.5),
+    metavar="A",
+    help="Of the engine's sweep, in throttle; more where the flight will reach its limits.  [default: 0.005]",
+)
+@click.option("--max-sensitivity", type=Number(min=1.05, max=10.0), default=1.7, show_default=True, help="Peak of |S|.")
+@click.option(
+    "--delay-tolerance",
+    type=Number(0.0, 1.0),
+    default=0.3,
+    show_default=True,
+    help="Of the delay, both ways.",
+)
+@click.option(
+    "--gain-tolerance", type=Number(0.0, 0.95), default=0.3, show_default=True, help="Of the gain, both ways."
+)
+@click.option(
+    "--min-bandwidth",
+    type=Number(min=0.0),
+    default=0.16,
+    show_default=True,
+    metavar="HZ",
+    help="Of roll and pitch.",
+)
+@click.option(
+    "--noise-share",
+    type=Number(min=0.0, min_open=True, max=1.0),
+    default=0.0833,
+    show_default=True,
+    help="One standard deviation of sensor noise in a command, as a share of its room.",
+)
+@click.option("--lead/--no-lead", default=True, help="Try a lead against the engine's lag.  [default: --lead]")
+@click.option(
+    "--schedule/--no-schedule",
+    "scheduled",
+    default=True,
+    help="Let gains follow the thrust where fuel burns and a full tank's do not fit.  [default: --schedule]",
+)
+@click.option(
+    "--start",
+    type=click.Path(path_type=Path),
+    metavar="FILE.toml",
+    help="A controller file: search from its gains on, for its candidate alone; seconds.",
+)
+@click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly, over a plain hover.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="FILE.toml", help="[default: a new folder in runs/]")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+def design(
+    engine: str,
+    aircraft: str,
+    controller: str,
+    model: Path | None,
+    amplitude: float | None,
+    max_sensitivity: float,
+    delay_tolerance: float,
+    gain_tolerance: float,
+    min_bandwidth: float,
+    noise_share: float,
+    lead: bool,
+    scheduled: bool,
+    start: Path | None,
+    settings: tuple[str, ...],
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """Design a controller for an engine on an aircraft: predictor, its model, and the gains of all axes.
+
+    Writes a controller file for hexjet fly --controller, and a page beside it.  Status 1: no design keeps the
+    requirements, and what would allow one.
+    """
+    from cosim.base.threads import one_thread
+
+    one_thread()
+    from cosim.design.design import design as make
+    from cosim.design.result import to_dict, write
+    from cosim.design.tune import Requirements
+
+    need = Requirements(
+        max_sensitivity=max_sensitivity,
+        delay_tolerance=delay_tolerance,
+        gain_tolerance=gain_tolerance,
+        min_bandwidth_hz=min_bandwidth,
+        noise_share=noise_share,
+    )
+    with part_progress("design", quiet=as_json) as tell:
+        found = make(
+            engine,
+            aircraft,
+            controller=controller,
+            need=need,
+            settings=settings,
+            model=model,
+            amplitude=amplitude,
+            lead=lead,
+            scheduled=scheduled,
+            start=start,
+            say=lambda text: tell(text, 0, 1),
+        )
+    paths = write(found, out)
+    if as_json:
+        click.echo(json.dumps(to_dict(found, paths), allow_nan=False))
+    else:
+        print_design(found, paths)
+    return DONE if found.ok else FLIGHT_FAILED
+
+
+def print_design(found: Design, paths: dict[str, Path]) -> None:
+    """The model, shipped and designed margins, what limits the design or why there is none, and the files."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.design.result import COLUMNS, rows, summary_lines
+
+    console = terminal()
+    console.print(f"{found.vehicle.name} with engine [bold]{found.engine.name}[/bold]", highlight=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
+    for k in shown:
+        table.add_column(COLUMNS[k], justify="left" if k < 2 else "right", no_wrap=True)
+    for row in rows(found):
+        table.add_row(*(row[k] for k in shown))
+    console.print(table)
+    for line in summary_lines(found):
+        console.print(line, highlight=False, markup=False)
+    for name, path in paths.items():
+        console.print(f"{name}: {path}", highlight=False, soft_wrap=True)

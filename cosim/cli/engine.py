@@ -1,0 +1,78 @@
+"""hexjet fmu: engines built and checked."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from cosim.cli.console import terminal
+from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example
+
+if TYPE_CHECKING:
+    from cosim.engine import CheckReport
+
+
+@click.group()
+def fmu() -> None:
+    """Build and check engine FMUs."""
+
+
+@fmu.command("build", epilog=example("hexjet fmu build turbojet"))
+@click.argument("engines", nargs=-1)
+def fmu_build(engines: tuple[str, ...]) -> int:
+    """Build the FMUs of ENGINES, or of all, from their sources; those up to date are left alone."""
+    from cosim.engine import build_engines
+
+    for path in build_engines(list(engines) or None):
+        click.echo(str(path))
+    return DONE
+
+
+@fmu.command("check", epilog=example("hexjet fmu check their.fmu --step 0.004"))
+@click.argument("engine", metavar="NAME|FILE.fmu|MAPPING.toml")
+@click.option(
+    "--step",
+    type=Number(min=0.0, min_open=True),
+    metavar="S",
+    help="Control step.  [default: 0.004, or the library engine's]",
+)
+@click.option("settings", "--set", metavar="PARAMETER=VALUE", multiple=True, help="Set a parameter of the engine.")
+@click.option(
+    "--time-limit", type=Number(min=1.0), default=120.0, show_default=True, metavar="S", help="For all of it."
+)
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+def fmu_check(
+    engine: str, step: float | None, settings: tuple[str, ...], time_limit: float, out: Path | None, as_json: bool
+) -> int:
+    """Tell whether an FMU is fit to be an engine, and how it answers its throttle.
+
+    The FMU is run in a process of its own: if it crashes, hangs or eats memory, that is told and nothing else happens.
+    Leaves check.json and a page with its static curve and step responses.  Status 0: fit; 1: unfit; 2: not usable.
+    """
+    from cosim.base.toml import parse_numbers
+    from cosim.engine import check_fmu, limits_of
+    from cosim.flight import new_folder
+    from cosim.results.report.engine_check import write_check
+
+    found = check_fmu(engine, step, parse_numbers(settings, "--set"), limits_of(time_limit))
+    page = write_check(found, out if out is not None else new_folder(Path("runs"), f"check-{Path(engine).stem}"))
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+    else:
+        print_check(found, page)
+    return DONE if found.ok else FLIGHT_FAILED
+
+
+def print_check(report: CheckReport, page: Path) -> None:
+    """The findings, one to a line, problems last, and where the page is."""
+    console = terminal()
+    for label, value in report.lines():
+        console.print(f"{label:22} {value}", highlight=False, soft_wrap=True, markup=False)
+    for problem in report.problems:
+        console.print(f"problem: {problem}", highlight=False, soft_wrap=True, markup=False)
+    console.print(f"report: {page}", highlight=False, soft_wrap=True)
+    console.print("fit to fly" if report.ok else "not fit to fly", style="bold")

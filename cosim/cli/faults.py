@@ -1,0 +1,292 @@
+"""hexjet faults and failsafes: what a vehicle survives, and how it comes down."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from click.core import ParameterSource
+
+from cosim.base.errors import InputError
+from cosim.cli.console import part_progress, terminal
+from cosim.cli.options import DONE, example, refuse_others
+
+if TYPE_CHECKING:
+    from cosim.campaign.engine_out import EngineOut
+    from cosim.campaign.failsafe_survey import Failsafes
+    from cosim.campaign.fault_survey import Survival
+
+
+@click.command(epilog=example("hexjet faults --kind flame-out --kind thrust"))
+@click.option("--aircraft", default="hexjet", show_default=True, help="See: hexjet list aircraft.")
+@click.option("--engine", metavar="NAME|FILE", help="See: hexjet list engines.  [default: the aircraft's own]")
+@click.option(
+    "controllers", "--controller", metavar="NAME", multiple=True, help="[default: four, where they have a model]"
+)
+@click.option("kinds", "--kind", metavar="NAME", multiple=True, help="Only faults that begin so.  [default: all]")
+@click.option("--limits", is_flag=True, help="Also: how much thrust may be lost, and how late it may be noticed.")
+@click.option(
+    "--engine-out",
+    is_flag=True,
+    help="Instead: one engine out in hover, at every station, of every aircraft (or --aircraft) with every engine (or "
+    "--engine) that lifts it, each with the gains designed for it, beside the lean that no throttles avoid.",
+)
+@click.option(
+    "--designs",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Of --engine-out: where its controllers are, ENGINE.toml by hexjet design; a missing one is designed and "
+    "written there.  [default: designs in --out]",
+)
+@click.option(
+    "--docs",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    metavar="DIR",
+    help="Write the tables between the marks of faults.md, with --limits, or with --engine-out of faults.md and "
+    "full-scale.md, there; of all that they hold.",
+)
+@click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+@click.pass_context
+def faults(
+    context: click.Context,
+    aircraft: str,
+    engine: str | None,
+    controllers: tuple[str, ...],
+    kinds: tuple[str, ...],
+    limits: bool,
+    engine_out: bool,
+    designs: Path | None,
+    docs: Path | None,
+    workers: int,
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """Fly every single fault, from hover and from a roll of 10 deg, and tell which the vehicle survives.
+
+    Leaves survival.csv and survival.html in DIR; with --engine-out, engine-out.csv.
+    """
+    from cosim.campaign.fault_survey import (
+        PARTS,
+        survival,
+        write,
+        write_page,
+    )
+    from cosim.flight import new_folder
+    from cosim.results.report.marks import check_marks
+
+    if engine_out:
+        own = ("aircraft", "engine", "engine_out", "designs", "docs", "workers", "out", "as_json")
+        refuse_others(context, "does not go with --engine-out", *own)
+        stated = context.get_parameter_source("aircraft") is ParameterSource.COMMANDLINE
+        folder = out if out is not None else new_folder(Path("runs"), "engine-out")
+        return _engine_out(
+            (aircraft,) if stated else (), (engine,) if engine else (), folder, designs, docs, workers, as_json
+        )
+    if designs is not None:
+        raise InputError("--designs goes with --engine-out")
+    page = None if docs is None else docs / "faults.md"
+    if page is not None:
+        why = "the page holds every fault of the default vehicle with every controller; leave it out with --docs"
+        refuse_others(context, why, "docs", "limits", "workers", "out", "as_json")
+        check_marks(page, PARTS)
+
+    with part_progress("faults", quiet=as_json) as say:
+        found = survival(aircraft, engine, controllers, kinds, workers, say, limits or page is not None)
+    paths = write(found, out if out is not None else new_folder(Path("runs"), f"faults-{aircraft}"))
+    if page is not None:
+        write_page(found, page)
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+    else:
+        print_survival(found, paths["report"])
+    return DONE
+
+
+def _engine_out(
+    aircraft: tuple[str, ...],
+    engines: tuple[str, ...],
+    folder: Path,
+    designs: Path | None,
+    docs: Path | None,
+    workers: int,
+    as_json: bool,
+) -> int:
+    from cosim.campaign.engine_out import (
+        check_pages,
+        engine_out,
+        write,
+        write_pages,
+    )
+
+    if docs is not None:
+        if aircraft or engines:
+            raise InputError("--docs: the pages hold every aircraft and engine; leave out --aircraft and --engine")
+        check_pages(docs)
+    with part_progress("engine out", quiet=as_json) as say:
+        found = engine_out(aircraft, engines, designs or folder / "designs", workers, say)
+    path = write(found, folder)
+    pages = write_pages(found, docs) if docs is not None else []
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+    else:
+        print_engine_out(found, [path, *pages])
+    return DONE
+
+
+@click.command(epilog=example("hexjet failsafes --failsafe GNSS --height 10 --wind 5"))
+@click.option("--aircraft", default="hexjet", show_default=True, help="One that has an autopilot.")
+@click.option("--engine", metavar="NAME|FILE", help="See: hexjet list engines.  [default: the aircraft's own]")
+@click.option("--controller", metavar="NAME", help="[default: smith, or baseline where there is no model]")
+@click.option("kinds", "--failsafe", metavar="NAME", multiple=True, help="Only those that begin so.  [default: all]")
+@click.option("heights", "--height", type=float, metavar="M", multiple=True, help="[default: 3, 10 and 30 m]")
+@click.option("winds", "--wind", type=float, metavar="M/S", multiple=True, help="[default: 0, 5 and 10 m/s]")
+@click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("--page", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write the table there.")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+def failsafes(
+    aircraft: str,
+    engine: str | None,
+    controller: str | None,
+    kinds: tuple[str, ...],
+    heights: tuple[float, ...],
+    winds: tuple[float, ...],
+    workers: int,
+    out: Path | None,
+    page: Path | None,
+    as_json: bool,
+) -> int:
+    """Let everything fail that the autopilot has an answer to, and tell how each flight ended.
+
+    Flown from every height in every wind, with the touch-down speed and the thrust ten seconds after disarming.  Leaves
+    failsafes.csv in DIR, and in DIR/flights every flight as a scenario with its requests: hexjet fly flies it again.
+    """
+    from cosim.campaign.failsafe_survey import (
+        HEIGHTS_M,
+        WINDS_M_S,
+        mark,
+        markdown,
+        write,
+    )
+    from cosim.campaign.failsafe_survey import failsafes as fly_all
+    from cosim.flight import new_folder
+    from cosim.results.report.marks import check_marks, write_marks
+
+    if page is not None:
+        check_marks(page, [mark(aircraft)])
+    with part_progress("failsafes", quiet=as_json) as say:
+        found = fly_all(aircraft, engine, controller, kinds, heights or HEIGHTS_M, winds or WINDS_M_S, workers, say)
+    table = write(found, out if out is not None else new_folder(Path("runs"), f"failsafes-{aircraft}"))
+    if page is not None:
+        write_marks(page, {mark(aircraft): markdown(found)})
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+    else:
+        print_failsafes(found, table)
+    return DONE
+
+
+def print_survival(found: Survival, report: Path) -> None:
+    """How many places of each fault are held, by controller, what explains it, and where the report is."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.campaign.fault_survey import summary
+
+    console = terminal()
+    controllers, rows = summary(found)
+    table = Table(box=box.SIMPLE_HEAD)
+    for title in ("fault", "from", *controllers, "detected, s"):
+        table.add_column(title, justify="left" if title in ("fault", "from") else "right")
+    for kind, start, cells in rows:
+        times = [time for cell in cells if cell.detected_s for time in cell.detected_s]
+        shown = [f"{cell.held}/{cell.flown}  {cell.lean_deg:3.0f} deg {cell.lost_m:4.1f} m" for cell in cells]
+        table.add_row(kind, start, *shown, f"{min(times):.3f} to {max(times):.3f}" if times else "-")
+    console.print(table)
+    console.print(
+        "held at so many of the places where it can happen; the largest lean and the most height lost there",
+        highlight=False,
+    )
+    if found.moments is not None:
+        one = found.moments
+        console.print(
+            f"a jet lost in hover: {one.moment:.3g} N m about roll, {one.acceleration:.3g} rad/s^2; "
+            f"{one.late:.3g} s until the others answer: {one.rate:.2g} rad/s, {one.angle:.2g} rad by then",
+            highlight=False,
+        )
+    for limit in found.limits:
+        held, airborne = (" ".join(f"{value:g}" for value in each) or "-" for each in (limit.held, limit.airborne))
+        lost = "nowhere" if limit.lost_at is None else f"at {limit.lost_at:g}"
+        console.print(
+            f"{limit.quantity}, {limit.start}, {limit.controller}: held at {held}; airborne at {airborne}; lost {lost}",
+            highlight=False,
+            soft_wrap=True,
+        )
+    table = Table(box=box.SIMPLE_HEAD)
+    for title in ("lost jets", "thrust over weight", "roll authority", "yaw balanced"):
+        table.add_column(title, justify="left" if title == "lost jets" else "right")
+    for each in found.attainable:
+        roll = "cannot hover" if each.roll is None else f"{100.0 * each.roll:.0f} %"
+        lost = ", ".join(map(str, each.lost)) or "none"
+        table.add_row(lost, f"{each.thrust:.2f}", roll, "yes" if each.yaw else "no")
+    console.print(table)
+    console.print(f"report: {report}", highlight=False, soft_wrap=True)
+
+
+def print_engine_out(found: EngineOut, paths: Sequence[Path]) -> None:
+    """What became of every vehicle with one engine out, what no control could have done better, and where it stands."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.campaign.engine_out import TABLES, rows
+
+    console = terminal()
+    aircraft = [each.aircraft for each in found.flights] + [each.aircraft for each in found.left]
+    for name, lines in rows(found, aircraft).items():
+        table = Table(box=box.SIMPLE_HEAD)
+        for title in TABLES[name]:
+            table.add_column(title)
+        for line in lines:
+            table.add_row(*line)
+        if lines:
+            console.print(table)
+    console.print(
+        "each jet: verdict, largest lean, height lost, furthest drift; bounds: the lean that no throttles avoid, "
+        "and while it does not spin no tilts either, told of it at once; the second table: the bound for throttles "
+        "alone with one thing changed, and when the opposite engine has to be shut off for a bound at the limit",
+        highlight=False,
+    )
+    for path in paths:
+        console.print(str(path), highlight=False, soft_wrap=True)
+
+
+def print_failsafes(found: Failsafes, table: Path) -> None:
+    """What became of each failsafe in each wind, and where the flights are."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.campaign.failsafe_survey import summary
+
+    console = terminal()
+    shown = Table(box=box.SIMPLE_HEAD)
+    for title in ("failsafe", "wind, m/s", "ended", "touch-down, m/s", "thrust 10 s later, N"):
+        shown.add_column(title, justify="left" if title in ("failsafe", "ended") else "right")
+    for row in summary(found):
+        numbers = [
+            "-" if value != value else f"{value:{form}}"
+            for value, form in ((row.touchdown_m_s, ".2f"), (row.thrust_n, ".1f"))
+        ]
+        shown.add_row(row.failsafe, f"{row.wind_m_s:g}", row.ends, *numbers)
+    console.print(shown)
+    console.print(
+        f"{found.aircraft}, {found.engine}, {found.controller}: the fastest touch-down and the most thrust of all "
+        f"heights; a leg that touches faster than {found.limit_m_s:.2f} m/s counts as a crash",
+        highlight=False,
+        soft_wrap=True,
+    )
+    console.print(f"every flight: {table}", highlight=False, soft_wrap=True)

@@ -1,0 +1,246 @@
+"""hexjet fly: one flight, and a flight of a campaign again."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from cosim.base.errors import InputError
+from cosim.cli.console import output_to_stderr, terminal
+from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, load_scenario, refuse_others
+
+if TYPE_CHECKING:
+    from cosim.base.protocols import Observer
+    from cosim.base.signals import Sample
+    from cosim.campaign.run import Again
+    from cosim.results.run import Run
+    from cosim.spec.scenario import Scenario
+
+
+@click.command(epilog=example("hexjet fly roll-doublet --controller baseline --set vehicle.mass_kg=6.0"))
+@click.argument("scenario")
+@click.option(
+    "--controller",
+    metavar="NAME|FILE.toml",
+    help="Overrides the scenario's; see: hexjet list controllers. Or a file that hexjet design wrote, with all gains.",
+)
+@click.option(
+    "--aircraft",
+    metavar="NAME",
+    help="Overrides the scenario's, with the engine that it is made for; see: hexjet list aircraft.",
+)
+@click.option(
+    "engines",
+    "--engine",
+    metavar="[N=]NAME|FILE",
+    multiple=True,
+    help="Overrides the scenario's: a name (see: hexjet list engines), an .fmu or a .toml that maps one; with N= "
+    "the one at station N alone.",
+)
+@click.option(
+    "settings",
+    "--set",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Write a value over the scenario's, e.g. vehicle.mass_kg=6.0; its expectations are not checked then.",
+)
+@click.option(
+    "--model",
+    type=click.Path(path_type=Path),
+    metavar="FILE.toml",
+    help="Predict with the identified models in this file, as hexjet identify writes it.",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="The run's folder.  [default: a new one in runs/]"
+)
+@click.option("--seed", type=int, help="Overrides the scenario's seed.")
+@click.option("--unchecked-engine", is_flag=True, help="Fly an FMU that hexjet fmu check finds unfit, or has not seen.")
+@click.option("--realtime", is_flag=True, help="Pace the flight in real time; the same as --rtf 1.")
+@click.option(
+    "--rtf",
+    type=Number(min=0.0),
+    metavar="X",
+    help="Pace the flight at X times real time; 0 is as fast as it goes.  [default: 0, or 1 with --mavlink]",
+)
+@click.option(
+    "links",
+    "--mavlink",
+    metavar="URL",
+    multiple=True,
+    help="Let a ground station watch, e.g. udpout:127.0.0.1:14550; see: hexjet gcs --help.",
+)
+@click.option("--flight", type=click.IntRange(min=0), metavar="N", help="Of a campaign in the folder SCENARIO.")
+@click.option("as_json", "--json", is_flag=True, help="Print the run's summary as one JSON object and nothing else.")
+@click.pass_context
+def fly(
+    context: click.Context,
+    scenario: str,
+    controller: str | None,
+    aircraft: str | None,
+    engines: tuple[str, ...],
+    settings: tuple[str, ...],
+    model: Path | None,
+    out: Path | None,
+    seed: int | None,
+    unchecked_engine: bool,
+    realtime: bool,
+    rtf: float | None,
+    links: tuple[str, ...],
+    flight: int | None,
+    as_json: bool,
+) -> int:
+    """Fly SCENARIO: a name in scenarios/, the path of a TOML file, or with --flight the folder of a campaign.
+
+    Leaves a folder with summary, resolved scenario, log and report.  Status 0: flown as planned, or with --flight the
+    same as in the campaign, bit for bit; 1: the flight failed, went beyond its limits or did not come to what the
+    scenario expects, or is not the same; 2: wrong input.
+    """
+    if flight is not None:
+        why = "a flight of a campaign is flown as it was; leave it out with --flight"
+        refuse_others(context, why, "scenario", "flight", "out", "as_json")
+        return _fly_again(Path(scenario), flight, out, as_json)
+    from cosim.flight import fly as fly_scenario
+    from cosim.flight import new_folder
+    from cosim.results.run import finish_killed
+
+    if realtime and rtf is not None:
+        raise InputError("--realtime and --rtf: give one of them")
+    factor = (rtf or None) if rtf is not None else 1.0 if realtime or links else None
+    finish_killed(Path(scenario))
+    flown = load_scenario(scenario, controller, engines, seed, settings, model, aircraft)
+    if unchecked_engine:
+        flown = flown.replace(engine_unchecked=True)
+    if controller is not None and controller.lower().endswith(".toml"):
+        from cosim.design.controller_file import differences
+
+        for text in differences(flown, Path(controller)):
+            click.echo(f"hexjet: warning: {controller}: {text}", err=True)
+    folder = out if out is not None else new_folder(Path("runs"), f"{flown.name}-{flown.controller}")
+    with output_to_stderr(as_json), flight_progress(flown, quiet=as_json) as observers:
+        if links:
+            from cosim.groundstation.links import Links
+
+            with Links(links) as opened:
+                watch = opened.onlookers()
+                run = fly_scenario(flown, folder, observers=observers, realtime_factor=factor, watch=watch)
+        else:
+            run = fly_scenario(flown, folder, observers=observers, realtime_factor=factor)
+    if as_json:
+        click.echo(json.dumps(run.summary.model_dump(mode="json"), allow_nan=False))
+    else:
+        print_run(run)
+    return DONE if run.summary.as_planned else FLIGHT_FAILED
+
+
+def _fly_again(folder: Path, number: int, out: Path | None, as_json: bool) -> int:
+    from cosim.campaign import fly_again, open_campaign
+    from cosim.flight import new_folder
+
+    campaign = open_campaign(folder)
+    out = out if out is not None else new_folder(Path("runs"), f"{campaign.study.name}-flight-{number}")
+    with output_to_stderr(as_json):
+        again = fly_again(campaign, number, out)
+    if as_json:
+        same = {"flight": number, "same": again.same, "otherwise": again.otherwise}
+        click.echo(json.dumps(again.run.summary.model_dump(mode="json") | same, allow_nan=False))
+    else:
+        print_again(again)
+    return DONE if again.same else FLIGHT_FAILED
+
+
+@contextmanager
+def flight_progress(scenario: Scenario, quiet: bool) -> Iterator[Sequence[Observer]]:
+    """An observer that shows how far the flight is, on a terminal; none in a pipe."""
+    if quiet or not sys.stderr.isatty():
+        yield ()
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    every = max(1, round(0.5 / scenario.step_s))
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(scenario.name, total=scenario.steps)
+
+        class Watch:
+            def observe(self, sample: Sample) -> None:
+                if sample.k % every == 0:
+                    progress.update(task, completed=sample.k)
+
+        yield (Watch(),)
+
+
+def print_again(again: Again) -> None:
+    """A flight of a campaign, and whether it is what it was."""
+    print_run(again.run)
+    console = terminal()
+    console.print(f"flight {again.number}: [bold]{again.verdict}[/bold]", highlight=False)
+    for line in again.otherwise:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def print_run(run: Run) -> None:
+    """Outcome, metrics, what was expected and not met, and where the report is."""
+    summary = run.summary
+    console = terminal()
+    but = f"; [bold]{summary.verdict}[/bold]" if summary.verdict not in (None, "not completed") else ""
+    console.print(f"{summary.scenario}: [bold]{run.outcome}[/bold], {run.reason}{but}", highlight=False)
+    console.print(
+        f"{summary.aircraft}, engine {summary.engine}, controller {summary.controller}, seed {summary.seed}: "
+        f"{summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor),
+        highlight=False,
+    )
+    print_metrics([run])
+    _print_whole(run)
+    for text in summary.exceeded:
+        console.print(f"beyond its limit: {text}", highlight=False)
+    for complaint in summary.complaints:
+        console.print(f"not as expected: {complaint}", highlight=False)
+    if run.folder is not None:
+        console.print(f"report: {run.folder / 'report.html'}", highlight=False, soft_wrap=True)
+
+
+def print_metrics(runs: Sequence[Run], by: str = "axis") -> None:
+    """A table of the axes' metrics in the units of the page, one row an axis and run; ``by`` names the first column."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.results.report.flight import axis_cell
+    from cosim.results.wording import AXIS_ROWS
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column(by)
+    for row in AXIS_ROWS:
+        table.add_column(f"{row.title}, {row.unit}".lower().replace("rmse", "RMSE"), justify="right")
+    for run in runs:
+        for axis, metrics in run.metrics.items():
+            if metrics.commanded or by == "axis":
+                label = axis if by == "axis" else f"{run.summary.controller}, {axis}"
+                table.add_row(label, *[axis_cell(metrics, row.key, row.factor, row.digits) for row in AXIS_ROWS])
+    terminal().print(table)
+
+
+def _print_whole(run: Run) -> None:
+    """What is measured of the whole flight, with its limits."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.results.report.flight import whole_rows
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for title in ("whole flight", "value", "limit", "unit"):
+        table.add_column(title, justify="right" if title in ("value", "limit") else "left")
+    for row in whole_rows(run.summary):
+        value = f"[bold]{row['value']}[/bold]" if row["beyond"] else row["value"]
+        table.add_row(row["label"].lower().replace("rmse", "RMSE"), value, row["limit"], row["unit"])
+    if table.row_count:
+        terminal().print(table)
+
+
+def _speed(factor: float | None) -> str:
+    return "" if factor is None else f", {factor:.0f} x real time"

@@ -1,0 +1,246 @@
+"""hexjet gcs: a vehicle for ground stations."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cosim.cli.console import output_to_stderr, terminal
+from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, load_scenario
+
+if TYPE_CHECKING:
+    from cosim.groundstation.links import Links
+    from cosim.groundstation.session import Session
+    from cosim.results.run import Run
+
+
+@click.command(epilog=example("hexjet gcs --engine edf-as-flown --place 22.35,113.59 --web"))
+@click.option(
+    "--scenario", default="hover", metavar="NAME", help="Whose wind, place and faults.  [default: a calm day]"
+)
+@click.option(
+    "--aircraft", metavar="NAME", help="Overrides the scenario's, with its engine; see: hexjet list aircraft."
+)
+@click.option("engines", "--engine", metavar="[N=]NAME|FILE", multiple=True, help="As in hexjet fly.")
+@click.option("--controller", metavar="NAME", help="See: hexjet list controllers.")
+@click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
+@click.option("--seed", type=int, help="Overrides the scenario's seed.")
+@click.option("--unchecked-engine", is_flag=True, help="As in hexjet fly.")
+@click.option("--place", metavar="LAT,LON", help="Where it stands, in degrees.")
+@click.option(
+    "links",
+    "--mavlink",
+    metavar="URL",
+    multiple=True,
+    help="udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or serial:DEVICE[:BAUD].  "
+    "[default: udpout to 127.0.0.1, ports 14550 and 14540]",
+)
+@click.option(
+    "--system",
+    type=int,
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Its MAVLink id, 1 to 250: several vehicles beside each other need one each.",
+)
+@click.option("--public", is_flag=True, help="Let udpin and tcpin listen to the network and not to this machine alone.")
+@click.option(
+    "--sign-key", type=click.Path(path_type=Path), metavar="FILE", help="Sign, and refuse what is not signed with it."
+)
+@click.option(
+    "--personality",
+    type=click.Choice(["px4", "ardupilot", "generic"]),
+    default="px4",
+    show_default=True,
+    help="What the ground station takes it for.",
+)
+@click.option(
+    "--params",
+    "parameters",
+    type=click.Path(path_type=Path),
+    metavar="FILE.toml",
+    help="Where parameters are kept; none: nowhere.  [default: one file a vehicle in the folder for settings]",
+)
+@click.option("--rtf", type=Number(min=0.0), default=1.0, show_default=True, metavar="X", help="As in fly.")
+@click.option("--duration", type=Number(min=0.0, min_open=True), metavar="S", help="[default: until Ctrl-C]")
+@click.option(
+    "--web", type=click.IntRange(0, 65535), is_flag=False, flag_value=8765, metavar="[PORT]", help="Serve a page too."
+)
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object at the end and nothing else.")
+def gcs(
+    scenario: str,
+    aircraft: str | None,
+    engines: tuple[str, ...],
+    controller: str | None,
+    settings: tuple[str, ...],
+    seed: int | None,
+    unchecked_engine: bool,
+    place: str | None,
+    links: tuple[str, ...],
+    system: int,
+    public: bool,
+    sign_key: Path | None,
+    personality: Any,
+    parameters: Path | None,
+    rtf: float,
+    duration: float | None,
+    web: int | None,
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """A vehicle on the ground that waits for a ground station: QGroundControl, MAVProxy, MAVSDK.
+
+    Every flight leaves a run's folder, with telemetry.tlog and with requests.jsonl: hexjet fly on its scenario.toml
+    repeats it without a ground station.  Status as of hexjet fly, for the last flight: 0 flown as planned; 1 it failed
+    or went beyond its limits; 2 wrong input.
+    """
+    from cosim.groundstation.links import Links
+    from cosim.groundstation.parameter_store import default_file
+    from cosim.groundstation.session import (
+        Session,
+        place_at,
+        stopped_by_signals,
+        vehicle_key,
+    )
+
+    flown = load_scenario(scenario, controller, engines, seed, settings, None, aircraft)
+    changes: dict[str, Any] = {"name": "gcs" if scenario == "hover" else flown.name}
+    if unchecked_engine:
+        changes["engine_unchecked"] = True
+    if place is not None:
+        changes["environment"] = place_at(place)
+    flown = flown.replace(**changes)
+    own = vehicle_key(flown) if system == 1 else f"{vehicle_key(flown)}-system-{system}"
+    kept = None if str(parameters) == "none" else parameters or default_file(own)
+    with output_to_stderr(as_json), Links(links, public, sign_key, personality, web, system) as opened:
+        session = Session(
+            flown,
+            opened.exchange,
+            factor=rtf or None,
+            out=out,
+            parameters=kept,
+            duration=duration,
+            begun=opened.begin,
+            over=opened.end,
+        )
+        print_gcs(session, opened, to_stderr=as_json)
+        with stopped_by_signals(session), live_line(opened, quiet=as_json):
+            runs = session.run()
+        counts = opened.counts
+    print_session(runs, counts, to_stderr=as_json)
+    if as_json:
+        found = {"runs": [run.summary.model_dump(mode="json") for run in runs], "links": counts}
+        click.echo(json.dumps(found, allow_nan=False))
+    return DONE if runs[-1].summary.as_planned else FLIGHT_FAILED
+
+
+def print_gcs(session: Session, links: Links, to_stderr: bool) -> None:
+    """Where to connect, what flies, and where it is recorded."""
+    from rich.console import Console
+
+    console = Console(stderr=True) if to_stderr else terminal()
+    scenario, place = session.scenario, session.scenario.environment
+    rows = [
+        ("vehicle", f"{scenario.aircraft}, engine {scenario.engine}, controller {scenario.controller}"),
+        ("place", f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, {place.ground_m:g} m above the sea"),
+        ("system", str(links.system)),
+        *[("MAVLink", _where(url)) for url in links.urls],
+        *([("page", links.page)] if links.page else []),
+        ("parameters", f"{session.parameters or 'not kept'}"),
+        ("run", str(session.facts.folder)),
+        ("pace", "as fast as it goes" if session.factor is None else f"{session.factor:g} x real time"),
+    ]
+    for label, value in rows:
+        console.print(f"{label:11} {value}", highlight=False, soft_wrap=True, markup=False)
+    console.print("ready; Ctrl-C ends it", highlight=False)
+
+
+def print_session(runs: Sequence[Run], counts: Mapping[str, Any], to_stderr: bool) -> None:
+    """How a session went, in a line."""
+    print(session_line(runs, counts), file=sys.stderr if to_stderr else sys.stdout)
+
+
+def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
+    """Flights and how the last one ended, steps that were late, what the links refused, and how to fly it again."""
+    from shlex import quote
+
+    last = runs[-1]
+    paced = [run.summary.pacing for run in runs if run.summary.pacing is not None]
+    refused = {reason.replace("_", " "): count for reason, count in counts["refused"].items() if count}
+    why = f" ({', '.join(f'{count} {reason}' for reason, count in sorted(refused.items()))})" if refused else ""
+    signatures = sum(refused.get(reason, 0) for reason in ("signature", "unsigned", "replay"))
+    faults = counts["failures"]
+    return "; ".join(
+        [
+            f"{len(runs)} flight{'s' if len(runs) > 1 else ''}, the last {last.outcome}: {last.reason}",
+            *([", ".join(["beyond limits", *last.summary.exceeded])] if last.summary.beyond else []),
+            f"{sum(each.missed_deadlines for each in paced)} steps late" if paced else "not paced",
+            f"{counts['taken']} frames taken, {sum(refused.values())} refused{why}",
+            f"{signatures} bad signatures",
+            *([f"{sum(faults.values())} faults of the links, the first: {next(iter(faults))}"] if faults else []),
+            f"recorded in {' '.join(str(run.folder) for run in runs)}",
+            f"again: hexjet fly {quote(f'{last.folder}/scenario.toml')}",
+        ]
+    )
+
+
+def _where(url: str) -> str:
+    kind, _, place = url.partition(":")
+    port = place.rpartition(":")[2]
+    known = {f"{14540 + n}": " (MAVSDK listens there)" for n in range(10)}
+    known["14550"] = " (QGroundControl and MAVProxy listen there)"
+    if kind == "udpout":
+        return f"sends to udp {place}{known.get(port, '')}"
+    return {"udpin": f"listens at udp {place}", "tcpin": f"listens at tcp {place}"}.get(kind, f"{kind} {place}")
+
+
+@contextmanager
+def live_line(links: Links, quiet: bool) -> Iterator[None]:
+    """A line about the flight, twice a second, on a terminal; from a thread, because a terminal may be slow."""
+    if quiet or not sys.stderr.isatty():
+        yield
+        return
+    import threading
+
+    over = threading.Event()
+
+    def show() -> None:
+        told = 0
+        while not over.wait(0.5):
+            for message in links.exchange.messages:
+                if message.number > told:
+                    told = message.number
+                    print(f"\r\x1b[K{message.severity.name.lower()}: {message.text}", file=sys.stderr)
+            print(f"\r\x1b[K{_state(links)}", end="", file=sys.stderr, flush=True)
+
+    thread = threading.Thread(target=show, name="live line", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(timeout=1.0)
+        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def _state(links: Links) -> str:
+    snapshot = links.exchange.snapshot
+    if snapshot is None:
+        return ""
+    status, pace = snapshot.status, snapshot.pace
+    state = "armed" if status.armed else "disarmed"
+    speed = "" if pace.reached is None else f"  {pace.reached:.2f} x"
+    missed = f"  deadlines missed {pace.missed} of {pace.steps}" if pace.factor else ""
+    count = sum(list(links.link.refused.values()))  # a list at once: another thread counts
+    refused = f"  frames refused {count}" if count else ""
+    return (
+        f"{snapshot.time:8.1f} s  {status.mode.value} {state}  {snapshot.measured.altitude:6.1f} m"
+        f"  stations {links.heard}{speed}{missed}{refused}"
+    )

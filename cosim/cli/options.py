@@ -1,0 +1,122 @@
+"""What several commands share: kinds of options, exit statuses, the scenario that a command line states."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.core import ParameterSource
+
+from cosim.base.errors import InputError
+
+if TYPE_CHECKING:
+    pass
+
+DONE, FLIGHT_FAILED, WRONG_INPUT = 0, 1, 2
+
+
+class Number(click.FloatRange):
+    """A finite number; click lets NaN through any range."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number = float(super().convert(value, param, ctx))
+        if not isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM, by which a batch system or a service manager asks a process to end."""
+
+
+@contextmanager
+def terminated_as_interrupted() -> Iterator[None]:
+    """Answer SIGTERM as Ctrl-C is answered."""
+
+    def end(number: int, frame: object) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def example(text: str) -> str:
+    return f"\b\nExample:\n  {text}"
+
+
+def refuse_others(context: click.Context, why: str, *allowed: str) -> None:
+    """Refuse what was given on the command line and is not allowed beside the rest, and say ``why``."""
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        if name not in allowed and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            given = max(parameter.opts, key=len)
+            raise InputError(f"{given}: {why}")
+
+
+def load_scenario(
+    name: str,
+    controller: str | None,
+    engines: tuple[str, ...],
+    seed: int | None,
+    settings: tuple[str, ...],
+    model: Path | None = None,
+    aircraft: str | None = None,
+) -> Any:
+    """The scenario with the command line's choices written over it."""
+    from cosim.spec.scenario import Scenario
+
+    designed = Path(controller) if controller is not None and controller.lower().endswith(".toml") else None
+    if designed is not None:
+        from cosim.design.controller_file import with_controller
+
+        scenario, controller = with_controller(name, designed, settings, aircraft), None
+    else:
+        scenario = Scenario.load(name, list(settings))
+    changes: dict[str, Any] = {}
+    if aircraft is not None:
+        from cosim.spec.vehicle import load_vehicle
+
+        changes |= {"aircraft": aircraft, "engine": load_vehicle(aircraft)[0].engine or scenario.engine}
+    if controller is not None:
+        changes["controller"] = controller
+    chosen = engine_choices(engines)
+    if "engine" in chosen and scenario.stations:
+        scenario = scenario.model_copy(update={"stations": {}, "expect": []})  # one for all
+    changes |= chosen
+    if seed is not None:
+        changes["seed"] = seed
+    if model is not None:
+        from cosim.spec.vehicle import read_models
+
+        changes["vehicle"] = {"identified": read_models(model)}
+    if settings or model is not None or designed is not None or "stations" in chosen:
+        changes["expect"] = []
+    return scenario.replace(**changes) if changes else scenario
+
+
+def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
+    """``NAME`` or ``N=NAME`` texts as changes of a scenario.  Raises InputError if one is named twice."""
+    from cosim.spec.scenario import is_file
+
+    changes: dict[str, Any] = {}
+    for text in texts:
+        number, equals, name = text.partition("=")
+        station = number.strip() if equals and number.strip().isdigit() else None
+        engine = (name if station else text).strip()
+        # a file on the command line is meant from here, one in the scenario from the scenario's folder
+        engine = str(Path(engine).absolute()) if is_file(engine) else engine
+        held = changes if station is None else changes.setdefault("stations", {}).setdefault(station, {})
+        if "engine" in held:
+            raise InputError(
+                f"--engine {text}: there is already another for {f'station {station}' if station else 'all'}"
+            )
+        held["engine"] = engine
+    return changes

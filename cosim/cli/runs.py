@@ -1,0 +1,112 @@
+"""hexjet list, report and export: what can be flown, and what was."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+from cosim.base.errors import InputError
+from cosim.base.paths import data_folder, files_in, names_in
+from cosim.base.toml import read_toml
+from cosim.cli.console import terminal
+from cosim.cli.options import DONE, example
+
+if TYPE_CHECKING:
+    pass
+
+KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
+
+
+@click.command("list", epilog=example("hexjet list engines"))
+@click.argument("kind", required=False, type=click.Choice(KINDS))
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
+def list_(kind: str | None, as_json: bool) -> int:
+    """List what can be flown: scenarios, studies, engines, aircraft, controllers."""
+
+    found = {name: catalogue(name) for name in ([kind] if kind else KINDS)}
+    if as_json:
+        click.echo(json.dumps(found))
+    else:
+        print_catalogue(found)
+    return DONE
+
+
+@click.command(epilog=example("hexjet report runs/roll-doublet-smith-001"))
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+def report(folder: Path) -> int:
+    """Write the report of the run or the campaign in DIR again.
+
+    A run that was killed is finished first, with all that it recorded; a campaign may still be flown.
+    """
+    from cosim.campaign.folder import is_campaign
+    from cosim.cli.campaign import print_campaign
+    from cosim.cli.fly import print_run
+    from cosim.results.report.flight import write_report
+    from cosim.results.run import REPORT, open_run
+
+    if is_campaign(folder):
+        from cosim.campaign import open_campaign
+        from cosim.campaign.analysis.page import write_campaign_report
+
+        campaign = open_campaign(folder)
+        print_campaign(campaign, write_campaign_report(campaign))
+        return DONE
+    run = open_run(folder)
+    write_report(run, folder / REPORT)
+    print_run(run)
+    return DONE
+
+
+@click.command(epilog=example("hexjet export runs/roll-doublet-smith-001 --to ulog"))
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@click.option("target", "--to", type=click.Choice(["ulog", "csv"]), required=True, help="The format.")
+@click.option(
+    "--rates",
+    type=click.Choice(["all", "px4"]),
+    default="all",
+    show_default=True,
+    help="ULog: every step, or each topic about as often as PX4 logs it.",
+)
+def export(folder: Path, target: str, rates: Literal["all", "px4"]) -> int:
+    """Write the log of the run in DIR as CSV, or as ULog for PlotJuggler and Flight Review."""
+    from cosim.results.export import export_csv, export_ulog
+
+    path = folder / {"ulog": "flight.ulg", "csv": "flight.csv"}[target]
+    if target == "ulog":
+        export_ulog(folder, path, rates)
+    elif rates != "all":
+        raise InputError("--rates: is for --to ulog; CSV has every step")
+    else:
+        export_csv(folder, path)
+    click.echo(str(path))
+    return DONE
+
+
+def print_catalogue(found: dict[str, list[dict[str, Any]]]) -> None:
+    """Names and titles, kind by kind."""
+    console = terminal()
+    for kind, entries in found.items():
+        if len(found) > 1:
+            console.print(f"[bold]{kind}[/bold]")
+        width = max((len(entry["name"]) for entry in entries), default=0)
+        for entry in entries:
+            console.print(f"  {entry['name']:{width}}  {entry['title']}", highlight=False, soft_wrap=True)
+
+
+def catalogue(kind: str) -> list[dict[str, Any]]:
+    """The entries of one kind, each with ``name`` and ``title``."""
+    if kind in ("scenarios", "studies"):
+        return [_entry(name, read_toml(data_folder(kind) / f"{name}.toml")) for name in files_in(kind)]
+    if kind == "controllers":
+        from cosim.control.predictors.registry import TITLES
+
+        return [{"name": name, "title": title} for name, title in TITLES.items()]
+    marker = {"aircraft": "vehicle.toml", "engines": "engine.toml"}[kind]
+    return [_entry(name, read_toml(data_folder(kind) / name / marker)) for name in names_in(kind, marker)]
+
+
+def _entry(name: str, table: dict[str, Any]) -> dict[str, Any]:
+    return {"name": name, "title": str(table.get("title", ""))}
