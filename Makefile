@@ -30,10 +30,11 @@ bench: setup ## measure microseconds per step and ratios (asserts nothing)
 ##@ Work on it
 setup: $(BUILT) ## .venv with the locked packages, the project (editable) and its FMUs
 
-check: setup ## lint, format and types: everything that is checked without running
+check: setup ## lint, format, types and layers: everything that is checked without running
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 
 test: setup ## run the tests on all cores; options for pytest in ARGS: make test ARGS="-k smith -x", one core: -n0
 	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile $(ARGS)
@@ -44,6 +45,7 @@ fmus: setup ## build the engines' FMUs anew
 pictures: setup ## draw the documentation's pictures anew, from flights
 	@$(BIN)/python docs/pictures.py
 	@$(BIN)/python docs/engine_pictures.py
+	@$(BIN)/python docs/rooms.py
 
 lock: ## resolve pyproject.toml into requirements.lock; newer releases: make lock ARGS=--upgrade
 	@$(call check_python)

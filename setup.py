@@ -131,6 +131,13 @@ def by_mypyc(modules: list[str], folder: Path) -> list[Extension]:
     config.write_text(MYPY, encoding="utf-8")
     options = ["--config-file", str(config), "--cache-dir", str(folder / "mypy")]
     found: list[Extension] = mypycify([*options, *modules], target_dir=str(folder), group_name=NATIVE)
+    documented = by_path("native_docs", ROOT / "cosim" / "base" / "native_docs.py").documented
+    sources = {
+        name.removeprefix("cosim/").removesuffix(".py").replace("/", "."): Path(name).read_text(encoding="utf-8")
+        for name in modules
+    }
+    for path in folder.rglob("__native*.c"):
+        path.write_text(documented(path.read_text(encoding="utf-8"), sources), encoding="utf-8")
     gc.freeze()  # mypy leaves so much that to collect it when the process ends takes longer than mypy did
     for extension in found:
         extension.extra_compile_args = [*c_flags("-O1"), "-g0", "-w"]

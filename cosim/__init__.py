@@ -30,6 +30,10 @@ _WHERE = {
 choose()  # before any module that may be compiled is imported
 
 
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])
+
+
 def __getattr__(name: str) -> Any:
     """Load what is asked for and nothing else: half of a short flight's time would go into imports."""
     if name in _WHERE:
