@@ -262,6 +262,30 @@ def test_a_leg_switch_that_is_stuck_neither_disarms_nor_stops_a_take_off() -> No
         assert flight.simulation.state.on_ground
 
 
+@pytest.mark.parametrize("aircraft", ["hexjet", "hexjet-p220"])
+def test_a_leg_switch_that_sticks_in_the_air_takes_no_thrust_away(aircraft: str) -> None:
+    """In a hover on turbines there is no time to find out by falling."""
+    with Flight(aircraft, height=10.0) as flight:
+        pilot = flight.pilot
+        flight.fly(3.0)
+        update = pilot.update
+        pilot.update = lambda k, seen, report: update(k, seen, report._replace(legs=True))  # type: ignore[method-assign]
+        heights = []
+        for _ in range(60):
+            flight.fly(0.1)
+            heights.append(flight.simulation.state.altitude)
+        assert pilot.armed
+        assert pilot.landed is LandedState.IN_AIR
+        assert min(heights) > 9.0
+        assert any("switch is ignored" in message.text for message in pilot.messages)
+        flight.ok(rq.Land())
+        sinking: list[float] = []
+        flight.fly(60.0, lambda: sinking.append(flight.simulation.state.velocity[2]) or not pilot.armed)
+        assert flight.simulation.state.on_ground
+        assert not pilot.armed
+        assert max(sinking) < flight.simulation.vehicle.limits.touchdown_m_s
+
+
 # --- the table -----------------------------------------------------------------------------------------------------
 
 

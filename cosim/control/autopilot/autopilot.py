@@ -117,6 +117,7 @@ _STICK_LOW = 0.05  # throttle below this is "off" on the ground
 _STICK_UP = 0.6  # throttle above this asks to leave the ground
 _STICK_DEAD = 0.05  # of full stick around the centre
 _LIFT_M = 0.3  # above the ground with no leg in contact is in the air
+_DOUBTED_S = 1.0  # contact that neither height nor weight bears out, for so long: the switch is broken
 _CLEAR_M = 1.0  # above the ground by three deviations more than this is in the air, whatever the legs say
 _LIFT_S = 10.0  # after spooling up without leaving the ground, the take-off is given up
 _REACHED_M = 0.4  # of height; a take-off or climb is over, or a waypoint's height is reached
@@ -263,6 +264,7 @@ class Autopilot:
         self._settling: float | None = None  # collective while the thrust is taken away
         self._disarming = False  # as soon as it stands
         self._flew = self._airborne  # since arming
+        self._doubted = 0.0  # s for which the legs have reported a ground that cannot be there
         self._ground = self._standing if self._airborne else 0.0  # height on its legs where it last took off
         self._left: Pair | None = None  # where that was
         self._phase = 0  # of RTL and of a mission's landing
@@ -848,7 +850,7 @@ class Autopilot:
     def _in_air(self, k: int) -> Command:
         measured = self._now()
         sink = measured.velocity[2]
-        touched = self._touchdown.touching or self._hopping()
+        touched = self._touched(k)
         if self._settling is None and self.mode is Mode.HOLD and self._place is None and touched:
             # nobody asked it to leave the ground
             self._settling, self.landed = self._report.collective, LandedState.LANDING
@@ -859,7 +861,7 @@ class Autopilot:
             self._settling = None
         command = self._by_mode(k)
         if self._flies_thrust():
-            if self._touchdown.standing:
+            if self._touchdown.standing and (touched or self._near_ground()):
                 self._touch_ground(k)
         elif self._descending and down:
             self._settling = self._report.collective
@@ -868,14 +870,31 @@ class Autopilot:
             self.landed = LandedState.IN_AIR
         return command
 
+    def _touched(self, k: int) -> bool:
+        """The legs report the ground where there can be some: where the height says so, or where they carry weight.
+
+        A switch that goes on reporting it anywhere else is broken, and is asked no more.
+        """
+        if not self._touchdown.touching or self._near_ground() or self._touchdown.carried:
+            self._doubted = 0.0
+            return self._touchdown.touching or self._hopping()
+        self._doubted += self._dt
+        if self._doubted > _DOUBTED_S and not self._touchdown.switch_failed:
+            self._touchdown.switch_failed = True
+            self._say(k, Severity.WARNING, "the legs report ground in the air, their switch is ignored")
+        return False
+
+    def _near_ground(self) -> bool:
+        """As low as where it took off, as far as the height is known."""
+        return self._altitude() - 3.0 * self._senses.vertical.deviation[0] < self._ground + _LIFT_M
+
     def _hopping(self) -> bool:
         """The legs have touched a moment ago, where the ground is.
 
         A vehicle that drifts, or comes down fast, hops from leg to leg on nearly its own weight in thrust until it
         trips: the thrust has to go before a contact lasts.
         """
-        near = self._altitude() - 3.0 * self._senses.vertical.deviation[0] < self._ground + _LIFT_M
-        return near and self._touchdown.bouncing and not self._touchdown.switch_failed
+        return self._near_ground() and self._touchdown.bouncing and not self._touchdown.switch_failed
 
     def _settle(self, k: int, collective: float) -> Command:
         """On the ground: take the thrust away."""

@@ -1,8 +1,9 @@
 """Has the vehicle touched the ground, and has it come to stand there?
 
 Two witnesses: the switch at the legs, and the accelerometer beside the thrust that is asked for.  In the air at rest
-they balance; where the legs carry weight the accelerometer feels more than the engines give.  A sensor that has stopped
-can pretend neither: the thrust is the autopilot's own, and an accelerometer that repeats itself is not asked.
+they balance; where the legs carry weight the accelerometer feels more than the engines give.  The thrust is the
+autopilot's own, and an accelerometer that repeats itself is not asked.  A switch that sticks pretends contact anywhere:
+whether there can be ground at all is the autopilot's to say.
 """
 
 from __future__ import annotations
