@@ -861,7 +861,7 @@ class Autopilot:
             self._settling = None
         command = self._by_mode(k)
         if self._flies_thrust():
-            if self._touchdown.standing and (touched or self._near_ground()):
+            if touched and self._touchdown.standing:
                 self._touch_ground(k)
         elif self._descending and down:
             self._settling = self._report.collective
