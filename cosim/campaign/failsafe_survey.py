@@ -8,7 +8,7 @@ vehicle has been disarmed for ten seconds, has crashed, or time is up.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from math import hypot, isnan, nan, radians
 from pathlib import Path
@@ -34,6 +34,7 @@ from cosim.spec.vehicle import Vehicle, aircraft_names, load_vehicle
 
 if TYPE_CHECKING:
     from cosim.control.autopilot.autopilot import Autopilot
+    from cosim.results.recorder import Recorder
     from cosim.simulation.step import Simulation
 
 Verdict = Literal["landed", "holds", "flies on", "stands armed", "crashed", "lost"]
@@ -47,7 +48,10 @@ SLOW_M_S, SLOW_S = 0.3, 1.0  # and slower than this for so long, so that it does
 LONGEST_SETTLING_S = 60.0  # it fails then, whatever the speed
 LONGEST_S = 180.0  # from the failure on: three times the descent from 30 m at the landing's rate
 LATER_S = 10.0  # after disarming
-HELD_S = 8.0  # a flight that is to hold has held by then
+HELD_S = 8.0  # it is to hold for at least so long, and until it is slow near its place
+HELD_M = 1.5  # and counts as holding within this of the place: what a waypoint is reached within (HJ_ACC_RADIUS)
+HELD_HEIGHT_M = 0.4  # and within this of the height: what a climb is over within
+LONGEST_HOLD_S = 60.0
 GYRO_BIAS = radians(3.0)  # rad/s about the late axis: what a MEMS gyro's zero is off when it was never calibrated
 
 
@@ -74,6 +78,10 @@ class Row:
     after_s: float  # from the failure to the first touch; NaN: none
     drift_m: float  # from where it was when it failed to where it ended
     reason: str  # of a crash; else what the autopilot said it acted upon
+    # of what is to hold, at the end, from the place and the height that it was to hold; NaN: another failsafe
+    off_m: float
+    height_off_m: float
+    log_sha256: str  # of every sample of the flight (cosim.results.digest): what flies it again must have the same
 
 
 @dataclass(frozen=True)
@@ -152,8 +160,18 @@ def pilotable() -> list[str]:
     return found
 
 
+@dataclass(frozen=True)
+class _Plan:
+    """What is to be flown with one vehicle."""
+
+    aircraft: str
+    engine: str
+    controller: str
+    flights: list[tuple[Case, float, float, Scenario]]
+
+
 def failsafes(
-    aircraft: str,
+    aircraft: Sequence[str],
     engine: str | None = None,
     controller: str | None = None,
     kinds: Sequence[str] = (),
@@ -161,13 +179,35 @@ def failsafes(
     winds: Sequence[float] = WINDS_M_S,
     workers: int = 2,
     say: Say = lambda what, done, of: None,
-) -> Failsafes:
-    """Fly every failsafe from every height in every wind; ``kinds`` are the beginnings of those to be flown.
+) -> Iterator[Failsafes]:
+    """Fly every failsafe from every height in every wind, one vehicle after the other.
 
-    ``engine`` None is the one that the aircraft is made for, ``controller`` None smith, or baseline where there is no
-    model.  ``say`` is told what was flown, how many are, of how many.
-    Raises InputError for an unknown kind, aircraft, engine or controller, and for a vehicle without an autopilot.
+    ``kinds`` are the beginnings of those to be flown.  ``engine`` None is the one that the aircraft is made for,
+    ``controller`` None smith, or baseline where there is no model.  ``say`` is told what was flown, how many are, of
+    how many.
+    Raises InputError for an unknown kind, aircraft, engine or controller, and for a vehicle without an autopilot; all
+    of that is found before the first flight.
     """
+    plans = [_plan(each, engine, controller, kinds, heights, winds) for each in aircraft]
+    done, of = 0, sum(len(plan.flights) for plan in plans)
+    for plan in plans:
+        flown: list[Flown] = []
+        for one in in_processes(fly_case, plan.flights, workers):
+            flown.append(one)
+            done += 1
+            say(f"{plan.aircraft}: {one.row.failsafe}, {one.row.height_m:g} m, {one.row.wind_m_s:g} m/s", done, of)
+        limit = load_vehicle(plan.aircraft)[0].limits.touchdown_m_s
+        yield Failsafes(plan.aircraft, plan.engine, plan.controller, limit, flown)
+
+
+def _plan(
+    aircraft: str,
+    engine: str | None,
+    controller: str | None,
+    kinds: Sequence[str],
+    heights: Sequence[float],
+    winds: Sequence[float],
+) -> _Plan:
     from cosim.simulation.build import build
     from cosim.simulation.with_autopilot import with_autopilot
 
@@ -195,11 +235,7 @@ def failsafes(
     with build(flights[0][3]) as simulation:
         # wrong input is found here, before anything is spent on it
         with_autopilot(simulation, airborne=True)
-    flown: list[Flown] = []
-    for one in in_processes(fly_case, flights, workers):
-        flown.append(one)
-        say(f"{one.row.failsafe}, {one.row.height_m:g} m, {one.row.wind_m_s:g} m/s", len(flown), len(flights))
-    return Failsafes(aircraft, engine, controller, vehicle.limits.touchdown_m_s, flown)
+    return _Plan(aircraft, engine, controller, flights)
 
 
 def scenario_of(aircraft: str, engine: str, controller: str, step: float, height: float, wind: float) -> Scenario:
@@ -223,6 +259,8 @@ def scenario_of(aircraft: str, engine: str, controller: str, step: float, height
 
 def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
     """One flight, in this process."""
+    from cosim.results.digest import DigestSink
+    from cosim.results.recorder import Recorder
     from cosim.simulation.build import build
     from cosim.simulation.with_autopilot import with_autopilot
 
@@ -230,8 +268,11 @@ def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
     with build(scenario) as simulation:
         pilot = with_autopilot(simulation, airborne=True)
         dt = simulation.dt
+        sink = DigestSink(())
+        recorder = Recorder(dt, sink)
         _ask(pilot, case.name, case.before, 0)
-        begin = _settle(simulation)
+        begin = _settle(simulation, recorder)
+        place = Held(pilot, simulation)
         _ask(pilot, case.name, case.calls, begin)
         touchdown = after = thrust = nan
         there = simulation.state.position
@@ -239,10 +280,11 @@ def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
         acted = ""
         ending = None
         before = simulation.state
-        last = begin + round(LONGEST_S / dt)
+        last = begin + round((LONGEST_HOLD_S if case.holds else LONGEST_S) / dt)
         while simulation.k < last:
             k = simulation.k
             sample = simulation.step()
+            recorder.observe(sample)
             state = simulation.state
             acted = acted or pilot.failsafe
             if state.on_ground and not before.on_ground:
@@ -251,6 +293,7 @@ def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
             before = state
             ending = simulation.judge.look(state, simulation.k * dt)
             if ending is not None:
+                recorder.observe(sample._replace(k=k + 1, time=(k + 1) * dt, state=state, measured=simulation.measured))
                 break
             if pilot.armed:
                 disarmed = None
@@ -259,8 +302,9 @@ def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
             if disarmed is not None and (k - disarmed) * dt >= LATER_S:
                 thrust = sum(sample.engines.thrust)
                 break
-            if case.holds and (k - begin) * dt >= HELD_S:
+            if case.holds and place.held() and (k - begin) * dt >= HELD_S:
                 break
+        recorder.flush()
         x, y, _ = simulation.state.position
         verdict: Verdict
         if ending is not None:
@@ -270,7 +314,7 @@ def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
         elif pilot.landed is LandedState.ON_GROUND or simulation.state.on_ground:
             verdict = "stands armed"
         else:
-            verdict = "holds" if pilot.mode is Mode.HOLD else "flies on"
+            verdict = "holds" if case.holds and place.held() else "flies on"
         row = Row(
             case.name,
             height,
@@ -281,6 +325,8 @@ def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
             after,
             hypot(x - there[0], y - there[1]),
             ending.reason if ending is not None else acted or _last(pilot.messages),
+            *(place.off() if case.holds else (nan, nan)),
+            sink.hexdigest(),
         )
         entries = (
             *(Entry(0, "table", request, "") for request in case.before),
@@ -297,11 +343,40 @@ def _ask(pilot: Autopilot, name: str, requests: Sequence[Request], k: int) -> No
             raise InputError(f"{name}: {type(request).__name__} is refused before step {k}: {answer.text}")
 
 
-def _settle(simulation: Simulation) -> int:
+class Held:
+    """The place and the height that a vehicle is to hold from now on: those of its set-point, or where that stops.
+
+    A set-point at speed v stops within v^2/2a + v a/2j, with the acceleration a and the jerk j that it is allowed.
+    """
+
+    def __init__(self, pilot: Autopilot, simulation: Simulation) -> None:
+        status, (north, east, _), velocity = pilot.status, simulation.state.position, simulation.state.velocity
+        a, j = pilot.parameters["HJ_ACC_HOR"], pilot.parameters["HJ_JERK_HOR"]
+        speed = 0.0 if status.mode is Mode.HOLD else hypot(*velocity[:2])
+        self._pilot, self._simulation = pilot, simulation
+        self._place = status.track or (north, east)
+        self._height = status.altitude
+        self._within = HELD_M + speed**2 / (2.0 * a) + speed * a / (2.0 * j)
+
+    def off(self) -> tuple[float, float]:
+        """How far the vehicle is from the place and above the height, m."""
+        state = self._simulation.state
+        north, east = self._place
+        return hypot(state.position[0] - north, state.position[1] - east), state.altitude - self._height
+
+    def held(self) -> bool:
+        """Does it stand in HOLD, near that place, at that height?"""
+        away, above = self.off()
+        north, east, down = self._simulation.state.velocity
+        slow = hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S
+        return self._pilot.mode is Mode.HOLD and away < self._within and abs(above) < HELD_HEIGHT_M and slow
+
+
+def _settle(simulation: Simulation, recorder: Recorder) -> int:
     """Fly until the vehicle holds; the step that comes next."""
     dt, slow = simulation.dt, 0
     while simulation.k * dt < LONGEST_SETTLING_S:
-        simulation.step()
+        recorder.observe(simulation.step())
         north, east, down = simulation.state.velocity
         slow = slow + 1 if hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S else 0
         if simulation.k * dt >= SETTLED_S and slow * dt >= SLOW_S:
@@ -396,15 +471,18 @@ def markdown(found: Failsafes) -> str:
     columns = ["failsafe", *(f"{height:g} m, {wind:g} m/s" for height in heights for wind in winds)]
     rows = []
     for name in dict.fromkeys(row.failsafe for row in found.rows):
-        rows.append([name, *(_cell(cells[name, height, wind]) for height in heights for wind in winds)])
+        rows.append([name, *(cell(cells[name, height, wind]) for height in heights for wind in winds)])
     return (
         f"Engine `{found.engine}`, controller `{found.controller}`; a leg that touches faster than "
         f"{found.limit_m_s:.2f} m/s counts as a crash.\n\n" + marks.table(columns, rows)
     )
 
 
-def _cell(row: Row) -> str:
+def cell(row: Row) -> str:
+    """A flight as it stands in the page's table."""
     parts: list[str] = [row.verdict]
+    if not isnan(row.off_m):
+        parts.append(f"{row.off_m:.2f} m off")
     if not isnan(row.touchdown_m_s):
         parts.append(f"{row.touchdown_m_s:.2f} m/s")
     if not isnan(row.thrust_n):

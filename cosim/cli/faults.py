@@ -139,7 +139,9 @@ def _engine_out(
 
 
 @click.command(epilog=example("hexjet failsafes --failsafe GNSS --height 10 --wind 5"))
-@click.option("--aircraft", default="hexjet", show_default=True, help="One that has an autopilot.")
+@click.option(
+    "--aircraft", metavar="NAME", multiple=True, default=["hexjet"], show_default=True, help="all: every one."
+)
 @click.option("--engine", metavar="NAME|FILE", help="See: hexjet list engines.  [default: the aircraft's own]")
 @click.option("--controller", metavar="NAME", help="[default: smith, or baseline where there is no model]")
 @click.option("kinds", "--failsafe", metavar="NAME", multiple=True, help="Only those that begin so.  [default: all]")
@@ -150,7 +152,7 @@ def _engine_out(
 @click.option("--page", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write the table there.")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 def failsafes(
-    aircraft: str,
+    aircraft: tuple[str, ...],
     engine: str | None,
     controller: str | None,
     kinds: tuple[str, ...],
@@ -165,29 +167,43 @@ def failsafes(
 
     Flown from every height in every wind, with the touch-down speed and the thrust ten seconds after disarming.  Leaves
     failsafes.csv in DIR, and in DIR/flights every flight as a scenario with its requests: hexjet fly flies it again.
+    With several aircraft each has a folder of its name in DIR.
     """
     from cosim.campaign.failsafe_survey import (
         HEIGHTS_M,
         WINDS_M_S,
         mark,
         markdown,
+        pilotable,
         write,
     )
     from cosim.campaign.failsafe_survey import failsafes as fly_all
     from cosim.flight import new_folder
     from cosim.results.report.marks import check_marks, write_marks
 
+    if "all" in aircraft:
+        if len(aircraft) > 1:
+            raise InputError("--aircraft all: leave out the others")
+        aircraft = tuple(pilotable())
+    aircraft = tuple(dict.fromkeys(aircraft))
+    several = len(aircraft) > 1
     if page is not None:
-        check_marks(page, [mark(aircraft)])
+        check_marks(page, [mark(each) for each in aircraft])
+    found: list[Failsafes] = []
+    folder = out
     with part_progress("failsafes", quiet=as_json) as say:
-        found = fly_all(aircraft, engine, controller, kinds, heights or HEIGHTS_M, winds or WINDS_M_S, workers, say)
-    table = write(found, out if out is not None else new_folder(Path("runs"), f"failsafes-{aircraft}"))
+        for one in fly_all(aircraft, engine, controller, kinds, heights or HEIGHTS_M, winds or WINDS_M_S, workers, say):
+            if folder is None:
+                folder = new_folder(Path("runs"), "failsafes" if several else f"failsafes-{one.aircraft}")
+            table = write(one, folder / one.aircraft if several else folder)
+            if not as_json:
+                print_failsafes(one, table)
+            found.append(one)
     if page is not None:
-        write_marks(page, {mark(aircraft): markdown(found)})
+        write_marks(page, {mark(one.aircraft): markdown(one) for one in found})
     if as_json:
-        click.echo(json.dumps(found.to_dict(), allow_nan=False))
-    else:
-        print_failsafes(found, table)
+        tables = [one.to_dict() for one in found]
+        click.echo(json.dumps({"tables": tables} if several else tables[0], allow_nan=False))
     return DONE
 
 
