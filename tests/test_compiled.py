@@ -125,6 +125,12 @@ def test_an_edited_source_is_what_runs(tmp_path: Path) -> None:
     assert said.count("\n") == 1
     assert str(edited_file) in said
     assert "make setup" in said
+    # and the line is not taken for the words of an FMU that is tried in a process of its own
+    fmu = ROOT / "fmus" / "edf.fmu"
+    check = f"from cosim.engine.qualify.check import check_fmu; print(check_fmu({str(fmu)!r}).notes)"
+    notes, said = python(check, tmp_path)
+    assert "prints" not in notes
+    assert said.count("\n") == 1
 
 
 @needs_compiled

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
+from command_tools import Hexjet
 from test_lead import answered, axis
 
 from cosim import Scenario, fly
@@ -170,6 +171,14 @@ def test_a_flight_begins_with_part_of_the_fuel() -> None:
     for wrong in (0.0, 1.1):
         with pytest.raises(InputError, match=r"initial\.fuel"):
             Scenario.load("full-scale-hover").replace(initial={"fuel": wrong})
+
+
+def test_part_of_a_tank_that_is_not_there_is_refused(hexjet: Hexjet) -> None:
+    """A whole one, as every stored scenario states it, flies."""
+    done = hexjet("fly", "hover", "--set", "initial.fuel=0.5")
+    said = "scenario hover: initial.fuel = 0.5: hexjet has no tank; leave it out, or state vehicle.fuel"
+    assert done == (2, "", f"hexjet: {said}\n")
+    build(Scenario.load("hover").replace(initial={"fuel": 1.0})).close()
 
 
 def test_half_a_tank_stands_where_it_began() -> None:

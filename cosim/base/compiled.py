@@ -92,6 +92,11 @@ def choose() -> None:
         )
 
 
+def from_source() -> bool:
+    """Whether this process runs the modules from source."""
+    return any(isinstance(finder, _FromSource) for finder in sys.meta_path)
+
+
 class _FromSource(MetaPathFinder):
     """Finds the modules' source, where the compiled ones would be found first."""
 

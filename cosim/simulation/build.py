@@ -61,6 +61,7 @@ def build(scenario: Scenario) -> Simulation:
         raise InputError(f"unknown controller {scenario.controller!r}; {nearest(scenario.controller, PREDICTORS)}")
     scenario.count(scenario.duration_s, "duration_s")
     vehicle, folder = load_vehicle(scenario.aircraft, scenario.vehicle, f"scenario {scenario.name}: vehicle")
+    _need_tank(scenario, vehicle)
     engine, *stations = specs = _engines(scenario, vehicle)
     laws = [spec.flame_out for spec in stations]
     step, initial = scenario.step_s, scenario.initial
@@ -113,6 +114,15 @@ def build(scenario: Scenario) -> Simulation:
         )
         made.pop_all()
         return simulation
+
+
+def _need_tank(scenario: Scenario, vehicle: Vehicle) -> None:
+    """Refuse part of a tank that is not there, as faults and factors of jets that are not there are refused."""
+    if vehicle.fuel is None and scenario.initial.fuel != 1.0:
+        raise InputError(
+            f"scenario {scenario.name}: initial.fuel = {scenario.initial.fuel:g}: {vehicle.name} has no tank; leave it "
+            "out, or state vehicle.fuel"
+        )
 
 
 def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
