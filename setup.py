@@ -107,7 +107,8 @@ class BuildExtensions(build_ext):
             reason = "mypy: not found; install mypy, or set HEXJET_PURE=1 to go without compiled modules"
             raise CompileError(reason) from None
         tools = f"mypy-{mypy}-{platform.python_implementation()}-{platform.python_version()}"
-        return f"{sha256(Path(__file__).read_bytes()).hexdigest()}  ../setup.py\n{tools}\n"
+        makers = (Path(__file__), ROOT / "cosim" / "base" / "native_docs.py")
+        return "".join(f"{sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in makers) + f"{tools}\n"
 
     def _remove_compiled(self, package: Path, compiled: Any) -> None:
         """What an earlier build compiled for this Python: it may be of modules that are no longer compiled."""

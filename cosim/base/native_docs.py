@@ -1,7 +1,8 @@
 """Docstrings for the compiled modules: mypyc drops them, and ``help()`` should say of a class what its source says.
 
 mypyc writes all modules into one C file, each as its tables of methods and types, the function that executes it, and
-its definition.  Their places for documentation hold a signature or nothing; here the source's docstrings are added.
+its definition.  The tables' places for documentation hold a signature or nothing; here the source's docstrings are
+added.  Classes, and what Python makes of the members of some, get theirs when the module is executed.
 
 Imports nothing of the package: the build reads it by its path.
 """
@@ -14,10 +15,11 @@ from collections.abc import Mapping
 
 _EXECUTES = re.compile(r"^ *static int CPyExec_cosim___(\w+?)__impl\(PyObject \*module\)$", re.M)
 _CLASS = re.compile(r"^ *static PyMethodDef \w*?___(_*[A-Za-z]\w*)_methods\[\] = \{$(.*?)^ *\};$", re.M | re.S)
+_MODULE = re.compile(r"^ *static PyMethodDef \w+module_methods\[\] = \{$(.*?)^ *\};$", re.M | re.S)
 _GETTERS = re.compile(r"^ *static PyGetSetDef \w*?___(_*[A-Za-z]\w*)_getseters\[\] = \{$(.*?)^ *\};$", re.M | re.S)
-_SIGNATURE = re.compile(r'PyDoc_STR\("(\w+)(\([^"]*\)(?: -> [^"]*)?\\n--\\n\\n)"\)')
-_ATTRIBUTE = re.compile(r'(\{"(\w+)",\s*\(getter\)\w+, (?:\(setter\)\w+|NULL),\s*)NULL, NULL\}')
-_TYPE = re.compile(r'(\.tp_doc = )PyDoc_STR\("(\w+)(\([^"]*\)\\n--\\n\\n)"\)')
+# with its signature, or NULL where a default value has no short form
+_METHOD = re.compile(r'(\{"(\w+)",\s*\(PyCFunction\)\w+,\s*[\w| ]+, )PyDoc_STR\((?:"([^"]*\\n--\\n\\n)"|NULL)\)')
+_ATTRIBUTE = re.compile(r'(\{"(\w+)",\s*\(getter\)\w+,\s*(?:\(setter\)\w+|NULL),\s*)NULL, NULL\}')
 
 
 def documented(text: str, sources: Mapping[str, str]) -> str:
@@ -41,51 +43,50 @@ def _module(text: str, source: str) -> str:
 
     def of_class(found: re.Match[str]) -> str:
         docs = _docs(classes[found[1]]) if found[1] in classes else {}
-        return _SIGNATURE.sub(lambda m: _with(m[1] + m[2], docs.get(m[1])), found[0])
+        return _METHOD.sub(lambda m: m[1] + _with(m[3] or "", docs.get(m[2])), found[0])
 
     def of_attributes(found: re.Match[str]) -> str:
         docs = _docs(classes[found[1]]) if found[1] in classes else {}
         return _ATTRIBUTE.sub(lambda m: f"{m[1]}{_string(docs[m[2]])}, NULL}}" if m[2] in docs else m[0], found[0])
 
-    def of_type(found: re.Match[str]) -> str:
-        node = classes.get(found[2])
-        doc = ast.get_docstring(node) if node is not None else None
-        return found[1] + _with(found[2] + found[3], doc)
+    def of_module(found: re.Match[str]) -> str:
+        return _METHOD.sub(lambda m: m[1] + _with(m[3] or "", functions.get(m[2])), found[0])
 
-    text = _TYPE.sub(of_type, _GETTERS.sub(of_attributes, _CLASS.sub(of_class, text)))
-    text = re.sub(
-        r'(?<=METH_KEYWORDS, )PyDoc_STR\("(\w+)([^"]*\\n--\\n\\n)"\) /\* docstring \*/',
-        lambda m: _with(m[1] + m[2], functions.get(m[1])),
-        text,
-    )
+    text = _MODULE.sub(of_module, _GETTERS.sub(of_attributes, _CLASS.sub(of_class, text)))
     whole = ast.get_docstring(tree)
     if whole:
         text = text.replace("NULL, /* docstring */", f"{_string(whole)}, /* docstring */")
-    later = [(name, doc) for name, node in classes.items() if (doc := ast.get_docstring(node)) and _made_later(node)]
+    later = [(name, doc) for name, node in classes.items() if (doc := ast.get_docstring(node))]
+    made = {name: _docs(node) for name, node in classes.items() if _made_by_python(node)}
+    later += [(f"{name}.{member}", doc) for name, docs in made.items() for member, doc in docs.items()]
     return _when_executed(text, later)
 
 
-def _made_later(node: ast.ClassDef) -> bool:
+def _made_by_python(node: ast.ClassDef) -> bool:
     """Whether Python makes the class when the module is executed: named tuples, dataclasses and protocols."""
     names = [ast.unparse(base) for base in (*node.bases, *node.decorator_list)]
-    return any(name.split("(")[0].split("[")[0].split(".")[-1] in _MADE_LATER for name in names)
+    return any(name.split("(")[0].split("[")[0].split(".")[-1] in _MADE_BY_PYTHON for name in names)
 
 
-_MADE_LATER = {"NamedTuple", "Protocol", "dataclass", "TypedDict", "Enum", "StrEnum", "IntEnum"}
+_MADE_BY_PYTHON = {"NamedTuple", "Protocol", "dataclass", "TypedDict", "Enum", "StrEnum", "IntEnum"}
 
 
 def _when_executed(text: str, docs: list[tuple[str, str]]) -> str:
-    lines = [
-        f"""    {{
-        PyObject *cls = PyObject_GetAttrString(module, "{name}");
-        PyObject *doc = cls ? PyUnicode_FromString({_string(doc)}) : NULL;
-        if (!doc || PyObject_SetAttrString(cls, "__doc__", doc) < 0) PyErr_Clear();
+    """Said of classes, and of members that are in no table, at the end of the module."""
+    lines = []
+    for name, doc in docs:
+        owner, _, member = name.partition(".")
+        of = f'cls ? PyObject_GetAttrString(cls, "{member}") : NULL' if member else "Py_XNewRef(cls)"
+        lines.append(f"""    {{
+        PyObject *cls = PyObject_GetAttrString(module, "{owner}");
+        PyObject *of = {of};
+        PyObject *doc = of ? PyUnicode_FromString({_string(doc)}) : NULL;
+        if (!doc || PyObject_SetAttrString(of, "__doc__", doc) < 0) PyErr_Clear();
         Py_XDECREF(doc);
+        Py_XDECREF(of);
         Py_XDECREF(cls);
     }}
-"""
-        for name, doc in docs
-    ]
+""")
     head = next(_EXECUTES.finditer(text), None)
     if head is None or not lines:
         return text
