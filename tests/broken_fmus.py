@@ -270,7 +270,6 @@ DESCRIPTIONS = [
     described("step-that-does-not-fit", "is not a whole multiple of the engine's internal step 0.003 s", ("<CoSimulation ", '<CoSimulation fixedInternalStepSize="0.003" '), fmi=3),
     described("wrong-token", "cannot be instantiated: the token is not mine", ("broken:", "brokem:"), status=UNFIT),
     described("needs-its-tool", "cannot be instantiated: cannot reach the simulation tool", ("<CoSimulation ", '<CoSimulation needsExecutionTool="true" '), status=UNFIT, fault="needs-tool"),
-    described("kinds-without-number", "The number of elements in the dependencies .* do not match", ('<Outputs><Unknown index="2"/>', '<Outputs><Unknown index="2" dependencies="1" dependenciesKind="dependent dependent"/>'), status=UNFIT),
 ]  # fmt: skip
 
 SEGV = r"SIGSEGV"

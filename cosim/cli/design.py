@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.cli.console import part_progress, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example
+from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, offer_to_compile, warn_of_blemishes
 
 if TYPE_CHECKING:
     from cosim.design.design import Design
@@ -104,6 +104,8 @@ def design(
     from cosim.design.result import to_dict, write
     from cosim.design.tune import Requirements
 
+    offer_to_compile(engine)
+    warn_of_blemishes(engine)
     need = Requirements(
         max_sensitivity=max_sensitivity,
         delay_tolerance=delay_tolerance,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.cli.console import terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example
+from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, offer_to_compile
 
 if TYPE_CHECKING:
     from cosim.engine import CheckReport
@@ -28,6 +28,20 @@ def fmu_build(engines: tuple[str, ...]) -> int:
 
     for path in build_engines(list(engines) or None):
         click.echo(str(path))
+    return DONE
+
+
+@fmu.command("compile", epilog=example("hexjet fmu compile their.fmu"))
+@click.argument("archive", metavar="FILE.fmu", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), metavar="FILE.fmu", help="[default: into FILE.fmu itself]")
+def fmu_compile(archive: Path, out: Path | None) -> int:
+    """Compile the sources that an FMU brings for this machine, and put the library into it.
+
+    For an FMU without a library for this machine.  Needs a C compiler.
+    """
+    from cosim.engine.compile import compile_archive
+
+    click.echo(str(compile_archive(archive, out)))
     return DONE
 
 
@@ -58,6 +72,7 @@ def fmu_check(
     from cosim.flight import new_folder
     from cosim.results.report.engine_check import write_check
 
+    offer_to_compile(engine)
     found = check_fmu(engine, step, parse_numbers(settings, "--set"), limits_of(time_limit))
     page = write_check(found, out if out is not None else new_folder(Path("runs"), f"check-{Path(engine).stem}"))
     if as_json:

@@ -13,7 +13,16 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.cli.console import output_to_stderr, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, load_scenario, refuse_others
+from cosim.cli.options import (
+    DONE,
+    FLIGHT_FAILED,
+    Number,
+    example,
+    load_scenario,
+    offer_to_compile,
+    refuse_others,
+    warn_of_blemishes,
+)
 
 if TYPE_CHECKING:
     from cosim.base.protocols import Observer
@@ -113,6 +122,7 @@ def fly(
         raise InputError("--realtime and --rtf: give one of them")
     factor = (rtf or None) if rtf is not None else 1.0 if realtime or links else None
     finish_killed(Path(scenario))
+    offer_to_compile(*engines)
     flown = load_scenario(scenario, controller, engines, seed, settings, model, aircraft)
     if unchecked_engine:
         flown = flown.replace(engine_unchecked=True)
@@ -121,6 +131,7 @@ def fly(
 
         for text in differences(flown, Path(controller)):
             click.echo(f"hexjet: warning: {controller}: {text}", err=True)
+    warn_of_blemishes(flown.engine, *(s.engine for s in flown.stations.values() if s.engine), folder=flown.folder)
     folder = out if out is not None else new_folder(Path("runs"), f"{flown.name}-{flown.controller}")
     with output_to_stderr(as_json), flight_progress(flown, quiet=as_json) as observers:
         if links:

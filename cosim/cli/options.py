@@ -61,6 +61,37 @@ def refuse_others(context: click.Context, why: str, *allowed: str) -> None:
             raise InputError(f"{given}: {why}")
 
 
+def offer_to_compile(*engines: str) -> None:
+    """On a terminal, ask once whether an FMU that brings sources alone is to be compiled; elsewhere say nothing.
+
+    Raises InputError if it is and cannot be.
+    """
+    import sys
+
+    for engine in engines:
+        path = Path(engine.partition("=")[2] or engine)
+        if path.suffix.lower() != ".fmu" or not (sys.stdin.isatty() and sys.stderr.isatty()):
+            continue
+        from cosim.engine.compile import compile_archive, needs_compiling
+
+        question = f"{path} has sources and no library for this machine; compile them into it?"
+        if needs_compiling(path) and click.confirm(question, err=True):
+            compile_archive(path)
+
+
+def warn_of_blemishes(*engines: str, folder: Path = Path()) -> None:
+    """Tell on standard error what of a foreign FMU's description, seen from ``folder``, is not as FMI has it."""
+    from cosim.spec.scenario import is_file
+
+    for engine in dict.fromkeys(engines):
+        if is_file(engine):
+            from cosim.engine.qualify.check import blemish_lines
+            from cosim.engine.spec import find_source
+
+            for line in blemish_lines(find_source(str(folder / engine)).archive):
+                click.echo(f"hexjet: warning: {engine}: {line}", err=True)
+
+
 def load_scenario(
     name: str,
     controller: str | None,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import itertools
 import math
 from collections.abc import Mapping
@@ -20,6 +19,7 @@ from cosim.engine.container import (
     parse,
     read_bytes,
 )
+from cosim.engine.description import describe
 from cosim.engine.ports import (
     Port,
     PortError,
@@ -55,6 +55,7 @@ class Archive:
     token: str
     ports: Mapping[str, Port]
     port_notes: tuple[str, ...]  # what was assumed about the ports
+    blemishes: tuple[str, ...]  # of the description, that stepping does not depend on
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     parameters: tuple[Variable, ...]
@@ -126,7 +127,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
         more = "; export it with a solver inside, for co-simulation" if root.find("ModelExchange") is not None else ""
         raise UnusableError(f"has no co-simulation interface (it has: {', '.join(other) or 'none'}){more}")
     fmi = int(version[0])
-    description = _describe(data)
+    description, blemishes = describe(data)
     slave = description.coSimulation
     _need_library(names, fmi, slave.modelIdentifier)
     bases = _bases(description)
@@ -149,6 +150,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
         token=description.instantiationToken,
         ports=ports,
         port_notes=tuple(notes),
+        blemishes=blemishes,
         inputs=inputs,
         outputs=outputs,
         parameters=parameters,
@@ -163,19 +165,6 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
     )
 
 
-def _describe(data: bytes) -> Any:
-    """FMPy's object for the model description."""
-    from fmpy.model_description import ValidationError, read_model_description  # type: ignore[import-untyped]
-
-    try:
-        return read_model_description(io.BytesIO(data))
-    except ValidationError as error:
-        more = f" (and {len(error.problems) - 1} more)" if len(error.problems) > 1 else ""
-        raise UnusableError(f"modelDescription.xml is not valid: {one_line(error.problems[0])}{more}") from error
-    except Exception as error:  # FMPy raises bare exceptions, and stumbles in its own ways over strange descriptions
-        raise UnusableError(f"modelDescription.xml cannot be used: {one_line(error)}") from error
-
-
 def _need_library(names: list[str], fmi: int, identifier: str) -> None:
     import fmpy
 
@@ -184,7 +173,9 @@ def _need_library(names: list[str], fmi: int, identifier: str) -> None:
         return
     found = {PurePosixPath(name).parts[1] for name in names if name.startswith("binaries/") and name.count("/") > 1}
     has = ", ".join(sorted(found)) or "no binary at all"
-    raise UnusableError(f"has no binary for this machine, {needed} (it has: {has})")
+    sources = any(name.startswith("sources/") and not name.endswith("/") for name in names)
+    more = "; it has sources: hexjet fmu compile makes one of them" if sources else ""
+    raise UnusableError(f"has no binary for this machine, {needed} (it has: {has}){more}")
 
 
 def _bases(description: Any) -> dict[str, Unit]:

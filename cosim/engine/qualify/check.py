@@ -51,6 +51,7 @@ DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
 LIMITS = Limits()
 # A trial makes some 100,000 steps: an FMU that prints a line in each would fill a log with megabytes in every minute.
 MOST_PRINTED = 2**20  # bytes
+MOST_BLEMISHES = 10  # lines that are shown; a tool that makes one makes it in every variable
 
 PARTS = (
     "validate", "load", "start", "run", "repeat", "measure", "respond", "together", "reset", "restore", "serialize",
@@ -376,8 +377,16 @@ def _checksums(path: Path) -> list[str]:
     return [f"{damaged} fails its checksum"] if damaged else []
 
 
+def blemish_lines(archive: Archive) -> list[str]:
+    """What of an archive's description is not as FMI has it; stepping depends on none of it."""
+    told = archive.blemishes[:MOST_BLEMISHES]
+    lines = [f"blemish in its description, of no effect on stepping: {text}" for text in told]
+    rest = len(archive.blemishes) - len(told)
+    return [*lines, f"and {rest} more blemishes like these"] if rest else lines
+
+
 def _notes(archive: Archive) -> list[str]:
-    notes = list(archive.port_notes)
+    notes = [*blemish_lines(archive), *archive.port_notes]
     if not archive.saves_state:
         notes.append("cannot save its state")
     if archive.once_per_process:
