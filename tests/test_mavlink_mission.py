@@ -45,7 +45,7 @@ TO = (1, 1)
 SEA, RELATIVE, NOWHERE = 5, 6, 2  # MAV_FRAME_GLOBAL_INT, _GLOBAL_RELATIVE_ALT_INT, _MISSION
 NOT_GIVEN = 2**31 - 1
 ACCEPTED, ERROR, FRAME, UNSUPPORTED, NO_SPACE, INVALID = range(6)
-P1, P2, _P3, P4, P5, P6, P7, SEQUENCE, DENIED, CANCELLED = range(6, 16)
+P1, P2, P3, P4, P5, P6, P7, SEQUENCE, DENIED, CANCELLED = range(6, 16)
 
 
 def at(north: float, east: float, up: float, frame: int = RELATIVE, command: int = 16, **params: float) -> Item:
@@ -223,6 +223,36 @@ def test_a_mission_from_elsewhere_is_written_as_items_that_mean_the_same() -> No
         assert again.yaw == pytest.approx(item.yaw) if item.yaw is not None else again.yaw is None
 
 
+def test_loiter_items_are_flown_by_a_vehicle_that_hovers() -> None:
+    vehicle = Vehicle()
+    loiter = [
+        at(20.0, 0.0, 10.0, command=17, p4=90.0),
+        at(20.0, 0.0, 12.0, command=18, p1=2.0, p3=-8.0),  # to the left
+        at(5.0, 6.0, 14.0, command=31, p1=1.0, p2=30.0),
+        do(31, z=9.0, frame=RELATIVE),  # where it is
+    ]
+    assert upload(vehicle.station, loiter) == ACCEPTED
+    stay, circle, there, here = vehicle.items
+    assert [item.kind for item in vehicle.items] == [
+        *(ItemKind.STAY, ItemKind.CIRCLE),
+        *[ItemKind.ALTITUDE] * 2,
+    ]
+    assert stay.yaw == pytest.approx(radians(90.0))
+    assert (circle.turns, circle.radius, circle.clockwise) == (2.0, 8.0, False)
+    assert [item.altitude for item in vehicle.items] == [height + HOME for height in (10.0, 12.0, 14.0, 9.0)]
+    assert (there.north, there.east) == pytest.approx((5.0, 6.0), abs=0.012)
+    assert here.north is None
+    assert all(same(a, b) for a, b in zip(download(vehicle.station), loiter, strict=True))
+    # written anew, they mean the same
+    for item in vehicle.items:
+        again = to_flown(to_item(item, PLACE), PLACE, 99.0)
+        assert (again.kind, again.turns, again.radius, again.clockwise) == (
+            *(item.kind, item.turns, item.radius, item.clockwise),
+        )
+        assert again.altitude == pytest.approx(item.altitude, abs=1e-5)
+        assert (again.north is None) is (item.north is None)
+
+
 def test_an_empty_upload_and_clear_all_empty_the_mission() -> None:
     for last in (("MISSION_COUNT", *TO, 0, 0), ("MISSION_CLEAR_ALL", *TO, 0), ("MISSION_CLEAR_ALL", *TO, 255)):
         vehicle = Vehicle()
@@ -262,7 +292,13 @@ BAD = [
     (do(177, nan, 1.0), P1),
     (do(177, 0.0, -1.0), P2),  # for ever
     (do(177, 0.0, 1e9), P2),
-    (do(17), UNSUPPORTED),  # loiter without end
+    (do(17), FRAME),  # loiter without end, nowhere
+    (at(0, 0, 10, command=18, p1=0.0, p3=5.0), P1),  # no turns
+    (at(0, 0, 10, command=18, p1=1e6, p3=5.0), P1),
+    (at(0, 0, 10, command=18, p1=1.0, p3=0.0), P3),  # no radius
+    (at(0, 0, 10, command=18, p1=1.0, p3=nan), P3),
+    (at(0, 0, 10, command=18, p1=1.0, p3=1e6), P3),
+    (at(0, 0, 10, command=31)._replace(z=nan), P7),
     (do(211, 1.0, 1.0), UNSUPPORTED),  # open a gripper
     (do(65535), UNSUPPORTED),
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from math import atan2, hypot, pi, sqrt
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from test_pilot_flight import Flight
 
+from cosim.base.signals import State
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.fence import beyond, depth
 from cosim.control.autopilot.modes import LandedState, Mode
@@ -194,6 +196,60 @@ def test_an_orbit_is_flown(yaw: rq.OrbitYaw) -> None:
         wanted = {rq.OrbitYaw.CENTRE: bearing + pi, rq.OrbitYaw.TANGENT: bearing + 0.5 * pi, rq.OrbitYaw.AS_IT_IS: 0.0}
         assert abs(wrap(heading - wanted[yaw])) < 0.35
         assert flight.pilot.status.orbit is None
+
+
+def test_a_mission_circles_changes_its_height_and_stays() -> None:
+    """Loiter in turns, to an altitude here and elsewhere, and for good, after which only another item goes on."""
+    kinds = rq.ItemKind
+    items = (
+        rq.MissionItem(kinds.TAKEOFF, altitude=3.0),
+        rq.MissionItem(kinds.CIRCLE, 4.0, 0.0, 3.0, radius=4.0, clockwise=False, turns=1.0),
+        rq.MissionItem(kinds.ALTITUDE, altitude=5.0),
+        rq.MissionItem(kinds.ALTITUDE, 3.0, 3.0, 4.0),
+        rq.MissionItem(kinds.STAY, 0.0, 3.0, 4.0),
+        rq.MissionItem(kinds.LAND),
+    )
+    with Flight() as flight:
+        pilot, simulation = flight.pilot, flight.simulation
+        flight.fly(1.1)
+        flight.ok(rq.MissionUpload(items), rq.MissionStart(), rq.Arm())
+
+        def fly_to(item: int) -> list[State]:
+            begin = len(flight.samples)
+            flight.fly(60.0, lambda: pilot.mission.current == item)
+            return [sample.state for sample in flight.samples[begin:]]
+
+        fly_to(1)
+        round_it = fly_to(2)
+        bearings = np.unwrap([atan2(state.position[1], state.position[0] - 4.0) for state in round_it])
+        # it begins on the circle; the turn counts from where it is within a metre of it
+        assert bearings[-1] - bearings[0] == pytest.approx(-2.0 * pi, abs=0.8)
+        assert np.median([hypot(s.position[0] - 4.0, s.position[1]) for s in round_it]) == pytest.approx(4.0, abs=0.3)
+        climb = fly_to(3)
+        assert climb[-1].altitude == pytest.approx(5.0, abs=0.5)
+        assert flight.away(*climb[0].position[:2]) < 2.0  # it stops first, from what the circle allows
+        down = fly_to(4)
+        # first there, at the height that it had, then down
+        far = [s for s in down if hypot(s.position[0] - 3.0, s.position[1] - 3.0) > 2.0]
+        assert far
+        assert min(state.altitude for state in far) > 4.5
+        assert down[-1].altitude == pytest.approx(4.0, abs=0.5)
+        flight.fly(15.0)
+        assert pilot.mission.current == 4
+        assert pilot.mode is Mode.MISSION
+        assert flight.away(0.0, 3.0) < 0.5
+        flight.ok(rq.MissionSetCurrent(5))
+        flight.fly(40.0, lambda: pilot.landed is LandedState.ON_GROUND)
+        assert simulation.state.altitude < 0.5
+
+
+def test_a_circle_of_a_mission_that_leaves_the_fence_is_refused() -> None:
+    inside = rq.MissionItem(rq.ItemKind.CIRCLE, 0.0, 0.0, 5.0, radius=9.0)
+    with Flight() as flight:
+        flight.fly(1.1)
+        flight.ok(FenceUpload((SQUARE,)), rq.MissionUpload((inside,)))
+        answer = flight.ask(rq.MissionUpload((inside, replace(inside, north=5.0))))
+        assert "mission item 1 refused: 4 m outside" in answer.text
 
 
 def test_orbits_that_cannot_be_flown_are_refused() -> None:

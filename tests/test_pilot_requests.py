@@ -31,7 +31,7 @@ def maybe(strategy: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
 def items(draw: st.DrawFn) -> rq.MissionItem:
     """Any mission item that may be in a list of three."""
     kind = draw(st.sampled_from(list(rq.ItemKind)))
-    there = kind is rq.ItemKind.WAYPOINT or draw(st.booleans())
+    there = kind in (rq.ItemKind.WAYPOINT, rq.ItemKind.CIRCLE, rq.ItemKind.STAY) or draw(st.booleans())
     return rq.MissionItem(
         kind,
         draw(metres) if there else None,
@@ -43,6 +43,9 @@ def items(draw: st.DrawFn) -> rq.MissionItem:
         draw(number(0.1, 1e3)),
         draw(st.integers(0, 2)),
         draw(st.integers(0, 1000)),
+        draw(number(1, 1e4)),
+        draw(st.booleans()),
+        draw(number(0, 1e4)),
     )
 
 

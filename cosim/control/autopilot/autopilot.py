@@ -504,18 +504,37 @@ class Autopilot:
         ground = min(self._home_altitude(), self._ground)
         if altitude < ground + _LOWEST_M:
             return _no(Result.DENIED, f"orbit refused: at least {_LOWEST_M:g} m above the ground are needed")
-        for n in range(_ORBIT_CHECKED):
-            angle = 2.0 * pi * n / _ORBIT_CHECKED
-            place = (centre[0] + request.radius * cos(angle), centre[1] + request.radius * sin(angle))
-            if why := self._watch.outside(*place, altitude, self.home):
-                return _no(Result.DENIED, f"orbit refused: {why}")
+        if why := self._circle_outside(centre, request.radius, altitude):
+            return _no(Result.DENIED, f"orbit refused: {why}")
         self._enter(Mode.ORBIT, k)
-        self._orbit = request
-        self._new_place(centre, altitude, self._euler[2])
-        self._turned, self._bearing = 0.0, None
+        self._aim_round(request, centre, altitude)
         return _yes()
 
+    def _circle_outside(self, centre: Pair, radius: float, altitude: float) -> str:
+        """Where a circle leaves the fence, in words; empty: it does not."""
+        for n in range(_ORBIT_CHECKED):
+            angle = 2.0 * pi * n / _ORBIT_CHECKED
+            place = (centre[0] + radius * cos(angle), centre[1] + radius * sin(angle))
+            if why := self._watch.outside(*place, altitude, self.home):
+                return why
+        return ""
+
+    def _aim_round(self, orbit: Orbit, centre: Pair, altitude: float) -> None:
+        self._orbit = orbit
+        self._new_place(centre, altitude, self._euler[2])
+        self._turned, self._bearing = 0.0, None
+
     def _fly_orbit(self, k: int) -> Command:
+        command = self._fly_round()
+        if self._turned_enough():
+            self._say(k, Severity.INFO, "orbit complete")
+            self._enter(Mode.HOLD, k)
+        return command
+
+    def _turned_enough(self) -> bool:
+        return self._orbit is not None and 0.0 < 2.0 * pi * self._orbit.turns <= self._turned
+
+    def _fly_round(self) -> Command:
         """Round the centre; the turns count once it is on the circle."""
         assert self._orbit is not None
         assert self._place is not None
@@ -537,9 +556,6 @@ class Autopilot:
         if self._bearing is not None:
             self._turned += wrap(bearing - self._bearing) * (1.0 if orbit.clockwise else -1.0)
         self._bearing = bearing if abs(hypot(n, e) - orbit.radius) < max(1.0, 0.1 * orbit.radius) else None
-        if orbit.turns and self._turned >= 2.0 * pi * orbit.turns:
-            self._say(k, Severity.INFO, "orbit complete")
-            self._enter(Mode.HOLD, k)
         return command
 
     def _stop(self, request: Hold, k: int) -> Answer:
@@ -581,7 +597,11 @@ class Autopilot:
         for index, item in enumerate(request.items):
             if item.north is not None and item.east is not None:
                 height = item.altitude if item.altitude is not None else self._altitude()
-                why = self._watch.outside(item.north, item.east, height, self.home)
+                place = (item.north, item.east)
+                if item.kind is ItemKind.CIRCLE and item.radius is not None:
+                    why = self._circle_outside(place, item.radius, height)
+                else:
+                    why = self._watch.outside(*place, height, self.home)
                 if why:
                     return _no(Result.DENIED, f"mission item {index} refused: {why}")
         self.mission.load(request.items)
@@ -1012,6 +1032,16 @@ class Autopilot:
                 return self._descend(place)
         elif item.kind is ItemKind.RETURN:
             return self._fly_home()
+        elif item.kind is ItemKind.CIRCLE:
+            command = self._fly_round()
+            if self._turned_enough():
+                self.mission.advance()
+                self._begin_item(k)
+            return command
+        elif item.kind is ItemKind.ALTITUDE and self._phase == 0:
+            radius = self.parameters["HJ_ACC_RADIUS"]
+            if self._place is None or hypot(*_minus(self._place, self._fix.position)) <= radius:
+                self._phase, self._height = 1, item.altitude
         elif self._reached(item, k):
             self.mission.advance()
             self._begin_item(k)
@@ -1032,15 +1062,20 @@ class Autopilot:
         if item is None:
             return
         self._phase = 0
-        if item.kind is ItemKind.WAYPOINT and item.north is not None and item.east is not None:
-            self._new_place((item.north, item.east), item.altitude, item.yaw)
+        there = (item.north, item.east) if item.north is not None and item.east is not None else None
+        if item.kind in (ItemKind.WAYPOINT, ItemKind.STAY):
+            self._new_place(there, item.altitude, item.yaw)
+        elif item.kind is ItemKind.CIRCLE and there is not None and item.altitude is not None:
+            radius = item.radius or 1.0
+            self._aim_round(Orbit(radius, item.clockwise, turns=item.turns), there, item.altitude)
+        elif item.kind is ItemKind.ALTITUDE:
+            self._new_place(there, None, None)
         elif item.kind is ItemKind.TAKEOFF:
             height = item.altitude
             if height is not None and self._flying():
                 height = max(height, self._stop_height())
             self._new_place(None if self._flying() else self._fix.position, height, item.yaw)
         elif item.kind is ItemKind.LAND:
-            there = (item.north, item.east) if item.north is not None and item.east is not None else None
             self._new_place(there, self._height, item.yaw)
         elif item.kind is ItemKind.RETURN:
             self._new_place(None, None, None)
@@ -1048,6 +1083,8 @@ class Autopilot:
 
     def _reached(self, item: MissionItem, k: int) -> bool:
         """Is the item done?  Waiting begins when its place is reached."""
+        if item.kind is ItemKind.STAY:
+            return False
         if item.kind is not ItemKind.DELAY:
             off = 0.0 if item.altitude is None else self._altitude() - item.altitude
             if off < -_REACHED_M or (off > _REACHED_M and item.kind is not ItemKind.TAKEOFF):

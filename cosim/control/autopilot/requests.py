@@ -232,6 +232,9 @@ class ItemKind(Enum):
     SPEED = "speed"  # speed
     DELAY = "delay"  # hold_s
     JUMP = "jump"  # to item `target`, `repeat` times
+    CIRCLE = "circle"  # round north, east at altitude: radius, clockwise, turns
+    STAY = "stay"  # at north, east, altitude until something else is asked; yaw
+    ALTITUDE = "altitude"  # to north and east, if given, at the height that it has, and there to altitude
     LEFT_OUT = "left_out"  # of a payload that is not here: passed at once, so that the other items keep their numbers
 
 
@@ -240,6 +243,9 @@ _NEEDS = {
     ItemKind.TAKEOFF: ("altitude",),
     ItemKind.SPEED: ("speed",),
     ItemKind.JUMP: ("target",),
+    ItemKind.CIRCLE: ("north", "east", "altitude", "radius"),
+    ItemKind.STAY: ("north", "east", "altitude"),
+    ItemKind.ALTITUDE: ("altitude",),
 }
 
 
@@ -257,6 +263,9 @@ class MissionItem(_Checked):
     speed: Annotated[float, Bounds(0.1, 1e3)] | None = None
     target: Index | None = None
     repeat: Annotated[int, Bounds(0, 1000)] = 0
+    radius: Annotated[float, Bounds(1.0, 1e4)] | None = None
+    clockwise: bool = True
+    turns: Annotated[float, Bounds(0.0, 1e4)] = 1.0  # 0: without end
 
     def __post_init__(self) -> None:
         super().__post_init__()

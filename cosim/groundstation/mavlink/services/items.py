@@ -15,7 +15,7 @@ ACCEPTED, ERROR = wire.MAV_MISSION_ACCEPTED, wire.MAV_MISSION_ERROR
 WRONG_FRAME, UNSUPPORTED = wire.MAV_MISSION_UNSUPPORTED_FRAME, wire.MAV_MISSION_UNSUPPORTED
 NO_SPACE, INVALID = wire.MAV_MISSION_NO_SPACE, wire.MAV_MISSION_INVALID
 PARAM1, PARAM2 = wire.MAV_MISSION_INVALID_PARAM1, wire.MAV_MISSION_INVALID_PARAM2
-PARAM4 = wire.MAV_MISSION_INVALID_PARAM4
+PARAM3, PARAM4 = wire.MAV_MISSION_INVALID_PARAM3, wire.MAV_MISSION_INVALID_PARAM4
 PARAM5, PARAM6, PARAM7 = (
     wire.MAV_MISSION_INVALID_PARAM5_X,
     wire.MAV_MISSION_INVALID_PARAM6_Y,
@@ -25,6 +25,8 @@ SEQUENCE, DENIED = wire.MAV_MISSION_INVALID_SEQUENCE, wire.MAV_MISSION_DENIED
 CANCELLED = wire.MAV_MISSION_OPERATION_CANCELLED
 
 WAYPOINT, LOITER_TIME = wire.MAV_CMD_NAV_WAYPOINT, wire.MAV_CMD_NAV_LOITER_TIME
+LOITER, LOITER_TURNS = wire.MAV_CMD_NAV_LOITER_UNLIM, wire.MAV_CMD_NAV_LOITER_TURNS
+LOITER_ALTITUDE = wire.MAV_CMD_NAV_LOITER_TO_ALT
 RETURN, LAND, TAKEOFF = wire.MAV_CMD_NAV_RETURN_TO_LAUNCH, wire.MAV_CMD_NAV_LAND, wire.MAV_CMD_NAV_TAKEOFF
 DELAY, JUMP, SPEED = wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_DO_JUMP, wire.MAV_CMD_DO_CHANGE_SPEED
 
@@ -92,13 +94,13 @@ def to_flown(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
     try:
         if command in (WAYPOINT, LOITER_TIME):
             return _waypoint(item, geodesy, home_altitude)
+        if command in (LOITER, LOITER_TURNS, LOITER_ALTITUDE):
+            return _loiter(item, geodesy, home_altitude)
         if command == TAKEOFF:
             altitude = altitude_of(item, geodesy, home_altitude)
             return MissionItem(ItemKind.TAKEOFF, altitude=altitude, yaw=_yaw(p4))
         if command == LAND:
-            # no place, or 0, 0: where it is
-            somewhere = item.x not in (0, NOWHERE) or item.y not in (0, NOWHERE)
-            north, east = place_of(item, geodesy, 0.0) if somewhere else (None, None)
+            north, east = _place_or_here(item, geodesy, 0.0)
             return MissionItem(ItemKind.LAND, north, east, yaw=_yaw(p4))
         if command in LEFT_OUT:
             return MissionItem(ItemKind.LEFT_OUT)
@@ -135,6 +137,13 @@ def to_item(item: MissionItem, geodesy: Geodesy) -> Item:
         return Item(there, TAKEOFF, (0.0, 0.0, 0.0, yaw), NOWHERE, NOWHERE, z)
     if kind is ItemKind.LAND:
         return Item(there, LAND, (0.0, 0.0, 0.0, yaw), x, y, geodesy.ground)
+    if kind is ItemKind.STAY:
+        return Item(there, LOITER, (0.0, 0.0, 0.0, yaw), x, y, z)
+    if kind is ItemKind.CIRCLE:
+        radius = (item.radius or 0.0) * (1.0 if item.clockwise else -1.0)
+        return Item(there, LOITER_TURNS, (item.turns, 0.0, radius, 0.0), x, y, z)
+    if kind is ItemKind.ALTITUDE:
+        return Item(there, LOITER_ALTITUDE, (0.0, 0.0, 0.0, 0.0), x, y, z)
     if kind is ItemKind.SPEED:
         return Item(nowhere, SPEED, (1.0, item.speed or 0.0, -1.0, 0.0), 0, 0, 0.0)
     if kind in (ItemKind.DELAY, ItemKind.LEFT_OUT):  # what was left out is not known any more: a pause of no length
@@ -173,6 +182,36 @@ def _waypoint(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem
         _number(hold, PARAM1, "time to hold", 0.0, 0.0),
         _number(radius, PARAM2, "radius", 0.0, 0.0),
     )
+
+
+def _loiter(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
+    """A vehicle that hovers stays for good at one place, and changes its height there; it flies round in turns alone.
+
+    Radii of the others, and a heading before it goes on, are for vehicles with wings.
+    """
+    turns, _, radius, yaw = item.params
+    altitude = altitude_of(item, geodesy, home_altitude)
+    if item.command == LOITER_ALTITUDE:
+        north, east = _place_or_here(item, geodesy, altitude)
+        return MissionItem(ItemKind.ALTITUDE, north, east, altitude)
+    north, east = place_of(item, geodesy, altitude)
+    if item.command == LOITER:
+        return MissionItem(ItemKind.STAY, north, east, altitude, _yaw(yaw))
+    return MissionItem(
+        ItemKind.CIRCLE,
+        north,
+        east,
+        altitude,
+        radius=_number(abs(radius), PARAM3, "radius", 1.0),
+        clockwise=radius > 0.0,
+        turns=_number(turns, PARAM1, "number of turns", 0.01),
+    )
+
+
+def _place_or_here(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float] | tuple[None, None]:
+    """No place, or 0, 0, is where the vehicle is then."""
+    somewhere = item.x not in (0, NOWHERE) or item.y not in (0, NOWHERE)
+    return place_of(item, geodesy, altitude) if somewhere else (None, None)
 
 
 def place_of(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float]:
@@ -228,6 +267,8 @@ _FIELDS: dict[str, int] = {
     "speed": PARAM2,
     "target": PARAM1,
     "repeat": PARAM2,
+    "radius": PARAM3,
+    "turns": PARAM1,
     "yaw": PARAM4,
 }
 
