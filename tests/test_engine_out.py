@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from math import acos, degrees, radians
+from math import acos, cos, degrees, radians
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import test_failsafes as failsafes
 from command_tools import Hexjet
 
 from cosim.base.errors import InputError
@@ -38,6 +39,7 @@ from cosim.campaign.engine_out import (
     write_pages,
 )
 from cosim.control.altitude import GRAVITY
+from cosim.control.autopilot import requests as rq
 from cosim.design.controller_file import read_controller
 from cosim.engine import EngineBank, engine_names, load_engine
 from cosim.flight import fly
@@ -186,17 +188,40 @@ def test_a_vehicle_that_spins_leans_less_than_the_bound_with_tilts() -> None:
     assert 20.0 < lean < found.least_lean(5, tilting=True).lean_deg - 5.0
 
 
-@pytest.mark.parametrize(("aircraft", "lost"), [("hexjet-100", 2.75), ("hexjet-p220", 2.38)])
-def test_the_least_fall_is_what_the_failsafes_page_says(aircraft: str, lost: float) -> None:
+@pytest.mark.parametrize(
+    ("aircraft", "lost", "noticed", "touch", "jet", "leaning"),
+    [("hexjet-100", 2.75, 0.044, 1.10, 2, 27.0), ("hexjet-p220", 2.38, 0.116, 1.02, 1, 10.0)],
+)
+def test_the_least_fall_is_what_the_failsafes_page_says(
+    aircraft: str, lost: float, noticed: float, touch: float, jet: int, leaning: float
+) -> None:
     """Told at once, level, all four at full throttle; what is left of 3 m above the legs is next to nothing, or less."""
     vehicle, _ = load_vehicle(aircraft)
     with build(Scenario.load("hover").replace(aircraft=aircraft, engine=vehicle.engine, controller="baseline")) as one:
-        found = roller(one, 4.0).least_fall()
+        turning = roller(one, 4.0)
+    legs = max(each.position_m[2] for each in vehicle.contacts if each.kind == "leg")
+    found, late = turning.least_fall(), turning.least_fall(round(noticed / STEP_S), 3.0 - legs)
     assert found.lost_m == pytest.approx(lost, abs=0.01)
+    assert late.touch_m_s == pytest.approx(touch, abs=0.006)
+    assert late.lost_m > 3.0 - legs
+    # the flight: when it is noticed, and how it touches
+    with failsafes.Flight(aircraft) as flight:
+        flight.fly(5.0)
+        flight.ok(rq.InjectFault("flame_out", (jet,)))
+        begin = flight.simulation.k
+        flight.fly(1.0, lambda: flight.pilot.failsafe)
+        assert (flight.simulation.k - begin) * flight.simulation.dt == pytest.approx(noticed, abs=1e-9)
+        state = flight.simulation.state
+        while not state.on_ground:
+            before, state = state, flight.simulation.step() and flight.simulation.state
+        assert late.touch_m_s < before.velocity[2]
+        assert degrees(acos(cos(before.euler[0]) * cos(before.euler[1]))) == pytest.approx(leaning, abs=0.6)
     text = " ".join((Path(__file__).parents[1] / "docs" / "failsafes.md").read_text(encoding="utf-8").split())
     assert f"{lost:.2f} m on {aircraft}" in text
-    legs = max(each.position_m[2] for each in vehicle.contacts if each.kind == "leg")
     assert f"{aircraft} {'have ' if aircraft == 'hexjet-p220' else ''}{3.0 - legs:.2f} m" in text
+    assert f"after {noticed:.3f} s on {aircraft}" in text
+    assert f"touches with {1.02:.2f} m/s and the second with {1.10:.2f} m/s" in text
+    assert "leaning by 10 to 27 deg" in text
 
 
 def test_a_fall_under_engines_that_jump_is_the_closed_form() -> None:
@@ -207,8 +232,9 @@ def test_a_fall_under_engines_that_jump_is_the_closed_form() -> None:
     courses = SimpleNamespace(
         up=[0.0] * n + [3.0 * hover] * (count - n), out=[0.0] * count, shut=lambda at: [0.0] * count
     )
-    found = Roller(vehicle, courses, hover).least_fall()  # type: ignore[arg-type]
+    found = Roller(vehicle, courses, hover).least_fall(height=0.08)  # type: ignore[arg-type]
     sink = GRAVITY * n * STEP_S
+    assert found.touch_m_s == pytest.approx((2.0 * GRAVITY * (2.0 * sink**2 / 2.0 / GRAVITY - 0.08)) ** 0.5, rel=0.05)
     assert found.sink_m_s == pytest.approx(sink, rel=1e-9)
     assert found.lost_m == pytest.approx(sink**2 / (2.0 * GRAVITY) * 2.0, rel=0.01)
 

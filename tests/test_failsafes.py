@@ -230,6 +230,22 @@ def test_disarming_is_obeyed_while_it_spools_up_and_it_starts_again(aircraft: st
         assert flight.simulation.state.altitude > 2.5
 
 
+def test_what_is_left_of_a_jet_ten_seconds_later_is_its_rotor_running_down() -> None:
+    """thrust_left (1 + t / run_down)^-exponent of what it gave: the page's figure, and the flight's."""
+    with Flight("hexjet-p220", initial={"on_ground": True}) as flight:
+        law = flight.simulation.engine.flame_out
+        assert law is not None
+        left = law.left * (1.0 + table.LATER_S / law.run_down) ** -law.exponent
+        assert f"{100.0 * left:.3f} % of" in (DOCS / "failsafes.md").read_text(encoding="utf-8")
+        flight.fly(1.1)
+        flight.ok(rq.Arm())
+        idle = flight.fly(2.0)
+        assert idle > 50.0
+        flight.ok(rq.Disarm())
+        # a step may lie between the request and the fire
+        assert flight.fly(table.LATER_S) == pytest.approx(left * idle, rel=0.005)
+
+
 @pytest.mark.parametrize("lost", [False, True])
 def test_neither_hold_nor_disarm_takes_off_from_where_it_has_landed(lost: bool) -> None:
     """HOLD, which a pause is, while the legs touch and the thrust is still there: it flew up a metre."""

@@ -115,3 +115,11 @@ def test_vehicles_that_mix_jets_are_refused() -> None:
     spinning_alike = [jet.model_copy(update={"reaction_m": 0.01}) for jet in VEHICLE.jets]
     with pytest.raises(InputError, match="give no yaw moment both ways"):
         RotorAllocator(spinning_alike, LIMITS, 0.3)
+
+
+def test_two_opposite_rotors_carry_what_the_pages_say() -> None:
+    with build(scenario()) as simulation:
+        share = 2.0 * simulation.engine.curve.thrust[-1] / (VEHICLE.mass_kg * 9.80665)
+    docs = Path(__file__).parents[1] / "docs"
+    assert f"can carry {share:.2f} times its weight" in (docs / "faults.md").read_text(encoding="utf-8")
+    assert f"{share:.2f} times the weight on two rotors" in (docs / "failsafes.md").read_text(encoding="utf-8")

@@ -10,7 +10,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from math import cos, degrees, exp, hypot, isfinite, nan
+from math import cos, degrees, exp, hypot, inf, isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -65,10 +65,12 @@ class Bound:
 
 @dataclass(frozen=True)
 class Fall:
-    """The least height that was to be lost [m], and the fastest sinking on the way [m/s]."""
+    """The least height that was to be lost [m], the fastest sinking on the way, and that with which a given height [m]
+    was fallen, 0 where it was not [m/s]."""
 
     lost_m: float
     sink_m_s: float
+    touch_m_s: float
 
 
 @dataclass(frozen=True)
@@ -240,23 +242,27 @@ class Roller:
                 break
         return Bound(float("inf"), (k + 1) * STEP_S)
 
-    def least_fall(self) -> Fall:
+    def least_fall(self, after: int = 0, height: float = inf) -> Fall:
         """What no throttles avoid of a fall with one jet out and another, the opposite one, shut off with it.
 
-        ``m v' = m g - sum T_i`` with the four others at full throttle from that instant on, and nothing of their thrust
-        lost to lean or to holding the attitude.  Raises ValueError where the fall does not end within the courses.
+        ``m v' = m g - sum T_i`` with the four others at full throttle from that instant on, or from step ``after``,
+        before which no throttle moves, and nothing of their thrust lost to lean or to holding the attitude.  ``height``
+        [m]: below the legs.  Raises ValueError where the fall does not end within the courses.
         """
         courses = self.courses
-        falling = courses.shut(0)
-        sink = height = fastest = 0.0
+        up = [self.hover] * after + courses.up
+        falling = [self.hover] * after + courses.shut(0)
+        sink = lost = fastest = touch = 0.0
         for k in range(len(courses.up)):
-            thrust = courses.out[k] + falling[k] + (len(self.vehicle.jets) - 2) * courses.up[k]
+            thrust = courses.out[k] + falling[k] + (len(self.vehicle.jets) - 2) * up[k]
             before = sink
             sink += STEP_S * (GRAVITY - thrust / self.vehicle.mass_kg)
             if sink < 0.0:
-                return Fall(height, fastest)
-            height += 0.5 * STEP_S * (before + sink)
+                return Fall(lost, fastest, touch)
+            above = lost < height
+            lost += 0.5 * STEP_S * (before + sink)
             fastest = max(fastest, sink)
+            touch = sink if above and lost >= height else touch
         raise ValueError("the engines were not followed for long enough to stop the fall")
 
 
