@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from math import atan2, cos, degrees, hypot, pi, radians, sin
+from math import atan2, cos, degrees, hypot, inf, pi, radians, sin
 from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
@@ -60,6 +60,7 @@ from cosim.control.autopilot.parameters import (
     PredictorMaker,
     table,
 )
+from cosim.control.autopilot.reckoning import Reckoning
 from cosim.control.autopilot.requests import (
     Answer,
     Arm,
@@ -217,7 +218,7 @@ class Autopilot:
         self._live = Live(self.parameters, vehicle.control, blocks, step)
         gnss = vehicle.sensors.gnss
         noisy = noisy and max(gnss.position_noise_m, gnss.velocity_noise_m_s) > 0.0
-        self._estimator = Estimator(gains, gnss, step, noisy)
+        self._estimator = Estimator(gains, gnss, step, noisy, Reckoning(vehicle.sensors, step))
         self._settled = round(_SETTLED_EPOCHS_S / step)
         self._margins = thrust_margins(hover, idle, self._limits.throttle_min, self._limits.throttle_max)
         self._heights = self._height_limits()
@@ -735,7 +736,9 @@ class Autopilot:
         grounded = self.landed is LandedState.ON_GROUND or (
             self.landed is LandedState.TAKING_OFF and not self._touchdown.off
         )
-        self._fix = self._estimator.update(k, measured, grounded)
+        inertial = self._senses.inertial
+        lean = 0.0 if inertial.has_attitude else inertial.deviation
+        self._fix = self._estimator.update(k, measured, grounded, lean)
         if self.home is None and k >= self._settled and not flying:
             self._home_here()
         elif self.home is None and flying:
@@ -982,9 +985,21 @@ class Autopilot:
         """Down where it is, or at ``place``."""
         self.landed = LandedState.LANDING
         self._descending = True
-        rate = self.parameters["HJ_DESC_AUTO"]
         lean = self._guide.towards(place, self._speed()) if place else self._guide.at_velocity((0.0, 0.0))
+        rate = min(self.parameters["HJ_DESC_AUTO"], self._sink_while_braking())
         return self._guide.command(lean, self._guide.at_climb(-rate), self._guide.to_yaw(self._heading))
+
+    def _sink_while_braking(self) -> float:
+        """The most rate of descent [m/s] with which it does not touch before it has come to rest sideways.
+
+        The set-point brakes for ``v / a + a / j``, and the vehicle follows it with ``1 / K_v``, twice that to be slow.
+        """
+        track, p = self._guide.track, self.parameters
+        speed = 0.0 if track is None else hypot(*track.velocity)
+        if speed < _SLOW:
+            return inf
+        left = speed / p["HJ_ACC_HOR"] + p["HJ_ACC_HOR"] / p["HJ_JERK_HOR"] + 2.0 / max(p["HJ_VEL_P"], 0.1)
+        return max(0.0, self._altitude() - max(self._home_altitude(), self._ground)) / left
 
     def _fly_home(self) -> Command:
         """RTL: up, home, down."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from cosim.base.signals import Measured, Quaternion, Vector3
 from cosim.control.altitude import GRAVITY
+from cosim.control.autopilot.reckoning import Reckoning
 from cosim.control.bumpless import Fade
 from cosim.spec.vehicle import PositionGains, PositionSensor
 
@@ -45,11 +46,22 @@ class Estimator:
     step in which it was taken and its correction carried forward to now, so its latency costs no accuracy and no phase
     margin.  The gains are those of the sensors' stated noise and of ``acceleration_noise`` and ``disturbance_walk``,
     computed once; both axes share them.  ``noisy``: the receiver never says the same twice, standing or not.
+
+    ``reckoning``: what stands in for the receiver where it has nothing new.  Without it the last ``b`` stays, with the
+    drag of the speed at which it was learnt in it, and the velocity is soon another one than is thought.
     """
 
-    def __init__(self, gains: PositionGains, sensor: PositionSensor, step: float, noisy: bool = False) -> None:
+    def __init__(
+        self,
+        gains: PositionGains,
+        sensor: PositionSensor,
+        step: float,
+        noisy: bool = False,
+        reckoning: Reckoning | None = None,
+    ) -> None:
         self._step = step
         self._noisy = noisy
+        self._reckoning = reckoning
         self._period, self._latency = sensor.period_samples, sensor.latency_samples
         self._gains = kalman_gains(gains, sensor, step)
         self.reset((0.0, 0.0))
@@ -64,6 +76,8 @@ class Estimator:
         self._b = [0.0, 0.0]
         entry = (*position, 0.0, 0.0)
         self._past: deque[tuple[float, float, float, float]] = deque([entry] * (self._latency + 1))
+        if self._reckoning is not None:
+            self._reckoning.reset(position)
 
     @property
     def fix(self) -> Fix:
@@ -71,11 +85,16 @@ class Estimator:
         p, v, b = self._p, self._v, self._b
         return Fix((p[0], p[1]), (v[0], v[1]), (b[0], b[1]))
 
-    def update(self, k: int, measured: Measured, still: bool) -> Fix:
-        """The estimate at ``t_k``; ``still``: the vehicle stands, so it has no velocity and nothing pushes it."""
-        dt = self._step
+    def update(self, k: int, measured: Measured, still: bool, lean_deviation: float = 0.0) -> Fix:
+        """The estimate at ``t_k``; ``still``: the vehicle stands, so it has no velocity and nothing pushes it.
+
+        ``lean_deviation``: of the attitude beyond its sensor's noise, rad.
+        """
+        dt, reckoning = self._step, self._reckoning
         p, v, b = self._p, self._v, self._b
         lean = lean_acceleration(measured.attitude)
+        if reckoning is not None:
+            reckoning.carry(measured, (lean[0] + b[0], lean[1] + b[1]))
         for axis in (0, 1):
             a = lean[axis] + b[axis]
             p[axis] += dt * (v[axis] + 0.5 * dt * a)
@@ -86,16 +105,21 @@ class Estimator:
         past.append((p[0], p[1], v[0], v[1]))
         past.popleft()
         if k > self._latency and (k - self._latency) % self._period == 0:
-            # a receiver that has nothing new repeats itself to the last bit; then the lean alone carries on
+            # a receiver that has nothing new repeats itself to the last bit
             fix = (*measured.position, *measured.velocity[:2])
             fresh = fix != self._last or (still and not self._noisy)
             self.silent = 0.0 if fresh else self.silent + self._period * dt
-            if fresh:
-                self._correct(measured, still)
             self._last = fix
+            if reckoning is not None:
+                reckoning.epoch(measured if fresh else None, still, lean_deviation)
+            if fresh:
+                self._correct((*measured.position[:2], *measured.velocity[:2]), still)
+            elif reckoning is not None:
+                self._correct(reckoning.then, still)
         return self.fix
 
-    def _correct(self, measured: Measured, still: bool) -> None:
+    def _correct(self, fix: tuple[float, float, float, float], still: bool) -> None:
+        """Take a place and a velocity, m and m/s, of ``latency`` samples ago."""
         gains = self._gains
         gain = gains[self._epoch] if self._epoch < len(gains) else gains[-1]
         self._epoch += 1
@@ -104,8 +128,8 @@ class Estimator:
         late = self._latency * self._step
         shifts = []
         for axis in (0, 1):
-            off_p = measured.position[axis] - then[axis]
-            off_v = measured.velocity[axis] - then[2 + axis]
+            off_p = fix[axis] - then[axis]
+            off_v = fix[2 + axis] - then[2 + axis]
             dp = gain[0][0] * off_p + gain[0][1] * off_v
             dv = gain[1][0] * off_p + gain[1][1] * off_v
             db = gain[2][0] * off_p + gain[2][1] * off_v
