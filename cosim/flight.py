@@ -9,9 +9,9 @@ from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
 
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.protocols import Observer
-from cosim.base.toml import nearest, read_toml
+from cosim.base.toml import read_toml
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec, engine_names
 from cosim.results.autopilot_record import PilotRecord

@@ -17,6 +17,7 @@ from state_space import Body, Engine, Loop, first_order, realised
 
 from cosim.base.errors import InputError
 from cosim.cli.main import main
+from cosim.control.predictors.linear import model_response, observer_response
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.state import ModalPredictor
 from cosim.design import design as make
@@ -34,12 +35,10 @@ from cosim.design.design import (
 from cosim.design.dynamics import lags
 from cosim.design.frequency import (
     grid,
-    model_response,
-    observer_response,
-    predictor_response,
+    impulse_response,
 )
 from cosim.design.tune import Requirements
-from cosim.design.tuning import CANDIDATES, Tuning
+from cosim.design.tuning import Tuning, candidates
 from cosim.engine import EngineBank, load_engine
 from cosim.simulation.delay_ledger import delay_ledger, total_samples
 from cosim.spec.scenario import Scenario
@@ -98,7 +97,7 @@ def test_an_observers_closed_form_is_what_the_predictor_that_flies_does(each: Ra
     """The transform of the flying block's impulse response; equal poles are moved apart by 1e-5, and show it."""
     name = "state-disturbance" if disturbance else "state-model"
     z = grid(0.004, 300)
-    flown = predictor_response(name, each, TUNING)(z)
+    flown = impulse_response(lambda: PREDICTORS[name].predictor(each, TUNING), each)(z)
     bandwidth = TUNING.disturbance_observer_rad_s if disturbance else TUNING.model_observer_rad_s
     closed = observer_response(each, bandwidth, disturbance)(z)
     for one, other in zip(flown, closed, strict=True):
@@ -112,7 +111,7 @@ def test_a_modal_predictor_is_the_two_pole_predictor_where_there_are_two_poles(d
     bandwidth = TUNING.disturbance_observer_rad_s if disturbance else TUNING.model_observer_rad_s
     rng = np.random.default_rng(1)
     for each in MODELS[:2]:
-        one, other = PREDICTORS[name](each, TUNING), ModalPredictor(each, bandwidth, disturbance)
+        one, other = PREDICTORS[name].predictor(each, TUNING), ModalPredictor(each, bandwidth, disturbance)
         for y, u in rng.standard_normal((200, 2)):
             assert one.update(y, u) == pytest.approx(other.update(y, u), rel=1e-8, abs=1e-8)
 
@@ -182,7 +181,7 @@ def test_the_channel_is_what_a_sweep_in_flight_finds(axis: str, least: float) ->
 # ---- the loop
 
 
-@pytest.mark.parametrize("controller", CANDIDATES)
+@pytest.mark.parametrize("controller", candidates())
 def test_the_loop_agrees_with_state_space(controller: str) -> None:
     """Sensitivity of the closed loop at 500 frequencies, from two realisations that share nothing; and its poles."""
     _, _, _, found = parts("edf-as-flown")
@@ -267,7 +266,9 @@ def stepped(roll: Channel, chosen: Tuning, set_point: float, load: float, durati
     """The roll angle [rad] of the flying blocks stepped in time on the engine edf, with steps of both at the start."""
     from cosim.control.rate import RateAxis
 
-    rate_axis = RateAxis(chosen.gains, PREDICTORS[chosen.controller](chosen.model, chosen.predictor), roll.step)
+    rate_axis = RateAxis(
+        chosen.gains, PREDICTORS[chosen.controller].predictor(chosen.model, chosen.predictor), roll.step
+    )
     thrust = old = rate = gyro = angle = earlier = 0.0
     pole, step, m = 0.8748, roll.step, roll.substeps
     course = []
@@ -287,7 +288,7 @@ def stepped(roll: Channel, chosen: Tuning, set_point: float, load: float, durati
     return np.array(course)
 
 
-@pytest.mark.parametrize("controller", CANDIDATES)
+@pytest.mark.parametrize("controller", candidates())
 def test_the_time_response_is_the_blocks_response(controller: str) -> None:
     """Angle after steps of set-point and load, in state space, against the flying blocks stepped in time."""
     roll = parts("edf")[3]["roll"]
@@ -301,7 +302,7 @@ def test_the_time_response_is_the_blocks_response(controller: str) -> None:
 
 
 @pytest.mark.parametrize("delay", [25.0, 25.4])
-@pytest.mark.parametrize("controller", CANDIDATES)
+@pytest.mark.parametrize("controller", candidates())
 def test_the_time_response_is_that_of_a_second_realisation(controller: str, delay: float) -> None:
     """A whole response identified, also with a delay that is not whole: its step by blocks that fly it."""
     from cosim.control.predictors.smith import DelayedModel
@@ -310,7 +311,7 @@ def test_the_time_response_is_that_of_a_second_realisation(controller: str, dela
     believed = model([0.9999, 0.9024], [-1.4538], delay)
     roll = replace(parts("edf-as-flown")[3]["roll"], identified=believed, added_delay=0)
     chosen = replace(tuning(controller, roll, k=1.5, p=0.01), model=believed)
-    blocks = RateAxis(chosen.gains, PREDICTORS[controller](believed, chosen.predictor), roll.step)
+    blocks = RateAxis(chosen.gains, PREDICTORS[controller].predictor(believed, chosen.predictor), roll.step)
     for set_point, load in ((1.0, 0.0), (0.0, 0.01)):
         plant, rate, angle, course = DelayedModel(believed), 0.0, 0.0, []
         blocks.reset()

@@ -53,7 +53,7 @@ from cosim.paper.linear import (
     Axis,
     Plant,
     doublet,
-    make_predictor,
+    predictor,
     simulate,
 )
 from cosim.paper.loops import (
@@ -166,7 +166,7 @@ def test_the_linear_loop_is_its_difference_equation(p: float, delay: int, extra:
 def test_an_unknown_controller_is_named_with_the_allowed_ones() -> None:
     loop = quadrotor_axis(FOUND, "baseline", 5)
     with pytest.raises(InputError, match=r"unknown controller 'pid'; allowed: baseline, smith.*state-as-printed"):
-        make_predictor("pid", loop.model, loop.tuning)
+        predictor("pid").predictor(loop.model, loop.tuning)
 
 
 def test_noise_is_the_same_on_every_run_and_another_with_another_seed() -> None:

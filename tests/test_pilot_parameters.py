@@ -15,13 +15,13 @@ from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.autopilot.navigation import PositionController, Tracker
 from cosim.control.autopilot.parameters import (
-    CONTROLLERS,
     Blocks,
     Live,
     Parameters,
     rate_gains,
     table,
 )
+from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.smith import NoPredictor, SmithPredictor
 from cosim.control.rate import RateAxis, RateController
 from cosim.spec.vehicle import (
@@ -69,7 +69,7 @@ def test_defaults_are_the_vehicles_own() -> None:
     values = parameters().values
     assert rate_gains(CONTROL, values) == [CONTROL.rate.roll, CONTROL.rate.pitch, CONTROL.rate.yaw]
     assert values["HJ_ATT_ROLL"] == CONTROL.attitude.gain_1_s[0]
-    assert CONTROLLERS[int(values["HJ_PRED_TYPE"])] == "smith"
+    assert values["HJ_PRED_TYPE"] == PREDICTORS["smith"].value
     assert not parameters().changed()
 
 
@@ -297,7 +297,7 @@ def test_a_parameter_reaches_its_block() -> None:
     tilt = 1.0 - 2.0 * (here.attitude[1] ** 2 + here.attitude[2] ** 2)
     wanted = VEHICLE.mass_kg * (9.80665 + CONTROL.altitude.velocity_1_s * 0.1 * 2.0) / tilt / 120.0
     assert collective == pytest.approx(wanted, rel=1e-6)
-    act.set("HJ_PRED_TYPE", CONTROLLERS.index("filtered-smith"))
+    act.set("HJ_PRED_TYPE", PREDICTORS["filtered-smith"].value)
     act.set("HJ_PRED_DELAY", 30.5)
     act.set("HJ_PRED_FILT", 0.4)
     assert [(name, delay) for name, delay, _ in made] == [
@@ -314,8 +314,8 @@ def test_a_parameter_reaches_its_block() -> None:
 def test_what_a_block_refuses_is_not_stored() -> None:
     act, table_, _, made = live()
     with pytest.raises(InputError, match="not this one"):
-        act.set("HJ_PRED_TYPE", CONTROLLERS.index("state"))
-    assert table_["HJ_PRED_TYPE"] == CONTROLLERS.index("smith")
+        act.set("HJ_PRED_TYPE", PREDICTORS["state"].value)
+    assert table_["HJ_PRED_TYPE"] == PREDICTORS["smith"].value
     assert not made
 
 

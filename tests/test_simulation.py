@@ -17,7 +17,6 @@ from cosim.base.signals import (
     Sample,
     Unallocated,
 )
-from cosim.control.predictors.registry import PREDICTORS
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.simulation.build import build
@@ -418,9 +417,3 @@ def test_a_controller_without_a_model_of_the_engine_says_which_there_are() -> No
     ):
         predictors(flown, vehicle, engine)
     assert len(predictors(flown.replace(controller="baseline"), vehicle, engine)) == 3
-
-
-def test_every_controller_is_described() -> None:
-    from cosim.control.predictors.registry import TITLES
-
-    assert set(TITLES) == set(PREDICTORS)

@@ -1,8 +1,10 @@
-"""The three ways in which something can go wrong, and whose business each is."""
+"""The three ways in which something can go wrong, and whose business each is; and how a line says what is allowed."""
 
 from __future__ import annotations
 
+import difflib
 import errno
+from collections.abc import Iterable
 
 # Of a failed system call: the machine has no more to give, and nobody's input is wrong.
 MACHINE_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
@@ -18,3 +20,11 @@ class FlightError(RuntimeError):
 
 class EngineError(FlightError):
     """An engine returned an error or a value that is not finite; the message names engine, step and time."""
+
+
+def nearest(name: str, allowed: Iterable[str]) -> str:
+    """A clause that lists what is allowed, with the likeliest name first when there is a near miss."""
+    names = sorted(allowed)
+    close = difflib.get_close_matches(name, names, n=1)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{hint}allowed: {', '.join(names)}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import tomllib
 from collections.abc import Iterable, Mapping
 from functools import cache
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cosim.base.cache import Memory
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -89,14 +88,6 @@ def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:
         return model.model_validate(data)
     except ValidationError as error:
         raise InputError(f"{where}: {_first_complaint(model, error)}") from error
-
-
-def nearest(name: str, allowed: Iterable[str]) -> str:
-    """A clause that lists what is allowed, with the likeliest name first when there is a near miss."""
-    names = sorted(allowed)
-    close = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{hint}allowed: {', '.join(names)}"
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

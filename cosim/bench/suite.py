@@ -10,8 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from cosim.base.errors import FlightError, InputError
-from cosim.base.toml import nearest
+from cosim.base.errors import FlightError, InputError, nearest
 from cosim.bench.machine import (
     Machine,
     compilers,

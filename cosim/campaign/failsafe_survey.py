@@ -27,6 +27,7 @@ from cosim.control.autopilot.requests import (
     SetParameter,
     Sticks,
 )
+from cosim.control.predictors.registry import BASELINE, SMITH
 from cosim.results.report import marks
 from cosim.results.request_log import Entry
 from cosim.spec.scenario import Scenario
@@ -225,7 +226,8 @@ def _plan(
         if not 0.0 <= wind <= 50.0:
             raise InputError(f"wind {wind:g} m/s: must be from 0 to 50 m/s")
     if controller is None:
-        controller = "smith" if "smith" in controllers_for(aircraft, engine, step) else "baseline"
+        modelled = SMITH.name in controllers_for(aircraft, engine, step)
+        controller = SMITH.name if modelled else BASELINE.name
     flights = [
         (case, height, wind, scenario_of(aircraft, engine, controller, step, height, wind))
         for case in chosen

@@ -22,6 +22,7 @@ from cosim.base.files import write_records
 from cosim.base.signals import AXES
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.altitude import GRAVITY
+from cosim.control.predictors.registry import PREDICTORS
 from cosim.results.metrics import wrap
 from cosim.results.report.marks import table, write_marks
 from cosim.results.report.page import render
@@ -36,7 +37,6 @@ R = TypeVar("R")
 Verdict = Literal["held", "airborne", "lost"]
 Say = Callable[[str, int, int], None]
 
-CONTROLLERS = ("baseline", "smith", "filtered-smith", "state-disturbance")
 STARTS = ("hover", "roll")
 TEMPLATE = Path(__file__).parent / "templates" / "survival.html"
 ROLL_DEG = 10.0
@@ -152,12 +152,13 @@ def cases(vehicle: Vehicle) -> list[Case]:
 
 
 def controllers_for(aircraft: str, engine: str, step: float) -> list[str]:
-    """Of the four compared, those that the vehicle has an identified model for with this engine."""
+    """Of those that are compared, the ones whose model the vehicle has with this engine."""
     from cosim.engine import load_engine
 
     vehicle, _ = load_vehicle(aircraft)
     family = load_engine(engine, {}, step).family
-    return [name for name in CONTROLLERS if name == "baseline" or vehicle.identified.get(family)]
+    modelled = bool(vehicle.identified.get(family))
+    return [name for name, spec in PREDICTORS.items() if spec.compared and (modelled or not spec.needs_model)]
 
 
 def survival(
@@ -430,7 +431,7 @@ def _cell_text(cell: Cell) -> str:
 
 def _predicting(controllers: Sequence[str], cells: Sequence[Cell]) -> Sequence[Cell]:
     """The cells of the controllers that predict; all where none does."""
-    return [cell for name, cell in zip(controllers, cells, strict=True) if name != "baseline"] or cells
+    return [cell for name, cell in zip(controllers, cells, strict=True) if PREDICTORS[name].needs_model] or cells
 
 
 def _times(cells: Sequence[Cell]) -> str:

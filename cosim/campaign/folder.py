@@ -17,6 +17,7 @@ from cosim.base.toml import read_toml
 from cosim.campaign.study.distributions import Vary
 from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.study import Study, is_path
+from cosim.control.predictors.registry import BASELINE
 from cosim.engine import EngineSpec, load_engine
 from cosim.flight import engine_files, resolve
 from cosim.simulation.build import build
@@ -65,7 +66,7 @@ def freeze(study: Study) -> Frozen:
     base = study.base()
     for controller in study.flown_with:
         build(with_values(base, {"controller": controller})).close()
-    with build(with_values(base, {"controller": "baseline"})) as simulation:
+    with build(with_values(base, {"controller": BASELINE.name})) as simulation:
         resolved, sources = resolve(simulation)
         scenario = _scenario(study, resolved, simulation, sources)
     renamed = study.resolved(Path(SCENARIO)).changed(

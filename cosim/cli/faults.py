@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 @click.option("--aircraft", default="hexjet", show_default=True, help="See: hexjet list aircraft.")
 @click.option("--engine", metavar="NAME|FILE", help="See: hexjet list engines.  [default: the aircraft's own]")
 @click.option(
-    "controllers", "--controller", metavar="NAME", multiple=True, help="[default: four, where they have a model]"
+    "controllers",
+    "--controller",
+    metavar="NAME",
+    multiple=True,
+    help="[default: those with a model]",
 )
 @click.option("kinds", "--kind", metavar="NAME", multiple=True, help="Only faults that begin so.  [default: all]")
 @click.option("--limits", is_flag=True, help="Also: how much thrust may be lost, and how late it may be noticed.")

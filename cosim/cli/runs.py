@@ -101,9 +101,9 @@ def catalogue(kind: str) -> list[dict[str, Any]]:
     if kind in ("scenarios", "studies"):
         return [_entry(name, read_toml(data_folder(kind) / f"{name}.toml")) for name in files_in(kind)]
     if kind == "controllers":
-        from cosim.control.predictors.registry import TITLES
+        from cosim.control.predictors.registry import PREDICTORS
 
-        return [{"name": name, "title": title} for name, title in TITLES.items()]
+        return [{"name": spec.name, "title": spec.title} for spec in PREDICTORS.values()]
     marker = {"aircraft": "vehicle.toml", "engines": "engine.toml"}[kind]
     return [_entry(name, read_toml(data_folder(kind) / name / marker)) for name in names_in(kind, marker)]
 

@@ -18,9 +18,10 @@ from math import exp, expm1, inf, log
 
 import numpy as np
 
+from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
+from cosim.control.predictors.linear import delayed_response
 from cosim.design.dynamics import Dynamics, lags
-from cosim.design.frequency import Array, Complex, delayed_response
 from cosim.engine import EngineSpec
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (

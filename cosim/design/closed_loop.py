@@ -12,16 +12,16 @@ A lead behind the PID multiplies ``C_e`` and ``D``; the predictor reads the comm
 from __future__ import annotations
 
 from functools import cached_property
-from math import ceil, inf, nan, pi
+from math import ceil, inf, log2, nan, pi
 
 import numpy as np
 
+from cosim.base.arrays import Array, Complex
 from cosim.control.lead import lead_polynomials
+from cosim.control.predictors.linear import Pair
+from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.channel import Channel, angles
 from cosim.design.frequency import (
-    Array,
-    Complex,
-    Pair,
     pid_response,
     zeros_outside,
 )
@@ -30,17 +30,18 @@ from cosim.design.tuning import Tuning
 
 LEFT = 1e-3  # of the largest response to a load: less at almost no frequency is nothing
 WINDOW = 50.0  # times the channel's delay at low frequency, over which responses in time are looked at
+FADED = 1e-10  # what a response in time is wrong by, as a part of what comes a period later; rounding is as small
 BAND = 0.05  # of a step, for the settling time, as in the metrics of a flight
 
 
 class Points:
     """Points of the unit circle with a channel's response there, close together where a loop turns."""
 
-    def __init__(self, channel: Channel, close: int = 600) -> None:
+    def __init__(self, channel: Channel, close: int = 600, z: Complex | None = None) -> None:
         self.channel = channel
         lowest = min(1e-3 * channel.step / channel.slowness_s, 1e-3)
         closely = np.union1d(np.geomspace(lowest, pi, close - close // 4), np.linspace(pi / close, pi, close // 4))
-        self.z: Complex = np.exp(1j * closely)
+        self.z: Complex = np.exp(1j * closely) if z is None else z
         self.theta: Array = angles(self.z)
         self.rate, self.measured_angle, self.angle = channel.responses(self.z)
         self.measuring = channel.measuring(self.z) if channel.identified is None else np.ones_like(self.z)
@@ -111,7 +112,15 @@ class Closed:
     def steps(self) -> Steps:
         """Unit steps of set-point and load over :data:`WINDOW` times the channel's delay, exactly."""
         channel = self.points.channel
-        return self.space.steps(ceil(WINDOW * channel.slowness_s / channel.step))
+        samples = ceil(WINDOW * channel.slowness_s / channel.step)
+        if PREDICTORS[self.tuning.controller].space is None:
+            return steps_by_response(channel, self.tuning, samples)
+        return self.space.steps(samples)
+
+    @property
+    def command_response(self) -> Complex:
+        """Set-point to command."""
+        return np.asarray(self._error * self.tuning.angle_gain / self.characteristic)
 
     @property
     def overshoot(self) -> float:
@@ -142,11 +151,12 @@ class Closed:
 
         A state predictor whose observer knows of no disturbance takes one for a rate, and no integral removes that.
         """
-        left = float(self._load_response[0].real)
-        return left if abs(left) > LEFT * float(np.abs(self._load_response).max()) else 0.0
+        left = float(self.load_response[0].real)
+        return left if abs(left) > LEFT * float(np.abs(self.load_response).max()) else 0.0
 
     @cached_property
-    def _load_response(self) -> Complex:
+    def load_response(self) -> Complex:
+        """Load at the plant's input to angle."""
         return np.asarray(self.points.angle * self.inner / self.characteristic)
 
     @property
@@ -176,6 +186,24 @@ class Closed:
         share = (10.0 ** (-3.0 / 20.0) - size[k - 1]) / (size[k] - size[k - 1])
         at = np.log(theta[k - 1]) + share * np.log(theta[k] / theta[k - 1])
         return float(np.exp(at) / (2.0 * pi * self.points.channel.step))
+
+
+def steps_by_response(channel: Channel, tuning: Tuning, samples: int) -> Steps:
+    """Unit steps from the loop's response alone, where a predictor states no state space.
+
+    ``h_k = r^k IFFT(H(r e^(j theta)))`` on a circle outside the unit circle: the pole at 1 of a step lies within it,
+    and of what comes a period later, which is at least four times ``samples``, only :data:`FADED` of it is left.
+    """
+    period = 4 << ceil(log2(samples))
+    radius = FADED ** (-1.0 / period)
+    z = radius * np.exp(2j * pi / period * np.arange(period // 2 + 1))
+    closed = Closed(Points(channel, z=z), tuning)
+    grown = radius ** np.arange(samples)
+
+    def in_time(response: Complex) -> Array:
+        return np.asarray(np.fft.irfft(response / (1.0 - 1.0 / z), period)[:samples] * grown)
+
+    return Steps(in_time(closed.angle_response), in_time(closed.command_response), in_time(closed.load_response))
 
 
 def _nearest(x: Array, y: Array, angle: Array) -> float:

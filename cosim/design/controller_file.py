@@ -12,7 +12,6 @@ from cosim.base.errors import InputError
 from cosim.base.toml import (
     Model,
     merge,
-    nearest,
     parse_setting,
     read_toml,
     set_path,
@@ -81,8 +80,7 @@ class ControllerFile(Model):
 def read_controller(path: Path) -> ControllerFile:
     """Read a controller file.  Raises InputError that names the file and what is wrong with it."""
     found = validate(ControllerFile, read_toml(path), str(path))
-    if found.controller not in PREDICTORS:
-        raise InputError(f"{path}: controller = {found.controller!r}; {nearest(found.controller, PREDICTORS)}")
+    PREDICTORS.find(found.controller, f"{path}: controller = {found.controller!r}")
     load_vehicle(found.design.aircraft, found.vehicle, f"{path}: vehicle")
     control = found.vehicle.get("control", {})
     if "schedule" not in control and load_vehicle(found.design.aircraft)[0].control.schedule:

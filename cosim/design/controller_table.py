@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
+from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.channel import Channel
 from cosim.design.controller_file import AxisRecord, LevelRecord, Purpose
 from cosim.design.design import Assessment, Design
@@ -47,7 +48,7 @@ def controller_table(found: Design) -> dict[str, Any]:
                 "velocity_1_s": _rounded(altitude.gains.p),
                 "integral_1_s2": _rounded(altitude.gains.i),
             },
-            "predictor": {key: _rounded(value) for key, value in roll.predictor.model_dump().items()},
+            "predictor": _all_rounded(roll.predictor.model_dump()),
         }
     }
     leads = {axis: each.tuning.lead for axis, each in chosen.items()}
@@ -61,12 +62,12 @@ def controller_table(found: Design) -> dict[str, Any]:
         vehicle["control"]["schedule"] = found.schedule.model_dump(mode="json", exclude_none=True)
     elif found.vehicle.control.schedule:
         vehicle["control"]["schedule"] = False  # overrules the aircraft's
-    if roll.controller != "baseline":
+    if PREDICTORS[roll.controller].needs_model:
         vehicle["identified"] = {
             found.engine.family: {
                 axis: _model(found.axes[axis].channel, chosen[axis], found.model_source).model_dump()
                 for axis in axes
-                if chosen[axis].controller != "baseline"
+                if PREDICTORS[chosen[axis].controller].needs_model
             }
         }
     scenario, spec = found.scenario, found.engine
@@ -101,6 +102,10 @@ def controller_table(found: Design) -> dict[str, Any]:
         "vehicle": vehicle,
         "design": purpose.model_dump(mode="json", exclude_none=True),
     }
+
+
+def _all_rounded(table: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: _all_rounded(each) if isinstance(each, dict) else _rounded(each) for key, each in table.items()}
 
 
 def _rounded(value: float) -> float:

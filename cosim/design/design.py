@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.toml import (
     merge,
-    nearest,
     parse_setting,
     set_path,
 )
+from cosim.control.predictors.registry import BASELINE, PREDICTORS, SMITH
 from cosim.design.channel import (
     Actuator,
     Channel,
@@ -27,7 +28,7 @@ from cosim.design.channel import (
 from cosim.design.closed_loop import Closed, Points
 from cosim.design.controller_file import read_controller
 from cosim.design.dynamics import Dynamics, fit_dynamics, lags
-from cosim.design.frequency import Array, wrapped
+from cosim.design.frequency import wrapped
 from cosim.design.identify import Identification, identify_engine
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import (
@@ -50,7 +51,7 @@ from cosim.design.tune import (
     settle,
     tune,
 )
-from cosim.design.tuning import CANDIDATES, Tuning
+from cosim.design.tuning import Tuning, candidates, designable
 from cosim.engine import EngineSpec, load_engine
 from cosim.spec.scenario import Scenario, is_file
 from cosim.spec.vehicle import (
@@ -72,7 +73,6 @@ WORTH = 0.06  # of the objective: a more complex controller must answer 3 % fast
 LEAD_WORTH = 0.19  # the same of a lead, 10 % faster: it works the throttle, and believes in the engine's lags
 TOGETHER = 5.0  # times the slowest pole: up to here a lead takes the second one with it
 WITH_LEAD = " + lead"
-LED = ("baseline", "state-model", "state-disturbance")  # tried with a lead where the choice is free
 
 Say = Callable[[str], None]
 
@@ -154,7 +154,7 @@ class Design:
     def controller(self) -> str:
         """The chosen one; the best of what there is where none is acceptable."""
         chosen = self.axes["roll"].after
-        return chosen.controller if chosen else "baseline"
+        return chosen.controller if chosen else BASELINE.name
 
 
 def design(
@@ -185,8 +185,9 @@ def design(
     Raises InputError for an unknown name, a vehicle that the engines do not lift, or an engine that does not answer.
     """
     need = need or Requirements()
-    if controller != "auto" and controller not in CANDIDATES:
-        raise InputError(f"--controller {controller}: {nearest(controller, ('auto', *CANDIDATES))}")
+    names = candidates() if controller == "auto" else (controller,)
+    for name in names:
+        designable(name, f"--controller {name}", ["auto"])
     scenario, vehicle = _scenario(engine, aircraft, settings)
     unchecked = scenario.engine_unchecked
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked)
@@ -208,7 +209,6 @@ def design(
         wanted[axis] = replace(wanted[axis], identified=RateModel(**table))
     source = f"{found.source}; with the airframe of {vehicle.name}"
     begin = None if start is None else _begin(start, wanted, vehicle, spec)
-    names = CANDIDATES if controller == "auto" else (controller,)
     if begin is None:
         axes = _axes(wanted, vehicle, scenario, spec, names, need, source, say, lead)
     else:
@@ -407,7 +407,7 @@ def _axes(
         channel = wanted[axis]
         # jets that tilt give pitch and yaw by servo; rotors give them like roll, through the same predictor
         predicted = chosen is not None and axis != "altitude" and vehicle.servo is None
-        names = (chosen.controller,) if predicted and chosen else ("baseline",)
+        names = (chosen.controller if predicted and chosen else BASELINE.name,)
         predictor = chosen.predictor if chosen else vehicle.control.predictor
         found[axis] = _axis(
             channel, vehicle, scenario, spec, names, needed(axis, need), source, predictor, say, leads[axis],
@@ -436,7 +436,7 @@ def _axis(
     tried: dict[str, Found] = {}
     for with_lead in (None,) if lead is None else (None, lead):
         for name in names:
-            if with_lead and len(names) > 1 and name not in LED:
+            if with_lead and len(names) > 1 and not PREDICTORS[name].with_lead:
                 continue
             key = name + WITH_LEAD if with_lead else name
             say(f"{channel.name}: {key}")
@@ -498,14 +498,14 @@ def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
         gains = RateGains(
             p=own.velocity_1_s, i=own.integral_1_s2, d=0.0, d_filter_s=1.0, integral_limit=own.integral_limit_m_s2
         )
-        return Tuning("baseline", own.position_1_s, gains, control.predictor, channel.model("none"), lead)
+        return Tuning(BASELINE.name, own.position_1_s, gains, control.predictor, channel.model("none"), lead)
     gains = getattr(control.rate, channel.name)
     angle = control.attitude.gain_1_s[AXES.index(channel.name)]
     model = vehicle.identified.get(spec.family, {}).get(channel.name)  # type: ignore[call-overload]
     if model is None or abs(model.sample_time_s - channel.step) > 1e-9:
-        return Tuning("baseline", angle, gains, control.predictor, channel.model("none"), lead)
+        return Tuning(BASELINE.name, angle, gains, control.predictor, channel.model("none"), lead)
     model = model.model_copy(update={"delay_samples": model.delay_samples + channel.added_delay})
-    return Tuning("smith", angle, gains, control.predictor, model, lead)
+    return Tuning(SMITH.name, angle, gains, control.predictor, model, lead)
 
 
 def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
@@ -626,7 +626,7 @@ def _allowing(
     channel = roll.channel
     if roll.after is not None:
         return {}
-    tried = [name for name in names if name in ("baseline", "state-disturbance")] or list(names)
+    tried = dict.fromkeys((names[0], names[-1]))  # what takes least, and what takes most
     found = {}
     whole = channel.actuator_delay
 

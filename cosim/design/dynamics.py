@@ -14,7 +14,7 @@ from math import exp, inf, log
 
 import numpy as np
 
-from cosim.design.frequency import Array, Complex
+from cosim.base.arrays import Array, Complex
 from cosim.design.identify.fit import counts
 from cosim.design.identify.response import FrequencyResponse
 from cosim.spec.vehicle import RateModel

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.design.closed_loop import Closed, Points
 from cosim.design.design import AxisDesign, Design
-from cosim.design.frequency import Array
 from cosim.design.tuning import Tuning
 from cosim.results.report.flight_figures import (
     BLUE,

@@ -10,24 +10,18 @@ the command, ``y^`` the predicted rate, ``T`` the control step:
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import exp, pi, prod
+from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from cosim.base.protocols import Predictor
-from cosim.control.predictors.registry import PREDICTORS
-from cosim.control.predictors.smith import robustness_filter
-from cosim.control.predictors.state import Modes, modal_observer
-from cosim.spec.vehicle import PredictorTuning, RateGains, RateModel
+from cosim.control.predictors.linear import Pair, PairResponse
+from cosim.spec.vehicle import RateGains, RateModel
 
-Complex = NDArray[np.complex128]
-Array = NDArray[np.float64]
-Pair = tuple[Complex, Complex]
 Response = Callable[[Complex], Complex]
-Make = Callable[[str, RateModel, PredictorTuning], Predictor]
 
 _TAPS = 20_000
 _QUIET = 1e-13  # an impulse response that stays below this has ended
@@ -49,60 +43,18 @@ def grid(step: float, points: int = 3000, lowest: float = 1e-4) -> Complex:
     return np.asarray(np.exp(1j * angles))
 
 
-def model_response(model: RateModel, z: Complex) -> Complex:
-    """The identified response without its delay."""
-    zeros = prod((z - zero for zero in model.all_zeros), start=np.ones_like(z))
-    poles = prod((z - pole for pole in model.all_poles), start=np.ones_like(z))
-    return np.asarray(model.gain * zeros / poles)
+def impulse_response(predictor: Callable[[], Predictor], model: RateModel) -> PairResponse:
+    """``P_y`` and ``P_u`` as a function of z, from the impulse responses of the predictor itself, which must end.
 
-
-def delayed_response(model: RateModel, z: Complex) -> Complex:
-    """The identified response with its delay of ``n + f`` samples: mode by mode, the modified z-transform."""
-    n = int(model.delay_samples)
-    f = model.delay_samples - n
-    if not f:
-        return np.asarray(model_response(model, z) * z**-n)
-    total = np.zeros_like(z)
-    poles = model.all_poles
-    for i, pole in enumerate(poles):
-        others = poles[:i] + poles[i + 1 :]
-        residue = model.gain * prod(pole - zero for zero in model.all_zeros) / prod(pole - other for other in others)
-        share = 1.0 - f if pole == 1.0 else (pole ** (1.0 - f) - 1.0) / (pole - 1.0)
-        total += residue * (share + (1.0 - share) / z) / (z - pole)
-    return np.asarray(total * z**-n)
-
-
-def _make(controller: str, model: RateModel, tuning: PredictorTuning) -> Predictor:
-    return PREDICTORS[controller](model, tuning)
-
-
-def predictor_response(
-    controller: str, model: RateModel, tuning: PredictorTuning, make: Make = _make
-) -> Callable[[Complex], Pair]:
-    """``P_y`` and ``P_u`` as a function of z, both for samples taken at ``t_k``; ``make`` makes the predictor itself.
-
-    The state predictors have no closed form worth writing: they are finite sums over past commands and a fast
-    observer, so their impulse response ends and its transform is exact.
+    Those of a state predictor do, being finite sums over past commands and a fast observer; so the transform is exact.
     """
-    if controller == "baseline":
-        return lambda z: (np.ones_like(z), np.zeros_like(z))
-    if controller in ("smith", "filtered-smith"):
-        numerator, denominator = [1.0], [1.0]
-        if controller == "filtered-smith":
-            numerator, denominator = robustness_filter(model, tuning.filter_s)
-
-        def smith(z: Complex) -> Pair:
-            f = np.polyval(numerator, z) / np.polyval(denominator, z)
-            return f, model_response(model, z) - f * delayed_response(model, z)
-
-        return smith
-    of_rate = _impulse(make(controller, model, tuning), controller, model, (1.0, 0.0))
-    of_command = _impulse(make(controller, model, tuning), controller, model, (0.0, 1.0))
+    of_rate = _impulse(predictor(), model, (1.0, 0.0))
+    of_command = _impulse(predictor(), model, (0.0, 1.0))
     # the predictor is told the command of the step before: its first answer to it belongs to u / z
     return lambda z: (_transform(of_rate, z), _transform(of_command, z) / z)
 
 
-def _impulse(predictor: Predictor, controller: str, model: RateModel, unit: tuple[float, float]) -> Array:
+def _impulse(predictor: Predictor, model: RateModel, unit: tuple[float, float]) -> Array:
     values = [predictor.update(*unit)]
     wait = int(model.delay_samples) + 2  # nothing may come before that
     silent = 0
@@ -110,7 +62,7 @@ def _impulse(predictor: Predictor, controller: str, model: RateModel, unit: tupl
         values.append(predictor.update(0.0, 0.0))
         silent = silent + 1 if abs(values[-1]) < _QUIET else 0
         if len(values) > _TAPS:
-            raise InputError(f"{controller}: its impulse response does not end; it must be stable on its own")
+            raise InputError(f"{type(predictor).__name__}: its impulse response does not end; it must be stable alone")
     return np.array(values)
 
 
@@ -182,47 +134,3 @@ def _bisect(function: Callable[[float], float], low: float, high: float) -> floa
 def wrapped(degrees: float) -> float:
     """An angle between -180 and 180 degrees."""
     return (degrees + 180.0) % 360.0 - 180.0
-
-
-def observer_response(model: RateModel, bandwidth: float, disturbance: bool) -> Callable[[Complex], Pair]:
-    """``P_y`` and ``P_u`` of ``state-model`` and, with ``disturbance``, of ``state-disturbance``, in closed form.
-
-    With ``x`` the observer's state, ``M = (I - L C) F`` and ``v`` what each state is worth when the delay is over,
-
-        P_y = v z (z I - M)^-1 L,   P_u = sum_i c_i (1 - p_i^h D_i) / (z - p_i) + v (z I - M)^-1 (I - L C) D,
-
-    ``D_i = z^-n (s_i + (1 - s_i) / z)`` the way from a command to mode ``i``; ``det(z I - M) = (z - q)^n``, and the
-    numerators come from Faddeev's recursion.
-    """
-    modes = Modes(model)
-    step, order = model.sample_time_s, len(modes.poles)
-    F, gain = modal_observer(modes, bandwidth, step, disturbance)
-    n = len(F)
-    c = np.zeros(n, F.dtype)
-    c[:order] = modes.residues
-    v = np.zeros(n, F.dtype)
-    v[:order] = modes.ahead()
-    if disturbance:
-        v[order] = modes.gathered()
-    correct = np.eye(n) - np.outer(gain, c)
-    M = correct @ F
-    denominator = np.poly([exp(-bandwidth * step)] * n)
-    rows = []
-    adjugate = np.eye(n, dtype=F.dtype)
-    for k in range(n):
-        rows.append(v @ adjugate)
-        adjugate = M @ adjugate + denominator[k + 1] * np.eye(n)
-    of_rate = [row @ gain for row in rows]
-    of_mode = [[row @ correct[:, i] for row in rows] for i in range(order)]
-
-    def response(z: Complex) -> Pair:
-        under = np.polyval(denominator, z)
-        command = np.zeros_like(z)
-        late = z**-modes.whole
-        for c_i, p, s, numerator in zip(modes.residues, modes.poles, modes.shares, of_mode, strict=True):
-            arrives = late if s == 1.0 else late * (s + (1.0 - s) / z)
-            command += c_i * (1.0 - p**modes.delay * arrives) / (z - p)
-            command += np.polyval(numerator, z) / under * arrives
-        return np.asarray(z * np.polyval(of_rate, z) / under), command
-
-    return response

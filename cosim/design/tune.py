@@ -8,11 +8,12 @@ from math import inf, log
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.toml import Model, NotNegative
+from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.channel import Channel
 from cosim.design.closed_loop import Closed, Points
-from cosim.design.frequency import Array
-from cosim.design.tuning import TUNED, Tuning
+from cosim.design.tuning import Tuning
 from cosim.spec.vehicle import EngineLead, RateModel
 
 NOISE_SHARE = 0.0833  # of the room of the command: three standard deviations of noise take a quarter of it
@@ -32,6 +33,7 @@ WRITTEN = 1500  # points of the circle while digits are changed
 TOLD = 0.003  # of the objective: a search finds as much again when it is begun from its own answer
 LEAST_GAIN = 1e-6  # of the objective, for which a digit is changed
 SPARE = 0.004  # by which the search stays inside the requirements, for what lies between its points
+PREDICTOR = "predictor."  # before the names of a predictor's own parameters
 
 
 Digits = tuple[int, int]  # 100 to 999, and a power of ten
@@ -108,17 +110,13 @@ class Box:
         predictor: bool,
         lead: EngineLead | None = None,
     ) -> None:
-        self._channel, self._controller, self._model, self._fixed = channel, controller, model, fixed
+        self._channel, self._model, self._fixed = channel, model, fixed
         self._lead = lead
         tau = channel.slowness_s
         ends = [(0.05, 3.0), (0.1, 6.0), (0.003, 1.0), (0.003, 3.0)]
-        if not predictor:
-            pass
-        elif controller == "filtered-smith":
-            ends.append((0.05, 5.0))
-        elif controller in TUNED:
-            ends.append((0.3, 30.0))
-        self._predicts = len(ends) > 4
+        self._spec = PREDICTORS[controller]
+        self._own = self._spec.parameters if predictor else ()
+        ends += [each.search for each in self._own]
         if lead is not None:
             most = 0.5 / channel.step / lead.natural_rad_s
             ends.append((1.0, max(1.1, min(FASTEST_LEAD, most))))
@@ -140,15 +138,13 @@ class Box:
             tau = max(tau + lead_delay(lead), (0.5 + self._channel.transport_samples) * self._channel.step)
             tau = max(tau, 1.0 / lead.pole_rad_s)
         k, p, i, d = value[:4] * np.array([1.0 / tau, 1.0 / (self._channel.gain * tau), 1.0 / tau, tau])
-        predictor = self._fixed.predictor
-        if self._predicts:
-            own = float(value[4]) * (tau if self._controller == "filtered-smith" else 1.0 / tau)
-            predictor = predictor.model_copy(update={TUNED[self._controller]: own})
+        own = {each.name: float(x) * each.scale(tau) for each, x in zip(self._own, value[4:], strict=False)}
+        predictor = self._spec.tuned(self._fixed.predictor, own)
         smooth = _smooth(float(d), self._channel.step) if d else self._fixed.gains.d_filter_s
         gains = self._fixed.gains.model_copy(
             update={"p": float(p), "i": float(p * i), "d": float(p * d), "d_filter_s": smooth}
         )
-        return Tuning(self._controller, float(k), gains, predictor, self._model, lead)
+        return Tuning(self._spec.name, float(k), gains, predictor, self._model, lead)
 
 
 def lead_delay(lead: EngineLead) -> float:
@@ -305,8 +301,9 @@ def _searched(tuning: Tuning, predictor: bool) -> dict[str, float]:
     """What is searched on a channel, by name; a part that is 0 is not there and stays away."""
     gains = tuning.gains
     found = {"angle_gain": tuning.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
-    if predictor and tuning.controller in TUNED:
-        found["own"] = getattr(tuning.predictor, TUNED[tuning.controller])
+    if predictor:
+        own = PREDICTORS[tuning.controller].own(tuning.predictor)
+        found |= {PREDICTOR + name: value for name, value in own.items()}
     if tuning.lead is not None:
         found["pole_rad_s"] = tuning.lead.pole_rad_s
     return {name: value for name, value in found.items() if value > 0.0}
@@ -324,9 +321,8 @@ def _with(start: Tuning, value: Mapping[str, float], step: float, level: bool) -
     gains: dict[str, float] = {name: value[name] for name in ("p", "i", "d") if name in value}
     if "d" in gains and not level:
         gains["d_filter_s"] = _smooth(gains["d"] / gains["p"], step)
-    predictor, lead = start.predictor, start.lead
-    if "own" in value:
-        predictor = predictor.model_copy(update={TUNED[start.controller]: value["own"]})
+    own = {name.removeprefix(PREDICTOR): each for name, each in value.items() if name.startswith(PREDICTOR)}
+    predictor, lead = PREDICTORS[start.controller].tuned(start.predictor, own), start.lead
     if lead is not None and "pole_rad_s" in value:
         lead = lead.model_copy(update={"pole_rad_s": value["pole_rad_s"]})
     return replace(

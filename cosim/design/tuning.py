@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from cosim.design.frequency import (
-    Complex,
-    Pair,
-    observer_response,
-    predictor_response,
-)
+from cosim.base.errors import InputError, nearest
+from cosim.control.predictors.linear import PairResponse, PredictorSpace
+from cosim.control.predictors.registry import PREDICTORS, PredictorSpec
 from cosim.spec.vehicle import (
     EngineLead,
     PredictorTuning,
@@ -18,12 +15,23 @@ from cosim.spec.vehicle import (
     RateModel,
 )
 
-CANDIDATES = ("baseline", "smith", "filtered-smith", "state-model", "state-disturbance")
-TUNED = {
-    "filtered-smith": "filter_s",
-    "state-model": "model_observer_rad_s",
-    "state-disturbance": "disturbance_observer_rad_s",
-}  # what of the predictor's tuning a controller has of its own
+
+def candidates() -> tuple[str, ...]:
+    """What a design chooses from, in the order of what it takes."""
+    return tuple(name for name, spec in PREDICTORS.items() if spec.automatic)
+
+
+def designable(name: str, where: str, others: Iterable[str] = ()) -> PredictorSpec:
+    """A predictor that a design can use; ``others``: what else could be said there.
+
+    Raises InputError for an unknown one, and for one that states no frequency response.
+    """
+    allowed = [*others, *(known for known, spec in PREDICTORS.items() if spec.response)]
+    if name in PREDICTORS and name not in allowed:
+        raise InputError(f"{where}: states no frequency response, which a design needs; {nearest(name, allowed)}")
+    if name not in allowed:
+        raise InputError(f"{where}: {nearest(name, allowed)}")
+    return PREDICTORS[name]
 
 
 @dataclass(frozen=True)
@@ -37,10 +45,13 @@ class Tuning:
     model: RateModel  # what the predictor believes
     lead: EngineLead | None = None
 
-    def answer(self) -> Callable[[Complex], Pair]:
-        """``P_y`` and ``P_u`` of the predictor."""
-        if self.controller == "state-model":
-            return observer_response(self.model, self.predictor.model_observer_rad_s, disturbance=False)
-        if self.controller == "state-disturbance":
-            return observer_response(self.model, self.predictor.disturbance_observer_rad_s, disturbance=True)
-        return predictor_response(self.controller, self.model, self.predictor)
+    def answer(self) -> PairResponse:
+        """``P_y`` and ``P_u`` of the predictor.  Raises InputError for one that states none."""
+        spec = designable(self.controller, f"controller {self.controller!r}")
+        assert spec.response is not None
+        return spec.response(self.model, spec.own(self.predictor))
+
+    def space(self) -> PredictorSpace | None:
+        """The predictor in state space; None for one that states its frequency response alone."""
+        spec = designable(self.controller, f"controller {self.controller!r}")
+        return None if spec.space is None else spec.space(self.model, spec.own(self.predictor))

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cosim.base.cache import Memory
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, nearest
 from cosim.base.paths import data_folder
-from cosim.base.toml import nearest
 from cosim.engine import build
 from cosim.engine.archive import INTEGERS, Archive, read_archive
 from cosim.engine.instance import Setting

@@ -12,7 +12,9 @@ from math import exp, inf, log, pi
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from cosim.design.frequency import Complex, grid, model_response
+from cosim.base.arrays import Complex
+from cosim.control.predictors.linear import model_response
+from cosim.design.frequency import grid
 from cosim.paper import numbers
 from cosim.paper.experiments import hexjet_axis, quadrotor_axis
 from cosim.paper.frozen import Calibration
@@ -21,6 +23,7 @@ from cosim.paper.linear import (
     Axis,
     Plant,
     doublet,
+    predictor,
     simulate,
 )
 from cosim.paper.loops import LoopMap, controllers_response, predictor_response
@@ -292,7 +295,7 @@ def turbojet(calibration: Calibration) -> list[Reach]:
 
 def _tunings(axis: Axis) -> list[PredictorTuning]:
     """The predictor's own knob at a third, once and three times what ``vehicle.toml`` says; one for those without."""
-    if axis.controller in ("baseline", "smith"):
+    if not predictor(axis.controller).parameters:
         return [axis.tuning]
     t = axis.tuning
     return [

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.design.frequency import model_response
+from cosim.control.predictors.linear import model_response
 from cosim.paper import numbers
 from cosim.paper.beyond import ROBUST, RobustnessMap
 from cosim.paper.comparison import TITLES

@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.base.errors import InputError
 from cosim.base.protocols import Predictor
-from cosim.control.predictors.registry import PREDICTORS
+from cosim.control.predictors.registry import PREDICTORS, STATE, Own, PredictorSpec
 from cosim.control.predictors.smith import DelayedModel, DelayLine, rate_model
 from cosim.control.predictors.state import DoubleIntegratorObserver, StateModel, StatePredictor
 from cosim.control.rate import RateAxis
@@ -93,19 +93,23 @@ class Record:
     disturbance: array[float] = field(default_factory=lambda: array("d"))
 
 
-def make_predictor(controller: str, model: RateModel, tuning: PredictorTuning) -> Predictor:
+def _as_printed(model: RateModel, own: Own) -> Predictor:
+    observer = DoubleIntegratorObserver(own["observer_rad_s"], model.sample_time_s)
+    state = StateModel(model)
+    state.A, state.B = np.array(numbers.A_D), np.array(numbers.B_D)
+    return StatePredictor(model, observer, state)
+
+
+def predictor(controller: str) -> PredictorSpec:
     """A predictor by name: those that fly, and the paper's state predictor with its matrices as printed.
 
     Raises InputError for an unknown name.
     """
     if controller == STATE_AS_PRINTED:
-        observer = DoubleIntegratorObserver(tuning.observer_rad_s, model.sample_time_s)
-        state = StateModel(model)
-        state.A, state.B = np.array(numbers.A_D), np.array(numbers.B_D)
-        return StatePredictor(model, observer, state)
+        return replace(STATE, name=STATE_AS_PRINTED, make=_as_printed)
     if controller not in PREDICTORS:
         raise InputError(f"unknown controller {controller!r}; allowed: {', '.join([*PREDICTORS, STATE_AS_PRINTED])}")
-    return PREDICTORS[controller](model, tuning)
+    return PREDICTORS[controller]
 
 
 class _Summed:
@@ -136,7 +140,7 @@ def simulate(
     ``y_k+1 = plant(z^-d (u_k + w_k))``; ``phi_k+1 = phi_k + T/2 (y_k + y_k+1)``; the gyro adds white noise to ``y``.
     Ends early once the rate is beyond ``LARGEST``.
     """
-    tap = _Summed(make_predictor(axis.controller, axis.model, axis.tuning))
+    tap = _Summed(predictor(axis.controller).predictor(axis.model, axis.tuning))
     rate_loop = RateAxis(axis.gains, tap, axis.step)
     line = DelayLine(axis.delay_samples)
     plant = _plant(axis.plant)

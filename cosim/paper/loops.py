@@ -10,24 +10,20 @@ plant, ``d`` the added delay, ``T`` the control step:
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from math import cos, inf, pi
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
-from cosim.design import frequency as shared
+from cosim.control.predictors.linear import Pair, PairResponse, delayed_response, model_response
 from cosim.design.frequency import (
-    Array,
-    Complex,
     Margins,
-    Pair,
     Response,
-    delayed_response,
     grid,
-    model_response,
+    impulse_response,
     pid_response,
     wrapped,
     zeros_outside,
@@ -35,11 +31,12 @@ from cosim.design.frequency import (
 from cosim.paper.linear import (
     Axis,
     Plant,
-    make_predictor,
+    predictor,
     simulate,
 )
 from cosim.spec.vehicle import PredictorTuning, RateModel
 
+BY_IMPULSE = ("state-model", "state-disturbance")  # found as the paper's own, not by their closed form
 LOW_END_HZ = 1.0  # taken for the low end of the paper's Bode diagrams: with an integral there is no gain at 0 Hz
 
 
@@ -49,9 +46,12 @@ def plant_response(plant: Plant, z: Complex, delay: int) -> Complex:
     return np.asarray(plant.gain * delayed_response(model, z) * z ** -float(delay))
 
 
-def predictor_response(controller: str, model: RateModel, tuning: PredictorTuning) -> Callable[[Complex], Pair]:
+def predictor_response(controller: str, model: RateModel, tuning: PredictorTuning) -> PairResponse:
     """``P_y`` and ``P_u`` as a function of z, the paper's own state predictor with its printed matrices included."""
-    return shared.predictor_response(controller, model, tuning, make_predictor)
+    spec = predictor(controller)
+    if spec.response is not None and controller not in BY_IMPULSE:
+        return spec.response(model, spec.own(tuning))
+    return impulse_response(lambda: spec.predictor(model, tuning), model)
 
 
 def controllers_response(axis: Axis, z: Complex) -> Pair:
@@ -59,9 +59,9 @@ def controllers_response(axis: Axis, z: Complex) -> Pair:
     return pid_response(axis.gains, axis.step, z)
 
 
-def open_loop(axis: Axis, predictor: Callable[[Complex], Pair] | None = None) -> Response:
-    """``C G*`` of the rate loop: what the paper's Bode diagrams show; ``predictor``: its response, if found before."""
-    of_predictor = predictor or predictor_response(axis.controller, axis.model, axis.tuning)
+def open_loop(axis: Axis, answer: PairResponse | None = None) -> Response:
+    """``C G*`` of the rate loop: what the paper's Bode diagrams show; ``answer``: its predictor's, if found before."""
+    of_predictor = answer or predictor_response(axis.controller, axis.model, axis.tuning)
 
     def response(z: Complex) -> Complex:
         of_rate, of_command = of_predictor(z)

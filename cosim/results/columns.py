@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, nearest
 from cosim.base.signals import AXES, JETS
-from cosim.base.toml import nearest
 
 RATES = ("p", "q", "r")
 

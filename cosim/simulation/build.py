@@ -9,7 +9,6 @@ from math import hypot, inf
 from cosim.base.errors import InputError
 from cosim.base.protocols import Predictor
 from cosim.base.signals import AXES
-from cosim.base.toml import nearest
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.engine_monitor import EngineMonitor
 from cosim.control.allocation.reallocation import get_ready
@@ -18,7 +17,7 @@ from cosim.control.altitude import GRAVITY, AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.cascade import Cascade
 from cosim.control.lead import Lead
-from cosim.control.predictors.registry import PREDICTORS
+from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.control.predictors.smith import NoPredictor
 from cosim.control.rate import RateController
 from cosim.control.schedule import GainSchedule
@@ -57,11 +56,11 @@ def build(scenario: Scenario) -> Simulation:
 
     Raises InputError for anything in the scenario, the vehicle, the engine or the controller that does not fit.
     """
-    if scenario.controller not in PREDICTORS:
-        raise InputError(f"unknown controller {scenario.controller!r}; {nearest(scenario.controller, PREDICTORS)}")
+    PREDICTORS.find(scenario.controller, f"unknown controller {scenario.controller!r}")
     scenario.count(scenario.duration_s, "duration_s")
     vehicle, folder = load_vehicle(scenario.aircraft, scenario.vehicle, f"scenario {scenario.name}: vehicle")
     _need_tank(scenario, vehicle)
+    PREDICTORS.check(vehicle.control.predictor, f"scenario {scenario.name}: vehicle.control.predictor")
     engine, *stations = specs = _engines(scenario, vehicle)
     laws = [spec.flame_out for spec in stations]
     step, initial = scenario.step_s, scenario.initial
@@ -263,27 +262,29 @@ def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec
 
 def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[Predictor]:
     """One predictor per axis: the controller's where the vehicle has an identified model for this engine, else none."""
-    if scenario.controller == "baseline":
-        return [NoPredictor() for _ in AXES]
+    spec = PREDICTORS[scenario.controller]
     models = vehicle.identified.get(engine.family, {})
-    if not models:
+    if spec.needs_model and not models:
         raise InputError(
             f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "
             f"{engine.family!r}; there are models for: {', '.join(sorted(vehicle.identified))} "
-            "(or fly --controller baseline)"
+            f"(or fly --controller {BASELINE.name})"
         )
     found: list[Predictor] = []
     for axis in AXES:
         model = models.get(axis)  # type: ignore[call-overload]
         if model is not None and abs(model.sample_time_s - scenario.step_s) > 1e-9:
-            raise InputError(
-                f"vehicle.identified.{engine.family}.{axis}: the model's sample time {model.sample_time_s:g} s is not "
-                f"the scenario's step {scenario.step_s:g} s"
-            )
-        make = PREDICTORS[scenario.controller]
+            if spec.needs_model:
+                raise InputError(
+                    f"vehicle.identified.{engine.family}.{axis}: the model's sample time {model.sample_time_s:g} s is "
+                    f"not the scenario's step {scenario.step_s:g} s"
+                )
+            model = None
         if model is not None and axis == "roll" and scenario.added_delay_samples:
             # the controller adds this delay itself, so its predictor knows of it
             delay = model.delay_samples + scenario.added_delay_samples
             model = model.model_copy(update={"delay_samples": delay})
-        found.append(make(model, vehicle.control.predictor) if model is not None else NoPredictor())
+        # jets that tilt give pitch and yaw by servo, which no predictor is for
+        predicted = model is not None if spec.needs_model else axis == "roll" or vehicle.servo is None
+        found.append(spec.predictor(model, vehicle.control.predictor) if predicted else NoPredictor())
     return found

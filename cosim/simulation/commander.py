@@ -8,9 +8,8 @@ from collections.abc import Callable, Sequence
 from math import isfinite, log, pi, radians, sin
 from pathlib import Path
 
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, nearest
 from cosim.base.signals import Command
-from cosim.base.toml import nearest
 from cosim.spec.scenario import (
     SIGNALS,
     DoubletCommand,

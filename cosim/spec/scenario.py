@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, nearest
 from cosim.base.paths import data_folder
 from cosim.base.signals import JETS
 from cosim.base.toml import (
@@ -21,7 +21,6 @@ from cosim.base.toml import (
     Positive,
     Vector,
     merge,
-    nearest,
     parse_setting,
     read_toml,
     set_path,

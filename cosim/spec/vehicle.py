@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from cosim.base.cache import Memory
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, nearest
 from cosim.base.paths import data_folder, names_in
 from cosim.base.toml import (
     Model,
@@ -20,7 +20,6 @@ from cosim.base.toml import (
     Positive,
     Vector,
     merge,
-    nearest,
     read_toml,
     validate,
 )
@@ -285,6 +284,12 @@ class PredictorTuning(Model):
     observer_rad_s: Positive  # state: both poles of the double-integrator observer at minus this
     model_observer_rad_s: Positive  # state-model: observer poles
     disturbance_observer_rad_s: Positive  # state-disturbance: observer poles
+    own: dict[str, dict[str, float]] = Field(default_factory=dict)  # of predictors from elsewhere, by their names
+
+    @model_serializer(mode="wrap")
+    def _without_empty_tables(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        return {key: value for key, value in stated.items() if key != "own" or value}
 
 
 class PositionGains(Model):

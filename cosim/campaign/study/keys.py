@@ -25,7 +25,7 @@ from cosim.base.errors import InputError
 from cosim.base.toml import merge
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.spec.scenario import Scenario, is_file
-from cosim.spec.vehicle import aircraft_names, load_vehicle
+from cosim.spec.vehicle import PredictorTuning, aircraft_names, load_vehicle
 
 if TYPE_CHECKING:
     from cosim.engine.archive import Archive
@@ -68,6 +68,7 @@ OWN_NAMES = re.compile(
     r"(?P<head>engine_parameters|stations\.[^.]+\.parameters)\.(?P<name>.+)"
     r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"
 )
+OWN_TUNING = "vehicle.control.predictor.own."
 PLACE = re.compile(r"(?<=\.)\d+(?=\.|$)")
 OFFERED = 4  # names in a message
 
@@ -176,7 +177,8 @@ def all_keys(scenario: Scenario) -> list[Key]:
     archive = _archive(scenario, scenario.engine)
     return [
         *own,
-        *_below("vehicle", vehicle),
+        *(key for key in _below("vehicle", vehicle) if not key.path.startswith(OWN_TUNING)),
+        *_predictor_keys(vehicle.control.predictor),
         *_parameters("engine_parameters", archive, scenario.engine_parameters),
         *_station_keys(scenario, len(vehicle.jets)),
     ]
@@ -306,6 +308,16 @@ def _of_entry(key: Key, entry: BaseModel, step: float) -> Key:
     if last == "amplitude" and hasattr(entry, "signal"):
         return replace(key, unit=_unit(entry.signal))
     return key
+
+
+def _predictor_keys(tuning: PredictorTuning) -> Iterator[Key]:
+    """What predictors from elsewhere are tuned with, whether the vehicle states it or not."""
+    for name, spec in PREDICTORS.items():
+        values = spec.own(tuning)
+        for each in spec.parameters:
+            if each.name not in PredictorTuning.model_fields:
+                path = f"{OWN_TUNING}{name}.{each.name}"
+                yield Key(path, "float", values[each.name], each.unit, each.least, each.most)
 
 
 def _below(path: str, value: BaseModel) -> Iterator[Key]:

@@ -8,14 +8,9 @@ from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, nearest
 from cosim.base.paths import data_folder
-from cosim.base.toml import (
-    nearest,
-    parse_setting,
-    read_toml,
-    validate,
-)
+from cosim.base.toml import parse_setting, read_toml, validate
 from cosim.campaign.study.distributions import parse_vary
 from cosim.campaign.study.study import (
     DESIGNS,

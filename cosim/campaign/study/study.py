@@ -14,11 +14,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.paths import data_folder, files_in
 from cosim.base.toml import (
     Model,
-    nearest,
     read_toml,
     set_path,
     validate,
@@ -265,8 +264,8 @@ def check(study: Study, where: str) -> None:
     from cosim.results.metrics import metric_names
 
     for name in study.controllers:
-        if not is_path(name) and name not in PREDICTORS:
-            raise InputError(f"{where}: controllers: unknown controller {name!r}; {nearest(name, PREDICTORS)}")
+        if not is_path(name):
+            PREDICTORS.find(name, f"{where}: controllers: unknown controller {name!r}")
     for name in study.success:
         if name not in metric_names():
             raise InputError(f"{where}: success: unknown metric {name!r}; {nearest(name, metric_names())}")

@@ -17,7 +17,7 @@ from cosim.base.signals import AXES
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.autopilot.navigation import PositionController, Tracker
-from cosim.control.predictors.registry import PREDICTORS, TITLES
+from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.rate import RateController
 from cosim.spec.vehicle import (
     Control,
@@ -27,7 +27,6 @@ from cosim.spec.vehicle import (
     RateGains,
 )
 
-CONTROLLERS = tuple(PREDICTORS)  # the value of HJ_PRED_TYPE is the place in this list
 CATCH_UP_STEPS = 1000  # that a predictor that comes in flight is told of: 4 s at 250 Hz, 40 delays of a jet
 _FLOAT32 = 1e-6  # relative: a bound that went through a 32-bit float is still the bound
 _LARGEST = 10.0  # times the default is the most a gain may be; chosen by us: beyond it no loop here is stable
@@ -98,6 +97,8 @@ class Parameters:
         if not line.least - slack <= value <= line.most + slack:
             unit = f" {line.unit}" if line.unit else ""
             raise InputError(f"{name} = {value:g}: must be from {line.least:g} to {line.most:g}{unit}")
+        if line.values and value not in (allowed := [meaning.value for meaning in line.values]):
+            raise InputError(f"{name} = {value:g}: must be one of {', '.join(map(str, allowed))}")
         return min(line.most, max(line.least, value))
 
     def set(self, name: str, value: float) -> None:
@@ -156,15 +157,11 @@ class Live:
         parameters.set(name, value)
 
     def _predict(self, values: Mapping[str, float]) -> None:
-        tuning = self._control.predictor.model_copy(
-            update={
-                "filter_s": values["HJ_PRED_FILT"],
-                "observer_rad_s": values["HJ_PRED_OBS"],
-                "model_observer_rad_s": values["HJ_PRED_OBS_M"],
-                "disturbance_observer_rad_s": values["HJ_PRED_OBS_D"],
-            }
-        )
-        made = self._blocks.predictors(CONTROLLERS[int(values["HJ_PRED_TYPE"])], values["HJ_PRED_DELAY"], tuning)
+        tuning = self._control.predictor
+        for spec in PREDICTORS.values():
+            tuning = spec.tuned(tuning, {each.name: values[each.mavlink] for each in spec.parameters if each.mavlink})
+        name = next(spec.name for spec in PREDICTORS.values() if spec.value == values["HJ_PRED_TYPE"])
+        made = self._blocks.predictors(name, values["HJ_PRED_DELAY"], tuning)
         self._blocks.rate.retune(rate_gains(self._control, values), made)
 
     def _aim(self, values: Mapping[str, float]) -> None:
@@ -274,22 +271,21 @@ def _flight(pilot: PilotSettings) -> Iterator[Parameter]:
 
 def _predictor(tuning: PredictorTuning, controller: str, delay: float | None) -> Iterator[Parameter]:
     group = "Predictor"
-    values = tuple(Meaning(i, name) for i, name in enumerate(CONTROLLERS))
-    last = len(CONTROLLERS) - 1 if delay is not None else 0
-    text = "; ".join(f"{i} {TITLES[name]}" for i, name in enumerate(CONTROLLERS))
-    yield Parameter("HJ_PRED_TYPE", "int", CONTROLLERS.index(controller), 0, last, "", group, text, values[: last + 1])
+    specs = sorted(PREDICTORS.values(), key=lambda spec: spec.value)
+    values = tuple(Meaning(each.value, each.name) for each in specs if delay is not None or not each.needs_model)
+    first, last = values[0].value, values[-1].value
+    text = "; ".join(f"{each.value} {each.title}" for each in specs)
+    yield Parameter("HJ_PRED_TYPE", "int", PREDICTORS[controller].value, first, last, "", group, text, values)
     text = "delay that the roll predictor takes the engines to have"
     most = min(1000.0, max(4.0 * delay, 100.0)) if delay is not None else 0.0
     yield Parameter("HJ_PRED_DELAY", "float", delay or 0.0, 0.0, most, "samples", group, text, decimals=2)
-    text = "filtered-smith: time constant of the robustness filter"
-    yield Parameter("HJ_PRED_FILT", "float", tuning.filter_s, 0.0, 10.0, "s", group, text)
-    for name, default, who in (
-        ("HJ_PRED_OBS", tuning.observer_rad_s, "state"),
-        ("HJ_PRED_OBS_M", tuning.model_observer_rad_s, "state-model"),
-        ("HJ_PRED_OBS_D", tuning.disturbance_observer_rad_s, "state-disturbance"),
-    ):
-        text = f"{who}: how fast its observer is"
-        yield Parameter(name, "float", default, 0.1, 400.0, "rad/s", group, text, decimals=1)
+    for spec in specs:
+        for each in spec.parameters:
+            if each.mavlink:
+                yield Parameter(
+                    each.mavlink, "float", spec.own(tuning)[each.name], each.least, each.most, each.unit, group,
+                    f"{spec.name}: {each.text}", decimals=each.decimals,
+                )  # fmt: skip
 
 
 def _failsafes(pilot: PilotSettings) -> Iterator[Parameter]:

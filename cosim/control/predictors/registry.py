@@ -1,9 +1,24 @@
-"""The controllers a user can choose: the same cascade and gains, one of these between measurement and rate loop."""
+"""Every predictor by its name: what it is, what it needs, how it is tuned and how it answers.
+
+A user chooses a controller by the name of its predictor: the same cascade and gains, one of these between measurement
+and rate loop.  Whoever flies, tunes, designs, offers or compares them asks :data:`PREDICTORS`.  One from elsewhere is
+made known with a :class:`PredictorSpec`, by :meth:`Registry.register` in a program, or by an installed package, in
+whose processes and in those of a campaign it is then found by its name::
+
+    [project.entry-points."hexjet.predictors"]
+    my-predictor = "my_package.my_module:SPEC"
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+from zlib import crc32
 
+from cosim.base.errors import InputError, nearest
+from cosim.base.plugins import installed
 from cosim.base.protocols import Predictor
 from cosim.control.predictors.smith import (
     FilteredSmithPredictor,
@@ -13,51 +28,293 @@ from cosim.control.predictors.smith import (
 )
 from cosim.spec.vehicle import PredictorTuning, RateModel
 
-Make = Callable[[RateModel, PredictorTuning], Predictor]
+if TYPE_CHECKING:
+    from cosim.control.predictors.linear import PairResponse, PredictorSpace
+
+GROUP = "hexjet.predictors"  # of entry points
+OTHERS, PLACES = 1000, 60000  # numbers of predictors that state none begin here, and so many there are
+_NAME = re.compile(r"[a-z][a-z0-9-]*")
+
+Own = Mapping[str, float]  # the values of a predictor's own parameters, by name
 
 
-def _filtered_smith(model: RateModel, tuning: PredictorTuning) -> Predictor:
-    return FilteredSmithPredictor(model, *robustness_filter(model, tuning.filter_s))
+@dataclass(frozen=True)
+class TuningParameter:
+    """One number that a predictor is tuned with.
+
+    It stands in ``[control.predictor]`` of ``vehicle.toml`` where that has a key of this name, else in
+    ``[control.predictor.own.<predictor>]``, and is ``default`` where it is not stated.
+    """
+
+    name: str
+    unit: str
+    text: str  # what it is, for a person
+    least: float
+    most: float
+    search: tuple[float, float]  # a design looks here: times the channel's delay where the unit is s, over it for 1/s
+    default: float | None = None
+    mavlink: str | None = None  # the autopilot's parameter; None: not to be changed in flight
+    decimals: int = 3
+
+    def scale(self, delay_s: float) -> float:
+        """What ``search`` is stated in, for a channel with this delay at low frequency."""
+        return {"s": delay_s, "1/s": 1.0 / delay_s, "rad/s": 1.0 / delay_s}.get(self.unit, 1.0)
 
 
-def _state(model: RateModel, tuning: PredictorTuning) -> Predictor:
+@dataclass(frozen=True)
+class PredictorSpec:
+    """A kind of predictor.
+
+    ``make`` makes one from the model that it believes in and its own parameters, with the delay that a controller adds
+    itself in the model; None for a model where the vehicle states none and ``needs_model`` is false.  It raises
+    InputError where the model is not of the kind that it needs.  ``response`` and ``space`` are the same as a linear
+    system, for a design: ``P_y`` and ``P_u`` for any ``|z| >= 1``.  A design needs the first; without the second it
+    finds responses in time from the first.
+    """
+
+    name: str
+    title: str
+    make: Callable[[Any, Own], Predictor]
+    number: int | None = None  # over MAVLink, for ever; None: made from the name
+    needs_model: bool = True
+    parameters: tuple[TuningParameter, ...] = ()
+    response: Callable[[RateModel, Own], PairResponse] | None = None
+    space: Callable[[RateModel, Own], PredictorSpace] | None = None
+    automatic: bool = False  # tried by a design that is free to choose, in the order of registration
+    with_lead: bool = False  # tried there with a lead too
+    compared: bool = False  # flown where the surveys compare controllers
+
+    @property
+    def value(self) -> int:
+        """Its number over MAVLink."""
+        return OTHERS + crc32(self.name.encode()) % PLACES if self.number is None else self.number
+
+    def own(self, tuning: PredictorTuning) -> dict[str, float]:
+        """The values of its parameters."""
+        stated = tuning.own.get(self.name, {})
+        return {
+            name: getattr(tuning, name) if name in _FIELDS else stated.get(name, default or 0.0)
+            for name, default in ((each.name, each.default) for each in self.parameters)
+        }
+
+    def tuned(self, tuning: PredictorTuning, values: Own) -> PredictorTuning:
+        """``tuning`` with other values of some of its parameters."""
+        fields = {name: value for name, value in values.items() if name in _FIELDS}
+        if others := {name: value for name, value in values.items() if name not in _FIELDS}:
+            fields["own"] = tuning.own | {self.name: tuning.own.get(self.name, {}) | others}  # type: ignore[assignment]
+        return tuning.model_copy(update=fields)
+
+    def predictor(self, model: RateModel | None, tuning: PredictorTuning) -> Predictor:
+        """One of them, at rest."""
+        return self.make(model, self.own(tuning))
+
+
+_FIELDS = frozenset(PredictorTuning.model_fields) - {"own"}
+
+
+class Registry(Mapping[str, PredictorSpec]):
+    """The predictors by name, those of installed packages after what was registered."""
+
+    def __init__(self, specs: Iterable[PredictorSpec]) -> None:
+        self._specs: dict[str, PredictorSpec] = {}
+        self._complete = False
+        for spec in specs:
+            self.register(spec)
+
+    def register(self, spec: PredictorSpec) -> None:
+        """Make a predictor known.  Raises InputError for one that could not be told from others, or not be tuned."""
+        where = f"predictor {spec.name!r}"
+        if not _NAME.fullmatch(spec.name):
+            raise InputError(f"{where}: a name has small letters, digits and hyphens, and begins with a letter")
+        if spec.name in self._specs:
+            raise InputError(f"{where}: there is one of this name already")
+        if not spec.title.strip() or "\n" in spec.title:
+            raise InputError(f"{where}: title = {spec.title!r}: must be one line that says what it is")
+        if twin := next((other.name for other in self._specs.values() if other.value == spec.value), None):
+            raise InputError(f"{where}: its number {spec.value} is that of {twin!r}; state another")
+        for each in spec.parameters:
+            low, high = each.search
+            if each.name not in _FIELDS and (each.default is None or not each.least <= each.default <= each.most):
+                raise InputError(f"{where}: {each.name}: needs a default from {each.least:g} to {each.most:g}")
+            if not 0.0 < low < high:
+                raise InputError(f"{where}: {each.name}: search = {each.search}: must be two numbers above 0, in order")
+        self._specs[spec.name] = spec
+
+    def forget(self, name: str) -> None:
+        """Undo :meth:`register`."""
+        del self._specs[name]
+
+    def find(self, name: str, complaint: str) -> PredictorSpec:
+        """The predictor of that name.  Raises InputError: ``complaint``, and which there are."""
+        if name not in self:
+            raise InputError(f"{complaint}; {nearest(name, self)}")
+        return self[name]
+
+    def check(self, tuning: PredictorTuning, where: str) -> None:
+        """Hold what a vehicle states of predictors from elsewhere against them.
+
+        Raises InputError: one line with the key, the value and what is allowed.
+        """
+        for name, values in tuning.own.items():
+            known = {each.name: each for each in self.find(name, f"{where}.own.{name}: unknown predictor").parameters}
+            for key, value in values.items():
+                if key not in known or key in _FIELDS:
+                    allowed = nearest(key, set(known) - _FIELDS) if set(known) - _FIELDS else "there are none"
+                    raise InputError(f"{where}.own.{name}.{key}: unknown parameter; {allowed}")
+                least, most = known[key].least, known[key].most
+                if not least <= value <= most:
+                    raise InputError(
+                        f"{where}.own.{name}.{key} = {value:g}: must be from {least:g} to {most:g} {known[key].unit}"
+                    )
+
+    def __getitem__(self, name: str) -> PredictorSpec:
+        if name not in self._specs:
+            self._look()
+        return self._specs[name]
+
+    def __iter__(self) -> Iterator[str]:
+        self._look()
+        return iter(self._specs)
+
+    def __len__(self) -> int:
+        self._look()
+        return len(self._specs)
+
+    def _look(self) -> None:
+        """Register what installed packages bring, the first time that it is asked for."""
+        if self._complete:
+            return
+        self._complete = True
+        for name, spec in installed(GROUP):
+            if not isinstance(spec, PredictorSpec) or spec.name != name:
+                raise InputError(f"entry point {name!r} of {GROUP}: must be a PredictorSpec of this name, not {spec!r}")
+            self.register(spec)
+
+
+def _state(model: RateModel, own: Own) -> Predictor:
     from cosim.control.predictors.state import DoubleIntegratorObserver, StateModel, StatePredictor
 
-    observer = DoubleIntegratorObserver(tuning.observer_rad_s, model.sample_time_s)
+    observer = DoubleIntegratorObserver(own["observer_rad_s"], model.sample_time_s)
     return StatePredictor(model, observer, StateModel(model))
 
 
-def _model_observer(disturbance: bool) -> Make:
-    def make(model: RateModel, tuning: PredictorTuning) -> Predictor:
-        from cosim.control.predictors.state import (
-            ModalPredictor,
-            ModelObserver,
-            StateModel,
-            StatePredictor,
-        )
+def _with_observer(
+    name: str, title: str, number: int, parameter: str, mavlink: str, disturbance: bool, compared: bool
+) -> PredictorSpec:
+    """A state predictor with an observer of the identified model."""
 
-        bandwidth = tuning.disturbance_observer_rad_s if disturbance else tuning.model_observer_rad_s
+    def make(model: RateModel, own: Own) -> Predictor:
+        from cosim.control.predictors.state import ModalPredictor, ModelObserver, StateModel, StatePredictor
+
         if len(model.poles) != 2 or model.pole_pairs or model.zero_pairs:
-            return ModalPredictor(model, bandwidth, disturbance)
+            return ModalPredictor(model, own[parameter], disturbance)
         state = StateModel(model)
-        return StatePredictor(model, ModelObserver(state, bandwidth, disturbance), state)
+        return StatePredictor(model, ModelObserver(state, own[parameter], disturbance), state)
 
-    return make
+    def response(model: RateModel, own: Own) -> PairResponse:
+        from cosim.control.predictors.linear import observer_response
+
+        return observer_response(model, own[parameter], disturbance)
+
+    def space(model: RateModel, own: Own) -> PredictorSpace:
+        from cosim.control.predictors.linear import ObserverSpace
+
+        return ObserverSpace(model, own[parameter], disturbance)
+
+    tuned = _observer(parameter, mavlink)
+    return PredictorSpec(
+        name, title, make, number, parameters=(tuned,), response=response, space=space, automatic=True, with_lead=True,
+        compared=compared,
+    )  # fmt: skip
 
 
-PREDICTORS: dict[str, Make] = {
-    "baseline": lambda model, tuning: NoPredictor(),
-    "smith": lambda model, tuning: SmithPredictor(model),
-    "filtered-smith": _filtered_smith,
-    "state": _state,
-    "state-model": _model_observer(disturbance=False),
-    "state-disturbance": _model_observer(disturbance=True),
-}
-TITLES = {
-    "baseline": "cascaded P and PID, fed with the measured rate",
-    "smith": "the same gains, fed with Smith's predictor (paper)",
-    "filtered-smith": "Smith's predictor with a robustness filter: no offset under a constant disturbance (ours)",
-    "state": "d-step state predictor with a double-integrator observer (paper)",
-    "state-model": "d-step state predictor with an observer of the identified model (ours)",
-    "state-disturbance": "the same, with the input disturbance estimated and predicted (ours, after Sanz et al.)",
-}
+def _observer(parameter: str, mavlink: str) -> TuningParameter:
+    text = "how fast its observer is"
+    return TuningParameter(parameter, "rad/s", text, 0.1, 400.0, (0.3, 30.0), mavlink=mavlink, decimals=1)
+
+
+def _no_response(model: RateModel, own: Own) -> PairResponse:
+    from cosim.control.predictors.linear import no_response
+
+    return no_response
+
+
+def _no_space(model: RateModel, own: Own) -> PredictorSpace:
+    from cosim.control.predictors.linear import NoSpace
+
+    return NoSpace()
+
+
+def _smith_response(model: RateModel, own: Own) -> PairResponse:
+    from cosim.control.predictors.linear import smith_response
+
+    return smith_response(model, own.get("filter_s"))
+
+
+def _smith_space(model: RateModel, own: Own) -> PredictorSpace:
+    from cosim.control.predictors.linear import SmithSpace
+
+    return SmithSpace(model, own.get("filter_s"))
+
+
+BASELINE = PredictorSpec(
+    "baseline",
+    "cascaded P and PID, fed with the measured rate",
+    lambda model, own: NoPredictor(),
+    0,
+    needs_model=False,
+    response=_no_response,
+    space=_no_space,
+    automatic=True,
+    with_lead=True,
+    compared=True,
+)
+SMITH = PredictorSpec(
+    "smith",
+    "the same gains, fed with Smith's predictor (paper)",
+    lambda model, own: SmithPredictor(model),
+    1,
+    response=_smith_response,
+    space=_smith_space,
+    automatic=True,
+    compared=True,
+)
+FILTERED_SMITH = PredictorSpec(
+    "filtered-smith",
+    "Smith's predictor with a robustness filter: no offset under a constant disturbance (ours)",
+    lambda model, own: FilteredSmithPredictor(model, *robustness_filter(model, own["filter_s"])),
+    2,
+    parameters=(
+        TuningParameter(
+            "filter_s", "s", "time constant of the robustness filter", 0.0, 10.0, (0.05, 5.0), mavlink="HJ_PRED_FILT"
+        ),
+    ),
+    response=_smith_response,
+    space=_smith_space,
+    automatic=True,
+    compared=True,
+)
+STATE = PredictorSpec(
+    "state",
+    "d-step state predictor with a double-integrator observer (paper)",
+    _state,
+    3,
+    parameters=(_observer("observer_rad_s", "HJ_PRED_OBS"),),
+)
+PREDICTORS = Registry(
+    [
+        BASELINE,
+        SMITH,
+        FILTERED_SMITH,
+        STATE,
+        _with_observer(
+            "state-model", "d-step state predictor with an observer of the identified model (ours)", 4,
+            "model_observer_rad_s", "HJ_PRED_OBS_M", disturbance=False, compared=False,
+        ),
+        _with_observer(
+            "state-disturbance",
+            "the same, with the input disturbance estimated and predicted (ours, after Sanz et al.)",
+            5, "disturbance_observer_rad_s", "HJ_PRED_OBS_D", disturbance=True, compared=True,
+        ),
+    ]
+)  # fmt: skip

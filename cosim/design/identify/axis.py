@@ -12,6 +12,7 @@ import numpy as np
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES, Sample
 from cosim.base.toml import parse_setting, set_path
+from cosim.control.predictors.registry import BASELINE
 from cosim.design.identify.fit import Fit, fit
 from cosim.design.identify.response import (
     Array,
@@ -174,7 +175,7 @@ def _scenario(
     if "step_s" not in data and len(steps) == 1:
         changes["step_s"] = steps.pop()
     if "controller" not in data and Path(scenario.engine).name.removesuffix("-fmi2") not in vehicle.identified:
-        changes["controller"] = "baseline"
+        changes["controller"] = BASELINE.name
     return scenario.replace(**changes) if changes else scenario
 
 

@@ -1,0 +1,306 @@
+"""The predictors as linear systems, for those who design with them: frequency response, and state space.
+
+``z`` are points on the upper half of the unit circle or outside it; ``y`` is the measured rate, ``u`` the command,
+``y^ = P_y y + P_u u`` the predicted rate, all of the instant ``t_k``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import exp, prod
+from typing import Protocol
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.errors import InputError
+from cosim.control.predictors.smith import robustness_filter
+from cosim.control.predictors.state import Modes, modal_observer
+from cosim.spec.vehicle import RateModel
+
+Pair = tuple[Complex, Complex]
+PairResponse = Callable[[Complex], Pair]  # ``P_y`` and ``P_u`` of ``z``
+
+
+def model_response(model: RateModel, z: Complex) -> Complex:
+    """The identified response without its delay."""
+    zeros = prod((z - zero for zero in model.all_zeros), start=np.ones_like(z))
+    poles = prod((z - pole for pole in model.all_poles), start=np.ones_like(z))
+    return np.asarray(model.gain * zeros / poles)
+
+
+def delayed_response(model: RateModel, z: Complex) -> Complex:
+    """The identified response with its delay of ``n + f`` samples: mode by mode, the modified z-transform."""
+    n = int(model.delay_samples)
+    f = model.delay_samples - n
+    if not f:
+        return np.asarray(model_response(model, z) * z**-n)
+    total = np.zeros_like(z)
+    poles = model.all_poles
+    for i, pole in enumerate(poles):
+        others = poles[:i] + poles[i + 1 :]
+        residue = model.gain * prod(pole - zero for zero in model.all_zeros) / prod(pole - other for other in others)
+        share = 1.0 - f if pole == 1.0 else (pole ** (1.0 - f) - 1.0) / (pole - 1.0)
+        total += residue * (share + (1.0 - share) / z) / (z - pole)
+    return np.asarray(total * z**-n)
+
+
+def no_response(z: Complex) -> Pair:
+    """``P_y`` and ``P_u`` of the measurement itself."""
+    return np.ones_like(z), np.zeros_like(z)
+
+
+def smith_response(model: RateModel, filter_s: float | None = None) -> PairResponse:
+    """``P_y`` and ``P_u`` of Smith's predictor; with the time constant of its robustness filter of the filtered one."""
+    numerator, denominator = ([1.0], [1.0]) if filter_s is None else robustness_filter(model, filter_s)
+
+    def response(z: Complex) -> Pair:
+        f = np.polyval(numerator, z) / np.polyval(denominator, z)
+        return f, model_response(model, z) - f * delayed_response(model, z)
+
+    return response
+
+
+def observer_response(model: RateModel, bandwidth: float, disturbance: bool) -> PairResponse:
+    """``P_y`` and ``P_u`` of a predictor with a :class:`~cosim.control.predictors.state.ModelObserver`, in closed form.
+
+    With ``x`` the observer's state, ``M = (I - L C) F`` and ``v`` what each state is worth when the delay is over,
+
+        P_y = v z (z I - M)^-1 L,   P_u = sum_i c_i (1 - p_i^h D_i) / (z - p_i) + v (z I - M)^-1 (I - L C) D,
+
+    ``D_i = z^-n (s_i + (1 - s_i) / z)`` the way from a command to mode ``i``; ``det(z I - M) = (z - q)^n``, and the
+    numerators come from Faddeev's recursion.
+    """
+    modes = Modes(model)
+    step, order = model.sample_time_s, len(modes.poles)
+    F, gain = modal_observer(modes, bandwidth, step, disturbance)
+    n = len(F)
+    c = np.zeros(n, F.dtype)
+    c[:order] = modes.residues
+    v = np.zeros(n, F.dtype)
+    v[:order] = modes.ahead()
+    if disturbance:
+        v[order] = modes.gathered()
+    correct = np.eye(n) - np.outer(gain, c)
+    M = correct @ F
+    denominator = np.poly([exp(-bandwidth * step)] * n)
+    rows = []
+    adjugate = np.eye(n, dtype=F.dtype)
+    for k in range(n):
+        rows.append(v @ adjugate)
+        adjugate = M @ adjugate + denominator[k + 1] * np.eye(n)
+    of_rate = [row @ gain for row in rows]
+    of_mode = [[row @ correct[:, i] for row in rows] for i in range(order)]
+
+    def response(z: Complex) -> Pair:
+        under = np.polyval(denominator, z)
+        command = np.zeros_like(z)
+        late = z**-modes.whole
+        for c_i, p, s, numerator in zip(modes.residues, modes.poles, modes.shares, of_mode, strict=True):
+            arrives = late if s == 1.0 else late * (s + (1.0 - s) / z)
+            command += c_i * (1.0 - p**modes.delay * arrives) / (z - p)
+            command += np.polyval(numerator, z) / under * arrives
+        return np.asarray(z * np.polyval(of_rate, z) / under), command
+
+    return response
+
+
+@dataclass(frozen=True)
+class Part:
+    """``x' = A x + B v``, ``y' = C x'`` of the inputs ``v``, with a delay of whole samples before it.
+
+    A delay of ``n + f`` samples has two inputs, of ``n`` and of ``n + 1`` samples ago.
+    """
+
+    A: Array
+    B: Array  # one column an input
+    C: Array
+    delay: int
+
+
+def part(model: RateModel) -> Part:
+    """A sampled response with its delay; mode by mode where the delay is not whole."""
+    whole = int(model.delay_samples)
+    if model.delay_samples == whole:
+        A, B, C = cascade(model)
+        return Part(A, B[:, None], C, whole)
+    modes = Modes(model)
+    shares = np.array(modes.shares)
+    A, B, C = real_form(np.diag(modes.poles), np.stack([shares, 1.0 - shares], axis=1), np.array(modes.residues))
+    return Part(A, B, C, whole)
+
+
+def cascade(model: RateModel) -> tuple[Array, Array, Array]:
+    """``x_k+1 = A x_k + B u_k``, ``y_k = C x_k`` of a response without its delay: poles and zeros in a row.
+
+    One polynomial of six poles that are all but 1 would lose most digits.
+    """
+    zeros, sections = [*model.all_zeros], []
+    for pole in sorted((complex(p) for p in model.all_poles), key=abs):
+        if pole.imag < 0.0:
+            continue
+        order = 2 if pole.imag else 1
+        taken = [zeros.pop() for _ in range(min(order, len(zeros)))]
+        if len(taken) == 1 and isinstance(taken[0], complex) and taken[0].imag:
+            zeros.append(taken.pop())  # its other half would be left alone
+        sections.append(_section(pole, np.real(np.poly(taken)) if taken else np.array([1.0])))
+    if zeros:
+        raise InputError(f"identified model: more pairs of zeros ({model.zero_pairs}) than pairs of poles take")
+    A, B, C, D = sections[0]
+    for a, b, c, d in sections[1:]:
+        A = np.block([[A, np.zeros((len(A), len(a)))], [np.outer(b, C), a]])
+        B, C, D = np.concatenate([B, b * D]), np.concatenate([d * C, c]), d * D
+    return A, B, model.gain * C
+
+
+def _section(pole: complex, over: Array) -> tuple[Array, Array, Array, float]:
+    """A real pole, or a pair of which ``pole`` is one, below a polynomial of at most its order."""
+    re, im = pole.real, pole.imag
+    size = abs(1.0 - pole) or 1.0  # the state is then as large as what comes in
+    if not im:
+        through = over[0] if len(over) == 2 else 0.0
+        rest = over[-1] + through * re
+        return np.array([[re]]), np.array([size]), np.array([rest / size]), float(through)
+    under = np.array([1.0, -2.0 * re, re * re + im * im])
+    over = np.concatenate([np.zeros(3 - len(over)), over])
+    through = over[0]
+    one, nought = over[1:] - through * under[1:]
+    C = np.array([(nought + one * re) / im, one]) / size
+    return np.array([[re, im], [-im, re]]), np.array([0.0, size]), C, float(through)
+
+
+def companion(over: Array, under: Array) -> tuple[Array, Array, Array]:
+    """A strictly proper fraction of low order."""
+    n = len(under) - 1
+    A = np.eye(n, k=-1)
+    A[0] = -under[1:]
+    C = np.zeros(n)
+    C[n - len(over) :] = over
+    return A, np.eye(n)[:, 0], C
+
+
+def real_form(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    """Real and imaginary part in place of two conjugate states that follow each other."""
+    n = len(A)
+    change = np.eye(n, dtype=complex)
+    i = 0
+    while i < n:
+        if i + 1 < n and A[i, i].imag:
+            change[i : i + 2, i : i + 2] = [[0.5, 0.5], [-0.5j, 0.5j]]
+            i += 1
+        i += 1
+    back = np.linalg.inv(change)
+    return np.real(change @ A @ back), np.real(change @ B), np.real(C @ back)
+
+
+Rows = Mapping[str, Array]
+Keep = Callable[[str, Array], None]
+
+
+class PredictorSpace(Protocol):
+    """A predictor as a part of a loop in state space.
+
+    Signals are rows, their coefficients over all states and inputs of the loop: they add up like signals.
+    """
+
+    @property
+    def reads(self) -> int:
+        """How many past commands it reads."""
+
+    @property
+    def states(self) -> Mapping[str, int]:
+        """What it remembers, by name, and how many numbers that is."""
+
+    def predicted(self, measured: Array, x: Rows, keep: Keep) -> Array:
+        """The predicted rate; ``x["sent"]`` are the past commands, the last first; ``keep`` says what a state becomes.
+
+        Once a step, before the command of the step is known.
+        """
+
+    def believe(self, command: Array, x: Rows, keep: Keep) -> None:
+        """The command of the step, after :meth:`predicted`."""
+
+
+class NoSpace:
+    """The measurement itself."""
+
+    reads = 1
+    states: Mapping[str, int] = {}
+
+    def predicted(self, measured: Array, x: Rows, keep: Keep) -> Array:
+        return measured
+
+    def believe(self, command: Array, x: Rows, keep: Keep) -> None:
+        """Nothing."""
+
+
+class SmithSpace:
+    """Smith's predictor, and with the time constant of its robustness filter the filtered one."""
+
+    def __init__(self, model: RateModel, filter_s: float | None = None) -> None:
+        self.reads = int(model.delay_samples) + 2
+        self._now, self._then = cascade(model), part(model)
+        self.states = {"now": len(self._now[0]), "then": len(self._then.A)}
+        self._filter: tuple[Array, Array] | None = None
+        if filter_s is not None:
+            over, under = robustness_filter(model, filter_s)
+            self._filter = (np.array(over), np.array(under))
+            self.states["filter"] = len(under) - 1
+
+    def predicted(self, measured: Array, x: Rows, keep: Keep) -> Array:
+        now = self._now[2] @ x["now"]
+        off = measured - self._then.C @ x["then"]
+        if self._filter is not None:
+            over, under = self._filter
+            A, B, C = companion(over[1:] - over[0] * under[1:], under)
+            keep("filter", A @ x["filter"] + np.outer(B, off))
+            off = C @ x["filter"] + over[0] * off
+        return np.asarray(now + off)
+
+    def believe(self, command: Array, x: Rows, keep: Keep) -> None:
+        A, B, _ = self._now
+        keep("now", A @ x["now"] + np.outer(B, command))
+        then, line = self._then, [command, *x["sent"]]
+        entering = [line[then.delay + k] for k in range(then.B.shape[1])]
+        keep("then", then.A @ x["then"] + then.B @ np.vstack(entering))
+
+
+class ObserverSpace:
+    """An observer of the identified model, and the model run ahead over the delay."""
+
+    def __init__(self, model: RateModel, bandwidth: float, disturbance: bool) -> None:
+        self.reads = int(model.delay_samples) + 2
+        modes = Modes(model)
+        F, gain = modal_observer(modes, bandwidth, model.sample_time_s, disturbance)
+        n = len(modes.poles)
+        size = n + 1 if disturbance else n
+        shares = np.zeros((size, 2), complex)
+        shares[:n, 0] = modes.shares
+        shares[:n, 1] = 1.0 - shares[:n, 0]
+        seen, ahead = np.zeros(size, complex), np.zeros(size, complex)
+        seen[:n], ahead[:n] = modes.residues, modes.ahead()
+        if disturbance:
+            ahead[n] = modes.gathered()
+        entering = np.concatenate([shares, np.asarray(gain)[:, None]], axis=1)
+        A, B, C = real_form(F, entering, np.vstack([seen, ahead]))
+        self._observer = (A, B[:, :2], B[:, 2], C[0], C[1])
+        whole, f = modes.whole, modes.delay - modes.whole
+        poles, residues = np.array(modes.poles), np.array(modes.residues)
+        # newest first: one a whole step, then over the fraction
+        on_the_way = [np.sum(residues * poles**j).real for j in range(whole)]
+        part_of = np.array([f if p == 1.0 else (p**f - 1.0) / (p - 1.0) for p in modes.poles])
+        on_the_way.append(np.sum(residues * poles**whole * part_of).real)
+        self._on_the_way = np.array(on_the_way)
+        self.states = {"observer": size}
+
+    def predicted(self, measured: Array, x: Rows, keep: Keep) -> Array:
+        A, B, gain, seen, ahead = self._observer
+        sent, whole = x["sent"], len(self._on_the_way) - 1
+        state = A @ x["observer"] + B @ sent[whole : whole + 2]
+        state = state + np.outer(gain, measured - seen @ state)
+        keep("observer", state)
+        return np.asarray(ahead @ state + self._on_the_way @ sent[: whole + 1])
+
+    def believe(self, command: Array, x: Rows, keep: Keep) -> None:
+        """Nothing: it reads the past commands."""
