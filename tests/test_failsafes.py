@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from command_tools import Hexjet
+from test_pages import stated
 
 from cosim.base.protocols import EngineState
 from cosim.campaign import failsafe_survey as table
@@ -175,36 +176,6 @@ def test_idle_does_not_go_through_the_plan_and_the_repair_is_believed() -> None:
         assert flight.simulation.state.altitude > 2.0
 
 
-# --- the fence -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("aircraft", "wind", "stated"), [("hexjet", 5.0, 11.0), ("hexjet-p220", 0.0, 24.0)])
-def test_the_fence_is_passed_by_the_way_to_stop_that_the_page_states(aircraft: str, wind: float, stated: float) -> None:
-    """5 m/s by set-points from outside: v^2/2a + v a/2j of the set-point, and what the vehicle is behind it."""
-    with Flight(aircraft, 10.0, environment={"wind_ned_m_s": [0.0, wind, 0.0]}) as flight:
-        pilot, simulation = flight.pilot, flight.simulation
-        flight.fly(5.0)
-        setpoint = rq.OffboardVelocity(0.0, 5.0, 0.0)
-        flight.ok(rq.SetParameter("MPC_XY_VEL_MAX", 5.0), rq.SetParameter("HJ_FENCE_RAD", 25.0), setpoint)
-        flight.ok(rq.SetMode("OFFBOARD"))
-        while pilot.mode is Mode.OFFBOARD:
-            flight.ok(setpoint)
-            flight.fly(0.1)
-        assert pilot.failsafe.startswith("outside the fence")
-        furthest = 0.0
-        speed = simulation.state.velocity[1]
-        while simulation.state.velocity[1] > 0.0:
-            flight.fly(0.1)
-            furthest = simulation.state.position[1] - 25.0
-        a, j = pilot.parameters["HJ_ACC_HOR"], pilot.parameters["HJ_JERK_HOR"]
-        way = speed**2 / (2.0 * a) + speed * a / (2.0 * j)
-        assert way < furthest + 1.0
-        assert furthest == pytest.approx(way, abs=2.5)
-        assert furthest == pytest.approx(stated, abs=1.5)
-    text = (DOCS / "ground-station.md").read_text(encoding="utf-8")
-    assert f"{aircraft} goes {stated:.0f} m on" in " ".join(text.split())
-
-
 # --- on the ground -------------------------------------------------------------------------------------------------
 
 
@@ -236,7 +207,7 @@ def test_what_is_left_of_a_jet_ten_seconds_later_is_its_rotor_running_down() -> 
         law = flight.simulation.engine.flame_out
         assert law is not None
         left = law.left * (1.0 + table.LATER_S / law.run_down) ** -law.exponent
-        assert f"{100.0 * left:.3f} % of" in (DOCS / "failsafes.md").read_text(encoding="utf-8")
+        stated("docs/failsafes.md", "{} % of what they gave when they were shut off", 100.0 * left)
         flight.fly(1.1)
         flight.ok(rq.Arm())
         idle = flight.fly(2.0)
