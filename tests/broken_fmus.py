@@ -264,7 +264,7 @@ DESCRIPTIONS = [
     described("missing-throttle", "has no input", ('causality="input"', 'causality="local"'), (' start="0"', "")),
     described("wrong-causality", "has no output", ('causality="output"', 'causality="input"'), ('unit="N"', 'unit="N" start="0"'), ('<Outputs><Unknown index="2"/></Outputs><InitialUnknowns><Unknown index="2"/></InitialUnknowns>', "")),
     described("ambiguous-throttle", "several inputs", ('"throttle"', '"left.throttle"'), ("</ScalarVariable>\n</ModelVariables>", SECOND_LEVER)),
-    described("integer-throttle", "throttle is of type Integer", ('causality="input" variability="continuous">\n  <Real', 'causality="input" variability="discrete">\n  <Integer')),
+    described("integer-throttle", "a throttle needs 20 steps at least", ('causality="input" variability="continuous">\n  <Real', 'causality="input" variability="discrete">\n  <Integer')),
     described("thrust-in-metres", "thrust is in m", ('unit="N"/>', 'unit="m"/>')),
     described("no-range", "is no range", ('max="1"', 'max="0"')),
     described("step-that-does-not-fit", "is not a whole multiple of the engine's internal step 0.003 s", ("<CoSimulation ", '<CoSimulation fixedInternalStepSize="0.003" '), fmi=3),

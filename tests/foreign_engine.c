@@ -86,7 +86,7 @@ static bool running(Engine *e)
             e->lit += e->value[MODE] == 1.0 && e->lit < takes ? H : 0.0;
         else
             e->lit += e->value[IGNITION] != 0.0 && e->lit < takes ? H : 0.0;
-        on = e->lit >= takes - 0.5 * H && (e->of.modes == 0.0 || e->value[MODE] == 2.0);
+        on = e->lit >= 0.99 * takes && (e->of.modes == 0.0 || e->value[MODE] == 2.0);
     }
     return on && (e->of.valve == 0.0 || e->value[VALVE] > 0.5);
 }

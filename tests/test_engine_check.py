@@ -180,24 +180,17 @@ def test_a_mapping_file_is_checked_with_what_it_states(tmp_path: Path) -> None:
     ]
 
 
-def test_what_fmpy_says_against_the_description_is_a_problem(tmp_path: Path) -> None:
-    old = '<Output valueReference="2" dependencies="" />'
-    new = '<Output valueReference="2" dependencies="" dependenciesKind="dependent" />'
-    report = check_fmu(str(edit_description(archive("edf", 3), tmp_path / "x.fmu", old, new)))
-    (problem,) = report.problems
-    assert "number of elements in the dependencies and dependenciesKind attributes" in problem
-    assert report.delay_samples_up == 0  # the rest is still told
-
-
 def test_what_fmpy_says_against_dependencies_that_nothing_reads_is_a_note(tmp_path: Path) -> None:
-    """Some exporters leave them out."""
+    """Some exporters leave them out, or count them wrongly."""
     old = '<Output valueReference="2" dependencies="" />'
-    path = edit_description(archive("edf", 3), tmp_path / "x.fmu", old, "")
-    report = check_fmu(str(path))
-    assert report.problems == []
-    assert (
-        'ModelStructure/Outputs must have exactly one entry for each variable with causality="output".' in report.notes
-    )
+    wrong = '<Output valueReference="2" dependencies="" dependenciesKind="dependent" />'
+    for new, said in (
+        ("", 'ModelStructure/Outputs must have exactly one entry for each variable with causality="output".'),
+        (wrong, "number of elements in the dependencies and dependenciesKind attributes"),
+    ):
+        report = check_fmu(str(edit_description(archive("edf", 3), tmp_path / "x.fmu", old, new)))
+        assert report.problems == []
+        assert any(said in note for note in report.notes)
 
 
 def test_an_engine_with_memory_it_does_not_own_is_found_out(tmp_path: Path) -> None:

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import re
 import zipfile
 from pathlib import Path
 
 import pytest
-from foreign_engines import SOURCE, description, force, foreign, lever, library
+from engine_tools import STEP
+from foreign_engines import FULL, SOURCE, description, force, foreign, lever, library, mapped
 
+from cosim import Scenario, fly
 from cosim.base.errors import InputError
+from cosim.base.signals import Ambient
+from cosim.base.toml import parse_setting
 from cosim.cli.main import main
+from cosim.engine import EngineBank, EngineSpec, load_engine
 from cosim.engine.archive import read_archive, validate
 from cosim.engine.compile import compile_archive, needs_compiling
 from cosim.engine.description import is_blemish
+from cosim.engine.ports import Air
+from cosim.engine.response import flat_notes
 
 
 @pytest.fixture(scope="module")
@@ -133,3 +141,191 @@ def test_sources_that_do_not_compile_say_why(sources: Path) -> None:
         compile_archive(path)
     with pytest.raises(InputError, match="has no sources"):
         compile_archive(foreign(sources.parent, "no-sources", "lag=0.2"))
+
+
+# ---- mapping: integers, enumerations, constants, sign, air, starts, rest
+
+
+def load(path: Path, *lines: str) -> EngineSpec:
+    return load_engine(str(mapped(path, *lines) if lines else path), {}, STEP, unchecked=True)
+
+
+def pulses(fmi: int) -> tuple[str, str, str, str]:
+    return "esc_us", "pulse", "input", f'{"Integer" if fmi == 2 else "UInt16"}: min="1000" max="2000" start="1000"'
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_throttle_in_whole_numbers_moves_in_their_steps(fmi: int, place: Path) -> None:
+    """1000 to 2000 microseconds: thrust at rest is that of the nearest whole one."""
+    spec = load(foreign(place, f"pulses{fmi}", "lag=0.02,pulse=1", [pulses(fmi), force()], fmi))
+    assert spec.archive.throttle.name == "esc_us"
+    assert any("1000 steps" in note for note in spec.archive.port_notes)
+    with EngineBank(spec, 1, STEP) as bank:
+        for share in (0.0, 0.5, 0.50049, 0.50051, 1.0):
+            assert bank.reset(share).thrust[0] == pytest.approx(FULL * round(1000.0 * share) / 1000.0, abs=1e-7)
+
+
+def test_a_switch_is_no_throttle(place: Path) -> None:
+    row = ("throttle", "throttle", "input", 'Integer: min="0" max="1" start="0"')
+    with pytest.raises(InputError, match="a throttle needs 20 steps at least"):
+        load(foreign(place, "switch", "lag=0.02", [row, force()]))
+
+
+VALVE = ("fuel.valve", "valve", "input", 'min="0" max="1" start="0"')
+POWER = ("power_available", "valve", "input", 'Boolean: start="false"')
+MODE = ("mode", "mode", "input", 'Enumeration: declaredType="Mode" start="0"')
+MODES = {
+    2: '<TypeDefinitions><SimpleType name="Mode"><Enumeration><Item name="off" value="0"/><Item name="crank" value="1"/>'
+    '<Item name="run" value="2"/></Enumeration></SimpleType></TypeDefinitions>\n',
+    3: '<TypeDefinitions><EnumerationType name="Mode"><Item name="off" value="0"/><Item name="crank" value="1"/>'
+    '<Item name="run" value="2"/></EnumerationType></TypeDefinitions>\n',
+}  # fmt: skip
+SPEED = ("N1", "speed", "output", "")
+
+
+@pytest.mark.parametrize(
+    ("row", "held"), [(VALVE, "'fuel.valve' = 1.0"), (VALVE, "fuel.valve = 1"), (POWER, "power_available = true")]
+)
+def test_an_input_is_held_at_what_the_mapping_file_says(row: tuple[str, ...], held: str, place: Path) -> None:
+    path = foreign(place, "valve", "lag=0.05,valve=1", [lever(), force(), row])  # type: ignore[list-item]
+    with pytest.raises(InputError, match=r"does not answer the throttle .* \[inputs\]"):
+        load(path)
+    assert load(path, "[inputs]", held).curve.thrust[-1] == pytest.approx(FULL)
+
+
+WRONG_INPUTS = {
+    "no = 1.0": r"no input is called no \(there are: throttle, fuel.valve, mode\)",
+    "throttle = 1.0": "throttle is its port throttle",
+    "'fuel.valve' = 2.0": "outside its range, 0 to 1",
+    "'fuel.valve' = true": "it is of type Real; a number goes here",
+    "mode = 'running'": "allowed: off, crank, run",
+    "mode = 7": r"allowed: off \(0\), crank \(1\), run \(2\)",
+}
+
+
+@pytest.mark.parametrize("held", WRONG_INPUTS)
+def test_an_input_that_cannot_be_held_is_refused(held: str, place: Path) -> None:
+    path = foreign(place, "wrong-inputs", "lag=0.05", [lever(), force(), VALVE, MODE], types=MODES[2])
+    with pytest.raises(InputError, match=WRONG_INPUTS[held]) as caught:
+        load(path, "[inputs]", held)
+    assert "\n" not in str(caught.value)
+
+
+CRANK = (
+    "[start]",
+    "sequence = [{ set = { mode = 'crank' }, until = 'N1 > 4990', at_most_s = 20.0 }, { set = { mode = 'run' }, for_s = 1.0 }]",
+)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_engine_is_started_before_anything_is_asked_of_it(fmi: int, place: Path) -> None:
+    """Cranked until its speed is there, 12 s, then run: every instance, and the flight begins behind that."""
+    path = foreign(
+        place, f"crank{fmi}", "lag=0.1,start=12,modes=1", [lever(), force(), MODE, SPEED], fmi, types=MODES[fmi]
+    )
+    with pytest.raises(InputError, match="does not answer the throttle within 10 s; an engine that has to be started"):
+        load(path)
+    spec = load(path, *CRANK)
+    assert spec.curve.thrust[-1] == pytest.approx(FULL)
+    assert spec.window < 100  # the start is no dead time
+    with EngineBank(spec, 2, STEP) as bank:
+        assert bank.reset(0.4).thrust == pytest.approx((8.0, 8.0))
+        up = [bank.step(k, (1.0, 0.4)).thrust for k in range(25)]
+    assert up[-1] == pytest.approx((FULL - 12.0 * math.exp(-1.0), 8.0), rel=1e-6)  # 0.1 s after the flight's first step
+
+
+WRONG_STARTS = {
+    "{ set = { mode = 'crank' }, until = 'N1 > 9000', at_most_s = 5.0 }": r"N1 > 9000 does not come about within 5 s of "
+    r"stage 1 of its \[start\]; N1 is 2\d\d\d",
+    "{ set = { mode = 'crank' }, until = 'N2 > 9000' }": r"\[start\] stage 1: no output is called N2",
+    "{ set = { mode = 'crank' } }": "say how it ends: for_s = 5.0, or until",
+    "{ until = 'N1 is high' }": "until is an output, one of > < >= <=",
+    "{ for_s = 6000.0, until = 'N1 > 1' }": "say how it ends",
+}
+
+
+@pytest.mark.parametrize("stage", WRONG_STARTS)
+def test_a_start_that_does_not_come_about_is_refused(stage: str, place: Path) -> None:
+    path = foreign(place, "crank", "lag=0.1,start=12,modes=1", [lever(), force(), MODE, SPEED], types=MODES[2])
+    with pytest.raises(InputError, match=WRONG_STARTS[stage]) as caught:
+        load(path, "[start]", f"sequence = [{stage}]")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_thrust_that_never_stands_still_flies_with_a_stated_rest(place: Path) -> None:
+    """Noise of 0.25 % of full thrust: refused with the number to write, then measured by its mean."""
+    path = foreign(place, "noisy", "lag=0.1,delay=0.04,noise=0.0025", [lever(), force()])
+    with pytest.raises(
+        InputError, match=r"it still moves by 0\.\d+ N; .* counts as still: \[rest\] thrust = 0\.\d+"
+    ) as caught:
+        load(path)
+    written = re.search(r"\[rest\] (thrust = [\d.]+)", str(caught.value))
+    assert written is not None
+    spec = load(path, "[rest]", written[1])
+    for throttle, thrust in zip(*spec.curve, strict=True):
+        assert thrust == pytest.approx(FULL * throttle, abs=0.004 * FULL)  # of the mean: a tenth of rest, and noise
+    with EngineBank(spec, 1, STEP) as bank:
+        bank.reset(0.5)
+
+
+def test_sign_and_gross_thrust(place: Path) -> None:
+    """Thrust that is negative backwards, and one with ram drag beside it; never guessed."""
+    backwards = foreign(place, "backwards", "lag=0.05,sign=-1")
+    assert load(backwards, "[scale]", "thrust = -1.0").curve.thrust[-1] == pytest.approx(FULL)
+    rows = [lever(), force("Fg", "gross"), force("Fram", "drag")]
+    gross = foreign(place, "gross", "lag=0.05,drag=2.5", rows)
+    assert load(gross, "[ports]", "thrust = 'Fg'").curve.thrust[-1] == pytest.approx(FULL + 2.5)
+    net = load(gross, "[ports]", "thrust = 'Fg'", "ram_drag = 'Fram'")
+    assert net.curve.thrust[-1] == pytest.approx(FULL)
+    with EngineBank(net, 1, STEP) as bank:
+        assert bank.reset(0.25).thrust[0] == pytest.approx(0.25 * FULL)
+
+
+def test_the_air_in_other_words(place: Path) -> None:
+    """Against the tables of ISO 2533, and in the loop against Python: an engine that lives of density and Mach number."""
+    for height, pressure, temperature, density in (  # geopotential; ISO 2533:1975, table 1
+        (0.0, 101325.0, 288.15, 1.225), (2000.0, 79501.4, 275.15, 1.00655), (11000.0, 22632.0, 216.65, 0.363918),
+        (15000.0, 12044.6, 216.65, 0.193674),
+    ):  # fmt: skip
+        derived = Air(pressure, temperature, 0.0).derived()
+        assert derived["altitude"] == pytest.approx(height, abs=1.0)
+        assert derived["density"] == pytest.approx(density, rel=2e-5)
+    fast = Air(101325.0, 288.15, 340.294).derived()  # the speed of sound there
+    assert fast["mach"] == pytest.approx(1.0, rel=1e-5)
+    assert fast["total_pressure"] == pytest.approx(101325.0 * 1.2**3.5)  # 1.892929 at Mach 1
+    assert fast["total_temperature"] == pytest.approx(1.2 * 288.15)
+    rows = [lever(), force(), ("Mn", "mach", "input", 'start="0"'), ("rho", "density", "input", 'unit="kg/m3" start="1"'),
+            ("alt", "altitude", "input", 'unit="m" start="0"'), ("h", "altitude", "output", 'unit="m"')]  # fmt: skip
+    spec = load(foreign(place, "deck", "lag=0.02,air=1", rows))
+    assert {"mach", "density", "altitude"} <= set(spec.ports)
+    air = Air(79501.4, 275.15, 100.0)
+    derived = air.derived()
+    with EngineBank(spec, 1, STEP) as bank:
+        bank.reset(1.0)
+        for k in range(200):
+            thrust = bank.step(k, (1.0,), Ambient(air.pressure, air.temperature, (air.speed,))).thrust[0]
+        height = bank._slaves[0].read(next(v for v in spec.archive.outputs if v.name == "h"))
+    assert thrust == pytest.approx(FULL * derived["density"] / 1.225 * (1.0 - 0.3 * derived["mach"]), rel=1e-9)
+    assert height == pytest.approx(2000.0, abs=1.0)
+
+
+@pytest.mark.parametrize(("made_of", "ends"), [("flat=0.9", (0.0, 0.9)), ("lag=0.1", (0.0, 1.0))])
+def test_a_throttle_that_does_nothing_at_its_end_is_not_used_there(
+    made_of: str, ends: tuple[float, float], place: Path
+) -> None:
+    spec = load(foreign(place, "flat", made_of))
+    assert (spec.rising.throttle[0], spec.rising.throttle[-1]) == ends
+    assert bool(flat_notes(spec.curve)) == (ends != (0.0, 1.0))
+
+
+@pytest.mark.parametrize("key", ["engine_parameters.emf.k", "stations.3.parameters.emf.k", "engine_parameters.'emf.k'"])
+def test_a_dotted_name_goes_behind_set(key: str) -> None:
+    path, value = parse_setting(f"{key}=1.1")
+    assert (path[-1], value) == ("emf.k", 1.1)
+    assert path[:-1] == key.split(".")[: 1 if key.startswith("engine") else 3]
+
+
+def test_a_flight_without_a_model_names_the_one_command(place: Path) -> None:
+    path = foreign(place, "nobody-knows", "lag=0.1,delay=0.04")
+    with pytest.raises(InputError, match=r"hexjet design --engine .*nobody-knows\.fmu --out hexjet-nobody-knows\.toml"):
+        fly(Scenario.load("roll-doublet").replace(engine=str(path), engine_unchecked=True))

@@ -119,12 +119,21 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
     """
     key, equals, value = text.partition("=")
     path = [part.strip() for part in key.split(".")]
+    path = _whole(path)
     if not equals or not all(path):
         raise InputError(f"--set {text}: write it as KEY=VALUE, for example vehicle.mass_kg=6.0")
     try:
         return path, tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return path, value.strip()
+
+
+def _whole(path: list[str]) -> list[str]:
+    """A path in which the name of an engine's parameter stays whole, dots and all: Modelica's names have them."""
+    head = 1 if path[0] == "engine_parameters" else 3 if path[0] == "stations" and path[2:3] == ["parameters"] else None
+    if head is None or len(path) <= head + 1:
+        return path
+    return [*path[:head], ".".join(path[head:]).strip("\"'")]
 
 
 def parse_numbers(texts: Iterable[str], option: str) -> dict[str, float]:

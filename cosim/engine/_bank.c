@@ -22,32 +22,38 @@ typedef int (*Get2)(void *, const unsigned int[], size_t, double[]);
 typedef int (*Step2)(void *, double, double, int);
 typedef int (*Set64)(void *, const uint32_t[], size_t, const double[], size_t);
 typedef int (*Get64)(void *, const uint32_t[], size_t, double[], size_t);
-typedef int (*Set32)(void *, const uint32_t[], size_t, const float[], size_t);
-typedef int (*Get32)(void *, const uint32_t[], size_t, float[], size_t);
+typedef int (*SetAny)(void *, const uint32_t[], size_t, const void *, size_t); /* of any other type of FMI 3.0 */
+typedef int (*GetAny)(void *, const uint32_t[], size_t, void *, size_t);
+typedef int (*SetInteger2)(void *, const unsigned int[], size_t, const int[]);
+typedef int (*GetInteger2)(void *, const unsigned int[], size_t, int[]);
 typedef int (*Step3)(void *, double, double, bool, bool *, bool *, bool *, double *);
 typedef int (*Mode3)(void *);
 typedef int (*Update3)(void *, bool *, bool *, bool *, bool *, bool *, double *);
 
 enum { OK = 0, WARNING = 1, DISCARD = 2 };
 
-/* The ports, in the order of cosim.engine.ports.INPUTS and OUTPUTS. */
-enum { THROTTLE, PRESSURE, TEMPERATURE, AIR_SPEED, INPUTS };
+/* The ports, in the order of cosim.engine.ports.INPUTS and OUTPUTS; BASE are given, the others follow from them. */
+enum { THROTTLE, PRESSURE, TEMPERATURE, AIR_SPEED, BASE, ALTITUDE = BASE, MACH, DENSITY, TOTAL_PRESSURE,
+       TOTAL_TEMPERATURE, INPUTS };
 enum { THRUST, OUTPUTS = 4 };
 
-static const char *const INPUT_NAMES[INPUTS] = {"throttle", "ambient_pressure", "ambient_temperature", "air_speed"};
+static const char *const INPUT_NAMES[INPUTS] = {"throttle", "ambient_pressure", "ambient_temperature", "air_speed", "altitude", "mach", "density", "total_pressure", "total_temperature"};
 static const char *const OUTPUT_NAMES[OUTPUTS] = {"thrust", "spool_speed", "exhaust_temperature", "fuel_flow"};
 
-enum { BLOCKS = 2, MOST_PARTS = 10000 };
+enum { BLOCKS = 3, MOST_PARTS = 10000 };
+
+/* What values are passed as, in the order of cosim.engine.instance.VALUES. */
+typedef enum { DOUBLE, FLOAT, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, KINDS } Kind;
 
 /* One call that sets or gets variables of one type; an array counts as one reference and several values. */
 typedef struct {
     uintptr_t call; /* function; 0: nothing to do */
-    bool narrow;    /* Float32 */
+    Kind kind;
     size_t references, values;
     size_t first_references, first_values; /* the part that is set in every step: the throttle */
     uint32_t *reference;
     double *value;
-    float *narrow_value;
+    void *other_value; /* the same in a kind that is not double */
 } Block;
 
 /* Where a port is among the values, and what it is there: value = scale * port + offset for inputs, limited to
@@ -63,9 +69,10 @@ typedef struct {
     void *instance;
     uintptr_t step;                      /* function */
     uintptr_t enter, update, leave;      /* functions of FMI 3.0's event mode; 0 if it is not used */
-    bool has_ambient;
+    bool has_ambient, has_derived;
     Block set[BLOCKS], get[BLOCKS];
     Place input[INPUTS], output[OUTPUTS];
+    Place drag;          /* of the ram, taken from a gross thrust */
     double port[INPUTS]; /* what the inputs were last set to */
     long long steps;     /* communication steps done, warming up included: FMU time = steps * step */
 } Engine;
@@ -80,33 +87,82 @@ typedef struct {
 static const Fault NO_FAULT = {NULL, OK, ""};
 #define FAULT(what, status) ((Fault){what, status, ""})
 
+/* The values of a block, from doubles to its kind and back; a whole number arrives here as one. */
+static void convert(const Block *b, size_t count, bool out)
+{
+#define CASE(kind, type)                                \
+    case kind:                                          \
+        for (size_t i = 0; i < count; i++)              \
+            if (out)                                    \
+                ((type *)b->other_value)[i] = (type)b->value[i]; \
+            else                                        \
+                b->value[i] = (double)((type *)b->other_value)[i]; \
+        break;
+    switch (b->kind) {
+    CASE(FLOAT, float)
+    CASE(INT8, int8_t)
+    CASE(UINT8, uint8_t)
+    CASE(INT16, int16_t)
+    CASE(UINT16, uint16_t)
+    CASE(INT32, int32_t)
+    CASE(UINT32, uint32_t)
+    CASE(INT64, int64_t)
+    CASE(UINT64, uint64_t)
+    default: break;
+    }
+#undef CASE
+}
+
 static int set_block(const Engine *e, const Block *b, bool all)
 {
     const size_t references = all ? b->references : b->first_references;
     const size_t values = all ? b->values : b->first_values;
     if (!references)
         return OK;
-    if (e->fmi == 2)
-        return ((Set2)b->call)(e->instance, b->reference, references, b->value);
-    if (!b->narrow)
+    if (b->kind == DOUBLE) {
+        if (e->fmi == 2)
+            return ((Set2)b->call)(e->instance, b->reference, references, b->value);
         return ((Set64)b->call)(e->instance, b->reference, references, b->value, values);
-    for (size_t i = 0; i < values; i++)
-        b->narrow_value[i] = (float)b->value[i];
-    return ((Set32)b->call)(e->instance, b->reference, references, b->narrow_value, values);
+    }
+    convert(b, values, true);
+    if (e->fmi == 2)
+        return ((SetInteger2)b->call)(e->instance, b->reference, references, b->other_value);
+    return ((SetAny)b->call)(e->instance, b->reference, references, b->other_value, values);
 }
 
 static int get_block(const Engine *e, const Block *b)
 {
     if (!b->references)
         return OK;
-    if (e->fmi == 2)
-        return ((Get2)b->call)(e->instance, b->reference, b->references, b->value);
-    if (!b->narrow)
+    if (b->kind == DOUBLE) {
+        if (e->fmi == 2)
+            return ((Get2)b->call)(e->instance, b->reference, b->references, b->value);
         return ((Get64)b->call)(e->instance, b->reference, b->references, b->value, b->values);
-    const int status = ((Get32)b->call)(e->instance, b->reference, b->references, b->narrow_value, b->values);
-    for (size_t i = 0; i < b->values; i++)
-        b->value[i] = (double)b->narrow_value[i];
+    }
+    const int status = e->fmi == 2
+        ? ((GetInteger2)b->call)(e->instance, b->reference, b->references, b->other_value)
+        : ((GetAny)b->call)(e->instance, b->reference, b->references, b->other_value, b->values);
+    convert(b, b->values, false);
     return status;
+}
+
+/* The same air in other words: cosim.engine.ports.Air.derived, whose constants these are. */
+static void derive(double port[INPUTS])
+{
+    const double gamma = 1.4, gas = 287.05287, gravity = 9.80665, p0 = 101325.0, t0 = 288.15, lapse = 0.0065;
+    const double tropopause = 11000.0, stratosphere = 216.65;
+    const double p = port[PRESSURE], t = port[TEMPERATURE];
+    double altitude = t0 / lapse * (1.0 - pow(p / p0, gas * lapse / gravity));
+    if (altitude > tropopause) {
+        const double there = pow(stratosphere / t0, gravity / (gas * lapse)) * p0;
+        altitude = tropopause + gas * stratosphere / gravity * log(there / p);
+    }
+    const double mach = port[AIR_SPEED] / sqrt(gamma * gas * t), ram = 1.0 + 0.5 * (gamma - 1.0) * mach * mach;
+    port[ALTITUDE] = altitude;
+    port[MACH] = mach;
+    port[DENSITY] = p / (gas * t);
+    port[TOTAL_PRESSURE] = p * pow(ram, gamma / (gamma - 1.0));
+    port[TOTAL_TEMPERATURE] = t * ram;
 }
 
 static void place_input(Engine *e, int port, double wanted)
@@ -122,6 +178,8 @@ static void place_input(Engine *e, int port, double wanted)
         value = p->low;
     if (value > p->high)
         value = p->high;
+    if (e->set[p->block].kind >= INT8)
+        value = floor(value + 0.5);
     e->set[p->block].value[p->index] = value;
 }
 
@@ -132,14 +190,22 @@ static Fault set_inputs(Engine *e, double throttle, const double *ambient)
         return (Fault){"input", OK, INPUT_NAMES[THROTTLE]};
     place_input(e, THROTTLE, throttle);
     bool changed = false;
-    for (int i = PRESSURE; ambient && e->has_ambient && i < INPUTS; i++) {
+    for (int i = PRESSURE; ambient && e->has_ambient && i < BASE; i++) {
         const double wanted = ambient[i - PRESSURE];
-        if (wanted == e->port[i] || e->input[i].block < 0)
+        if (wanted == e->port[i] || (e->input[i].block < 0 && !e->has_derived))
             continue;
         if (!isfinite(wanted))
             return (Fault){"input", OK, INPUT_NAMES[i]};
         place_input(e, i, wanted);
         changed = true;
+    }
+    if (changed && e->has_derived) {
+        derive(e->port);
+        for (int i = BASE; i < INPUTS; i++) {
+            if (!isfinite(e->port[i]))
+                return (Fault){"input", OK, INPUT_NAMES[i]};
+            place_input(e, i, e->port[i]);
+        }
     }
     for (int i = 0; i < BLOCKS; i++) {
         const int status = set_block(e, &e->set[i], changed);
@@ -166,6 +232,12 @@ static Fault get_outputs(const Engine *e, double ports[OUTPUTS])
         if (!isfinite(value))
             return (Fault){"nan", OK, OUTPUT_NAMES[i]};
         ports[i] = value;
+    }
+    const Place *drag = &e->drag;
+    if (drag->block >= 0) {
+        ports[THRUST] -= drag->scale * e->get[drag->block].value[drag->index] + drag->offset;
+        if (!isfinite(ports[THRUST]))
+            return (Fault){"nan", OK, "ram_drag"};
     }
     return NO_FAULT;
 }
@@ -343,35 +415,35 @@ static PyObject *fail(Bank *self, Py_ssize_t index, Fault fault)
     return NULL;
 }
 
-/* (function, narrow, (reference, ...), (value, ...), first references, first values) */
+/* (function, kind, (reference, ...), (value, ...), first references, first values) */
 static bool read_block(PyObject *row, Block *b)
 {
     PyObject *references, *values;
     unsigned long long call;
-    int narrow;
+    int kind;
     Py_ssize_t first_references, first_values;
     if (!PyTuple_Check(row)) {
         PyErr_SetString(PyExc_TypeError, "a block is a tuple");
         return false;
     }
-    if (!PyArg_ParseTuple(row, "KpO!O!nn", &call, &narrow, &PyTuple_Type, &references, &PyTuple_Type, &values,
+    if (!PyArg_ParseTuple(row, "KiO!O!nn", &call, &kind, &PyTuple_Type, &references, &PyTuple_Type, &values,
                           &first_references, &first_values))
         return false;
     const Py_ssize_t n = PyTuple_Size(references), m = PyTuple_Size(values);
-    if (!call || m < n || first_references < 0 || first_references > n || first_values < first_references ||
+    if (!call || kind < DOUBLE || kind >= KINDS || m < n || first_references < 0 || first_references > n || first_values < first_references ||
         first_values > m) {
         PyErr_SetString(PyExc_ValueError, "a block needs a function and at least as many values as references");
         return false;
     }
     b->reference = PyMem_Calloc((size_t)n + 1, sizeof(uint32_t));
     b->value = PyMem_Calloc((size_t)m + 1, sizeof(double));
-    b->narrow_value = PyMem_Calloc((size_t)m + 1, sizeof(float));
-    if (!b->reference || !b->value || !b->narrow_value) {
+    b->other_value = PyMem_Calloc((size_t)m + 1, sizeof(uint64_t));
+    if (!b->reference || !b->value || !b->other_value) {
         PyErr_NoMemory();
         return false;
     }
     b->call = (uintptr_t)call;
-    b->narrow = narrow;
+    b->kind = (Kind)kind;
     b->references = (size_t)n;
     b->values = (size_t)m;
     b->first_references = (size_t)first_references;
@@ -418,7 +490,7 @@ static bool read_engine(PyObject *row, Engine *e)
                           &e->port[THROTTLE], &e->port[PRESSURE], &e->port[TEMPERATURE], &e->port[AIR_SPEED]))
         return false;
     if ((e->fmi != 2 && e->fmi != 3) || !instance || !step || PyTuple_Size(sets) > BLOCKS ||
-        PyTuple_Size(gets) > BLOCKS || PyTuple_Size(inputs) != INPUTS || PyTuple_Size(outputs) != OUTPUTS) {
+        PyTuple_Size(gets) > BLOCKS || PyTuple_Size(inputs) != INPUTS || PyTuple_Size(outputs) != OUTPUTS + 1) {
         PyErr_SetString(PyExc_ValueError, "an engine needs FMI 2 or 3, an instance, a function and all its ports");
         return false;
     }
@@ -436,8 +508,11 @@ static bool read_engine(PyObject *row, Engine *e)
         good = read_place(PyTuple_GetItem(inputs, i), e->set, &e->input[i]);
     for (int i = 0; good && i < OUTPUTS; i++)
         good = read_place(PyTuple_GetItem(outputs, i), e->get, &e->output[i]);
+    good = good && read_place(PyTuple_GetItem(outputs, OUTPUTS), e->get, &e->drag);
     for (int i = PRESSURE; good && i < INPUTS; i++)
         e->has_ambient = e->has_ambient || e->input[i].block >= 0;
+    for (int i = BASE; good && i < INPUTS; i++)
+        e->has_derived = e->has_derived || e->input[i].block >= 0;
     if (good && (e->input[THROTTLE].block < 0 || e->output[THRUST].block < 0)) {
         PyErr_SetString(PyExc_ValueError, "an engine needs a throttle and a thrust");
         good = false;
@@ -452,7 +527,7 @@ static void free_engines(Engine *engines, Py_ssize_t count)
             Block *b = j < BLOCKS ? &engines[i].set[j] : &engines[i].get[j - BLOCKS];
             PyMem_Free(b->reference);
             PyMem_Free(b->value);
-            PyMem_Free(b->narrow_value);
+            PyMem_Free(b->other_value);
         }
     PyMem_Free(engines);
 }

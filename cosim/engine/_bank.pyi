@@ -5,7 +5,7 @@ from cosim.base.signals import Ambient, EngineOutput
 LOGGER2: int
 LOGGER3: int
 
-Block = tuple[int, bool, tuple[int, ...], tuple[float, ...], int, int]
+Block = tuple[int, int, tuple[int, ...], tuple[float, ...], int, int]
 Place = tuple[int, int, float, float, float, float]
 Row = tuple[
     int,

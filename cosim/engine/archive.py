@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
+from xml.etree import ElementTree
 
 from cosim.base.cache import Memory
 from cosim.base.errors import InputError
@@ -21,17 +22,18 @@ from cosim.engine.container import (
 )
 from cosim.engine.description import describe
 from cosim.engine.ports import (
+    INTEGERS,
+    REALS,
     Port,
     PortError,
     PortMap,
     Variable,
     find_ports,
 )
+from cosim.engine.starting import Starting, starting
 from cosim.engine.units import Unit
 
-INTEGERS = {"Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"}
-REALS = {"Real", "Float64", "Float32"}
-TYPES = REALS | INTEGERS | {"Boolean"}
+TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}
 LARGEST_ARRAY = 10_000  # elements that are listed one by one
 # Model exchange leaves the integration to us.  FMPy's CVode, restarted at every change of the throttle, takes 2.5 ms
 # (1e-5) to 5.3 ms (1e-10) for six engines of two states, which is as long as a control step; not restarted it is wrong
@@ -66,6 +68,7 @@ class Archive:
     returns_early: bool  # FMI 3.0: it may return from a step before its end
     saves_state: bool
     serializes_state: bool
+    starting: Starting = field(default_factory=Starting)  # what is done with an instance before it is asked for thrust
 
     @property
     def throttle(self) -> Variable:
@@ -130,6 +133,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
     description, blemishes = describe(data)
     slave = description.coSimulation
     _need_library(names, fmi, slave.modelIdentifier)
+    _read_unsigned(root, description)
     bases = _bases(description)
     elements = [each for v in description.modelVariables if v.type in TYPES for each in _elements(v, bases)]
     inputs, outputs, parameters = (
@@ -137,6 +141,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
     )
     try:
         ports, notes = find_ports([*inputs, *outputs, *parameters], stated)
+        begin = starting(stated, inputs, outputs, ports)
     except PortError as error:
         raise UnusableError(str(error)) from error
     experiment = description.defaultExperiment
@@ -149,7 +154,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
         identifier=slave.modelIdentifier,
         token=description.instantiationToken,
         ports=ports,
-        port_notes=tuple(notes),
+        port_notes=(*notes, *_left_alone(inputs, ports, begin)),
         blemishes=blemishes,
         inputs=inputs,
         outputs=outputs,
@@ -162,7 +167,29 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
         returns_early=slave.mightReturnEarlyFromDoStep,
         saves_state=slave.canGetAndSetFMUstate,
         serializes_state=slave.canGetAndSetFMUstate and slave.canSerializeFMUstate,
+        starting=begin,
     )
+
+
+def _left_alone(inputs: Sequence[Variable], ports: Mapping[str, Port], begin: Starting) -> list[str]:
+    """A note on inputs that nobody sets."""
+    set_ = {port.variable.name for port in ports.values()} | {
+        v.name for each in (begin.constants, *(stage.settings for stage in begin.stages)) for v, _ in each
+    }
+    left = [v for v in inputs if v.name not in set_ and not v.is_array]
+    if not left:
+        return []
+    shown = ", ".join(v.name if v.start is None else f"{v.name} = {v.start:g}" for v in left[:10])
+    more = f" and {len(left) - 10} more" if len(left) > 10 else ""
+    return [f"inputs that stay at their start values, unless a mapping file says otherwise in [inputs]: {shown}{more}"]
+
+
+def _read_unsigned(root: ElementTree.Element, description: Any) -> None:
+    """Fill in the limits of FMI 3.0's unsigned variables, which FMPy leaves out."""
+    stated = {each.get("name"): each for each in root.iterfind("ModelVariables/*") if each.tag.startswith("UInt")}
+    for v in description.modelVariables:
+        if v.name in stated:
+            v.min, v.max = (stated[v.name].get(key) for key in ("min", "max"))
 
 
 def _need_library(names: list[str], fmi: int, identifier: str) -> None:
@@ -227,6 +254,7 @@ def _variable(v: Any, name: str, index: int, starts: list[float | None], bases: 
         causality=v.causality or "local",
         variability=v.variability or ("continuous" if v.type in REALS else "discrete"),
         base=bases.get(unit or ""),
+        items=tuple((item.name, int(item.value)) for item in (declared.items if declared else None) or ()),
         index=index,
         starts=tuple(0.0 if start is None else start for start in starts),
     )

@@ -93,7 +93,7 @@ class EngineBank:
             port = spec.archive.ports["start"]
             settings.append((port.variable, port.value(throttle)))
         try:
-            self._slaves[index].initialize(settings, throttle, air)
+            self._slaves[index].initialize(settings, throttle, air, step=self._step)
         except SlaveError as error:
             raise EngineError(f"{self._label(index)}: {error}") from error
 
@@ -102,7 +102,8 @@ class EngineBank:
             return self._native.hold(index, held, steps)
 
         try:
-            settle(hold, throttle, self._specs[index].window, self._step, self._specs[index].quiet)
+            spec = self._specs[index]
+            settle(hold, throttle, spec.window, self._step, spec.quiet, spec.archive.starting.rest_n)
         except _bank.FailureError as failure:
             raise self._failed(failure, "before the flight") from failure
         except ResponseError as error:

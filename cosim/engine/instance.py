@@ -14,15 +14,18 @@ from pathlib import Path
 from typing import Any, Literal
 
 import cosim.engine._bank as _bank
-from cosim.engine.archive import REALS, Archive
+from cosim.engine.archive import Archive
 from cosim.engine.container import one_line
 from cosim.engine.ports import (
+    BASE,
     INPUTS,
     OUTPUTS,
+    REALS,
     STANDARD_AIR,
     Air,
     Variable,
 )
+from cosim.engine.starting import Setting
 
 STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 DISCARD = 2
@@ -50,7 +53,11 @@ FAULTS = {
     "input": "{port} is not finite",
 }
 
-Setting = tuple[Variable, float]
+# What the C loop passes values as: the number of each is that in its enum.
+VALUES = {
+    "Real": 0, "Float64": 0, "Float32": 1, "Int8": 2, "UInt8": 3, "Int16": 4, "UInt16": 5, "Int32": 6, "Integer": 6,
+    "UInt32": 7, "Int64": 8, "UInt64": 9,
+}  # fmt: skip
 
 
 class SlaveError(Exception):
@@ -70,6 +77,7 @@ class Slave:
         self.log = _bank.Log()
         self._stepping = False
         self._dead = False
+        self._done = 0  # communication steps of the start
         self._inputs = _canonical(0.0, STANDARD_AIR)  # what they were set to
         self.fmu: Any = _load(archive, folder, name)
         try:
@@ -118,15 +126,19 @@ class Slave:
         if not fmu.component:
             raise SlaveError(self._with_log("cannot be instantiated"))
 
-    def initialize(self, settings: Sequence[Setting], throttle: float, air: Air = STANDARD_AIR) -> float:
+    def initialize(
+        self, settings: Sequence[Setting], throttle: float, air: Air = STANDARD_AIR, *, step: float
+    ) -> float:
         """Set parameters and inputs, leave initialization mode at time 0, and return the thrust [N] there.
 
-        Raises SlaveError if the FMU returns an error on the way.
+        Where the mapping file states a start, it is gone through in steps of ``step`` seconds, and the thrust is that
+        after it.  Raises SlaveError if the FMU returns an error on the way, or if it does not start.
         """
         self._inputs = _canonical(throttle, air)
+        self._done = 0
         if self.archive.fmi == 2:
             self.call("setupExperiment", startTime=0.0)
-        self._set(settings)
+        self._set([*settings, *self.archive.starting.constants])
         self.call("enterInitializationMode")
         ports = self.archive.ports
         wanted = self._inputs | {"run": 1.0}
@@ -135,19 +147,55 @@ class Slave:
         self._stepping = True
         if self.archive.event_mode:
             self._handle_events()
+        self._start(step)
         thrust = self.output("thrust")
         if not math.isfinite(thrust):
             raise SlaveError("thrust is not finite at the start")
         return thrust
 
-    def output(self, name: str) -> float:
-        """What the engine reports now on a port that it has, in SI units."""
-        port = self.archive.ports[name]
-        size = len(port.variable.starts)
+    def _start(self, step: float) -> None:
+        """Go through the stages of a start, and count the steps that they take."""
+        for number, stage in enumerate(self.archive.starting.stages, start=1):
+            self._set(stage.settings)
+            native = _bank.Bank((self.row(),), step)
+            most = max(1, round(stage.seconds / step))
+            until = stage.until
+            made = 0
+            try:
+                if until is None:
+                    native.hold(0, stage.throttle, most)
+                    made = most
+                while until is not None and not until.holds(value := self.read(until.output)):
+                    if made == most:
+                        raise SlaveError(
+                            f"it does not start: {until} does not come about within {stage.seconds:g} s of stage "
+                            f"{number} of its [start]; {until.output.name} is {value:g}"
+                        )
+                    native.hold(0, stage.throttle, 1)
+                    made += 1
+            except _bank.FailureError as failure:
+                raise SlaveError(self.explain(failure, f"in stage {number} of its start")) from failure
+            self._done += made
+
+    def read(self, variable: Variable) -> float:
+        """What a variable is now, in the FMU's own unit."""
+        size = len(variable.starts)
         more = {"nValues": size} if size > 1 else {}
-        values = self.call(f"get{port.variable.type}", [port.variable.reference], **more)
-        value = port.scale * float(values[port.variable.index])
-        return value + port.offset if port.offset else value
+        values = self.call(f"get{self._type(variable)}", [variable.reference], **more)
+        return float(values[variable.index])
+
+    def _type(self, variable: Variable) -> str:
+        """FMI's name of the functions that get and set a variable."""
+        if variable.type != "Enumeration":
+            return variable.type
+        return "Integer" if self.archive.fmi == 2 else "Int64"
+
+    def output(self, name: str) -> float:
+        """What the engine reports now on a port that it has, in SI units; a thrust is without the ram drag."""
+        port = self.archive.ports[name]
+        value = port.scale * self.read(port.variable)
+        value = value + port.offset if port.offset else value
+        return value - self.output("ram_drag") if name == "thrust" and "ram_drag" in self.archive.ports else value
 
     def set_run(self, on: bool) -> bool:
         """Set the port ``run`` between two steps; False if the engine has none."""
@@ -166,7 +214,7 @@ class Slave:
             values[variable.index] = value
         for variable, values in arrays.values():
             kind: type = float if variable.type in REALS else bool if variable.type == "Boolean" else int
-            self.call(f"set{variable.type}", [variable.reference], [kind(value) for value in values])
+            self.call(f"set{self._type(variable)}", [variable.reference], [kind(value) for value in values])
 
     def _handle_events(self) -> None:
         """From event mode to step mode."""
@@ -222,18 +270,18 @@ class Slave:
         """What the C loop needs to step this instance, which has ``done`` communication steps behind it."""
         archive = self.archive
         sets, inputs = self._blocks("set", INPUTS)
-        gets, outputs = self._blocks("get", OUTPUTS)
+        gets, outputs = self._blocks("get", (*OUTPUTS, "ram_drag"))
         return (
             archive.fmi,
             self.fmu.component,
             self._address(f"fmi{archive.fmi}DoStep"),
             tuple(self._address(name) if archive.event_mode else 0 for name in EVENT_FUNCTIONS),
-            done,
+            self._done + done,
             sets,
             gets,
             inputs,
             outputs,
-            tuple(self._inputs[name] for name in INPUTS),
+            tuple(self._inputs[name] for name in BASE),
         )
 
     def _address(self, name: str) -> int:
@@ -266,7 +314,7 @@ class Slave:
                     places[name] = number, index, port.scale, port.offset, -math.inf, math.inf
             function = self._address(f"fmi{self.archive.fmi}{way.capitalize()}{kind}")
             alone = (1, first) if number == 0 else (0, 0)
-            blocks.append((function, kind == "Float32", tuple(begin), tuple(values), *alone))
+            blocks.append((function, VALUES[kind], tuple(begin), tuple(values), *alone))
         return tuple(blocks), tuple(places.get(name) for name in names)
 
     def close(self) -> None:
@@ -309,7 +357,7 @@ def _leave_path(resources: Path) -> None:
 
 
 def _canonical(throttle: float, air: Air) -> dict[str, float]:
-    return dict(zip(INPUTS, (throttle, *air), strict=True))
+    return dict(zip(BASE, (throttle, *air), strict=True)) | air.derived()
 
 
 class _Functions(dict[str, Any]):

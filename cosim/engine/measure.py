@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cosim.engine._bank as _bank
 from cosim.base.cache import Memory
 from cosim.engine.archive import Archive
-from cosim.engine.instance import Setting, Slave, SlaveError
+from cosim.engine.instance import Slave, SlaveError
 from cosim.engine.ports import STANDARD_AIR, Air
 from cosim.engine.response import (
     LITTLE_CHANGE,
@@ -23,6 +23,7 @@ from cosim.engine.response import (
     window_for,
 )
 from cosim.engine.spec import behaviour_of
+from cosim.engine.starting import Setting
 from cosim.engine.unpacked import unpack
 
 
@@ -78,16 +79,17 @@ def _measure(
     with unpack(archive) as folder:
         slave = Slave(archive, folder, "measured")
         try:
-            slave.initialize(settings, 0.0, air)
+            slave.initialize(settings, 0.0, air, step=step)
             native = _bank.Bank([slave.row()], step)
 
             def hold(throttle: float, steps: int) -> list[float]:
                 alive()
                 return native.hold(0, throttle, steps)
 
-            at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet)
-            response = step_response(hold, at_rest, 1.0, step, quiet)
-            curve = static_curve(hold, window_for(response.delay), step, quiet)
+            rest = archive.starting.rest_n
+            at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet, rest)
+            response = step_response(hold, at_rest, 1.0, step, quiet, rest)
+            curve = static_curve(hold, window_for(response.delay), step, quiet, rest)
         except _bank.FailureError as failure:
             raise SlaveError(slave.explain(failure, "while its thrust was measured")) from failure
         finally:
@@ -112,7 +114,7 @@ def _starts_level(
     slave = Slave(archive, folder, "started")
     try:
         port = archive.ports["start"]
-        first = slave.initialize([*settings, (port.variable, port.value(throttle))], throttle, air)
+        first = slave.initialize([*settings, (port.variable, port.value(throttle))], throttle, air, step=step)
         rest = _bank.Bank([slave.row()], step).hold(0, throttle, window_for(response.delay))
     except SlaveError:
         return False
@@ -121,5 +123,5 @@ def _starts_level(
         return False
     finally:
         slave.close()
-    tolerance = 1e-6 * max(1.0, abs(response.after))
+    tolerance = max(1e-6 * max(1.0, abs(response.after)), archive.starting.rest_n)
     return all(abs(value - thrust) <= tolerance for value in [first, *rest])

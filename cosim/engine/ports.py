@@ -10,8 +10,16 @@ A port is found by causality, name and unit, or stated in a mapping file::
     thrust = "lbf"            # only where the FMU declares none or the wrong one
     [range]
     throttle = [20.0, 100.0]  # what 0 and 1 are, in the FMU's own unit
+    [scale]
+    thrust = -1.0             # the port is so many times the variable
     [parameters]
     gain = 1.0
+    [inputs]                  # inputs that are held: numbers, true or false, the name of an enumeration's item
+    fuel_valve = 1.0
+    [start]                   # what is done with every instance before anything else: see cosim.engine.starting
+    sequence = [{ set = { ignition = true }, until = "N1 > 30000", at_most_s = 60.0 }]
+    [rest]
+    thrust = 0.2              # N, peak to peak: a thrust that moves no more stands still
     [rotor]
     inertia_kg_m2 = 2.0e-4
     [flame_out]               # without a port run; electric = true for a fan
@@ -28,11 +36,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf, isfinite
+from math import floor, inf, isfinite, log, sqrt
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from cosim.base.errors import InputError
 from cosim.base.toml import (
@@ -45,7 +53,9 @@ from cosim.base.toml import (
 from cosim.engine.rundown import FlameOutLaw, law_of
 from cosim.engine.units import (
     ANGULAR_SPEED,
+    DENSITY,
     FORCE,
+    LENGTH,
     MASS_FLOW,
     PRESSURE,
     RATIO,
@@ -60,15 +70,30 @@ from cosim.engine.units import (
 )
 
 # In the order of the C loop.
-INPUTS = ("throttle", "ambient_pressure", "ambient_temperature", "air_speed")
+BASE = ("throttle", "ambient_pressure", "ambient_temperature", "air_speed")
+DERIVED = ("altitude", "mach", "density", "total_pressure", "total_temperature")  # from those: Air.derived
+INPUTS = (*BASE, *DERIVED)
 OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow")
 AMBIENT = INPUTS[1:]
 NEEDED = ("throttle", "thrust")
 
 REALS = ("Real", "Float64", "Float32")
-SWITCHES = (*REALS, "Boolean", "Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
+INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
+LEVERS = (*REALS, *INTEGERS)
+SWITCHES = (*REALS, "Boolean", *INTEGERS)
+LONGEST_START_S = 600.0  # of one stage: chosen by us; a turbojet is at idle within two minutes
+CONDITION = re.compile(r"\s*(\S+)\s*(>=|<=|>|<)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*")
 RANGE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]"
+LEAST_STEPS = 20  # of a throttle in whole numbers, chosen by us: coarser than 5 % it is a switch
 NO_BOUND = 1e9  # tools write bounds such as 1e60 where there is none
+
+
+# Dry air and the standard atmosphere: ISO 2533:1975.
+GAMMA = 1.4
+GAS = 287.05287  # J/(kg K)
+GRAVITY = 9.80665  # m/s^2
+PRESSURE_0, TEMPERATURE_0, LAPSE = 101325.0, 288.15, 0.0065  # Pa, K, K/m
+TROPOPAUSE, STRATOSPHERE = 11000.0, 216.65  # m, K
 
 
 class Air(NamedTuple):
@@ -77,6 +102,23 @@ class Air(NamedTuple):
     pressure: float  # Pa, static
     temperature: float  # K, static
     speed: float  # m/s, into the intake
+
+    def derived(self) -> dict[str, float]:
+        """The same air in other words, as the C loop computes them: :data:`DERIVED`, SI units.
+
+        ``altitude`` is the geopotential pressure altitude of ISO 2533, which engine decks mean; density that of dry
+        air as an ideal gas; total values isentropic, with a ratio of specific heats of 1.4.
+        """
+        share = (self.pressure / PRESSURE_0) ** (GAS * LAPSE / GRAVITY)
+        altitude = TEMPERATURE_0 / LAPSE * (1.0 - share)
+        if altitude > TROPOPAUSE:
+            there = (STRATOSPHERE / TEMPERATURE_0) ** (GRAVITY / (GAS * LAPSE)) * PRESSURE_0
+            altitude = TROPOPAUSE + GAS * STRATOSPHERE / GRAVITY * log(there / self.pressure)
+        mach = self.speed / sqrt(GAMMA * GAS * self.temperature)
+        ram = 1.0 + 0.5 * (GAMMA - 1.0) * mach * mach
+        density = self.pressure / (GAS * self.temperature)
+        total = self.pressure * ram ** (GAMMA / (GAMMA - 1.0))
+        return dict(zip(DERIVED, (altitude, mach, density, total, self.temperature * ram), strict=True))
 
 
 STANDARD_AIR = Air(101325.0, 288.15, 0.0)  # the standard atmosphere's at sea level, at rest
@@ -97,13 +139,14 @@ class Kind(NamedTuple):
     types: tuple[str, ...]
     names: tuple[str, ...]
     vague: tuple[str, ...] = ()  # names that count where no better one is found
+    stated: bool = False  # never looked for, because an FMU that has it may mean another thing by it
 
 
 KINDS: Mapping[str, Kind] = {
     "throttle": Kind(
         "input",
         RATIO,
-        REALS,
+        LEVERS,
         (
             "throttle", "throttlecmd", "throttlecommand", "throttlecmdnorm", "throttleinput", "throttlelever",
             "throttleposition", "throttlepos", "throttlesetting", "thr", "thrcmd", "thrustlever", "thrustleverangle",
@@ -140,6 +183,26 @@ KINDS: Mapping[str, Kind] = {
             "vinf", "vair",
         ),
     ),
+    "altitude": Kind(
+        "input",
+        LENGTH,
+        REALS,
+        ("altitude", "alt", "pressurealtitude", "flightaltitude", "hp", "zp"),
+    ),
+    "mach": Kind("input", RATIO, REALS, ("mach", "machnumber", "flightmach", "mn", "xm")),
+    "density": Kind("input", DENSITY, REALS, ("density", "airdensity", "ambientdensity", "rho", "rhoamb", "rhoair")),
+    "total_pressure": Kind(
+        "input",
+        PRESSURE,
+        REALS,
+        ("totalpressure", "ptotal", "ptot", "stagnationpressure", "pt0", "pt1", "inlettotalpressure"),
+    ),
+    "total_temperature": Kind(
+        "input",
+        TEMPERATURE,
+        REALS,
+        ("totaltemperature", "ttotal", "ttot", "stagnationtemperature", "tt0", "tt1", "totalairtemperature", "tat"),
+    ),
     "run": Kind("input", RATIO, SWITCHES, ("run", "enginerun", "runcommand", "runcmd", "fuelon", "runswitch")),
     "thrust": Kind(
         "output",
@@ -150,6 +213,7 @@ KINDS: Mapping[str, Kind] = {
         ),
         ("force", "f"),
     ),
+    "ram_drag": Kind("output", FORCE, REALS, (), stated=True),  # taken from a thrust that is the gross one
     "spool_speed": Kind(
         "output",
         ANGULAR_SPEED,
@@ -199,6 +263,7 @@ class Variable:
     causality: str = ""
     variability: str = ""
     base: Unit | None = None  # what the description says of the unit
+    items: tuple[tuple[str, int], ...] = ()  # of an enumeration
     index: int = 0  # in the array, counted from 0 in the order in which FMI passes it
     starts: tuple[float, ...] = (0.0,)  # of the whole array, 0 where none is stated
 
@@ -229,7 +294,8 @@ class Port:
         value = self.gain * canonical
         if self.bias != 0.0:
             value += self.bias
-        return min(max(value, self.low), self.high)
+        value = min(max(value, self.low), self.high)
+        return float(floor(value + 0.5)) if self.variable.type in INTEGERS else value
 
 
 class _Ports(Model):
@@ -238,7 +304,13 @@ class _Ports(Model):
     ambient_pressure: str | None = None
     ambient_temperature: str | None = None
     air_speed: str | None = None
+    altitude: str | None = None
+    mach: str | None = None
+    density: str | None = None
+    total_pressure: str | None = None
+    total_temperature: str | None = None
     run: str | None = None
+    ram_drag: str | None = None
     spool_speed: str | None = None
     exhaust_temperature: str | None = None
     fuel_flow: str | None = None
@@ -251,9 +323,33 @@ class _Units(Model):
     ambient_pressure: str | None = None
     ambient_temperature: str | None = None
     air_speed: str | None = None
+    altitude: str | None = None
+    mach: str | None = None
+    density: str | None = None
+    total_pressure: str | None = None
+    total_temperature: str | None = None
+    ram_drag: str | None = None
     spool_speed: str | None = None
     exhaust_temperature: str | None = None
     fuel_flow: str | None = None
+
+
+class _Scale(Model):
+    thrust: float | None = None
+    ambient_pressure: float | None = None
+    ambient_temperature: float | None = None
+    air_speed: float | None = None
+    altitude: float | None = None
+    ram_drag: float | None = None
+    spool_speed: float | None = None
+    fuel_flow: float | None = None
+
+    @field_validator("*")
+    @classmethod
+    def _not_nothing(cls, value: float | None) -> float | None:
+        if value is not None and (value == 0.0 or not isfinite(value)):
+            raise ValueError("must be a finite number other than 0")
+        return value
 
 
 class _Range(Model):
@@ -284,6 +380,45 @@ class _FlameOut(Model):
         return law_of(self.model_dump(exclude_none=True))
 
 
+def flat(table: object) -> object:
+    """``emf.k = 1`` in TOML is a table ``emf``; what it means here is the dotted name that Modelica gives."""
+    if not isinstance(table, dict):
+        return table
+    found: dict[str, object] = {}
+    for name, value in table.items():
+        inner = flat(value)
+        found |= {f"{name}.{rest}": each for rest, each in inner.items()} if isinstance(inner, dict) else {name: value}
+    return found
+
+
+Held = bool | float | str  # of an input: a number, true or false, or the name of an enumeration's item
+
+
+class _Stage(Model):
+    set: Annotated[dict[str, Held], BeforeValidator(flat)] = Field(default_factory=dict)
+    throttle: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    for_s: Positive | None = None
+    until: str | None = None
+    at_most_s: Annotated[float, Field(gt=0.0, le=LONGEST_START_S)] | None = None
+
+    @model_validator(mode="after")
+    def _ends(self) -> _Stage:
+        if (self.for_s is None) == (self.until is None):
+            raise ValueError("say how it ends: for_s = 5.0, or until = 'output > number'")
+        if self.until is not None and CONDITION.fullmatch(self.until) is None:
+            raise ValueError("until is an output, one of > < >= <=, and a number: until = 'N1 > 30000'")
+        return self
+
+
+class _Start(Model):
+    sequence: list[_Stage] = Field(default_factory=list)
+    warm_up_s: Annotated[float, Field(ge=0.0, le=LONGEST_START_S)] = 0.0
+
+
+class _Rest(Model):
+    thrust: NotNegative = 0.0
+
+
 class _Ledger(Model):
     delay_s: NotNegative | None = None
 
@@ -296,7 +431,11 @@ class MappingFile(Model):
     ports: _Ports = _Ports()
     units: _Units = _Units()
     range: _Range = _Range()
-    parameters: dict[str, float] = Field(default_factory=dict)
+    scale: _Scale = _Scale()
+    parameters: Annotated[dict[str, float], BeforeValidator(flat)] = Field(default_factory=dict)
+    inputs: Annotated[dict[str, Held], BeforeValidator(flat)] = Field(default_factory=dict)
+    start: _Start = _Start()
+    rest: _Rest = _Rest()
     rotor: _Rotor = _Rotor()
     flame_out: _FlameOut | None = None
     ledger: _Ledger = _Ledger()
@@ -310,6 +449,10 @@ class PortMap:
     units: Mapping[str, str] = field(default_factory=dict)
     throttle_range: tuple[float, float] | None = None
     search: bool = True  # look for the ports that are not stated
+    scale: Mapping[str, float] = field(default_factory=dict)  # the port is so many times the variable
+    inputs: Mapping[str, Held] = field(default_factory=dict)  # that are held
+    start: _Start = field(default_factory=_Start)
+    rest_n: float = 0.0  # N, peak to peak, within which a thrust stands still
 
 
 def is_mapping(path: Path) -> bool:
@@ -333,10 +476,22 @@ def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
         quantity = KINDS[port].quantity
         if port != "throttle" and by_name(unit, quantity) is None:
             raise InputError(f"{path}: units.{port} = {unit!r}: allowed: {', '.join(quantity.units)}")
-    return file, path.parent / file.fmu, PortMap(_stated(file.ports), _stated(file.units), limits)
+    return (
+        file,
+        path.parent / file.fmu,
+        PortMap(
+            _stated(file.ports),
+            _stated(file.units),
+            limits,
+            scale=_stated(file.scale),
+            inputs=file.inputs,
+            start=file.start,
+            rest_n=file.rest.thrust,
+        ),
+    )
 
 
-def _stated(table: Model) -> dict[str, str]:
+def _stated(table: Model) -> dict[str, Any]:
     return {name: value for name, value in table.model_dump().items() if value is not None}
 
 
@@ -356,7 +511,7 @@ def find_ports(variables: Sequence[Variable], stated: PortMap) -> tuple[dict[str
         insist = name in NEEDED or wanted or name in stated.units
         if wanted == "" and name in NEEDED:
             raise PortError(f"its {name} cannot be left unconnected")
-        if wanted == "" or (wanted is None and not stated.search):
+        if wanted == "" or (wanted is None and (kind.stated or not stated.search)):
             continue
         try:
             variable = _named(name, kind, wanted, variables) if wanted else _search(name, kind, variables, found)
@@ -412,7 +567,9 @@ def _search(port: str, kind: Kind, variables: Sequence[Variable], found: Mapping
     taken = {each.variable.name for each in found.values()}
     fitting = [v for v in variables if v.causality == kind.causality and v.name not in taken and not v.is_array]
     usable = [v for v in fitting if v.type in kind.types and not _other_quantity(port, kind, v)]
-    for tier in _tiers(port, kind, usable):
+    reals = [v for v in usable if v.type in REALS]
+    whole = usable if kind.types == LEVERS and len(reals) < len(usable) else []  # a lever in whole numbers comes second
+    for tier in (*_tiers(port, kind, reals if whole else usable), *_tiers(port, kind, whole)):
         if len(tier) == 1:
             return tier[0]
         if tier:
@@ -492,11 +649,14 @@ def _connect(name: str, kind: Kind, v: Variable, stated: PortMap, found: Mapping
         unit = without_unit(v.name, kind.quantity)[1]
         if unit is not None:
             notes.append(f"{v.name} states no unit; it is taken to be in {unit}, as its name says")
+    scale = stated.scale.get(name, 1.0)
+    if unit is None and kind.quantity is RATIO:
+        return Port(v)
     if unit is None:
         if name not in NEEDED:
             raise PortError(f'{v.name} states no unit; a mapping file does: [units] {name} = "{kind.quantity.si}"')
         notes.append(f"{v.name} states no unit; it is taken to be in {kind.quantity.si}")
-        return Port(v)
+        return Port(v, scale, 0.0, 1.0 / scale)
     try:
         factor, offset = to_si(unit, None if name in stated.units else v.base, kind.quantity)
     except UnitError as error:
@@ -505,15 +665,24 @@ def _connect(name: str, kind: Kind, v: Variable, stated: PortMap, found: Mapping
         notes.append(f"{v.name} is in {v.unit}, says the FMU; the mapping file says {unit}, and that counts")
     if not (isfinite(factor) and factor != 0.0 and isfinite(offset)):
         raise PortError(f"its {v.name} is in {unit}, which the FMU defines by {factor:g} and {offset:g}")
+    factor, offset = scale * factor, scale * offset
     return Port(v, factor, offset, 1.0 / factor, -offset / factor if offset else 0.0)
 
 
 def _lever(v: Variable, stated: PortMap, notes: list[str]) -> Port:
     """The throttle from 0 to 1, over the range that is stated, declared, or meant by the unit."""
     limits = stated.throttle_range or _declared_range(v)
+    if limits is None and v.type in INTEGERS and stated.units.get("throttle", v.unit) is None:
+        raise PortError(f"its {v.name} is a whole number and states no range; {RANGE}")
     if limits is None:
         limits = _range_of_unit(v, stated.units.get("throttle", v.unit))
         notes.append(f"{v.name} states no range; it is taken to run from {limits[0]:g} to {limits[1]:g}")
+    if v.type in INTEGERS:
+        steps = abs(limits[1] - limits[0])
+        if steps < LEAST_STEPS:
+            raise PortError(f"its {v.name} is a whole number from {limits[0]:g} to {limits[1]:g}: a throttle needs "
+                            f"{LEAST_STEPS} steps at least; {RANGE}")  # fmt: skip
+        notes.append(f"{v.name} is a whole number: the throttle moves in {steps:.0f} steps")
     return _over_range(v, *limits)
 
 

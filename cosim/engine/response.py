@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
+from statistics import fmean
 from typing import NamedTuple
 
 Hold = Callable[[float, int], Sequence[float]]
@@ -16,6 +18,7 @@ CURVE_POINTS = 21
 LONGEST_S = 180.0  # to settle: a real turbojet, closed, creeps for 95 s until it stands still to NO_CHANGE
 LONGEST_DELAY_S = 10.0
 NO_CHANGE = 1e-10  # of the thrust, or of 1 N if that is more
+DRIFT = 0.1  # of what counts as still, by which a mean may move from window to window; chosen by us
 LITTLE_CHANGE = 1e-6  # the same, for an FMU whose own solver goes on trembling at rest: a usual tolerance of solvers
 
 
@@ -43,22 +46,39 @@ class Curve(NamedTuple):
     thrust: tuple[float, ...]
 
 
-def settle(hold: Hold, throttle: float, window: int, step: float, quiet: float = NO_CHANGE) -> float:
+def settle(hold: Hold, throttle: float, window: int, step: float, quiet: float = NO_CHANGE, rest: float = 0.0) -> float:
     """Hold a throttle until the thrust has stood still to ``quiet`` for ``window`` steps, and return it [N].
 
-    ``window`` must be longer than the engine's delay.  Raises ResponseError after ``LONGEST_S`` of simulated time.
+    ``window`` must be longer than the engine's delay.  A thrust that never stands still does so by definition once it
+    moves by no more than ``rest`` newtons, peak to peak, in a window, and its mean by no more than a tenth of that from
+    the window before; returned is the mean then.  Raises ResponseError after ``LONGEST_S`` of simulated time.
     """
-    last = hold(throttle, window)[-1]
+    before = hold(throttle, window)
     for _ in range(max(1, math.ceil(LONGEST_S / step / window))):
         thrusts = hold(throttle, window)
-        if _still([last, *thrusts], quiet):
+        if rest > 0.0:
+            if max(thrusts) - min(thrusts) <= rest and abs(fmean(thrusts) - fmean(before)) <= DRIFT * rest:
+                return fmean(thrusts)
+        elif _still([before[-1], *thrusts], quiet):
             return thrusts[-1]
-        last = thrusts[-1]
-    raise RestlessError(f"thrust does not settle within {LONGEST_S:g} s at throttle {throttle:g}")
+        before = thrusts
+    raise _restless(before, throttle)
 
 
-def step_response(hold: Hold, before: float, throttle: float, step: float, quiet: float = NO_CHANGE) -> Response:
+def _restless(last: Sequence[float], throttle: float) -> RestlessError:
+    moves = max(last) - min(last)
+    return RestlessError(
+        f"thrust does not settle within {LONGEST_S:g} s at throttle {throttle:g}: it still moves by {moves:.2g} N; a "
+        f"mapping file says what counts as still: [rest] thrust = {1.5 * moves:.2g}"
+    )
+
+
+def step_response(
+    hold: Hold, before: float, throttle: float, step: float, quiet: float = NO_CHANGE, rest: float = 0.0
+) -> Response:
     """Step the throttle of an engine that stands at ``before`` newtons, and follow the thrust until it has settled.
+
+    With ``rest`` the delay lasts until the thrust has moved by more than that.
 
     Raises ResponseError if it does not answer within ``LONGEST_DELAY_S`` or does not settle within ``LONGEST_S``.
     """
@@ -66,16 +86,19 @@ def step_response(hold: Hold, before: float, throttle: float, step: float, quiet
     moved = None
     while moved is None:
         if len(thrusts) * step > LONGEST_DELAY_S:
-            raise ResponseError(f"thrust does not answer the throttle within {LONGEST_DELAY_S:g} s")
+            raise ResponseError(
+                f"thrust does not answer the throttle within {LONGEST_DELAY_S:g} s; an engine that has to be started "
+                "first, or held open, is told how in a mapping file: [start], [inputs]"
+            )
         thrusts += hold(throttle, 64)
-        moved = next((k for k, thrust in enumerate(thrusts) if not _still([before, thrust], quiet)), None)
+        moved = next((k for k, thrust in enumerate(thrusts) if not _still([before, thrust], quiet, rest)), None)
     window = window_for(moved)
-    while len(thrusts) < moved + 2 * window or not _still(thrusts[-window:], quiet):
+    while len(thrusts) < moved + 2 * window or not _stands(thrusts, window, quiet, rest):
         if len(thrusts) * step > LONGEST_S + LONGEST_DELAY_S:
-            raise RestlessError(f"thrust does not settle within {LONGEST_S:g} s at throttle {throttle:g}")
+            raise _restless(thrusts[-window:], throttle)
         thrusts += hold(throttle, window)
-    after = thrusts[-1]
-    if _still([before, after], quiet):
+    after = fmean(thrusts[-window:]) if rest > 0.0 else thrusts[-1]
+    if _still([before, after], quiet, rest):
         raise ResponseError("thrust is the same at throttle 0 and 1")
     course = [before, *thrusts]
     rise = (crossing(course, 0.9, before, after) - crossing(course, 0.1, before, after)) * step
@@ -87,21 +110,23 @@ def window_for(delay: int) -> int:
     return 2 * delay + 50
 
 
-def static_curve(hold: Hold, window: int, step: float, quiet: float = NO_CHANGE) -> Curve:
+def static_curve(hold: Hold, window: int, step: float, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
     """Steady thrust at evenly spaced throttles, measured from full throttle down."""
     throttles = [k / (CURVE_POINTS - 1) for k in range(CURVE_POINTS)]
-    thrusts = [settle(hold, throttle, window, step, quiet) for throttle in reversed(throttles)]
+    thrusts = [settle(hold, throttle, window, step, quiet, rest) for throttle in reversed(throttles)]
     return Curve(tuple(throttles), tuple(reversed(thrusts)))
 
 
-def curve_problems(curve: Curve, quiet: float = NO_CHANGE) -> list[str]:
-    """What is wrong with the static curve of an engine whose thrust stands still to ``quiet`` of itself."""
+def curve_problems(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
+    """What is wrong with the static curve of an engine that stands still to ``quiet`` of its thrust or ``rest`` N."""
     throttle, thrust = curve
-    doubt = 10.0 * quiet * max(1.0, *map(abs, thrust))  # N
+    doubt = _doubt(thrust, quiet, rest)
     problems = []
     falls = [k for k in range(1, len(thrust)) if thrust[k] < thrust[k - 1] - doubt]
-    if falls:
-        k = falls[0]
+    inner = rising(curve, quiet, rest)
+    stands = [v for v, (f, g) in zip(inner.throttle[1:], pairwise(inner.thrust), strict=True) if g <= f]
+    if falls or stands:
+        k = falls[0] if falls else throttle.index(stands[0])
         problems.append(
             f"its thrust does not rise with the throttle: {thrust[k - 1]:.4g} N at {throttle[k - 1]:g}, "
             f"{thrust[k]:.4g} N at {throttle[k]:g}"
@@ -112,9 +137,47 @@ def curve_problems(curve: Curve, quiet: float = NO_CHANGE) -> list[str]:
     return problems
 
 
-def _still(thrusts: Sequence[float], quiet: float) -> bool:
+def _doubt(thrust: Sequence[float], quiet: float, rest: float) -> float:
+    """By how much two thrusts may differ that are the same, N."""
+    return max(rest, 10.0 * quiet * max(1.0, *map(abs, thrust)))
+
+
+def rising(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
+    """A static curve without the parts at its ends where the thrust does not move: a dead band, full thrust early.
+
+    An engine of which more is asked than the end of what is left gives what it gives there.
+    """
+    throttle, thrust = curve
+    doubt = _doubt(thrust, quiet, rest)
+    first = max(k for k in range(len(thrust)) if all(abs(g - thrust[0]) <= doubt for g in thrust[: k + 1]))
+    last = min(k for k in range(len(thrust)) if all(abs(g - thrust[-1]) <= doubt for g in thrust[k:]))
+    if last <= first:
+        return curve
+    return Curve(throttle[first : last + 1], thrust[first : last + 1])
+
+
+def flat_notes(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
+    """Where at its ends a static curve does not move, in words."""
+    throttle, thrust = rising(curve, quiet, rest)
+    said = "its thrust at rest is the same, {:.4g} N, from throttle {:.4g} to {:.4g}: a flight does not go {} {:.4g}"
+    notes = []
+    if throttle[0] > curve.throttle[0]:
+        notes.append(said.format(thrust[0], curve.throttle[0], throttle[0], "below", throttle[0]))
+    if throttle[-1] < curve.throttle[-1]:
+        notes.append(said.format(thrust[-1], throttle[-1], curve.throttle[-1], "beyond", throttle[-1]))
+    return notes
+
+
+def _still(thrusts: Sequence[float], quiet: float, rest: float = 0.0) -> bool:
     low, high = min(thrusts), max(thrusts)
-    return high - low <= quiet * max(1.0, abs(low), abs(high))
+    return high - low <= max(rest, quiet * max(1.0, abs(low), abs(high)))
+
+
+def _stands(thrusts: Sequence[float], window: int, quiet: float, rest: float) -> bool:
+    """Whether the last window of a course stands still, and with ``rest`` where the one before stood."""
+    last, before = thrusts[-window:], thrusts[-2 * window : -window]
+    level = rest == 0.0 or abs(fmean(last) - fmean(before)) <= DRIFT * rest
+    return _still(last, quiet, rest) and level
 
 
 def crossing(course: Sequence[float], share: float, before: float, after: float) -> float:

@@ -14,9 +14,9 @@ from cosim.base.cache import Memory
 from cosim.base.errors import InputError, nearest
 from cosim.base.paths import data_folder
 from cosim.engine import build
-from cosim.engine.archive import INTEGERS, Archive, read_archive
-from cosim.engine.instance import Setting
+from cosim.engine.archive import Archive, read_archive
 from cosim.engine.ports import (
+    INTEGERS,
     STANDARD_AIR,
     Air,
     MappingFile,
@@ -26,8 +26,9 @@ from cosim.engine.ports import (
     is_mapping,
     read_mapping,
 )
-from cosim.engine.response import NO_CHANGE, Curve
+from cosim.engine.response import NO_CHANGE, Curve, rising
 from cosim.engine.rundown import FlameOutLaw
+from cosim.engine.starting import Setting
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,11 @@ class EngineSpec:
         return self.delay_samples * self.internal_step
 
     @property
+    def rising(self) -> Curve:
+        """The part of the static curve on which thrust grows with the throttle."""
+        return rising(self.curve, self.quiet, self.archive.starting.rest_n)
+
+    @property
     def lag(self) -> float | None:
         """Time constant [s]: -internal_step / ln(pole)."""
         if self.pole is None or self.internal_step is None:
@@ -129,7 +135,7 @@ _definitions: Memory[build.Engine] = Memory(64)
 def behaviour_of(archive: Archive, settings: tuple[Setting, ...], air: Air) -> tuple[Hashable, ...]:
     """What decides how an FMU with these settings answers, in this air."""
     values = tuple((variable.name, value.hex()) for variable, value in settings)
-    return archive.sha256, tuple(sorted(archive.ports.items())), values, air
+    return archive.sha256, tuple(sorted(archive.ports.items())), archive.starting, values, air
 
 
 @dataclass(frozen=True)
@@ -217,7 +223,7 @@ def resolve_parameters(
 def _need_value(archive: Archive, variable: Variable, value: float) -> None:
     low = -math.inf if variable.min is None else variable.min
     high = math.inf if variable.max is None else variable.max
-    whole = variable.type in INTEGERS | {"Boolean"}
+    whole = variable.type in {*INTEGERS, "Boolean", "Enumeration"}
     if variable.type == "Boolean":
         low, high = 0.0, 1.0
     if not math.isfinite(value) or not low <= value <= high or (whole and value != round(value)):

@@ -147,7 +147,24 @@ RATIO = Quantity(
         **dict.fromkeys(("%", "percent", "pct", "perc"), (0.01, 0.0)),
     },
 )
-QUANTITIES = (FORCE, PRESSURE, TEMPERATURE, SPEED, ANGULAR_SPEED, MASS_FLOW, RATIO)
+LENGTH = Quantity(
+    "a length",
+    "m",
+    (0, 1, 0, 0, 0, 0, 0, 0),
+    _named(m=1.0, metre=1.0, meter=1.0, km=1e3, ft=FOOT, feet=FOOT, kft=1e3 * FOOT),
+)
+DENSITY = Quantity(
+    "a density",
+    "kg/m3",
+    (1, -3, 0, 0, 0, 0, 0, 0),
+    {
+        **dict.fromkeys(("kg/m3", "kg/m^3", "kg.m-3", "g/l"), (1.0, 0.0)),
+        "g/cm3": (1e3, 0.0),
+        **dict.fromkeys(("lb/ft3", "lbm/ft3"), (POUND / FOOT**3, 0.0)),
+        "slug/ft3": (POUND_FORCE / FOOT**4, 0.0),  # a slug is lbf s^2 / ft
+    },
+)
+QUANTITIES = (FORCE, PRESSURE, TEMPERATURE, SPEED, ANGULAR_SPEED, MASS_FLOW, RATIO, LENGTH, DENSITY)
 
 _PER_SECOND: Exponents = (0, 0, -1, 0, 0, 0, 0, 0)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from math import hypot, inf
+from pathlib import Path
 
 from cosim.base.errors import InputError
 from cosim.base.protocols import Predictor
@@ -159,7 +160,7 @@ def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
 def _cascade(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, stations: Sequence[EngineSpec]) -> Cascade:
     step = scenario.step_s
     gains = vehicle.control
-    curves = {id(each): StaticCurve(each.name, *each.curve) for each in (engine, *stations)}
+    curves = {id(each): StaticCurve(each.name, *each.rising) for each in (engine, *stations)}
     thrust_map = ThrustMap(curves[id(engine)], [curves[id(each)] for each in stations])
     jets = len(vehicle.jets)
     hover = thrust_map.share(vehicle.mass_kg * GRAVITY / jets)
@@ -260,6 +261,17 @@ def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec
     )
 
 
+def _one_command(vehicle: Vehicle, engine: EngineSpec) -> str:
+    """What to do about an engine for which there is no model: design for it, and fly that."""
+    what = engine.name if engine.library else str(engine.mapping or engine.path)
+    aircraft = "" if vehicle.name == "hexjet" else f" --aircraft {vehicle.name}"
+    file = f"{vehicle.name}-{Path(what).stem}.toml"
+    return (
+        f"one is made, with gains to go with it, by: hexjet design --engine {what}{aircraft} --out {file} "
+        f"(then fly with --controller {file}; or fly --controller {BASELINE.name})"
+    )
+
+
 def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[Predictor]:
     """One predictor per axis: the controller's where the vehicle has an identified model for this engine, else none."""
     spec = PREDICTORS[scenario.controller]
@@ -267,8 +279,8 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
     if spec.needs_model and not models:
         raise InputError(
             f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "
-            f"{engine.family!r}; there are models for: {', '.join(sorted(vehicle.identified))} "
-            f"(or fly --controller {BASELINE.name})"
+            f"{engine.family!r}; there are models for: {', '.join(sorted(vehicle.identified))}; "
+            + _one_command(vehicle, engine)
         )
     found: list[Predictor] = []
     for axis in AXES:

@@ -413,13 +413,13 @@ def _archive(scenario: Scenario, engine: str) -> Archive:
 
 def _parameters(path: str, archive: Archive, given: Mapping[str, float]) -> Iterator[Key]:
     """The parameters that an engine declares and the simulation does not set itself."""
-    from cosim.engine.archive import INTEGERS
+    from cosim.engine.ports import INTEGERS
 
     start = archive.ports["start"].variable.name if "start" in archive.ports else None
     for variable in archive.parameters:
         if variable.name == start or variable.start is None:
             continue
-        whole = variable.type in INTEGERS or variable.type == "Boolean"
+        whole = variable.type in {*INTEGERS, "Boolean", "Enumeration"}
         low, high = (0.0, 1.0) if variable.type == "Boolean" else (variable.min, variable.max)
         nominal = given.get(variable.name, variable.start)
         yield Key(

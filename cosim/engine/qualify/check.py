@@ -286,7 +286,10 @@ class _Trying:
         limits = replace(self._limits, seconds=max(0.1, self._end - time.monotonic()))
         apart = run_apart({**self._task, "parts": list(parts)}, limits)
         for message in apart.messages:
-            self._found |= message.get("found", {})
+            found = message.get("found", {})
+            notes = self._report.notes
+            notes += [note for note in found.get("notes", []) if note not in notes]
+            self._found |= found
             self._add(message.get("problems", []))
         if apart.end is not None:
             self._add([apart.end])
@@ -313,7 +316,6 @@ class _Trying:
         for each in fields(CheckReport):
             if each.name in found and each.name != "notes":
                 setattr(report, each.name, found[each.name])
-        report.notes.extend(found.get("notes", []))
         for way in ("up", "down"):
             if way in found:
                 response = Response(**found[way])
@@ -427,7 +429,7 @@ def _measure_here(source: EngineSource, parameters: Mapping[str, float], step: f
     start = archive.ports["start"].variable.name if "start" in archive.ports else None
     _, settings = resolve_parameters(archive, given, start)
     measured = measure_once(archive, settings, start, step, air)
-    _need_no_problems(source, curve_problems(measured.curve, measured.quiet))
+    _need_no_problems(source, curve_problems(measured.curve, measured.quiet, archive.starting.rest_n))
     return measured
 
 

@@ -35,6 +35,7 @@ from cosim.engine.response import (
     ResponseError,
     crossing,
     curve_problems,
+    flat_notes,
     settle,
     step_response,
     window_for,
@@ -116,7 +117,7 @@ class Trial:
     def initialize(self, slave: Slave, throttle: float = 0.0) -> None:
         """Set the parameters that the user gave and bring a slave into step mode."""
         self.say({"at": "when it was initialized"})
-        slave.initialize(self.settings, throttle)
+        slave.initialize(self.settings, throttle, step=self.step)
 
     def native(self, slave: Slave, done: int = 0) -> _bank.Bank:
         """The C loop around an instance that has ``done`` steps behind it."""
@@ -289,7 +290,9 @@ def _measure(trial: Trial) -> Found:
     )
     curve = found.curve._asdict()
     measured = {**curve, "response": found.response._asdict(), "start": found.start, "quiet": found.quiet}
-    return {**curve, "up": found.response._asdict(), "measured": measured}, curve_problems(found.curve, found.quiet)
+    problems = curve_problems(found.curve, found.quiet, trial.archive.starting.rest_n)
+    notes = flat_notes(found.curve, found.quiet, trial.archive.starting.rest_n)
+    return {**curve, "up": found.response._asdict(), "measured": measured, "notes": notes}, problems
 
 
 def _respond(trial: Trial) -> Found:
@@ -298,7 +301,8 @@ def _respond(trial: Trial) -> Found:
         courses: dict[str, Any] = {}
         hold = trial.hold(slave)
         quiet = trial.measured.quiet if trial.measured else NO_CHANGE
-        before = settle(hold, 0.0, window_for(round(1.0 / trial.step)), trial.step, quiet)
+        rest = trial.archive.starting.rest_n
+        before = settle(hold, 0.0, window_for(round(1.0 / trial.step)), trial.step, quiet, rest)
         for way, throttle in (("up", 1.0), ("down", 0.0)):
             course = [before]
 
@@ -307,7 +311,7 @@ def _respond(trial: Trial) -> Found:
                 course.extend(thrusts)
                 return thrusts
 
-            response: Response = step_response(recorded, before, throttle, trial.step, quiet)
+            response: Response = step_response(recorded, before, throttle, trial.step, quiet, rest)
             before = response.after
             shown = course[: _drawn(course, response)]
             every = max(1, len(shown) // MOST_POINTS)
