@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import shutil
@@ -11,9 +12,12 @@ import sysconfig
 import tarfile
 import tomllib
 import zipfile
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from typing import Any
 
 import pytest
+from command_tools import Hexjet
 
 from cosim.base.compiled import (
     MODULES,
@@ -21,6 +25,7 @@ from cosim.base.compiled import (
     SHARED,
     STAMP,
 )
+from cosim.results.report.marks import parts_of
 
 ROOT = Path(__file__).resolve().parent.parent
 UNCOMPILED = bool(os.environ.get(PURE))
@@ -189,3 +194,84 @@ def test_the_installed_command_flies_and_reports(installed: Path, tmp_path: Path
     assert (summary["outcome"], summary["steps"]) == ("completed", 50)
     left = {path.name for path in (tmp_path / "flight").iterdir()}
     assert {"summary.json", "scenario.toml", "flight.parquet", "report.html"} <= left
+
+
+# ---- what is installed with it
+
+# asked for where the rest can do without: at the build, in `hexjet bench`, on a cluster, on a serial line
+OPTIONAL = {"pymavlink", "cmake", "ecos_py", "libcosimpy", "rotorpy", "distributed", "serial", "setuptools"}
+
+
+@pytest.fixture(scope="module")
+def packages() -> Any:
+    """docs/packages.py."""
+    spec = spec_from_file_location("packages_page", ROOT / "docs" / "packages.py")
+    assert spec is not None
+    assert spec.loader is not None
+    page = module_from_spec(spec)
+    spec.loader.exec_module(page)
+    return page
+
+
+def test_the_package_imports_what_it_asks_for(packages: Any) -> None:
+    """And asks for nothing that it never imports."""
+    found = set()
+    for path in (ROOT / "cosim").rglob("*.py"):
+        if path.name == "_messages.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {each.name.split(".")[0] for each in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                found.add(node.module.split(".")[0])
+    foreign = {name for name in found if name not in sys.stdlib_module_names and name != "cosim"}
+    asked = packages.named(METADATA["dependencies"])
+    assert foreign - OPTIONAL <= {name.replace("-", "_") for name in packages.needed(asked)}
+    # the messages that the build makes import one, reports another by its name
+    assert {name.replace("-", "_") for name in asked} <= foreign | {"fastcrc", "plotly"}
+
+
+def test_the_page_of_packages_says_what_each_is_for(packages: Any) -> None:
+    assert set(packages.WHAT) == set(packages.named(METADATA["dependencies"]))
+    assert set(packages.EXTRAS) == set(METADATA["optional-dependencies"])
+    parts = parts_of(packages.PAGE.read_text(encoding="utf-8"), packages.PAGE)
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in parts["packages: core"].splitlines()[2:]]
+    assert {name for name, *_ in rows[:-2]} == set(packages.WHAT)
+    assert [what for _, what, *_ in rows[:-2]] == [packages.WHAT[name] for name, *_ in rows[:-2]]
+    weights = [float(row[-1]) for row in rows]
+    assert sum(weights[:-1]) == pytest.approx(weights[-1], abs=0.05 * len(rows))
+
+
+@pytest.mark.parametrize(
+    ("package", "arguments", "said"),
+    [
+        ("serial", ("gcs", "--mavlink", "serial:/dev/ttyS0"), "pip install 'hexjet-cosim[serial]'"),
+        (
+            "distributed",
+            ("sweep", "payload-and-gust", "--cluster", "tcp://127.0.0.1:1"),
+            "pip install 'hexjet-cosim[cluster]'",
+        ),
+    ],
+)
+def test_a_command_says_which_extra_it_lacks(
+    package: str, arguments: tuple[str, ...], said: str, hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    done = hexjet(*arguments)
+    assert done.status == 2
+    assert done.err.count("\n") == 1
+    assert said in done.err
+
+
+def test_a_flight_needs_nothing_but_the_core(tmp_path: Path) -> None:
+    """Flown and reported, and the ground station's messages read, where everything else is out of sight."""
+    hidden = ("pymavlink", "control", "matplotlib", "distributed", "dask", "serial", "psutil", "hypothesis")
+    code = f"""
+import sys
+sys.modules.update(dict.fromkeys({hidden!r}))
+import cosim.groundstation.session, cosim.design.design, cosim.paper.reproduce, cosim.campaign.run
+from cosim.cli.main import main
+main(["fly", "hover", "--set", "duration_s=0.1", "--out", "flight"])
+"""
+    run(sys.executable, "-c", code, cwd=tmp_path)
+    assert (tmp_path / "flight" / "report.html").is_file()

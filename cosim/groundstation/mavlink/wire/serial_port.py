@@ -84,7 +84,9 @@ class Serial:
         try:
             self._open()
         except ImportError as error:
-            raise InputError(f"link {endpoint.url}: serial links need pyserial: pip install pyserial") from error
+            raise InputError(
+                f"link {endpoint.url}: serial links need pyserial: pip install 'hexjet-cosim[serial]'"
+            ) from error
         except (OSError, ValueError) as error:
             raise InputError(f"link {endpoint.url}: {error}") from error
 
