@@ -335,6 +335,38 @@ def test_every_request_is_in_the_log_with_its_step_and_sender(toured: Run) -> No
     assert first.keys() >= {"step", "sender", "result", "request"}
 
 
+def test_of_two_who_hold_sticks_the_first_flies_until_it_lets_go(tmp_path: Path) -> None:
+    """One centred and one full: whoever came last in a step flew it."""
+    session = Session(Scenario.load("hover").replace(name="gcs"), Exchange(), out=tmp_path / "run", report=False)
+    flight = session._next
+    assert flight is not None
+    flight.begin()
+    full, centred = rq.Sticks(1.0, 1.0, 0.0, 0.5), rq.Sticks(0.0, 0.0, 0.0, 0.5)
+    seconds = round(1.0 / flight.simulation.dt)
+
+    def taken(sender: str, sticks: rq.Sticks, k: int) -> bool:
+        return session._answer(flight, sender, sticks, k).accepted
+
+    for k in range(0, seconds, seconds // 10):
+        assert taken("255/190", full, k)
+        assert not taken("254/190", centred, k)
+        assert flight.pilot._sticks == full
+    last = k
+    # half a second (HJ_STICK_TIME) later they are free, and then they are the other's
+    assert not taken("254/190", centred, last + seconds // 2)
+    assert taken("254/190", centred, last + seconds // 2 + 1)
+    assert not taken("255/190", full, last + seconds // 2 + 2)
+    assert flight.pilot._sticks == centred
+    flight.publish(session.exchange, None, None)
+    assert [message.text for message in session.exchange.messages] == [
+        *("sticks of 254/190 not taken: 255/190 flies", "sticks of 255/190 not taken: 254/190 flies"),
+    ]
+    flight.close()
+    # what was not taken is not flown again either
+    senders = [entry.sender for entry in read_requests(tmp_path / "run" / REQUESTS)]
+    assert senders == ["255/190"] * 10 + ["254/190"]
+
+
 def test_the_scenario_is_as_at_the_start(toured: Run) -> None:
     """Faults that came by request are in the requests, not in the scenario."""
     assert toured.folder is not None

@@ -39,6 +39,7 @@ from cosim.control.autopilot.requests import (
     Request,
     Result,
     SetParameter,
+    Sticks,
 )
 from cosim.flight import record, reserve_folder, with_page
 from cosim.groundstation.exchange import (
@@ -238,6 +239,10 @@ class Session:
                 return Answer(False, Result.TEMPORARILY_REJECTED, f"{what} refused: it is armed")
             self._leave(request, sender)
             return Answer(True, Result.ACCEPTED, "")
+        if isinstance(request, Sticks) and (holder := flight.hands.others(sender, k)):
+            if flight.hands.untold():
+                self.exchange.say(Severity.WARNING, f"sticks of {sender} not taken: {holder} flies", k)
+            return Answer(False, Result.TEMPORARILY_REJECTED, f"sticks refused: {holder} flies")
         answer = flight.ask(sender, request, k)
         if isinstance(request, SetParameter) and answer.accepted:
             self._keeper.keep(flight.pilot.parameters.changed())
@@ -268,6 +273,29 @@ class Session:
             time.sleep(_OVER_EVERY)
 
 
+class _Hands:
+    """Whose sticks count: those of who had them first, until they are let go; as PX4 chooses between its sources."""
+
+    def __init__(self, parameters: Parameters, step: float) -> None:
+        self._parameters, self._step = parameters, step
+        self._holder, self._at = "", 0
+        self._told = False
+
+    def others(self, sender: str, k: int) -> str:
+        """Who else has them at step ``k``; empty: from now on ``sender`` has."""
+        fresh = (k - self._at) * self._step <= self._parameters["HJ_STICK_TIME"]
+        if self._holder not in ("", sender) and fresh:
+            return self._holder
+        self._told = self._told and self._holder == sender
+        self._holder, self._at = sender, k
+        return ""
+
+    def untold(self) -> bool:
+        """Is this the first time since they changed hands?  It is said once, however many others there are."""
+        told, self._told = self._told, True
+        return not told
+
+
 @dataclass
 class _Flight:
     """One flight and what belongs to it."""
@@ -281,6 +309,9 @@ class _Flight:
     noting: PilotRecord | None = None
     sample: Sample | None = None
     said: int = 0  # messages of the pilot that have been passed on
+
+    def __post_init__(self) -> None:
+        self.hands = _Hands(self.pilot.parameters, self.simulation.dt)
 
     def begin(self) -> Recording:
         """Make the run's folder.  Raises InputError if it is not usable."""
