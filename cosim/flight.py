@@ -12,9 +12,11 @@ from pathlib import Path
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.protocols import Observer
 from cosim.base.toml import read_toml
+from cosim.control.cascade import Cascade
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec, engine_names
 from cosim.results.autopilot_record import PilotRecord
+from cosim.results.columns import log_columns
 from cosim.results.limits import yardstick
 from cosim.results.metrics import Reach, metric_names
 from cosim.results.recorder import KeepingSink
@@ -130,7 +132,8 @@ def record(
     folder is not usable.
     """
     resolved, files = resolve(simulation)
-    return begin_run(_setup(simulation), resolved, folder, files | dict(contents or {}), background, sink)
+    columns = log_columns(len(simulation.vehicle.jets), simulation.columns)
+    return begin_run(_setup(simulation), resolved, folder, files | dict(contents or {}), background, sink, columns)
 
 
 def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
@@ -248,12 +251,15 @@ def integration(scenario: Scenario) -> Integration:
 
 
 def reach(simulation: Simulation) -> Reach:
-    """How far the throttles and the tilts of a flight can be told to go."""
+    """How far the throttles and the tilts of a flight can be told to go: by the built-in allocation, or at all."""
     vehicle, limits = simulation.vehicle, simulation.vehicle.control.allocation
-    least, most = (
-        simulation.cascade.thrust_map.throttle((share,) * len(vehicle.jets))
-        for share in (limits.throttle_min, limits.throttle_max)
-    )
+    jets = len(vehicle.jets)
+    least, most = (0.0,) * jets, (1.0,) * jets
+    if isinstance(simulation.controller, Cascade):
+        least, most = (
+            simulation.controller.thrust_map.throttle((share,) * jets)
+            for share in (limits.throttle_min, limits.throttle_max)
+        )
     return Reach(
         throttle=tuple(zip(least, most, strict=True)), tilt_rad=vehicle.servo.range_rad if vehicle.servo else None
     )

@@ -14,6 +14,7 @@ from cosim.base.frames import from_euler
 from cosim.base.signals import (
     Actuation,
     Command,
+    ControlSignals,
     Disturbance,
     EngineOutput,
     Measured,
@@ -90,10 +91,13 @@ def samples(steps: int, zeta: float = 0.4, omega: float = 9.0, seed: int = 1, gr
                 (0.4, 0.3 * cos(t), 0.0),
                 30.0 + noise,
             ),
-            (3.5 * (setpoint - roll), -0.02, 0.0),
-            (ahead, 0.02 * cos(2 * t), 0.005),
-            (torque, 0.002 * sin(t), 0.001),
-            0.45,
+            ControlSignals(
+                (3.5 * (setpoint - roll), -0.02, 0.0),
+                (ahead, 0.02 * cos(2 * t), 0.005),
+                (torque, 0.002 * sin(t), 0.001),
+                0.45,
+                0.45,
+            ),
             Actuation(throttle, (0.02 * sin(2 * t), 0.02 * sin(2 * t)), Unallocated(0.0, 0.0, 0.0, 0.0)),  # type: ignore[arg-type]
             (0.018 * sin(2 * t - 0.2), 0.018 * sin(2 * t - 0.2)),
             EngineOutput(thrust, SILENT, SILENT, SILENT),

@@ -15,6 +15,7 @@ from cosim.base.protocols import EngineState
 from cosim.base.signals import (
     Actuation,
     Command,
+    ControlSignals,
     Disturbance,
     EngineOutput,
     Measured,
@@ -69,7 +70,7 @@ def sample(k: int = 250, **changes: Any) -> Sample:
     )
     made = Sample(
         k, k * 0.004, Command((0.05, -0.04, 1.5), 10.0), state, Measured(rate, attitude, position, velocity, 10.0),
-        (0.4, 0.5, 0.6), (0.11, 0.22, 0.33), (0.01, 0.02, 0.03), 0.45,
+        ControlSignals((0.4, 0.5, 0.6), (0.11, 0.22, 0.33), (0.01, 0.02, 0.03), 0.45, 0.45),
         Actuation((0.1, 0.2, 0.3, 0.4, 0.5, 0.6), (0.1, -0.1), Unallocated()), (0.1, -0.1),
         EngineOutput((5.0,) * 6, tuple(1000.0 * (i + 1) for i in range(6)), (873.15,) * 6, (0.001,) * 6),
         Disturbance(), fuel=1.5,

@@ -97,7 +97,7 @@ def test_a_controller_of_ones_own_flies_and_shuts_engines_off() -> None:
 
     samples = flown(change)
     begin = next(sample.k for sample in samples if sample.command.attitude[0])
-    assert isnan(samples[0].collective)
+    assert isnan(samples[0].control.collective)
     assert samples[begin - 1].state.altitude == pytest.approx(samples[0].state.altitude, abs=1e-3)
     for sample in samples:
         lit = [newton > 0.0 for newton in sample.thrust]

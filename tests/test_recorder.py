@@ -24,6 +24,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import (
     Actuation,
     Command,
+    ControlSignals,
     Disturbance,
     EngineOutput,
     Measured,
@@ -84,10 +85,13 @@ def numbered() -> tuple[Sample, dict[str, float]]:
             35.0,
             (35.25, 35.5, 35.75),
         ),
-        rate_setpoint=(36.0, 37.0, 38.0),
-        rate_predicted=(39.0, 40.0, 41.0),
-        torque_command=(42.0, 43.0, 44.0),
-        collective=45.0,
+        control=ControlSignals(
+            rate_setpoint=(36.0, 37.0, 38.0),
+            rate_predicted=(39.0, 40.0, 41.0),
+            torque=(42.0, 43.0, 44.0),
+            collective=45.0,
+            allocated=-1.0,
+        ),
         actuation=Actuation(
             (46.0, 47.0, 48.0, 49.0, 50.0, 51.0),
             (52.0, 53.0),

@@ -16,11 +16,14 @@ from flights import STEP, samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
+from cosim.base.protocols import Column
 from cosim.base.signals import (
     JETS,
     Actuation,
     Command,
+    ControlSignals,
     Disturbance,
     EngineOutput,
     Measured,
@@ -28,8 +31,8 @@ from cosim.base.signals import (
     State,
     Unallocated,
 )
-from cosim.results._rows import COLUMNS, Rows
-from cosim.results.columns import NAMES
+from cosim.results._rows import Rows
+from cosim.results.columns import COLUMNS, NAMES, log_columns, program
 from cosim.results.recorder import MemorySink, Recorder
 
 NUMBERS = st.one_of(st.floats(), st.sampled_from([nan, -nan, -0.0, 5e-324]), st.integers(-9, 9), st.booleans())
@@ -40,9 +43,8 @@ def tuples(size: int, values: st.SearchStrategy[Any] = NUMBERS) -> st.SearchStra
 
 
 @st.composite
-def any_sample(draw: st.DrawFn) -> Sample:
-    """Any numbers at all on the wires of a vehicle of one to six jets."""
-    jets = draw(st.integers(1, JETS))
+def any_sample(draw: st.DrawFn, jets: int) -> Sample:
+    """Any numbers at all on the wires of a vehicle of so many jets."""
     vector, number, every_jet = tuples(3), NUMBERS, tuples(jets)
     added = tuples(3, st.floats(allow_nan=False, min_value=0.0))  # never -0, as what disturbs never is
     names = {"command": Command, "state": State, "measured": Measured}
@@ -55,10 +57,7 @@ def any_sample(draw: st.DrawFn) -> Sample:
     return Sample(
         k=draw(st.integers()),
         time=draw(number),
-        rate_setpoint=draw(vector),
-        rate_predicted=draw(vector),
-        torque_command=draw(vector),
-        collective=draw(number),
+        control=ControlSignals(draw(vector), draw(vector), draw(vector), draw(number), draw(number)),
         actuation=Actuation(draw(every_jet), draw(tuples(2)), Unallocated(*draw(tuples(4)))),
         tilt=draw(tuples(2)),
         engines=EngineOutput(*draw(st.tuples(*[every_jet] * 4))),
@@ -104,11 +103,11 @@ def expected(sample: Sample) -> dict[str, Any]:
         **named("{}_setpoint_m", "north east", command.place or nothing[:2]),
         **named("rate_{}_rad_s", rates, state.rate),
         **named("rate_{}_measured_rad_s", rates, measured.rate),
-        **named("rate_{}_predicted_rad_s", rates, sample.rate_predicted),
-        **named("rate_{}_setpoint_rad_s", rates, sample.rate_setpoint),
-        **named("torque_{}", axes, sample.torque_command),
+        **named("rate_{}_predicted_rad_s", rates, sample.control.rate_predicted),
+        **named("rate_{}_setpoint_rad_s", rates, sample.control.rate_setpoint),
+        **named("torque_{}", axes, sample.control.torque),
         **named("refused_{}", axes + " collective", sample.actuation.unallocated),
-        "collective": sample.collective,
+        "collective": sample.control.collective,
         **of_jets("throttle_{}", sample.actuation.throttle),
         **of_jets("thrust_{}_N", sample.engines.thrust),
         **named("tilt_{}_rad", sides, sample.tilt),
@@ -144,9 +143,9 @@ def expected(sample: Sample) -> dict[str, Any]:
     }
 
 
-def table_of(flight: list[Sample]) -> np.ndarray:
+def table_of(flight: list[Sample], columns: tuple[Column, ...] = COLUMNS) -> np.ndarray:
     sink = MemorySink()
-    recorder = Recorder(STEP, sink)
+    recorder = Recorder(STEP, sink, columns)
     for sample in flight:
         recorder.observe(sample)
     recorder.flush()
@@ -158,16 +157,17 @@ def good() -> Sample:
     return sample
 
 
-def test_the_c_code_knows_how_many_columns_there_are() -> None:
-    assert len(NAMES) == COLUMNS
+def rows_of(capacity: int, patience: float, hand_on: Any) -> Rows:
+    run = program(COLUMNS)
+    return Rows(capacity, patience, hand_on, run.width, run.nodes, run.reads)
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(any_sample(), min_size=1, max_size=3))
+@given(st.integers(1, JETS).flatmap(lambda jets: st.lists(any_sample(jets), min_size=1, max_size=3)))
 def test_every_bit_ends_in_the_column_that_bears_its_name(flight: list[Sample]) -> None:
     with np.errstate(over="ignore", invalid="ignore"):
         rows = [expected(sample) for sample in flight]
-        table = table_of(flight)
+        table = table_of(flight, log_columns(len(flight[0].actuation.throttle)))
     for index, name in enumerate(NAMES):
         values = np.array([float(row[name]) for row in rows])
         np.testing.assert_array_equal(table[index].view(np.uint64), values.view(np.uint64), err_msg=name)
@@ -199,7 +199,7 @@ def test_angles_of_the_measured_quaternion(rows: int) -> None:
 # not in the log, or not while something else takes its place
 UNSEEN = {
     ("k",), ("command", "rate"), ("command", "collective"), ("state", "attitude"), ("disturbance", "wind"),
-    ("disturbance", "gust"), ("disturbance", "torque_seen"), ("actuation", "off"),
+    ("disturbance", "gust"), ("disturbance", "torque_seen"), ("actuation", "off"), ("control", "allocated"), ("own",),
 }  # fmt: skip
 
 
@@ -287,7 +287,7 @@ def test_what_a_sample_lacks_is_named() -> None:
     recorder = Recorder(STEP, MemorySink())
     with pytest.raises(TypeError, match=r"^sample: engines\.spool_speed is not a tuple of 6$"):
         recorder.observe(replaced(good(), ("engines", "spool_speed"), (1.0,)))
-    with pytest.raises(TypeError, match=r"^sample: it is not a tuple of 17$"):
+    with pytest.raises(TypeError, match=r"^sample: it is not a tuple of 15$"):
         recorder.observe("sample")  # type: ignore[arg-type]
 
 
@@ -347,7 +347,7 @@ def test_rows_that_cannot_be_handed_on_stay() -> None:
 
 def test_rows_that_nobody_clears_are_not_overrun() -> None:
     calls = []
-    rows = Rows(2, 1000.0, calls.append)
+    rows = rows_of(2, 1000.0, calls.append)
     for _ in range(2):
         rows.add(good())
     for _ in range(3):
@@ -374,7 +374,8 @@ def test_a_block_belongs_to_who_gets_it() -> None:
 
 
 def test_nothing_is_read_into_what_does_not_fit() -> None:
-    rows = Rows(5, 1000.0, len)
+    rows = rows_of(5, 1000.0, len)
+    width = len(COLUMNS) + 4  # and the measured quaternion
     rows.add(good())
     rows.add(good())
     fitting = np.empty((3, 2))
@@ -382,9 +383,9 @@ def test_nothing_is_read_into_what_does_not_fit() -> None:
     readonly = np.empty((3, 2))
     readonly.flags.writeable = False
     for first, out in [
-        (-1, fitting), (COLUMNS + 3, fitting), (sys.maxsize, fitting), (0, np.empty((3, 3))), (0, np.empty(6)),
+        (-1, fitting), (width - 2, fitting), (sys.maxsize, fitting), (0, np.empty((3, 3))), (0, np.empty(6)),
         (0, np.empty((3, 2), dtype=np.float32)), (0, np.empty((3, 2), dtype=np.int64)), (0, np.empty((0, 2))),
-        (0, np.empty((COLUMNS + 6, 2))), (0, np.empty((2, 3)).T), (0, readonly), (0, np.empty((3, 1, 2))),
+        (0, np.empty((width + 1, 2))), (0, np.empty((2, 3)).T), (0, readonly), (0, np.empty((3, 1, 2))),
     ]:  # fmt: skip
         with pytest.raises((ValueError, BufferError)):
             rows.read(first, out)
@@ -396,14 +397,69 @@ def test_nothing_is_read_into_what_does_not_fit() -> None:
 def test_rows_are_made_once_and_for_at_least_one() -> None:
     for capacity in (0, -1, sys.maxsize):
         with pytest.raises(ValueError, match="at least one"):
-            Rows(capacity, 1.0, len)
-    rows = Rows(1, 1.0, len)
+            rows_of(capacity, 1.0, len)
+    rows = rows_of(1, 1.0, len)
+    run = program(COLUMNS)
     with pytest.raises(ValueError, match="once"):
-        rows.__init__(1, 1.0, len)  # type: ignore[misc]
+        rows.__init__(1, 1.0, len, run.width, run.nodes, run.reads)  # type: ignore[misc]
     bare = Rows.__new__(Rows)
     with pytest.raises(ValueError, match="not initialised"):
         bare.add(good())
     assert len(bare) == 0
+
+
+@pytest.mark.parametrize(
+    ("width", "nodes", "reads"),
+    [
+        (0, [("it", -1, 0, 15, False)], []),
+        (5000, [("it", -1, 0, 15, False)], []),
+        (9, [], []),
+        (9, [("it", -1, 0, 15, False)] * 65, []),
+        (9, [("it", -1, 0, 15, False), ("state", 1, 3, 12, False)], []),  # in itself
+        (9, [("it", -1, 0, 15, False), ("state", 0, 15, 12, False)], []),  # behind the end
+        (9, [("it", -1, 0, 15, False), ("state", 0, -1, 12, False)], []),
+        *[
+            (9, [("it", -1, 0, 15, False), ("place", 0, 2, 5, True)], [read])
+            for read in [
+                (2, 0, 1, 0, -1, 0, False), (0, 14, 2, 0, -1, 0, False), (0, 0, 1, 9, -1, 0, False),
+                (0, -1, 1, 0, -1, 0, False), (0, 0, -1, 0, -1, 0, False), (0, 0, 1, -1, -1, 0, False),
+                (0, 0, 1, 0, 1, 0, False), (0, 0, 1, 0, 2, 0, False), (0, 0, 1, 0, 0, 15, False),
+            ]
+        ],
+    ],
+)  # fmt: skip
+def test_a_program_that_would_read_what_is_not_there_is_refused(width: int, nodes: list[Any], reads: list[Any]) -> None:
+    with pytest.raises(ValueError, match="no program that holds together"):
+        Rows(1, 1.0, len, width, nodes, reads)
+
+
+@pytest.mark.parametrize(
+    ("source", "complaint"),
+    [
+        ("state.eular.0", "the record 'state' has no column 'eular'; did you mean 'euler'"),
+        ("speed", "the record '' has no column 'speed'"),
+        ("state.euler.x", "column 'lean': no place of a sample: 'state.euler.x'"),
+        ("bank of measured.attitude", "column 'lean': no angle 'bank'; allowed: roll, pitch, yaw"),
+    ],
+)
+def test_a_source_that_no_sample_has_is_refused(source: str, complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        program([*COLUMNS, Column("lean", "rad", "body", "leaning", source)])
+
+
+def test_a_vehicle_of_eight_engines_has_eight_columns_of_each() -> None:
+    columns = log_columns(8)
+    eight = tuple(float(jet) for jet in range(1, 9))
+    sample = good()._replace(
+        actuation=Actuation(eight, (0.0, 0.0), Unallocated()),
+        engines=EngineOutput(eight, eight, eight, eight),
+        health=eight,
+        faults=(0.0,) * 14,
+    )
+    row = dict(zip([column.name for column in columns], table_of([sample], columns)[:, 0].tolist(), strict=True))
+    for name in ("throttle_{}", "thrust_{}_N", "spool_speed_{}_rad_s", "health_{}"):
+        assert [row[name.format(jet)] for jet in range(1, 9)] == list(eight)
+    assert {"fault_jet_8", "fault_barometer"} <= set(row)
 
 
 def test_nothing_is_kept_of_a_sample() -> None:
@@ -426,7 +482,7 @@ def test_nothing_is_kept_of_who_takes_the_rows() -> None:
         return answer
 
     before = sys.getrefcount(answer), sys.getrefcount(take)
-    rows = Rows(1, 1000.0, take)
+    rows = rows_of(1, 1000.0, take)
     for _ in range(50):
         rows.add(good())
     assert len(seen) == 50

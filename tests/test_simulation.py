@@ -255,12 +255,14 @@ def test_the_controllers_see_the_sensors_and_the_refusals() -> None:
         flown = rows.samples[: simulation.k]
         simulation.reset()
         for sample in flown:
-            assert simulation.cascade.attitude.update(sample.command, sample.measured) == sample.rate_setpoint
+            assert simulation.cascade.attitude.update(sample.command, sample.measured) == sample.control.rate_setpoint
             assert (
-                simulation.cascade.rate.update(sample.rate_setpoint, sample.measured.rate, before)
-                == sample.torque_command
+                simulation.cascade.rate.update(sample.control.rate_setpoint, sample.measured.rate, before)
+                == sample.control.torque
             )
-            assert simulation.cascade.altitude.update(sample.command, sample.measured, before) == sample.collective
+            assert (
+                simulation.cascade.altitude.update(sample.command, sample.measured, before) == sample.control.collective
+            )
             before = sample.actuation.unallocated
             refused_roll += before.roll != 0.0
             refused_collective += before.collective != 0.0

@@ -340,7 +340,7 @@ def test_units_of_what_an_engine_says(flown: Flown) -> None:
 def test_the_strip_chart_gets_measured_and_predicted(flown: Flown) -> None:
     sample = flown.now.sample
     assert sample is not None
-    t, *rates = feed.point(sample._replace(rate_predicted=(math.nan, math.pi, 0.0)))
+    t, *rates = feed.point(sample._replace(control=sample.control._replace(rate_predicted=(math.nan, math.pi, 0.0))))
     assert t == round(sample.time, 3)
     assert rates[:3] == [round(math.degrees(rate), 2) for rate in sample.measured.rate]
     assert rates[3:] == [None, 180.0, 0.0]

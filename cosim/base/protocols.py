@@ -188,6 +188,38 @@ class Engines(Protocol):
         """Free them; may be called twice."""
 
 
+class Column(NamedTuple):
+    """One column of a flight's log: what it is called and what it means, and where its numbers come from."""
+
+    name: str  # letters, digits and _; ends with its unit where that is not plain: _rad_s, _N
+    unit: str
+    frame: str  # body, NED, ...; empty where there is none
+    meaning: str
+    source: str = ""  # as in cosim.results.columns; a block that shows leaves it out
+
+
+class Shows(Protocol):
+    """What any block may be beside its own protocol: one that shows numbers of its own in the log.
+
+    Asked for it are pilot, disturbances, controller, engines and sensors, and what stands inside the built-in ones: the
+    predictors of a :class:`cosim.control.cascade.Cascade`, each with its axis before the column's name.
+    The columns come last in the log, with name, unit, frame and meaning, and go with it into CSV, ULog and page.
+    """
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """What is shown; the same for a whole flight, and read at its beginning.  No name that the log has already."""
+
+    @property
+    def shown(self) -> tuple[float, ...]:
+        """The numbers, one for each column and in their order, once after every step that the block took part in."""
+
+
+def columns_of(block: object) -> tuple[Column, ...]:
+    """What a block shows of its own; none where it does not show."""
+    return tuple(getattr(block, "columns", ()))
+
+
 class Sensors(Protocol):
     """What the controller and the pilot are told of the motion.  Filters, latencies and noise are its to keep."""
 

@@ -151,10 +151,7 @@ class Sample(NamedTuple):
     command: Command
     state: State
     measured: Measured
-    rate_setpoint: Vector3  # rad/s, body
-    rate_predicted: Vector3  # rad/s, body: what the rate controller is fed with
-    torque_command: Vector3  # the rate controller's output: throttle, rad of tilt, rad of tilt
-    collective: float  # mean throttle asked for
+    control: ControlSignals
     actuation: Actuation
     tilt: tuple[float, float]  # rad, where the servos stand
     engines: EngineOutput  # delivered and reported
@@ -163,6 +160,7 @@ class Sample(NamedTuple):
     spool_moment: Vector3 = UNKNOWN3  # N m, body, of the spinning rotors on the airframe; NaN where not modelled
     faults: tuple[float, ...] = NO_FAULTS  # 1 where a fault acts
     health: PerJet = ALL_WELL  # share of its command that each jet gives, as the monitor believes
+    own: tuple[float, ...] = ()  # what blocks show of their own: see cosim.base.protocols.Shows
 
     @property
     def thrust(self) -> PerJet:

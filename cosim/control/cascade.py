@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from math import nan
+from typing import Final, cast
 
-from cosim.base.protocols import Allocator, Diagnostics, EngineState
+from cosim.base.protocols import Allocator, Column, Diagnostics, EngineState, Predictor, Shows, columns_of
 from cosim.base.signals import (
     ALL_WELL,
+    AXES,
     NO_JETS,
     ZERO3,
     Actuation,
@@ -66,6 +68,7 @@ class Cascade:
         self._opposites = list(opposites)
         self._every_jet = frozenset(range(self._jets))
         self._throttle: PerJet = ()
+        self._shows: list[tuple[str, Predictor, tuple[Column, ...]]] = []  # the predictors that show of their own
         self._forget(0.0)
 
     def _forget(self, burnt: float) -> None:
@@ -80,6 +83,8 @@ class Cascade:
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
         """At rest; the throttles of the start.  See :class:`cosim.base.protocols.Controller`."""
         self._forget(burnt)
+        told = [(axis, each, columns_of(each)) for axis, each in zip(AXES, self.rate.predictors, strict=True)]
+        self._shows = [entry for entry in told if entry[2]]
         self.allocator.reset()
         self._reset_loops()
         hover = self.allocator.hover
@@ -209,3 +214,19 @@ class Cascade:
     def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
         """As :attr:`RateController.diagnostics`."""
         return self.rate.diagnostics
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """What the predictors show of their own, each with its axis before the name: see :class:`Shows`."""
+        return tuple(
+            [column._replace(name=f"{axis}_{column.name}") for axis, _, columns in self._shows for column in columns]
+        )
+
+    @property
+    def shown(self) -> tuple[float, ...]:
+        """Their numbers; NaN of one whose place another has taken in flight."""
+        answer: list[float] = []
+        for axis, predictor, columns in self._shows:
+            there = self.rate.predictors[AXES.index(axis)] is predictor
+            answer += cast(Shows, predictor).shown if there else (nan,) * len(columns)
+        return tuple(answer)

@@ -125,6 +125,11 @@ class RateAxis:
                 predictor.update(measured, applied)
             self._use(predictor)
 
+    @property
+    def predictor(self) -> Predictor:
+        """The one that answers from the next update on."""
+        return self._predictor
+
     def _use(self, predictor: Predictor) -> None:
         self._predictor = predictor
         self._predicts = not isinstance(predictor, NoPredictor)  # else the measurement is fed back without a call
@@ -218,6 +223,11 @@ class RateController:
     def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
         """As :attr:`RateAxis.diagnostics`, of all axes."""
         return (self._roll.diagnostics, self._pitch.diagnostics, self._yaw.diagnostics)
+
+    @property
+    def predictors(self) -> tuple[Predictor, Predictor, Predictor]:
+        """Of roll, pitch and yaw, as they answer now."""
+        return (self._roll.predictor, self._pitch.predictor, self._yaw.predictor)
 
     @property
     def predicted(self) -> Vector3:

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.files import lock, one_line, replacing
-from cosim.results.columns import COLUMNS, NAMES, known
+from cosim.base.protocols import Column
+from cosim.results.columns import COLUMNS, known
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -37,10 +38,11 @@ _END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"  # Arrow IPC streaming form
 class StreamSink:
     """Appends the blocks to a new Arrow IPC stream, and holds a lock on it for as long as it is open.
 
-    ``note`` travels in the stream's metadata.  Raises InputError if the file exists or cannot be made.
+    What the columns mean travels in the stream's metadata, and ``note``.  Raises InputError if the file exists or
+    cannot be made.
     """
 
-    def __init__(self, path: Path, note: str) -> None:
+    def __init__(self, path: Path, note: str, columns: Sequence[Column] = COLUMNS) -> None:
         self.path = path
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o666)
@@ -48,12 +50,12 @@ class StreamSink:
             raise InputError(f"{path}: {one_line(error)}") from error
         lock(self._file)
         self._size = 0
-        self._append(_schema(note).serialize().to_pybytes())
+        self._append(_schema(columns, note).serialize().to_pybytes())
 
     def write(self, table: Array) -> None:
         """Append a record batch.  Raises FlightError if it cannot be written; nothing of it is in the file then."""
-        columns = np.asarray(table, "<f8").ravel()
-        self._append(_batch_head(table.shape[1]), columns.view(np.uint8).data)
+        numbers = np.asarray(table, "<f8").ravel()
+        self._append(_batch_head(*table.shape), numbers.view(np.uint8).data)
 
     def end(self) -> None:
         """Mark the stream as complete.  Raises FlightError."""
@@ -80,8 +82,8 @@ class StreamSink:
 
 
 @cache
-def _batch_head(rows: int) -> bytes:
-    """What comes before the columns in a record batch of so many rows.
+def _batch_head(columns: int, rows: int) -> bytes:
+    """What comes before the columns in a record batch of so many columns and rows.
 
     Behind it a batch of float64 without nulls is its columns, one after the other: whole multiples of 8 bytes, as Arrow
     aligns them.
@@ -89,9 +91,9 @@ def _batch_head(rows: int) -> bytes:
     import pyarrow as pa
 
     zeros = pa.Array.from_buffers(pa.float64(), rows, [None, pa.py_buffer(bytes(8 * rows))])
-    columns = [zeros] * len(NAMES)
-    message: bytes = pa.RecordBatch.from_arrays(columns, schema=_schema()).serialize().to_pybytes()
-    return message[: len(message) - 8 * rows * len(NAMES)]
+    schema = pa.schema([pa.field(str(n), pa.float64(), nullable=False) for n in range(columns)])
+    message: bytes = pa.RecordBatch.from_arrays([zeros] * columns, schema=schema).serialize().to_pybytes()
+    return message[: len(message) - 8 * rows * columns]
 
 
 class ParquetLog:
@@ -100,6 +102,7 @@ class ParquetLog:
     def __init__(self, path: Path) -> None:
         self._path = path
         with _parquet(self._path) as file:
+            self.described = _described(file.schema_arrow)
             self.columns: tuple[str, ...] = tuple(file.schema_arrow.names)
             self._rows: int = file.metadata.num_rows
 
@@ -148,16 +151,18 @@ def stream_to_parquet(stream: Path, parquet: Path) -> int:
     rows = 0
     try:
         with (
+            closing(pa.OSFile(str(stream))) as file,
+            _opened(file) as reader,
             replacing(parquet) as temporary,
             pq.ParquetWriter(
                 temporary,
-                _schema(),
+                reader.schema.remove_metadata(),
                 compression="zstd",
                 use_dictionary=False,
-                column_encoding=dict.fromkeys(NAMES, "BYTE_STREAM_SPLIT"),
+                column_encoding=dict.fromkeys(reader.schema.names, "BYTE_STREAM_SPLIT"),
             ) as writer,
         ):
-            for table in _regrouped(_complete_batches(stream)):
+            for table in _regrouped(_complete_batches(reader)):
                 writer.write_table(table, row_group_size=ROW_GROUP)
                 rows += table.num_rows
     except (OSError, pa.ArrowException) as error:
@@ -165,33 +170,47 @@ def stream_to_parquet(stream: Path, parquet: Path) -> int:
     return rows
 
 
-def _schema(note: str | None = None) -> pa.Schema:
+def _schema(columns: Sequence[Column], note: str = "") -> pa.Schema:
     import pyarrow as pa
 
     fields = [
         pa.field(
             c.name, pa.float64(), nullable=False, metadata={"unit": c.unit, "frame": c.frame, "meaning": c.meaning}
         )
-        for c in COLUMNS
+        for c in columns
     ]
-    return pa.schema(fields, metadata=None if note is None else {"note": note})
+    return pa.schema(fields, metadata={"note": note})
 
 
-def _complete_batches(stream: Path) -> Iterator[pa.RecordBatch]:
+def _described(schema: pa.Schema) -> tuple[Column, ...]:
+    """The columns of a log, with what its file says of them."""
+    made = []
+    for field in schema:
+        said = {str(key, "utf-8"): str(value, "utf-8") for key, value in (field.metadata or {}).items()}
+        made.append(Column(field.name, said.get("unit", ""), said.get("frame", ""), said.get("meaning", "")))
+    return tuple(made)
+
+
+def _opened(file: pa.OSFile) -> pa.ipc.RecordBatchStreamReader:
+    """A stream; one of no rows if it is torn before its first, where the columns are said."""
+    import pyarrow as pa
+
+    try:
+        return pa.ipc.open_stream(file)
+    except pa.ArrowInvalid:
+        return pa.ipc.open_stream(_schema(COLUMNS).serialize().to_pybytes() + _END_OF_STREAM)
+
+
+def _complete_batches(reader: pa.ipc.RecordBatchStreamReader) -> Iterator[pa.RecordBatch]:
     """The batches of a stream up to its end or to the place where it is torn."""
     import pyarrow as pa
 
-    with closing(pa.OSFile(str(stream))) as file:
+    while True:
         try:
-            reader = pa.ipc.open_stream(file)
-        except pa.ArrowInvalid:
+            batch = reader.read_next_batch()
+        except (StopIteration, pa.ArrowInvalid, OSError):
             return
-        while True:
-            try:
-                batch = reader.read_next_batch()
-            except (StopIteration, pa.ArrowInvalid, OSError):
-                return
-            yield batch
+        yield batch
 
 
 def _regrouped(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:

@@ -1,103 +1,285 @@
-"""The columns of a flight's log, in their order: name, unit, frame and meaning.
+"""The columns of a flight's log, in their order: name, unit, frame, meaning and where each comes from, said once.
 
 One row is one control step ``k``.  True and measured quantities are taken at ``t_k``, before the step; everything
 else acts over ``[t_k, t_k+1)``.  All are float64.  Body is forward-right-down, NED is north-east-down with its origin
 on the ground below the starting point.
+
+A column's source is one of
+
+* ``state.euler.0``: a place in a :class:`cosim.base.signals.Sample`, field by field and element by element;
+* ``command.altitude unless command.collective``: the same, and NaN in a step in which the other place is not None;
+* ``a + b``: the sum of two places;
+* ``roll of measured.attitude``: one of :data:`ANGLES`, of a quaternion;
+* empty: NaN, of an engine that this vehicle has not.
+
+Where a place lies behind a field that is None the value is NaN.  :func:`program` makes of them what the C of
+``_rows.c`` runs once a step.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cosim.base.errors import InputError, nearest
-from cosim.base.signals import AXES, JETS
+from cosim.base.protocols import Column
+from cosim.base.signals import (
+    AXES,
+    JETS,
+    Actuation,
+    Command,
+    ControlSignals,
+    Disturbance,
+    EngineOutput,
+    Measured,
+    Sample,
+    State,
+    Unallocated,
+)
+
+Array = NDArray[np.float64]
 
 RATES = ("p", "q", "r")
-
-
-class Column(NamedTuple):
-    """One column of the log."""
-
-    name: str
-    unit: str
-    frame: str
-    meaning: str
-
-
-def _each(names: tuple[str, ...], pattern: str, unit: str, frame: str, meaning: str) -> list[Column]:
-    """One column per name, which stands for ``{}`` in the pattern and in the meaning."""
-    return [Column(pattern.format(name), unit, frame, meaning.format(name)) for name in names]
-
-
 _XYZ = ("x", "y", "z")
 _NED = ("north", "east", "down")
 _SERVOS = ("left", "right")
 _SENSORS = ("gyro", "attitude", "gnss", "barometer")
-_ALL_JETS = tuple(str(jet) for jet in range(1, JETS + 1))
 _EULER = "body to NED"
 _OUTPUT_UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
 _OWN = "throttle on roll, rad of tilt on pitch and yaw"
 
-COLUMNS: tuple[Column, ...] = (
-    Column("time_s", "s", "", "start of the step"),
-    *_each(AXES, "{}_rad", "rad", _EULER, "true {} angle"),
-    *_each(AXES, "{}_setpoint_rad", "rad", _EULER, "{} angle asked for; NaN while rates are commanded instead"),
-    *_each(AXES, "{}_measured_rad", "rad", _EULER, "{} angle of the measured quaternion"),
-    *_each(RATES, "rate_{}_rad_s", "rad/s", "body", "true angular rate {}"),
-    *_each(RATES, "rate_{}_measured_rad_s", "rad/s", "body", "angular rate {} as the gyro gives it"),
-    *_each(RATES, "rate_{}_predicted_rad_s", "rad/s", "body", "angular rate {} that the rate controller is fed with"),
-    *_each(RATES, "rate_{}_setpoint_rad_s", "rad/s", "body", "angular rate {} asked for"),
-    *[Column(f"torque_{a}", _OUTPUT_UNITS[a], "body", f"rate controller's output on {a} ({_OWN})") for a in AXES],
-    *[
-        Column(f"refused_{a}", _OUTPUT_UNITS[a], "body", f"part of torque_{a} that allocation did not give")
-        for a in AXES
-    ],
-    Column("refused_collective", "throttle", "", "part of the collective that allocation did not give"),
-    Column("collective", "throttle", "", "mean throttle asked for, 0 to 1"),
-    *_each(_ALL_JETS, "throttle_{}", "throttle", "", "throttle of jet {}, 0 to 1"),
-    *_each(_ALL_JETS, "thrust_{}_N", "N", "along the jet", "thrust that jet {} delivers"),
-    *_each(_SERVOS, "tilt_{}_rad", "rad", "body", "where the {} servo stands; positive tilts the thrust forward"),
-    *_each(_SERVOS, "tilt_{}_command_rad", "rad", "body", "where the {} servo is told to go"),
-    Column("north_m", "m", "NED", "true position north"),
-    Column("east_m", "m", "NED", "true position east"),
-    Column("down_m", "m", "NED", "true position down"),
-    Column("altitude_m", "m", "", "true height above the ground"),
-    Column("altitude_setpoint_m", "m", "", "height asked for; NaN while the collective is commanded instead"),
-    Column("altitude_measured_m", "m", "", "height above the ground as the barometer gives it"),
-    *_each(("north", "east"), "{}_setpoint_m", "m", "NED", "place {} asked for; NaN while none is"),
-    *_each(_NED, "velocity_{}_m_s", "m/s", "NED", "true velocity {} over the ground"),
-    *_each(_NED, "{}_measured_m", "m", "NED", "position {} as GNSS gives it"),
-    *_each(_NED, "velocity_{}_measured_m_s", "m/s", "NED", "velocity {} as GNSS gives it"),
-    *_each(_XYZ, "specific_force_{}_m_s2", "m/s^2", "body", "what an accelerometer at the centre of gravity feels, {}"),
-    *_each(_XYZ, "specific_force_{}_measured_m_s2", "m/s^2", "body", "specific force {} as the accelerometer gives it"),
-    *_each(_NED, "wind_{}_m_s", "m/s", "NED", "where the air moves to, {}, gusts and turbulence included"),
-    *_each(
-        RATES, "air_rate_{}_rad_s", "rad/s", "body", "turbulence turns the air; rate {} of it; 0 without turbulence"
-    ),
-    Column("mass_kg", "kg", "", "mass, payload included"),
-    Column("on_ground", "0/1", "", "a leg touches the ground"),
-    Column("hull_contact", "0/1", "", "anything but a leg touches the ground"),
-    *_each(_XYZ, "disturbance_force_{}_N", "N", "body", "disturbing force {} at the centre of gravity as built"),
-    *_each(_XYZ, "disturbance_moment_{}_N_m", "N m", "body", "disturbing moment about {}"),
-    *[
-        Column(f"disturbance_torque_{a}", _OUTPUT_UNITS[a], "body", f"added to torque_{a}, unknown to the controller")
-        for a in AXES
-    ],
-    Column("payload_kg", "kg", "", "mass of the payload"),
-    *_each(_XYZ, "payload_{}_m", "m", "body", "place of the payload along {}, from the centre of gravity as built"),
-    *_each(_ALL_JETS, "spool_speed_{}_rad_s", "rad/s", "", "rotor speed of engine {}; NaN where it does not say"),
-    *_each(_ALL_JETS, "exhaust_temperature_{}_K", "K", "", "exhaust temperature {}; NaN where the engine does not say"),
-    *_each(_ALL_JETS, "fuel_flow_{}_kg_s", "kg/s", "", "fuel that engine {} burns; NaN where it does not say"),
-    Column("fuel_kg", "kg", "", "fuel on board; NaN without a tank"),
-    *_each(_XYZ, "spool_moment_{}_N_m", "N m", "body", "moment of the rotors' spin about {}; NaN where not modelled"),
-    *_each(_ALL_JETS, "health_{}", "1", "", "share of its command that jet {} gives, as the monitor believes"),
-    *_each(_ALL_JETS, "fault_jet_{}", "0/1", "", "a fault acts on jet {}"),
-    *_each(_SERVOS, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo"),
-    *_each(_SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}"),
-)
 
+def _each(
+    names: Sequence[str], pattern: str, unit: str, frame: str, meaning: str, source: str, first: int = 0
+) -> list[Column]:
+    """One column per name, which stands for ``{}`` in pattern, meaning and source; its number there for ``{n}``."""
+    return [
+        Column(pattern.format(name), unit, frame, meaning.format(name), source.format(name, n=n))
+        for n, name in enumerate(names, first)
+    ]
+
+
+def _torques(name: str, meaning: str, source: str) -> list[Column]:
+    """One column per axis, in the unit of the axis."""
+    return [
+        Column(name.format(axis), _OUTPUT_UNITS[axis], "body", meaning.format(axis), source.format(n=n))
+        for n, axis in enumerate(AXES)
+    ]
+
+
+def _columns(jets: int) -> list[Column]:
+    def of_jets(pattern: str, unit: str, frame: str, meaning: str, source: str) -> list[Column]:
+        names = [str(jet) for jet in range(1, max(jets, JETS) + 1)]
+        made = _each(names, pattern, unit, frame, meaning, source)
+        return [column if n < jets else column._replace(source="") for n, column in enumerate(made)]
+
+    flags = [str(jet) for jet in range(1, max(jets, JETS) + 1)]  # of faults: as many as the log has columns
+    return [
+        Column("time_s", "s", "", "start of the step", "time"),
+        *_each(AXES, "{}_rad", "rad", _EULER, "true {} angle", "state.euler.{n}"),
+        *_each(
+            AXES,
+            "{}_setpoint_rad",
+            "rad",
+            _EULER,
+            "{} angle asked for; NaN while rates are commanded instead",
+            "command.attitude.{n} unless command.rate",
+        ),
+        *_each(
+            AXES, "{}_measured_rad", "rad", _EULER, "{} angle of the measured quaternion", "{} of measured.attitude"
+        ),
+        *_each(RATES, "rate_{}_rad_s", "rad/s", "body", "true angular rate {}", "state.rate.{n}"),
+        *_each(
+            RATES,
+            "rate_{}_measured_rad_s",
+            "rad/s",
+            "body",
+            "angular rate {} as the gyro gives it",
+            "measured.rate.{n}",
+        ),
+        *_each(
+            RATES,
+            "rate_{}_predicted_rad_s",
+            "rad/s",
+            "body",
+            "angular rate {} that the rate controller is fed with",
+            "control.rate_predicted.{n}",
+        ),
+        *_each(
+            RATES, "rate_{}_setpoint_rad_s", "rad/s", "body", "angular rate {} asked for", "control.rate_setpoint.{n}"
+        ),
+        *_torques("torque_{}", f"rate controller's output on {{}} ({_OWN})", "control.torque.{n}"),
+        *_torques("refused_{}", "part of torque_{} that allocation did not give", "actuation.unallocated.{n}"),
+        Column(
+            "refused_collective",
+            "throttle",
+            "",
+            "part of the collective that allocation did not give",
+            "actuation.unallocated.collective",
+        ),
+        Column("collective", "throttle", "", "mean throttle asked for, 0 to 1", "control.collective"),
+        *of_jets("throttle_{}", "throttle", "", "throttle of jet {}, 0 to 1", "actuation.throttle.{n}"),
+        *of_jets("thrust_{}_N", "N", "along the jet", "thrust that jet {} delivers", "engines.thrust.{n}"),
+        *_each(
+            _SERVOS,
+            "tilt_{}_rad",
+            "rad",
+            "body",
+            "where the {} servo stands; positive tilts the thrust forward",
+            "tilt.{n}",
+        ),
+        *_each(_SERVOS, "tilt_{}_command_rad", "rad", "body", "where the {} servo is told to go", "actuation.tilt.{n}"),
+        Column("north_m", "m", "NED", "true position north", "state.position.0"),
+        Column("east_m", "m", "NED", "true position east", "state.position.1"),
+        Column("down_m", "m", "NED", "true position down", "state.position.2"),
+        Column("altitude_m", "m", "", "true height above the ground", "state.altitude"),
+        Column(
+            "altitude_setpoint_m",
+            "m",
+            "",
+            "height asked for; NaN while the collective is commanded instead",
+            "command.altitude unless command.collective",
+        ),
+        Column(
+            "altitude_measured_m", "m", "", "height above the ground as the barometer gives it", "measured.altitude"
+        ),
+        *_each(
+            ("north", "east"), "{}_setpoint_m", "m", "NED", "place {} asked for; NaN while none is", "command.place.{n}"
+        ),
+        *_each(_NED, "velocity_{}_m_s", "m/s", "NED", "true velocity {} over the ground", "state.velocity.{n}"),
+        *_each(_NED, "{}_measured_m", "m", "NED", "position {} as GNSS gives it", "measured.position.{n}"),
+        *_each(_NED, "velocity_{}_measured_m_s", "m/s", "NED", "velocity {} as GNSS gives it", "measured.velocity.{n}"),
+        *_each(
+            _XYZ,
+            "specific_force_{}_m_s2",
+            "m/s^2",
+            "body",
+            "what an accelerometer at the centre of gravity feels, {}",
+            "state.specific_force.{n}",
+        ),
+        *_each(
+            _XYZ,
+            "specific_force_{}_measured_m_s2",
+            "m/s^2",
+            "body",
+            "specific force {} as the accelerometer gives it",
+            "measured.specific_force.{n}",
+        ),
+        *_each(
+            _NED,
+            "wind_{}_m_s",
+            "m/s",
+            "NED",
+            "where the air moves to, {}, gusts and turbulence included",
+            "state.wind.{n}",
+        ),
+        *_each(
+            RATES,
+            "air_rate_{}_rad_s",
+            "rad/s",
+            "body",
+            "turbulence turns the air; rate {} of it; 0 without turbulence",
+            "state.air_rate.{n}",
+        ),
+        Column("mass_kg", "kg", "", "mass, payload included", "state.mass"),
+        Column("on_ground", "0/1", "", "a leg touches the ground", "state.on_ground"),
+        Column("hull_contact", "0/1", "", "anything but a leg touches the ground", "state.hull_contact"),
+        *_each(
+            _XYZ,
+            "disturbance_force_{}_N",
+            "N",
+            "body",
+            "disturbing force {} at the centre of gravity as built",
+            "disturbance.force.{n}",
+        ),
+        *_each(
+            _XYZ, "disturbance_moment_{}_N_m", "N m", "body", "disturbing moment about {}", "disturbance.moment.{n}"
+        ),
+        *_torques(
+            "disturbance_torque_{}",
+            "added to torque_{}, unknown to the controller",
+            # before and after the added delay; neither is ever -0, so that zeros change nothing
+            "disturbance.torque_output.{n} + disturbance.torque_command.{n}",
+        ),
+        Column("payload_kg", "kg", "", "mass of the payload", "disturbance.payload.0"),
+        *_each(
+            _XYZ,
+            "payload_{}_m",
+            "m",
+            "body",
+            "place of the payload along {}, from the centre of gravity as built",
+            "disturbance.payload.{n}",
+            first=1,
+        ),
+        *of_jets(
+            "spool_speed_{}_rad_s",
+            "rad/s",
+            "",
+            "rotor speed of engine {}; NaN where it does not say",
+            "engines.spool_speed.{n}",
+        ),
+        *of_jets(
+            "exhaust_temperature_{}_K",
+            "K",
+            "",
+            "exhaust temperature {}; NaN where the engine does not say",
+            "engines.exhaust_temperature.{n}",
+        ),
+        *of_jets(
+            "fuel_flow_{}_kg_s",
+            "kg/s",
+            "",
+            "fuel that engine {} burns; NaN where it does not say",
+            "engines.fuel_flow.{n}",
+        ),
+        Column("fuel_kg", "kg", "", "fuel on board; NaN without a tank", "fuel"),
+        *_each(
+            _XYZ,
+            "spool_moment_{}_N_m",
+            "N m",
+            "body",
+            "moment of the rotors' spin about {}; NaN where not modelled",
+            "spool_moment.{n}",
+        ),
+        *of_jets("health_{}", "1", "", "share of its command that jet {} gives, as the monitor believes", "health.{n}"),
+        *_each(flags, "fault_jet_{}", "0/1", "", "a fault acts on jet {}", "faults.{n}"),
+        *_each(_SERVOS, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo", "faults.{n}", first=len(flags)),
+        *_each(
+            _SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}", "faults.{n}", first=len(flags) + len(_SERVOS)
+        ),
+    ]
+
+
+def log_columns(jets: int = JETS, own: Sequence[Column] = ()) -> tuple[Column, ...]:
+    """The columns of a flight of a vehicle with so many ``jets``, whose blocks show ``own``.
+
+    At least six of everything that a jet has, so that the logs of all vehicles can be laid side by side.  Raises
+    InputError for a column of a block's own that cannot be one.
+    """
+    made = _columns(jets)
+    known = {column.name for column in made}
+    for n, column in enumerate(own):
+        if not column.name.isidentifier() or not column.name.isascii():
+            raise InputError(f"column {column.name!r}: a column's name is of letters, digits and _, no digit first")
+        if column.name in known:
+            raise InputError(f"column {column.name!r}: the log has one of that name already")
+        if not column.meaning:
+            raise InputError(f"column {column.name!r}: what does it mean?")
+        known.add(column.name)
+        made.append(column._replace(source=f"own.{n}"))
+    return tuple(made)
+
+
+COLUMNS = log_columns()  # of six jets, and nothing shown
 NAMES: tuple[str, ...] = tuple(column.name for column in COLUMNS)
+
+
+def own_columns(columns: Iterable[Column]) -> list[Column]:
+    """Those that are not every flight's: of blocks that show, and of a seventh engine."""
+    return [column for column in columns if column.name not in NAMES]
 
 
 def known(name: str, columns: Iterable[str], where: str = "log") -> str:
@@ -106,3 +288,129 @@ def known(name: str, columns: Iterable[str], where: str = "log") -> str:
     if name not in columns:
         raise InputError(f"the {where} has no column {name!r}; {nearest(name, columns)}")
     return name
+
+
+# ---- what the C runs
+
+_RECORDS = {  # what stands at a place of a sample, where that has named fields
+    "": Sample, "command": Command, "state": State, "measured": Measured, "control": ControlSignals,
+    "actuation": Actuation, "actuation.unallocated": Unallocated, "engines": EngineOutput, "disturbance": Disturbance,
+}  # fmt: skip
+_OPTIONAL = ("command.place",)  # may be None
+_AT_LEAST = ("health",)  # of all that the log has columns for, or of those that the vehicle has
+
+
+def _roll(w: Array, x: Array, y: Array, z: Array) -> Array:
+    angle: Array = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return angle
+
+
+def _pitch(w: Array, x: Array, y: Array, z: Array) -> Array:
+    angle: Array = np.arcsin(np.clip(2.0 * (w * y - x * z), -1.0, 1.0))
+    return angle
+
+
+def _yaw(w: Array, x: Array, y: Array, z: Array) -> Array:
+    angle: Array = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return angle
+
+
+# of a quaternion, as cosim.base.frames.to_euler; whole blocks at once, by numpy, whose arctan2 is not the C library's
+ANGLES: dict[str, Callable[[Array, Array, Array, Array], Array]] = {"roll": _roll, "pitch": _pitch, "yaw": _yaw}
+
+
+class Angle(NamedTuple):
+    """A column that is made of four others, block by block."""
+
+    column: int
+    of: int  # the first of the four, behind the log's columns
+    law: Callable[[Array, Array, Array, Array], Array]
+
+
+class Program(NamedTuple):
+    """How a sample becomes a row of ``width`` numbers: the log's columns, and behind them what angles are made of.
+
+    ``nodes``: the tuples to open, each by its name, the node it is in (-1: it is the sample) and its place there, how
+    many elements it has (negative: at least), and whether it may be None.  ``reads``: from a node, from an element on,
+    so many to a column and those behind it, NaN if the element of another node (-1: of none) is not None, to be added
+    to what is there (1) or not.  Columns that no read gives are NaN.
+    """
+
+    width: int
+    nodes: list[tuple[str, int, int, int, bool]]
+    reads: list[tuple[int, int, int, int, int, int, bool]]
+    angles: list[Angle]
+
+
+def program(columns: Sequence[Column]) -> Program:
+    """The sources of the columns, each looked up once.  Raises InputError for a place that a sample has not."""
+    compiled = _Compiler()
+    angles: list[Angle] = []
+    quaternions: dict[str, int] = {}
+    width = len(columns)
+    for n, column in enumerate(columns):
+        law, _, quaternion = column.source.partition(" of ")
+        place, _, other = column.source.partition(" unless ")
+        if quaternion:
+            if quaternion not in quaternions:
+                quaternions[quaternion] = width
+                for element in range(4):
+                    compiled.read(f"{quaternion}.{element}", width + element)
+                width += 4
+            if law not in ANGLES:
+                raise InputError(f"column {column.name!r}: no angle {law!r}; allowed: {', '.join(ANGLES)}")
+            angles.append(Angle(n, quaternions[quaternion], ANGLES[law]))
+        elif place:
+            for k, part in enumerate(place.split(" + ")):
+                try:
+                    compiled.read(part, n, other, k > 0)
+                except InputError:
+                    raise
+                except ValueError:
+                    raise InputError(f"column {column.name!r}: no place of a sample: {part!r}") from None
+    return Program(width, *compiled.finished(), angles)
+
+
+class _Compiler:
+    """Places of a sample to nodes and reads."""
+
+    def __init__(self) -> None:
+        self._nodes: dict[str, tuple[int, int, int]] = {}  # number, parent's, place in it
+        self._sizes: dict[str, int] = {}
+        self._reads: list[tuple[int, int, int, int, int, int, bool]] = []
+        self._open("")
+
+    def read(self, place: str, column: int, other: str = "", add: bool = False) -> None:
+        node, element = self._find(place)
+        unless = self._find(other) if other else (-1, 0)
+        last = self._reads[-1] if self._reads else None
+        if last and (last[0], last[1] + last[2], last[3] + last[2], *last[4:]) == (node, element, column, *unless, add):
+            self._reads[-1] = (node, last[1], last[2] + 1, *last[3:])
+        else:
+            self._reads.append((node, element, 1, column, *unless, add))
+
+    def finished(self) -> tuple[list[tuple[str, int, int, int, bool]], list[tuple[int, int, int, int, int, int, bool]]]:
+        nodes = [
+            (name or "it", parent, element, self._sizes[name] * (-1 if name in _AT_LEAST else 1), name in _OPTIONAL)
+            for name, (_, parent, element) in self._nodes.items()
+        ]
+        return nodes, self._reads
+
+    def _find(self, place: str) -> tuple[int, int]:
+        """The node in which a place is, opened if need be, and the element there."""
+        parent, _, element = place.rpartition(".")
+        node = self._open(parent)
+        if parent in _RECORDS:
+            fields: tuple[str, ...] = _RECORDS[parent]._fields  # type: ignore[attr-defined]
+            index = int(element) if element.isdigit() else fields.index(known(element, fields, f"record {parent!r}"))
+        else:
+            index = int(element)
+            self._sizes[parent] = max(self._sizes[parent], index + 1)
+        return node, index
+
+    def _open(self, name: str) -> int:
+        if name not in self._nodes:
+            parent, element = self._find(name) if name else (-1, 0)
+            self._nodes[name] = (len(self._nodes), parent, element)
+            self._sizes[name] = len(_RECORDS[name]._fields) if name in _RECORDS else 0  # type: ignore[attr-defined]
+        return self._nodes[name][0]

@@ -7,8 +7,9 @@ from hashlib import sha256
 
 import numpy as np
 
+from cosim.base.protocols import Column
 from cosim.results.arrow import Array
-from cosim.results.columns import NAMES, known
+from cosim.results.columns import COLUMNS, known
 from cosim.results.recorder import Log, MemoryLog
 
 _ROWS = 2048  # of a log, read at once: 2 MB
@@ -56,10 +57,16 @@ class DigestSink:
     """
 
     def __init__(self, names: Sequence[str]) -> None:
-        self._indices = [NAMES.index(known(name, NAMES)) for name in names]
         self._names = tuple(names)
-        self._digest = Digest(NAMES)
         self._kept: list[Array] = []
+        self.begin(COLUMNS)
+
+    def begin(self, columns: Sequence[Column]) -> None:
+        """See :class:`cosim.results.recorder.KeepingSink`."""
+        names = [column.name for column in columns]
+        self._indices = [names.index(known(name, names)) for name in self._names]
+        self._described = tuple(columns[index] for index in self._indices)
+        self._digest = Digest(names)
 
     def write(self, table: Array) -> None:
         self._digest.update(table)
@@ -71,4 +78,4 @@ class DigestSink:
 
     def log(self) -> Log:
         """What was kept."""
-        return MemoryLog(self._kept, self._names)
+        return MemoryLog(self._kept, self._names, self._described)

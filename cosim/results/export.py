@@ -3,7 +3,8 @@
 ULog follows PX4's "ULog File Format", version 1.  Topics have PX4's names and fields where a quantity is the same thing
 in the same frame and unit (FRD body, NED, quaternions from body to NED); ``vehicle_*`` is what the sensors say,
 ``*_groundtruth`` is what is so, and ``wind`` is the true wind.  What PX4 has no topic for is in topics that begin with
-``hexjet_``.  Values are float32, as PX4 logs them; the CSV has every digit.
+``hexjet_``, and what blocks show of their own in ``hexjet_own``.  Values are float32, as PX4 logs them; the CSV has
+every digit.
 """
 
 from __future__ import annotations
@@ -20,10 +21,11 @@ from numpy.typing import NDArray
 
 from cosim.base.errors import InputError
 from cosim.base.files import one_line, replacing
+from cosim.base.protocols import Column
 from cosim.base.signals import AXES, JETS
 from cosim.results import ulog_autopilot as ulog_pilot
 from cosim.results.autopilot_record import read_pilot_record
-from cosim.results.columns import RATES
+from cosim.results.columns import RATES, own_columns
 from cosim.results.events import events_of
 from cosim.results.run import (
     RUN_FILES,
@@ -80,13 +82,16 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
     """
     run = open_run(folder)
     step, lines = run.summary.step_s, read_pilot_record(folder)
-    topics = {name: _topic(fields, step if rates == "all" else EVERY_S[name], step) for name, fields in _of(lines)}
+    own = own_columns(run.log.described)
+    held = dict(_of(lines)) | ({OWN: [_column("float", column.name, column.name) for column in own]} if own else {})
+    topics = {name: _topic(fields, step if rates == "all" else EVERY_S[name], step) for name, fields in held.items()}
     pilot = ulog_pilot.states(lines, run.summary.steps, step)
     at_start, changes = ulog_pilot.parameters(lines)
     with _output(run, path) as temporary, open(temporary, "wb") as file:
         file.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
         file.write(_message(b"B", bytes(40)))
         file.writelines(_message(b"I", _info(key, value)) for key, value in _facts(run.summary).items())
+        file.writelines(_message(b"I", _info(f"{OWN}_{column.name}", _said_of(column))) for column in own)
         file.writelines(_message(b"P", ulog_pilot.parameter(name, value)) for name, value in at_start.items())
         file.writelines(_message(b"F", _format(name, topic.fields)) for name, topic in topics.items())
         file.writelines(_message(b"F", _series_format(name, series)) for name, series in pilot.items())
@@ -253,6 +258,11 @@ def _facts(summary: Summary) -> dict[str, str]:
         "hexjet_outcome": summary.outcome,
         "hexjet_reason": summary.reason,
     }
+
+
+def _said_of(column: Column) -> str:
+    """What a field of ours means: ULog's fields have no units."""
+    return f"[{column.unit}] {f'{column.frame}: ' if column.frame else ''}{column.meaning}"
 
 
 def _microseconds(seconds: float) -> int:
@@ -455,6 +465,8 @@ TOPICS: dict[str, list[Field]] = {
     ],
 }
 
+OWN = "hexjet_own"  # what the flight's blocks show of their own; an info message of the file says what each field is
+
 # What an autopilot says better than the rows do, and what it adds.
 STATES = ("vehicle_status", "vehicle_land_detected")
 _BY_AUTOPILOT: dict[str, list[Field]] = {
@@ -467,7 +479,7 @@ _BY_AUTOPILOT: dict[str, list[Field]] = {
     "hexjet_gnss": _local_position("_measured"),  # as received
 }
 # Seconds between two messages of a topic: about PX4's default profile (its logged_topics.cpp), ours by their like.
-EVERY_S = dict.fromkeys((*TOPICS, *_BY_AUTOPILOT), 0.2) | {
+EVERY_S = dict.fromkeys((*TOPICS, *_BY_AUTOPILOT, OWN), 0.2) | {
     "vehicle_attitude": 0.05,
     "vehicle_attitude_groundtruth": 0.1,
     "vehicle_attitude_setpoint": 0.05,

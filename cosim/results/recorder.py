@@ -6,7 +6,7 @@ last second; without a folder they stay in memory.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from queue import Full, Queue
 from threading import Thread
 from typing import Protocol
@@ -14,14 +14,14 @@ from typing import Protocol
 import numpy as np
 
 from cosim.base.errors import FlightError
+from cosim.base.protocols import Column
 from cosim.base.signals import Sample
 from cosim.results._rows import Rows
 from cosim.results.arrow import ROW_GROUP, Array
-from cosim.results.columns import NAMES, known
+from cosim.results.columns import COLUMNS, NAMES, Program, known, program
 
 _BEHIND = 60  # blocks, of 0.3 MB at 250 Hz, that may wait for a disk
 WALL_FLUSH_S = 1.0  # a slow flight is handed on this often too
-_EULER = NAMES.index("roll_measured_rad")  # three columns that come from the measured quaternion
 
 
 class Sink(Protocol):
@@ -33,6 +33,9 @@ class Sink(Protocol):
 class KeepingSink(Sink, Protocol):
     """Keeps the blocks, or something of them, in memory."""
 
+    def begin(self, columns: Sequence[Column]) -> None:
+        """The log's columns, before the first block; COLUMNS where nobody says so.  Raises InputError."""
+
     def log(self) -> Log:
         """What was kept."""
 
@@ -42,6 +45,10 @@ class Log(Protocol):
 
     @property
     def columns(self) -> tuple[str, ...]: ...
+
+    @property
+    def described(self) -> tuple[Column, ...]:
+        """What the columns are and mean, as far as that is known."""
 
     def __len__(self) -> int: ...
 
@@ -57,11 +64,17 @@ class Observe(Protocol):
 
 
 class Recorder:
-    """An observer of the control loop that makes every sample a row; ``step_s`` is the control step."""
+    """An observer of the control loop that makes every sample a row; ``step_s`` is the control step.
 
-    def __init__(self, step_s: float, sink: Sink) -> None:
-        self._blocks = _Blocks(sink)
-        self._rows = Rows(max(1, round(1.0 / step_s)), WALL_FLUSH_S, self._blocks.hand_on)
+    ``columns``: of :func:`cosim.results.columns.log_columns`.  Raises InputError for one whose source is no place of a
+    sample.
+    """
+
+    def __init__(self, step_s: float, sink: Sink, columns: Sequence[Column] = COLUMNS) -> None:
+        run = program(columns)
+        self._blocks = _Blocks(sink, len(columns), run)
+        rows = max(1, round(1.0 / step_s))
+        self._rows = Rows(rows, WALL_FLUSH_S, self._blocks.hand_on, run.width, run.nodes, run.reads)
         self.observe: Observe = self._rows.add  # itself: it is called once a step
 
     @property
@@ -77,20 +90,22 @@ class Recorder:
 class _Blocks:
     """Makes rows a block of columns of its own, which a sink may keep."""
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: Sink, columns: int, run: Program) -> None:
         self._sink = sink
+        self._columns, self._width, self._angles = columns, run.width, run.angles
         self.handed_on = 0  # rows
 
     def hand_on(self, rows: Rows) -> None:
         count = len(rows)
         if count:
-            table, angles = np.empty((len(NAMES), count)), np.empty((5, count))
+            table = np.empty((self._columns, count))
             rows.read(0, table)
-            rows.read(len(NAMES), angles)
-            roll_y, roll_x, yaw_y, yaw_x, sine_of_pitch = angles
-            np.arctan2(roll_y, roll_x, table[_EULER])
-            np.arcsin(sine_of_pitch, table[_EULER + 1])
-            np.arctan2(yaw_y, yaw_x, table[_EULER + 2])
+            if self._angles:
+                behind = np.empty((self._width - self._columns, count))
+                rows.read(self._columns, behind)
+                for angle in self._angles:
+                    first = angle.of - self._columns
+                    table[angle.column] = angle.law(*behind[first : first + 4])
             self._sink.write(table)
             self.handed_on += count
         rows.clear()
@@ -101,13 +116,17 @@ class MemorySink:
 
     def __init__(self) -> None:
         self.tables: list[Array] = []
+        self.begin(COLUMNS)
+
+    def begin(self, columns: Sequence[Column]) -> None:
+        self._columns = tuple(columns)
 
     def write(self, table: Array) -> None:
         self.tables.append(table)
 
     def log(self) -> Log:
         """What was recorded."""
-        return MemoryLog(self.tables)
+        return MemoryLog(self.tables, tuple(column.name for column in self._columns), self._columns)
 
 
 class BackgroundSink:
@@ -155,8 +174,10 @@ class BackgroundSink:
 class MemoryLog:
     """A log whose blocks are in memory, each of shape (columns, rows)."""
 
-    def __init__(self, tables: list[Array], columns: tuple[str, ...] = NAMES) -> None:
-        self.columns = columns
+    def __init__(
+        self, tables: list[Array], columns: tuple[str, ...] = NAMES, described: tuple[Column, ...] = COLUMNS
+    ) -> None:
+        self.columns, self.described = columns, described
         self._tables = tables
 
     def __len__(self) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.files import locked, replacing
+from cosim.base.protocols import Column
 from cosim.base.toml import Vector
 from cosim.results.arrow import (
     ParquetLog,
@@ -29,6 +30,7 @@ from cosim.results.arrow import (
     read_note,
     stream_to_parquet,
 )
+from cosim.results.columns import COLUMNS
 from cosim.results.limits import (
     Yardstick,
     beyond,
@@ -236,13 +238,18 @@ class Recording:
     """A run that is being flown: an observer, and at the end :meth:`finish`."""
 
     def __init__(
-        self, setup: Setup, scenario: Scenario, sink: KeepingSink | StreamSink, background: bool = False
+        self,
+        setup: Setup,
+        scenario: Scenario,
+        sink: KeepingSink | StreamSink,
+        background: bool = False,
+        columns: Sequence[Column] = COLUMNS,
     ) -> None:
         self._setup = setup
         self._scenario = scenario
         self._sink = sink
         self._behind = BackgroundSink(sink) if background else None
-        self._recorder = Recorder(setup.step_s, self._behind or sink)
+        self._recorder = Recorder(setup.step_s, self._behind or sink, columns)
         self.observe = self._recorder.observe
 
     def restate(self, scenario: Scenario) -> None:
@@ -297,17 +304,20 @@ def begin_run(
     files: Mapping[str, Path | bytes] | None = None,
     background: bool = False,
     sink: KeepingSink | None = None,
+    columns: Sequence[Column] = COLUMNS,
 ) -> Recording:
     """Begin a run, in ``folder`` or in memory, where ``sink`` may keep less than all.
 
     ``scenario`` is resolved: what is written to ``scenario.toml`` flies as it is.  ``files``, or contents, are put
-    beside it under their keys.  ``background``: a thread writes the rows.  Raises InputError if the folder already
-    holds a run or cannot be written to.
+    beside it under their keys.  ``background``: a thread writes the rows.  ``columns``: of the log.  Raises InputError
+    if the folder already holds a run or cannot be written to.
     """
     if folder is None:
-        return Recording(setup, scenario, sink or MemorySink())
+        sink = sink or MemorySink()
+        sink.begin(columns)
+        return Recording(setup, scenario, sink, columns=columns)
     claim_folder(folder, files or {})
-    stream = StreamSink(folder / STREAM, setup.model_dump_json())
+    stream = StreamSink(folder / STREAM, setup.model_dump_json(), columns)
     try:
         for name, source in (files or {}).items():
             _write(folder / name, source if isinstance(source, bytes) else source.read_bytes())
@@ -316,7 +326,7 @@ def begin_run(
         stream.close()
         stream.path.unlink(missing_ok=True)
         raise InputError(str(error)) from error
-    return Recording(setup, scenario, stream, background)
+    return Recording(setup, scenario, stream, background, columns)
 
 
 def claim_folder(folder: Path, files: Mapping[str, Path | bytes] | None = None) -> None:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Final
+from typing import Final, cast
 
 from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.protocols import (
+    Column,
     Controller,
     Disturbances,
     EngineState,
     Observer,
     Pilot,
     Report,
+    Shows,
+    columns_of,
 )
 from cosim.base.signals import (
     ZERO3,
@@ -34,6 +37,7 @@ from cosim.vehicle.propulsion import Propulsion
 from cosim.vehicle.sensors import FaultySensors
 
 _FLY: Final = EngineState.FLY
+_NOTHING: Final[tuple[float, ...]] = ()
 
 Between = Callable[[int], Ending | None]  # gets the number of the step to come
 
@@ -90,6 +94,9 @@ class Simulation:
         self.judge.reset(initial.on_ground)
         if self.pilot is not None:
             self.pilot.reset(self.measured)
+        # what is shown of a flight is settled here: the blocks that show, and how many numbers each
+        blocks = (self.pilot, self.disturber, self.controller, propulsion.engines.bank, self.sensors.inner)
+        self._showing = [(cast(Shows, block), columns_of(block)) for block in blocks if columns_of(block)]
 
     def step(self) -> Sample:
         """One control step over ``[t_k, t_k+1)``, every input held; see docs/design.md."""
@@ -105,18 +112,13 @@ class Simulation:
         self.state = self.airframe.step(forces, disturbance, moment)
         self.measured = self.sensors.sample(self.state)
         self.k = k + 1
-        signals: tuple[Any, ...] = self.controller.signals  # its vectors go into the sample as they are
-        rate_setpoint, rate_predicted, torque, collective, _ = signals
         return Sample(
             k,
             k * self.dt,
             command,
             state,
             measured,
-            rate_setpoint,
-            rate_predicted,
-            torque,
-            collective,
+            self.controller.signals,
             actuation,
             propulsion.tilt,
             propulsion.output,
@@ -125,7 +127,18 @@ class Simulation:
             propulsion.spool_moment,
             self.faults.flags,
             health,
+            self._own() if self._showing else _NOTHING,
         )
+
+    def _own(self) -> tuple[float, ...]:
+        """What the blocks show of their own.  Raises FlightError for a block that shows more or less than it said."""
+        own: list[float] = []
+        for block, columns in self._showing:
+            shown = block.shown
+            if len(shown) != len(columns):
+                raise FlightError(f"{type(block).__name__} shows {len(shown)} numbers for {len(columns)} columns")
+            own.extend(shown)
+        return tuple(own)
 
     def _command(self, k: int) -> tuple[Command, Measured, EngineState]:
         """What the pilot or the script asks for, what it is flown with, and what the engines do meanwhile."""
@@ -136,6 +149,11 @@ class Simulation:
         report = Report(self.state.on_ground, controller.signals.allocated, controller.lost, self.propulsion.remaining)
         command = pilot.update(k, measured, report)
         return command, pilot.seen, pilot.engines
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """What the blocks show of their own, in the order of :attr:`Sample.own`; settled by the last reset."""
+        return tuple([column for _, columns in self._showing for column in columns])
 
     @property
     def cascade(self) -> Cascade:

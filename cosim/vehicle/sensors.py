@@ -225,7 +225,7 @@ class FaultySensors:
     """
 
     def __init__(self, sensors: Sensors) -> None:
-        self._sensors = sensors
+        self.inner = sensors  # sound
         self._faults: list[tuple[SensorFault, Measured]] = []
 
     def begin(self, fault: SensorFault, last: Measured) -> None:
@@ -238,10 +238,10 @@ class FaultySensors:
 
     def reset(self, state: State) -> Measured:
         self._faults = []
-        return self._sensors.reset(state)
+        return self.inner.reset(state)
 
     def sample(self, state: State) -> Measured:
-        measured = self._sensors.sample(state)
+        measured = self.inner.sample(state)
         for fault, last in self._faults:
             measured = (
                 _held(measured, fault.sensor, last) if isinstance(fault, SensorDropout) else _off(measured, fault)

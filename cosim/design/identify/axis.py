@@ -141,7 +141,7 @@ class _Watch:
         axis, unallocated = self._axis, sample.actuation.unallocated
         self.rows.append(
             (
-                sample.torque_command[axis],
+                sample.control.torque[axis],
                 sample.disturbance.torque_command[axis],
                 unallocated[axis],
                 unallocated.collective if axis == 0 else 0.0,

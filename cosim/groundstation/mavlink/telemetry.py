@@ -234,7 +234,7 @@ def actuator_output_status(v: View) -> list[Message]:
 
 def vfr_hud(v: View) -> list[Message]:
     heading = clamp(degrees(v.euler[2]) % 360.0, 0, 360) % 360
-    throttle = clamp(100.0 * v.sample.collective, 0, 100)
+    throttle = clamp(100.0 * v.sample.control.collective, 0, 100)
     speed = hypot(*v.status.fix.velocity)
     # nothing on board measures the speed through the air
     return [mav.MAVLink_vfr_hud_message(nan, speed, heading, throttle, v.sea_level, -v.measured.velocity[2])]
@@ -244,7 +244,11 @@ def attitude_target(v: View) -> list[Message]:
     command = v.sample.command
     quaternion = from_euler(*command.attitude)
     mask = 0 if command.rate is None else 128  # the attitude is not what is followed
-    return [mav.MAVLink_attitude_target_message(v.ms, mask, quaternion, *v.sample.rate_setpoint, v.sample.collective)]
+    return [
+        mav.MAVLink_attitude_target_message(
+            v.ms, mask, quaternion, *v.sample.control.rate_setpoint, v.sample.control.collective
+        )
+    ]
 
 
 _POSITION_ONLY = 0b1101_1111_1000  # of a target: velocity, acceleration and turn rate are not given
@@ -525,8 +529,8 @@ def predictor_array(v: View) -> list[Message]:
     if inside is None:
         return []
     rows = (
-        sample.measured.rate, sample.rate_predicted, inside.model, inside.delayed, inside.delay,
-        sample.rate_setpoint, sample.torque_command,
+        sample.measured.rate, sample.control.rate_predicted, inside.model, inside.delayed, inside.delay,
+        sample.control.rate_setpoint, sample.control.torque,
     )  # fmt: skip
     values = [value for row in rows for value in row]
     return [mav.MAVLink_debug_float_array_message(v.us, b"predictor", 1, values + [0.0] * (58 - len(values)))]
@@ -537,7 +541,7 @@ def named_values(v: View) -> list[Message]:
     sample, inside = v.sample, v.snapshot.predicting
     if inside is None:
         return []
-    measured, predicted = sample.measured.rate[0], sample.rate_predicted[0]
+    measured, predicted = sample.measured.rate[0], sample.control.rate_predicted[0]
     values = {
         b"rate_p": measured,
         b"pred_p": predicted,
@@ -554,7 +558,7 @@ def debug_vect(v: View) -> list[Message]:
     """Predicted rates about the three axes, rad/s."""
     if v.snapshot.predicting is None:
         return []
-    return [mav.MAVLink_debug_vect_message(b"rate_pred", v.us, *v.sample.rate_predicted)]
+    return [mav.MAVLink_debug_vect_message(b"rate_pred", v.us, *v.sample.control.rate_predicted)]
 
 
 def flight_information(v: View) -> list[Message]:

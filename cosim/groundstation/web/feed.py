@@ -99,7 +99,7 @@ def jets(facts: Facts, sample: Sample, off: bool) -> list[dict[str, Any]]:
 
 def point(sample: Sample) -> Point:
     """What the strip chart draws: the rates measured at the beginning of the step, and what the rate loop was fed."""
-    rates = (*sample.measured.rate, *sample.rate_predicted)
+    rates = (*sample.measured.rate, *sample.control.rate_predicted)
     return (round(sample.time, 3), *(round(degrees(rate), 2) if isfinite(rate) else None for rate in rates))
 
 

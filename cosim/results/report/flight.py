@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.signals import AXES
+from cosim.results.columns import own_columns
 from cosim.results.events import Event, events_of
 from cosim.results.metrics import AxisMetrics, metric_names
 from cosim.results.report.flight_figures import comparison_figures, run_colour, run_figures
@@ -60,6 +61,7 @@ def write_report(run: Run, path: Path) -> None:
         expectations=expectation_rows(summary),
         ledger_total=ledger_total(summary),
         jets=jet_drawing(summary),
+        own=own_columns(run.log.described),
         files={"log": LOG, "scenario": SCENARIO},
         folder=run.folder,
         command_path=shlex.quote((run.folder / SCENARIO).as_posix()) if run.folder is not None else "",

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.signals import AXES, JETS
-from cosim.results.columns import RATES
+from cosim.results.columns import RATES, own_columns
 from cosim.results.events import Event
 from cosim.results.recorder import Log
 from cosim.results.run import Run, Summary
@@ -172,6 +172,10 @@ def run_figures(log: Log, summary: Summary, events: Sequence[Event] = ()) -> dic
     outside = [panel for panel in OUTSIDE if any(reader.moves(trace.column) for trace in panel.traces)]
     if outside:
         figures["outside"] = stacked(reader, outside, marks)
+    own = [column for column in own_columns(log.described) if reader.known(column.name)]
+    if own:
+        panels = [Panel(column.name, column.unit, [Trace(column.name, column.name)]) for column in own]
+        figures["own"] = stacked(reader, panels, marks)
     inside = engine_panels(reader)
     if inside:
         figures["engines"] = stacked(reader, inside, marks)
