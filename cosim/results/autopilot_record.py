@@ -13,7 +13,10 @@ kind            what else is in the line
 ``home``        ``north``, ``east``, ``altitude``: m, NED and height above the ground at the start
 ``message``     ``severity`` as in syslog, ``text``
 ``estimate``    ``position``, ``velocity`` (north and east, m and m/s), ``altitude``, ``yaw`` (asked for, m and rad),
-                ``track`` (set-point of position, m; or null), ``positioned`` (GNSS fixes come): ten times a second
+                ``track`` (set-point of position, m; or null), ``positioned`` (GNSS fixes come), ``height``, ``climb``
+                (m and m/s, upwards), ``attitude`` (roll, pitch, yaw, rad), ``deviation`` (standard deviations of place,
+                speed, height, climb, attitude: m, m/s, rad; null: not known), ``valid`` (the same five, and then the
+                sensors: whether they are believed): ten times a second
 ==============  ======================================================================================================
 
 ``k`` is the step in which it was so; a message carries the step before which it was said.
@@ -24,10 +27,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
+from cosim.base.frames import to_euler
 from cosim.base.signals import Sample
 from cosim.control.autopilot.autopilot import Autopilot, Status
 from cosim.results.run import AUTOPILOT
@@ -160,7 +165,21 @@ def _lines(path: Path, text: str) -> Iterator[Line]:
 
 
 def _estimate(status: Status) -> Line:
-    fix = status.fix
+    fix, seen, trust = status.fix, status.seen, status.trust
+    deviations = {
+        name: getattr(trust, name) for name in ("place_m", "speed_m_s", "height_m", "climb_m_s", "attitude_rad")
+    }
+    told: Line = (
+        {}
+        if seen is None
+        else {
+            "height": seen.altitude,
+            "climb": -seen.velocity[2],
+            "attitude": list(to_euler(seen.attitude)),
+            "deviation": {name: value if isfinite(value) else None for name, value in deviations.items()},
+            "valid": {name: value for name, value in trust._asdict().items() if isinstance(value, bool)},
+        }
+    )
     return {
         "position": list(fix.position),
         "velocity": list(fix.velocity),
@@ -168,4 +187,5 @@ def _estimate(status: Status) -> Line:
         "positioned": status.positioned,
         "altitude": status.altitude,
         "yaw": status.yaw,
+        **told,
     }

@@ -349,22 +349,33 @@ def _mode(block: Block) -> Array:
     return np.where(np.isnan(block["roll_setpoint_rad"]), _ACRO_MODE, held).astype(float)
 
 
-def _positioned(block: Block) -> Array:
-    """Whether the GNSS gives fixes; not before the autopilot's first word."""
-    return np.nan_to_num(block["autopilot_xy_valid"])
-
-
 def _estimated_position() -> list[Field]:
-    """PX4's vehicle_local_position as the autopilot estimates it; height and climb as measured."""
+    """PX4's vehicle_local_position as the autopilot estimates it, and what of it is valid and how sure.
+
+    Not valid before the autopilot's first word.  An older record has no height, climb and heading of its own: then they
+    are as measured.
+    """
+
+    def told(name: str) -> Field:
+        return Field("bool", name, 0, lambda block: np.nan_to_num(block[f"autopilot_{name}"]))
+
+    def estimate(name: str, column: str, factor: float = 1.0) -> Field:
+        def values(block: Block) -> Array:
+            found = block[f"autopilot_{name}"]
+            return np.where(np.isnan(found), factor * block[column], found)
+
+        return Field("float", name, 0, values)
+
     return [
         _sampled(),
-        *(Field("bool", name, 0, _positioned) for name in ("xy_valid", "v_xy_valid")),
-        *(_constant("bool", name, 1.0) for name in ("z_valid", "v_z_valid")),
+        *(told(name) for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")),
         *(_column("float", name, f"autopilot_{name}") for name in ("x", "y")),
-        _column("float", "z", "altitude_measured_m", -1.0),
+        estimate("z", "altitude_measured_m", -1.0),
         *(_column("float", name, f"autopilot_{name}") for name in ("vx", "vy")),
-        _column("float", "vz", "velocity_down_measured_m_s"),
-        _column("float", "heading", "yaw_measured_rad"),
+        estimate("vz", "velocity_down_measured_m_s"),
+        estimate("heading", "yaw_measured_rad"),
+        *(_column("float", name, f"autopilot_{name}") for name in ("eph", "epv", "evh", "evv")),
+        Field("bool", "dead_reckoning", 0, lambda block: block["autopilot_xy_valid"] == 0.0),
     ]
 
 

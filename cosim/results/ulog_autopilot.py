@@ -62,15 +62,34 @@ def estimates(lines: Sequence[Line]) -> Series | None:
     if not said:
         return None
     nowhere = (np.nan, np.nan)
-    names = ("x", "y", "vx", "vy", "x_sp", "y_sp", "z_sp", "yaw_sp", "xy_valid")
+    names = (
+        *("x", "y", "vx", "vy", "x_sp", "y_sp", "z_sp", "yaw_sp", "xy_valid", "v_xy_valid", "z_valid", "v_z_valid"),
+        *("z", "vz", "heading", "eph", "evh", "epv", "evv"),
+    )
     columns: dict[str, list[float]] = {name: [] for name in names}
     for line in said:
         pairs = (line["position"], line["velocity"], line["track"] or nowhere)
-        valid = float(line.get("positioned", True))  # an older record does not say
-        values = (*(value for pair in pairs for value in pair), -line["altitude"], line["yaw"], valid)
+        values = (*(value for pair in pairs for value in pair), -line["altitude"], line["yaw"], *_trusted(line))
         for column, value in zip(columns.values(), values, strict=True):
             column.append(value)
     return Series(_steps(said), {name: np.array(column, dtype=np.float64) for name, column in columns.items()})
+
+
+def _trusted(line: Line) -> tuple[float, ...]:
+    """What is valid, height, climb and heading as estimated, deviations; NaN for what an older record does not say."""
+    positioned = line.get("positioned", True)
+    valid, deviation = line.get("valid", {}), line.get("deviation", {})
+    told = [deviation.get(name) for name in ("place_m", "speed_m_s", "height_m", "climb_m_s")]
+    return (
+        float(valid.get("place", positioned)),
+        float(valid.get("speed", positioned)),
+        float(valid.get("height", True)),
+        float(valid.get("climb", True)),
+        -line.get("height", np.nan),
+        -line.get("climb", np.nan),
+        line["attitude"][2] if "attitude" in line else np.nan,
+        *(np.nan if value is None else value for value in told),
+    )
 
 
 def parameters(lines: Sequence[Line]) -> tuple[dict[str, float], list[tuple[int, str, float]]]:

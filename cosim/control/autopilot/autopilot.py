@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from math import atan2, cos, degrees, hypot, inf, pi, radians, sin
+from math import atan2, cos, degrees, hypot, inf, nan, pi, radians, sin
 from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
@@ -130,10 +130,37 @@ _BLIND_S = 1.0  # s without a fix: the lean alone is off by half a metre by then
 _OFFBOARD_UP = 0.1  # m/s: a climb or descent that is meant
 _RETURNED_M = 0.7  # from home and slower than 0.5 m/s: the descent begins
 _SLOW = 0.5  # m/s
+_SPEED_SURE = 1.0  # m/s, one deviation: a speed that is less sure is not told as valid; as PX4's COM_VEL_FS_EVH
+_LEAN_SURE = radians(5.0)  # one deviation: a twelfth of the weight pushes sideways unseen
 _ORBIT_CHECKED = 36  # places of a circle that must be inside the fence
 _MESSAGES = 200  # kept
 
 Fault = Callable[[InjectFault], None]
+
+
+class Trust(NamedTuple):
+    """How far what the autopilot flies with can be believed.
+
+    ``place``, ``height``: something measures them; ``speed``, ``climb``, ``attitude``: known to less than 1 m/s and
+    5 degrees, measured or carried on.  Then the sensors that are believed themselves, and the standard deviations of
+    the estimates: m and m/s per axis, m, m/s, rad.
+    """
+
+    place: bool = True
+    speed: bool = True
+    height: bool = True
+    climb: bool = True
+    attitude: bool = True
+    gyro: bool = True
+    accelerometer: bool = True
+    barometer: bool = True
+    gnss: bool = True
+    attitude_sensor: bool = True
+    place_m: float = nan
+    speed_m_s: float = nan
+    height_m: float = nan
+    climb_m_s: float = nan
+    attitude_rad: float = nan
 
 
 class Status(NamedTuple):
@@ -164,6 +191,8 @@ class Status(NamedTuple):
     rally: tuple[RallyPoint, ...] = ()
     orbit: Orbit | None = None  # that it flies; ``target`` is its centre
     positioned: bool = True  # fixes of the GNSS come
+    seen: Measured | None = None  # what it flies with: attitude, rates, height and climb as estimated
+    trust: Trust = Trust()
 
 
 class Autopilot:
@@ -1317,6 +1346,31 @@ class Autopilot:
             self.rally,
             self._orbit if self.mode is Mode.ORBIT else None,
             self._estimator.silent <= _BLIND_S,
+            self._measured,
+            self._trust(),
+        )
+
+    def _trust(self) -> Trust:
+        senses, positioned = self._senses, self._estimator.silent <= _BLIND_S
+        inertial, vertical = senses.inertial, senses.vertical
+        (place, speed), (height, climb) = self._estimator.deviation, vertical.deviation
+        lean = inertial.deviation
+        return Trust(
+            positioned,
+            positioned or speed < _SPEED_SURE,
+            vertical.has_height or vertical.has_fix,
+            climb < _SPEED_SURE,
+            inertial.has_attitude or lean < _LEAN_SURE,
+            inertial.has_rate and not inertial.biased,
+            vertical.has_force,
+            vertical.has_height,
+            positioned,
+            inertial.has_attitude,
+            place,
+            speed,
+            height,
+            climb,
+            lean,
         )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from functools import lru_cache
-from math import atan2, ceil, copysign, cos, hypot, pi, sin, sqrt, tan
+from math import atan2, ceil, copysign, cos, hypot, inf, pi, sin, sqrt, tan
 from typing import NamedTuple
 
 import numpy as np
@@ -63,7 +63,7 @@ class Estimator:
         self._noisy = noisy
         self._reckoning = reckoning
         self._period, self._latency = sensor.period_samples, sensor.latency_samples
-        self._gains = kalman_gains(gains, sensor, step)
+        self._gains, self._deviations = _settling(gains, sensor, step)
         self.reset((0.0, 0.0))
 
     def reset(self, position: Pair) -> None:
@@ -78,6 +78,17 @@ class Estimator:
         self._past: deque[tuple[float, float, float, float]] = deque([entry] * (self._latency + 1))
         if self._reckoning is not None:
             self._reckoning.reset(position)
+
+    @property
+    def deviation(self) -> tuple[float, float]:
+        """Standard deviations of place [m] and velocity [m/s], per axis; infinite where nothing carries them on."""
+        own = self._deviations[min(self._epoch, len(self._deviations) - 1)]
+        if self.silent == 0.0:
+            return own
+        if self._reckoning is None:
+            return inf, inf
+        place, speed = self._reckoning.deviation
+        return hypot(own[0], place), hypot(own[1], speed)
 
     @property
     def fix(self) -> Fix:
@@ -155,13 +166,20 @@ class Estimator:
             )
 
 
-@lru_cache
 def kalman_gains(gains: PositionGains, sensor: PositionSensor, step: float) -> list[list[list[float]]]:
     """Gains (3 x 2: position, velocity, disturbance by position, velocity) of each GNSS epoch, the last one for good.
 
     Time-varying from the first fix on: the noise of position is averaged away while the vehicle stands, instead of
     being carried along for the half minute that the settled filter needs.
     """
+    return _settling(gains, sensor, step)[0]
+
+
+@lru_cache
+def _settling(
+    gains: PositionGains, sensor: PositionSensor, step: float
+) -> tuple[list[list[list[float]]], list[tuple[float, float]]]:
+    """The gains of :func:`kalman_gains`, and after each number of epochs the deviations of position and velocity."""
     T = sensor.period_samples * step
     F = np.array([[1.0, T, 0.5 * T * T], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
     qa, qb = gains.acceleration_noise_m_s15**2, gains.disturbance_walk_m_s25**2
@@ -175,13 +193,14 @@ def kalman_gains(gains: PositionGains, sensor: PositionSensor, step: float) -> l
     )
     R = np.diag(noise)
     P = np.diag([noise[0], noise[1], 0.0])
-    found = []
+    found, deviations = [], [(sqrt(noise[0]), sqrt(noise[1]))]
     for _ in range(_EPOCHS):
         P = F @ P @ F.T + Q
         K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
         P = (np.eye(3) - K @ H) @ P
         found.append([[float(x) for x in row] for row in K])
-    return found
+        deviations.append((float(sqrt(P[0, 0])), float(sqrt(P[1, 1]))))
+    return found, deviations
 
 
 class Track(NamedTuple):

@@ -87,16 +87,17 @@ class View:
         self.since = since
         self.sample = snapshot.sample
         self.status = snapshot.status
-        self.measured = snapshot.sample.measured
-        self.euler = to_euler(self.measured.attitude)
+        self.measured = snapshot.sample.measured  # what the sensors say
+        self.seen = self.status.seen or self.measured  # what the vehicle is thought to do
+        self.euler = to_euler(self.seen.attitude)
         self.place = about.geodesy.to_geodetic(*self.status.fix.position, self.altitude)[:2]
         self.ms = boot_ms(snapshot)
         self.us = round(snapshot.time * 1e6)
 
     @property
     def altitude(self) -> float:
-        """Above the origin, m."""
-        return self.measured.altitude
+        """Above the origin, m, as estimated."""
+        return self.seen.altitude
 
     @property
     def height(self) -> float:
@@ -144,7 +145,8 @@ def sys_status(v: View) -> list[Message]:
     present = _SENSORS | _GEOFENCE | _PREARM | _PROPULSION | battery
     enabled = present & ~_GEOFENCE  # healthy and off: MAVProxy takes a fence that is not healthy for a breach
     lost = any(health == 0.0 for health in v.sample.health[: v.about.jets])
-    health = present & ~(_PREARM if not (status.ready or status.armed) else 0) & ~(_PROPULSION if lost else 0)
+    bad = (_PREARM if not (status.ready or status.armed) else 0) | (_PROPULSION if lost else 0) | _unhealthy(v)
+    health = present & ~bad
     load = v.snapshot.load
     return [
         mav.MAVLink_sys_status_message(
@@ -153,6 +155,24 @@ def sys_status(v: View) -> list[Message]:
             U16, -1, _percent(v) if battery else -1, 0, 0, 0, 0, 0, 0,
         )
     ]  # fmt: skip
+
+
+def _unhealthy(v: View) -> int:
+    """The bits of sensors that are not believed, and of what cannot be controlled for want of them."""
+    trust = v.status.trust
+    return sum(
+        bits
+        for bits, well in (
+            (_GYRO, trust.gyro),
+            (_ACCEL, trust.accelerometer),
+            (_BARO, trust.barometer),
+            (_GPS | _PLACE, trust.gnss),
+            (_MAG | _YAW, trust.attitude_sensor),
+            (_AHRS | _ATTITUDE, trust.attitude),
+            (_HEIGHT, trust.climb),
+        )
+        if not well
+    )
 
 
 def _percent(v: View) -> int:
@@ -168,12 +188,13 @@ def gps_raw_int(v: View) -> list[Message]:
     about, (vn, ve, _) = v.about, v.measured.velocity
     north, east, down = v.measured.position
     lat, lon, metres = about.geodesy.to_geodetic(north, east, -down)
-    course = degrees(_heading(vn, ve)) * 100.0
+    fixed = v.status.positioned
+    speed = clamp(hypot(vn, ve) * 100.0, 0, U16 - 1) if fixed else U16
+    course = clamp(degrees(_heading(vn, ve)) * 100.0, 0, 35999) if fixed else U16
     height = mm(metres)
     return [
         mav.MAVLink_gps_raw_int_message(
-            v.us, 3 if v.status.positioned else 1, e7(lat), e7(lon), height, U16, U16,
-            clamp(hypot(vn, ve) * 100.0, 0, U16 - 1), clamp(course, 0, 35999), U8, height,
+            v.us, 3 if fixed else 1, e7(lat), e7(lon), height, U16, U16, speed, course, U8, height,
             clamp(about.position_noise * 1e3, 0, I32), clamp(about.position_noise * 1e3, 0, I32),
             clamp(about.velocity_noise * 1e3, 0, I32), 0, 0,
         )
@@ -186,22 +207,22 @@ def _heading(north: float, east: float) -> float:
 
 
 def attitude(v: View) -> list[Message]:
-    return [mav.MAVLink_attitude_message(v.ms, *v.euler, *v.measured.rate)]
+    return [mav.MAVLink_attitude_message(v.ms, *v.euler, *v.seen.rate)]
 
 
 def attitude_quaternion(v: View) -> list[Message]:
-    return [mav.MAVLink_attitude_quaternion_message(v.ms, *v.measured.attitude, *v.measured.rate)]
+    return [mav.MAVLink_attitude_quaternion_message(v.ms, *v.seen.attitude, *v.seen.rate)]
 
 
 def local_position_ned(v: View) -> list[Message]:
     fix = v.status.fix
-    down = v.measured.velocity[2]
+    down = v.seen.velocity[2]
     return [mav.MAVLink_local_position_ned_message(v.ms, *fix.position, -v.altitude, *fix.velocity, down)]
 
 
 def global_position_int(v: View) -> list[Message]:
     vn, ve = v.status.fix.velocity
-    speeds = (clamp(speed * 100.0, -I16, I16) for speed in (vn, ve, v.measured.velocity[2]))
+    speeds = (clamp(speed * 100.0, -I16, I16) for speed in (vn, ve, v.seen.velocity[2]))
     heading = clamp(degrees(v.euler[2]) % 360.0 * 100.0, 0, 35999)
     lat, lon = v.place
     return [
@@ -237,7 +258,7 @@ def vfr_hud(v: View) -> list[Message]:
     throttle = clamp(100.0 * v.sample.control.collective, 0, 100)
     speed = hypot(*v.status.fix.velocity)
     # nothing on board measures the speed through the air
-    return [mav.MAVLink_vfr_hud_message(nan, speed, heading, throttle, v.sea_level, -v.measured.velocity[2])]
+    return [mav.MAVLink_vfr_hud_message(nan, speed, heading, throttle, v.sea_level, -v.seen.velocity[2])]
 
 
 def attitude_target(v: View) -> list[Message]:
@@ -391,14 +412,27 @@ def extended_sys_state(v: View) -> list[Message]:
 
 
 def estimator_status(v: View) -> list[Message]:
-    # attitude, horizontal and vertical speed, relative place; with a home also the absolute ones and their prediction
-    flags = 1 | 2 | 4 | 8 | (16 | 32 | 256 | 512 if v.status.home is not None else 0)
-    about = v.about
-    return [
-        mav.MAVLink_estimator_status_message(
-            v.us, flags, nan, nan, nan, nan, nan, nan, about.position_noise, about.height_noise
+    """Attitude, horizontal and vertical speed, relative place; with a home the absolute ones and their prediction.
+
+    A place that is carried on without fixes is told as relative, as far as its speed is known.  Where no autopilot
+    estimates anything the accuracies are the sensors'.
+    """
+    trust, home, about = v.status.trust, v.status.home is not None, v.about
+    place = about.position_noise if isnan(trust.place_m) else trust.place_m
+    height = about.height_noise if isnan(trust.height_m) else trust.height_m
+    flags = sum(
+        bits
+        for bits, known in (
+            (1, trust.attitude),
+            (2 | 8, trust.speed),
+            (4, trust.climb),
+            (256, home and trust.speed),
+            (16 | 512, home and trust.place),
+            (32, home and trust.height),
         )
-    ]
+        if known
+    )
+    return [mav.MAVLink_estimator_status_message(v.us, flags, *[nan] * 6, place, height)]
 
 
 def wind_cov(v: View) -> list[Message]:
@@ -569,21 +603,21 @@ def flight_information(v: View) -> list[Message]:
 def odometry(v: View) -> list[Message]:
     """Place and attitude in NED, velocity in the body's axes."""
     fix = v.status.fix
-    velocity = (*fix.velocity, v.measured.velocity[2])
-    body = rotate(conjugate(v.measured.attitude), velocity)
+    velocity = (*fix.velocity, v.seen.velocity[2])
+    body = rotate(conjugate(v.seen.attitude), velocity)
     unknown = [nan] * 21
     return [
         mav.MAVLink_odometry_message(
-            v.us, _LOCAL_NED, _BODY_FRD, *fix.position, -v.altitude, v.measured.attitude, *body, *v.measured.rate,
+            v.us, _LOCAL_NED, _BODY_FRD, *fix.position, -v.altitude, v.seen.attitude, *body, *v.seen.rate,
             unknown, unknown, 0, 8, 0,
         )
     ]  # fmt: skip
 
 
 def highres_imu(v: View) -> list[Message]:
-    """Measured rates, and the specific force that a perfect accelerometer would feel: the vehicle has none."""
-    force, rate = v.sample.state.specific_force, v.measured.rate
-    updated = 0b111_111  # accelerations and rates
+    """Rates and specific force as measured; the force is left out where there is no accelerometer."""
+    force, rate = v.measured.specific_force, v.measured.rate
+    updated = 0b111_000 if isnan(force[2]) else 0b111_111
     return [mav.MAVLink_highres_imu_message(v.us, *force, *rate, nan, nan, nan, nan, nan, nan, nan, updated, 0)]
 
 

@@ -47,7 +47,8 @@ def flight(facts: Facts) -> dict[str, Any]:
 
 def state(snapshot: Snapshot) -> dict[str, Any]:
     """The flight at one instant."""
-    status, measured, pace, ending = snapshot.status, snapshot.measured, snapshot.pace, snapshot.ending
+    status, pace, ending = snapshot.status, snapshot.pace, snapshot.ending
+    seen = status.seen or snapshot.measured
     sample = snapshot.sample
     return {
         "type": "state",
@@ -62,10 +63,10 @@ def state(snapshot: Snapshot) -> dict[str, Any]:
         "home": _place(status.home),
         "target": _place(status.target),
         "position": _all(status.fix.position),
-        "velocity": _all((*status.fix.velocity, measured.velocity[2])),
-        "height": _plain(measured.altitude),
+        "velocity": _all((*status.fix.velocity, seen.velocity[2])),
+        "height": _plain(seen.altitude),
         "height_asked": _plain(status.altitude),
-        "attitude_deg": _degrees(to_euler(measured.attitude)),
+        "attitude_deg": _degrees(to_euler(seen.attitude)),
         "attitude_asked_deg": _degrees(sample.command.attitude) if sample and sample.command.rate is None else None,
         "remaining": _plain(status.remaining),
         "jets": [] if sample is None else jets(snapshot.facts, sample, status.engines is EngineState.OFF),
