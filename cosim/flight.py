@@ -67,12 +67,35 @@ def fly(
 ) -> Run:
     """Fly a scenario to its end, record every step, and give back the finished run.
 
-    ``out`` is the run's folder, made if need be; without it the log stays in memory, or what ``sink`` keeps of it: at
-    least the columns of :func:`cosim.results.metrics.columns`.  ``observers`` see every step.
-    ``realtime_factor`` paces the flight (1.0 is real time).  ``watch`` makes a further observer of the flight when it
-    is built.  A crash, a divergence or a failing engine is an outcome, not an exception.
+    A crash, a divergence or a failing engine is an outcome, not an exception.
 
-    Raises InputError if the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
+    Parameters
+    ----------
+    scenario : Scenario
+        Who flies, what is asked of it and what disturbs it.
+    out : Path or str or None
+        The run's folder, made if need be; without it the log stays in memory.
+    observers : sequence of Observer
+        They see every step.
+    realtime_factor : float or None
+        Seconds of flight in a second of the clock, 1.0 is real time; None: as fast as it goes.
+    report : bool
+        Whether ``report.html`` is written into the folder.
+    watch : callable or None
+        Makes a further observer of the flight when it is built, from the simulation, its pace, the folder and the
+        planned duration [s].
+    sink : KeepingSink or None
+        Keeps of the log what it wants to, at least the columns of :func:`cosim.results.metrics.columns`.
+
+    Returns
+    -------
+    Run
+        Summary and log; every column is one float64 a control step, in the unit that its name says.
+
+    Raises
+    ------
+    InputError
+        If the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
     """
     check_expected(scenario)
     with build(scenario) as simulation:

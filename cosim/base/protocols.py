@@ -74,20 +74,51 @@ class Pilot(Protocol):
         """What the controller flies the step of the last update with: the sensors, or what stands in for them."""
 
     def reset(self, measured: Measured) -> None:
-        """A new flight begins where the sensors say ``measured``."""
+        """A new flight begins.
+
+        Parameters
+        ----------
+        measured : Measured
+            What the sensors say at the start.
+        """
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
-        """The command of step ``k``, once a step, in order; ``measured`` and ``report`` are of ``t_k``."""
+        """The command of a step, once a step, in order.
+
+        Parameters
+        ----------
+        k : int
+            The step, from 0.
+        measured : Measured
+            What the sensors say at ``t_k``.
+        report : Report
+            What the vehicle says of itself at ``t_k``.
+
+        Returns
+        -------
+        Command
+            Angles [rad], height above the ground [m], or rates [rad/s] and collective [throttle] in their place.
+        """
 
 
 class Disturbances(Protocol):
     """Wind, gusts, forces and loads from outside, and what is added to the controller's own signals."""
 
     def at(self, k: int) -> Disturbance:
-        """What acts over step ``k``: wind m/s NED, force N and moment N m body.
+        """What acts over a step; called once a step, and once at every reset for step 0.
 
-        Once a step and once at every reset for step 0.  The same object while nothing changes: a new one costs the
-        airframe a second look.  Nothing is kept: the answer depends on ``k`` alone.
+        Nothing is kept: the answer depends on ``k`` alone.
+
+        Parameters
+        ----------
+        k : int
+            The step, from 0.
+
+        Returns
+        -------
+        Disturbance
+            Wind [m/s, NED], force [N] and moment [N m, body], and what is added to the commands.  The same object
+            while nothing changes: a new one costs the airframe a second look.
         """
 
 
@@ -111,23 +142,55 @@ class Controller(Protocol):
         """What is to be seen of the predictors of roll, pitch and yaw; NaN where there is none."""
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
-        """A new flight: the throttles, 0 to 1 per jet, at which the engines stand before step 0.
+        """A new flight begins.
 
-        ``on_ground``: it starts standing, so that they idle; else they hold the vehicle up, with ``burnt`` [kg] of
-        its fuel gone.
+        Parameters
+        ----------
+        on_ground : bool
+            It starts standing, so that the engines idle; else they hold the vehicle up.
+        burnt : float
+            Fuel [kg] that is gone from the full tank.
+
+        Returns
+        -------
+        PerJet
+            The throttles, 0 to 1, at which the engines stand before step 0.
         """
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
-        """Throttles 0 to 1 per jet, tilts rad of the left and the right servo, and the jets that are to be off.
+        """What the actuators are to do over a step.
 
-        ``injected``: its torques are added where they say, ``torque_seen`` as part of what the controller knows of.
-        With ``engines`` not at FLY the engines idle or are off, and nothing is remembered of before.
+        Parameters
+        ----------
+        command : Command
+            What is asked for.
+        measured : Measured
+            What is seen at ``t_k``.
+        injected : Disturbance
+            Its torques are added where they say, ``torque_seen`` as part of what the controller knows of.
+        engines : EngineState
+            Where it is not FLY the engines idle or are off, and nothing is remembered of before.
+
+        Returns
+        -------
+        Actuation
+            Throttles, 0 to 1 per jet, tilts [rad] of the left and the right servo, and the jets that are to be off.
         """
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
-        """The share of its command that each jet is believed to give, from what the engines report at the step's end.
+        """What the engines report at the step's end.
 
-        ``burnt``: fuel [kg] that the reported flows add up to, counted from the full tank.
+        Parameters
+        ----------
+        engines : EngineOutput
+            Thrust [N], spool speed, fuel flow [kg/s], as far as they report it.
+        burnt : float
+            Fuel [kg] that the reported flows add up to, counted from the full tank.
+
+        Returns
+        -------
+        PerJet
+            The share of its command that each jet is believed to give, 0 to 1.
         """
 
     def forgive(self) -> None:
@@ -144,10 +207,19 @@ class Predictor(Protocol):
         """Forget everything: at rest, nothing applied."""
 
     def update(self, measured: float, applied: float) -> float:
-        """The rate [rad/s] to feed back at ``t_k``, once a step.
+        """The rate to feed back at ``t_k``, once a step.
 
-        ``measured``: the rate there [rad/s]; ``applied``: the command over the step before as allocation gave it,
-        throttle on roll, rad of tilt on pitch and yaw.
+        Parameters
+        ----------
+        measured : float
+            The body rate there [rad/s].
+        applied : float
+            The command over the step before as allocation gave it: throttle on roll, rad of tilt on pitch and yaw.
+
+        Returns
+        -------
+        float
+            The rate [rad/s] that the rate controller sees.
         """
 
 
@@ -157,14 +229,37 @@ class Allocator(Protocol):
     hover: float  # throttle at which the vehicle hovers
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
-        """Once a step: ``collective`` in throttle, ``torque`` in throttle on roll and rad of tilt on pitch and yaw.
+        """What the actuators can do of what is asked for, once a step.
 
-        ``added`` is a disturbance of ``torque`` that the loops do not know.  What is not given is stated in the
-        answer's ``unallocated``, exactly 0 where everything fits; its throttles are shares of an engine's range.
+        Parameters
+        ----------
+        collective : float
+            Share of an engine's range, 0 to 1.
+        torque : Vector3
+            About roll in throttle, about pitch and yaw in rad of tilt.
+        added : Vector3
+            A disturbance of ``torque`` that the loops do not know.
+
+        Returns
+        -------
+        Actuation
+            Throttles as shares of an engine's range, tilts [rad]; ``unallocated`` says what is not given, exactly 0
+            where everything fits.
         """
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
-        """From the next step on allocate for engines in this health; False, and all as before, if that cannot be."""
+        """From the next step on allocate for engines in this health.
+
+        Parameters
+        ----------
+        health : sequence of JetHealth
+            Of every jet, from jet 1.
+
+        Returns
+        -------
+        bool
+            False, and all is as before, if that cannot be.
+        """
 
     def reset(self) -> None:
         """All engines are healthy."""
@@ -176,13 +271,54 @@ class Engines(Protocol):
     wants_ambient: bool  # the air around them changes what they give
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
-        """In equilibrium at the throttle, one for all or one each, ready for step 0."""
+        """In equilibrium, ready for step 0.
+
+        Parameters
+        ----------
+        throttle : float or sequence of float
+            0 to 1, one for all or one each.
+        ambient : Ambient or None
+            The air around each; None: standard air at sea level, still.
+
+        Returns
+        -------
+        EngineOutput
+            What they give there.
+        """
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
-        """Thrust [N] and reports at the end of step ``k``, the throttles and the air held over it; once a step."""
+        """One step, throttles and air held over it.
+
+        Parameters
+        ----------
+        k : int
+            The step, from 0, in order.
+        throttle : PerJet
+            0 to 1.
+        ambient : Ambient or None
+            The air around each; None: as before.
+
+        Returns
+        -------
+        EngineOutput
+            Thrust [N] and reports at the end of the step.
+        """
 
     def set_run(self, index: int, on: bool) -> bool:
-        """Shut one engine off, from 0, or on again, before the next step; False if it has no port for that."""
+        """Shut one engine off, or on again, before the next step.
+
+        Parameters
+        ----------
+        index : int
+            The engine, from 0.
+        on : bool
+            Whether it is to run.
+
+        Returns
+        -------
+        bool
+            False if it has no port for that.
+        """
 
     def close(self) -> None:
         """Free them; may be called twice."""
@@ -224,17 +360,45 @@ class Sensors(Protocol):
     """What the controller and the pilot are told of the motion.  Filters, latencies and noise are its to keep."""
 
     def reset(self, state: State) -> Measured:
-        """As if the vehicle had been in ``state`` forever; the same noise follows."""
+        """A new flight begins; the same noise follows.
+
+        Parameters
+        ----------
+        state : State
+            In which the vehicle has been forever.
+
+        Returns
+        -------
+        Measured
+            What is measured before step 0.
+        """
 
     def sample(self, state: State) -> Measured:
-        """What is measured at ``t_k+1``, from the true ``state`` there; once a step, after the airframe."""
+        """One measurement, once a step, after the airframe.
+
+        Parameters
+        ----------
+        state : State
+            The true state at ``t_k+1``.
+
+        Returns
+        -------
+        Measured
+            What is measured there.
+        """
 
 
 class Observer(Protocol):
     """Looks at every step and touches nothing; the last of a step."""
 
     def observe(self, sample: Sample) -> None:
-        """Once a step, after it; once more with the state that ended a flight before its time."""
+        """Called once a step, after it; once more with the state that ended a flight before its time.
+
+        Parameters
+        ----------
+        sample : Sample
+            All that there is to see of the step.
+        """
 
 
 class Columns(Protocol):
@@ -250,7 +414,20 @@ class Metric(Protocol):
     """What a finished log says in numbers, once after the flight: a pure function, such as ``flight_metrics``."""
 
     def __call__(self, log: Columns, step_s: float, /) -> Any:
-        """One number, or a record of them; None for what this flight cannot tell.  ``step_s``: control step."""
+        """Called once, when a flight is over.
+
+        Parameters
+        ----------
+        log : Columns
+            One float64 a step in every column.
+        step_s : float
+            The control step [s].
+
+        Returns
+        -------
+        Any
+            One number, or a record of them; None for what this flight cannot tell.
+        """
 
 
 Study = TypeVar("Study", contravariant=True)
@@ -262,10 +439,27 @@ class Workers(Protocol[Study, Flight, Row]):
     """Flies a study's flights in other processes; a context manager that leaves none of them behind."""
 
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
-        """The rows in the order in which they are finished; ``flights`` are taken only as they can be flown.
+        """Fly them all.
 
         A flight whose process was lost is flown again, and is a row ``failed`` after three of them; one that takes too
-        long is a row ``failed`` at once.  Raises FlightError if nothing can be flown any more, a disk being full, say.
+        long is a row ``failed`` at once.
+
+        Parameters
+        ----------
+        study : Study
+            To which all of them belong.
+        flights : iterable of Flight
+            Taken only as they can be flown.
+
+        Returns
+        -------
+        iterator of Row
+            One a flight, in the order in which they are finished.
+
+        Raises
+        ------
+        FlightError
+            If nothing can be flown any more, a disk being full, say.
         """
 
     def close(self) -> None:

@@ -206,7 +206,19 @@ class Summary(Setup):
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run.  ``folder`` is None if it was flown without one; ``log["roll_rad"]`` is a column."""
+    """A finished run.
+
+    Attributes
+    ----------
+    summary : Summary
+        What ``summary.json`` says: outcome, verdict, metrics, delay ledger, versions.
+    log : Log
+        ``log["roll_rad"]`` is a column: one float64 a control step, in the unit that its name says.
+    folder : Path or None
+        None if it was flown without one.
+    flown : Scenario or None
+        The resolved scenario, kept by the process that flew it.
+    """
 
     summary: Summary
     log: Log
@@ -223,14 +235,17 @@ class Run:
 
     @property
     def outcome(self) -> Outcome:
+        """How the flight ended."""
         return self.summary.outcome
 
     @property
     def reason(self) -> str:
+        """Why it ended, in words."""
         return self.summary.reason
 
     @property
     def metrics(self) -> dict[str, AxisMetrics]:
+        """Of roll, pitch and yaw, by name."""
         return self.summary.metrics
 
 
@@ -343,7 +358,20 @@ def claim_folder(folder: Path, files: Mapping[str, Path | bytes] | None = None) 
 def open_run(folder: Path | str) -> Run:
     """Open a finished run, or finish one that was killed with everything it had written.
 
-    Raises InputError if there is no run, if it is still being flown, or if its files cannot be read.
+    Parameters
+    ----------
+    folder : Path or str
+        Where it was flown into.
+
+    Returns
+    -------
+    Run
+        As :func:`cosim.fly` gave it back.
+
+    Raises
+    ------
+    InputError
+        If there is no run, if it is still being flown, or if its files cannot be read.
     """
     folder = Path(folder)
     if (folder / STREAM).is_file():

@@ -463,7 +463,10 @@ class Station(Model):
 
 
 class Scenario(Model):
-    """One flight.  ``vehicle`` and ``engine_parameters`` are written over what the aircraft and engine state."""
+    """One flight: the keys of a scenario's TOML are its attributes, and units are in their names.
+
+    ``vehicle`` and ``engine_parameters`` are written over what the aircraft and engine state.
+    """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     title: str = ""
@@ -529,7 +532,22 @@ class Scenario(Model):
     def count(self, seconds: float, key: str) -> int:
         """A time as a whole number of control steps.
 
-        Raises InputError if it is not one to within a millionth of a step.
+        Parameters
+        ----------
+        seconds : float
+            The time [s].
+        key : str
+            What it is called, for the error.
+
+        Returns
+        -------
+        int
+            Steps.
+
+        Raises
+        ------
+        InputError
+            If it is not one to within a millionth of a step.
         """
         steps = round(seconds / self.step_s)
         if abs(steps * self.step_s - seconds) > 1e-6 * self.step_s:
@@ -540,9 +558,24 @@ class Scenario(Model):
 
     @classmethod
     def load(cls, name: str | Path, settings: list[str] | None = None) -> Scenario:
-        """Read a scenario by its name in ``scenarios/`` or by path, with ``KEY=VALUE`` settings written over it.
+        """Read a scenario.
 
-        Raises InputError for an unknown name (lists the known ones), wrong TOML, or a wrong key or value.
+        Parameters
+        ----------
+        name : str or Path
+            Its name in ``scenarios/``, or the path of its file.
+        settings : list of str or None
+            ``KEY=VALUE``, written over it; the value as TOML has it.
+
+        Returns
+        -------
+        Scenario
+            Validated; it cannot be changed, see :meth:`replace`.
+
+        Raises
+        ------
+        InputError
+            For an unknown name (lists the known ones), wrong TOML, or a wrong key or value.
         """
         path = find_scenario(name)
         data = read_toml(path)
@@ -553,13 +586,49 @@ class Scenario(Model):
 
     @classmethod
     def from_table(cls, data: dict[str, Any], folder: Path, where: str) -> Scenario:
-        """Validate a parsed table; relative file names in it start from ``folder``."""
+        """Validate a parsed table.
+
+        Parameters
+        ----------
+        data : dict
+            As TOML gives it.
+        folder : Path
+            What relative file names in it start from.
+        where : str
+            What the table is called, for the error.
+
+        Returns
+        -------
+        Scenario
+            Validated.
+
+        Raises
+        ------
+        InputError
+            For a wrong key or value.
+        """
         scenario = validate(cls, data, where)
         scenario._folder = folder
         return scenario
 
     def replace(self, **changes: Any) -> Scenario:
-        """A copy with ``changes`` merged into it: tables are merged, everything else is replaced."""
+        """A copy with something changed.
+
+        Parameters
+        ----------
+        **changes : Any
+            By the scenario's keys: tables are merged into its own, everything else is replaced.
+
+        Returns
+        -------
+        Scenario
+            Validated.
+
+        Raises
+        ------
+        InputError
+            For a wrong key or value.
+        """
         data = merge(self.model_dump(exclude_none=True), changes)
         return self.from_table(data, self.folder, f"scenario {self.name}")
 

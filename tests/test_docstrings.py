@@ -1,0 +1,80 @@
+"""Public functions, classes and protocols are documented in numpydoc's form: every parameter, what is given back, what is raised."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import cosim
+from cosim.base import protocols
+
+
+def documented() -> Iterator[tuple[str, Any]]:
+    """What a user calls or writes: exports of the package with their methods, and the protocols'."""
+    own = {name: getattr(cosim, name) for name in cosim.__all__}
+    own |= {
+        name: each
+        for name, each in vars(protocols).items()
+        if getattr(each, "_is_protocol", False) and name != "Protocol"
+    }
+    for name, each in own.items():
+        yield name, each
+        if inspect.isclass(each):
+            for member, value in vars(each).items():
+                if not member.startswith("_") and member != "model_config":
+                    found = value.__func__ if isinstance(value, classmethod) else value
+                    if isinstance(found, property) or (
+                        inspect.isfunction(found) and found.__module__.startswith("cosim")
+                    ):
+                        yield f"{name}.{member}", found
+
+
+EACH = dict(documented())
+
+
+def sections(doc: str) -> dict[str, str]:
+    """The parts of a docstring in numpydoc's form, by their titles."""
+    found = re.split(r"^(\w+)\n-{3,}\n", inspect.cleandoc(doc), flags=re.MULTILINE)
+    return dict(zip(found[1::2], found[2::2], strict=True))
+
+
+def test_there_are_some_forty() -> None:
+    assert len(EACH) > 40
+
+
+@pytest.mark.parametrize("name", EACH)
+def test_a_docstring_has_every_parameter(name: str) -> None:
+    """In order and each with a type and a sentence; likewise what is given back."""
+    found = EACH[name]
+    doc = inspect.getdoc(found)
+    if name == "Columns.columns":
+        return  # the class says it
+    assert doc, name
+    if not inspect.isfunction(found):
+        return
+    signature = inspect.signature(found)
+    stated = [
+        {inspect.Parameter.VAR_KEYWORD: "**", inspect.Parameter.VAR_POSITIONAL: "*"}.get(each.kind, "") + each.name
+        for each in signature.parameters.values()
+        if each.name not in ("self", "cls")
+    ]
+    parts = sections(doc)
+    lines = re.findall(
+        r"^(\S+) : (\S.*)\n((?:    \S.*\n?)+)", parts.get("Parameters", "").replace("\n\n", "\n"), re.MULTILINE
+    )
+    assert [each for each, *_ in lines] == stated
+    gives = signature.return_annotation not in ("None", None, inspect.Signature.empty)
+    if stated:
+        assert ("Returns" in parts) == gives
+    assert "Raises " not in doc.replace("Raises\n", "")  # in a section of its own
+
+
+@pytest.mark.parametrize(
+    "name", ["fly", "open_run", "Scenario.load", "Scenario.count", "Scenario.from_table", "Scenario.replace"]
+)
+def test_what_is_raised_is_said(name: str) -> None:
+    assert "InputError" in sections(inspect.getdoc(EACH[name]) or "")["Raises"]
