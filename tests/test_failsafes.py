@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from math import isnan
+from math import hypot, isnan
 from pathlib import Path
 from typing import Any
 
@@ -95,19 +95,27 @@ def test_losing_the_gnss_lands(aircraft: str, height: float, wind: float) -> Non
 
 
 @pytest.mark.parametrize(
-    "name",
+    ("name", "aircraft", "height", "wind"),
     [
-        f"{gnss}{other}"
-        for gnss in ("", "GNSS and ")
-        for other in ("barometer lost", "attitude lost", "gyro biased", "gyro lost")
+        ("GNSS lost", "hexjet", 15.0, 5.0),
+        ("barometer lost", "hexjet-p220", 3.0, 0.0),
+        ("attitude lost", "hexjet", 10.0, 10.0),
+        ("gyro biased", "quadrotor", 3.0, 5.0),
+        ("gyro lost", "hexjet-100", 3.0, 5.0),
+        ("GNSS and barometer lost", "hexjet-p220", 10.0, 5.0),
+        ("GNSS and attitude lost", "quadrotor", 10.0, 5.0),
+        ("GNSS and gyro biased", "hexjet-100", 3.0, 10.0),
+        ("GNSS and gyro lost", "hexjet", 3.0, 0.0),
     ],
 )
-def test_every_other_sensor_lands_alone_and_with_the_gnss(name: str) -> None:
-    row = flown(name).row
+def test_every_sensor_lands_alone_and_with_the_gnss(name: str, aircraft: str, height: float, wind: float) -> None:
+    """Each once, over vehicles, heights and winds; the page has them all."""
+    row = flown(name, aircraft, height, wind).row
+    vehicle = load_vehicle(aircraft)[0]
     assert row.verdict == "landed"
-    assert row.reason in name
-    assert row.touchdown_m_s < 1.0
-    assert row.thrust_n == 0.0
+    assert row.reason in name or row.reason == "position lost"
+    assert row.touchdown_m_s < 2.0 * vehicle.control.pilot.land_m_s  # type: ignore[union-attr]
+    assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
 
 
 def test_nothing_disarms_in_the_air_whatever_the_sensors_say() -> None:
@@ -135,13 +143,15 @@ def test_with_any_engine_lost_the_landing_is_recognised_and_everything_is_off(je
     assert row.drift_m < 2.0
 
 
-@pytest.mark.parametrize("jet", [1, 6])
-def test_the_full_scale_vehicle_lands_with_an_engine_lost_and_knows_it(jet: int) -> None:
-    """A corner and a middle one. It stood on running engines and slid 360 m; from 10 m it hit the ground at 4.4 m/s."""
-    row = flown(f"engine {jet} out", "hexjet-p220", 10.0).row
-    vehicle = load_vehicle("hexjet-p220")[0]
+@pytest.mark.parametrize("jet", range(1, 7))
+@pytest.mark.parametrize("aircraft", ["hexjet-p220", "hexjet-100"])
+def test_a_full_scale_vehicle_lands_with_any_engine_lost_and_knows_it(aircraft: str, jet: int) -> None:
+    """It stood on running engines and slid 70 to 360 m, or was lost in the air; from 10 m it hit the ground at 4.4 m/s."""
+    row = flown(f"engine {jet} out", aircraft, 10.0).row
+    vehicle = load_vehicle(aircraft)[0]
     assert (row.verdict, row.reason) == ("landed", f"engine {jet} failed")
     assert row.touchdown_m_s < vehicle.limits.touchdown_m_s
+    assert row.drift_m < 3.0  # of the lean on the way down; on the ground it stays
     # jets that have not quite run down
     assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
 
@@ -217,11 +227,13 @@ def test_what_is_left_of_a_jet_ten_seconds_later_is_its_rotor_running_down() -> 
         assert flight.fly(table.LATER_S) == pytest.approx(left * idle, rel=0.005)
 
 
-@pytest.mark.parametrize("lost", [False, True])
-def test_neither_hold_nor_disarm_takes_off_from_where_it_has_landed(lost: bool) -> None:
+@pytest.mark.parametrize(
+    ("aircraft", "height", "lost"), [("hexjet", 3.0, False), ("hexjet", 3.0, True), ("hexjet-p220", 10.0, True)]
+)
+def test_neither_hold_nor_disarm_takes_off_from_where_it_has_landed(aircraft: str, height: float, lost: bool) -> None:
     """HOLD, which a pause is, while the legs touch and the thrust is still there: it flew up a metre."""
     for request in (rq.Hold(), rq.Disarm()):
-        with Flight() as flight:
+        with Flight(aircraft, height) as flight:
             flight.fly(1.0)
             if lost:
                 flight.ok(rq.InjectFault("flame_out", (2,)))
@@ -233,7 +245,8 @@ def test_neither_hold_nor_disarm_takes_off_from_where_it_has_landed(lost: bool) 
             for _ in range(round(2.0 / flight.simulation.dt)):
                 flight.simulation.step()
                 heights.append(flight.simulation.state.altitude)
-            assert max(heights) < heights[0] + 0.1
+            # jets that speed up when the legs touch push on for half a second, whatever is asked: a hop of a decimetre
+            assert max(heights) < heights[0] + (0.1 if aircraft == "hexjet" else 0.2)
             assert flight.pilot.landed is LandedState.ON_GROUND
             assert flight.pilot.armed is (not isinstance(request, rq.Disarm))
 
@@ -275,6 +288,28 @@ def test_a_leg_switch_that_sticks_in_the_air_takes_no_thrust_away(aircraft: str)
         assert flight.simulation.state.on_ground
         assert not pilot.armed
         assert max(sinking) < flight.simulation.vehicle.limits.touchdown_m_s
+
+
+# --- where it holds ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("wind", "turbulence", "furthest"), [(5.0, 0, 3.0), (8.0, 3, 6.0)], ids=["steady", "with turbulence"]
+)
+def test_a_full_scale_vehicle_holds_in_wind(wind: float, turbulence: int, furthest: float) -> None:
+    """Blown off while it learns a wind that it begins in, by 8.4 and 15.9 m once; back within a waypoint's radius."""
+    environment = {
+        "wind_ned_m_s": [0.0, wind, 0.0], "turbulence_wind_m_s": wind if turbulence else 0.0,
+        "turbulence_severity": turbulence,
+    }  # fmt: skip
+    away = []
+    with Flight("hexjet-p220", 10.0, environment=environment) as flight:
+        for _ in range(300):
+            flight.fly(0.1)
+            away.append(hypot(*flight.simulation.state.position[:2]))
+            assert abs(flight.simulation.state.altitude - 10.0) < table.HELD_HEIGHT_M
+    assert max(away) < furthest
+    assert max(away[200:]) < table.HELD_M
 
 
 # --- the table -----------------------------------------------------------------------------------------------------

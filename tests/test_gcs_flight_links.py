@@ -1,5 +1,6 @@
-"""A vehicle that flies while one of its ports is not read any more: real sockets and a pseudo-terminal, a clock that is
-counted.
+"""A vehicle that flies while its links go wrong: a port that is not read any more, a table of stations that is full.
+
+Real sockets and a pseudo-terminal, and a clock that is counted.
 
 The link's loop runs in the test's own thread, every 20 ms of flight, so that nothing here depends on how busy the
 machine is: "0.2 s" are fifty steps.
@@ -197,3 +198,37 @@ def test_a_port_that_is_not_read_holds_up_neither_commands_nor_failsafes_in_flig
             asker.wire.close()
         air.close()
     assert not link.failures
+
+
+def test_a_live_station_is_heard_beside_a_full_table_of_ids_in_flight() -> None:
+    """Others' ids come and go by the hundred; the vehicle returns when the last that lives is silent, and no sooner."""
+    air = Airborne("udpin:127.0.0.1:0", "udpin:127.0.0.1:0")
+    pilot, flood = air.flight.pilot, Udp(air.link.ports[1])
+    beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+    try:
+        first = Asker(Udp(air.link.ports[0]))
+        air.askers = [first]
+        air.fly(1.0)
+        for number in range(200):
+            flood.write(beat.pack(mav.MAVLink(None, srcSystem=2 + number % 240, srcComponent=1 + number // 240)))
+            air.fly(0.02)
+        # all places were taken before this one came, and it is the only one that goes on
+        late = Asker(Udp(air.link.ports[0], system=99))
+        air.askers = [late]
+        air.fly(2.0 * LINK_LOST)
+        assert pilot.mode is Mode.HOLD
+        assert (99, 190) in air.vehicle.stations
+        assert len(late.answered) >= len(late.asked) - 1
+        late.silent = True
+        silent = air.now
+        assert air.fly(10.0, lambda: pilot.mode is not Mode.HOLD)
+        assert pilot.failsafe == "no ground station"
+        assert air.now - silent == pytest.approx(
+            LINK_LOST + pilot.parameters["HJ_LINK_DELAY"], abs=BEAT_S + 2 * LOOK_STEPS * air.flight.simulation.dt
+        )
+        first.wire.close()
+        late.wire.close()
+    finally:
+        flood.close()
+        air.close()
+    assert not air.link.failures
