@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -21,6 +23,7 @@ from cosim.campaign.study.plan import Flight, flights, scenario_of
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row, fly_one, kinds
 from cosim.campaign.workers.local import LocalWorkers
+from cosim.campaign.workers.tasks import in_order
 from cosim.flight import fly
 from cosim.results.digest import log_digest
 
@@ -268,6 +271,7 @@ def test_workers_that_cannot_be(arguments: tuple[int, ...], message: str) -> Non
 
 ORPHANS = """
 import sys
+import time
 sys.path.insert(0, {tests!r})
 import campaign_tools as tools
 from cosim.campaign.workers.local import LocalWorkers
@@ -317,3 +321,28 @@ def children() -> list[psutil.Process]:
             if any("cosim.campaign.workers.local" in part for part in each.cmdline()):
                 found.append(each)
     return found
+
+
+# ---- work that is no flight
+
+
+def slow_square(value: float) -> float:
+    time.sleep(0.2 if value == 0.0 else 0.0)
+    return value * value
+
+
+def refuse(value: float) -> float:
+    raise InputError(f"{value:g} is refused")
+
+
+def die(value: float) -> float:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return value
+
+
+def test_other_work_is_answered_in_order_and_its_errors_come_through() -> None:
+    assert list(in_order(slow_square, [0.0, 1.0, 2.0, 3.0], 2)) == [0.0, 1.0, 4.0, 9.0]
+    with pytest.raises(InputError, match="2 is refused"):
+        list(in_order(refuse, [2.0], 2))
+    with pytest.raises(FlightError, match="the process was lost in this flight 3 times; the last ended by SIGKILL"):
+        list(in_order(die, [1.0], 2))

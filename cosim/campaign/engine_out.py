@@ -20,10 +20,10 @@ from cosim.campaign.fault_survey import (
     HEIGHT_M,
     SETTLED_S,
     Say,
-    in_processes,
     judge,
     verdict_of,
 )
+from cosim.campaign.workers.tasks import in_order
 from cosim.control.altitude import GRAVITY
 from cosim.design.controller_file import ControllerFile, read_controller
 from cosim.results.report.marks import check_marks, table, write_marks
@@ -357,7 +357,7 @@ def engine_out(
             tasks += flights
             levers.append(_levers(flights[0][0]))
     flown: list[Flight] = []
-    for flight in in_processes(_fly, tasks, workers):
+    for flight in in_order(_fly, tasks, workers):
         flown.append(flight)
         say(f"{flight.aircraft}, {flight.engine}, jet {flight.jet}", len(flown), len(tasks))
     return EngineOut(flown, left, levers)

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.base.errors import InputError
-from cosim.campaign.fault_survey import controllers_for, in_processes, step_of
+from cosim.campaign.fault_survey import controllers_for, step_of
+from cosim.campaign.workers.tasks import in_order
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import (
     Goto,
@@ -193,7 +194,7 @@ def failsafes(
     done, of = 0, sum(len(plan.flights) for plan in plans)
     for plan in plans:
         flown: list[Flown] = []
-        for one in in_processes(fly_case, plan.flights, workers):
+        for one in in_order(fly_case, plan.flights, workers):
             flown.append(one)
             done += 1
             say(f"{plan.aircraft}: {one.row.failsafe}, {one.row.height_m:g} m, {one.row.wind_m_s:g} m/s", done, of)

@@ -7,19 +7,16 @@ that the vehicle has a model for.  A flight is judged by where it ends: *held* (
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from math import degrees, nan
-from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import InputError
 from cosim.base.files import write_records
 from cosim.base.signals import AXES
+from cosim.campaign.workers.tasks import in_order
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.altitude import GRAVITY
 from cosim.control.predictors.registry import PREDICTORS
@@ -197,12 +194,12 @@ def survival(
         hover, idle = simulation.cascade.allocator.hover, simulation.cascade.thrust_map.idle
         moments = _moments(vehicle, simulation.stations[0].delay)
     rows: list[Row] = []
-    for row in in_processes(_fly, flights, workers):
+    for row in in_order(_fly, flights, workers):
         rows.append(row)
         say(f"{row.kind}, {row.place}", len(rows), len(flights))
     scans = [(name, start, each, aircraft, engine, step) for name in SCANS for start in STARTS for each in controllers]
     found: list[Limit] = []
-    for limit in in_processes(_scan, scans, workers) if limits else ():
+    for limit in in_order(_scan, scans, workers) if limits else ():
         found.append(limit)
         say(limit.quantity, len(found), len(scans))
     sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
@@ -236,29 +233,6 @@ def scenario_of(case: Case, start: str, controller: str, aircraft: str, engine: 
         Path(),
         "survival",
     )
-
-
-def in_processes(act: Callable[[T], R], tasks: Sequence[T], workers: int) -> Iterator[R]:
-    if workers == 1:
-        yield from map(act, tasks)
-        return
-    before = set(active_children())
-    # started afresh, not forked: the progress display has a thread
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_end_quietly) as pool:
-        try:
-            yield from pool.map(act, tasks, chunksize=2)
-        except BrokenProcessPool as error:
-            raise FlightError("a process was killed from outside; call again") from error
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for child in set(active_children()) - before:
-                child.terminate()
-            raise
-
-
-def _end_quietly() -> None:
-    """In a worker: Ctrl-C is answered by the process that waits."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _fly(flight: tuple[Case, str, str, Scenario]) -> Row:

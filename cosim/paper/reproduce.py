@@ -9,12 +9,8 @@ from __future__ import annotations
 import hashlib
 import json
 import pickle
-import signal
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
-from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +19,7 @@ import numpy as np
 from cosim.base.errors import FlightError, InputError
 from cosim.base.files import replacing
 from cosim.base.paths import data_folder
+from cosim.campaign.workers.tasks import as_finished
 from cosim.flight import fly
 from cosim.paper import numbers
 from cosim.paper.beyond import Reach, turbojet_plant
@@ -286,37 +283,25 @@ def _run(
     files = {name: folder / f"{name}-{made_from}.pickle" for name in tasks}
     parts = {name: part for name, file in files.items() if (part := _taken_up(file)) is not None}
     say("parts", len(parts), len(tasks))
-    before = set(active_children())
-    # started afresh, not forked: the progress display has a thread
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_end_quietly) as pool:
-        try:
-            waiting: dict[Future[Any], str] = {
-                pool.submit(function, *arguments): name
-                for name, (function, arguments) in tasks.items()
-                if name not in parts
-            }
-            for future in as_completed(waiting):
-                name = waiting[future]
-                parts[name] = future.result()
-                with replacing(files[name]) as temporary:
-                    temporary.write_bytes(pickle.dumps(parts[name]))
-                say(name, len(parts), len(tasks))
-        except BrokenProcessPool as error:
-            raise FlightError("a process was killed from outside; what was finished is kept, call again") from error
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for child in set(active_children()) - before:
-                child.terminate()
-            raise
+    names = [name for name in tasks if name not in parts]
+    try:
+        for place, part in as_finished(_do, [tasks[name] for name in names], workers):
+            name = names[place]
+            parts[name] = part
+            with replacing(files[name]) as temporary:
+                temporary.write_bytes(pickle.dumps(part))
+            say(name, len(parts), len(tasks))
+    except FlightError as error:
+        raise FlightError(f"{error}; what was finished is kept, call again") from error
     for old in set(folder.glob("*.pickle")) - set(files.values()):
         if old.name.rsplit("-", 1)[0] in tasks:
             old.unlink()  # of other sources: nothing will take it up
     return {name: parts[name] for name in tasks}
 
 
-def _end_quietly() -> None:
-    """In a worker: Ctrl-C is answered by the process that waits, not by a traceback of each."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+def _do(task: tuple[Callable[..., Any], tuple[Any, ...]]) -> Any:
+    function, arguments = task
+    return function(*arguments)
 
 
 def _check_writable(folder: Path) -> None:

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from cosim.campaign.study.study import Study
 
 Fly = Callable[["Study", "Flight"], Row]
+Failed = Callable[["Study", "Flight", str], Row]
 
 AHEAD_S = 0.25  # of work that waits in a process, so that it need not wait for the next flight
 MOST_AHEAD = 8  # flights
@@ -57,18 +58,21 @@ _COMMAND = "import sys; from cosim.campaign.workers.local import serve; serve(in
 class LocalWorkers:
     """``count`` processes of this machine; ``time_limit_s`` is of each flight, by default as the study's length asks.
 
-    ``fly`` makes the row of a flight in the processes, which import it by its name.  The processes start with the first
-    flights, at most one a flight, and stay for further studies until :meth:`close`.
+    ``fly`` makes the row of a flight in the processes, which import it by its name, and ``failed`` that of one of which
+    only the reason is known.  The processes start with the first flights, at most one a flight, and stay for further
+    studies until :meth:`close`.
     """
 
-    def __init__(self, count: int, time_limit_s: float | None = None, fly: Fly = fly_one) -> None:
+    def __init__(
+        self, count: int, time_limit_s: float | None = None, fly: Fly = fly_one, failed: Failed = failed_row
+    ) -> None:
         if count < 1:
             raise InputError(f"workers = {count}: at least 1")
         if time_limit_s is not None and not time_limit_s > 0.0:
             raise InputError(f"time limit = {time_limit_s:g} s: must be above 0")
         self._count = count
         self._time_limit = time_limit_s
-        self._fly = fly
+        self._fly, self._failed = fly, failed
         self._processes: list[_Process] = []
         self._starts = 0  # that came to nothing, in a row
 
@@ -131,7 +135,7 @@ class LocalWorkers:
             if process.late(limit):
                 flight, *rest = self._end(process)
                 waiting.put_back(rest)
-                yield failed_row(study, flight, too_slow(limit)) | process.mark(limit)
+                yield self._failed(study, flight, too_slow(limit)) | process.mark(limit)
             elif not process.alive:
                 yield from self._after_loss(study, process, waiting)
 
@@ -148,7 +152,7 @@ class LocalWorkers:
             if self._starts >= STARTS:
                 raise FlightError(f"{STARTS} processes in a row ended before they could fly; the last {end}")
         elif given and waiting.lose(given[0]) >= LOSSES:
-            yield failed_row(study, given.pop(0), lost(end)) | process.mark()
+            yield self._failed(study, given.pop(0), lost(end)) | process.mark()
         waiting.put_back(given)
 
     def _end_busy(self) -> None:

@@ -1,0 +1,61 @@
+"""Work that is no flight of a study, in the processes that fly those."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from cosim.base.errors import FlightError
+from cosim.campaign.workers.local import LocalWorkers
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+LIMIT_S = 86_400.0  # chosen by us: a task may take as long as it likes, and no process stays for ever
+
+
+@dataclass(frozen=True)
+class _Task:
+    number: int
+    argument: Any
+
+
+def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> Iterator[tuple[int, R]]:
+    """``act`` of every argument in processes that import it by its name: place and answer, in the order of the ends.
+
+    Raises what ``act`` raises, and FlightError for an argument with which three processes were lost.
+    """
+    tasks: Any = [_Task(number, argument) for number, argument in enumerate(arguments)]
+    study: Any = act
+    with LocalWorkers(workers, LIMIT_S, _answer, _lost) as pool:
+        for row in pool.fly(study, tasks):
+            answer: dict[str, Any] = dict(row)
+            if "error" in answer:
+                raise answer["error"]
+            yield answer["number"], answer["value"]
+
+
+def in_order(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> Iterator[R]:
+    """The answers of :func:`as_finished` in the order of the arguments; one worker is this process."""
+    if workers == 1:
+        yield from map(act, arguments)
+        return
+    waiting: dict[int, R] = {}
+    following = 0
+    for number, answer in as_finished(act, arguments, workers):
+        waiting[number] = answer
+        while following in waiting:
+            yield waiting.pop(following)
+            following += 1
+
+
+def _answer(act: Any, task: Any) -> dict[str, Any]:
+    try:
+        return {"number": task.number, "value": act(task.argument)}
+    except Exception as error:
+        return {"number": task.number, "error": error}
+
+
+def _lost(act: Any, task: Any, reason: str) -> dict[str, Any]:
+    return {"number": task.number, "error": FlightError(reason)}
