@@ -187,3 +187,29 @@ def test_a_torn_last_line_is_left_out_and_no_file_is_no_record(tmp_path: Path) -
     assert read_pilot_record(tmp_path) == []
     (tmp_path / AUTOPILOT).write_text('{"k": 0, "kind": "state"}\n{"k": 1, "ki')
     assert [line["k"] for line in read_pilot_record(tmp_path)] == [0]
+
+
+def test_so_is_a_log_of_a_long_flight_on_turbines(tmp_path: Path) -> None:
+    """Six engines with all that they tell, a minute in wind, from which on every minute is as the one before."""
+    seconds = 60.0
+    (tmp_path / "asked.jsonl").write_text(
+        json.dumps({"step": 1000, "sender": "test", "request": "Goto", "north": 10.0, "east": 5.0}) + "\n"
+    )
+    held = {"name": "long", "aircraft": "hexjet-p220", "engine": "p220", "controller": "smith", "duration_s": seconds}
+    scenario = Scenario.from_table(
+        held
+        | {
+            "requests": "asked.jsonl",
+            "initial": {"altitude_m": 20.0},
+            "environment": {"wind_ned_m_s": [0.0, 5.0, 0.0]},
+        },
+        tmp_path,
+        "long",
+    )
+    run = fly(scenario, tmp_path / "run", report=False)
+    assert run.outcome == "completed"
+    assert run.folder is not None
+    export_ulog(run.folder, tmp_path / "long.ulg", rates="px4")
+    fixed = 8_000
+    assert (tmp_path / "long.ulg").stat().st_size < fixed + 22_500 * seconds
+    assert not ULog(str(tmp_path / "long.ulg")).file_corruption
