@@ -1,13 +1,20 @@
 """Writes what the designs in tests/designs state, and flights while fuel burns, into the pages that quote them.
 
     python docs/designs.py [--no-flights]
+    python docs/designs.py --anew [FOLDER]
 
-The tables of margins come from the files alone; a test compares them with the pages.
+The tables of margins come from the files alone; a test compares them with the pages.  ``--anew`` begins every design
+from nothing, with the commands of :data:`COMMANDS` (half an hour of a processor), writes the files into FOLDER, where
+those that are there already are taken up, and states on the page which of them are what ships.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import os
+import subprocess
+import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
@@ -41,6 +48,19 @@ COLUMNS = (
     "tolerances times",
 )
 FUEL = (1.0, 0.5, 0.05)
+LATE = "--noise-share 0.02"
+LESS = "--noise-share 0.01"
+COMMANDS = {  # what hexjet design is given, from nothing; a second line begins at the file of the first
+    "edf": ("--engine edf",),
+    "edf-as-flown": ("--engine edf-as-flown",),
+    "motor": ("--engine motor --aircraft quadrotor",),
+    "p220": ("--engine p220 --aircraft hexjet-p220",),
+    "p220-2025": ("--engine p220-2025 --aircraft hexjet-p220",),
+    "turbine-20": (f"--engine turbine-20 --controller state-disturbance {LESS}",),
+    "turbine-100": (f"--engine turbine-100 --aircraft hexjet-100 {LATE}", f"{LESS} --start FIRST"),
+    "turbine-220": (f"--engine turbine-220 --aircraft hexjet-p220 {LATE}", f"{LESS} --start FIRST"),
+    "turbojet": ("--engine turbojet",),
+}
 SHARE = {"turbine-20": 0.01, "turbine-100": 0.01, "turbine-220": 0.01}  # of the bound on noise, where not the default
 
 
@@ -86,6 +106,53 @@ def designs() -> str:
         rows.append([f"{made['engine']}, {made['aircraft']}", f"{file['controller']}{lead}{follows}{bound}",
                      *cells(made["axes"]["roll"])])  # fmt: skip
     return table(("engine, aircraft", "controller", *COLUMNS), rows, 2)
+
+
+def begin_anew(folder: Path) -> None:
+    """Every design from nothing, into ``folder``; with one thread of OpenBLAS, on whose number the bits hang."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, lines in COMMANDS.items():
+        first = folder / f"{name}.first.toml"
+        for number, line in enumerate(lines):
+            last = number == len(lines) - 1
+            out = folder / f"{name}.toml" if last else first
+            if out.exists():
+                continue
+            words = lines[0].split(" --noise")[0].split() if number else []
+            given = [*words, *(str(first) if word == "FIRST" else word for word in line.split())]
+            command = [str(Path(sys.executable).with_name("hexjet")), "design", *given, "--out", str(out)]
+            done = subprocess.run(command, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"}, stdout=subprocess.DEVNULL)
+            print(f"{name}: {line}: status {done.returncode}", flush=True)
+
+
+def ships(name: str) -> str:
+    """The shipped file's first digits of SHA-256."""
+    return hashlib.sha256((DESIGNS / f"{name}.toml").read_bytes()).hexdigest()[:12]
+
+
+def anew(folder: Path) -> str:
+    """What the commands make of every design beside what ships."""
+    rows = []
+    for name, lines in COMMANDS.items():
+        made = folder / f"{name}.toml"
+        if not made.exists():
+            told = "no design"
+        elif made.read_bytes() == (DESIGNS / f"{name}.toml").read_bytes():
+            told = "what ships, to the bit"
+        else:
+            here, there = (
+                tomllib.loads(path.read_text(encoding="utf-8"))["design"]["axes"]["roll"]
+                for path in (made, DESIGNS / f"{name}.toml")
+            )
+            pairs = [
+                ("objective", *(f"{min(each['candidates'].values()):.3f}" for each in (here, there))),
+                ("bandwidth", *(f"{each['bandwidth_hz']:.3f} Hz" for each in (here, there))),
+                ("overshoot", *(f"{100.0 * each['overshoot']:.1f} %" for each in (here, there))),
+                ("settled", *(f"{each['settling_s']:.2f} s" for each in (here, there))),
+            ]
+            told = "another; of roll " + ", ".join(f"{what} {one} (ships {two})" for what, one, two in pairs)
+        rows.append([name, ships(name), "; then ".join(lines), told])
+    return table(("file", "SHA-256", "hexjet design, from nothing", "makes"), rows, 4)
 
 
 def levels(name: str) -> str:
@@ -171,7 +238,13 @@ def main() -> None:
     """Write the tables into the pages."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--no-flights", action="store_true")
-    flights = not parser.parse_args().no_flights
+    parser.add_argument("--anew", type=Path, nargs="?", const=ROOT / "runs" / "designs", metavar="FOLDER")
+    given = parser.parse_args()
+    if given.anew:
+        begin_anew(given.anew)
+        write_marks(ROOT / "docs" / "control-design.md", {"designs anew": anew(given.anew)})
+        return
+    flights = not given.no_flights
     for aircraft, name in SHIPPED.items():
         parts = {"margins": margins(name), "fuel": levels(name)}
         if aircraft == "hexjet-p220":

@@ -26,11 +26,12 @@ from cosim.design.design import (
     _scenario,
     assess,
     believed,
+    design,
     lead_there,
     needed,
 )
 from cosim.design.levels import AXES as LEVELLED
-from cosim.design.levels import DESIGNED, at_share, keeps
+from cosim.design.levels import at_share, keeps
 from cosim.design.tune import settle
 from cosim.engine import load_engine
 from cosim.results.report.marks import parts_of
@@ -58,7 +59,7 @@ def today(name: str) -> tuple[Any, ...]:
 def test_a_stored_design_is_what_todays_command_makes(name: str) -> None:
     """Engine, airframe, requirements and gains of today: the last stage of the command stops where the file stands.
 
-    ``hexjet design ... --start tests/designs/NAME.toml`` ends in that stage.  The whole search again takes minutes.
+    The whole search again takes minutes: ``python docs/designs.py --anew`` does it, and the page says what it found.
     """
     made, _, vehicle, spec, _, wanted, begin, source = today(name)
     assert made.engine_sha256 == spec.sha256
@@ -115,7 +116,7 @@ def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
             asked = needed(axis, made.requirements)
             held = assess(level.channels[axis], begin[axis][1.0], asked)
             assert record.held.get(axis) == pytest.approx(held.peak_sensitivity, rel=1e-3)
-            if level.fuel in DESIGNED:
+            if record.designed:
                 here = begin[axis][level.fuel]
                 again = settle(level.channels[axis], here, asked, level=True)
                 assert again is not None
@@ -126,6 +127,24 @@ def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
             assert record.axes[axis].peak_sensitivity <= made.requirements.max_sensitivity
             # what acts in flight, between the levels too, keeps every requirement: noise, saturation and tolerance as well
             assert keeps(level.channels[axis], at_share(plan, leads, full, level.share, scenario.step_s)[axis], asked)
+
+
+def test_a_level_is_designed_where_a_straight_line_misses_a_requirement() -> None:
+    """The shipped P220's schedule, begun at its own gains, stands at 25 % of the fuel with a level of its own."""
+    found = design("p220", "hexjet-p220", start=DESIGNS / "p220.toml")
+    assert found.ok
+    assert [(each.level.fuel, each.designed) for each in found.levels] == [
+        (1.0, True), (0.75, False), (0.5, True), (0.25, True), (0.0, True),
+    ]  # fmt: skip
+    assert all(kept for each in found.levels for kept in each.kept.values())
+    assert found.schedule is not None
+    shares = [level.share for level in found.schedule.level]
+    assert shares == pytest.approx([each.level.share for each in reversed(found.levels) if each.designed], rel=1e-5)
+    # and the full tank's gains are those of the file
+    first, _ = load_vehicle("hexjet-p220", stored("p220")["vehicle"])
+    tuned = found.axes["roll"].after
+    assert tuned is not None
+    assert tuned.tuning.gains == first.control.rate.roll
 
 
 def loop(name: str, axis: str) -> Loop:
@@ -229,6 +248,14 @@ def test_the_pages_state_what_the_designs_do() -> None:
         if aircraft == "hexjet-p220":
             assert parts["more inertia"] == page.heavier(name)
     path = root / "docs" / "control-design.md"
-    assert parts_of(path.read_text(encoding="utf-8"), path)["designs"] == page.designs()
+    parts = parts_of(path.read_text(encoding="utf-8"), path)
+    assert parts["designs"] == page.designs()
+    # begun anew: every file, and the one that ships
+    rows = [line.strip("| ").split(" | ") for line in parts["designs anew"].splitlines()[2:]]
+    assert [[name, digest] for name, digest, *_ in rows] == [[name, page.ships(name)] for name in page.COMMANDS]
+    assert sorted(page.COMMANDS) == NAMES
+    for name, _, command, told in rows:
+        assert command.replace("\\", "") == "; then ".join(page.COMMANDS[name])
+        assert told.startswith(("what ships, to the bit", "another; of roll objective")), name
     path = root / "docs" / "full-scale.md"
     assert parts_of(path.read_text(encoding="utf-8"), path)["fuel p220-2025"] == page.levels("p220-2025")

@@ -138,6 +138,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/identification.md": ("test_pages.py",),
     "docs/metrics.md": ("test_metrics_docs.py",),
     "docs/own-engine.md": ("test_pages.py",),
+    "docs/packages.md": ("marks", "test_package.py"),
     "docs/paper.md": ("marks", "test_reproduce.py"),
     "engines/README.md": ("test_pages.py",),
     "engines/edf/README.md": ("test_pages.py",),

@@ -33,7 +33,6 @@ from cosim.design.identify import Identification, identify_engine
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import (
     DESIGNED,
-    SLACK,
     Level,
     at_share,
     follow,
@@ -250,35 +249,33 @@ def _burn(
 ) -> tuple[Schedule | None, list[LevelDesign], str]:
     """The schedule, where one is needed, every level, and what is wrong with them."""
     full = {axis: each.after.tuning for axis, each in axes.items() if axis in LEVELLED and each.after is not None}
-    plan: Schedule | None = None
+    leads = {axis: tuning.lead for axis, tuning in full.items()}
+    step = axes["roll"].channel.step
     fits = all(keeps(level.channels[axis], full[axis], needed(axis, need)) for level in found for axis in LEVELLED)
-    if scheduled and not fits:
-        tunings = {}
-        for axis in LEVELLED:
-            say(f"{axis}: with less fuel")
-            own = follow(axis, found, full[axis], needed(axis, need), (begin or {}).get(axis, {}))
-            if own is None:
-                return None, [], f"{axis}: no gains keep the requirements with less fuel"
-            tunings[axis] = own
-        plan = schedule(found, tunings)
-    burning = []
-    for level in found:
-        acting = (
-            at_share(plan, {a: t.lead for a, t in full.items()}, full, level.share, axes["roll"].channel.step)
-            if (plan)
-            else full
-        )
-        held = {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in LEVELLED}
-        after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
-        slack = 0.0 if level.fuel in DESIGNED else SLACK
-        kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need), slack) for axis in LEVELLED}
-        burning.append(LevelDesign(level, level.fuel in DESIGNED, held, after, kept))
-    missed = [f"{axis} with {each.level.fuel:.0%} of the fuel" for each in burning for axis in each.kept
-              if plan and not each.kept[axis]]  # fmt: skip
-    between = (
-        f"between the levels of the schedule a requirement is missed, {', '.join(missed)}; a stricter one leaves room"
-    )
-    return plan, burning, between if missed else ""
+    known = {axis: dict((begin or {}).get(axis, {})) for axis in LEVELLED}
+    designed = {*DESIGNED, *(fuel for of in known.values() for fuel in of)}
+    while True:
+        plan: Schedule | None = None
+        if scheduled and not fits:
+            for axis in LEVELLED:
+                say(f"{axis}: with less fuel")
+                own = follow(axis, found, full[axis], needed(axis, need), known[axis], designed)
+                if own is None:
+                    return None, [], f"{axis}: no gains keep the requirements with less fuel"
+                known[axis] = own
+            plan = schedule(found, known)
+        burning = []
+        for level in found:
+            acting = at_share(plan, leads, full, level.share, step) if plan else full
+            held = {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in LEVELLED}
+            after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
+            kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
+            burning.append(LevelDesign(level, level.fuel in designed, held, after, kept))
+        missed = {each.level.fuel for each in burning if plan and not all(each.kept.values())}
+        if missed <= designed:
+            where = ", ".join(f"{fuel:.0%} of the fuel" for fuel in sorted(missed))
+            return plan, burning, f"a requirement is missed by the schedule with {where}" if missed else ""
+        designed |= missed  # a straight line does not do there
 
 
 def _begin(
@@ -298,7 +295,8 @@ def _begin(
     if plan and designed.fuel:
         step = wanted["roll"].step
         full = {axis: found[axis][1.0] for axis in LEVELLED}
-        for level, fuel in zip(reversed(plan.level), DESIGNED, strict=False):
+        fuels = [level.fuel for level in file.design.levels if level.designed]
+        for level, fuel in zip(reversed(plan.level), fuels, strict=False):
             there = at_share(plan, {axis: each.lead for axis, each in full.items()}, full, level.share, step)
             for axis in LEVELLED:
                 found[axis][fuel] = there[axis]

@@ -7,7 +7,7 @@ flight :mod:`cosim.control.schedule` goes from one to the next with the collecti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cosim.control.schedule import Factors, GainSchedule
@@ -21,7 +21,7 @@ from cosim.design.closed_loop import Closed, Points
 from cosim.design.tune import (
     FINE,
     Requirements,
-    excess,
+    acceptable,
     near,
 )
 from cosim.design.tuning import Tuning
@@ -36,11 +36,8 @@ from cosim.spec.vehicle import (
     Vehicle,
 )
 
-DESIGNED = (1.0, 0.5, 0.0)  # of the fuel
-PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)
-# By which straight lines between two levels may miss what is required at both, all requirements together.  Chosen: a
-# search from nothing may end where noise, which goes with the square of the pole of a lead, is a little over there.
-SLACK = 0.1
+DESIGNED = (1.0, 0.5, 0.0)  # of the fuel, at first
+PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)  # where a requirement is missed between levels, one is designed there too
 FILTER_S = 2.0  # chosen: slow beside what the loops answer in, fast beside what fuel and payload change in
 AXES = ("roll", "altitude")  # that engines answer: a tilt means the same moment at every thrust
 
@@ -81,10 +78,9 @@ def levels(
     return found
 
 
-def keeps(channel: Channel, tuning: Tuning, need: Requirements, slack: float = 0.0) -> bool:
-    """Whether a tuning keeps the requirements on a channel, or misses them by no more than ``slack`` together."""
-    closed = Closed(Points(channel, close=FINE), tuning)
-    return closed.unstable_poles == 0 and excess(closed, need) <= slack
+def keeps(channel: Channel, tuning: Tuning, need: Requirements) -> bool:
+    """Whether a tuning keeps the requirements on a channel."""
+    return acceptable(Closed(Points(channel, close=FINE), tuning), need)
 
 
 def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
@@ -100,16 +96,17 @@ def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
 
 
 def follow(
-    axis: str, found: Sequence[Level], full: Tuning, need: Requirements, begin: Mapping[float, Tuning]
-) -> dict[float, Tuning] | None:
-    """A tuning at each level that is designed for, by its fuel; None where one cannot keep the requirements.
+    axis: str, found: Sequence[Level], full: Tuning, need: Requirements, begin: Mapping[float, Tuning],
+    designed: Collection[float] = DESIGNED,
+) -> dict[float, Tuning] | None:  # fmt: skip
+    """A tuning at each level that is ``designed`` for, by its fuel; None where one cannot keep the requirements.
 
     ``begin``: where the search begins, for levels at which that is known.
     """
     tunings = {1.0: full}
     last = full
     for level in found:
-        if level.fuel == 1.0 or level.fuel not in DESIGNED:
+        if level.fuel == 1.0 or level.fuel not in designed:
             continue
         channel = level.channels[axis]
         start = begin.get(level.fuel, last)
@@ -125,7 +122,7 @@ def follow(
 
 def schedule(found: Sequence[Level], tunings: Mapping[str, Mapping[float, Tuning]]) -> Schedule:
     """The schedule of the tunings at each level, as a vehicle states it."""
-    rows = [level for level in reversed(found) if level.fuel in DESIGNED]
+    rows = [level for level in reversed(found) if all(level.fuel in of for of in tunings.values())]
     return Schedule(
         filter_s=FILTER_S,
         level=[

@@ -219,12 +219,16 @@ def _level_lines(found: Design) -> list[str]:
     if found.schedule is None:
         return [f"{said}; they are kept"]
     shares = " to ".join(f"{each.share:.3f}" for each in (found.schedule.level[0], found.schedule.level[-1]))
-    between = max(
+    between = [
         state.peak_sensitivity or inf for each in found.levels if not each.designed for state in each.after.values()
-    )
+    ]
     return [
-        f"{said}: gains and leads follow the collective from {shares} of the engines' range; between the levels that "
-        f"are designed the peak sensitivity is at most {between:.2f}"
+        f"{said}: gains and leads follow the collective from {shares} of the engines' range"
+        + (
+            f"; between the levels that are designed the peak sensitivity is at most {max(between):.2f}"
+            if between
+            else ""
+        )
     ]
 
 
