@@ -1,8 +1,9 @@
 """Every failsafe flown to its end: how it ended, how fast it touched the ground, what the engines gave afterwards.
 
-A flight begins in the air, holding, in a steady wind from abeam (the axis on which the engines' delay is felt).  Then
-something fails, the autopilot is told nothing but what a ground station would say, and the flight goes on until the
-vehicle has been disarmed for ten seconds, has crashed, or time is up.
+A flight begins in the air, holding, in a steady wind from abeam (the axis on which the engines' delay is felt); what
+loses the position begins moving ahead, too.  Then something fails, the autopilot is told nothing but what a ground
+station would say, and the flight goes on until the vehicle has been disarmed for ten seconds, has crashed, or time is
+up.
 """
 
 from __future__ import annotations
@@ -10,13 +11,14 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
-from math import hypot, isnan, nan, radians
+from math import atan2, hypot, inf, isnan, nan, radians, sqrt
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from cosim.base.errors import InputError
 from cosim.campaign.fault_survey import controllers_for, step_of
 from cosim.campaign.workers.tasks import in_order
+from cosim.control.altitude import GRAVITY
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import (
     Goto,
@@ -39,12 +41,18 @@ if TYPE_CHECKING:
     from cosim.results.recorder import Recorder
     from cosim.simulation.step import Simulation
 
-Verdict = Literal["landed", "holds", "flies on", "stands armed", "crashed", "lost"]
+Verdict = Literal["landed", "slid", "holds", "flies on", "stands armed", "crashed", "lost"]
 Say = Callable[[str, int, int], None]
 
 HEIGHTS_M = (3.0, 10.0, 30.0)
 WINDS_M_S = (0.0, 5.0, 10.0)
 # Chosen by us.
+SPEED_M_S = (
+    5.0  # of the moving starts: faster than any vehicle's cruise, slower than any drag that the lean cannot hold
+)
+MOVING_FROM_M = 10.0  # they begin no lower
+MOVING_S = 10.0  # on the way before anything fails: twice what reaching the speed and learning the drag there take
+FAR_M = 1000.0  # where a moving start is on its way to
 SETTLED_S = 5.0  # holding before anything fails, at least
 SLOW_M_S, SLOW_S = 0.3, 1.0  # and slower than this for so long, so that it does hold where the wind took it at first
 LONGEST_SETTLING_S = 60.0  # it fails then, whatever the speed
@@ -65,6 +73,18 @@ class Case:
     before: tuple[Request, ...]
     calls: tuple[Request, ...]
     holds: bool = False  # it ends in HOLD, not on the ground
+    moving: bool = False  # flown without a position from then on, so it also begins moving
+
+
+class Start(NamedTuple):
+    """Where a flight is when something fails: m, m/s from abeam, m/s ahead (0: it holds)."""
+
+    height: float
+    wind: float
+    speed: float = 0.0
+
+    def __str__(self) -> str:
+        return f"{self.height:g} m, {self.wind:g} m/s" + (f", moving at {self.speed:g} m/s" if self.speed else "")
 
 
 @dataclass(frozen=True)
@@ -74,8 +94,10 @@ class Row:
     failsafe: str
     height_m: float
     wind_m_s: float
+    speed_m_s: float  # ahead, as it failed; 0: it held
     verdict: Verdict
     touchdown_m_s: float  # the fastest sinking in the step before a leg touched; NaN: none did
+    sideways_m_s: float  # the fastest over the ground in such a step; NaN: none touched
     thrust_n: float  # of all engines together, ten seconds after disarming; NaN: it was not disarmed
     after_s: float  # from the failure to the first touch; NaN: none
     drift_m: float  # from where it was when it failed to where it ended
@@ -84,6 +106,10 @@ class Row:
     off_m: float
     height_off_m: float
     log_sha256: str  # of every sample of the flight (cosim.results.digest): what flies it again must have the same
+
+    @property
+    def start(self) -> Start:
+        return Start(self.height_m, self.wind_m_s, self.speed_m_s)
 
 
 @dataclass(frozen=True)
@@ -103,6 +129,7 @@ class Failsafes:
     engine: str
     controller: str
     limit_m_s: float  # a leg that touches faster counts as a crash
+    trip_m_s: float  # of a leg that touches faster sideways it is said
     flights: list[Flown]
 
     @property
@@ -120,6 +147,7 @@ class Failsafes:
             "engine": self.engine,
             "controller": self.controller,
             "limit_m_s": self.limit_m_s,
+            "trip_m_s": self.trip_m_s,
             "rows": rows,
         }
 
@@ -134,9 +162,9 @@ def cases(vehicle: Vehicle) -> list[Case]:
         ("gyro biased", InjectFault("sensor_bias", sensor="gyro", vector=(GYRO_BIAS, 0.0, 0.0))),
         ("gyro lost", InjectFault("sensor_dropout", sensor="gyro")),
     )
-    found = [Case("GNSS lost", allowed, (gnss,))]
+    found = [Case("GNSS lost", allowed, (gnss,), moving=True)]
     found += [Case(name, allowed, (fault,)) for name, fault in others]
-    found += [Case(f"GNSS and {name}", allowed, (gnss, fault)) for name, fault in others]
+    found += [Case(f"GNSS and {name}", allowed, (gnss, fault), moving=True) for name, fault in others]
     found += [
         Case(f"engine {jet} out", allowed, (InjectFault("flame_out", (jet,)),))
         for jet in range(1, len(vehicle.jets) + 1)
@@ -150,6 +178,38 @@ def cases(vehicle: Vehicle) -> list[Case]:
         Case("sticks lost", (), (centred, SetMode("POSCTL")), True),
         Case("set-points lost", (), (OffboardVelocity(0.0, 0.0, 0.0), SetMode("OFFBOARD")), True),
     ]
+
+
+def trip_speed(vehicle: Vehicle) -> float:
+    """The speed over the ground [m/s] from which a vehicle that touches level, and whose legs catch, tips over them.
+
+    About the line between two legs, ``d`` from under the centre of gravity and ``h`` below it, the moment of momentum
+    ``m v h`` stays, and the turning that it becomes has to lift the weight over the legs:
+
+        ``(m v h)^2 / (2 I) = m g (sqrt(h^2 + d^2) - h)``,  ``I = I_c + m (h^2 + d^2)``
+
+    It is what the evaluation of road vehicles calls critical sliding velocity; the least of all pairs of neighbours.
+    Legs that slide, with the friction that the ground has, tip over later or never.
+    """
+    legs = [each.position_m for each in vehicle.contacts if each.kind == "leg"]
+    legs.sort(key=lambda place: atan2(place[1], place[0]))
+    jx, jy, _ = vehicle.inertia_kg_m2
+    found = inf
+    for (ax, ay, az), (bx, by, bz) in zip(legs, [*legs[1:], *legs[:1]], strict=True):
+        length, h = hypot(bx - ax, by - ay), 0.5 * (az + bz)
+        d = abs(ax * by - ay * bx) / length
+        inertia = (jx * (bx - ax) ** 2 + jy * (by - ay) ** 2) / length**2 + vehicle.mass_kg * (h * h + d * d)
+        lift = sqrt(h * h + d * d) - h
+        found = min(found, sqrt(2.0 * GRAVITY * lift * inertia / vehicle.mass_kg) / h)
+    return found
+
+
+def starts(case: Case, heights: Sequence[float], winds: Sequence[float], speed: float) -> list[Start]:
+    """Holding at every height in every wind; and moving at ``speed`` (0: not), from 10 m on, in the least wind."""
+    found = [Start(height, wind) for height in heights for wind in winds]
+    if case.moving and speed:
+        found += [Start(height, min(winds), speed) for height in heights if height >= MOVING_FROM_M]
+    return found
 
 
 def pilotable() -> list[str]:
@@ -169,7 +229,7 @@ class _Plan:
     aircraft: str
     engine: str
     controller: str
-    flights: list[tuple[Case, float, float, Scenario]]
+    flights: list[tuple[Case, Start, Scenario]]
 
 
 def failsafes(
@@ -181,8 +241,9 @@ def failsafes(
     winds: Sequence[float] = WINDS_M_S,
     workers: int = 2,
     say: Say = lambda what, done, of: None,
+    speed: float = SPEED_M_S,
 ) -> Iterator[Failsafes]:
-    """Fly every failsafe from every height in every wind, one vehicle after the other.
+    """Fly every failsafe from every one of :func:`starts`, one vehicle after the other.
 
     ``kinds`` are the beginnings of those to be flown.  ``engine`` None is the one that the aircraft is made for,
     ``controller`` None smith, or baseline where there is no model.  ``say`` is told what was flown, how many are, of
@@ -190,16 +251,19 @@ def failsafes(
     Raises InputError for an unknown kind, aircraft, engine or controller, and for a vehicle without an autopilot; all
     of that is found before the first flight.
     """
-    plans = [_plan(each, engine, controller, kinds, heights, winds) for each in aircraft]
+    if not 0.0 <= speed <= 20.0:
+        raise InputError(f"speed {speed:g} m/s: must be from 0 to 20 m/s")
+    plans = [_plan(each, engine, controller, kinds, heights, winds, speed) for each in aircraft]
     done, of = 0, sum(len(plan.flights) for plan in plans)
     for plan in plans:
         flown: list[Flown] = []
         for one in in_order(fly_case, plan.flights, workers):
             flown.append(one)
             done += 1
-            say(f"{plan.aircraft}: {one.row.failsafe}, {one.row.height_m:g} m, {one.row.wind_m_s:g} m/s", done, of)
-        limit = load_vehicle(plan.aircraft)[0].limits.touchdown_m_s
-        yield Failsafes(plan.aircraft, plan.engine, plan.controller, limit, flown)
+            say(f"{plan.aircraft}: {one.row.failsafe}, {one.row.start}", done, of)
+        vehicle, _ = load_vehicle(plan.aircraft)
+        limit = vehicle.limits.touchdown_m_s
+        yield Failsafes(plan.aircraft, plan.engine, plan.controller, limit, trip_speed(vehicle), flown)
 
 
 def _plan(
@@ -209,6 +273,7 @@ def _plan(
     kinds: Sequence[str],
     heights: Sequence[float],
     winds: Sequence[float],
+    speed: float,
 ) -> _Plan:
     from cosim.simulation.build import build
     from cosim.simulation.with_autopilot import with_autopilot
@@ -230,12 +295,11 @@ def _plan(
         modelled = SMITH.name in controllers_for(aircraft, engine, step)
         controller = SMITH.name if modelled else BASELINE.name
     flights = [
-        (case, height, wind, scenario_of(aircraft, engine, controller, step, height, wind))
+        (case, start, scenario_of(aircraft, engine, controller, step, start.height, start.wind))
         for case in chosen
-        for height in heights
-        for wind in winds
+        for start in starts(case, heights, winds, speed)
     ]
-    with build(flights[0][3]) as simulation:
+    with build(flights[0][2]) as simulation:
         # wrong input is found here, before anything is spent on it
         with_autopilot(simulation, airborne=True)
     return _Plan(aircraft, engine, controller, flights)
@@ -250,7 +314,7 @@ def scenario_of(aircraft: str, engine: str, controller: str, step: float, height
             "engine": engine,
             "controller": controller,
             "step_s": step,
-            "duration_s": LONGEST_SETTLING_S + LONGEST_S,
+            "duration_s": LONGEST_SETTLING_S + MOVING_S + LONGEST_S,
             "monitor": load_vehicle(aircraft)[0].control.monitor is not None,
             "initial": {"altitude_m": height},
             "environment": {"wind_ned_m_s": [0.0, wind, 0.0]},
@@ -260,24 +324,35 @@ def scenario_of(aircraft: str, engine: str, controller: str, step: float, height
     )
 
 
-def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
+def fly_case(task: tuple[Case, Start, Scenario]) -> Flown:
     """One flight, in this process."""
+    from cosim.results.columns import log_columns
     from cosim.results.digest import DigestSink
     from cosim.results.recorder import Recorder
     from cosim.simulation.build import build
     from cosim.simulation.with_autopilot import with_autopilot
 
-    case, height, wind, scenario = task
+    case, start, scenario = task
     with build(scenario) as simulation:
         pilot = with_autopilot(simulation, airborne=True)
         dt = simulation.dt
         sink = DigestSink(())
-        recorder = Recorder(dt, sink)
+        recorder = Recorder(dt, sink, log_columns(len(simulation.vehicle.jets), simulation.columns))
         _ask(pilot, case.name, case.before, 0)
+        entries = [Entry(0, "table", request, "") for request in case.before]
         begin = _settle(simulation, recorder)
-        place = Held(pilot, simulation)
+        if start.speed:
+            # whatever it was on its way to; further than it comes, so that it does not brake
+            away = Goto(FAR_M, speed=start.speed)
+            _ask(pilot, case.name, (away,), begin)
+            entries.append(Entry(begin, "table", away, ""))
+            begin += round(MOVING_S / dt)
+            while simulation.k < begin:
+                recorder.observe(simulation.step())
+        place = Held(pilot, simulation, start.speed)
         _ask(pilot, case.name, case.calls, begin)
-        touchdown = after = thrust = nan
+        entries += [Entry(begin, "table", request, "") for request in case.calls]
+        touchdown = sideways = after = thrust = nan
         there = simulation.state.position
         disarmed: int | None = None
         acted = ""
@@ -291,7 +366,9 @@ def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
             state = simulation.state
             acted = acted or pilot.failsafe
             if state.on_ground and not before.on_ground:
-                touchdown = max(before.velocity[2], 0.0 if isnan(touchdown) else touchdown)
+                north, east, down = before.velocity
+                touchdown = max(down, 0.0 if isnan(touchdown) else touchdown)
+                sideways = max(hypot(north, east), 0.0 if isnan(sideways) else sideways)
                 after = (simulation.k - begin) * dt if isnan(after) else after
             before = state
             ending = simulation.judge.look(state, simulation.k * dt)
@@ -313,17 +390,18 @@ def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
         if ending is not None:
             verdict = "crashed" if ending.outcome == "crashed" else "lost"
         elif disarmed is not None:
-            verdict = "landed" if simulation.state.on_ground else "crashed"
+            fast = sideways > trip_speed(simulation.vehicle)
+            verdict = "crashed" if not simulation.state.on_ground else "slid" if fast else "landed"
         elif pilot.landed is LandedState.ON_GROUND or simulation.state.on_ground:
             verdict = "stands armed"
         else:
             verdict = "holds" if case.holds and place.held() else "flies on"
         row = Row(
             case.name,
-            height,
-            wind,
+            *start,
             verdict,
             touchdown,
+            sideways,
             thrust,
             after,
             hypot(x - there[0], y - there[1]),
@@ -331,12 +409,8 @@ def fly_case(task: tuple[Case, float, float, Scenario]) -> Flown:
             *(place.off() if case.holds else (nan, nan)),
             sink.hexdigest(),
         )
-        entries = (
-            *(Entry(0, "table", request, "") for request in case.before),
-            *(Entry(begin, "table", request, "") for request in case.calls),
-        )
         # times are rounded to steps, so what a product of floats is off does not matter; the file shall be readable
-        return Flown(row, simulation.scenario.replace(fault=[], duration_s=round(simulation.k * dt, 9)), entries)
+        return Flown(row, simulation.scenario.replace(fault=[], duration_s=round(simulation.k * dt, 9)), tuple(entries))
 
 
 def _ask(pilot: Autopilot, name: str, requests: Sequence[Request], k: int) -> None:
@@ -352,10 +426,10 @@ class Held:
     A set-point at speed v stops within v^2/2a + v a/2j, with the acceleration a and the jerk j that it is allowed.
     """
 
-    def __init__(self, pilot: Autopilot, simulation: Simulation) -> None:
+    def __init__(self, pilot: Autopilot, simulation: Simulation, speed: float = 0.0) -> None:
         status, (north, east, _), velocity = pilot.status, simulation.state.position, simulation.state.velocity
         a, j = pilot.parameters["HJ_ACC_HOR"], pilot.parameters["HJ_JERK_HOR"]
-        speed = 0.0 if status.mode is Mode.HOLD else hypot(*velocity[:2])
+        speed = max(speed, 0.0 if status.mode is Mode.HOLD else hypot(*velocity[:2]))
         self._pilot, self._simulation = pilot, simulation
         self._place = status.track or (north, east)
         self._height = status.altitude
@@ -427,25 +501,29 @@ def write(found: Failsafes, folder: Path) -> Path:
 
 def file_name(row: Row) -> str:
     """Of the flight's files, without what they end in."""
-    return f"{row.failsafe.lower().replace(' ', '-')}-{row.height_m:g}m-{row.wind_m_s:g}m_s"
+    return f"{row.failsafe.lower().replace(' ', '-')}-{row.height_m:g}m-{row.wind_m_s:g}m_s" + (
+        f"-at-{row.speed_m_s:g}m_s" if row.speed_m_s else ""
+    )
 
 
 @dataclass(frozen=True)
 class Summed:
-    """One failsafe in one wind, all heights together."""
+    """One failsafe in one wind and at one speed, all heights together."""
 
     failsafe: str
     wind_m_s: float
+    speed_m_s: float
     ends: str  # what became of the flights, the same words once
     touchdown_m_s: float  # the fastest; NaN: none touched
+    sideways_m_s: float
     thrust_n: float  # the most; NaN: none was disarmed
 
 
 def summary(found: Failsafes) -> list[Summed]:
-    """For each failsafe and wind what became of it at all heights."""
+    """For each failsafe, wind and speed what became of it at all heights."""
     table = []
-    for name, wind in dict.fromkeys((row.failsafe, row.wind_m_s) for row in found.rows):
-        rows = [row for row in found.rows if (row.failsafe, row.wind_m_s) == (name, wind)]
+    for name, wind, speed in dict.fromkeys((row.failsafe, row.wind_m_s, row.speed_m_s) for row in found.rows):
+        rows = [row for row in found.rows if (row.failsafe, row.wind_m_s, row.speed_m_s) == (name, wind, speed)]
         verdicts = [row.verdict for row in rows]
         known = dict.fromkeys(verdicts)
         if len(known) == 1:
@@ -455,9 +533,15 @@ def summary(found: Failsafes) -> list[Summed]:
                 f"{verdict} from {', '.join(f'{row.height_m:g}' for row in rows if row.verdict == verdict)} m"
                 for verdict in known
             )
-        speeds = [row.touchdown_m_s for row in rows if not isnan(row.touchdown_m_s)]
-        thrusts = [row.thrust_n for row in rows if not isnan(row.thrust_n)]
-        table.append(Summed(name, wind, ends, max(speeds, default=nan), max(thrusts, default=nan)))
+        down, sideways, thrust = (
+            max((value for value in values if not isnan(value)), default=nan)
+            for values in (
+                [row.touchdown_m_s for row in rows],
+                [row.sideways_m_s for row in rows],
+                [row.thrust_n for row in rows],
+            )
+        )
+        table.append(Summed(name, wind, speed, ends, down, sideways, thrust))
     return table
 
 
@@ -467,17 +551,17 @@ def mark(aircraft: str) -> str:
 
 
 def markdown(found: Failsafes) -> str:
-    """The part of a page: the table by failsafe and wind, every flight of it in the columns of the heights."""
-    heights = list(dict.fromkeys(row.height_m for row in found.rows))
-    winds = list(dict.fromkeys(row.wind_m_s for row in found.rows))
-    cells = {(row.failsafe, row.height_m, row.wind_m_s): row for row in found.rows}
-    columns = ["failsafe", *(f"{height:g} m, {wind:g} m/s" for height in heights for wind in winds)]
-    rows = []
-    for name in dict.fromkeys(row.failsafe for row in found.rows):
-        rows.append([name, *(cell(cells[name, height, wind]) for height in heights for wind in winds)])
+    """The part of a page: the table by failsafe and wind, every flight of it in the columns of the starts."""
+    columns = sorted(dict.fromkeys(row.start for row in found.rows), key=lambda start: start.speed > 0.0)
+    cells = {(row.failsafe, row.start): row for row in found.rows}
+    rows = [
+        [name, *(cell(cells[name, start]) if (name, start) in cells else "-" for start in columns)]
+        for name in dict.fromkeys(row.failsafe for row in found.rows)
+    ]
     return (
         f"Engine `{found.engine}`, controller `{found.controller}`; a leg that touches faster than "
-        f"{found.limit_m_s:.2f} m/s counts as a crash.\n\n" + marks.table(columns, rows)
+        f"{found.limit_m_s:.2f} m/s counts as a crash, and what touches faster than {found.trip_m_s:.2f} m/s sideways "
+        "has slid.\n\n" + marks.table(["failsafe", *map(str, columns)], rows)
     )
 
 
@@ -488,6 +572,10 @@ def cell(row: Row) -> str:
         parts.append(f"{row.off_m:.2f} m off")
     if not isnan(row.touchdown_m_s):
         parts.append(f"{row.touchdown_m_s:.2f} m/s")
+        if row.failsafe.startswith("GNSS"):
+            # what it does without a position; elsewhere the position is held, and failsafes.csv has it
+            parts.append(f"sideways {row.sideways_m_s:.2f} m/s")
+            parts.append(f"{row.drift_m:.1f} m away")
     if not isnan(row.thrust_n):
         parts.append(f"{row.thrust_n:.1f} N")
     return ", ".join(parts)

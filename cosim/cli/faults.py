@@ -151,6 +151,14 @@ def _engine_out(
 @click.option("kinds", "--failsafe", metavar="NAME", multiple=True, help="Only those that begin so.  [default: all]")
 @click.option("heights", "--height", type=float, metavar="M", multiple=True, help="[default: 3, 10 and 30 m]")
 @click.option("winds", "--wind", type=float, metavar="M/S", multiple=True, help="[default: 0, 5 and 10 m/s]")
+@click.option(
+    "--moving",
+    type=float,
+    metavar="M/S",
+    default=5.0,
+    show_default=True,
+    help="What loses the position also begins at this speed, from 10 m on, in the least wind; 0: not.",
+)
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
 @click.option("--page", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write the table there.")
@@ -162,6 +170,7 @@ def failsafes(
     kinds: tuple[str, ...],
     heights: tuple[float, ...],
     winds: tuple[float, ...],
+    moving: float,
     workers: int,
     out: Path | None,
     page: Path | None,
@@ -169,7 +178,8 @@ def failsafes(
 ) -> int:
     """Let everything fail that the autopilot has an answer to, and tell how each flight ended.
 
-    Flown from every height in every wind, with the touch-down speed and the thrust ten seconds after disarming.  Leaves
+    Flown from every height in every wind, and moving, with the speeds of touch-down and the thrust ten seconds after
+    disarming.  Leaves
     failsafes.csv in DIR, and in DIR/flights every flight as a scenario with its requests: hexjet fly flies it again.
     With several aircraft each has a folder of its name in DIR.
     """
@@ -196,7 +206,8 @@ def failsafes(
     found: list[Failsafes] = []
     folder = out
     with part_progress("failsafes", quiet=as_json) as say:
-        for one in fly_all(aircraft, engine, controller, kinds, heights or HEIGHTS_M, winds or WINDS_M_S, workers, say):
+        asked = (kinds, heights or HEIGHTS_M, winds or WINDS_M_S)
+        for one in fly_all(aircraft, engine, controller, *asked, workers, say, moving):
             if folder is None:
                 folder = new_folder(Path("runs"), "failsafes" if several else f"failsafes-{one.aircraft}")
             table = write(one, folder / one.aircraft if several else folder)
@@ -294,18 +305,27 @@ def print_failsafes(found: Failsafes, table: Path) -> None:
 
     console = terminal()
     shown = Table(box=box.SIMPLE_HEAD)
-    for title in ("failsafe", "wind, m/s", "ended", "touch-down, m/s", "thrust 10 s later, N"):
+    for title in (
+        "failsafe",
+        "wind, m/s",
+        "moving, m/s",
+        "ended",
+        "down, m/s",
+        "sideways, m/s",
+        "thrust 10 s later, N",
+    ):
         shown.add_column(title, justify="left" if title in ("failsafe", "ended") else "right")
     for row in summary(found):
         numbers = [
             "-" if value != value else f"{value:{form}}"
-            for value, form in ((row.touchdown_m_s, ".2f"), (row.thrust_n, ".1f"))
+            for value, form in ((row.touchdown_m_s, ".2f"), (row.sideways_m_s, ".2f"), (row.thrust_n, ".1f"))
         ]
-        shown.add_row(row.failsafe, f"{row.wind_m_s:g}", row.ends, *numbers)
+        shown.add_row(row.failsafe, f"{row.wind_m_s:g}", f"{row.speed_m_s:g}", row.ends, *numbers)
     console.print(shown)
     console.print(
         f"{found.aircraft}, {found.engine}, {found.controller}: the fastest touch-down and the most thrust of all "
-        f"heights; a leg that touches faster than {found.limit_m_s:.2f} m/s counts as a crash",
+        f"heights; a leg that touches faster than {found.limit_m_s:.2f} m/s counts as a crash; faster than "
+        f"{found.trip_m_s:.2f} m/s sideways it has slid",
         highlight=False,
         soft_wrap=True,
     )
