@@ -242,6 +242,7 @@ def test_a_mission_circles_changes_its_height_and_stays() -> None:
     items = (
         rq.MissionItem(kinds.TAKEOFF, altitude=3.0),
         rq.MissionItem(kinds.CIRCLE, 4.0, 0.0, 3.0, radius=4.0, clockwise=False, turns=1.0),
+        rq.MissionItem(kinds.DELAY, hold_s=4.0),
         rq.MissionItem(kinds.ALTITUDE, altitude=5.0),
         rq.MissionItem(kinds.ALTITUDE, 3.0, 3.0, 4.0),
         rq.MissionItem(kinds.STAY, 0.0, 3.0, 4.0),
@@ -263,20 +264,22 @@ def test_a_mission_circles_changes_its_height_and_stays() -> None:
         # it begins on the circle; the turn counts from where it is within a metre of it
         assert bearings[-1] - bearings[0] == pytest.approx(-2.0 * pi, abs=0.8)
         assert np.median([hypot(s.position[0] - 4.0, s.position[1]) for s in round_it]) == pytest.approx(4.0, abs=0.3)
-        climb = fly_to(3)
+        fly_to(3)
+        assert flight.away(4.0, 0.0) > 3.0  # it stops on the circle, and does not go to its centre
+        climb = fly_to(4)
         assert climb[-1].altitude == pytest.approx(5.0, abs=0.5)
         assert flight.away(*climb[0].position[:2]) < 2.0  # it stops first, from what the circle allows
-        down = fly_to(4)
+        down = fly_to(5)
         # first there, at the height that it had, then down
         far = [s for s in down if hypot(s.position[0] - 3.0, s.position[1] - 3.0) > 2.0]
         assert far
         assert min(state.altitude for state in far) > 4.5
         assert down[-1].altitude == pytest.approx(4.0, abs=0.5)
         flight.fly(15.0)
-        assert pilot.mission.current == 4
+        assert pilot.mission.current == 5
         assert pilot.mode is Mode.MISSION
         assert flight.away(0.0, 3.0) < 0.5
-        flight.ok(rq.MissionSetCurrent(5))
+        flight.ok(rq.MissionSetCurrent(6))
         flight.fly(40.0, lambda: pilot.landed is LandedState.ON_GROUND)
         assert simulation.state.altitude < 0.5
 

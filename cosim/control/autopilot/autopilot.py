@@ -1079,6 +1079,7 @@ class Autopilot:
         elif item.kind is ItemKind.CIRCLE:
             command = self._fly_round()
             if self._turned_enough():
+                self._new_place(None, self._height, None)  # what names no place is flown from here, not at the centre
                 self.mission.advance()
                 self._begin_item(k)
             return command
