@@ -19,10 +19,10 @@ PerJet = tuple[float, ...]  # jets 1 to 6
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 UNKNOWN3: Vector3 = (nan, nan, nan)
 JETS = 6  # at most; the log has as many columns
-ALL_WELL: PerJet = (1.0,) * JETS  # of engines that nobody watches, or that do as they are told
+ALL_WELL: Final[PerJet] = (1.0,) * JETS  # of engines that nobody watches, or that do as they are told
 NO_JETS: Final[frozenset[int]] = frozenset()
 # jets 1 to 6; left and right servo; gyro, attitude, GNSS, barometer
-NO_FAULTS: tuple[float, ...] = (0.0,) * (JETS + 2 + 4)
+NO_FAULTS: Final[tuple[float, ...]] = (0.0,) * (JETS + 2 + 4)
 AXES = ("roll", "pitch", "yaw")
 
 

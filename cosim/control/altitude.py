@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 from cosim.base.signals import Command, Measured, Unallocated
 from cosim.control.bumpless import Fade
 from cosim.control.lead import Lead
 from cosim.spec.vehicle import AltitudeGains, EngineLead
 
-GRAVITY = 9.80665  # m/s^2, standard
-_LEAST_UPRIGHT = 0.5  # thrust is not raised further for a lean beyond 60 degrees
+GRAVITY: Final = 9.80665  # m/s^2, standard
+_LEAST_UPRIGHT: Final = 0.5  # thrust is not raised further for a lean beyond 60 degrees
 
 
 class AltitudeController:

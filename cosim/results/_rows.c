@@ -112,9 +112,7 @@ static bool load(Program *p, Py_ssize_t width, PyObject *nodes, PyObject *reads)
 
 static bool as_double(PyObject *item, double *value)
 {
-    if (PyFloat_CheckExact(item))
-        *value = PyFloat_AS_DOUBLE(item);
-    else if (PyBool_Check(item))
+    if (PyBool_Check(item))
         *value = item == Py_True;
     else {
         *value = PyFloat_AsDouble(item);
@@ -150,16 +148,20 @@ static bool read_sample(const Program *p, PyObject *sample, double *row)
     if (!open_nodes(p, sample, opened))
         return false;
     memcpy(row, p->blank, (size_t)p->width * sizeof(double));
-    for (const Read *r = p->read; r < p->read + p->reads; r++) {
-        PyObject *const tuple = opened[r->node];
-        if (!tuple || (r->unless >= 0 && PyTuple_GET_ITEM(opened[r->unless], r->other) != Py_None))
+    const Read *const end = p->read + p->reads;
+    for (const Read *each = p->read; each < end; each++) {
+        const Read r = *each; /* a copy: what is written below could be what it points to, for all the compiler knows */
+        PyObject *const tuple = opened[r.node];
+        if (!tuple || (r.unless >= 0 && PyTuple_GET_ITEM(opened[r.unless], r.other) != Py_None))
             continue;
-        double *to = row + r->column;
-        for (Py_ssize_t i = r->first; i < r->first + r->count; i++, to++) {
+        PyObject *const *item = ((PyTupleObject *)tuple)->ob_item + r.first, *const *const behind = item + r.count;
+        for (double *to = row + r.column; item < behind; item++, to++) {
             double value;
-            if (!as_double(PyTuple_GET_ITEM(tuple, i), &value))
+            if (PyFloat_CheckExact(*item))
+                value = PyFloat_AS_DOUBLE(*item);
+            else if (!as_double(*item, &value))
                 return false;
-            *to = r->add ? *to + value : value;
+            *to = r.add ? *to + value : value;
         }
     }
     return true;

@@ -181,7 +181,7 @@ def _cascade(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, stations:
         AltitudeController(
             gains.altitude,
             vehicle.mass_kg,
-            lambda total: thrust_map.share(total / jets),
+            thrust_map.collective,
             step,
             _lead(vehicle, "altitude", step),
         ),

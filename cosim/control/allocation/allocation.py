@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf
+from typing import Final
 
 from cosim.base.errors import InputError
 from cosim.base.signals import (
@@ -27,8 +28,8 @@ from cosim.base.signals import (
 from cosim.control.allocation.reallocation import Plan, plan
 from cosim.spec.vehicle import AllocationLimits, Jet
 
-_LEAST_SHARE = 0.25  # of hover thrust, below which tilts are not enlarged further
-_FLAT = 1e-9  # of throttle per collective: does not follow it
+_LEAST_SHARE: Final = 0.25  # of hover thrust, below which tilts are not enlarged further
+_FLAT: Final = 1e-9  # of throttle per collective: does not follow it
 
 
 class TiltAllocator:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -63,6 +62,10 @@ class ThrustMap:
         """The share that asks a station for ``thrust`` [N]."""
         return self._share(thrust)
 
+    def collective(self, total: float) -> float:
+        """The share that asks every station for its part of ``total`` [N]."""
+        return self._share(total / len(self._stations))
+
     def throttle(self, shares: PerJet) -> PerJet:
         """One throttle per station."""
         if self.identity:
@@ -95,10 +98,24 @@ def inverted(curve: StaticCurve) -> Callable[[float], float]:
             )
 
     slopes = [(v - u) / (b - a) for (u, v), (a, b) in zip(pairwise(throttles), pairwise(thrusts), strict=True)]
-    inner = thrusts[1:-1]
 
-    def throttle(thrust: float) -> float:
-        i = bisect_left(inner, thrust)
-        return throttles[i] + slopes[i] * (thrust - thrusts[i])
+    return _Inverse(throttles, thrusts, slopes)
 
-    return throttle
+
+class _Inverse:
+    """Straight lines between the points of a curve: throttle by thrust [N]."""
+
+    def __init__(self, throttles: Sequence[float], thrusts: Sequence[float], slopes: Sequence[float]) -> None:
+        self._throttles, self._thrusts, self._slopes = list(throttles), list(thrusts), list(slopes)
+
+    def __call__(self, thrust: float) -> float:
+        thrusts = self._thrusts
+        # bisect_left of the points between the ends; called once a step
+        i, end = 0, len(thrusts) - 2
+        while i < end:
+            middle = (i + end) >> 1
+            if thrusts[middle + 1] < thrust:
+                i = middle + 1
+            else:
+                end = middle
+        return self._throttles[i] + self._slopes[i] * (thrust - thrusts[i])
