@@ -13,9 +13,9 @@ import fmpy
 import numpy as np
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from cosim.base.arrays import Array
 from cosim.base.paths import data_folder
 from cosim.engine import build
 
@@ -28,8 +28,6 @@ PAPER = {
     "edf-as-flown": (0.2554, 0.8748, 25),
 }
 BOTH = [(name, fmi) for name in PAPER for fmi in (2, 3)]
-
-Array = NDArray[np.float64]
 
 
 def bang_bang(seed: int, steps: int = 40_000) -> Array:

@@ -14,11 +14,10 @@ from typing import Any
 
 import control
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import fractional_matrix_power
 from scipy.signal import tf2ss
 
-Array = NDArray[np.float64]
+from cosim.base.arrays import Array
 
 
 @dataclass(frozen=True)

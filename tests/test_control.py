@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from cosim.base import frames
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.protocols import Predictor
 from cosim.base.signals import Command, Measured, Unallocated
 from cosim.control.allocation.allocation import TiltAllocator
-from cosim.control.altitude import GRAVITY, AltitudeController
+from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.predictors.smith import (
     DelayLine,

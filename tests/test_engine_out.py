@@ -15,6 +15,7 @@ from command_tools import Hexjet
 from test_failsafes import Flight as Hover
 from test_pages import stated
 
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
 from cosim.base.signals import Disturbance
@@ -39,7 +40,6 @@ from cosim.campaign.engine_out import (
     unfit,
     write_pages,
 )
-from cosim.control.altitude import GRAVITY
 from cosim.control.autopilot import requests as rq
 from cosim.design.controller_file import read_controller
 from cosim.engine import EngineBank, engine_names, load_engine

@@ -12,10 +12,10 @@ import pytest
 from command_tools import Hexjet
 from test_pages import stated
 
+from cosim.base.constants import GRAVITY
 from cosim.base.protocols import EngineState
 from cosim.campaign import failsafe_survey as table
 from cosim.campaign.fault_survey import step_of
-from cosim.control.altitude import GRAVITY
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.flight import fly

@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import jet_axis
 from cosim.base.paths import data_folder
@@ -21,7 +22,6 @@ from cosim.base.signals import ZERO3, Disturbance, State
 from cosim.base.toml import read_toml
 from cosim.cli.main import cli
 from cosim.cli.options import load_scenario
-from cosim.control.altitude import GRAVITY
 from cosim.design.controller_file import read_controller
 from cosim.engine import load_engine
 from cosim.flight import check_expected, expectation, fly

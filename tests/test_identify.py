@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from engine_tools import BOTH, FAULT_THROTTLE, FAULTS, NEWTON_PER_KGF, PAPER, build_faulty
-from numpy.typing import NDArray
 from scipy import signal
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.control.predictors.smith import DelayedModel
 from cosim.design.identify import (
@@ -33,7 +33,6 @@ from cosim.simulation.commander import sweep
 from cosim.spec.vehicle import RateModel, read_models
 
 STEP = 0.004
-Array = NDArray[np.float64]
 
 # The paper's roll response as the zero-order-hold model it equals: 433.1 / ((s + 0.025) (0.03895 s + 1)), 25 samples
 # and another 0.41 ms.

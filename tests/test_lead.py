@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
 from cosim import Scenario, fly
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import Command, Measured, Unallocated
-from cosim.control.altitude import GRAVITY, AltitudeController
+from cosim.control.altitude import AltitudeController
 from cosim.control.lead import Lead, lead_polynomials
 from cosim.control.predictors.smith import NoPredictor
 from cosim.control.rate import RateAxis

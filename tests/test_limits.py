@@ -12,8 +12,8 @@ import pytest
 from command_tools import Hexjet
 from flights import STEP, setup
 
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.control.altitude import GRAVITY
 from cosim.flight import fly
 from cosim.results.limits import (
     DRIFT_SPANS,

@@ -10,10 +10,10 @@ import pytest
 from flights import STEP, samples, setup
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.signal import lti
 
+from cosim.base.arrays import Array
 from cosim.results.columns import NAMES
 from cosim.results.metrics import (
     PLACE,
@@ -44,7 +44,6 @@ from cosim.results.recorder import MemorySink, Recorder
 from cosim.results.run import summarize
 from cosim.spec.scenario import Range
 
-Array = NDArray[np.float64]
 OMEGA = 8.0
 
 

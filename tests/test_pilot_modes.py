@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_pilot_requests import ANY, REST
 
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import from_euler
 from cosim.base.protocols import EngineState, Report
 from cosim.base.signals import Command, Measured
-from cosim.control.altitude import GRAVITY, AltitudeController
+from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.autopilot import Autopilot

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
+from cosim.base.constants import GRAVITY
 from cosim.base.frames import IDENTITY, from_euler, rotate
 from cosim.base.signals import Measured
-from cosim.control.altitude import GRAVITY
 from cosim.control.autopilot.navigation import (
     Estimator,
     Fix,

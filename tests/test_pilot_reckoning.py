@@ -7,9 +7,9 @@ from math import cos, sin
 import numpy as np
 import pytest
 
+from cosim.base.constants import GRAVITY
 from cosim.base.frames import conjugate, from_euler, rotate
 from cosim.base.signals import ZERO3, Measured
-from cosim.control.altitude import GRAVITY
 from cosim.control.autopilot.navigation import Estimator
 from cosim.control.autopilot.reckoning import Reckoning
 from cosim.spec.vehicle import load_vehicle

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
+from cosim.base.constants import GRAVITY
 from cosim.base.frames import conjugate, from_euler, multiply
 from cosim.base.signals import Measured, Quaternion, Vector3
-from cosim.control.altitude import GRAVITY
 from cosim.control.autopilot.inertial import InertialEstimator
 from cosim.control.autopilot.senses import Senses
 from cosim.control.autopilot.vertical import VerticalEstimator

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, lsim
 
+from cosim.base.arrays import Array
 from cosim.control.predictors.smith import (
     DelayedModel,
     FilteredSmithPredictor,
@@ -27,7 +27,6 @@ from cosim.control.predictors.state import (
 from cosim.paper.numbers import quadrotor_model, roll_model
 from cosim.spec.vehicle import RateModel
 
-Array = NDArray[np.float64]
 STEP = 0.004
 
 

@@ -13,6 +13,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import cosim.simulation.build
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import jet_axis
 from cosim.base.signals import (
@@ -24,7 +25,6 @@ from cosim.base.signals import (
     Sample,
     Vector3,
 )
-from cosim.control.altitude import GRAVITY
 from cosim.engine import EngineBank
 from cosim.flight import fly
 from cosim.simulation.build import build

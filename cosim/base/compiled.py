@@ -40,6 +40,7 @@ MODULES = (
     "engine/wrappers.py",
     "simulation/fault_schedule.py",
     "base/frames.py",
+    "base/limits.py",
     "vehicle/tank.py",
     "vehicle/ground_effect.py",
     "control/autopilot/inertial.py",

@@ -14,6 +14,7 @@ from math import cos, degrees, exp, hypot, inf, isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.files import write_records
 from cosim.campaign.fault_survey import (
@@ -24,7 +25,6 @@ from cosim.campaign.fault_survey import (
     verdict_of,
 )
 from cosim.campaign.workers.tasks import in_order
-from cosim.control.altitude import GRAVITY
 from cosim.design.controller_file import ControllerFile, read_controller
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.spec.scenario import Scenario

@@ -15,10 +15,10 @@ from math import atan2, hypot, inf, isnan, nan, radians, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.campaign.fault_survey import controllers_for, step_of
 from cosim.campaign.workers.tasks import in_order
-from cosim.control.altitude import GRAVITY
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import (
     Goto,

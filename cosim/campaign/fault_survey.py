@@ -13,12 +13,12 @@ from math import degrees, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.files import write_records
 from cosim.base.signals import AXES
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
-from cosim.control.altitude import GRAVITY
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.results.metrics import wrap
 from cosim.results.report.marks import table, write_marks

@@ -20,7 +20,6 @@ from types import TracebackType
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.files import lock, one_line
-from cosim.campaign import folder as places
 from cosim.campaign.folder import (
     FLIGHTS,
     JOURNAL,
@@ -29,6 +28,8 @@ from cosim.campaign.folder import (
     STUDY,
     Frozen,
     freeze,
+    is_campaign,
+    load,
 )
 from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study
@@ -92,7 +93,7 @@ class Store:
 
     def __init__(self, folder: Path, journal: int) -> None:
         self.folder = folder
-        self.study = places.load(folder)
+        self.study = load(folder)
         self.flights = flights(self.study)
         self.done = Numbers(len(self.flights))
         self.tally = Tally()
@@ -111,8 +112,8 @@ class Store:
         """
         held = next((name for name in OWN if (folder / name).exists()), None)
         if held is not None:
-            what = f"already holds a campaign ({held})" if places.is_campaign(folder) else f"already holds {held}"
-            more = "; --resume goes on with it" if places.is_campaign(folder) else "; choose another folder"
+            what = f"already holds a campaign ({held})" if is_campaign(folder) else f"already holds {held}"
+            more = "; --resume goes on with it" if is_campaign(folder) else "; choose another folder"
             raise InputError(f"{folder}: {what}{more}")
         return cls._begin(folder, freeze(study))
 
@@ -154,7 +155,7 @@ class Store:
         frozen = None if study is None else freeze(study)
         anew = frozen is not None and _hardly_begun(folder)
         if not anew:
-            places.load(folder)
+            load(folder)
         try:
             journal = _open_journal(folder, os.O_CREAT)
         except OSError as error:
@@ -313,7 +314,7 @@ def open_campaign(folder: Path | str) -> Campaign:
     Raises InputError if there is none, or a file cannot be read.
     """
     folder = Path(folder)
-    study = places.load(folder)
+    study = load(folder)
     of = len(flights(study))
     return Campaign(folder, study, _Columns(folder, kinds(study), of), of)
 

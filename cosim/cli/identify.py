@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cosim.base.signals import AXES
 from cosim.cli.console import terminal
 from cosim.cli.options import DONE, Number, example
 
@@ -98,7 +99,7 @@ def _axis_command(axis: str) -> None:
     )
 
 
-for _axis in ("roll", "pitch", "yaw"):
+for _axis in AXES:
     _axis_command(_axis)
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from cosim.base.constants import GRAVITY
+from cosim.base.limits import clamp
 from cosim.base.signals import Command, Measured, Unallocated
 from cosim.control.bumpless import Fade
 from cosim.control.lead import Lead
 from cosim.spec.vehicle import AltitudeGains, EngineLead
 
-GRAVITY: Final = 9.80665  # m/s^2, standard
 _LEAST_UPRIGHT: Final = 0.5  # thrust is not raised further for a lean beyond 60 degrees
 
 
@@ -79,7 +80,7 @@ class AltitudeController:
         if unallocated.collective * error <= 0.0:
             limit = self._limit
             integral = self._integral + self._i * error
-            self._integral = limit if integral > limit else (-limit if integral < -limit else integral)
+            self._integral = clamp(integral, limit)
         _, x, y, _ = measured.attitude
         upright = 1.0 - 2.0 * (x * x + y * y)
         if upright < _LEAST_UPRIGHT:

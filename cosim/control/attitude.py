@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cosim.base.frames import from_euler
+from cosim.base.limits import clamp
 from cosim.base.signals import Command, Measured, Vector3
 from cosim.control.bumpless import Fade
 from cosim.spec.vehicle import AttitudeGains
@@ -60,9 +61,9 @@ class AttitudeController:
         ez = double * (aw * bz - ax * by + ay * bx - az * bw)
         p, q, r = kx * ex, ky * ey, kz * ez
         answer = (
-            lx if p > lx else (-lx if p < -lx else p),
-            ly if q > ly else (-ly if q < -ly else q),
-            lz if r > lz else (-lz if r < -lz else r),
+            clamp(p, lx),
+            clamp(q, ly),
+            clamp(r, lz),
         )
         return self._faded((ex, ey, ez), answer) if self._fades else answer
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from math import nan
 from typing import Final, cast
 
+from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Allocator, Column, Diagnostics, EngineState, Predictor, Shows, columns_of
 from cosim.base.signals import (
     ALL_WELL,
@@ -25,7 +26,7 @@ from cosim.base.signals import (
 )
 from cosim.control.allocation.engine_monitor import EngineMonitor
 from cosim.control.allocation.thrust_map import ThrustMap
-from cosim.control.altitude import GRAVITY, AltitudeController
+from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.predictors.smith import DelayLine
 from cosim.control.rate import RateController

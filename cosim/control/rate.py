@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from math import nan
 from typing import NamedTuple
 
+from cosim.base.limits import clamp
 from cosim.base.protocols import Diagnostics, Predictor
 from cosim.base.signals import Unallocated, Vector3
 from cosim.control.bumpless import Fade
@@ -79,7 +80,7 @@ class RateAxis:
         if unallocated * error <= 0.0:
             integral = self._integral + self._i * error
             limit = self._limit
-            self._integral = limit if integral > limit else (-limit if integral < -limit else integral)
+            self._integral = clamp(integral, limit)
         if self._started:
             self._slope += self._share * ((rate - self.predicted) / self._step - self._slope)
         self._started = True

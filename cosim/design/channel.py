@@ -19,7 +19,9 @@ from math import exp, expm1, inf, log
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
+from cosim.base.signals import AXES
 from cosim.control.predictors.linear import delayed_response
 from cosim.design.dynamics import Dynamics, lags
 from cosim.engine import EngineSpec
@@ -30,9 +32,6 @@ from cosim.spec.vehicle import (
     Servo,
     Vehicle,
 )
-
-GRAVITY = 9.80665  # m/s^2, standard
-THRUST_AXES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
@@ -209,13 +208,13 @@ def hover_share(vehicle: Vehicle, engine: EngineSpec) -> float:
 
 def channels(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> dict[str, Channel]:
     """Roll, pitch, yaw and altitude of a vehicle with engines of these dynamics, at hover."""
-    found = {axis: _axis(axis, scenario, vehicle, engine, dynamics) for axis in THRUST_AXES}
+    found = {axis: _axis(axis, scenario, vehicle, engine, dynamics) for axis in AXES}
     found["altitude"] = _altitude(scenario, vehicle, engine, dynamics)
     return found
 
 
 def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
-    index = THRUST_AXES.index(axis)
+    index = AXES.index(axis)
     inertia = vehicle.inertia_kg_m2[index]
     span, jets = thrust_span(engine), vehicle.jets
     each = vehicle.mass_kg * GRAVITY / len(jets)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
+from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.channel import Channel
 from cosim.design.controller_file import AxisRecord, LevelRecord, Purpose
@@ -35,13 +36,12 @@ def controller_table(found: Design) -> dict[str, Any]:
         raise InputError(f"no acceptable design: {found.reason}")
     chosen = {axis: each.after for axis, each in found.axes.items() if each.after is not None}
     roll, altitude = chosen["roll"].tuning, chosen["altitude"].tuning
-    axes = ("roll", "pitch", "yaw")
     vehicle: dict[str, Any] = {
         "control": {
-            "attitude": {"gain_1_s": [_rounded(chosen[axis].tuning.angle_gain) for axis in axes]},
+            "attitude": {"gain_1_s": [_rounded(chosen[axis].tuning.angle_gain) for axis in AXES]},
             "rate": {
                 axis: {key: _rounded(value) for key, value in chosen[axis].tuning.gains.model_dump().items()}
-                for axis in axes
+                for axis in AXES
             },
             "altitude": {
                 "position_1_s": _rounded(altitude.angle_gain),
@@ -66,7 +66,7 @@ def controller_table(found: Design) -> dict[str, Any]:
         vehicle["identified"] = {
             found.engine.family: {
                 axis: _model(found.axes[axis].channel, chosen[axis], found.model_source).model_dump()
-                for axis in axes
+                for axis in AXES
                 if PREDICTORS[chosen[axis].controller].needs_model
             }
         }

@@ -42,6 +42,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.toml import (
     Model,
@@ -91,7 +92,6 @@ NO_BOUND = 1e9  # tools write bounds such as 1e60 where there is none
 # Dry air and the standard atmosphere: ISO 2533:1975.
 GAMMA = 1.4
 GAS = 287.05287  # J/(kg K)
-GRAVITY = 9.80665  # m/s^2
 PRESSURE_0, TEMPERATURE_0, LAPSE = 101325.0, 288.15, 0.0065  # Pa, K, K/m
 TROPOPAUSE, STRATOSPHERE = 11000.0, 216.65  # m, K
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 from math import isclose, pi
 from typing import NamedTuple
 
+from cosim.base.constants import GRAVITY
+
 Exponents = tuple[int, int, int, int, int, int, int, int]  # of kg, m, s, A, K, mol, cd, rad
 
 
@@ -33,7 +35,7 @@ class UnitError(ValueError):
     """A unit does not serve: one clause that goes behind the variable's name."""
 
 
-POUND_FORCE = 0.45359237 * 9.80665  # N: the international pound and the standard acceleration of gravity, both exact
+POUND_FORCE = 0.45359237 * GRAVITY  # N: the international pound and the standard acceleration of gravity, both exact
 SQUARE_INCH = 0.0254**2  # m^2
 FOOT = 0.3048  # m
 POUND = 0.45359237  # kg
@@ -59,9 +61,9 @@ FORCE = Quantity(
         lb_f=POUND_FORCE,
         lbs=POUND_FORCE,
         klbf=1e3 * POUND_FORCE,
-        kgf=9.80665,
-        kp=9.80665,
-        gf=9.80665e-3,
+        kgf=GRAVITY,
+        kp=GRAVITY,
+        gf=GRAVITY * 1e-3,
     ),
 )
 PRESSURE = Quantity(

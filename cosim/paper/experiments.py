@@ -13,9 +13,9 @@ from math import inf, isfinite, radians
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from cosim.base.arrays import Array
 from cosim.paper import numbers
 from cosim.paper.frozen import Calibration
 from cosim.paper.linear import (
@@ -30,7 +30,6 @@ from cosim.paper.linear import (
 from cosim.results.metrics import overshoot, settling_time
 from cosim.spec.vehicle import PredictorTuning, RateGains, load_vehicle
 
-Array = NDArray[np.float64]
 Kind = Literal["step", "disturbance", "hexjet-doublet"]
 Gains = Literal["calibrated", "vehicle"]
 

@@ -16,6 +16,7 @@ from math import inf
 import numpy as np
 
 from cosim.base.errors import InputError
+from cosim.base.limits import clamp
 from cosim.base.protocols import Predictor
 from cosim.control.predictors.registry import PREDICTORS, STATE, Own, PredictorSpec
 from cosim.control.predictors.smith import DelayedModel, DelayLine, rate_model
@@ -152,9 +153,9 @@ def simulate(
     for k in range(steps):
         wanted = setpoint(k)
         r = k_att * (wanted - angle)
-        r = (limit if r > limit else (-limit if r < -limit else r)) + rate_setpoint(k)
+        r = clamp(r, limit) + rate_setpoint(k)
         asked = rate_loop.update(r, rate + sigma * noise[k], refused)
-        u = most if asked > most else (-most if asked < -most else asked)
+        u = clamp(asked, most)
         refused = asked - u
         w = disturbance(k)
         record.setpoint.append(wanted)

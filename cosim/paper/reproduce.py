@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
 from cosim.base.files import replacing
 from cosim.base.paths import data_folder
@@ -251,8 +252,8 @@ def identify() -> Identified:
     for engine in ("turbojet", "edf"):
         identified = identify_engine(engine)
         model = identified.model
-        responses[engine] = _response(identified.response, 9.80665)
-        found[f"{engine}.gain"] = model.gain / 9.80665
+        responses[engine] = _response(identified.response, GRAVITY)
+        found[f"{engine}.gain"] = model.gain / GRAVITY
         found[f"{engine}.pole"] = model.poles[0]
         found[f"{engine}.time_constant"] = -model.sample_time_s / float(np.log(model.poles[0]))
         if engine == "turbojet":

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.files import lock, one_line, replacing
 from cosim.base.protocols import Column
@@ -28,7 +28,6 @@ from cosim.results.columns import COLUMNS, known
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Array = NDArray[np.float64]
 Value = float | int | bool | str | None
 
 ROW_GROUP = 16_384  # rows of Parquet written at once: 16 MB of float64

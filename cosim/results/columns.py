@@ -22,8 +22,8 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Column
 from cosim.base.signals import (
@@ -39,8 +39,6 @@ from cosim.base.signals import (
     State,
     Unallocated,
 )
-
-Array = NDArray[np.float64]
 
 RATES = ("p", "q", "r")
 _XYZ = ("x", "y", "z")

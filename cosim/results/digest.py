@@ -7,8 +7,8 @@ from hashlib import sha256
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.protocols import Column
-from cosim.results.arrow import Array
 from cosim.results.columns import COLUMNS, known
 from cosim.results.recorder import Log, MemoryLog
 

@@ -19,11 +19,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.files import one_line, replacing
 from cosim.base.protocols import Column
 from cosim.base.signals import AXES, JETS
-from cosim.results import ulog_autopilot as ulog_pilot
+from cosim.results import ulog_autopilot
 from cosim.results.autopilot_record import read_pilot_record
 from cosim.results.columns import RATES, own_columns
 from cosim.results.events import events_of
@@ -35,7 +36,6 @@ from cosim.results.run import (
 )
 from cosim.simulation.fault_schedule import SENSORS, SERVOS
 
-Array = NDArray[np.float64]
 Block = dict[str, Array]
 
 ROWS = 4096  # converted at once
@@ -85,14 +85,14 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
     own = own_columns(run.log.described)
     held = dict(_of(lines)) | ({OWN: [_column("float", column.name, column.name) for column in own]} if own else {})
     topics = {name: _topic(fields, step if rates == "all" else EVERY_S[name], step) for name, fields in held.items()}
-    pilot = ulog_pilot.states(lines, run.summary.steps, step)
-    at_start, changes = ulog_pilot.parameters(lines)
+    pilot = ulog_autopilot.states(lines, run.summary.steps, step)
+    at_start, changes = ulog_autopilot.parameters(lines)
     with _output(run, path) as temporary, open(temporary, "wb") as file:
         file.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
         file.write(_message(b"B", bytes(40)))
         file.writelines(_message(b"I", _info(key, value)) for key, value in _facts(run.summary).items())
         file.writelines(_message(b"I", _info(f"{OWN}_{column.name}", _said_of(column))) for column in own)
-        file.writelines(_message(b"P", ulog_pilot.parameter(name, value)) for name, value in at_start.items())
+        file.writelines(_message(b"P", ulog_autopilot.parameter(name, value)) for name, value in at_start.items())
         file.writelines(_message(b"F", _format(name, topic.fields)) for name, topic in topics.items())
         file.writelines(_message(b"F", _series_format(name, series)) for name, series in pilot.items())
         file.writelines(
@@ -106,7 +106,7 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
         ]
         events.sort(key=lambda event: event[0])
         done, first = 0, 0
-        estimates, last = ulog_pilot.estimates(lines), len(run.log) - 1
+        estimates, last = ulog_autopilot.estimates(lines), len(run.log) - 1
         for block in run.log.blocks(run.log.columns, ROWS):
             if estimates is not None:
                 block = block | _held(estimates, first, len(block["time_s"]))
@@ -136,7 +136,7 @@ class _Topic(NamedTuple):
 _Timed = tuple[int, bytes]  # a message and its step
 
 
-def _of(lines: Sequence[ulog_pilot.Line]) -> list[tuple[str, list[Field]]]:
+def _of(lines: Sequence[ulog_autopilot.Line]) -> list[tuple[str, list[Field]]]:
     """The topics of the rows: with an autopilot its own words stand for what follows from the loops."""
     if not any(line["kind"] == "state" for line in lines):
         return list(TOPICS.items())
@@ -161,7 +161,7 @@ def _messages(topic: _Topic, number: int, block: Block, first: int, last: int) -
         yield k, content[n * size : (n + 1) * size]
 
 
-def _held(estimates: ulog_pilot.Series, first: int, count: int) -> Block:
+def _held(estimates: ulog_autopilot.Series, first: int, count: int) -> Block:
     """The autopilot's estimates as columns of a block: each holds until the next."""
     at = np.searchsorted(estimates.k, np.arange(first, first + count), side="right") - 1
     return {
@@ -170,31 +170,31 @@ def _held(estimates: ulog_pilot.Series, first: int, count: int) -> Block:
     }
 
 
-def _series_format(name: str, series: ulog_pilot.Series) -> bytes:
-    fields = "".join(f"{ulog_pilot.TYPES.get(field, 'float')} {field};" for field in series.values)
+def _series_format(name: str, series: ulog_autopilot.Series) -> bytes:
+    fields = "".join(f"{ulog_autopilot.TYPES.get(field, 'float')} {field};" for field in series.values)
     return f"{name}:uint64_t timestamp;{fields}".encode()
 
 
-def _series_messages(pilot: Mapping[str, ulog_pilot.Series], number: int, step: float) -> Iterator[_Timed]:
+def _series_messages(pilot: Mapping[str, ulog_autopilot.Series], number: int, step: float) -> Iterator[_Timed]:
     for series in pilot.values():
-        packing = "<HQ" + "".join(_STRUCT[ulog_pilot.TYPES.get(field, "float")] for field in series.values)
+        packing = "<HQ" + "".join(_STRUCT[ulog_autopilot.TYPES.get(field, "float")] for field in series.values)
         for n, k in enumerate(series.k.tolist()):
             values = (values[n] for values in series.values.values())
-            kinds = (ulog_pilot.TYPES.get(field, "float") for field in series.values)
+            kinds = (ulog_autopilot.TYPES.get(field, "float") for field in series.values)
             row = [float(v) if kind == "float" else int(v) for v, kind in zip(values, kinds, strict=True)]
             yield k, _message(b"D", struct.pack(packing, number, _microseconds(k * step), *row))
         number += 1
 
 
 def _said(
-    lines: Sequence[ulog_pilot.Line], summary: Summary, changes: Iterable[tuple[int, str, float]], step: float
+    lines: Sequence[ulog_autopilot.Line], summary: Summary, changes: Iterable[tuple[int, str, float]], step: float
 ) -> Iterator[_Timed]:
     """Messages of the autopilot, its changes of mode, parameters that were changed, and how the flight ended."""
-    said = [*ulog_pilot.messages(lines), *((k, _INFO, text) for k, text in ulog_pilot.mode_changes(lines))]
+    said = [*ulog_autopilot.messages(lines), *((k, _INFO, text) for k, text in ulog_autopilot.mode_changes(lines))]
     for k, severity, text in said:
         yield k, _logged(severity, k * step, text)
     for k, name, value in changes:
-        yield k, _message(b"P", ulog_pilot.parameter(name, value))
+        yield k, _message(b"P", ulog_autopilot.parameter(name, value))
     level = _INFO if summary.outcome == "completed" else _ERROR
     yield summary.steps, _logged(level, summary.duration_s, f"{summary.outcome}: {summary.reason}")
     for text in summary.exceeded:

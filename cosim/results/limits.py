@@ -14,15 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cosim.base.arrays import Array
+from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
-from cosim.control.altitude import GRAVITY
-from cosim.results.metrics import (
-    PLACE,
-    Array,
-    Record,
-    asks_for_a_place,
-)
+from cosim.results.metrics import PLACE, Record, asks_for_a_place
 from cosim.results.wording import metric
 
 if TYPE_CHECKING:

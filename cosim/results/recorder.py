@@ -13,11 +13,12 @@ from typing import Protocol
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.errors import FlightError
 from cosim.base.protocols import Column
 from cosim.base.signals import Sample
 from cosim.results._rows import Rows
-from cosim.results.arrow import ROW_GROUP, Array
+from cosim.results.arrow import ROW_GROUP
 from cosim.results.columns import COLUMNS, NAMES, Program, known, program
 
 _BEHIND = 60  # blocks, of 0.3 MB at 250 Hz, that may wait for a disk

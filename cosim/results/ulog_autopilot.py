@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from cosim.base.arrays import Array
+
 Line = dict[str, Any]
 
 # vehicle_status.nav_state, PX4's msg/VehicleStatus.msg; a take-off and landing in the field's own words

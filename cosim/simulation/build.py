@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from math import hypot, inf
 from pathlib import Path
 
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.protocols import Predictor
 from cosim.base.signals import AXES
@@ -14,7 +15,7 @@ from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.engine_monitor import EngineMonitor
 from cosim.control.allocation.reallocation import get_ready
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
-from cosim.control.altitude import GRAVITY, AltitudeController
+from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.cascade import Cascade
 from cosim.control.lead import Lead

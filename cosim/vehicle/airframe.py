@@ -27,10 +27,12 @@ os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner to standard
 import jsbsim
 
 from cosim.base.cache import Memory
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import from_euler
 from cosim.base.scratch import scratch
 from cosim.base.signals import (
+    AXES,
     ZERO3,
     Disturbance,
     State,
@@ -467,7 +469,7 @@ def standing_height(vehicle: Vehicle) -> float:
     legs = [contact for contact in vehicle.contacts if contact.kind == "leg"]
     lowest = max(leg.position_m[2] for leg in legs)
     standing = [leg for leg in legs if leg.position_m[2] == lowest]
-    sink = vehicle.mass_kg * 9.80665 / sum(leg.spring_n_m for leg in standing)
+    sink = vehicle.mass_kg * GRAVITY / sum(leg.spring_n_m for leg in standing)
     return lowest - sink
 
 
@@ -546,7 +548,7 @@ def _render(vehicle: Vehicle, model: Path, text: bytes, spools: bool) -> bytes:
         f"aero/drag-area-{axis}-ft2": area / FOOT**2
         for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True)
     }
-    for axis, damping in zip(("roll", "pitch", "yaw"), vehicle.aero.damping_n_m_s, strict=True):
+    for axis, damping in zip(AXES, vehicle.aero.damping_n_m_s, strict=True):
         values[f"aero/damping-{axis}-lbf_ft_s"] = damping / POUND_FOOT
     for name, value in values.items():
         if name not in constants:

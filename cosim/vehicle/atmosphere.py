@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from math import exp
 
+from cosim.base.constants import GRAVITY
+
 # U.S. Standard Atmosphere, 1976 (NOAA-S/T 76-1562), with two numbers of JSBSim's FGStandardAtmosphere, so that an
 # engine is measured in the air in which it will fly: the standard has 101325 Pa and 28.9644 kg/kmol.
 _SEA_LEVEL_PRESSURE = 2116.228 * 4.4482216152605 / 0.3048**2  # Pa: 2116.228 lbf/ft^2, 101325.5 Pa
 _MOLAR_MASS = 28.9645  # kg/kmol
 _GAS_CONSTANT = 8314.32  # J/(kmol K)
-_GRAVITY = 9.80665  # m/s^2
 _EARTH_RADIUS = 6356766.0  # m
-_HYDROSTATIC = _GRAVITY * _MOLAR_MASS / _GAS_CONSTANT  # K/m
+_HYDROSTATIC = GRAVITY * _MOLAR_MASS / _GAS_CONSTANT  # K/m
 # geopotential height [m] at which a layer begins, temperature [K] there, its change with height [K/m]
 _LAYERS = ((0.0, 288.15, -0.0065), (11000.0, 216.65, 0.0), (20000.0, 216.65, 0.001))
 

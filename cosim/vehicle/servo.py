@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import exp
 
+from cosim.base.limits import clamp
 from cosim.spec.vehicle import Servo
 
 
@@ -40,8 +41,8 @@ class TiltServo:
                 return self.angle
             command = self._at
         limit = self._range
-        target = limit if command > limit else (-limit if command < -limit else command)
+        target = clamp(command, limit)
         move = self._share * (target - self.angle)
         most = self._most
-        self.angle += most if move > most else (-most if move < -most else move)
+        self.angle += clamp(move, most)
         return self.angle

@@ -13,6 +13,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from cosim.base.arrays import Array
 from cosim.base.signals import ZERO3, Sample, Unallocated
 from cosim.bench.measures.speed import (
     RECORDED,
@@ -21,7 +22,7 @@ from cosim.bench.measures.speed import (
     fly_through,
 )
 from cosim.bench.timing import Action, Cost, Job
-from cosim.results.arrow import Array, StreamSink
+from cosim.results.arrow import StreamSink
 from cosim.results.recorder import MemorySink, Recorder
 from cosim.simulation.step import Simulation
 

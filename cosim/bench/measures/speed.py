@@ -11,6 +11,7 @@ from itertools import repeat, starmap
 from pathlib import Path
 from tempfile import mkdtemp
 
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError
 from cosim.base.protocols import Engines, Observer
 from cosim.base.signals import JETS, ZERO3, Sample
@@ -21,7 +22,6 @@ from cosim.bench.timing import (
     Pair,
     interleave,
 )
-from cosim.control.altitude import GRAVITY
 from cosim.engine.wrappers import EngineChain
 from cosim.flight import record
 from cosim.results.run import Recording

@@ -11,13 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.base.arrays import Array
 from cosim.campaign.analysis.sensitivity import Ranking
-from cosim.campaign.analysis.statistics import (
-    Array,
-    Share,
-    classes,
-    wilson,
-)
+from cosim.campaign.analysis.statistics import Share, classes, wilson
 from cosim.campaign.analysis.summary import places
 from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
 from cosim.results.report.flight_figures import (

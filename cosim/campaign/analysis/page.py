@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.campaign.analysis.figures import KIND_COLOURS, campaign_figures
 from cosim.campaign.analysis.sensitivity import Ranking, joint
 from cosim.campaign.analysis.stability_map import MAP_KEYS, map_tables
-from cosim.campaign.analysis.statistics import Array, Interval, MedianDifference
+from cosim.campaign.analysis.statistics import Interval, MedianDifference
 from cosim.campaign.analysis.summary import (
     SUCCESS,
     comparisons,

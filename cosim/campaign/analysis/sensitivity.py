@@ -20,13 +20,8 @@ from math import atanh, sqrt, tanh
 import numpy as np
 from scipy import stats
 
-from cosim.campaign.analysis.statistics import (
-    Array,
-    Counts,
-    Interval,
-    Z,
-    classes,
-)
+from cosim.base.arrays import Array
+from cosim.campaign.analysis.statistics import Counts, Interval, Z, classes
 
 FEWEST = 30  # flights; with fewer, chance alone looks like an effect of a quarter
 SHUFFLES = 200

@@ -11,8 +11,9 @@ from math import isqrt
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.campaign.analysis.figures import Figure, group_medians, rounded
-from cosim.campaign.analysis.statistics import Array, Counts
+from cosim.campaign.analysis.statistics import Counts
 from cosim.campaign.analysis.summary import places
 from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
 from cosim.results.wording import Metric

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
+from cosim.base.arrays import Array
+
 Counts = NDArray[np.intp]
 Interval = tuple[float, float]
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.campaign.analysis.sensitivity import Ranking, ranking
 from cosim.campaign.analysis.statistics import (
-    Array,
     Interval,
     MedianDifference,
     Pairs,

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.campaign.analysis.statistics import Array, Counts
+from cosim.campaign.analysis.statistics import Counts
 from cosim.campaign.study.plan import controllers as controllers_of
 from cosim.campaign.study.study import is_path
 from cosim.results.metrics import metric_names

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.files import one_line, replacing
-from cosim.campaign.analysis.statistics import Array
 from cosim.campaign.analysis.summary import SUCCESS, missing, places
 from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
 from cosim.campaign.folder import CASES, SCENARIO

@@ -14,8 +14,8 @@ from math import sqrt
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.base.arrays import Array
 from cosim.campaign.search.line_search import (
     Between,
     Scan,
@@ -35,7 +35,6 @@ from cosim.campaign.workers.flight_row import Row
 from cosim.results.metrics import check_expectations
 from cosim.results.wording import metric
 
-Array = NDArray[np.float64]
 Side = Literal["up", "down"]
 SIDES: dict[int, Side] = {1: "up", -1: "down"}
 

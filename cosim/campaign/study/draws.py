@@ -18,8 +18,8 @@ from math import isfinite, log, prod
 from typing import Any, Protocol, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.base.arrays import Array
 from cosim.campaign.study.distributions import Normal, Vary
 from cosim.campaign.study.keys import Key, Value
 from cosim.campaign.study.study import Study
@@ -30,8 +30,6 @@ from cosim.campaign.study.values import (
     whole,
     whole_bounds,
 )
-
-Array = NDArray[np.float64]
 
 BLOCK = 1024  # draws made at a time: a power of two, for Sobol's sake
 POINTS, SEEDS = 0, 1  # what a study's seed is split into

@@ -16,6 +16,7 @@ from math import inf
 from typing import Final
 
 from cosim.base.errors import InputError
+from cosim.base.limits import clamp
 from cosim.base.signals import (
     AXES,
     NO_JETS,
@@ -99,7 +100,7 @@ class TiltAllocator:
             return self._as_planned(self._plan, collective, roll, pitch, yaw)
         low, high = self._low, self._high
         half = 0.5 * (high - low)
-        r = half if roll > half else (-half if roll < -half else roll)
+        r = clamp(roll, half)
         spread = r if r >= 0.0 else -r
         least, most = low + spread, high - spread
         c = least if collective < least else (most if collective > most else collective)
@@ -163,8 +164,8 @@ class TiltAllocator:
         # what the throttles leave of pitch is tilted away
         balance = -left / (self._lever * max(_LEAST_SHARE, self._idle + c))
         wanted = self._pitch_sign * pitch / share + balance
-        p = _within(self._range, wanted)
-        y = _within(self._range - abs(p), yaw / share)
+        p = clamp(wanted, self._range)
+        y = clamp(yaw / share, self._range - abs(p))
         return Actuation(
             throttle,
             (p + y, p - y),
@@ -237,7 +238,7 @@ class RotorAllocator:
         scale = room / spread if spread > room else 1.0
         r, p = roll * scale, pitch * scale
         left = room - min(spread, room)
-        y = left if yaw > left else (-left if yaw < -left else yaw)
+        y = clamp(yaw, left)
         span = abs(r) + abs(p) + abs(y)
         least, most = low + span, high - span
         # rounding may leave the two apart by nothing
@@ -252,10 +253,6 @@ class RotorAllocator:
 
 def _between(low: float, value: float, high: float) -> float:
     return low if value < low else (high if value > high else value)
-
-
-def _within(limit: float, value: float) -> float:
-    return limit if value > limit else (-limit if value < -limit else value)
 
 
 def _sign(value: float) -> float:

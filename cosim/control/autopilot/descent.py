@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import NamedTuple
 
-from cosim.control.altitude import GRAVITY
+from cosim.base.constants import GRAVITY
 from cosim.control.autopilot.shaper import MEAN, SHARE
 
 # Chosen by us.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import cos, hypot, radians, tan
 
+from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Report
 from cosim.base.signals import Measured
-from cosim.control.altitude import GRAVITY
 from cosim.control.autopilot.fence import beyond
 from cosim.control.autopilot.modes import Home
 from cosim.control.autopilot.navigation import Fix

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cosim.base.constants import GRAVITY
 from cosim.base.signals import Measured, Quaternion, Vector3
-from cosim.control.altitude import GRAVITY
 from cosim.control.autopilot.reckoning import Reckoning
 from cosim.control.bumpless import Fade
 from cosim.spec.vehicle import PositionGains, PositionSensor

@@ -5,8 +5,8 @@ Nobody tells it of a fault: each estimator finds out from what its sensors say.
 
 from __future__ import annotations
 
+from cosim.base.constants import GRAVITY
 from cosim.base.signals import Measured
-from cosim.control.altitude import GRAVITY
 from cosim.control.autopilot.inertial import InertialEstimator
 from cosim.control.autopilot.vertical import VerticalEstimator
 from cosim.spec.vehicle import Sensors

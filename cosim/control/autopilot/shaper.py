@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from cosim.base.signals import Vector3
-from cosim.control.altitude import GRAVITY
+from cosim.base.constants import GRAVITY
+from cosim.base.signals import AXES, Vector3
 from cosim.control.autopilot.navigation import (
     Pair,
     Tracker,
@@ -78,7 +78,7 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
     room = min(hover - limits.throttle_min, limits.throttle_max - hover)
     per_jet = weight / len(jets) / (hover + idle)  # N per throttle, of one jet
     found = []
-    for axis, name in enumerate(("roll", "pitch", "yaw")):
+    for axis, name in enumerate(AXES):
         servo = vehicle.servo
         if servo is not None and axis > 0:
             if axis == 1:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections import deque
 from math import inf, sqrt
 
+from cosim.base.constants import GRAVITY
 from cosim.base.signals import Measured, Quaternion, Vector3
-from cosim.control.altitude import GRAVITY
 from cosim.spec.vehicle import Sensors
 
 # Noise below which no sensor is trusted, whatever it states.

@@ -9,17 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES, Sample
 from cosim.base.toml import parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE
 from cosim.design.identify.fit import Fit, fit
-from cosim.design.identify.response import (
-    Array,
-    FrequencyResponse,
-    Record,
-    estimate,
-)
+from cosim.design.identify.response import FrequencyResponse, Record, estimate
 from cosim.design.identify.result import (
     Identification,
     Sweep,

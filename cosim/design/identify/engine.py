@@ -7,14 +7,10 @@ from math import log
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
 from cosim.design.identify.fit import WHOLE, Fit, fit
-from cosim.design.identify.response import (
-    Array,
-    FrequencyResponse,
-    Record,
-    estimate,
-)
+from cosim.design.identify.response import FrequencyResponse, Record, estimate
 from cosim.design.identify.result import (
     Identification,
     Sweep,

@@ -13,8 +13,9 @@ from math import exp, log, prod
 
 import numpy as np
 
+from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
-from cosim.design.identify.response import Array, Complex, FrequencyResponse
+from cosim.design.identify.response import FrequencyResponse
 from cosim.spec.vehicle import RateModel
 
 LONGEST_DELAY_S = 10.0

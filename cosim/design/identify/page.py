@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from cosim.base.arrays import Array, Complex
 from cosim.base.errors import FlightError
-from cosim.design.identify.response import Array, Complex
 from cosim.design.identify.result import (
     Identification,
     equations,

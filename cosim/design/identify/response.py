@@ -15,12 +15,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 BINS = 9  # in a group, at least: three complex unknowns, six left to tell noise from response
 GROUPS = 60  # at most

@@ -8,17 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from cosim.base.arrays import Array, Complex
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.design.identify.fit import LEAST_COHERENCE, Fit
-from cosim.design.identify.response import (
-    Array,
-    Complex,
-    FrequencyResponse,
-    shortest_record,
-)
+from cosim.design.identify.response import FrequencyResponse, shortest_record
 from cosim.spec.vehicle import RateModel
 
-KGF = 9.80665  # N
 BEYOND = (0.7, 1.2)  # the chirp runs from this times the lowest to this times the highest frequency of the band
 LONGEST_SWEEP_S = 3600.0
 CYCLES = 20.0  # of the lowest frequency, in a sweep of automatic duration
@@ -201,7 +197,7 @@ def fit_rows(found: Identification) -> list[list[str]]:
         rows.append([title, *(_with_bounds(fit, name, scale, invert) for fit in found.fits)])
     if found.kind == "engine":
         at_rest = [fit.model.gain / fit.model.rate if fit.model.rate else float("inf") for fit in found.fits]
-        rows.append(["gain at rest, N", *(f"{value:.4g} ({value / KGF:.4g} kgf)" for value in at_rest)])
+        rows.append(["gain at rest, N", *(f"{value:.4g} ({value / GRAVITY:.4g} kgf)" for value in at_rest)])
     if found.kind == "axis":
         rows.append(["all delay, samples", *(f"{low_frequency_delay(fit):.2f}" for fit in found.fits)])
     rows.append(["misfit, %", *(f"{100 * fit.misfit:.2g}" for fit in found.fits)])
@@ -248,5 +244,5 @@ def equations(found: Identification) -> list[str]:
     """The chosen discrete form, for an engine also in kgf, the unit in which the paper states its engines."""
     lines = [f"{equation(found.model)}  [{found.output_unit} per {found.command_unit}]"]
     if found.output_unit == "N":
-        lines.append(f"{equation(found.model, KGF)}  [kgf per {found.command_unit}]")
+        lines.append(f"{equation(found.model, GRAVITY)}  [kgf per {found.command_unit}]")
     return lines

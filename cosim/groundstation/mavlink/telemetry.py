@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import atan2, ceil, degrees, hypot, isfinite, isnan, nan, pi
 
+from cosim.base.constants import GRAVITY
 from cosim.base.frames import (
     conjugate,
     from_euler,
@@ -35,7 +36,6 @@ KELVIN = 273.15
 # kg/m^3: in the middle of what Jet A-1 may be at 15 degC (775 to 840, ASTM D1655); fuel flow is asked for by volume
 KEROSENE = 808.0
 _RPM = 30.0 / pi
-_G = 9.80665  # m/s^2, exact: the unit of HIL_STATE_QUATERNION's acceleration is 1/1000 of it
 
 _GYRO, _ACCEL, _MAG, _BARO, _GPS = 1, 2, 4, 8, 32
 _RATE, _ATTITUDE, _YAW, _HEIGHT, _PLACE, _MOTORS = 1024, 2048, 4096, 8192, 16384, 32768
@@ -627,7 +627,7 @@ def hil_state_quaternion(v: View) -> list[Message]:
     lat, lon, height = v.about.geodesy.to_geodetic(*state.position[:2], state.altitude)
     speeds = [clamp(speed * 100.0, -I16, I16) for speed in state.velocity]
     air = clamp(100.0 * hypot(*(a - b for a, b in zip(state.velocity, state.wind, strict=True))), 0, U16)
-    force = [clamp(value / _G * 1e3, -I16, I16) for value in state.specific_force]
+    force = [clamp(value / GRAVITY * 1e3, -I16, I16) for value in state.specific_force]
     return [
         mav.MAVLink_hil_state_quaternion_message(
             v.us, state.attitude, *state.rate, e7(lat), e7(lon), mm(height),

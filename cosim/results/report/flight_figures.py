@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.base.arrays import Array
 from cosim.base.signals import AXES, JETS
 from cosim.results.columns import RATES, own_columns
 from cosim.results.events import Event
 from cosim.results.recorder import Log
 from cosim.results.run import Run, Summary
 
-Array = NDArray[np.float64]
 Figure = dict[str, Any]
 
 MOST_POINTS = 4000  # per trace; more cannot be seen and makes the page slow

@@ -1,0 +1,8 @@
+"""Keeping a number within limits, in the steps of a flight."""
+
+from __future__ import annotations
+
+
+def clamp(value: float, most: float) -> float:
+    """``value``, at most ``most`` either way; NaN stays NaN."""
+    return most if value > most else (-most if value < -most else value)
