@@ -337,7 +337,9 @@ def fly_case(task: tuple[Case, Start, Scenario]) -> Flown:
         pilot = with_autopilot(simulation, airborne=True)
         dt = simulation.dt
         sink = DigestSink(())
-        recorder = Recorder(dt, sink, log_columns(len(simulation.vehicle.jets), simulation.columns))
+        columns = log_columns(len(simulation.vehicle.jets), simulation.columns)
+        sink.begin(columns)
+        recorder = Recorder(dt, sink, columns)
         _ask(pilot, case.name, case.before, 0)
         entries = [Entry(0, "table", request, "") for request in case.before]
         begin = _settle(simulation, recorder)
