@@ -38,10 +38,10 @@ class Model(BaseModel):
 @cache
 def _numeric(model: type[BaseModel]) -> frozenset[str]:
     """The fields that are numbers, or lists of numbers, and nothing else."""
-    wanted = {name: repr(field.annotation) for name, field in model.model_fields.items()}
+    annotations = {name: repr(field.annotation) for name, field in model.model_fields.items()}
     return frozenset(
         name
-        for name, kind in wanted.items()
+        for name, kind in annotations.items()
         if ("float" in kind or "int" in kind) and "str" not in kind and "bool" not in kind
     )
 

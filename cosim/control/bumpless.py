@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import exp
 
 TIME = 0.5  # s, over which the difference fades; chosen by us: slow against the rate loops, short for a pilot
-_GONE = 1e-9  # of a command of the order of 1: below it the difference is dropped
+_NEGLIGIBLE = 1e-9  # of a command of the order of 1: below it the difference is dropped
 
 
 class Fade:
@@ -22,5 +22,5 @@ class Fade:
     def update(self) -> float:
         """What is left of the difference, one step later."""
         value = self._value * self._keep
-        self._value = value if value > _GONE or value < -_GONE else 0.0
+        self._value = value if value > _NEGLIGIBLE or value < -_NEGLIGIBLE else 0.0
         return self._value

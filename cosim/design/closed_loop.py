@@ -1,4 +1,4 @@
-"""A channel closed with attitude gain, rate PID and predictor: is it stable, how robust, how fast, how loud.
+"""A channel closed with attitude gain, rate PID and predictor: stability, robustness, speed, noise.
 
 ``G_y``, ``G_m``, ``G_phi``: command to measured rate, to measured angle, to the angle.  ``K`` the attitude gain.
 

@@ -68,9 +68,9 @@ SWING = 0.005  # of the throttle, around hover: what an engine's limits on its a
 MISFIT = 0.005  # of one lag and a delay, above which more is fitted
 GAINS = 7  # in the grid of the tolerance
 BISECTIONS = 5
-WORTH = 0.06  # of the objective: a more complex controller must answer 3 % faster to be chosen
-LEAD_WORTH = 0.19  # the same of a lead, 10 % faster: it works the throttle, and believes in the engine's lags
-TOGETHER = 5.0  # times the slowest pole: up to here a lead takes the second one with it
+COMPLEXITY_COST = 0.06  # of the objective: a more complex controller must answer 3 % faster to be chosen
+LEAD_COST = 0.19  # the same of a lead, 10 % faster: it works the throttle, and believes in the engine's lags
+SECOND_POLE_WITHIN = 5.0  # times the slowest pole: up to here a lead takes the second one with it
 WITH_LEAD = " + lead"
 
 Say = Callable[[str], None]
@@ -200,18 +200,18 @@ def design(
     say(f"identifying {spec.name}")
     found = _identify(scenario, vehicle, spec, amplitude)
     dynamics = Actuator.of(spec.name, _dynamics(found))
-    wanted = channels(scenario, vehicle, spec, dynamics)
+    plants = channels(scenario, vehicle, spec, dynamics)
     given = read_models(model).get(spec.family, {}) if model else {}
     if model and not given:
         raise InputError(f"{model}: holds no model of {vehicle.name} with engine {spec.family!r}")
     for axis, table in given.items():
-        wanted[axis] = replace(wanted[axis], identified=RateModel(**table))
+        plants[axis] = replace(plants[axis], identified=RateModel(**table))
     source = f"{found.source}; with the airframe of {vehicle.name}"
-    begin = None if start is None else _begin(start, wanted, vehicle, spec)
+    begin = None if start is None else _begin(start, plants, vehicle, spec)
     if begin is None:
-        axes = _axes(wanted, vehicle, scenario, spec, names, need, source, say, lead)
+        axes = _axes(plants, vehicle, scenario, spec, names, need, source, say, lead)
     else:
-        axes = _again(wanted, vehicle, spec, need, source, begin, say)
+        axes = _again(plants, vehicle, spec, need, source, begin, say)
     reason = _why_not(axes, need)
     allowing = _allowing(axes["roll"], names, need, say, lead) if reason and start is None else {}
     burning: list[LevelDesign] = []
@@ -279,7 +279,7 @@ def _burn(
 
 
 def _begin(
-    start: Path, wanted: Mapping[str, Channel], vehicle: Vehicle, spec: EngineSpec
+    start: Path, plants: Mapping[str, Channel], vehicle: Vehicle, spec: EngineSpec
 ) -> dict[str, dict[float, Tuning]]:
     """Where a search begins that goes on from a controller file: by axis, and by fuel."""
     file = read_controller(start)
@@ -288,12 +288,12 @@ def _begin(
     stated = merge(file.vehicle, {"mass_kg": vehicle.mass_kg})
     designed, _ = load_vehicle(file.design.aircraft, stated, f"{start}: vehicle")
     found: dict[str, dict[float, Tuning]] = {}
-    for axis, channel in wanted.items():
+    for axis, channel in plants.items():
         own = shipped(channel, designed, spec)
         found[axis] = {1.0: replace(own, controller=file.design.axes[axis].controller)}
     plan = designed.control.schedule
     if plan and designed.fuel:
-        step = wanted["roll"].step
+        step = plants["roll"].step
         full = {axis: found[axis][1.0] for axis in LEVELLED}
         fuels = [level.fuel for level in file.design.levels if level.designed]
         for level, fuel in zip(reversed(plan.level), fuels, strict=False):
@@ -304,7 +304,7 @@ def _begin(
 
 
 def _again(
-    wanted: Mapping[str, Channel],
+    plants: Mapping[str, Channel],
     vehicle: Vehicle,
     spec: EngineSpec,
     need: Requirements,
@@ -315,7 +315,7 @@ def _again(
     """Every axis from where a search begins, with the candidate that it has there."""
     found: dict[str, AxisDesign] = {}
     for axis in AXES:
-        channel, asked, start = wanted[axis], needed(axis, need), begin[axis][1.0]
+        channel, asked, start = plants[axis], needed(axis, need), begin[axis][1.0]
         say(f"{axis}: {start.controller}")
         roll = found["roll"].after if found else None
         predictor = roll.tuning.predictor if roll else start.predictor
@@ -386,7 +386,7 @@ def throttle_for(spec: EngineSpec, vehicle: Vehicle) -> float:
 
 
 def _axes(
-    wanted: Mapping[str, Channel],
+    plants: Mapping[str, Channel],
     vehicle: Vehicle,
     scenario: Scenario,
     spec: EngineSpec,
@@ -396,13 +396,13 @@ def _axes(
     say: Say,
     lead: bool,
 ) -> dict[str, AxisDesign]:
-    leads = {axis: engine_lead(wanted[axis]) if lead else None for axis in AXES}
+    leads = {axis: engine_lead(plants[axis]) if lead else None for axis in AXES}
     predictor = vehicle.control.predictor
-    roll = _axis(wanted["roll"], vehicle, scenario, spec, names, need, source, predictor, say, leads["roll"])
+    roll = _axis(plants["roll"], vehicle, scenario, spec, names, need, source, predictor, say, leads["roll"])
     chosen = roll.after.tuning if roll.after else None
     found = {"roll": roll}
     for axis in AXES[1:]:
-        channel = wanted[axis]
+        channel = plants[axis]
         # jets that tilt give pitch and yaw by servo; rotors give them like roll, through the same predictor
         predicted = chosen is not None and axis != "altitude" and vehicle.servo is None
         names = (chosen.controller if predicted and chosen else BASELINE.name,)
@@ -465,8 +465,8 @@ def _simplest(objectives: Mapping[str, float]) -> str:
     led = {name: value for name, value in objectives.items() if name.endswith(WITH_LEAD)}
     plain = {name: value for name, value in objectives.items() if name not in led}
     least = min(plain.values())
-    among = led if led and min(led.values()) < least - LEAD_WORTH else plain
-    enough = min(among.values()) + WORTH
+    among = led if led and min(led.values()) < least - LEAD_COST else plain
+    enough = min(among.values()) + COMPLEXITY_COST
     return next(name for name, value in among.items() if value <= enough)
 
 
@@ -480,7 +480,7 @@ def engine_lead(channel: Channel) -> EngineLead | None:
     slowest, *others = sorted(channel.actuator.dynamics.poles, key=abs)
     w = abs(slowest)
     # a slow lag beside two poles that swing stands alone
-    if others and (slowest.imag or (not others[0].imag and abs(others[0]) < TOGETHER * w)):
+    if others and (slowest.imag or (not others[0].imag and abs(others[0]) < SECOND_POLE_WITHIN * w)):
         natural = float(np.sqrt(w * abs(others[0])))
         damping = float(-(slowest + others[0]).real / (2.0 * natural))
         return EngineLead(natural_rad_s=natural, damping=damping, pole_rad_s=natural)
@@ -612,8 +612,8 @@ def _stable(channel: Channel, tuning: Tuning) -> bool:
 def _why_not(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
     for axis, found in axes.items():
         if found.after is None:
-            wanted = f", {need.min_bandwidth_hz:g} Hz included" if axis in ("roll", "pitch") else ""
-            return f"{axis}: no gains keep the requirements{wanted}"
+            bandwidth = f", {need.min_bandwidth_hz:g} Hz included" if axis in ("roll", "pitch") else ""
+            return f"{axis}: no gains keep the requirements{bandwidth}"
     return ""
 
 

@@ -24,7 +24,7 @@ from cosim.spec.vehicle import RateGains, RateModel
 Response = Callable[[Complex], Complex]
 
 _TAPS = 20_000
-_QUIET = 1e-13  # an impulse response that stays below this has ended
+_ENDED = 1e-13  # an impulse response that stays below this has ended
 
 
 class Margins(BaseModel):
@@ -57,10 +57,10 @@ def impulse_response(predictor: Callable[[], Predictor], model: RateModel) -> Pa
 def _impulse(predictor: Predictor, model: RateModel, unit: tuple[float, float]) -> Array:
     values = [predictor.update(*unit)]
     wait = int(model.delay_samples) + 2  # nothing may come before that
-    silent = 0
-    while silent <= wait:
+    ended = 0
+    while ended <= wait:
         values.append(predictor.update(0.0, 0.0))
-        silent = silent + 1 if abs(values[-1]) < _QUIET else 0
+        ended = ended + 1 if abs(values[-1]) < _ENDED else 0
         if len(values) > _TAPS:
             raise InputError(f"{type(predictor).__name__}: its impulse response does not end; it must be stable alone")
     return np.array(values)

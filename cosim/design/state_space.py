@@ -118,13 +118,13 @@ class Space:
         self._shift("sent", command)
         return np.asarray(command)
 
-    def _led(self, wanted: Array) -> Array:
+    def _led(self, command: Array) -> Array:
         assert self._lead is not None
         over, under = self._lead
         A, B, C = companion(over[1:] - over[0] * under[1:], under)
         state = self._x["lead"]
-        self._keep("lead", A @ state + np.outer(B, wanted))
-        return np.asarray(C @ state + over[0] * wanted)
+        self._keep("lead", A @ state + np.outer(B, command))
+        return np.asarray(C @ state + over[0] * command)
 
     def _fly(self, command: Array) -> None:
         """The plant over the step."""

@@ -21,7 +21,7 @@ STEP_RAD = 0.1745  # 10 deg, the size of the roll doublet
 STEP_M = 1.0
 MAX_OVERSHOOT = 0.2  # of a step: what a peak sensitivity alone does not keep where an engine swings by itself
 UNSTABLE = 1e3
-DEAR = 100.0  # what missing a requirement by 100 % costs in the objective, which is a logarithm
+PENALTY = 100.0  # what missing a requirement by 100 % costs in the objective, which is a logarithm
 SEED = 1  # the same design every time
 POPULATION = 6  # times the number of parameters
 GENERATIONS = 40
@@ -174,19 +174,19 @@ def tune(
     box = Box(channel, controller, model, fixed, predictor, lead)
     points = Points(channel)
     count = 0
-    inside: tuple[float, Array | None] = (inf, None)  # the best that kept everything
+    feasible: tuple[float, Array | None] = (inf, None)  # the best that kept everything
 
     def cost(x: Array) -> float:
-        nonlocal count, inside
+        nonlocal count, feasible
         count += 1
         closed = Closed(points, box.tuning(x))
         if closed.unstable_poles:
             return UNSTABLE + float(np.sum(x))  # downhill is less gain
         out = float(np.sum(np.maximum(x - box.high, 0.0) + np.maximum(box.low - x, 0.0)))
         value, missed = objective(closed), excess(closed, need, SPARE) + out
-        if not missed and value < inside[0]:
-            inside = (value, x.copy())
-        return value + DEAR * missed
+        if not missed and value < feasible[0]:
+            feasible = (value, x.copy())
+        return value + PENALTY * missed
 
     searched = differential_evolution(
         cost,
@@ -206,7 +206,7 @@ def tune(
         if found.fun < value:
             x, value = found.x, float(found.fun)
     fine = Points(channel, close=FINE)
-    for point in (x, inside[1]):
+    for point in (x, feasible[1]):
         if point is not None:
             closed = Closed(fine, box.tuning(point))
             if acceptable(closed, need):
@@ -227,7 +227,7 @@ def settle(
 
     def cost(values: Mapping[str, Digits]) -> float:
         closed = Closed(points, _written(start, values, channel.step, level))
-        return objective(closed) + DEAR * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
+        return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
 
     values = {name: digits(value) for name, value in _searched(start, predictor and not level).items()}
     best, moved = cost(values), True
@@ -260,7 +260,7 @@ def near(
 
     def cost(x: Array) -> float:
         closed = Closed(points, at(x))
-        return objective(closed) + DEAR * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
+        return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
 
     x = np.log([_searched(start, True)[name] for name in names])
     value = cost(x)

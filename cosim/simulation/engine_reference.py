@@ -12,7 +12,7 @@ from cosim.engine import EngineBank, EngineSpec
 _AROUND = (0.4, 0.6)  # throttle; chosen by us: about hover, wide enough for the lag and not for the limits
 _OTHERS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # where a real engine's lag is another one
 _LONGEST_S = 20.0
-_STILL = 1e-6  # of the change: an answer has begun
+_BEGUN = 1e-6  # of the change: an answer has begun
 
 
 _references: Memory[EngineReference] = Memory(64)
@@ -58,7 +58,7 @@ def _answer(bank: EngineBank, first: float, then: float, step: float) -> tuple[f
     begun = None
     for k in range(round(_LONGEST_S / step)):
         share = (bank.step(k, (then,)).thrust[0] - before) / (after - before)
-        if begun is None and abs(share) > _STILL:
+        if begun is None and abs(share) > _BEGUN:
             begun = k
         if begun is not None and share >= 1.0 - exp(-1.0):
             return (k + 1 - begun) * step, begun * step

@@ -43,7 +43,7 @@ AT_ONCE = 3  # places of a ray, outwards, at a time
 COARSE = 0.02  # of the ranges: to which every ray is bisected
 FINE = 0.005  # the same of the best one
 RANDOM = 8  # directions at a time, as long as nothing that breaks is known
-BEYOND = 1.25  # times the nearest that breaks: further out a ray is not looked at
+FURTHEST = 1.25  # times the nearest that breaks: further out a ray is not looked at
 
 
 @dataclass(frozen=True)
@@ -302,7 +302,7 @@ class _Rays:
         """The distance up to which a ray is worth looking at."""
         known = [self.best.distance] if self.best else []
         known += [] if self._single is None else [self._single]
-        return BEYOND * min(known, default=sqrt(len(self._plan.spans)) / BEYOND)
+        return FURTHEST * min(known, default=sqrt(len(self._plan.spans)) / FURTHEST)
 
     def distances(self, directions: Array, ring: float = RING, gap: float = COARSE) -> Array:
         """At which distance each of the directions (a column each) breaks first; the limit where it does not."""

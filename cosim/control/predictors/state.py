@@ -113,8 +113,8 @@ class ModelObserver:
         c = np.zeros(n)
         c[0] = 1.0
         observability = np.array([c @ np.linalg.matrix_power(F, i) for i in range(n)])
-        wanted = np.linalg.matrix_power(F - pole * np.eye(n), n)
-        late_gain = wanted @ np.linalg.solve(observability, np.eye(n)[:, -1])
+        characteristic = np.linalg.matrix_power(F - pole * np.eye(n), n)
+        late_gain = characteristic @ np.linalg.solve(observability, np.eye(n)[:, -1])
         self._gain = [float(v) for v in np.linalg.solve(F, late_gain)]
         self._F = [[float(v) for v in row] for row in F]
         self.reset()
@@ -228,8 +228,8 @@ def modal_observer(modes: Modes, bandwidth: float, step: float, disturbance: boo
     c = np.zeros(n, F.dtype)
     c[:order] = modes.residues
     observability = np.array([c @ np.linalg.matrix_power(F, i) for i in range(n)])
-    wanted = np.linalg.matrix_power(F - exp(-bandwidth * step) * np.eye(n), n)
-    return F, np.asarray(np.linalg.solve(F, wanted @ np.linalg.solve(observability, np.eye(n)[:, -1])))
+    characteristic = np.linalg.matrix_power(F - exp(-bandwidth * step) * np.eye(n), n)
+    return F, np.asarray(np.linalg.solve(F, characteristic @ np.linalg.solve(observability, np.eye(n)[:, -1])))
 
 
 class ModalPredictor:

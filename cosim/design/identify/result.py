@@ -15,7 +15,7 @@ from cosim.design.identify.fit import LEAST_COHERENCE, Fit
 from cosim.design.identify.response import FrequencyResponse, shortest_record
 from cosim.spec.vehicle import RateModel
 
-BEYOND = (0.7, 1.2)  # the chirp runs from this times the lowest to this times the highest frequency of the band
+CHIRP_MARGIN = (0.7, 1.2)  # the chirp runs from this times the lowest to this times the highest frequency of the band
 LONGEST_SWEEP_S = 3600.0
 CYCLES = 20.0  # of the lowest frequency, in a sweep of automatic duration
 USABLE = 0.5  # share of the points that must have coherence
@@ -32,7 +32,7 @@ class Sweep:
 
     def chirp_hz(self, step: float) -> tuple[float, float]:
         """First and last frequency, below the Nyquist frequency."""
-        return BEYOND[0] * self.from_hz, min(BEYOND[1] * self.to_hz, 0.49 / step)
+        return CHIRP_MARGIN[0] * self.from_hz, min(CHIRP_MARGIN[1] * self.to_hz, 0.49 / step)
 
 
 @dataclass(frozen=True)

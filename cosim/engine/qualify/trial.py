@@ -55,7 +55,7 @@ RUN_S = 20.0  # of simulated time under a throttle that keeps changing
 TRIAL_STEPS = 500
 SAVED_AT = 37
 CHUNK = 250  # steps between two signs of life
-TOGETHER = 6  # engines of a Hex-Jet
+ENGINES = 6  # engines of a Hex-Jet
 TIMED_STEPS = 20_000
 GROWTH_STEPS = 10_000  # after which memory is read, three times
 LEAST_LEAK = 16.0  # bytes a step: the smallest block that malloc hands out, so that a leak in every step is more
@@ -348,7 +348,7 @@ def _together(trial: Trial) -> Found:
     memory = _resident()
     spec = _spec(trial)
     runs = []
-    for count in (TOGETHER, 1):
+    for count in (ENGINES, 1):
         with EngineBank(spec, count, trial.step) as bank:
             begin = _resident()
             for _ in range(2):  # a second flight of the same bank
@@ -357,11 +357,11 @@ def _together(trial: Trial) -> Found:
                 trial.say({"at": f"while {count} of it were stepped"})
                 runs.append([bank.step(k, _shifted(k, count)).thrust[-1] for k in range(TRIAL_STEPS)])
         trial.say({"at": f"when {count} of it were freed"})
-        if count == TOGETHER:
+        if count == ENGINES:
             memory = begin - memory
     good = all(run == runs[0] for run in runs)
     problems = [] if good else ["six of it at once do not answer as one alone: they are not independent"]
-    return {"independent": good, "bytes_per_instance": max(0.0, memory) / TOGETHER}, problems
+    return {"independent": good, "bytes_per_instance": max(0.0, memory) / ENGINES}, problems
 
 
 def _shifted(k: int, count: int) -> tuple[float, ...]:
