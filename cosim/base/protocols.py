@@ -127,6 +127,7 @@ class Controller(Protocol):
 
     Once a step, in this order: ``update``, then the engines and servos act, then ``watch``, then the log reads
     ``signals``.  It knows what the vehicle is stated to be, never what flies: no mismatch, no fault, no true state.
+    Signals of its own beside ``signals`` come into the log if it is one that :class:`Shows`.
     """
 
     @property
