@@ -147,6 +147,11 @@ def test_wrong_tuning_is_refused(mine: PredictorSpec, own: dict[str, Any], messa
         (replace(MINE, name="My own"), "predictor 'My own': a name has small letters"),
         (replace(MINE, title=" "), "title = ' ': must be one line"),
         (replace(MINE, number=3), "its number 3 is that of 'state'; state another"),
+        (
+            replace(MINE, parameters=(replace(TAU, mavlink="MINE_TAU"),)),
+            "mavlink = 'MINE_TAU': must begin with HJ_PRED_",
+        ),
+        (replace(MINE, parameters=(replace(TAU, mavlink="HJ_PRED_FILT"),)), "mavlink = 'HJ_PRED_FILT': must begin"),
         (replace(MINE, parameters=(replace(TAU, default=None),)), "tau_s: needs a default from 0 to 2"),
         (
             replace(MINE, parameters=(replace(TAU, search=(0.0, 1.0)),)),

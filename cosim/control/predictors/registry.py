@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 GROUP = "hexjet.predictors"  # of entry points
 OTHERS, PLACES = 1000, 60000  # numbers of predictors that state none begin here, and so many there are
 _NAME = re.compile(r"[a-z][a-z0-9-]*")
+_MAVLINK = re.compile(r"HJ_PRED_[A-Z0-9_]{1,8}")
 
 Own = Mapping[str, float]  # the values of a predictor's own parameters, by name
 
@@ -136,6 +137,12 @@ class Registry(Mapping[str, PredictorSpec]):
             low, high = each.search
             if each.name not in _FIELDS and (each.default is None or not each.least <= each.default <= each.most):
                 raise InputError(f"{where}: {each.name}: needs a default from {each.least:g} to {each.most:g}")
+            taken = {"HJ_PRED_TYPE", "HJ_PRED_DELAY"} | {p.mavlink for s in self._specs.values() for p in s.parameters}
+            if each.mavlink is not None and (each.mavlink in taken or not _MAVLINK.fullmatch(each.mavlink)):
+                raise InputError(
+                    f"{where}: {each.name}: mavlink = {each.mavlink!r}: must begin with HJ_PRED_, have at most 16 "
+                    "characters and be nobody else's"
+                )
             if not 0.0 < low < high:
                 raise InputError(f"{where}: {each.name}: search = {each.search}: must be two numbers above 0, in order")
         self._specs[spec.name] = spec
