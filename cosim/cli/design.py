@@ -71,6 +71,11 @@ if TYPE_CHECKING:
     metavar="FILE.toml",
     help="A controller file: search from its gains on, for its candidate alone; seconds.",
 )
+@click.option(
+    "--proof/--no-proof",
+    default=True,
+    help="End with the proof: measured past the crossover, flown at the corners of the tolerances.  [default: --proof]",
+)
 @click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly, over a plain hover.")
 @click.option("--out", type=click.Path(path_type=Path), metavar="FILE.toml", help="[default: a new folder in runs/]")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
@@ -88,19 +93,22 @@ def design(
     lead: bool,
     scheduled: bool,
     start: Path | None,
+    proof: bool,
     settings: tuple[str, ...],
     out: Path | None,
     as_json: bool,
 ) -> int:
     """Design a controller for an engine on an aircraft: predictor, its model, and the gains of all axes.
 
-    Writes a controller file for hexjet fly --controller, and a page beside it.  Status 1: no design keeps the
-    requirements, and what would allow one.
+    Writes a controller file for hexjet fly --controller, and a page beside it.  A design ends with its proof: the loops
+    with the engine's own response, and hover, doublet and gust flown with noise at the corners of the tolerances.
+    Status 1: no design keeps the requirements, and what would allow one; or its proof failed, and where.
     """
     from cosim.base.threads import one_thread
 
     one_thread()
     from cosim.design.design import design as make
+    from cosim.design.prove import proved
     from cosim.design.result import to_dict, write
     from cosim.design.tune import Requirements
 
@@ -127,6 +135,7 @@ def design(
             start=start,
             say=lambda text: tell(text, 0, 1),
         )
+        found = proved(found, lambda text: tell(text, 0, 1)) if proof else found
     paths = write(found, out)
     if as_json:
         click.echo(json.dumps(to_dict(found, paths), allow_nan=False))

@@ -41,6 +41,7 @@ from cosim.design.levels import (
     levels,
     schedule,
 )
+from cosim.design.proof import Proof
 from cosim.design.tune import (
     FINE,
     Found,
@@ -143,6 +144,7 @@ class Design:
     schedule: Schedule | None  # what follows the thrust level; None where the gains of a full tank do
     reason: str  # why it is not acceptable; empty where it is
     allowing: Mapping[str, float]  # what would allow one: "delay_s", "lag_factor"
+    proof: Proof | None = None  # of the measured response and in flight; None where it was not asked for
 
     @property
     def ok(self) -> bool:

@@ -21,6 +21,9 @@ from cosim.spec.vehicle import RateModel
 
 # Beside the two poles.  The quick zero is what a whole delay leaves of one that is not: (1 + s t) leads by t.
 FORMS: tuple[tuple[str, ...], ...] = ((), ("zero",), ("zero", "lag"), ("zero", "lag", "quick"))
+# A zero in the right half plane: thrust first goes the wrong way.  Tried where none of those above follows.
+WRONG_WAY: tuple[tuple[str, ...], ...] = (("right",), ("right", "lag"))
+POOR = 0.02  # misfit above which that is tried
 GOOD = 0.001  # misfit at which no larger form is tried
 SEARCHED = 5  # samples either side of the free delay
 
@@ -52,7 +55,12 @@ class Dynamics:
         said += [
             f"two poles at {abs(p):.4g} rad/s with damping {-p.real / abs(p):.2f}" for p in self.poles if p.imag > 0.0
         ]
-        said += [f"zero at {z.real:.4g} rad/s" for z in self.zeros]
+        said += [f"zero at {z.real:.4g} rad/s" for z in self.zeros if z.real < 0.0]
+        said += [
+            f"zero in the right half plane at {z.real:.4g} rad/s (thrust first goes the wrong way)"
+            for z in self.zeros
+            if z.real > 0.0
+        ]
         return ", ".join(said)
 
     def discrete(self, source: str) -> RateModel:
@@ -95,12 +103,22 @@ def fit_dynamics(response: FrequencyResponse, delay: float, lag: float) -> Dynam
     best: Dynamics | None = None
     for form in FORMS:
         found = _fit(response, form, delay, lag)
-        if best is None or found.misfit < 0.7 * best.misfit:
+        if best is None or (found.misfit < 0.7 * best.misfit and _runs(found)):
             best = found
         if best.misfit <= GOOD:
             break
     assert best is not None
+    for form in WRONG_WAY if best.misfit > POOR else ():
+        found = _fit(response, form, delay, lag)
+        if found.misfit < 0.7 * best.misfit and _runs(found):
+            best = found
     return best
+
+
+def _runs(found: Dynamics) -> bool:
+    """Whether a predictor can run it: two zeros that swing are a section with two poles that do."""
+    model = found.discrete("")
+    return len(model.zero_pairs) <= len(model.pole_pairs)
 
 
 def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: float) -> Dynamics:
@@ -119,7 +137,7 @@ def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: fl
         root = np.sqrt(complex(damping * damping - 1.0))
         poles = [natural * (-damping + root), natural * (-damping - root)]
         poles = [complex(p.real, p.imag if abs(p.imag) > 1e-9 * abs(p) else 0.0) for p in poles]
-        zeros = [complex(-exp(-x[4]))] if "zero" in form else []
+        zeros = [complex(-exp(-x[4]))] if "zero" in form else [complex(exp(-x[4]))] if "right" in form else []
         if "quick" in form:
             zeros.append(complex(-exp(-x[6])))
         if "lag" in form:
@@ -154,13 +172,13 @@ def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: fl
     quick = 0.5 * response.step
     low = np.array([-60.0, log(1e-3), log(0.05), 0.0, log(1e-4), log(1e-4), log(0.01 * quick)])
     high = np.array([60.0, log(1e3), log(20.0), 1000.0, log(20.0), log(20.0), log(10.0 * quick)])
-    free = [0, 1, 2, 3, *(k for k, name in ((4, "zero"), (5, "lag"), (6, "quick")) if name in form)]
+    free = [0, 1, 2, 3, *(k for k, name in ((4, "zero"), (4, "right"), (5, "lag"), (6, "quick")) if name in form)]
     best: tuple[float, Array] = (inf, np.zeros(7))
     gain = log(float(np.abs(value[0])))
     starts = [
         (damping, zero, last)
         for damping in (0.6, 1.5)
-        for zero in ((0.1, 1.0) if "zero" in form else (0.1,))
+        for zero in ((0.1, 1.0) if {"zero", "right"} & set(form) else (0.1,))
         for last in ((0.1, 1.0) if "lag" in form else (0.1,))
     ]
     for damping, zero, last in starts:

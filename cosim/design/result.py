@@ -16,6 +16,7 @@ from cosim.design.design import (
     Design,
 )
 from cosim.design.figures import design_figures
+from cosim.design.proof import Proof
 from cosim.results.report.page import render
 from cosim.spec.vehicle import EngineLead
 
@@ -82,8 +83,16 @@ def to_dict(found: Design, paths: Mapping[str, Path] | None = None) -> dict[str,
         ],
         "schedule": found.schedule.model_dump(exclude_none=True) if found.schedule else None,
         "file": controller_table(found) if found.ok else None,
+        "proof": _proof_dict(found.proof),
         "paths": {name: str(path) for name, path in (paths or {}).items()},
     }
+
+
+def _proof_dict(proof: Proof | None) -> dict[str, Any] | None:
+    if proof is None:
+        return None
+    values = asdict(proof)
+    return {key: None if isinstance(value, float) and not isfinite(value) else value for key, value in values.items()}
 
 
 def _axis_dict(each: AxisDesign) -> dict[str, Any]:
@@ -129,6 +138,7 @@ def summary_lines(found: Design) -> list[str]:
     lines = [*_model_lines(found)]
     if not found.ok:
         lines.append(f"no acceptable design: {found.reason}")
+        lines += found.proof.lines() if found.proof else []
         lines += _allowing_lines(found)
         return lines
     roll = found.axes["roll"]
@@ -144,7 +154,7 @@ def summary_lines(found: Design) -> list[str]:
     lines += _level_lines(found)
     for axis, each in found.axes.items():
         lines += [f"{axis}: {'stable' if fine else 'NOT stable'} for {what}" for what, fine in each.checks.items()]
-    return lines
+    return [*lines, *(found.proof.lines() if found.proof else [])]
 
 
 def _model_lines(found: Design) -> list[str]:

@@ -9,6 +9,7 @@ from math import inf, log
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.errors import InputError
 from cosim.base.toml import Model, NotNegative
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.channel import Channel
@@ -179,11 +180,14 @@ def tune(
     def cost(x: Array) -> float:
         nonlocal count, feasible
         count += 1
-        closed = Closed(points, box.tuning(x))
-        if closed.unstable_poles:
-            return UNSTABLE + float(np.sum(x))  # downhill is less gain
-        out = float(np.sum(np.maximum(x - box.high, 0.0) + np.maximum(box.low - x, 0.0)))
-        value, missed = objective(closed), excess(closed, need, SPARE) + out
+        try:
+            closed = Closed(points, box.tuning(x))
+            if closed.unstable_poles:
+                return UNSTABLE + float(np.sum(x))  # downhill is less gain
+            out = float(np.sum(np.maximum(x - box.high, 0.0) + np.maximum(box.low - x, 0.0)))
+            value, missed = objective(closed), excess(closed, need, SPARE) + out
+        except (InputError, ValueError, ArithmeticError):  # a predictor whose answer does not end, say: it is none
+            return UNSTABLE + float(np.sum(x))
         if not missed and value < feasible[0]:
             feasible = (value, x.copy())
         return value + PENALTY * missed

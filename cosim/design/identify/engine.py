@@ -57,7 +57,7 @@ def identify_engine(
         low, high = _band(engine, throttle, size, step, from_hz, to_hz)
         check_band(low, high, duration, step)
         sweep = Sweep(low, high, size, suitable_duration(low) if duration is None else duration)
-        record = _fly(engine, throttle, sweep, step)
+        record = fly_sweep(engine, throttle, sweep, step)
     except EngineError as error:
         raise InputError(f"sweep of {engine.name}: {error}") from error
     response = estimate(record, low, high)
@@ -121,7 +121,7 @@ def _lag(engine: EngineSpec, throttle: float, size: float, step: float) -> float
     return max(rise, 1) * step / log(9.0)
 
 
-def _fly(engine: EngineSpec, throttle: float, sweep: Sweep, step: float) -> Record:
+def fly_sweep(engine: EngineSpec, throttle: float, sweep: Sweep, step: float) -> Record:
     """From rest through the sweep to rest: the deviations of throttle and thrust."""
     low, high = sweep.chirp_hz(step)
     length = round(sweep.duration_s / step)

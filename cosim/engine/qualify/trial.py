@@ -58,6 +58,8 @@ CHUNK = 250  # steps between two signs of life
 ENGINES = 6  # engines of a Hex-Jet
 TIMED_STEPS = 20_000
 GROWTH_STEPS = 10_000  # after which memory is read, three times
+WRONG_WAY = 0.02  # of the change of thrust, chosen by us: less is what a solver or a sample leaves
+UNEVEN = 2  # samples between the dead times up and down; a step of the throttle meets the FMU's own step anywhere
 LEAST_LEAK = 16.0  # bytes a step: the smallest block that malloc hands out, so that a leak in every step is more
 MOST_POINTS = 2000  # points of a step response that are drawn
 
@@ -299,6 +301,7 @@ def _respond(trial: Trial) -> Found:
     """The throttle opened and closed, both ways as they are drawn."""
     with trial.slave() as slave:
         courses: dict[str, Any] = {}
+        notes: list[str] = []
         hold = trial.hold(slave)
         quiet = trial.measured.quiet if trial.measured else NO_CHANGE
         rest = trial.archive.starting.rest_n
@@ -318,7 +321,17 @@ def _respond(trial: Trial) -> Found:
             courses |= {way: response._asdict(), f"course_{way}": shown[::every]}
             courses[f"course_step_{way}"] = every * trial.step
             courses[f"tenth_{way}"] = crossing(course, 0.1, response.before, response.after) * trial.step
-    return courses, []
+            change = response.after - response.before
+            back = max(((response.before - thrust) / change for thrust in course), default=0.0)
+            if back > WRONG_WAY + rest / abs(change):
+                notes.append(f"throttle {way}: thrust first goes the wrong way, by {100.0 * back:.0f} % of the change")
+    up, down = courses["up"]["delay"], courses["down"]["delay"]
+    if abs(up - down) > UNEVEN and rest == 0.0:
+        notes.append(
+            f"its dead time differs, {up} samples up and {down} down: it may sample its throttle itself, every "
+            f"{abs(up - down) * trial.step:.2g} s or more, or have to be started first"
+        )
+    return courses | {"notes": notes}, []
 
 
 def _drawn(course: Sequence[float], response: Response) -> int:

@@ -1,0 +1,54 @@
+"""What the proof of a design came to: see :mod:`cosim.design.prove`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+
+@dataclass(frozen=True)
+class Flown:
+    """One flight of a proof."""
+
+    scenario: str
+    gain: float  # times that of roll, pitch and yaw
+    later: int  # control steps
+    fault: str  # what it did that was not promised; empty where it kept it
+
+    @property
+    def words(self) -> str:
+        """Which flight it is."""
+        where = (
+            "as designed" if (self.gain, self.later) == (1.0, 0) else f"gain {self.gain:.2f}, {self.later} steps later"
+        )
+        return f"{self.scenario}, {where}"
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What a design was tried with, and why it is not to be believed; ``reason`` is empty where it is."""
+
+    reason: str
+    measured_hz: float  # up to where the engine was measured
+    share: float  # of what stability allows, that the measured response takes: max |T (r - 1)|
+    sensitivity: float  # the greatest of the measured loops
+    above: float  # greatest loop gain where nothing was measured
+    flights: Sequence[Flown]
+
+    def lines(self) -> list[str]:
+        """A sentence each."""
+        said = []
+        if isfinite(self.measured_hz):
+            said.append(
+                f"measured to {self.measured_hz:.3g} Hz: the engine's own response takes {100.0 * self.share:.0f} % of "
+                f"what stability leaves it, peak |S| {self.sensitivity:.2f}; beyond, the loop's gain is at most "
+                f"{self.above:.2g}"
+            )
+        if self.flights:
+            kept = sum(not each.fault for each in self.flights)
+            said.append(
+                f"flown in six degrees of freedom with noise and the engine itself: {kept} of {len(self.flights)} "
+                "flights kept what was promised (hover, doublet, gust; as designed and at the tolerances' corners)"
+            )
+        return said

@@ -1,0 +1,257 @@
+"""A design is believed when it has been flown: the loop against what was measured, then six degrees of freedom.
+
+A design rests on a linear model of the engine around hover.  What such a model does not see makes the unsafe ones: a
+response that it does not follow, a light mode above the band that was swept, an engine's controller that samples its
+throttle, a limit on its acceleration, dead times that differ up and down.  So every design ends here:
+
+1. The misfit of the model is bounded (:data:`MOST_MISFIT`).
+2. The engine is swept once more, to three times the highest crossover of its loops and to where their gain stays below
+   :data:`ABOVE`, and the measured response takes the model's place.  With ``T = L / (1 + L)`` and ``r`` measured over
+   model, the loop keeps its number of unstable poles while ``|T (r - 1)| < 1`` (the small gain theorem), and its
+   sensitivity is ``1 / (1 + r L)``.
+3. Hover, roll doublet and gust are flown with noise and the engine itself, as designed and at the corners of the
+   tolerances.
+
+An FMU cannot be made to answer earlier than it does: the earlier half of the delay's tolerance is left to the linear
+loop, unless the engine states a parameter for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from math import ceil, degrees, floor, pi
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.errors import EngineError, InputError
+from cosim.base.toml import merge, read_toml
+from cosim.design.closed_loop import Closed, Points
+from cosim.design.controller_table import controller_table
+from cosim.design.design import Design, throttle_for
+from cosim.design.dynamics import Dynamics
+from cosim.design.identify.engine import fly_sweep
+from cosim.design.identify.result import Sweep, suitable_duration
+from cosim.design.proof import Flown, Proof
+from cosim.flight import fly
+from cosim.results.run import Run
+from cosim.spec.scenario import Scenario, find_scenario
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+MOST_MISFIT = 0.10  # of the response: a third of what the tolerance of the gain leaves
+PAST = 3.0  # times the crossover, up to where the engine is measured
+MOST_HZ = 0.4  # over the control step: the highest that is swept
+SHARE_LEFT = 0.8  # of what stability allows, |T (r - 1)| at most
+WORSE = 1.25  # times the sensitivity asked for, that of the measured loop at most
+ABOVE = 0.5  # loop gain where nothing was measured, at most: the engine may answer twice as much as its model
+
+# Of flights; chosen by us: 1 deg is the twentieth of a doublet's change of 20 deg, to which a settling time is counted.
+STILL_DEG = 1.0  # in hover, of the second half, and what is left of a doublet's swing
+OVERSHOOT = 0.10  # more than promised, for noise and what is not linear
+GUST_DEG = 25.0  # in the gust, of roll and pitch: the doublet's amplitude is 10 deg
+HEIGHT_M = 2.0  # off the height, at most
+CORNER = 2.0  # times these, at a corner of the tolerances, where stability alone is promised
+LARGE_KG = 20.0  # from here on the gust is that of the full scale
+HOVER_S = 20.0
+
+
+def proved(found: Design, say: Callable[[str], None] = lambda text: None) -> Design:
+    """A design that was checked against the engine's own response and flown; not acceptable where that failed.
+
+    Raises InputError if a flight cannot be set up at all.
+    """
+    if not found.ok:
+        return found
+    proof = prove(found, say)
+    return replace(found, proof=proof, reason=proof.reason)
+
+
+def prove(found: Design, say: Callable[[str], None] = lambda text: None) -> Proof:
+    """Check a design against the engine's measured response and fly it.
+
+    Raises InputError if a flight cannot be set up at all.
+    """
+    nothing = Proof("", np.nan, 0.0, 0.0, 0.0, ())
+    if found.identification is not None:
+        dynamics = found.axes["roll"].channel.actuator.dynamics
+        if dynamics.misfit > MOST_MISFIT:
+            why = (
+                f"no model follows the engine: the best one is {100.0 * dynamics.misfit:.0f} % off its response, and "
+                f"{100.0 * MOST_MISFIT:.0f} % is the most that a design rests on"
+            )
+            return Proof(why, *(nothing.measured_hz, 0.0, 0.0, 0.0), ())
+        say("the engine past the crossover")
+        nothing = _measured(found, dynamics)
+        if nothing.reason:
+            return nothing
+    flights = _fly_all(found, say)
+    bad = [each for each in flights if each.fault]
+    reason = ""
+    if bad:
+        more = f" (and {len(bad) - 1} of {len(flights)} flights more)" if len(bad) > 1 else ""
+        reason = f"flown with the engine itself it does not keep what it promises: {bad[0].words}: {bad[0].fault}{more}"
+    return Proof(reason, nothing.measured_hz, nothing.share, nothing.sensitivity, nothing.above, flights)
+
+
+# ---- the loop, with what was measured in place of the model
+
+
+def _measured(found: Design, dynamics: Dynamics) -> Proof:
+    step = found.scenario.step_s
+    loops = {
+        axis: (each.channel, each.after.tuning)
+        for axis, each in found.axes.items()
+        if each.after is not None and each.channel.unit != "rad" and each.channel.identified is None
+    }
+    wide = {axis: Closed(Points(channel), tuning) for axis, (channel, tuning) in loops.items()}
+    crossing = max(_crossover(closed) for closed in wide.values())
+    identification = found.identification
+    assert identification is not None
+    swept = identification.response
+    reach = max(_crossover(closed, ABOVE) for closed in wide.values())  # a lead may hold the gain up far behind it
+    end = min(max(PAST * crossing, 1.1 * reach, float(swept.hertz[-1])), MOST_HZ / step)
+    low = min(float(swept.hertz[-1]), crossing) / 4.0
+    size = identification.sweep.amplitude
+    try:
+        record = fly_sweep(
+            found.engine, throttle_for(found.engine, found.vehicle), Sweep(low, end, size, suitable_duration(low)), step
+        )
+    except EngineError as error:
+        raise InputError(f"sweep of {found.engine.name}: {error}") from error
+    hertz: Array = np.asarray(np.fft.rfftfreq(len(record.output), step), np.float64)
+    use = (hertz >= low) & (hertz <= end)
+    hertz = hertz[use]
+    # from rest to rest: the transforms leak nothing, and every bin is a point, so that no narrow mode is averaged away
+    value = (np.fft.rfft(record.output)[use]) / (np.fft.rfft(record.injected)[use])
+    good = np.abs(swept.value) > 0.0
+    gain = float(np.exp(np.mean(np.log(np.abs(swept.value[good] / _held(dynamics, swept.hertz[good]))))))
+    ratio = value / (gain * _held(dynamics, hertz))
+    share, peak, above, worst = 0.0, 0.0, 0.0, ("", 0.0)
+    for axis, (channel, tuning) in loops.items():
+        own = Closed(Points(channel, z=np.exp(2j * pi * hertz * step)), tuning)
+        loop = own.open_loop
+        off = np.abs(loop / (1.0 + loop) * (ratio - 1.0))
+        if float(off.max()) > share:
+            share, worst = float(off.max()), (axis, float(hertz[int(off.argmax())]))
+        peak = max(peak, float(np.max(1.0 / np.abs(1.0 + ratio * loop))))
+        beyond = wide[axis].points.theta / (2.0 * pi * step) > end
+        if beyond.any():
+            above = max(above, float(np.abs(wide[axis].open_loop[beyond]).max()))
+    reason = ""
+    if share > SHARE_LEFT:
+        reason = (
+            f"{worst[0]}: around {worst[1]:.2g} Hz the engine's own response is so far from its model that the "
+            f"loop may be unstable ({share:.2f} of what the small gain theorem allows, {SHARE_LEFT:g} at most)"
+        )
+    elif peak > WORSE * found.need.max_sensitivity:
+        reason = f"with the engine's own response peak |S| is {peak:.2f}, {found.need.max_sensitivity:g} was asked for"
+    elif above > ABOVE:
+        reason = f"beyond {end:.3g} Hz, where nothing is measured, the loop's gain is up to {above:.2g}"
+    return Proof(reason, end, share, peak, above, ())
+
+
+def _held(dynamics: Dynamics, hertz: Array) -> Complex:
+    """A model's response with the hold before it; gain 1 at rest."""
+    s = 2j * pi * hertz
+    value = (
+        (1.0 - np.exp(-s * dynamics.step)) / (s * dynamics.step) * np.exp(-s * dynamics.delay_samples * dynamics.step)
+    )
+    for pole in dynamics.poles:
+        value = value / (1.0 - s / pole)
+    for zero in dynamics.zeros:
+        value = value * (1.0 - s / zero)
+    return np.asarray(value)
+
+
+def _crossover(closed: Closed, gain: float = 1.0) -> float:
+    """Hz, the highest at which the loop has this gain."""
+    over = np.flatnonzero(np.abs(closed.open_loop) >= gain)
+    return float(closed.points.theta[over[-1]] / (2.0 * pi * closed.points.channel.step)) if len(over) else 0.0
+
+
+# ---- flights
+
+
+def _fly_all(found: Design, say: Callable[[str], None]) -> list[Flown]:
+    need, roll = found.need, found.axes["roll"]
+    assert roll.after is not None
+    later = floor(need.delay_samples(roll.channel))
+    low, high = 1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance
+    corners = dict.fromkeys([(1.0, 0), (low, 0), (high, 0), (low, later), (high, later)])
+    flights = []
+    for gain, steps in corners:
+        for name, table in _tables(found).items():
+            say(f"flight: {name}, gain {gain:.2f}, {steps} steps later")
+            flights.append(Flown(name, gain, steps, _flight(found, name, table, gain, steps)))
+        if flights[-1].fault or flights[-2].fault or flights[-3].fault:
+            break  # one corner that fails is enough
+    return flights
+
+
+def _tables(found: Design) -> dict[str, dict[str, Any]]:
+    roll = found.axes["roll"].after
+    assert roll is not None
+    assert roll.bandwidth_hz is not None
+    # a side lasts 3 s, or twenty time constants of a loop that is slower: it has arrived at its end
+    width = max(3.0, ceil(20.0 / (2.0 * pi * roll.bandwidth_hz)))
+    doublet = read_toml(find_scenario("roll-doublet"))
+    doublet = merge(doublet, {"duration_s": 1.0 + 4.0 * width})
+    doublet["command"] = [{**doublet["command"][0], "width_s": width}]
+    hover = merge(read_toml(find_scenario("hover")), {"duration_s": max(HOVER_S, 2.0 * width)})
+    gust = read_toml(find_scenario("gust" if found.vehicle.mass_kg < LARGE_KG else "full-scale-gust"))
+    return {"hover": hover, "doublet": doublet, "gust": gust}
+
+
+def _flight(found: Design, name: str, table: Mapping[str, Any], gain: float, later: int) -> str:
+    made, given = controller_table(found), found.scenario
+    inertia = [each / gain for each in found.vehicle.inertia_kg_m2]
+    vehicle = merge(merge(table.get("vehicle", {}), given.vehicle), made["vehicle"])
+    flown = {
+        "name": f"proof-{name}",
+        "aircraft": found.vehicle.name,
+        "engine": given.engine,
+        "engine_parameters": dict(given.engine_parameters),
+        "engine_unchecked": True,  # it was measured already
+        "step_s": given.step_s,
+        "substeps": given.substeps,
+        "added_delay_samples": given.added_delay_samples,
+        "controller": made["controller"],
+        "vehicle": merge(vehicle, {"inertia_kg_m2": inertia} if gain != 1.0 else {}),
+        "mismatch": {"delay_samples": later},
+        "expect": [],
+        "limits": {},
+    }
+    scenario = Scenario.from_table({**table, **flown}, given.folder, f"proof: {name}")
+    run = fly(scenario, report=False)
+    return fault_of(name, run, found.axes["roll"].after.overshoot or 0.0, 1.0 if (gain, later) == (1.0, 0) else CORNER)  # type: ignore[union-attr]
+
+
+def fault_of(name: str, run: Run, promised: float, wider: float) -> str:
+    """What a flight did that was not promised, or nothing; ``wider`` times the bounds are allowed."""
+    if run.outcome != "completed":
+        return f"{run.outcome}, {run.reason}"
+    log = run.log
+    half = len(log["time_s"]) // 2
+    height = float(np.abs(log["altitude_m"] - log["altitude_setpoint_m"]).max())
+    for axis in ("roll", "pitch"):
+        angle = np.degrees(np.abs(log[f"{axis}_rad"] - log[f"{axis}_setpoint_rad"]))
+        if name == "hover" and angle[half:].max() > wider * STILL_DEG:
+            return f"{axis} swings by {angle[half:].max():.1f} deg, {wider * STILL_DEG:g} at most"
+        if name == "gust" and angle.max() > wider * GUST_DEG:
+            return f"{axis} goes {angle.max():.0f} deg off, {wider * GUST_DEG:g} at most"
+    if name == "doublet":
+        roll = run.metrics["roll"]
+        over, most = (roll.overshoot_percent or 0.0) / 100.0, wider * (promised + OVERSHOOT)
+        if over > most:
+            return f"overshoot of {100.0 * over:.0f} %, {100.0 * promised:.0f} % promised"
+        swing = degrees(roll.oscillation_rad or 0.0)
+        if swing > wider * STILL_DEG:
+            return f"roll still swings by {swing:.1f} deg at its end, {wider * STILL_DEG:g} at most"
+    if height > wider * HEIGHT_M:
+        return f"{height:.1f} m off its height, {wider * HEIGHT_M:g} at most"
+    return ""

@@ -1,0 +1,153 @@
+"""What a linear model of an engine does not see, and how the end of a design finds it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from foreign_engines import foreign
+
+from cosim.design import design as making
+from cosim.design import prove as proving
+from cosim.design import tune as search
+from cosim.design.design import Design, design
+from cosim.design.dynamics import fit_dynamics
+from cosim.design.identify.response import FrequencyResponse
+from cosim.design.prove import CORNER, fault_of, prove, proved
+from cosim.design.result import summary_lines, to_dict
+from cosim.design.tune import Requirements
+
+STEP = 0.004
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _quick() -> Iterator[None]:
+    """A short search without its last digits: its result is worse, and must keep the requirements all the same."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(search, "GENERATIONS", 4)
+        patch.setattr(search, "ROUNDS", 40)
+        patch.setattr(making, "settle", lambda *a, **k: None)
+        patch.setattr(making, "_limits", lambda *a, **k: {})
+        yield
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("proof")
+
+
+def quick(path: Path, lead: bool = False, **need: float) -> Design:
+    settings = ["engine_unchecked=true"]
+    return design(str(path), controller="baseline", lead=lead, need=Requirements(**need), settings=settings)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def sound(place: Path) -> Design:
+    return quick(foreign(place, "sound", "lag=0.15,delay=0.04"))
+
+
+def response(zero: float) -> FrequencyResponse:
+    """(1 + zero s) / ((1 + 0.3 s) (1 + 0.03 s)) behind a hold, 18 N, 5 samples late: exact."""
+    hertz = np.geomspace(0.05, 5.0, 60)
+    s = 2j * np.pi * hertz
+    value = 18.0 * (1.0 + zero * s) / ((1.0 + 0.3 * s) * (1.0 + 0.03 * s)) * np.exp(-5 * STEP * s)
+    value = value * (1.0 - np.exp(-s * STEP)) / (s * STEP)
+    return FrequencyResponse(hertz, value, np.ones(60), np.zeros(60), STEP)
+
+
+def test_a_zero_in_the_right_half_plane_is_found_as_one() -> None:
+    """Thrust that first goes the wrong way; without such a zero the best model was 70 % off."""
+    found = fit_dynamics(response(-0.35), 5.0, 0.3)
+    assert found.misfit < 1e-3
+    assert [z.real for z in found.zeros] == pytest.approx([1.0 / 0.35], rel=1e-3)
+    assert sorted(-1.0 / p.real for p in found.poles) == pytest.approx([0.03, 0.3], rel=1e-3)
+    assert found.delay_samples == 5.0
+    assert "right half plane at 2.857 rad/s" in found.words()
+    assert found.lag_s == pytest.approx(0.3 + 0.03 + 0.35, rel=1e-3)  # the zero is late at low frequency
+    other = fit_dynamics(response(0.1), 5.0, 0.3)
+    assert all(z.real < 0.0 for z in other.zeros)
+
+
+def test_a_misfit_is_no_design(monkeypatch: pytest.MonkeyPatch, sound: Design) -> None:
+    made = sound
+    assert made.ok
+    roll = made.axes["roll"]
+    actuator = roll.channel.actuator
+    wrong = replace(actuator, dynamics=replace(actuator.dynamics, misfit=0.37))
+    axes = {**made.axes, "roll": replace(roll, channel=replace(roll.channel, actuator=wrong))}
+    monkeypatch.setattr(proving, "_fly_all", lambda *a: pytest.fail("flown all the same"))
+    found = proved(replace(made, axes=axes))
+    assert not found.ok
+    assert "the best one is 37 % off its response" in found.reason
+
+
+def test_a_sound_engine_is_proved_and_the_proof_is_told(sound: Design) -> None:
+    found = proved(sound)
+    assert found.ok, found.reason
+    assert found.proof is not None
+    assert len(found.proof.flights) == 15
+    assert {(each.gain, each.later) for each in found.proof.flights} >= {(0.7, 3), (1.3, 3), (1.0, 0)}
+    assert found.proof.sensitivity <= 1.7 * 1.02  # the measured loop's, an engine whose model is exact
+    assert found.proof.share < 0.05
+    assert any("15 of 15 flights" in line for line in summary_lines(found))
+    assert to_dict(found)["proof"]["flights"][0]["fault"] == ""
+
+
+def test_a_light_mode_past_the_band_is_found_by_measuring_there(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """1 % of the thrust in a mode at 9 Hz: a model within a quarter of a percent, and a loop that swings up."""
+    monkeypatch.setattr(proving, "_fly_all", lambda *a: pytest.fail("flown all the same"))
+    made = quick(foreign(place, "mode", "lag=0.4,mode=0.01,mode_hz=9,damping=0.01"), lead=True)
+    assert made.ok
+    found = prove(made)
+    assert "around 9" in found.reason
+    assert found.measured_hz > 9.0
+
+
+def test_what_only_a_flight_shows_is_no_design(place: Path, sound: Design) -> None:
+    """The same engine to a slow sweep, but for a controller of its own that reads the throttle four times a second."""
+    other = foreign(place, "samples", "lag=0.15,delay=0.04,sampled=0.25")
+    found = proved(replace(sound, scenario=sound.scenario.replace(engine=str(other))))
+    assert found.reason.startswith(
+        "flown with the engine itself it does not keep what it promises: doublet, as designed"
+    )
+    assert to_dict(found)["file"] is None
+    assert any(line.startswith("no acceptable design: flown") for line in summary_lines(found))
+    assert found.proof is not None
+    assert len(found.proof.flights) == 3  # a corner that fails is enough
+
+
+def flown(**changes: Any) -> Any:
+    time = np.arange(0.0, 10.0, 0.01)
+    zero = np.zeros_like(time)
+    log = {"time_s": time, "altitude_m": zero, "altitude_setpoint_m": zero}
+    log |= {f"{axis}{kind}_rad": zero for axis in ("roll", "pitch") for kind in ("", "_setpoint")}
+    roll = SimpleNamespace(overshoot_percent=changes.pop("overshoot", 0.0), oscillation_rad=changes.pop("swing", 0.0))
+    run = SimpleNamespace(outcome="completed", reason="", log=log | changes.pop("log", {}), metrics={"roll": roll})
+    for key, value in changes.items():
+        setattr(run, key, value)
+    return run
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "said"),
+    [
+        ("hover", {}, ""),
+        ("hover", {"outcome": "diverged", "reason": "at 3 s"}, "diverged, at 3 s"),
+        ("hover", {"log": {"roll_rad": np.radians(np.linspace(0.0, 3.0, 1000))}}, "roll swings by 3.0 deg, 1 at most"),
+        ("doublet", {"overshoot": 17.0}, ""),
+        ("doublet", {"overshoot": 49.0}, "overshoot of 49 %, 8 % promised"),
+        ("doublet", {"swing": 0.05}, "roll still swings by 2.9 deg"),
+        ("gust", {"log": {"pitch_rad": np.full(1000, 0.5)}}, "pitch goes 29 deg off, 25 at most"),
+        ("gust", {"log": {"altitude_m": np.full(1000, 3.0)}}, "3.0 m off its height, 2 at most"),
+    ],
+)
+def test_what_a_flight_does_that_was_not_promised(name: str, changes: dict[str, Any], said: str) -> None:
+    assert fault_of(name, flown(**dict(changes)), 0.08, 1.0).startswith(said)
+    assert bool(fault_of(name, flown(**dict(changes)), 0.08, 1.0)) == bool(said)
+    if "log" in changes and name == "gust":
+        assert fault_of(name, flown(**dict(changes)), 0.08, CORNER) == ""
