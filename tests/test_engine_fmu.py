@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import fmpy
@@ -349,6 +350,33 @@ def test_the_state_of_another_engine_is_refused(edf: Driven, tmp_path: Path) -> 
     with pytest.raises(FMICallException):
         edf.fmu.deserializeFMUState(data)
     assert edf.messages == ["this is not a serialized state of this engine"]
+
+
+def test_a_damaged_state_is_refused_wherever_the_damage_is(edf: Driven) -> None:
+    """A delay's index beyond its line once made an instance write outside its memory."""
+    edf.start()
+    state = edf.fmu.getFMUState()
+    data = edf.fmu.serializeFMUState(state)
+    edf.fmu.freeFMUState(state)
+    for place in (*range(40, len(data), 97), len(data) - 9, len(data) - 1):
+        edf.messages.clear()
+        with pytest.raises(FMICallException):
+            edf.fmu.deserializeFMUState(data[:place] + bytes([data[place] ^ 0x40]) + data[place + 1 :])
+        assert edf.messages[0].endswith(("not a serialized state of this engine", "its checksum does not fit"))
+
+
+def test_a_step_may_be_the_difference_of_large_times(edf: Driven) -> None:
+    """From a day on: what the times cannot hold of a step is no fault of the master's."""
+    times = 86400.0 + STEP * np.arange(500)
+    edf.start(start_time=86400.0)
+    thrusts = []
+    for here, there in pairwise(times):
+        edf.set("throttle", 0.5)
+        edf.fmu.doStep(here, there - here)
+        thrusts.append(edf.get("thrust"))
+    assert np.array(thrusts) == pytest.approx(paper_thrust("edf-as-flown", np.full(499, 0.5)), rel=1e-12)
+    with pytest.raises(FMICallException):
+        edf.fmu.doStep(times[-1], STEP * (1.0 + 1e-6))
 
 
 def test_instances_in_one_process_do_not_touch_each_other(tmp_path: Path) -> None:
