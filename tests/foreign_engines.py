@@ -130,8 +130,92 @@ def foreign(
     return path
 
 
+PERCENT = ("N1_cmd", "throttle", "input", 'unit="%" min="0" max="1" start="0"')
+PULSE = ("esc_us", "pulse", "input", 'Integer: min="1000" max="2000" start="1000"')
+PULSE3 = ("esc_us", "pulse", "input", 'UInt16: min="1000" max="2000" start="1000"')
+VALVE = ("fuel.valve", "valve", "input", 'min="0" max="1" start="0"')
+POWER = ("power_available", "valve", "input", 'Boolean: start="false"')
+IGNITION = ("ignition", "ignition", "input", 'Boolean: start="false"')
+MODE = ("mode", "mode", "input", 'Enumeration: declaredType="Mode" start="0"')
+SPEED = ("N1", "speed", "output", "")
+_ITEMS = '<Item name="off" value="0"/><Item name="crank" value="1"/><Item name="run" value="2"/>'
+MODES = {
+    2: f'<TypeDefinitions><SimpleType name="Mode"><Enumeration>{_ITEMS}</Enumeration></SimpleType></TypeDefinitions>\n',
+    3: f'<TypeDefinitions><EnumerationType name="Mode">{_ITEMS}</EnumerationType></TypeDefinitions>\n',
+}
+AIR = [("Mn", "mach", "input", 'start="0"'), ("rho", "density", "input", 'unit="kg/m3" start="1"'),
+       ("alt", "altitude", "input", 'unit="m" start="0"')]  # fmt: skip
+ARRAYS = [("u", "throttles", "input", 'size="6" start="0 0 0 0 0 0" min="0" max="1"'),
+          ("F", "thrusts", "output", 'size="6" unit="N"')]  # fmt: skip
+SIX = [*((f"u{k}", f"throttles[{k}]", "input", 'min="0" max="1" start="0"') for k in range(6)),
+       *((f"F{k}", f"thrusts[{k}]", "output", 'unit="N"') for k in range(6))]  # fmt: skip
+CRANK = "sequence = [{ set = { mode = 'crank' }, until = 'N1 > 4990' }, { set = { mode = 'run' }, for_s = 1.0 }]"
+WEAK_MODE = "mode=0.01,damping=0.01,mode_hz="
+
+# name: what it is made of, ports, FMI, lines of mapping, a change in the description
+Engine = tuple[str, "list[Row] | None", int, tuple[str, ...], tuple[str, str]]
+NO_CHANGE = ("", "")
+KINDS: dict[str, Engine] = {
+    **{name: (of, None, 2, (), NO_CHANGE) for name, of in {
+        "lag-and-delay": "lag=0.2,delay=0.08", "quick": "lag=0.02", "slow": "lag=0.8", "late": "lag=0.2,delay=0.24",
+        "two-lags": "lag=0.2,lag2=0.08,delay=0.04", "zero": "lag=0.3,lag2=0.05,zero=0.1",
+        "wrong-way-a-little": "lag=0.3,lag2=0.05,zero=-0.05,delay=0.02", "wrong-way": "lag=0.3,lag2=0.03,zero=-0.35",
+        "wrong-way-half": "lag=0.3,lag2=0.03,zero=-0.15", "samples-100-hz": "lag=0.2,delay=0.04,sampled=0.01",
+        "samples-50-hz": "lag=0.2,delay=0.04,sampled=0.02", "samples-20-hz": "lag=0.33,sampled=0.05",
+        "samples-20-hz-late": "lag=0.33,delay=0.08,sampled=0.05", "samples-4-hz": "lag=0.2,delay=0.04,sampled=0.25",
+        "mode-9-hz": f"lag=0.2,{WEAK_MODE}9", "mode-9-hz-slow": f"lag=0.4,{WEAK_MODE}9",
+        "mode-7-hz": "lag=0.4,mode=0.02,damping=0.01,mode_hz=7", "mode-30-hz": f"lag=0.4,{WEAK_MODE}30",
+        "later-down": "lag=0.2,delay=0.04,delay_down=0.12", "later-up": "lag=0.2,delay=0.12,delay_down=0.04",
+        "later-when-slow": "lag=0.2,delay=0.2,delay_full=0.04", "limited": "lag=0.2,accelerates=0.25",
+        "limited-much": "lag=0.1,accelerates=0.05", "flat-top": "lag=0.1,flat=0.9", "curved": "lag=0.1,exponent=3.5",
+        "idles": "lag=0.2,idle=0.1,delay=0.04", "stiff": "lag=0.004", "hunts": "lag=0.1,hunts=0.003",
+        "noisy-unsaid": "lag=0.1,noise=0.0025", "crashes-in-flight": "lag=0.1,crashes=1",
+        "hangs-in-flight": "lag=0.1,hangs=1", "floods-in-flight": "lag=0.1,floods=1", "never-lit": "lag=0.1,start=20",
+    }.items()},
+    "fmi3": ("lag=0.2,delay=0.08", None, 3, (), NO_CHANGE),
+    "undeclared-unit": ("lag=0.2,delay=0.04", None, 2, (), ('unit="N"', 'unit="newton"')),
+    "display-unit": ("lag=0.2,delay=0.04", None, 2, (), ('unit="N"', 'unit="newton" displayUnit="kp"')),
+    "furlong": ("lag=0.2", None, 2, (), ('unit="N"', 'unit="furlong"')),
+    "no-variability": ("lag=0.2", [lever(), force(), POWER], 2, (), (' variability="discrete"', "")),
+    "pulses": ("lag=0.1,delay=0.04,pulse=1", [PULSE, force()], 2, (), NO_CHANGE),
+    "pulses-fmi3": ("lag=0.1,delay=0.04,pulse=1", [PULSE3, force()], 3, (), NO_CHANGE),
+    "percent": ("lag=0.1", [PERCENT, force()], 2, ("[ports]", "throttle = 'N1_cmd'"), NO_CHANGE),
+    "valve": ("lag=0.1,valve=1", [lever(), force(), VALVE], 2, ("[inputs]", "fuel.valve = 1.0"), NO_CHANGE),
+    "power": ("lag=0.1,valve=1", [lever(), force(), POWER], 2, ("[inputs]", "power_available = true"), NO_CHANGE),
+    "ignition": ("lag=0.1,start=20", [lever(), force(), IGNITION], 2,
+                 ("[start]", "sequence = [{ set = { ignition = true }, for_s = 20.5 }]"), NO_CHANGE),
+    "crank": ("lag=0.1,start=12,modes=1", [lever(), force(), MODE, SPEED], 2, ("[start]", CRANK), NO_CHANGE),
+    "crank-fmi3": ("lag=0.1,start=12,modes=1", [lever(), force(), MODE, SPEED], 3, ("[start]", CRANK), NO_CHANGE),
+    "noisy": ("lag=0.1,delay=0.04,noise=0.0025", None, 2, ("[rest]", "thrust = 0.5"), NO_CHANGE),
+    "heat": ("lag=0.1,soak=0.02", None, 2, ("[rest]", "thrust = 0.05"), NO_CHANGE),
+    "backwards": ("lag=0.1,sign=-1", None, 2, ("[scale]", "thrust = -1.0"), NO_CHANGE),
+    "gross": ("lag=0.1,drag=0.5", [lever(), force("Fg", "gross"), force("Fram", "drag")], 2,
+              ("[ports]", "thrust = 'Fg'", "ram_drag = 'Fram'"), NO_CHANGE),
+    "deck": ("lag=0.1,air=1", [lever(), force(), *AIR], 2, (), NO_CHANGE),
+    "six-in-one": ("lag=0.1,engines=6", SIX, 2, ("[ports]", "throttle = 'u0'", "thrust = 'F0'"), NO_CHANGE),
+    "six-in-arrays": ("lag=0.1,engines=6", ARRAYS, 3, ("[ports]", "throttle = 'u[1]'", "thrust = 'F[1]'"), NO_CHANGE),
+}  # fmt: skip
+
+
+def write_kinds(folder: Path) -> list[Path]:
+    """Every kind in ``folder``; the paths by which they are named: the mapping file where there is one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    made = []
+    for name, (of, rows, fmi, lines, change) in KINDS.items():
+        types = MODES[fmi] if "modes" in of else ""
+        path = foreign(folder, name, of, rows, fmi, change, types)
+        made.append(mapped(path, *lines) if lines else path)
+    return made
+
+
 def mapped(fmu: Path, *lines: str) -> Path:
     """A mapping file beside an FMU, of these lines."""
     path = fmu.with_suffix(".toml")
     path.write_text("\n".join([f'fmu = "{fmu.name}"', *lines, ""]))
     return path
+
+
+if __name__ == "__main__":
+    import sys
+
+    print(*write_kinds(Path(sys.argv[1])))

@@ -9,13 +9,33 @@ from pathlib import Path
 
 import pytest
 from engine_tools import STEP
-from foreign_engines import FULL, SOURCE, description, force, foreign, lever, library, mapped
+from foreign_engines import (
+    CRANK,
+    FULL,
+    KINDS,
+    MODE,
+    MODES,
+    POWER,
+    PULSE,
+    PULSE3,
+    SOURCE,
+    SPEED,
+    VALVE,
+    description,
+    force,
+    foreign,
+    lever,
+    library,
+    mapped,
+    write_kinds,
+)
 
 from cosim import Scenario, fly
 from cosim.base.errors import InputError
 from cosim.base.signals import Ambient
 from cosim.base.toml import parse_setting
 from cosim.cli.main import main
+from cosim.design.survey import FLIES, NONE, judged
 from cosim.engine import EngineBank, EngineSpec, load_engine
 from cosim.engine.archive import read_archive, validate
 from cosim.engine.compile import compile_archive, needs_compiling
@@ -150,14 +170,10 @@ def load(path: Path, *lines: str) -> EngineSpec:
     return load_engine(str(mapped(path, *lines) if lines else path), {}, STEP, unchecked=True)
 
 
-def pulses(fmi: int) -> tuple[str, str, str, str]:
-    return "esc_us", "pulse", "input", f'{"Integer" if fmi == 2 else "UInt16"}: min="1000" max="2000" start="1000"'
-
-
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_throttle_in_whole_numbers_moves_in_their_steps(fmi: int, place: Path) -> None:
     """1000 to 2000 microseconds: thrust at rest is that of the nearest whole one."""
-    spec = load(foreign(place, f"pulses{fmi}", "lag=0.02,pulse=1", [pulses(fmi), force()], fmi))
+    spec = load(foreign(place, f"pulses{fmi}", "lag=0.02,pulse=1", [PULSE if fmi == 2 else PULSE3, force()], fmi))
     assert spec.archive.throttle.name == "esc_us"
     assert any("1000 steps" in note for note in spec.archive.port_notes)
     with EngineBank(spec, 1, STEP) as bank:
@@ -169,18 +185,6 @@ def test_a_switch_is_no_throttle(place: Path) -> None:
     row = ("throttle", "throttle", "input", 'Integer: min="0" max="1" start="0"')
     with pytest.raises(InputError, match="a throttle needs 20 steps at least"):
         load(foreign(place, "switch", "lag=0.02", [row, force()]))
-
-
-VALVE = ("fuel.valve", "valve", "input", 'min="0" max="1" start="0"')
-POWER = ("power_available", "valve", "input", 'Boolean: start="false"')
-MODE = ("mode", "mode", "input", 'Enumeration: declaredType="Mode" start="0"')
-MODES = {
-    2: '<TypeDefinitions><SimpleType name="Mode"><Enumeration><Item name="off" value="0"/><Item name="crank" value="1"/>'
-    '<Item name="run" value="2"/></Enumeration></SimpleType></TypeDefinitions>\n',
-    3: '<TypeDefinitions><EnumerationType name="Mode"><Item name="off" value="0"/><Item name="crank" value="1"/>'
-    '<Item name="run" value="2"/></EnumerationType></TypeDefinitions>\n',
-}  # fmt: skip
-SPEED = ("N1", "speed", "output", "")
 
 
 @pytest.mark.parametrize(
@@ -211,12 +215,6 @@ def test_an_input_that_cannot_be_held_is_refused(held: str, place: Path) -> None
     assert "\n" not in str(caught.value)
 
 
-CRANK = (
-    "[start]",
-    "sequence = [{ set = { mode = 'crank' }, until = 'N1 > 4990', at_most_s = 20.0 }, { set = { mode = 'run' }, for_s = 1.0 }]",
-)
-
-
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_engine_is_started_before_anything_is_asked_of_it(fmi: int, place: Path) -> None:
     """Cranked until its speed is there, 12 s, then run: every instance, and the flight begins behind that."""
@@ -225,7 +223,7 @@ def test_an_engine_is_started_before_anything_is_asked_of_it(fmi: int, place: Pa
     )
     with pytest.raises(InputError, match="does not answer the throttle within 10 s; an engine that has to be started"):
         load(path)
-    spec = load(path, *CRANK)
+    spec = load(path, "[start]", CRANK)
     assert spec.curve.thrust[-1] == pytest.approx(FULL)
     assert spec.window < 100  # the start is no dead time
     with EngineBank(spec, 2, STEP) as bank:
@@ -329,3 +327,43 @@ def test_a_flight_without_a_model_names_the_one_command(place: Path) -> None:
     path = foreign(place, "nobody-knows", "lag=0.1,delay=0.04")
     with pytest.raises(InputError, match=r"hexjet design --engine .*nobody-knows\.fmu --out hexjet-nobody-knows\.toml"):
         fly(Scenario.load("roll-doublet").replace(engine=str(path), engine_unchecked=True))
+
+
+# ---- every kind
+
+
+def test_every_kind_is_read_and_measured_or_refused_in_one_line(tmp_path: Path) -> None:
+    """Those that cannot be flown as they are say what is missing; the table of all is `make kinds`."""
+    said = {}
+    for path in write_kinds(tmp_path):
+        try:
+            said[path.stem] = load_engine(str(path), {}, STEP, unchecked=True).name
+        except InputError as error:
+            said[path.stem] = str(error)
+    assert len(said) >= 40
+    assert not any("\n" in text for text in said.values())
+    refused = {name: text for name, text in said.items() if text != name}
+    assert set(refused) == {"furlong", "hunts", "noisy-unsaid", "never-lit"}
+    assert "[start], [inputs]" in refused["never-lit"]
+    assert all("[rest] thrust" in refused[name] for name in ("hunts", "noisy-unsaid"))
+    mapping_lines = {name: len(each[3]) for name, each in KINDS.items()}
+    assert max(mapping_lines.values()) <= 5  # and the one that names the FMU
+
+
+def test_a_survey_tells_what_came_of_each(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    refused = foreign(place, "furlong", "lag=0.2", change=('unit="N"', 'unit="furlong"'))
+    with pytest.raises(SystemExit) as ended:
+        main(["fmu", "survey", str(refused), str(place / "missing.fmu")])
+    assert ended.value.code == 0
+    out = capfd.readouterr().out.splitlines()
+    assert re.match(r"\| furlong \| .*its thrust is in furlong.* \|  \|  \| refused \| \d+ \|", out[2])
+    assert re.match(r"\| missing \| .*no such file \|  \|  \| refused \|", out[3])
+
+
+@pytest.mark.parametrize(
+    ("faults", "ok", "verdict"), [(["", ""], True, FLIES), (["swings", ""], False, NONE), ([], True, NONE)]
+)
+def test_nothing_is_said_to_fly_that_did_not(faults: list[str], ok: bool, verdict: str) -> None:
+    roll = {"after": {"bandwidth_hz": 1.0, "peak_sensitivity": 1.7}}
+    made = {"ok": ok, "reason": "" if ok else "swings", "controller": "smith", "axes": {"roll": roll}}
+    assert judged(made | {"proof": {"flights": [{"fault": each} for each in faults]}})[2] == verdict

@@ -45,6 +45,37 @@ def fmu_compile(archive: Path, out: Path | None) -> int:
     return DONE
 
 
+@fmu.command("survey", epilog=example("hexjet fmu survey engines/*.fmu engines/*.toml"))
+@click.argument("engines", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path))
+@click.option(
+    "--controller", default="baseline", show_default=True, metavar="NAME", help="As in hexjet design, or auto."
+)
+@click.option(
+    "--time-limit", type=Number(min=1.0), default=900.0, show_default=True, metavar="S", help="For each command."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+def fmu_survey(engines: tuple[Path, ...], controller: str, time_limit: float, as_json: bool) -> int:
+    """One line for each of many engines: is it fit, is there a design for it, does that fly as promised.
+
+    Checked, designed for and flown in processes of their own.  Status 1: a command of ours failed on one of them.
+    """
+    from dataclasses import asdict
+
+    from cosim.cli.console import part_progress
+    from cosim.design.survey import FAULT, survey
+
+    with part_progress("survey", quiet=as_json) as tell:
+        rows = survey(engines, controller, time_limit, lambda text: tell(text, 0, 1))
+    if as_json:
+        click.echo(json.dumps({"engines": [asdict(row) for row in rows]}))
+    else:
+        click.echo("| engine | check | design | flights kept | verdict | s |\n| --- | --- | --- | --- | --- | --- |")
+        for row in rows:
+            cells = (row.engine, row.check, row.design, row.proof, row.verdict, f"{row.seconds:.0f}")
+            click.echo("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
+    return FLIGHT_FAILED if any(row.verdict == FAULT for row in rows) else DONE
+
+
 @fmu.command("check", epilog=example("hexjet fmu check their.fmu --step 0.004"))
 @click.argument("engine", metavar="NAME|FILE.fmu|MAPPING.toml")
 @click.option(

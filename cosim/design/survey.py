@@ -1,0 +1,98 @@
+"""Many engines, one line each: is it fit, is there a design, does it fly as promised.
+
+Every command runs in a process of its own with a limit of time, so that an engine that crashes or hangs is a line
+like any other.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.engine.container import one_line
+
+FLIES, NONE, UNFIT, REFUSED, FAULT = "flies as promised", "no design", "unfit", "refused", "FAULT OF OURS"
+_MAIN = "from cosim.cli.main import main; main()"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One engine."""
+
+    engine: str
+    check: str  # what hexjet fmu check said
+    design: str  # bandwidth and sensitivity of roll, or why there is none
+    proof: str  # flights that kept what was promised
+    verdict: str
+    seconds: float
+
+
+def survey(engines: Sequence[Path], controller: str, limit: float, say: Callable[[str], None]) -> list[Row]:
+    """Check, design and prove every engine; ``limit`` [s] for each of the two commands."""
+    rows = []
+    for path in engines:
+        say(path.stem)
+        begin = time.monotonic()
+        with tempfile.TemporaryDirectory(prefix="hexjet-survey-") as folder:
+            row = _one(path, controller, limit, Path(folder))
+        rows.append(Row(path.stem, *row, time.monotonic() - begin))
+    return rows
+
+
+def _one(path: Path, controller: str, limit: float, folder: Path) -> tuple[str, str, str, str]:
+    status, found, said = _run(["fmu", "check", str(path), "--json", "--out", str(folder / "check")], limit)
+    if status == 2:
+        return said, "", "", REFUSED
+    if found is None:
+        return said, "", "", FAULT
+    if not found["ok"]:
+        return found["problems"][0], "", "", UNFIT
+    asked = ["design", "--engine", str(path), "--controller", controller, "--json", "--out", str(folder / "made.toml")]
+    status, made, said = _run(asked, limit)
+    if status == 2:
+        return "fit", said, "", REFUSED
+    if made is None:
+        return "fit", said, "", FAULT
+    return "fit", *judged(made)
+
+
+def judged(made: dict[str, Any]) -> tuple[str, str, str]:
+    """A design as ``--json`` prints it: the design, the proof and the verdict in words."""
+    proof, roll = made["proof"], made["axes"]["roll"]["after"]
+    flights = proof["flights"] if proof else []
+    kept = f"{sum(not each['fault'] for each in flights)} of {len(flights)}" if flights else ""
+    if not made["ok"]:
+        return made["reason"], kept, NONE
+    design = f"{made['controller']}, {roll['bandwidth_hz']:.2g} Hz, peak |S| {roll['peak_sensitivity']:.2f}"
+    return design, kept, FLIES if flights and all(not each["fault"] for each in flights) else NONE
+
+
+def _run(arguments: Sequence[str], limit: float) -> tuple[int, dict[str, Any] | None, str]:
+    """Status, what was printed as JSON, and what was said otherwise."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _MAIN, *arguments],
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=limit,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return -1, None, f"not done within {limit:g} s"
+    complaints = [line for line in done.stderr.splitlines() if line.startswith("hexjet: ") and "warning:" not in line]
+    said = one_line((complaints or done.stderr.splitlines() or ["nothing was said"])[-1]).removeprefix("hexjet: ")
+    if done.returncode not in (0, 1) or "Traceback" in done.stderr:
+        fault = done.returncode == 2 and "Traceback" not in done.stderr
+        return (2 if fault else -1), None, said if fault else f"status {done.returncode}: {said}"
+    try:
+        return done.returncode, json.loads(done.stdout), said
+    except ValueError:
+        return -1, None, f"status {done.returncode}: {said}"
