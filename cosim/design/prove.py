@@ -217,6 +217,7 @@ def _flight(found: Design, name: str, table: Mapping[str, Any], gain: float, lat
         "engine": given.engine,
         "engine_parameters": dict(given.engine_parameters),
         "engine_unchecked": True,  # it was measured already
+        "engine_isolated": not found.engine.library,  # a crash or a hang is a reason, not an end
         "step_s": given.step_s,
         "substeps": given.substeps,
         "added_delay_samples": given.added_delay_samples,

@@ -4,6 +4,7 @@ The only package that imports FMPy, and only where it is needed, because that im
 """
 
 from cosim.engine.bank import EngineBank
+from cosim.engine.isolated import IsolatedBank
 from cosim.engine.ports import Air
 from cosim.engine.qualify.check import CheckReport, check_fmu, limits_of
 from cosim.engine.qualify.load import load_engine
@@ -14,6 +15,7 @@ __all__ = [
     "CheckReport",
     "EngineBank",
     "EngineSpec",
+    "IsolatedBank",
     "build_engines",
     "check_fmu",
     "engine_names",

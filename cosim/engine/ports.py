@@ -428,6 +428,7 @@ class MappingFile(Model):
 
     fmu: str = Field(min_length=1)
     title: str = ""
+    isolated: bool = False  # flown in a process of its own
     ports: _Ports = _Ports()
     units: _Units = _Units()
     range: _Range = _Range()

@@ -60,6 +60,7 @@ class EngineSpec:
     window: int = field(repr=False)  # communication steps, longer than the engine's delay
     quiet: float = field(default=NO_CHANGE, repr=False)  # to what share of itself the thrust stands still at rest
     air: Air = STANDARD_AIR  # in which the curve was measured
+    isolated: bool = False  # it asks for a process of its own
 
     @property
     def behaviour(self) -> tuple[Hashable, ...]:

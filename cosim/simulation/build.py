@@ -27,6 +27,7 @@ from cosim.engine import (
     Air,
     EngineBank,
     EngineSpec,
+    IsolatedBank,
     load_engine,
 )
 from cosim.engine.wrappers import EngineChain
@@ -72,7 +73,8 @@ def build(scenario: Scenario) -> Simulation:
     with ExitStack() as made:
         airframe = Airframe(flown, folder, scenario.environment, step, scenario.substeps, scenario.seed, spools.any)
         made.callback(airframe.close)
-        bank = EngineBank(stations, len(stations), step)
+        apart = scenario.engine_isolated or any(spec.isolated for spec in stations)
+        bank = IsolatedBank(stations, step) if apart else EngineBank(stations, len(stations), step)
         made.callback(bank.close)
         engines = EngineChain(
             bank,

@@ -489,6 +489,7 @@ class Scenario(Model):
     monitor: bool | None = None  # engines are watched and planned around; None: where an engine is to fail
     engine_parameters: dict[str, float] = {}
     engine_unchecked: bool = False  # engines that are not of the library fly without having been tried before
+    engine_isolated: bool = False  # the engines run in a process of their own
     stations: dict[Literal["1", "2", "3", "4", "5", "6"], Station] = {}  # by the number of the jet
     requests: str | None = None  # a file of what is asked of the autopilot, which flies then
     vehicle: dict[str, Any] = {}

@@ -63,7 +63,17 @@ UNITS = {
 ODD_UNITS = {"spring_n_m": "N/m", "reaction_m": "m"}  # a stiffness reads as a moment does
 WHOLE_STEPS = ("start_s", "duration_s", "width_s", "delay_s")  # of entries: counted in control steps
 LISTS = ("command", "disturbance", "fault")
-NOT_VARIED = ("seed", "expect", "name", "title", "description", "requests", "engine_unchecked", "limits")
+NOT_VARIED = (
+    "seed",
+    "expect",
+    "name",
+    "title",
+    "description",
+    "requests",
+    "engine_unchecked",
+    "engine_isolated",
+    "limits",
+)
 OWN_NAMES = re.compile(
     r"(?P<head>engine_parameters|stations\.[^.]+\.parameters)\.(?P<name>.+)"
     r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"

@@ -38,10 +38,15 @@ def main(pipe: int) -> None:
     say({"done": True, "at": "when its process ended"})
 
 
-def _limit(seconds: float) -> None:
-    """The ends that need no parent: a parent that is killed leaves nobody to look after this process."""
+def die_with_parent() -> None:
+    """A parent that is killed leaves nobody to look after this process."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+
+
+def _limit(seconds: float) -> None:
+    """The ends that need no parent."""
+    die_with_parent()
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

@@ -1,0 +1,167 @@
+"""A bank of engines in a process of its own: what an FMU does to its process it does to nobody else.
+
+A crash, a hang, a library's own threads or run time, a flood on standard output: the flight ends as failed, with
+engine, step and time, and its log is kept.  The numbers that go to and fro are the same doubles, so a flight is the one
+that it is without, bit for bit; what it costs is two passages through a socket a step.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from typing import Any
+
+from cosim.base.compiled import PURE, from_source
+from cosim.base.errors import EngineError, InputError
+from cosim.base.signals import Ambient, EngineOutput, PerJet
+from cosim.engine.bank import EngineBank
+from cosim.engine.ports import AMBIENT
+from cosim.engine.spec import EngineSpec
+
+HANG_S = 4.0  # for one step of all engines; chosen by us: a thousand control steps
+START_S = 120.0  # to be loaded, started and run up, which a flight does once
+CLOSE_S = 2.0  # to be freed
+_SERVE = "import sys; from cosim.engine.isolated import serve; serve(int(sys.argv[1]))"
+
+
+class IsolatedBank:
+    """As :class:`cosim.engine.EngineBank`, with the engines in a child process.
+
+    Raises InputError or EngineError as that does; EngineError too where the child ends by itself or does not answer.
+    """
+
+    def __init__(self, specs: Sequence[EngineSpec], step: float) -> None:
+        self._step, self._count = step, len(specs)
+        self._names = ", ".join(dict.fromkeys(spec.path.name for spec in specs))
+        self.wants_ambient = any(spec.has(port) for spec in specs for port in AMBIENT)
+        self._row = struct.Struct(f"<{2 * self._count + 3}d")
+        self._answer = struct.Struct(f"<{4 * self._count}d")
+        ours, theirs = socket.socketpair()
+        with theirs:
+            environment = {**os.environ, PURE: "1"} if from_source() else None
+            self._child = subprocess.Popen(
+                [sys.executable, "-c", _SERVE, str(theirs.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=[theirs.fileno()],
+                env=environment,
+            )
+        self._pipe = Connection(ours.detach())
+        try:
+            self._ask(("make", tuple(specs), step), START_S, "when it was loaded")
+        except BaseException:
+            self.close()
+            raise
+
+    def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
+        """As the bank's."""
+        held = tuple(throttle) if isinstance(throttle, Sequence) else throttle
+        air = None if ambient is None else (ambient.pressure, ambient.temperature, tuple(ambient.air_speed))
+        return EngineOutput(*self._ask(("reset", held, air), START_S, "before the flight"))
+
+    def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
+        """As the bank's."""
+        n = self._count
+        air = (0.0, 0.0, 0.0, *[0.0] * n) if ambient is None else (1.0, ambient[0], ambient[1], *ambient[2])
+        moment = f"at step {k} ({k * self._step:g} s)"
+        data = self._exchange(b"s" + struct.pack("<q", k) + self._row.pack(*throttle, *air), HANG_S, moment)
+        if data[:1] != b"s":
+            return EngineOutput(*self._read(data))
+        values = self._answer.unpack(data[1:])
+        return EngineOutput(values[:n], values[n : 2 * n], values[2 * n : 3 * n], values[3 * n :])
+
+    def set_run(self, index: int, on: bool) -> bool:
+        """As the bank's."""
+        return bool(self._ask(("run", index, on), HANG_S, "when it was shut off or on"))
+
+    def close(self) -> None:
+        """End the child, by force if it takes long.  May be called again."""
+        self._pipe.close()
+        try:
+            self._child.wait(CLOSE_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+
+    def _ask(self, question: tuple[Any, ...], limit: float, moment: str) -> Any:
+        return self._read(self._exchange(b"p" + pickle.dumps(question), limit, moment))
+
+    def _read(self, data: bytes) -> Any:
+        """What the child answered, or the error that it met, here."""
+        good, answer = pickle.loads(data[1:])
+        if good:
+            return answer
+        kind, text = answer
+        raise {"InputError": InputError, "ValueError": ValueError}.get(kind, EngineError)(text)
+
+    def _exchange(self, data: bytes, limit: float, moment: str) -> bytes:
+        try:
+            self._pipe.send_bytes(data)
+            if self._pipe.poll(limit):
+                return self._pipe.recv_bytes()
+        except (EOFError, OSError):
+            raise EngineError(f"engines ({self._names}): {self._ended()} {moment}") from None
+        self._child.kill()
+        self._child.wait()
+        raise EngineError(f"engines ({self._names}): no answer within {limit:g} s {moment}: a call to the FMU hangs")
+
+    def _ended(self) -> str:
+        try:
+            status = self._child.wait(CLOSE_S)
+        except subprocess.TimeoutExpired:
+            return "its process no longer answers"
+        if status < 0:
+            return f"its process crashed ({signal.Signals(-status).name})"
+        return f"its process ended by itself (exit status {status})"
+
+
+def serve(number: int) -> None:
+    """The child: make a bank and do with it what is asked for, until nobody asks any more."""
+    from cosim.engine.qualify.child import die_with_parent
+
+    die_with_parent()
+    pipe = Connection(number)
+    bank: EngineBank | None = None
+    row = answer = struct.Struct("")
+    count = 0
+    while True:
+        try:
+            data = pipe.recv_bytes()
+        except (EOFError, OSError):
+            break
+        try:
+            if data[:1] == b"s":
+                assert bank is not None
+                values = row.unpack(data[9:])
+                air = values[count:]
+                ambient = Ambient(air[1], air[2], air[3:]) if air[0] else None
+                output = bank.step(struct.unpack("<q", data[1:9])[0], values[:count], ambient)
+                pipe.send_bytes(b"s" + answer.pack(*(value for each in output for value in each)))
+                continue
+            what, *given = pickle.loads(data[1:])
+            if what == "make":
+                specs, step = given
+                count = len(specs)
+                row, answer = struct.Struct(f"<{2 * count + 3}d"), struct.Struct(f"<{4 * count}d")
+                bank = EngineBank(specs, count, step)
+                found: Any = None
+            elif what == "reset":
+                assert bank is not None
+                throttle, air = given
+                found = tuple(bank.reset(throttle, Ambient(*air) if air else None))
+            else:
+                assert bank is not None
+                found = bank.set_run(*given)
+            pipe.send_bytes(b"p" + pickle.dumps((True, found)))
+        except Exception as error:
+            pipe.send_bytes(b"p" + pickle.dumps((False, (type(error).__name__, str(error)))))
+    if bank is not None:
+        bank.close()
