@@ -39,11 +39,14 @@ check: setup ## lint, format, types and layers: everything that is checked witho
 test: setup ## run the tests on all cores; options for pytest in ARGS: make test ARGS="-k smith -x", one core: -n0
 	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile $(ARGS)
 
+fast: setup ## the unit tests alone, in at most three minutes
+	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile tests/unit $(ARGS)
+
 fmus: setup ## build the engines' FMUs anew
 	@$(BIN)/hexjet fmu build $(ARGS)
 
 kinds: setup ## check, design and fly every kind of foreign engine that the tests know: a table, in an hour or two
-	$(BIN)/hexjet fmu survey $$($(BIN)/python tests/foreign_engines.py runs/kinds) $(ARGS)
+	$(BIN)/hexjet fmu survey $$($(BIN)/python tests/tools/foreign_engines.py runs/kinds) $(ARGS)
 
 pictures: setup ## draw the documentation's pictures anew, from flights
 	@$(BIN)/python docs/pictures.py
@@ -67,7 +70,7 @@ help: ## this list
 		/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 	@printf '\nThe interpreter: make PYTHON=python3.12 ... (at the first set-up, or after make clean)\n'
 
-.PHONY: demo bench setup check test fmus kinds pictures lock clean help missing
+.PHONY: demo bench setup check test fast fmus kinds pictures lock clean help missing
 
 $(LOCKED): requirements.lock
 	@$(call check_python)

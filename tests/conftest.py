@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from command_tools import Done, Hexjet
 from hypothesis import HealthCheck, settings
+from places import TESTS
 
 from cosim.base.scratch import scratch
 from cosim.base.threads import one_thread
@@ -32,6 +33,16 @@ BROWSER_FLAGS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
+
+
+KINDS = {"unit": "unit", "flight": "flight", "process": "process", "clients": "client"}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A test has the mark of the folder that it is in."""
+    for item in items:
+        kind = item.path.relative_to(TESTS).parts[0]
+        item.add_marker(KINDS[kind])
 
 
 @pytest.fixture(scope="session", autouse=True)

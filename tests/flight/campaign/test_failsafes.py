@@ -1,0 +1,495 @@
+"""Every failsafe to the ground: what crashed, ran on or took off again, flown; and the table that tells it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from math import hypot, isnan
+from pathlib import Path
+
+import pytest
+from command_tools import Hexjet
+from failsafe_flights import Flight
+from places import DOCS
+from stated_figures import stated
+
+from cosim.base.constants import GRAVITY
+from cosim.base.protocols import EngineState
+from cosim.campaign import failsafe_survey as table
+from cosim.campaign.fault_survey import step_of
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.modes import LandedState, Mode
+from cosim.flight import fly
+from cosim.results.digest import log_digest
+from cosim.results.report import marks
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
+
+HEXJETS = ("hexjet", "hexjet-p220")
+
+
+def case(name: str) -> table.Case:
+    return next(each for each in table.cases(load_vehicle("hexjet")[0]) if each.name == name)
+
+
+def flown(
+    name: str, aircraft: str = "hexjet", height: float = 3.0, wind: float = 0.0, speed: float = 0.0
+) -> table.Flown:
+    vehicle = load_vehicle(aircraft)[0]
+    engine, step = vehicle.engine or "edf-as-flown", step_of(aircraft)
+    scenario = table.scenario_of(aircraft, engine, "smith", step, height, wind)
+    return table.fly_case((case(name), table.Start(height, wind, speed), scenario))
+
+
+# --- sensors -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("aircraft", HEXJETS)
+@pytest.mark.parametrize(("height", "wind"), [(3.0, 0.0), (10.0, 5.0), (30.0, 10.0)])
+def test_losing_the_gnss_lands(aircraft: str, height: float, wind: float) -> None:
+    """It crashed at 2.3 to 17 m/s: the climb rate was the receiver's and stood still with it."""
+    row = flown("GNSS lost", aircraft, height, wind).row
+    assert (row.verdict, row.reason) == ("landed", "position lost")
+    # the last metres are flown at the landing's rate; more than that is what the legs touch with in wind
+    vehicle = load_vehicle(aircraft)[0]
+    assert row.touchdown_m_s < 2.0 * vehicle.control.pilot.land_m_s  # type: ignore[union-attr]
+    # a jet's rotor has not quite run down after ten seconds
+    assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
+
+
+@pytest.mark.parametrize("aircraft", table.pilotable())
+def test_losing_the_gnss_at_speed_stops_and_lands(aircraft: str) -> None:
+    """It touched at 1.9 to 3.7 m/s sideways: the drag learnt at speed was taken for a push that went on at rest."""
+    vehicle = load_vehicle(aircraft)[0]
+    row = flown("GNSS lost", aircraft, 30.0 if aircraft == "hexjet-100" else 10.0, 0.0, 5.0).row
+    assert (row.verdict, row.reason) == ("landed", "position lost")
+    assert row.sideways_m_s < 0.3 < table.trip_speed(vehicle)
+    # more than a second, in fixes 0.1 s apart, until it is noticed; then the way in which the set-point stops
+    pilot = vehicle.control.pilot
+    assert pilot is not None
+    a, j = pilot.acceleration_m_s2, pilot.jerk_m_s3
+    way = 5.0 * 1.2 + 5.0**2 / (2.0 * a) + 5.0 * a / (2.0 * j)
+    assert row.drift_m == pytest.approx(way, abs=2.0)
+
+
+def test_a_landing_begun_at_speed_and_low_comes_to_rest_before_it_touches() -> None:
+    """From 3 m it would touch at 0.7 m/s: the turbines take longer to stop it than the descent takes."""
+    with Flight("hexjet-p220") as flight:
+        flight.ok(rq.Goto(1000.0, speed=5.0))
+        flight.fly(10.0)
+        flight.ok(rq.Land())
+        speeds: list[float] = []
+        flight.fly(
+            60.0, lambda: speeds.append(flight.simulation.state.velocity[0]) or flight.simulation.state.on_ground
+        )
+        assert speeds[0] > 4.5
+        assert abs(speeds[-1]) < 0.3
+
+
+def test_the_speed_from_which_it_trips_is_that_of_a_known_body() -> None:
+    """A point mass on massless legs: v^2 h^2 / (2 (h^2 + d^2)) = g (sqrt(h^2 + d^2) - h)."""
+    vehicle = load_vehicle("hexjet")[0]
+    point = vehicle.model_copy(update={"inertia_kg_m2": (0.0, 0.0, 0.0)})
+    h, d = 0.13, 0.17
+    far = (h * h + d * d) ** 0.5
+    assert table.trip_speed(point) == pytest.approx((2.0 * GRAVITY * (far - h)) ** 0.5 * far / h)
+    # the line between two legs, not the legs: they stand at the corners of a square of 0.34 m
+    assert table.trip_speed(vehicle) > table.trip_speed(point)
+
+
+def test_what_touches_faster_sideways_has_not_landed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table, "trip_speed", lambda vehicle: 0.0)
+    row = flown("GNSS lost").row
+    assert row.verdict == "slid"
+    assert 0.0 < row.sideways_m_s < 0.3
+
+
+@pytest.mark.parametrize(
+    ("name", "aircraft", "height", "wind"),
+    [
+        ("GNSS lost", "hexjet", 15.0, 5.0),
+        ("barometer lost", "hexjet-p220", 3.0, 0.0),
+        ("attitude lost", "hexjet", 10.0, 10.0),
+        ("gyro biased", "quadrotor", 3.0, 5.0),
+        ("gyro lost", "hexjet-100", 3.0, 5.0),
+        ("GNSS and barometer lost", "hexjet-p220", 10.0, 5.0),
+        ("GNSS and attitude lost", "quadrotor", 10.0, 5.0),
+        ("GNSS and gyro biased", "hexjet-100", 3.0, 10.0),
+        ("GNSS and gyro lost", "hexjet", 3.0, 0.0),
+    ],
+)
+def test_every_sensor_lands_alone_and_with_the_gnss(name: str, aircraft: str, height: float, wind: float) -> None:
+    """Each once, over vehicles, heights and winds; the page has them all."""
+    row = flown(name, aircraft, height, wind).row
+    vehicle = load_vehicle(aircraft)[0]
+    assert row.verdict == "landed"
+    assert row.reason in name or row.reason == "position lost"
+    assert row.touchdown_m_s < 2.0 * vehicle.control.pilot.land_m_s  # type: ignore[union-attr]
+    assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
+
+
+def test_nothing_disarms_in_the_air_whatever_the_sensors_say() -> None:
+    """GNSS and barometer stopped in a climb: where it thought to feel the ground it was at 67 m, and disarmed."""
+    with Flight(height=10.0) as flight:
+        flight.ok(rq.Goto(altitude=30.0))
+        flight.fly(4.0)
+        for sensor in ("gnss", "barometer"):
+            flight.ok(rq.InjectFault("sensor_dropout", sensor=sensor))
+        flight.fly(120.0, lambda: not flight.pilot.armed or flight.simulation.state.on_ground)
+        assert flight.pilot.armed
+        assert flight.simulation.state.on_ground
+
+
+# --- engines -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("jet", range(1, 7))
+def test_with_any_engine_lost_the_landing_is_recognised_and_everything_is_off(jet: int) -> None:
+    """Half of them stood armed for ever, the others gave 31 N disarmed: idle went through the plan."""
+    row = flown(f"engine {jet} out", height=10.0).row
+    assert (row.verdict, row.reason) == ("landed", f"engine {jet} failed")
+    assert row.touchdown_m_s < 1.0
+    assert row.thrust_n == 0.0
+    assert row.drift_m < 2.0
+
+
+@pytest.mark.parametrize("jet", range(1, 7))
+@pytest.mark.parametrize("aircraft", ["hexjet-p220", "hexjet-100"])
+def test_a_full_scale_vehicle_lands_with_any_engine_lost_and_knows_it(aircraft: str, jet: int) -> None:
+    """It stood on running engines and slid 70 to 360 m, or was lost in the air; from 10 m it hit the ground at 4.4 m/s."""
+    row = flown(f"engine {jet} out", aircraft, 10.0).row
+    vehicle = load_vehicle(aircraft)[0]
+    assert (row.verdict, row.reason) == ("landed", f"engine {jet} failed")
+    assert row.touchdown_m_s < vehicle.limits.touchdown_m_s
+    assert row.drift_m < 3.0  # of the lean on the way down; on the ground it stays
+    # jets that have not quite run down
+    assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
+
+
+def test_who_drifts_when_it_touches_does_not_trip() -> None:
+    """Without GNSS and gyro it touches at 1 m/s sideways; on nearly its weight in thrust it hopped until it fell over."""
+    row = flown("GNSS and gyro lost", "hexjet-100", 10.0, 10.0).row
+    assert row.verdict == "landed"
+
+
+def test_idle_does_not_go_through_the_plan_and_the_repair_is_believed() -> None:
+    with Flight() as flight:
+        flight.fly(1.0)
+        flight.ok(rq.InjectFault("flame_out", (3,)))
+        flight.fly(30.0, lambda: flight.pilot.landed is LandedState.ON_GROUND)
+        assert flight.pilot.engines is EngineState.IDLE
+        sample = flight.simulation.step()
+        least = flight.simulation.vehicle.control.allocation.throttle_min
+        assert set(sample.actuation.throttle) == {least}
+        assert sample.actuation.tilt == (0.0, 0.0)
+        flight.fly(2.1)
+        assert not flight.pilot.armed
+        assert flight.pilot.engines is EngineState.OFF
+        assert flight.fly(1.0) == 0.0
+        answer = flight.ask(rq.Arm())
+        assert not answer.accepted
+        assert "engine 3 failed" in answer.text
+        flight.ok(rq.ClearFaults())
+        flight.fly(0.5)
+        flight.ok(rq.Arm(), rq.Takeoff(3.0))
+        flight.fly(30.0, lambda: flight.pilot.mode is Mode.HOLD)
+        assert flight.simulation.state.altitude > 2.0
+
+
+# --- on the ground -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("aircraft", HEXJETS)
+def test_disarming_is_obeyed_while_it_spools_up_and_it_starts_again(aircraft: str) -> None:
+    """From idle, while the thrust grows, and from engines that are off: turbines start anew, and carry it up."""
+    with Flight(aircraft, initial={"on_ground": True}) as flight:
+        weight = flight.simulation.vehicle.mass_kg * GRAVITY
+        flight.fly(1.1)
+        flight.ok(rq.Arm(), rq.Takeoff(3.0))
+        for seconds in (0.02, 1.5):
+            flight.fly(seconds)
+            assert flight.pilot.landed is LandedState.TAKING_OFF
+            flight.ok(rq.Disarm())
+            # fans stop at once, a jet's rotor runs down
+            assert flight.fly(1.0 if aircraft == "hexjet" else 8.0) < 1e-3 * weight
+            assert flight.pilot.engines is EngineState.OFF
+            assert flight.simulation.state.on_ground
+            flight.ok(rq.Arm(), rq.Takeoff(3.0))
+        flight.fly(30.0, lambda: flight.pilot.landed is LandedState.IN_AIR)
+        assert not flight.ask(rq.Disarm()).accepted
+        flight.fly(30.0, lambda: flight.pilot.mode is Mode.HOLD)
+        assert flight.simulation.state.altitude > 2.5
+
+
+def test_what_is_left_of_a_jet_ten_seconds_later_is_its_rotor_running_down() -> None:
+    """thrust_left (1 + t / run_down)^-exponent of what it gave: the page's figure, and the flight's."""
+    with Flight("hexjet-p220", initial={"on_ground": True}) as flight:
+        law = flight.simulation.engine.flame_out
+        assert law is not None
+        left = law.left * (1.0 + table.LATER_S / law.run_down) ** -law.exponent
+        stated("docs/failsafes.md", "{} % of what they gave when they were shut off", 100.0 * left)
+        flight.fly(1.1)
+        flight.ok(rq.Arm())
+        idle = flight.fly(2.0)
+        assert idle > 50.0
+        flight.ok(rq.Disarm())
+        # a step may lie between the request and the fire
+        assert flight.fly(table.LATER_S) == pytest.approx(left * idle, rel=0.005)
+
+
+@pytest.mark.parametrize(
+    ("aircraft", "height", "lost"), [("hexjet", 3.0, False), ("hexjet", 3.0, True), ("hexjet-p220", 10.0, True)]
+)
+def test_neither_hold_nor_disarm_takes_off_from_where_it_has_landed(aircraft: str, height: float, lost: bool) -> None:
+    """HOLD, which a pause is, while the legs touch and the thrust is still there: it flew up a metre."""
+    for request in (rq.Hold(), rq.Disarm()):
+        with Flight(aircraft, height) as flight:
+            flight.fly(1.0)
+            if lost:
+                flight.ok(rq.InjectFault("flame_out", (2,)))
+            flight.ok(rq.Land())
+            flight.fly(30.0, lambda: flight.simulation.state.on_ground)
+            flight.fly(0.5 if isinstance(request, rq.Disarm) else 0.25)  # it bounces at first
+            flight.ok(request)
+            heights = []
+            for _ in range(round(2.0 / flight.simulation.dt)):
+                flight.simulation.step()
+                heights.append(flight.simulation.state.altitude)
+            # jets that speed up when the legs touch push on for half a second, whatever is asked: a hop of a decimetre
+            assert max(heights) < heights[0] + (0.1 if aircraft == "hexjet" else 0.2)
+            assert flight.pilot.landed is LandedState.ON_GROUND
+            assert flight.pilot.armed is (not isinstance(request, rq.Disarm))
+
+
+def test_a_leg_switch_that_is_stuck_neither_disarms_nor_stops_a_take_off() -> None:
+    """It reports contact all the time; the thrust and the accelerometer do not."""
+    with Flight(height=10.0) as flight:
+        pilot = flight.pilot
+        update = pilot.update
+        pilot.update = lambda k, seen, report: update(k, seen, report._replace(legs=True))  # type: ignore[method-assign]
+        flight.fly(6.0)
+        assert pilot.armed
+        assert pilot.engines is EngineState.FLY
+        assert flight.simulation.state.altitude > 8.0
+        flight.ok(rq.Land())
+        flight.fly(60.0, lambda: not pilot.armed)
+        assert flight.simulation.state.on_ground
+
+
+@pytest.mark.parametrize("aircraft", ["hexjet", "hexjet-p220"])
+def test_a_leg_switch_that_sticks_in_the_air_takes_no_thrust_away(aircraft: str) -> None:
+    """In a hover on turbines there is no time to find out by falling."""
+    with Flight(aircraft, height=10.0) as flight:
+        pilot = flight.pilot
+        flight.fly(3.0)
+        update = pilot.update
+        pilot.update = lambda k, seen, report: update(k, seen, report._replace(legs=True))  # type: ignore[method-assign]
+        heights = []
+        for _ in range(60):
+            flight.fly(0.1)
+            heights.append(flight.simulation.state.altitude)
+        assert pilot.armed
+        assert pilot.landed is LandedState.IN_AIR
+        assert min(heights) > 9.0
+        assert any("switch is ignored" in message.text for message in pilot.messages)
+        flight.ok(rq.Land())
+        sinking: list[float] = []
+        flight.fly(60.0, lambda: sinking.append(flight.simulation.state.velocity[2]) or not pilot.armed)
+        assert flight.simulation.state.on_ground
+        assert not pilot.armed
+        assert max(sinking) < flight.simulation.vehicle.limits.touchdown_m_s
+
+
+# --- where it holds ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("wind", "turbulence", "furthest"), [(5.0, 0, 3.0), (8.0, 3, 6.0)], ids=["steady", "with turbulence"]
+)
+def test_a_full_scale_vehicle_holds_in_wind(wind: float, turbulence: int, furthest: float) -> None:
+    """Blown off while it learns a wind that it begins in, by 8.4 and 15.9 m once; back within a waypoint's radius."""
+    environment = {
+        "wind_ned_m_s": [0.0, wind, 0.0], "turbulence_wind_m_s": wind if turbulence else 0.0,
+        "turbulence_severity": turbulence,
+    }  # fmt: skip
+    away = []
+    with Flight("hexjet-p220", 10.0, environment=environment) as flight:
+        for _ in range(300):
+            flight.fly(0.1)
+            away.append(hypot(*flight.simulation.state.position[:2]))
+            assert abs(flight.simulation.state.altitude - 10.0) < table.HELD_HEIGHT_M
+    assert max(away) < furthest
+    assert max(away[200:]) < table.HELD_M
+
+
+# --- the table -----------------------------------------------------------------------------------------------------
+
+
+def cell_of_the_page(aircraft: str, row: table.Row) -> str:
+    """The cell of docs/failsafes.md that this flight belongs in."""
+    text = marks.parts_of((DOCS / "failsafes.md").read_text(encoding="utf-8"), "")[table.mark(aircraft)]
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]
+    column = lines[0].index(str(row.start))
+    return next(line[column] for line in lines if line[0] == row.failsafe)
+
+
+@pytest.mark.parametrize(
+    ("aircraft", "name", "height", "wind"),
+    [
+        ("hexjet", "GNSS and gyro lost", 3.0, 5.0),
+        ("hexjet-p220", "engine 2 out", 3.0, 5.0),
+        ("hexjet-100", "engine 5 out", 3.0, 0.0),  # lost
+        ("quadrotor", "engine 1 out", 10.0, 0.0),  # crashed
+        ("quadrotor", "energy critical", 3.0, 10.0),
+        ("hexjet", "sticks lost", 3.0, 0.0),
+        ("quadrotor", "GNSS lost", 10.0, 0.0),  # moving
+    ],
+)
+def test_a_flight_of_the_table_is_the_pages_and_flies_again_bit_for_bit(
+    aircraft: str, name: str, height: float, wind: float, tmp_path: Path
+) -> None:
+    one = flown(name, aircraft, height, wind, 5.0 if (aircraft, name) == ("quadrotor", "GNSS lost") else 0.0)
+    if one.row.verdict != "holds":
+        assert cell_of_the_page(aircraft, one.row) == table.cell(one.row)
+    table.write(table.Failsafes(aircraft, "", "smith", 2.0, 2.0, [one]), tmp_path)
+    run = fly(Scenario.load(str(tmp_path / "flights" / f"{table.file_name(one.row)}.toml")))
+    assert run.outcome == {"crashed": "crashed", "lost": "diverged"}.get(one.row.verdict, "completed")
+    assert "otherwise" not in run.reason
+    # every number of every sample
+    assert log_digest(run.log) == one.row.log_sha256
+    if not isnan(one.row.touchdown_m_s):
+        down, ground = run.log["velocity_down_m_s"], run.log["on_ground"]
+        touches = [float(v) for v, (a, b) in zip(down, itertools.pairwise(ground), strict=False) if b > a]
+        assert max(touches) == one.row.touchdown_m_s
+
+
+@pytest.mark.parametrize(("aircraft", "wind"), [("hexjet", 0.0), ("hexjet-p220", 10.0)])
+def test_who_holds_is_where_and_as_high_as_it_was_to_hold(aircraft: str, wind: float) -> None:
+    row = flown("set-points lost", aircraft, 10.0, wind).row
+    assert row.verdict == "holds"
+    # it held at north 0, east 0; the place and the height are the set-point's, measured through the sensors
+    assert row.off_m < table.HELD_M
+    assert abs(row.height_off_m) < table.HELD_HEIGHT_M
+
+
+@pytest.mark.parametrize("moved", [rq.Goto(4.0, 0.0), rq.Goto(altitude=4.0)])
+def test_who_is_in_hold_elsewhere_does_not_hold(moved: rq.Goto, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A place or a height that jumps when HOLD begins: the mode alone would say that all is well."""
+    monkeypatch.setattr(table, "LONGEST_HOLD_S", 12.0)
+    scenario = table.scenario_of("hexjet", "edf-as-flown", "smith", step_of("hexjet"), 3.0, 0.0)
+    row = table.fly_case((table.Case("elsewhere", (), (moved,), True), table.Start(3.0, 0.0), scenario)).row
+    assert row.verdict == "flies on"
+    assert max(row.off_m, abs(row.height_off_m)) > 0.9
+
+
+def test_the_command_writes_the_table_and_the_part_of_a_page(tmp_path: Path, hexjet: Hexjet) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("Text.\n\n<!-- measured: failsafes, hexjet -->\n<!-- end -->\n\nMore.\n", encoding="utf-8")
+    done = hexjet(
+        *("failsafes", "--failsafe", "sticks", "--height", "3", "--wind", "0", "--workers", "1", "--json"),
+        *("--out", str(tmp_path / "out"), "--page", str(page)),
+    )
+    assert done.status == 0, done.err
+    found = json.loads(done.out)
+    assert [(row["failsafe"], row["verdict"], row["thrust_n"]) for row in found["rows"]] == [
+        ("sticks lost", "holds", None)
+    ]
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("Text.\n\n<!-- measured: failsafes, hexjet -->\nEngine `edf-as-flown`")
+    assert f"| sticks lost | holds, {found['rows'][0]['off_m']:.2f} m off |" in text
+    assert (tmp_path / "out" / "failsafes.csv").read_text().count("\n") == 2
+
+
+def test_one_command_writes_the_tables_of_several_vehicles(tmp_path: Path, hexjet: Hexjet) -> None:
+    page = tmp_path / "page.md"
+    both = ("quadrotor", "hexjet-100")
+    page.write_text("".join(f"<!-- measured: {table.mark(each)} -->\n<!-- end -->\n" for each in both), "utf-8")
+    asked = ("failsafes", "--failsafe", "sticks", "--height", "3", "--wind", "0", "--workers", "1")
+    done = hexjet(
+        *asked, "--aircraft", both[0], "--aircraft", both[1], "--out", str(tmp_path / "out"), "--page", str(page)
+    )
+    assert done.status == 0, done.err
+    parts = marks.parts_of(page.read_text(encoding="utf-8"), page)
+    for aircraft in both:
+        assert f"{aircraft}, " in done.out
+        assert "| sticks lost | holds, " in parts[table.mark(aircraft)]
+        assert (tmp_path / "out" / aircraft / "failsafes.csv").is_file()
+    # `all` is every vehicle that has an autopilot, and its marks are looked for before anything is flown
+    done = hexjet(*asked, "--aircraft", "all", "--page", str(page))
+    assert done.status == 2
+    assert "measured: failsafes, hexjet -->" in done.err
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--failsafe", "rain"], "no failsafe begins with 'rain'; there are: GNSS lost, barometer lost"),
+        (["--height", "0.2"], "height 0.2 m: must be from 1 to 1000 m"),
+        (["--wind", "-1"], "wind -1 m/s: must be from 0 to 50 m/s"),
+        (["--moving", "-1"], "speed -1 m/s: must be from 0 to 20 m/s"),
+        (["--aircraft", "zeppelin"], "unknown aircraft 'zeppelin'"),
+        (["--aircraft", "hexjet", "--aircraft", "zeppelin"], "unknown aircraft 'zeppelin'"),
+        (["--aircraft", "all", "--aircraft", "hexjet"], "--aircraft all: leave out the others"),
+        (["--page", "nowhere.md"], "nowhere.md: No such file or directory"),
+    ],
+)
+def test_wrong_input_is_one_line(options: list[str], complaint: str, hexjet: Hexjet) -> None:
+    done = hexjet("failsafes", *options)
+    assert done.status == 2
+    assert complaint in done.err
+    assert len(done.err.strip().splitlines()) == 1
+    assert done.out == ""
+
+
+@pytest.mark.parametrize("aircraft", table.pilotable())
+def test_docs_failsafes_md_explains_every_flight_that_did_not_land(aircraft: str) -> None:
+    """Every failsafe of the command, nothing faster than the vehicle's limit, and what is worse is what the text says."""
+    vehicle = load_vehicle(aircraft)[0]
+    text = (DOCS / "failsafes.md").read_text(encoding="utf-8")
+    part = text.split(f"<!-- measured: {table.mark(aircraft)} -->")[1].split("<!-- end -->")[0]
+    assert f"faster than {vehicle.limits.touchdown_m_s:.2f} m/s counts as a crash" in part
+    assert f"faster than {table.trip_speed(vehicle):.2f} m/s sideways has slid" in part
+    lines = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in part.splitlines() if line.startswith("|")
+    ]
+    head, _, *rows = lines
+    assert {column.split(" m,")[0] for column in head[1:]} == {"3", "10", "30"}
+    assert {column.split(", ")[1] for column in head[1:]} >= {"0 m/s", "10 m/s"}
+    moving = f"moving at {table.SPEED_M_S:g} m/s"
+    assert [column for column in head if column.endswith(moving)] == [
+        f"{height:g} m, 0 m/s, {moving}" for height in table.HEIGHTS_M if height >= table.MOVING_FROM_M
+    ]
+    assert [row[0] for row in rows] == [each.name for each in table.cases(vehicle)]
+    holds = {each.name for each in table.cases(vehicle) if each.holds}
+    for name, *cells in rows:
+        for column, cell in zip(head[1:], cells, strict=True):
+            verdict, *numbers = cell.split(", ")
+            if "moving" in column and not name.startswith("GNSS"):
+                assert cell == "-"
+            elif verdict in ("crashed", "lost") or (verdict == "slid" and name.startswith("engine")):
+                # the text's two: a quadrotor without a rotor, turbines without one close to the ground
+                assert name.startswith("engine"), (aircraft, name, column)
+                assert aircraft == "quadrotor" or float(numbers[0].split()[0]) < 1.05 * vehicle.limits.touchdown_m_s
+                assert aircraft == "quadrotor" or (vehicle.control.lead.roll and column.startswith("3 m")), (
+                    name,
+                    column,
+                )
+            elif name in holds:
+                assert verdict == "holds"
+                assert all(float(number.split()[0]) <= table.HELD_M for number in numbers)  # rounded
+            elif verdict == "slid":
+                # the text's: without attitude and position, down from the greatest height
+                assert (aircraft, name, column[:4]) == ("quadrotor", "GNSS and attitude lost", "30 m")
+            else:
+                assert verdict == "landed", (aircraft, name, column)
+                touch, *ways, thrust = (float(number.removeprefix("sideways ").split()[0]) for number in numbers)
+                assert touch <= vehicle.limits.touchdown_m_s
+                assert len(ways) == (2 if name.startswith("GNSS") else 0)
+                assert all(speed < table.trip_speed(vehicle) for speed in ways[:1])
+                assert thrust < 1e-3 * vehicle.mass_kg * GRAVITY
+
+
+def test_every_vehicle_with_an_autopilot_has_its_table_on_the_page() -> None:
+    page = (DOCS / "failsafes.md").read_text(encoding="utf-8")
+    for name in table.pilotable():
+        assert f"<!-- measured: {table.mark(name)} -->" in page

@@ -1,0 +1,211 @@
+"""How exact the airframe is: NASA's check cases, an independent integration of our own flights, and the page about both."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from places import ROOT
+
+from benchmarks.accuracy.__main__ import CASE_MARK, main
+from benchmarks.accuracy.check_cases import (
+    AFTER_30_S,
+    CASES,
+    QUANTITIES,
+    Array,
+    _half_digit,
+    compare,
+    fly_case,
+    read_simulators,
+)
+from benchmarks.accuracy.exact import density, geodetic, gravitation, integrate, local, start
+from benchmarks.accuracy.flights import SCHEMES, WINDOW, Course, course, error, exact, fly_again, from_the_log
+from cosim import Scenario, fly
+from cosim.results.report.marks import parts_of
+
+DATA = ROOT.parent / "shared" / "data" / "nesc"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="NASA's trajectories are not beside this clone")
+
+
+@pytest.fixture(scope="module")
+def flown() -> dict[str, dict[str, Array]]:
+    return {number: fly_case(case) for number, case in CASES.items()}
+
+
+# --- NASA's check cases
+
+
+@needs_data
+@pytest.mark.parametrize("number", CASES)
+def test_every_quantity_is_inside_the_spread(number: str, flown: dict[str, dict[str, Array]]) -> None:
+    rows = compare(number, flown[number], read_simulators(DATA, number))
+    assert len(rows) == len(QUANTITIES)
+    for row in rows:
+        assert row.inside, row
+
+
+@pytest.mark.parametrize("number", CASES)
+def test_after_half_a_minute_as_nasas_simulators(number: str, flown: dict[str, dict[str, Array]]) -> None:
+    """Without the files: nearer to the nearest of them than they are to each other."""
+    for quantity, (low, high) in AFTER_30_S[number].items():
+        assert low - (high - low) <= flown[number][quantity][-1] <= high + (high - low), quantity
+
+
+@needs_data
+@pytest.mark.parametrize("number", CASES)
+def test_the_typed_values_are_those_of_the_files(number: str) -> None:
+    theirs = read_simulators(DATA, number)
+    for quantity, (low, high) in AFTER_30_S[number].items():
+        last = [columns[quantity][0][-1] for columns in theirs.values() if quantity in columns]
+        assert (low, high) == (min(last), max(last))
+
+
+@needs_data
+def test_a_wrong_body_is_found_outside() -> None:
+    """A thousandth of one moment of inertia, a hundredth of the drag: the comparison sees both."""
+    x, y, z = CASES["02"].inertia_slug_ft2
+    wrong = replace(CASES["02"], inertia_slug_ft2=(x, 1.001 * y, z))
+    rows = {row.quantity: row.inside for row in compare("02", fly_case(wrong), read_simulators(DATA, "02"))}
+    assert not rows["bodyAngularRateWrtEi_deg_s_Pitch"]
+    wrong = replace(CASES["06"], drag_area_ft2=1.01 * CASES["06"].drag_area_ft2)
+    rows = {row.quantity: row.inside for row in compare("06", fly_case(wrong), read_simulators(DATA, "06"))}
+    assert not rows["altitudeMsl_ft"]
+
+
+@pytest.mark.parametrize(
+    ("text", "half"), [("1.25", 0.005), ("3", 0.5), ("2.1E-5", 5e-7), ("-9.39E-9", 5e-12), ("2.09556463253E7", 5e-5)]
+)
+def test_half_a_unit_of_the_last_digit(text: str, half: float) -> None:
+    assert _half_digit(text) == pytest.approx(half, rel=1e-9)
+
+
+# --- the independent integration
+
+
+def test_the_other_integration_knows_the_earth() -> None:
+    """Normal gravity of WGS 84 at equator and pole, sea-level density, and geodetic places there and back."""
+    for latitude, gravity, radius in ((0.0, 9.7803253, 6378137.0), (np.pi / 2, 9.8321849, 6356752.314)):
+        r = radius * np.array([np.cos(latitude), 0.0, np.sin(latitude)])
+        outward = 7.292115e-5**2 * radius if latitude == 0.0 else 0.0
+        # J2 alone: the next term, J4, is 1.2e-4 m/s^2 at the pole
+        assert np.linalg.norm(gravitation(r)) - outward == pytest.approx(gravity, abs=1.5e-4)
+    assert density(0.0) == pytest.approx(1.225, rel=1e-5)
+    assert density(5000.0) == pytest.approx(0.7364, rel=1e-4)
+    motion, _ = fly_again(replace(FALL, held=FALL.held[:1]), SCHEMES["flown"], 4)
+    latitude, longitude, height = geodetic(start(22.35, 113.59, 31.5, motion)[:3])
+    assert np.degrees([latitude, longitude]) == pytest.approx([22.35, 113.59], abs=1e-12)
+    assert height == pytest.approx(31.5, abs=1e-8)
+    axes = local(latitude, longitude)
+    assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-15)
+
+
+@pytest.fixture(scope="module")
+def doublet() -> tuple[Course, list]:  # type: ignore[type-arg]
+    flown = course("roll doublet", "roll-doublet", {"duration_s": 2.0})
+    return flown, exact(flown, 1)
+
+
+FALL = course("hover", "hover", {"duration_s": 0.2})
+
+
+def test_the_other_integration_is_exact(doublet: tuple[Course, list]) -> None:  # type: ignore[type-arg]
+    flown, truth = doublet
+    finer = error(exact(flown, 4), truth)
+    assert finer.attitude_deg < 1e-9
+    assert finer.place_mm < 1e-3  # of an inertial place of 6e9 mm that moves at 4e5 mm/s
+
+
+def test_the_airframe_converges_to_it_with_the_square_of_the_run(doublet: tuple[Course, list]) -> None:  # type: ignore[type-arg]
+    flown, truth = doublet
+    errors = {runs: error(fly_again(flown, SCHEMES["flown"], runs)[1], truth) for runs in (4, 8, 16)}
+    assert errors[4].attitude_deg < 1e-3
+    assert errors[4].rate_deg_s < 1e-4
+    assert errors[4].velocity_mm_s < 0.1
+    for coarse, fine in ((4, 8), (8, 16)):
+        assert errors[coarse].attitude_deg / errors[fine].attitude_deg == pytest.approx(4.0, rel=0.1)
+
+
+def test_without_the_make_up_a_force_is_half_a_run_late(doublet: tuple[Course, list]) -> None:  # type: ignore[type-arg]
+    """All other errors are small beside half a run times the roll rate, and that is of first order."""
+    flown, truth = doublet
+    late = [error(fly_again(flown, SCHEMES["late"], runs)[1], truth).attitude_deg for runs in (4, 8)]
+    fastest = max(np.abs(motion.rate[0]) for motion in truth)
+    assert late[0] == pytest.approx(np.degrees(fastest) * 0.0005, rel=0.1)
+    assert late[0] / late[1] == pytest.approx(2.0, rel=0.05)
+
+
+def test_a_payload_off_to_the_side_is_carried_alike() -> None:
+    """Mass, centre and products of inertia: beside the half run that its coming is late, to second order."""
+    flown = replace(FALL, held=[replace(FALL.held[0], disturbance=PAYLOAD)] * 100)
+    begin, found = fly_again(flown, SCHEMES["flown"], 16)
+    truth = integrate(flown.vehicle, start(22.35, 113.59, flown.initial.altitude_m, begin), flown.held, flown.step)
+    spin = np.linalg.norm(truth[-1].rate)
+    assert spin > 1.0
+    # half a run of 0.25 ms in 0.4 s
+    assert np.linalg.norm(found[-1].rate - truth[-1].rate) < 1.5 * spin * 0.000125 / 0.4
+
+
+PAYLOAD = FALL.held[0].disturbance._replace(payload=(0.5, 0.1, -0.05, 0.04))
+
+
+def test_a_gust_in_turbulence_is_integrated_from_its_log() -> None:
+    """The whole of ``gust``, damping, gust and drag off the centre included; docs/accuracy.md has the figures.
+
+    Linear between rows is not what the turbulence, which changes at every run, did there; the rest is the airframe's own
+    error.  Without the rate of the air the equations miss what the damping makes of it.
+    """
+    scenario = Scenario.load("gust").replace(expect=[])
+    log = fly(scenario).log
+    assert log["air_rate_p_rad_s"].std() > 0.2  # a vehicle as small as this is turned, not only pushed
+    rate, velocity = from_the_log(log, scenario)
+    without, _ = from_the_log(log, scenario, air_turns=False)
+    page = " ".join((ROOT / "docs" / "accuracy.md").read_text().split())
+    assert (
+        f"after {WINDOW:g} s the rate misses by at most {rate:.1e} rad/s and the velocity by {velocity:.1e} m/s; without "
+        f"`air_rate_*` the rate misses by {without:.1e} rad/s"
+    ) in page
+    calm = scenario.replace(environment={"turbulence_severity": 0})
+    assert f"the same flight without turbulence misses by {from_the_log(fly(calm).log, calm)[0]:.1e} rad/s" in page
+    assert rate < 2e-4
+    assert velocity < 2e-4
+    assert without > 30.0 * rate
+
+
+def test_without_turbulence_the_air_does_not_turn() -> None:
+    log = fly(Scenario.load("gust").replace(duration_s=0.4, environment={"turbulence_severity": 0}, expect=[])).log
+    assert log["wind_north_m_s"][1:] == pytest.approx(3.0)
+    for axis in "pqr":
+        assert not log[f"air_rate_{axis}_rad_s"].any()
+
+
+# --- the command and its page
+
+
+def test_the_page_says_inside_of_every_quantity() -> None:
+    page = (ROOT / "docs" / "accuracy.md").read_text()
+    rows = parts_of(page, "accuracy.md")[CASE_MARK].splitlines()[2:]
+    assert len(rows) > 30
+    assert all(row.endswith("| inside |") for row in rows)
+    assert {row[2:4] for row in rows} == set(CASES)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--data", "nowhere", "--only", "cases"], "nowhere: no files Atmos_02_sim_*.csv of the check cases"),
+        (["--only", "flights", "--page", "nothing.md"], "nothing.md: No such file"),
+    ],
+)
+def test_wrong_input_is_one_line(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    told = capsys.readouterr().err
+    assert says in told
+    assert told.count("\n") == 1
+
+
+def test_the_check_cases_need_their_data(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([])
+    assert end.value.code == 2
+    assert "--data FOLDER is needed" in capsys.readouterr().err

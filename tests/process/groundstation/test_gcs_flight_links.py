@@ -1,0 +1,239 @@
+"""A vehicle that flies while its links go wrong: a port that is not read any more, a table of stations that is full.
+
+Real sockets and a pseudo-terminal, and a clock that is counted.
+
+The link's loop runs in the test's own thread, every 20 ms of flight, so that nothing here depends on how busy the
+machine is: "0.2 s" are fifty steps.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from failsafe_flights import Flight
+from link_tools import Tcp
+from mavlink_tools import Udp, command
+from terminal import Terminal
+
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.modes import Mode
+from cosim.control.autopilot.parameters import Parameters
+from cosim.groundstation.links import about_of
+from cosim.groundstation.mavlink.exchange import Exchange
+from cosim.groundstation.mavlink.snapshot import Predicting, Snapshot
+from cosim.groundstation.mavlink.vehicle import LINK_LOST, Vehicle
+from cosim.groundstation.mavlink.wire.channel import RETRY, STALL
+from cosim.groundstation.mavlink.wire.dialect import mav
+from cosim.groundstation.mavlink.wire.endpoint import parse
+from cosim.groundstation.mavlink.wire.link import Link
+from cosim.groundstation.session import facts_of
+
+LOOK_STEPS = 5  # of flight between two turns of the link's loop
+BEAT_S, ASK_S = 1.0, 0.5  # between a station's heartbeats, and between its commands
+ANSWERED_S = 0.2
+# what a pseudo-terminal of Linux holds before it takes no more (64 KiB of its buffer), and the line's own 50 ms
+HELD_BYTES = 65536 + 4096
+
+
+class Asker:
+    """A station that beats, commands, and counts when it is answered; ``silent`` says nothing."""
+
+    def __init__(self, wire: Udp) -> None:
+        self.wire = wire
+        self.silent = False
+        self.asked: list[float] = []
+        self.answered: list[float] = []
+        self.attitudes = 0
+        self._beat = self._ask = 0.0
+        wire.socket.setblocking(False)
+
+    def turn(self, now: float) -> None:
+        try:
+            while True:
+                self.wire.read()
+        except BlockingIOError:
+            pass
+        for message in self.wire.got:
+            self.attitudes += message.get_type() == "ATTITUDE"
+            if message.get_type() == "COMMAND_ACK" and message.command == 512:
+                self.answered.append(now)
+        self.wire.got.clear()
+        if self.silent:
+            return
+        if now >= self._beat:
+            self._beat = now + BEAT_S
+            self.wire.heartbeat()
+        if now >= self._ask:
+            self._ask = now + ASK_S
+            self.asked.append(now)
+            self.wire.send(command(512, 148.0))
+
+
+class Airborne:
+    """A Hex-Jet in hover with its links, stepped and looked after in one thread."""
+
+    def __init__(self, *urls: str) -> None:
+        self.flight = Flight(height=10.0)
+        simulation = self.flight.simulation
+        self.link = Link([parse(url) for url in urls], clock=lambda: self.now)
+        self.exchange = Exchange()
+        self.vehicle = Vehicle(
+            about_of(facts_of(simulation, 1, Parameters([]), None, 1.0), "px4"), self.exchange, self.link
+        )
+        self.link.station = self.vehicle
+        self.askers: list[Asker] = []
+        self.told = 0
+
+    @property
+    def now(self) -> float:
+        return self.flight.simulation.k * self.flight.simulation.dt
+
+    def fly(self, seconds: float, until: Any = lambda: False) -> bool:
+        """Steps and turns of the link's loop; did ``until`` come true?"""
+        simulation, pilot, exchange = self.flight.simulation, self.flight.pilot, self.exchange
+        end = self.now + seconds
+        while self.now < end:
+            for ticket in exchange.take():
+                exchange.answer(ticket, pilot.handle(ticket.request, simulation.k))
+            sample = simulation.step()
+            assert simulation.judge.look(simulation.state, 0.0) is None
+            if simulation.k % LOOK_STEPS:
+                continue
+            new = [message for message in pilot.messages if message.number > self.told]
+            self.told = new[-1].number if new else self.told
+            seen = simulation.controller.diagnostics
+            columns = tuple((seen[0][i], seen[1][i], seen[2][i]) for i in range(3))
+            exchange.publish(Snapshot(sample, pilot.status, Predicting(*columns), 0.1), new)
+            for asker in self.askers:
+                asker.turn(self.now)
+            # as the link's own thread does
+            for key, mask in self.link._selector.select(0):
+                self.link._guarded(key.data, mask)
+            self.link.poll(self.now)
+            if until():
+                return True
+        return False
+
+    def close(self) -> None:
+        self.link.close()
+        self.flight.simulation.close()
+
+
+@pytest.fixture
+def terminal() -> Iterator[Terminal]:
+    pytest.importorskip("serial")
+    made = Terminal()
+    yield made
+    made.close()
+
+
+def test_a_port_that_is_not_read_holds_up_neither_commands_nor_failsafes_in_flight(terminal: Terminal) -> None:
+    """It is dropped after the stated time, the others are answered, their loss is acted upon, and it is taken up again."""
+    air = Airborne(terminal.url, "udpin:127.0.0.1:0", "tcpin:127.0.0.1:0")
+    pilot, link = air.flight.pilot, air.link
+    air.askers = [Asker(Udp(link.ports[1])), Asker(Tcp(link.ports[2]))]
+    onboard = mav.MAVLink(None, srcSystem=253, srcComponent=190)
+    heard: list[Any] = []
+    parser = mav.MAVLink(None)
+    parser.robust_parsing = True
+
+    def read() -> bool:
+        heard.extend(parser.parse_buffer(terminal.read()) or [])
+        return False
+
+    def named(name: str) -> list[Any]:
+        return [message for message in heard if message.get_type() == name]
+
+    try:
+        # a station on the port, which reads: it has telemetry, and its heartbeats count
+        os.write(terminal.file, mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(onboard))
+        air.fly(2.0, read)
+        assert (253, 190) in air.vehicle.stations
+        assert named("ATTITUDE")
+        # it reads no more
+        begun, before = air.now, [asker.attitudes for asker in air.askers]
+        assert air.fly(30.0, lambda: bool(link.news))
+        assert link.news[0].endswith(f"is dropped: it has taken nothing for {STALL:g} s")
+        rate = 57600 / 10.0
+        assert STALL <= air.now - begun <= STALL + HELD_BYTES / (rate / 2.0)  # telemetry takes half of the line
+        air.fly(6.0)
+        assert pilot.mode is Mode.HOLD
+        # 25 Hz all the time
+        assert all(
+            asker.attitudes - seen > 24 * (air.now - begun) for asker, seen in zip(air.askers, before, strict=True)
+        )
+        # who is left is lost; the station behind the port counts while it beats, though it reads nothing, and no longer
+        for asker in air.askers:
+            asker.silent = True
+        for _ in range(6):
+            os.write(terminal.file, mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(onboard))
+            air.fly(1.0)
+        assert pilot.mode is Mode.HOLD
+        silent = air.now - BEAT_S
+        assert air.fly(10.0, lambda: pilot.mode is not Mode.HOLD)
+        assert pilot.failsafe == "no ground station"
+        assert air.now - silent == pytest.approx(
+            LINK_LOST + pilot.parameters["HJ_LINK_DELAY"], abs=BEAT_S + 2 * LOOK_STEPS * air.flight.simulation.dt
+        )
+        # they come back, and are obeyed
+        for asker in air.askers:
+            asker.silent = False
+        air.fly(1.0)
+        assert pilot.handle(rq.Hold(), air.flight.simulation.k).accepted
+        # the port is read again: it is taken up, and what comes is new
+        heard.clear()
+        again = air.now
+        assert air.fly(STALL + 5.0 * RETRY, lambda: read() or "carries again" in link.news[-1])
+        assert air.now - again <= STALL + 3.0 * RETRY
+        # what lay in the terminal comes first; a line that took nothing has its telemetry back little by little
+        air.fly(5.0, read)
+        assert named("ATTITUDE")[-1].time_boot_ms > 1000.0 * (air.now - 2.0)
+        assert len([line for line in link.news if "dropped" in line]) == 1
+        # every command but the last was answered, and in time
+        for asker in air.askers:
+            assert len(asker.asked) > 50
+            assert len(asker.answered) >= len(asker.asked) - 1
+            late = [came - went for went, came in zip(asker.asked, asker.answered, strict=False)]
+            assert max(late) <= ANSWERED_S
+    finally:
+        for asker in air.askers:
+            asker.wire.close()
+        air.close()
+    assert not link.failures
+
+
+def test_a_live_station_is_heard_beside_a_full_table_of_ids_in_flight() -> None:
+    """Others' ids come and go by the hundred; the vehicle returns when the last that lives is silent, and no sooner."""
+    air = Airborne("udpin:127.0.0.1:0", "udpin:127.0.0.1:0")
+    pilot, flood = air.flight.pilot, Udp(air.link.ports[1])
+    beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+    try:
+        first = Asker(Udp(air.link.ports[0]))
+        air.askers = [first]
+        air.fly(1.0)
+        for number in range(200):
+            flood.write(beat.pack(mav.MAVLink(None, srcSystem=2 + number % 240, srcComponent=1 + number // 240)))
+            air.fly(0.02)
+        # all places were taken before this one came, and it is the only one that goes on
+        late = Asker(Udp(air.link.ports[0], system=99))
+        air.askers = [late]
+        air.fly(2.0 * LINK_LOST)
+        assert pilot.mode is Mode.HOLD
+        assert (99, 190) in air.vehicle.stations
+        assert len(late.answered) >= len(late.asked) - 1
+        late.silent = True
+        silent = air.now
+        assert air.fly(10.0, lambda: pilot.mode is not Mode.HOLD)
+        assert pilot.failsafe == "no ground station"
+        assert air.now - silent == pytest.approx(
+            LINK_LOST + pilot.parameters["HJ_LINK_DELAY"], abs=BEAT_S + 2 * LOOK_STEPS * air.flight.simulation.dt
+        )
+        first.wire.close()
+        late.wire.close()
+    finally:
+        flood.close()
+        air.close()
+    assert not air.link.failures

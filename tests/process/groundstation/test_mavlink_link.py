@@ -1,0 +1,380 @@
+"""Links over real sockets of this machine, with pymavlink's own code at the other end."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from link_tools import Flight, Tcp, until
+from mavlink_tools import Udp, command
+from patience import PATIENCE, stretched
+
+from cosim.base.errors import InputError
+from cosim.control.autopilot.requests import Arm
+from cosim.groundstation.mavlink.wire.channel import MOST_PEERS
+from cosim.groundstation.mavlink.wire.dialect import mav
+from cosim.groundstation.mavlink.wire.endpoint import default, parse
+from cosim.groundstation.mavlink.wire.link import Link
+from cosim.groundstation.mavlink.wire.peer import FRAMES_A_SECOND
+from cosim.groundstation.mavlink.wire.signing import Signing
+from cosim.groundstation.mavlink.wire.tlog import Log
+
+KEY = b"k" * 32
+
+
+@pytest.fixture
+def flights() -> Iterator[list[Flight]]:
+    made: list[Flight] = []
+    yield made
+    for flight in made:
+        flight.close()
+        assert not flight.link.failures
+
+
+@pytest.fixture
+def stations() -> Iterator[list[Udp]]:
+    made: list[Udp] = []
+    yield made
+    for station in made:
+        station.close()
+
+
+# --- addresses -------------------------------------------------------------------------------------------------
+
+
+def test_urls() -> None:
+    assert parse("udpout:127.0.0.1:14550")[:3] == ("udpout", "127.0.0.1", 14550)
+    assert parse("udpin://127.0.0.1:14560")[:3] == ("udpin", "127.0.0.1", 14560)
+    assert parse("tcpin::5760")[:3] == ("tcpin", "127.0.0.1", 5760)
+    assert parse("udpin:14560")[:3] == ("udpin", "127.0.0.1", 14560)
+    assert parse("tcp:localhost:5760")[:3] == ("tcp", "127.0.0.1", 5760)
+    assert parse("tcp:[::1]:5760").url == "tcp:[::1]:5760"
+    assert parse("udpin:0.0.0.0:14560", public=True)[:3] == ("udpin", "0.0.0.0", 14560)
+    assert parse("serial:/dev/ttyUSB0:115200")[:3] == ("serial", "/dev/ttyUSB0", 115200)
+    assert parse("serial:/dev/ttyUSB0")[:3] == ("serial", "/dev/ttyUSB0", 57600)
+    assert [parse(url).port for url in default()] == [14550, 14540]
+    # one port of MAVSDK's a vehicle, as far as they go
+    assert [[parse(url).port for url in default(n)] for n in (2, 10, 11, 250)] == [
+        [14550, 14541],
+        [14550, 14549],
+        [14550, 14549],
+        [14550, 14549],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("url", "why"),
+    [
+        ("", "must be"),
+        ("14550", "must be"),
+        ("http:127.0.0.1:80", "must be"),
+        ("udpout:127.0.0.1", "host is missing|port"),
+        ("udpout:127.0.0.1:port", "port 'port'"),
+        ("udpout:127.0.0.1:70000", "port '70000'"),
+        ("udpout:127.0.0.1:-1", "port '-1'"),
+        ("udpout:127.0.0.1:٣", "port '٣'"),
+        ("udpout::14550", "host is missing"),
+        ("udpout:127.0.0.1:0", "port 0"),
+        ("tcp:127.0.0.1:0", "port 0"),
+        ("udpin:0.0.0.0:14550", "--public"),
+        ("tcpin:0.0.0.0:5760", "--public"),
+        ("udpin:[::]:14550", "--public"),
+        ("tcpin:192.0.2.1:5760", "--public"),
+        ("udpout:no.such.host.invalid:14550", "not known"),
+        ("serial:/dev/ttyUSB0:fast", "baud"),
+        ("serial:/dev/ttyUSB0:0", "baud"),
+    ],
+)
+def test_a_wrong_url_is_one_line(url: str, why: str) -> None:
+    with pytest.raises(InputError, match=why) as caught:
+        parse(url)
+    assert "\n" not in str(caught.value)
+    assert repr(url) in str(caught.value)
+
+
+def test_a_port_that_is_taken_is_one_line() -> None:
+    for kind, server in (("udpin", socket.SOCK_DGRAM), ("tcpin", socket.SOCK_STREAM)):
+        with socket.socket(socket.AF_INET, server) as taken:
+            taken.bind(("127.0.0.1", 0))
+            if server == socket.SOCK_STREAM:
+                taken.listen()
+            port = taken.getsockname()[1]
+            with pytest.raises(InputError, match=f"link {kind}:127.0.0.1:{port}: "):
+                Link([parse(f"{kind}:127.0.0.1:{port}")])
+
+
+def test_a_device_that_is_not_there_is_one_line() -> None:
+    with pytest.raises(InputError, match="link serial:/dev/no-such-device"):
+        Link([parse("serial:/dev/no-such-device")])
+
+
+# --- UDP and TCP -----------------------------------------------------------------------------------------------
+
+
+def test_udp_out_finds_a_station_that_only_listens(flights: list[Flight], stations: list[Udp]) -> None:
+    ground = Udp()
+    stations.append(ground)
+    flights.append(Flight(f"udpout:127.0.0.1:{ground.port}"))
+    beat = ground.name("HEARTBEAT")
+    assert (beat.get_srcSystem(), beat.get_srcComponent()) == (1, 1)
+    ground.send(command(400, 1.0))
+    ack = ground.name("COMMAND_ACK")
+    assert (ack.command, ack.result) == (400, 0)
+    assert ground.wait(lambda m: m.get_type() == "HEARTBEAT" and m.base_mode & 128)
+    assert flights[0].pilot.asked == [Arm()]
+    assert not [m for m in ground.got if m.get_type() == "BAD_DATA"]
+
+
+def test_udp_out_takes_nothing_from_others(flights: list[Flight], stations: list[Udp]) -> None:
+    ground = Udp()
+    flights.append(Flight(f"udpout:127.0.0.1:{ground.port}"))
+    assert ground.name("HEARTBEAT")
+    stranger = Udp()
+    stations += [ground, stranger]
+    stranger.to = ground.to  # the vehicle's own port
+    stranger.send(command(400, 1.0))
+    assert until(lambda: flights[0].link.refused["stranger"])
+    assert not flights[0].pilot.asked
+
+
+def test_udp_in_learns_from_frames_that_are_right(flights: list[Flight], stations: list[Udp]) -> None:
+    flights.append(Flight("udpin:127.0.0.1:0"))
+    flight = flights[0]
+    noisy = Udp(flight.port)
+    stations.append(noisy)
+    for _ in range(20):
+        noisy.write(b"\xfd\x09nothing of the kind" * 3)
+    assert until(lambda: sum(flight.link.refused.values()) >= 20)
+    assert flight.link.peers == []
+    assert noisy.name("HEARTBEAT", 0.3) is None
+    noisy.heartbeat()
+    assert noisy.name("ATTITUDE")
+    assert len(flight.link.peers) == 1
+
+
+def test_several_stations_at_once(flights: list[Flight], stations: list[Udp]) -> None:
+    listener = Udp()
+    flights.append(Flight("udpin:127.0.0.1:0", f"udpout:127.0.0.1:{listener.port}"))
+    flight = flights[0]
+    ground = [Udp(flight.port, system=250 + i) for i in range(4)]
+    stations += [listener, *ground]
+    for station in ground:
+        station.heartbeat()
+    for station in ground:
+        assert station.name("HEARTBEAT")
+        station.send(command(512, 148.0))
+        assert station.name("COMMAND_ACK").target_system == station.mav.srcSystem
+        assert station.name("AUTOPILOT_VERSION")
+    assert listener.name("HEARTBEAT")
+    assert len(flight.link.peers) == 5
+    # each has a sequence without gaps
+    for station in (listener, *ground):
+        found = [m.get_seq() for m in station.got]
+        assert [(b - a) % 256 for a, b in pairwise(found)] == [1] * (len(found) - 1)
+    assert not [m for m in listener.got if m.get_type() == "COMMAND_ACK"]
+
+
+def test_the_table_of_stations_is_bounded(flights: list[Flight], stations: list[Udp]) -> None:
+    flights.append(Flight("udpin:127.0.0.1:0"))
+    stations += [Udp(flights[0].port) for _ in range(MOST_PEERS + 4)]
+    for station in stations:
+        station.heartbeat()
+    assert until(lambda: flights[0].link.refused["too many stations"] == 4)
+    assert len(flights[0].link.peers) == MOST_PEERS
+
+
+FLOOD = """
+import socket, sys
+out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+frame, to, sent = bytes.fromhex(sys.argv[1]), ("127.0.0.1", int(sys.argv[2])), 0
+try:
+    while True:
+        out.sendto(frame, to)
+        sent += 1
+except KeyboardInterrupt:
+    print(sent)
+"""
+
+
+def test_a_station_that_floods_does_not_disturb(flights: list[Flight], stations: list[Udp]) -> None:
+    flights.append(Flight("udpin:127.0.0.1:0"))
+    flight = flights[0]
+    good = Udp(flight.port)
+    stations.append(good)
+    good.heartbeat()
+    assert good.name("HEARTBEAT")
+    # the port is still nobody else's
+    with pytest.raises(InputError, match="in use"):
+        Link([parse(f"udpin:127.0.0.1:{flight.port}")])
+    frame = bytes(command(511, 30.0, 40_000.0).pack(mav.MAVLink(None, srcSystem=66, srcComponent=1)))
+    began = time.monotonic()
+    flood = subprocess.Popen(
+        [sys.executable, "-c", FLOOD, frame.hex(), str(flight.port)], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        # a busy machine may be slow to flood; what is not read would fill the socket's buffer
+        assert until(lambda: good.read() or flight.link.refused["flood"] > 0, 60.0)
+        for _ in range(5):
+            good.got.clear()
+            good.send(command(512, 148.0))
+            assert good.name("AUTOPILOT_VERSION", 5.0)
+    finally:
+        flood.send_signal(signal.SIGINT)
+        sent = int(flood.communicate()[0])
+    bad = max(flight.link.peers, key=lambda peer: peer.received)
+    assert sent > bad.received
+    assert bad.received < (time.monotonic() - began + 1.0) * FRAMES_A_SECOND + 100  # what it may, and the burst
+    assert flight.worst < stretched(0.25)  # the stepping thread only hands over
+
+
+def test_tcp_server(flights: list[Flight], stations: list[Udp]) -> None:
+    flights.append(Flight("tcpin:127.0.0.1:0"))
+    one, two = Tcp(flights[0].port), Tcp(flights[0].port)
+    stations += [one, two]
+    for station in (one, two):
+        assert station.name("HEARTBEAT")
+        raw = bytes(command(20).pack(station.mav))
+        station.write(raw[:7])
+        time.sleep(0.02)
+        station.write(raw[7:] + raw[:3])
+        assert station.name("COMMAND_ACK").result == 0
+    one.close()
+    assert until(lambda: len(flights[0].link.peers) == 1)
+    two.got.clear()
+    assert two.name("ATTITUDE")
+
+
+def test_tcp_client_tries_again(flights: list[Flight]) -> None:
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        port = server.getsockname()[1]
+        flights.append(Flight(f"tcp:127.0.0.1:{port}"))  # nobody listens yet
+        time.sleep(0.1)
+        server.listen()
+        server.settimeout(5.0)
+        for _ in range(2):  # and again after it was lost
+            connection, _ = server.accept()
+            connection.settimeout(2.0)
+            other = mav.MAVLink(None)
+            other.robust_parsing = True
+            assert other.parse_buffer(connection.recv(4096))
+            connection.close()
+
+
+def test_a_station_that_never_reads_costs_nothing_but_its_own(flights: list[Flight], stations: list[Udp]) -> None:
+    flights.append(Flight("tcpin:127.0.0.1:0", "udpin:127.0.0.1:0"))
+    flight = flights[0]
+    silent = socket.socket()
+    silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    silent.connect(("127.0.0.1", flight.link.ports[0]))
+    reader = Udp(flight.link.ports[1])
+    stations.append(reader)
+    reader.heartbeat()
+    assert reader.name("HEARTBEAT")
+    assert until(lambda: len(flight.link.peers) == 2)
+    deaf = flight.link.peers[0]
+    other = mav.MAVLink(None, srcSystem=9, srcComponent=9)
+    for number in (30, 31, 32, 33, 291, 251, 24, 74, 115, 331):
+        silent.sendall(bytes(command(511, float(number), 4000.0).pack(other)))
+    assert until(lambda: deaf.dropped > 0, 20.0)
+    assert deaf.waiting < 100_000
+    reader.got.clear()
+    reader.send(command(512, 148.0))
+    assert reader.name("AUTOPILOT_VERSION", 1.0)
+    silent.close()
+
+
+def test_serial_over_a_pseudo_terminal(flights: list[Flight]) -> None:
+    pytest.importorskip("serial")
+    import os
+    import tty
+
+    ours, theirs = os.openpty()
+    tty.setraw(ours)
+    flights.append(Flight(f"serial:{os.ttyname(theirs)}:57600"))
+    other = mav.MAVLink(None, srcSystem=255, srcComponent=190)
+    other.robust_parsing = True
+    found: set[str] = set()
+    os.write(ours, bytes(command(20).pack(other)))
+    end = time.monotonic() + PATIENCE
+    while not {"COMMAND_ACK", "HEARTBEAT"} <= found and time.monotonic() < end:
+        found |= {m.get_type() for m in other.parse_buffer(os.read(ours, 4096)) or []}
+    assert {"COMMAND_ACK", "HEARTBEAT"} <= found
+    os.close(ours)
+    os.close(theirs)
+
+
+# --- signing and the log ---------------------------------------------------------------------------------------
+
+
+def test_with_a_key_only_who_has_it_is_heard(flights: list[Flight], stations: list[Udp]) -> None:
+    flights.append(Flight("udpin:127.0.0.1:0", signing=Signing(KEY)))
+    flight = flights[0]
+    friend, foe, plain = Udp(flight.port, key=KEY), Udp(flight.port, key=b"w" * 32), Udp(flight.port)
+    stations += [friend, foe, plain]
+    for station in (foe, plain):
+        station.heartbeat()
+        station.send(command(400, 1.0))
+    assert until(lambda: flight.link.refused["signature"] == 2 and flight.link.refused["unsigned"] == 2)
+    assert flight.link.peers == []
+    friend.heartbeat()
+    friend.send(command(400, 1.0))
+    ack = friend.name("COMMAND_ACK")
+    assert ack.result == 0
+    assert ack.get_signed()
+    assert flight.pilot.asked == [Arm()]
+    # recorded and played again by somebody else
+    tape = bytes(command(400, 0.0).pack(friend.mav))
+    friend.write(tape)
+    assert until(lambda: len(flight.pilot.asked) == 2)
+    plain.write(tape)
+    assert until(lambda: flight.link.refused["replay"] == 1)
+    assert len(flight.pilot.asked) == 2
+
+
+def test_the_log_has_every_message_once(flights: list[Flight], stations: list[Udp], tmp_path: Path) -> None:
+    from pymavlink import mavutil
+
+    path = tmp_path / "telemetry.tlog"
+    one, two = Udp(), Udp(system=245)
+    stations += [one, two]
+
+    def twenty(station: Udp) -> bool:
+        station.read()
+        return sum(message.get_type() == "ATTITUDE" for message in station.got) >= 20
+
+    flight = Flight(f"udpout:127.0.0.1:{one.port}", f"udpout:127.0.0.1:{two.port}", log=Log(path))
+    for station in (one, two):
+        assert station.name("HEARTBEAT")
+        station.send(command(20))
+        assert station.name("COMMAND_ACK")
+    for station in (one, two):
+        assert until(partial(twenty, station), PATIENCE)
+    flight.close()
+    assert not flight.link.failures
+    log = mavutil.mavlink_connection(str(path), dialect="all", robust_parsing=True)
+    found = []
+    while (message := log.recv_msg()) is not None:
+        found.append(message)
+    log.close()
+    ours = [m for m in found if m.get_srcSystem() == 1]
+    attitudes = [m.time_boot_ms for m in ours if m.get_type() == "ATTITUDE"]
+    assert len(attitudes) >= 20
+    assert attitudes == sorted(set(attitudes))  # two stations, one line
+    assert len([m for m in ours if m.get_type() == "COMMAND_ACK"]) == 2
+    assert [m.get_srcSystem() for m in found if m.get_type() == "COMMAND_LONG"] == [255, 245]
+    assert not [m for m in found if m.get_type() == "BAD_DATA"]
+
+
+def test_closing_twice_and_without_starting() -> None:
+    link = Link([parse("udpin:127.0.0.1:0"), parse("tcpin:127.0.0.1:0")])
+    link.close()
+    link.close()

@@ -1,0 +1,277 @@
+"""What travels: the source distribution and the wheel made from it, and the command in an environment of its own."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import tomllib
+import zipfile
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_tools import Hexjet
+from places import ROOT
+
+from cosim.base.compiled import (
+    MODULES,
+    PURE,
+    SHARED,
+    STAMP,
+)
+from cosim.results.report.marks import parts_of
+
+UNCOMPILED = bool(os.environ.get(PURE))
+COMPILED = (
+    () if UNCOMPILED else ("base/frames.py", "vehicle/tank.py")
+)  # a few stand for all: `make setup` compiles those
+METADATA = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+DATA = ("aircraft", "engines", "scenarios", "studies")
+ENGINES = sorted(path.parent.name for path in (ROOT / "engines").glob("*/engine.toml"))
+SCENARIOS = sorted(path.stem for path in (ROOT / "scenarios").glob("*.toml"))
+STUDIES = sorted(path.stem for path in (ROOT / "studies").glob("*.toml"))
+NOT_SOURCE = shutil.ignore_patterns(
+    ".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "build", "dist", "runs", "*.egg-info", "*.so", "*.fmu"
+)
+
+
+def run(*command: str | Path, cwd: Path) -> str:
+    """Run a command away from the clone's environment and return what it printed; a failure shows all it said."""
+    inherited = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "PIP_"))}
+    done = subprocess.run(
+        [*map(str, command)], cwd=cwd, env=inherited, stdin=subprocess.DEVNULL, capture_output=True, text=True
+    )
+    assert done.returncode == 0, f"{' '.join(map(str, command))}: status {done.returncode}\n{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+def build(kind: str, source: Path, target: Path) -> Path:
+    """Ask the build backend for an ``sdist`` or a ``wheel`` of ``source``: offline, with what is installed here."""
+    target.mkdir()
+    run(
+        sys.executable, "-c", f"from setuptools import build_meta; build_meta.build_{kind}({str(target)!r})", cwd=source
+    )
+    (archive,) = target.iterdir()
+    return archive
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sdist")
+    shutil.copytree(ROOT, folder / "clone", ignore=NOT_SOURCE)
+    return build("sdist", folder / "clone", folder / "dist")
+
+
+@pytest.fixture(scope="module")
+def wheel(sdist: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(folder, filter="data")
+    source = folder / sdist.name.removesuffix(".tar.gz")
+    compiled = source / "cosim" / "base/compiled.py"
+    stated = compiled.read_text(encoding="utf-8").splitlines(keepends=True)
+    left = [line for line in stated if line.strip(' ",\n') not in set(MODULES) - set(COMPILED)]
+    assert len(stated) - len(left) == len(MODULES) - len(COMPILED)
+    compiled.write_text("".join(left), encoding="utf-8")
+    return build("wheel", source, folder / "dist")
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The programs' folder of an environment that has the wheel, and sees the libraries of this one."""
+    folder = tmp_path_factory.mktemp("environment")
+    run(sys.executable, "-m", "venv", "--without-pip", folder, cwd=folder)
+    python = folder / "bin" / "python"
+    run(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index", wheel, cwd=folder)
+    site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('platlib'))", cwd=folder).strip())
+    # a path in a .pth is not searched for further .pth files: the clone, installed editable here, stays out of sight
+    (site / "libraries.pth").write_text("".join(f"{sysconfig.get_path(name)}\n" for name in ("purelib", "platlib")))
+    return folder / "bin"
+
+
+def source_files(name: str) -> set[str]:
+    files = (path for path in (ROOT / name).rglob("*") if path.is_file())
+    return {path.relative_to(ROOT).as_posix() for path in files if path.suffix != ".pyc" and path.name[0] != "."}
+
+
+def test_the_source_distribution_is_the_whole_project(sdist: Path) -> None:
+    prefix = f"hexjet_cosim-{METADATA['version']}/"
+    with tarfile.open(sdist) as archive:
+        names = {name.removeprefix(prefix) for name in archive.getnames()}
+    top = {"LICENSE", "Makefile", "README.md", "pyproject.toml", "requirements.lock", "setup.py", ".ci/run"}
+    wanted = top.union(*(source_files(name) for name in (*DATA, "tests", "docs", "benchmarks")))
+    assert wanted - names == set()
+    assert not [name for name in names if name.endswith((".so", ".fmu", ".pyc", STAMP))]
+
+
+def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    assert ENGINES
+    assert SCENARIOS
+    fmus = {f"cosim/data/fmus/{name}{version}.fmu" for name in ENGINES for version in ("", "-fmi2")}
+    data = {f"cosim/data/{name}" for folder in DATA for name in source_files(folder)}
+    code = {path.relative_to(ROOT).as_posix() for path in (ROOT / "cosim").rglob("*.py")}
+    templates = {
+        path.relative_to(ROOT).as_posix()
+        for pattern in ("**/templates/*", "groundstation/web/static/**/*")
+        for path in (ROOT / "cosim").glob(pattern)
+        if path.is_file()
+    }
+    assert templates
+    assert (fmus | data | code | templates | {"cosim/py.typed"}) - names == set()
+    assert (f"cosim/{STAMP}" in names) == (not UNCOMPILED)
+    # and nothing else of the data than what is in the clone
+    assert {name for name in names if name.startswith("cosim/data/")} == fmus | data
+    binaries = [name for name in names if name.endswith((".so", ".pyd"))]
+    wanted = ["base/_records", "results/_rows", "engine/_bank", *(name.removesuffix(".py") for name in COMPILED)]
+    assert [name for name in names if name.endswith(SHARED)] == [f"cosim/{SHARED}"] * bool(COMPILED)
+    assert len(binaries) == len(wanted) + bool(COMPILED)
+    for extension in wanted:
+        assert len([name for name in binaries if name.startswith(f"cosim/{extension}.")]) == 1
+    # what is not of the limited API must not be offered to every Python
+    assert all(".abi3." in name for name in binaries) == ("-abi3-" in wheel.name)
+    outside = {name.split("/")[0] for name in names} - {"cosim", f"hexjet_cosim-{METADATA['version']}.dist-info"}
+    assert outside == set()
+
+
+def test_the_wheel_states_licence_and_version(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        folder = f"hexjet_cosim-{METADATA['version']}.dist-info"
+        metadata = archive.read(f"{folder}/METADATA").decode()
+        licence = archive.read(f"{folder}/licenses/LICENSE").decode()
+    assert f"\nVersion: {METADATA['version']}\n" in metadata
+    assert "\nLicense-Expression: MIT\n" in metadata
+    assert licence == (ROOT / "LICENSE").read_text(encoding="utf-8")
+
+
+def test_the_archives_in_the_wheel_hold_their_sources_and_a_binary(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        archives = [name for name in archive.namelist() if name.endswith(".fmu")]
+        for name in archives:
+            with archive.open(name) as stream, zipfile.ZipFile(stream) as fmu:
+                files = fmu.namelist()
+                assert fmu.testzip() is None
+            assert "modelDescription.xml" in files
+            assert any(file.startswith("binaries/") for file in files)
+            assert any(file.startswith("sources/") and file.endswith(".c") for file in files)
+
+
+def test_the_installed_command_lists_what_is_shipped(installed: Path, tmp_path: Path) -> None:
+    words = run(installed / "hexjet", "list", cwd=tmp_path).split()
+    assert set(SCENARIOS) <= set(words)
+    assert set(STUDIES) <= set(words)
+    assert set(ENGINES) <= set(words)
+
+
+def test_the_installed_package_is_not_the_clone(installed: Path, tmp_path: Path) -> None:
+    script = "import cosim, cosim.base.paths as p; print(cosim.__file__); print(p.data_folder('fmus'))"
+    for line in run(installed / "python", "-c", script, cwd=tmp_path).splitlines():
+        assert Path(line).resolve().is_relative_to(installed.parent.resolve())
+
+
+@pytest.mark.skipif(UNCOMPILED, reason=f"{PURE} is set")
+def test_the_installed_package_flies_what_was_compiled(installed: Path, tmp_path: Path) -> None:
+    script = "import cosim.base.compiled, cosim.base.frames as f; print(cosim.base.compiled.edited(), f.__file__)"
+    edited, file = run(installed / "python", "-c", script, cwd=tmp_path).split(" ", 1)
+    assert edited == "[]"
+    assert file.rstrip().endswith((".so", ".pyd"))
+
+
+def test_the_installed_command_flies_and_reports(installed: Path, tmp_path: Path) -> None:
+    """A short flight needs all of it: scenario, aircraft, FMUs, extension and the report's template."""
+    printed = run(
+        installed / "hexjet", "fly", "hover", "--set", "duration_s=0.2", "--out", "flight", "--json", cwd=tmp_path
+    )
+    summary = json.loads(printed)
+    assert (summary["outcome"], summary["steps"]) == ("completed", 50)
+    left = {path.name for path in (tmp_path / "flight").iterdir()}
+    assert {"summary.json", "scenario.toml", "flight.parquet", "report.html"} <= left
+
+
+# ---- what is installed with it
+
+# asked for where the rest can do without: at the build, in `hexjet bench`, on a cluster, on a serial line
+OPTIONAL = {"pymavlink", "cmake", "ecos_py", "libcosimpy", "rotorpy", "distributed", "serial", "setuptools"}
+
+
+@pytest.fixture(scope="module")
+def packages() -> Any:
+    """docs/packages.py."""
+    spec = spec_from_file_location("packages_page", ROOT / "docs" / "packages.py")
+    assert spec is not None
+    assert spec.loader is not None
+    page = module_from_spec(spec)
+    spec.loader.exec_module(page)
+    return page
+
+
+def test_the_package_imports_what_it_asks_for(packages: Any) -> None:
+    """And asks for nothing that it never imports."""
+    found = set()
+    for path in (ROOT / "cosim").rglob("*.py"):
+        if path.name == "_messages.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {each.name.split(".")[0] for each in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                found.add(node.module.split(".")[0])
+    foreign = {name for name in found if name not in sys.stdlib_module_names and name != "cosim"}
+    asked = packages.named(METADATA["dependencies"])
+    assert foreign - OPTIONAL <= {name.replace("-", "_") for name in packages.needed(asked)}
+    # the messages that the build makes import one, reports another by its name
+    assert {name.replace("-", "_") for name in asked} <= foreign | {"fastcrc", "plotly"}
+
+
+def test_the_page_of_packages_says_what_each_is_for(packages: Any) -> None:
+    assert set(packages.WHAT) == set(packages.named(METADATA["dependencies"]))
+    assert set(packages.EXTRAS) == set(METADATA["optional-dependencies"])
+    parts = parts_of(packages.PAGE.read_text(encoding="utf-8"), packages.PAGE)
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in parts["packages: core"].splitlines()[2:]]
+    assert {name for name, *_ in rows[:-2]} == set(packages.WHAT)
+    assert [what for _, what, *_ in rows[:-2]] == [packages.WHAT[name] for name, *_ in rows[:-2]]
+    weights = [float(row[-1]) for row in rows]
+    assert sum(weights[:-1]) == pytest.approx(weights[-1], abs=0.05 * len(rows))
+
+
+@pytest.mark.parametrize(
+    ("package", "arguments", "said"),
+    [
+        ("serial", ("gcs", "--mavlink", "serial:/dev/ttyS0"), "pip install 'hexjet-cosim[serial]'"),
+        (
+            "distributed",
+            ("sweep", "payload-and-gust", "--cluster", "tcp://127.0.0.1:1"),
+            "pip install 'hexjet-cosim[cluster]'",
+        ),
+    ],
+)
+def test_a_command_says_which_extra_it_lacks(
+    package: str, arguments: tuple[str, ...], said: str, hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    done = hexjet(*arguments)
+    assert done.status == 2
+    assert done.err.count("\n") == 1
+    assert said in done.err
+
+
+def test_a_flight_needs_nothing_but_the_core(tmp_path: Path) -> None:
+    """Flown and reported, and the ground station's messages read, where everything else is out of sight."""
+    hidden = ("pymavlink", "control", "matplotlib", "distributed", "dask", "serial", "psutil", "hypothesis")
+    code = f"""
+import sys
+sys.modules.update(dict.fromkeys({hidden!r}))
+import cosim.groundstation.session, cosim.design.design, cosim.paper.reproduce, cosim.campaign.run
+from cosim.cli.main import main
+main(["fly", "hover", "--set", "duration_s=0.1", "--out", "flight"])
+"""
+    run(sys.executable, "-c", code, cwd=tmp_path)
+    assert (tmp_path / "flight" / "report.html").is_file()

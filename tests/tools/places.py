@@ -1,0 +1,16 @@
+"""Where the project's files are, for the tests."""
+
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parents[1]
+TOOLS = TESTS / "tools"  # what tests share; on the path of every test
+DESIGNS = TESTS / "designs"  # what ``hexjet design`` made for each engine of the library
+ROOT = TESTS.parent
+DOCS = ROOT / "docs"
+DATA = ROOT.parent / "shared" / "data"  # measurements of others, where they are at hand
+
+
+def file_of(name: str) -> Path:
+    """The file of that name among the tests, in whatever folder it is."""
+    (path,) = TESTS.rglob(name)
+    return path

@@ -1,0 +1,198 @@
+"""What docs/campaigns.md says can be typed: commands, their options, a study's file, and the Python."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+from places import ROOT
+
+from cosim.campaign import folder
+from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
+from cosim.campaign.search import folder as searches
+from cosim.campaign.study import keys
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.study import Study, study_names
+from cosim.cli.main import cli
+from cosim.results.report.marks import parts_of
+
+PAGE = (ROOT / "docs" / "campaigns.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+COMMANDS = [
+    shlex.split(line, comments=True)[1:]
+    for language, text in BLOCKS
+    if not language
+    for line in text.splitlines()
+    if line.startswith("hexjet ")
+]
+PYTHON = [text for language, text in BLOCKS if language == "python"]
+OF_A_SWEEP = ("vary", "correlate", "success", "settings", "controllers", "design", "runs", "repeats", "seed")
+SWING, LEAN = "roll.oscillation_rad", "roll.final_error_rad"
+
+
+def parsed(words: list[str]) -> click.Context:
+    """The command that these words are, not run."""
+    name, command, rest = cli.resolve_command(click.Context(cli), list(words))
+    assert command is not None
+    return command.make_context(name, list(rest))
+
+
+def test_there_is_something_to_read() -> None:
+    assert len(COMMANDS) > 12
+    assert len(PYTHON) > 4
+    assert {words[0] for words in COMMANDS} == {"list", "sweep", "fly", "report", "search"}
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_a_command_is_one(words: list[str]) -> None:
+    """Its options exist, and what it asks for can be flown; folders and files of the reader's own are left alone."""
+    options = parsed(words).params
+    name = str(options.get("name", ""))
+    flown = words[0] == "sweep" and "--keys" not in words
+    if flown and not name.startswith("runs/") and name != "mine.toml":
+        open_study(name, **{option: options[option] for option in OF_A_SWEEP if options[option]})
+    if words[0] == "search":
+        elsewhere = ("workers", "cluster", "time_limit", "out", "resume", "as_json", "name")
+        searches.opened(name, **{option: value for option, value in options.items() if option not in elsewhere})
+
+
+@pytest.mark.parametrize("command", ["sweep", "search"])
+def test_every_option_is_on_the_page(command: str) -> None:
+    made = cli.get_command(click.Context(cli), command)
+    assert made is not None
+    own = [option for parameter in made.params for option in parameter.opts if option.startswith("--")]
+    assert len(own) > 8
+    assert [option for option in own if option not in PAGE] == []
+
+
+def test_the_study_on_the_page_is_one(tmp_path: Path) -> None:
+    (text,) = [text for language, text in BLOCKS if language == "toml"]
+    (tmp_path / "mine.toml").write_text(text.replace(', "designed.toml"', ""))
+    study = Study.load(tmp_path / "mine.toml")
+    unsaid = set(Study.model_fields) - set(study.table())
+    assert unsaid <= {"description", "repeats"}, "the page leaves out a key of a study's file"
+    for key in unsaid:
+        assert key in PAGE
+
+
+def test_the_keys_on_the_page_exist() -> None:
+    """Those that are whole: with a place where the page has a star."""
+    named = {
+        match.replace(".*", ".0")
+        for match in re.findall(r"`((?:vehicle|mismatch|engine_parameters|environment|disturbance|fault|stations)\.[\w.*]+)`", PAGE)
+        if not match.endswith(".toml")
+    }  # fmt: skip
+    fault = {"kind": "slow_spool", "start_s": 0.0, "jet": [1], "lag_s": 0.1}
+    scenario = open_study("payload-drop", vary=["vehicle.mass_kg=5:6"], runs=2).base().replace(fault=[fault])
+    searched = open_study("gust", vary=["vehicle.mass_kg=5:6"], runs=2).base()  # whose keys a table of the page has
+    known = {key.path for each in (scenario, searched) for key in keys.all_keys(each)}
+    tables = {"vehicle.identified.0", "environment.0", "vehicle.aero.0", "vehicle.sensors.0"}
+    assert len(named) > 12
+    assert named - known - tables == set()
+
+
+def test_the_python_on_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the order of the page, on two flights of a second instead of 2,000 of ten."""
+    whole = Study.load
+    small: dict[str, Any] = {"runs": 2, "controllers": ["smith"]}
+
+    def load(name: str) -> Study:
+        settings = {**whole(name).settings, "duration_s": 1.0}
+        return whole(name).changed(settings=settings, **small)
+
+    monkeypatch.setattr(Study, "load", staticmethod(load))
+    monkeypatch.setattr(folder, "load", lambda path: whole(Path(path).absolute() / folder.STUDY))
+    monkeypatch.chdir(tmp_path)
+    said: dict[str, Any] = {}
+    for block in PYTHON:
+        code = compile(block, "docs/campaigns.md", "exec")
+        wanted = [
+            name.name for node in ast.walk(ast.parse(block)) if isinstance(node, ast.Import) for name in node.names
+        ]
+        # only the first campaign of the page is flown here
+        if all(find_spec(name.split(".")[0]) for name in wanted) and "runs/envelope" not in block:
+            exec(code, said)
+    assert len(said["campaign"]) == 2
+    assert 0.0 <= said["share"] <= 1.0
+    assert len(said["lost"]) == said["columns"]["outcome"].count("diverged") + said["columns"]["outcome"].count(
+        "failed"
+    )
+    assert said["smith"].shape == (2,)
+
+
+# --- what docs/studies.py writes --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def writer() -> Any:
+    """docs/studies.py."""
+    spec = spec_from_file_location("studies_page", ROOT / "docs" / "studies.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def of(kinds: list[str], controllers: list[int], keys: dict[str, list[float]], values: dict[str, list[float]]) -> Flown:
+    """Flights that never flew."""
+    count = len(kinds)
+    return Flown(
+        flight=np.arange(count),
+        draw=np.arange(count),
+        controller=np.array(controllers),
+        kind=np.array([KINDS.index(kind) for kind in kinds]),
+        reason=[""] * count,
+        beyond=[[] for _ in kinds],
+        duration=np.ones(count),
+        keys=[KeyColumn(path, path, "", np.array(each), []) for path, each in keys.items()],
+        metrics=[],
+        values={name: np.array(each) for name, each in values.items()},
+        controllers=["a", "b"],
+        grid=False,
+    )
+
+
+def test_every_mark_has_its_table(writer: Any) -> None:
+    """docs/campaigns.md: its marks are those that docs/studies.py writes, and none is empty."""
+    parts = parts_of(PAGE, "campaigns.md")
+    assert set(parts) == {mark for marks in writer.PARTS.values() for mark in marks}
+    assert [name for name, text in parts.items() if "|" not in text] == []
+    for name, command in writer.SEARCHES.items():
+        assert command in parts[name]
+    assert set(writer.PARTS) == {*study_names(), "searches"}
+
+
+def test_shares_and_misses_are_counted(writer: Any) -> None:
+    """By hand: of a three of four succeed and one is lost, of b one of four, one swings and one leans and swings."""
+    kinds = ["success", "success", "success", "diverged", "success", "missed", "missed", "failed"]
+    swing = [0.0, 0.0, 0.0, np.nan, 0.0, 0.2, 0.2, np.nan]
+    lean = [0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.3, np.nan]
+    delay = [13.0, 20.0, 21.0, 37.0] * 2
+    flown = of(kinds, [0] * 4 + [1] * 4, {writer.DELAY: delay}, {SWING: swing, LEAN: lean})
+    shared = writer.shared(flown).splitlines()
+    assert shared[2].startswith("| a | 75.0 % | ")
+    assert [line.split(" | ")[-1] for line in shared[2:]] == ["1 |", "1 |"]
+    rows = writer.by_delay(flown).splitlines()
+    assert rows[0] == "| samples | 13 to 20 | 21 to 25 | 26 to 30 | 31 to 37 |"
+    assert rows[2] == "| a | 100 % | 100 % | - | 0 % |"
+    assert rows[3] == "| b | 50 % | 0 % | - | 0 % |"
+    missed = writer.missed(flown, {SWING: 0.1, LEAN: 0.1}).splitlines()
+    assert missed[2:] == ["| a | 1 | 1 | 0 | 0 |", "| b | 3 | 1 | 2 | 1 |"]
+
+
+def test_the_heaviest_load_is_one_below_which_none_is_missed(writer: Any) -> None:
+    load, lever, gust = [0.25, 0.5, 0.75, 0.25, 0.5, 0.75], [-0.02] * 6, [8.0] * 3 + [12.0] * 3
+    keys = {writer.LOAD: load * 2, writer.LEVER: lever * 2, writer.SIDE_GUST: gust * 2}
+    # a misses the middle load in the lesser gust, b the lightest in the stronger one, which is past what is asked
+    kinds = ["success", "missed", "success"] + ["success"] * 3 + ["success"] * 3 + ["missed", "success", "success"]
+    flown = of(kinds, [0] * 6 + [1] * 6, keys, {})
+    assert [row.split(" | ")[-1] for row in writer.envelope(flown).splitlines()[2:]] == ["0.25 kg |", "0.75 kg |"]
+    assert writer.by_lever(flown).splitlines()[2] == "| 0.005 kg m | 2 of 2 | 1 of 2 |"

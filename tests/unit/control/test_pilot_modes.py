@@ -1,0 +1,765 @@
+"""The autopilot without an airframe: what is allowed when, refusals, time-outs, failsafes, mission order."""
+
+from __future__ import annotations
+
+from math import isfinite, radians, sqrt
+from typing import Any
+
+import pytest
+from any_request import ANY, REST
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.base.frames import from_euler
+from cosim.base.protocols import EngineState, Report
+from cosim.base.signals import Command, Measured
+from cosim.control.altitude import AltitudeController
+from cosim.control.attitude import AttitudeController
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.autopilot import Autopilot
+from cosim.control.autopilot.mission import Mission
+from cosim.control.autopilot.modes import LandedState, Mode, Severity
+from cosim.control.autopilot.requests import MissionItem, Result
+from cosim.control.autopilot.touchdown import Touchdown
+from cosim.control.predictors.smith import NoPredictor
+from cosim.control.rate import RateController
+from cosim.spec.vehicle import load_vehicle
+
+DT = 0.004
+HOVER = 0.45
+STANDING = 0.125
+VEHICLE, _ = load_vehicle("hexjet")
+CONTROL = VEHICLE.control
+
+
+class World:
+    """A vehicle that stays where it is put, whatever the autopilot commands."""
+
+    def __init__(self, airborne: bool = False, **changes: Any) -> None:
+        self.faults: list[Any] = []
+        self.place: dict[str, Any] = {
+            "north": 0.0,
+            "east": 0.0,
+            "altitude": 10.0 if airborne else STANDING,
+            "roll": 0.0,
+            "rate": (0.0, 0.0, 0.0),
+            "sink": 0.0,
+            "legs": not airborne,
+            "collective": HOVER if airborne else 0.05,
+            "lost": (),
+            "remaining": None,
+            "receiver": True,
+        } | changes
+        rates = (CONTROL.rate.roll, CONTROL.rate.pitch, CONTROL.rate.yaw)
+        self.pilot = Autopilot(
+            VEHICLE,
+            DT,
+            HOVER,
+            "smith",
+            25.0,
+            AttitudeController(CONTROL.attitude),
+            AltitudeController(CONTROL.altitude, VEHICLE.mass_kg, lambda thrust: thrust / 120.0, DT),
+            RateController(rates, [NoPredictor() for _ in rates], DT),
+            lambda name, delay, tuning: [NoPredictor() for _ in rates],
+            self._inject,
+            self.faults.clear,
+            airborne,
+        )
+        self.k = 0
+        self.command: Command | None = None
+        self.seconds(1.1)
+
+    def _inject(self, fault: rq.InjectFault) -> None:
+        if fault.fault == "wrong":
+            raise InputError("no such fault")
+        self.faults.append(fault)
+
+    def seconds(self, duration: float, **changes: Any) -> Command:
+        """Step on, with something about the vehicle changed from now on."""
+        self.place |= changes
+        p = self.place
+        if {"altitude", "sink", "roll"} & set(changes):
+            # put there by hand: what it estimates is taken along
+            self.pilot._senses.reset(None)
+        attitude = from_euler(p["roll"], 0.0, 0.0)
+        report = Report(p["legs"], p["collective"], p["lost"], p["remaining"])
+        for _ in range(round(duration / DT)):
+            # a receiver that works never says the same twice
+            north = p["north"] + 1e-9 * (self.k // 25 % 2) * p["receiver"]
+            place, velocity = (north, p["east"], -p["altitude"]), (0.0, 0.0, p["sink"])
+            measured = Measured(p["rate"], attitude, place, velocity, p["altitude"], (0.0, 0.0, -GRAVITY))
+            self.command = self.pilot.update(self.k, measured, report)
+            self.k += 1
+        assert self.command is not None
+        return self.command
+
+    def ask(self, request: Any) -> rq.Answer:
+        return self.pilot.handle(request, self.k)
+
+    def ok(self, request: Any) -> None:
+        answer = self.ask(request)
+        assert answer.accepted, answer
+        assert answer.result is Result.ACCEPTED
+
+    def texts(self) -> list[str]:
+        return [message.text for message in self.pilot.messages]
+
+
+def world(state: str) -> World:
+    """Standing, armed on the ground, or holding in the air."""
+    w = World(airborne=state == "air")
+    if state == "armed":
+        w.ok(rq.Arm())
+        w.seconds(0.1)
+    return w
+
+
+STICKS = rq.Sticks(0.0, 0.0, 0.0, 0.5)
+LOW = rq.Sticks(0.0, 0.0, 0.0, 0.0)
+POINTS = (MissionItem("waypoint", 5.0, 0.0, 10.0), MissionItem("waypoint", 5.0, 5.0, 10.0))
+OK, NO, LATER, WHAT = Result.ACCEPTED, Result.DENIED, Result.TEMPORARILY_REJECTED, Result.UNSUPPORTED
+
+# request, what precedes it, and the answers: standing disarmed, standing armed, in the air
+TABLE: list[tuple[Any, list[Any], Result, Result, Result]] = [
+    (rq.Arm(), [], OK, OK, OK),
+    (rq.Disarm(), [], OK, OK, NO),
+    (rq.Disarm(True), [], OK, OK, OK),
+    (rq.Kill(), [], OK, OK, NO),
+    (rq.Kill(True), [], OK, OK, OK),
+    (rq.Takeoff(5.0), [], OK, OK, NO),
+    (rq.Takeoff(), [], OK, OK, NO),
+    (rq.Takeoff(0.5), [], NO, NO, NO),
+    (rq.Takeoff(-10.0), [], NO, NO, NO),
+    (rq.Land(), [], LATER, LATER, OK),
+    (rq.ReturnHome(), [], LATER, LATER, OK),
+    (rq.Goto(5.0, 5.0, 10.0), [], LATER, LATER, OK),
+    (rq.Goto(5.0, 5.0, -3.0), [], LATER, LATER, NO),
+    (rq.Goto(5.0, 5.0, speed=1000.0), [], LATER, LATER, NO),
+    (rq.Goto(yaw=1.0), [], LATER, LATER, OK),
+    (rq.Hold(), [], OK, OK, OK),
+    (rq.SetSpeed(3.0), [], OK, OK, OK),
+    (rq.SetSpeed(900.0), [], NO, NO, NO),
+    (rq.SetHome(1.0, 2.0, 0.0), [], OK, OK, OK),
+    (STICKS, [], OK, OK, OK),
+    (rq.SetMode("MANUAL"), [], OK, OK, LATER),
+    (rq.SetMode("MANUAL"), [STICKS], OK, OK, OK),
+    (rq.SetMode("STABILIZED"), [], OK, OK, LATER),
+    (rq.SetMode("STABILIZED"), [STICKS], OK, OK, OK),
+    (rq.SetMode("ALTCTL"), [], OK, OK, LATER),
+    (rq.SetMode("ALTCTL"), [STICKS], OK, OK, OK),
+    (rq.SetMode("POSCTL"), [], OK, OK, LATER),
+    (rq.SetMode("POSCTL"), [STICKS], OK, OK, OK),
+    (rq.SetMode("HOLD"), [], OK, OK, OK),
+    (rq.SetMode("TAKEOFF"), [], OK, OK, NO),
+    (rq.SetMode("LAND"), [], LATER, LATER, OK),
+    (rq.SetMode("RTL"), [], LATER, LATER, OK),
+    (rq.SetMode("MISSION"), [], NO, NO, NO),
+    (rq.SetMode("MISSION"), [rq.MissionUpload(POINTS)], OK, OK, OK),
+    (rq.SetMode("OFFBOARD"), [], LATER, LATER, LATER),
+    (rq.SetMode("OFFBOARD"), [rq.OffboardPosition(0.0, 0.0, -10.0)], OK, OK, OK),
+    (rq.SetMode("ACRO"), [], WHAT, WHAT, WHAT),
+    (rq.MissionStart(), [], NO, NO, NO),
+    (rq.MissionStart(), [rq.MissionUpload(POINTS)], OK, OK, OK),
+    (rq.MissionUpload(POINTS), [rq.MissionUpload(POINTS), rq.MissionStart()], OK, LATER, LATER),
+    (rq.MissionSetCurrent(1), [rq.MissionUpload(POINTS)], OK, OK, OK),
+    (rq.MissionSetCurrent(2), [rq.MissionUpload(POINTS)], NO, NO, NO),
+    (rq.MissionClear(), [rq.MissionUpload(POINTS), rq.MissionStart()], OK, OK, OK),
+    (rq.SetParameter("HJ_ROLL_P", 0.03), [], OK, OK, OK),
+    (rq.SetParameter("HJ_ROLL_P", 99.0), [], NO, NO, NO),
+    (rq.SetParameter("NOTHING", 1.0), [], NO, NO, NO),
+    (rq.InjectFault("flame_out", (1,)), [], NO, NO, NO),
+    (rq.InjectFault("flame_out", (1,)), [rq.SetParameter("SYS_FAILURE_EN", 1)], OK, OK, OK),
+    (rq.InjectFault("wrong"), [rq.SetParameter("SYS_FAILURE_EN", 1)], NO, NO, NO),
+    (rq.ClearFaults(), [], OK, OK, OK),
+    (rq.LinkLost(), [], OK, OK, OK),
+    (rq.LinkBack(), [], OK, OK, OK),
+    ("not a request", [], WHAT, WHAT, WHAT),
+]
+
+
+@pytest.mark.parametrize("state", ["ground", "armed", "air"])
+@pytest.mark.parametrize("row", TABLE, ids=lambda row: f"{row[0]}{'+' if row[1] else ''}")
+def test_what_is_allowed_when(row: Any, state: str) -> None:
+    request, before, *answers = row
+    w = world(state)
+    for each in before:
+        w.ok(each)
+    w.seconds(DT)
+    as_was = (w.pilot.mode, w.pilot.armed, w.pilot.engines, dict(w.pilot.parameters.values))
+    answer = w.ask(request)
+    assert answer.result is answers[["ground", "armed", "air"].index(state)], answer
+    assert answer.accepted is (answer.result is Result.ACCEPTED)
+    if not answer.accepted:
+        # a refusal says why, in one line, and changes nothing
+        assert answer.text
+        assert "\n" not in answer.text
+        assert (w.pilot.mode, w.pilot.armed, w.pilot.engines, dict(w.pilot.parameters.values)) == as_was
+    w.seconds(0.1)
+
+
+def test_every_mode_is_entered_by_name() -> None:
+    """From the air, with what each needs."""
+    for mode in Mode:
+        if mode in (Mode.TAKEOFF, Mode.ORBIT):
+            continue  # only from the ground; by a request that names the centre
+        w = World(airborne=True)
+        for each in (STICKS, rq.OffboardVelocity(0.0, 0.0, 0.0), rq.MissionUpload(POINTS)):
+            w.ok(each)
+        w.ok(rq.SetMode(mode.value))
+        assert w.pilot.mode is mode
+        w.seconds(DT)
+        assert w.pilot.mode is mode
+    w = World()
+    w.ok(rq.SetMode("TAKEOFF"))
+    assert w.pilot.mode is Mode.TAKEOFF
+
+
+# --- arming --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "mode", "reason"),
+    [
+        ({"roll": radians(15.0)}, "HOLD", "not level: leans 15 deg, 10 deg are allowed"),
+        ({"rate": (0.5, 0.0, 0.0)}, "HOLD", "it is being moved"),
+        ({"lost": (2, 5)}, "HOLD", "engine 2, 5 failed"),
+        ({"remaining": 0.05}, "HOLD", "fuel or battery at 5 %"),
+        ({}, "POSCTL", "mode POSCTL needs sticks, and there are none"),
+    ],
+)
+def test_arming_is_refused_with_the_reason(changes: dict[str, Any], mode: str, reason: str) -> None:
+    w = World()
+    w.ok(rq.SetMode(mode))
+    w.seconds(0.1, **changes)
+    answer = w.ask(rq.Arm())
+    assert answer == (False, Result.DENIED, f"arming refused: {reason}")
+    assert w.pilot.status.refusals == (reason,)
+    assert not w.pilot.armed
+    assert w.texts()[-1] == f"arming refused: {reason}"
+    w.ok(rq.Arm(force=True))
+
+
+def test_arming_with_the_throttle_up_is_refused() -> None:
+    w = World()
+    w.ok(STICKS)
+    w.ok(rq.SetMode("MANUAL"))
+    assert "throttle" in w.ask(rq.Arm()).text
+    w.ok(LOW)
+    w.ok(rq.Arm())
+
+
+def test_no_home_before_a_second_of_positions() -> None:
+    w = World()
+    w.pilot.reset()
+    w.k = 0
+    assert w.ask(rq.Arm()).text == "arming refused: no measurements yet"
+    w.seconds(0.5)
+    assert w.ask(rq.Arm()).text == "arming refused: no home: waiting for the position"
+    w.seconds(0.6)
+    w.ok(rq.Arm())
+    assert w.pilot.home == pytest.approx((0.0, 0.0, STANDING), abs=1e-8)
+
+
+def test_a_receiver_that_stopped_on_the_ground_arms_only_what_flies_without_a_position() -> None:
+    """By sticks on lean, throttle or height; everything else would land as soon as it had taken off."""
+    w = World()
+    w.ok(rq.MissionUpload(POINTS))
+    w.seconds(1.5, receiver=False)
+    why = "needs the position, and the GNSS receiver has stopped"
+    assert w.ask(rq.Arm()).text == f"arming refused: mode HOLD {why}"
+    assert w.ask(rq.Takeoff()).text == f"take-off refused: mode TAKEOFF {why}"
+    assert w.ask(rq.MissionStart()).text == f"mission refused: mode MISSION {why}"
+    for mode, allowed in (("POSCTL", False), ("ALTCTL", True), ("STABILIZED", True), ("MANUAL", True)):
+        w.ok(LOW)
+        w.ok(rq.SetMode(mode))
+        answer = w.ask(rq.Arm())
+        assert answer.accepted is allowed, (mode, answer)
+        assert allowed or why in answer.text
+        if allowed:
+            w.ok(rq.Disarm())
+    for setpoint, allowed in (
+        (rq.OffboardVelocity(0.0, 0.0, 0.0), False),
+        (rq.OffboardAttitude((1.0, 0.0, 0.0, 0.0), None, 0.0), True),
+    ):
+        w.ok(setpoint)
+        w.ok(rq.SetMode("OFFBOARD"))
+        assert w.ask(rq.Arm()).accepted is allowed
+    w.ok(rq.Disarm())
+    w.ok(rq.SetMode("HOLD"))
+    w.seconds(0.5, receiver=True)
+    w.ok(rq.Arm())
+
+
+def test_armed_on_the_ground_it_idles_and_gives_up() -> None:
+    w = world("armed")
+    assert w.pilot.engines is EngineState.IDLE
+    assert w.seconds(9.0).collective == 0.0
+    assert w.pilot.armed
+    w.seconds(1.0)
+    assert not w.pilot.armed
+    assert w.texts()[-1] == "not taken off, disarmed"
+
+
+def test_kill_shuts_the_engines_off_and_arming_starts_them() -> None:
+    w = world("air")
+    w.ok(rq.Kill(force=True))
+    assert (w.pilot.engines, w.pilot.armed) == (EngineState.OFF, False)
+    assert w.ask(rq.Arm()).text == "arming refused: it is in the air"
+    w.seconds(2.0, altitude=STANDING, legs=True, collective=0.0)
+    assert w.pilot.landed is LandedState.ON_GROUND
+    assert w.pilot.engines is EngineState.OFF
+    w.ok(rq.Arm())
+    assert w.pilot.engines is EngineState.IDLE
+
+
+def test_arming_by_force_in_the_air_holds() -> None:
+    w = world("air")
+    w.ok(rq.Kill(force=True))
+    w.seconds(0.2)
+    w.ok(rq.Arm(force=True))
+    assert (w.pilot.engines, w.pilot.mode) == (EngineState.FLY, Mode.HOLD)
+
+
+def test_a_vehicle_that_tips_over_is_shut_off() -> None:
+    w = world("armed")
+    w.seconds(0.6, roll=radians(70.0))
+    assert (w.pilot.armed, w.pilot.engines) == (False, EngineState.OFF)
+    assert "tipped over" in w.texts()
+
+
+# --- time-outs and failsafes ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", ["MANUAL", "STABILIZED", "ALTCTL", "POSCTL"])
+def test_sticks_that_stop_are_let_go_after_half_a_second(mode: str) -> None:
+    w = world("air")
+    w.ok(rq.Sticks(0.5, 0.0, 0.0, 0.5))
+    w.ok(rq.SetMode(mode))
+    w.seconds(0.5)
+    assert w.pilot.mode.value == mode
+    w.seconds(2 * DT)
+    assert w.pilot.mode is Mode.HOLD
+    assert w.texts()[-2:] == ["sticks lost, holding", "mode HOLD"]
+
+
+def test_setpoints_that_stop_end_offboard_after_half_a_second() -> None:
+    w = world("air")
+    w.ok(rq.OffboardVelocity(1.0, 0.0, 0.0))
+    w.ok(rq.SetMode("OFFBOARD"))
+    w.seconds(0.5)
+    assert w.pilot.mode is Mode.OFFBOARD
+    w.seconds(2 * DT)
+    assert w.pilot.mode is Mode.HOLD
+    assert w.ask(rq.SetMode("OFFBOARD")).result is Result.TEMPORARILY_REJECTED
+
+
+def test_sticks_lean_and_turn_the_right_way() -> None:
+    w = world("air")
+    w.ok(rq.SetParameter("HJ_STICK_TIME", 5.0))
+    w.ok(rq.Sticks(0.5, 0.8, 0.0, 0.5))
+    w.ok(rq.SetMode("STABILIZED"))
+    command = w.seconds(2.0)
+    # right, and nose down, at 20 degrees of full lean; the middle of the throttle hovers
+    assert command.attitude[:2] == pytest.approx((radians(10.0), radians(-16.0)))
+    assert command.collective == pytest.approx(HOVER)
+    # both sticks at their stops are no more than the full lean
+    w.ok(rq.Sticks(1.0, 1.0, 0.0, 1.0))
+    command = w.seconds(2.0)
+    assert command.attitude[:2] == pytest.approx((radians(20.0 / sqrt(2.0)), -radians(20.0 / sqrt(2.0))))
+    assert command.collective == pytest.approx(1.0)
+    w.ok(rq.Sticks(0.0, 0.0, 1.0, 0.5))
+    w.seconds(0.7)
+    first = w.command.attitude[2] if w.command else 0.0
+    # the set-point comes up to the stick's rate as it comes up to its heading
+    assert w.seconds(DT).attitude[2] - first == pytest.approx(radians(45.0) * DT, rel=0.1)
+
+
+def test_offboard_attitude_and_rates_are_reached() -> None:
+    """Without a step, and what is inside the limits to the value."""
+    w = world("air")
+    w.ok(rq.SetParameter("HJ_OFFB_TIME", 5.0))
+    w.ok(rq.OffboardAttitude(from_euler(0.1, -0.2, 0.3), None, 0.6))
+    w.ok(rq.SetMode("OFFBOARD"))
+    command = w.seconds(DT)
+    assert max(abs(angle) for angle in command.attitude) < 1e-4
+    command = w.seconds(2.0)
+    assert command.attitude == pytest.approx((0.1, -0.2, 0.3))
+    assert (command.collective, command.rate) == (0.6, None)
+    # a lean of 40 degrees is no more than that of a full stick
+    w.ok(rq.OffboardAttitude(from_euler(radians(40.0), 0.0, 0.3), None, 0.6))
+    assert w.seconds(2.0).attitude == pytest.approx((radians(20.0), 0.0, 0.3), abs=1e-9)
+    w.ok(rq.OffboardAttitude(None, (0.1, 0.2, 0.3), 0.5))
+    assert w.seconds(2.0).rate == pytest.approx((0.1, 0.2, 0.3))
+
+
+def test_hold_stays_at_the_height_where_it_is_asked_for() -> None:
+    """Home 60 m up, as a map's terrain may have it, is no reason to climb; nor is it one to fly somewhere lower."""
+    w = world("air")
+    w.ok(rq.SetHome(0.0, 0.0, 60.0))
+    w.ok(rq.Hold())
+    w.seconds(3.0)
+    assert w.pilot.status.altitude == pytest.approx(10.0, abs=1e-9)
+    w.ok(rq.Goto(5.0, 0.0))
+    assert w.seconds(3.0).altitude == pytest.approx(10.0, abs=1e-9)
+    # a return that is near enough to land at once does not climb first
+    w.ok(rq.SetHome(0.5, 0.0, 60.0))
+    w.ok(rq.ReturnHome())
+    w.seconds(0.1)
+    assert w.command is not None
+    assert w.command.altitude <= 10.0
+
+
+def test_asking_for_hold_again_moves_nothing() -> None:
+    """Noise in the measured height and climb is not taken for a new height to stay at."""
+    w = world("air")
+    w.seconds(1.0)
+    held = w.pilot.status.altitude
+    for n in range(100):
+        w.ok(rq.Hold())
+        w.seconds(0.02, sink=(0.3, -0.4)[n % 2], altitude=10.0 + (0.05, -0.02)[n % 2])
+        assert w.pilot.status.altitude == held
+
+
+def test_the_ground_is_where_it_took_off_also_with_home_below_it() -> None:
+    """The last metres of a landing are slow; a home 30 m down does not make them fast."""
+    for home in (-30.0, 0.0, 60.0):
+        w = world("air")
+        w.ok(rq.SetHome(0.0, 0.0, home))
+        w.ok(rq.Land())
+        w.seconds(1.0, altitude=2.5)
+        before = w.pilot.status.altitude
+        w.seconds(0.2)
+        assert before - w.pilot.status.altitude == pytest.approx(0.5 * 0.2, rel=1e-6)
+
+
+def test_a_fence_that_was_taken_over_acts_again() -> None:
+    """Further out at once, in the same place after a while, and when the fence itself comes nearer."""
+    w = world("air")
+    w.ok(rq.SetParameter("HJ_FENCE_ALT", 50.0))
+    w.seconds(1.0, altitude=55.0)
+    assert w.pilot.mode is Mode.RTL
+    w.ok(rq.Hold())
+    w.seconds(9.0)
+    assert w.pilot.mode is Mode.HOLD
+    w.seconds(1.1)
+    assert w.pilot.mode is Mode.RTL
+    w.ok(rq.Hold())
+    w.seconds(1.0)
+    assert w.pilot.mode is Mode.HOLD
+    w.seconds(0.5, altitude=57.5)
+    assert w.pilot.mode is Mode.RTL
+    w.ok(rq.Hold())
+    w.seconds(0.5)
+    w.ok(rq.SetParameter("HJ_FENCE_ALT", 40.0))
+    w.seconds(2 * DT)
+    assert w.pilot.mode is Mode.RTL
+    # back inside it is as if nothing had been
+    w.ok(rq.Hold())
+    w.seconds(12.0, altitude=30.0)
+    assert w.pilot.mode is Mode.HOLD
+
+
+@pytest.mark.parametrize(("action", "mode"), [(0, Mode.HOLD), (1, Mode.HOLD), (2, Mode.RTL), (3, Mode.LAND)])
+def test_link_loss_does_what_its_parameter_says_after_its_delay(action: int, mode: Mode) -> None:
+    w = world("air")
+    w.ok(rq.SetParameter("HJ_LINK_ACT", action))
+    w.ok(rq.SetParameter("HJ_LINK_DELAY", 2.0))
+    w.ok(rq.LinkLost())
+    w.seconds(1.9)
+    assert w.pilot.mode is Mode.HOLD
+    assert w.pilot.status.link_lost
+    w.seconds(0.2)
+    assert w.pilot.mode is mode
+    assert w.pilot.failsafe == "no ground station"
+    # it acts once: whoever comes back may take over
+    w.ok(rq.LinkBack())
+    w.ok(rq.Hold())
+    w.seconds(5.0)
+    assert w.pilot.mode is Mode.HOLD
+
+
+def test_a_link_that_comes_back_in_time_changes_nothing() -> None:
+    w = world("air")
+    w.ok(rq.LinkLost())
+    w.seconds(0.9)
+    w.ok(rq.LinkBack())
+    w.seconds(3.0)
+    assert w.pilot.mode is Mode.HOLD
+
+
+@pytest.mark.parametrize(
+    ("parameter", "changes"), [("HJ_FENCE_RAD", {"north": 60.0, "east": 80.0}), ("HJ_FENCE_ALT", {"altitude": 51.0})]
+)
+def test_the_fence_turns_back_once(parameter: str, changes: dict[str, float]) -> None:
+    w = World(airborne=True)
+    w.ok(rq.SetParameter(parameter, 50.0))
+    w.seconds(1.0)
+    assert w.pilot.mode is Mode.HOLD
+    # a jump of the position takes the filter some time to believe
+    w.seconds(15.0, **changes)
+    assert w.pilot.mode is Mode.RTL
+    assert w.pilot.failsafe.startswith("outside the fence: 5")
+    w.ok(rq.Hold())
+    w.seconds(1.0)
+    assert w.pilot.mode is Mode.HOLD
+    w.seconds(15.0, north=0.0, east=0.0, altitude=10.0)
+    w.seconds(15.0, **changes)
+    assert w.pilot.mode is Mode.RTL
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        rq.Goto(60.0, 0.0, 10.0),
+        rq.Goto(0.0, 0.0, 60.0),
+        rq.MissionUpload((MissionItem("waypoint", 0.0, 0.0, 5.0), MissionItem("waypoint", 0.0, -51.0, 5.0))),
+    ],
+)
+def test_nothing_is_planned_outside_the_fence(request_: Any) -> None:
+    w = World(airborne=True)
+    w.ok(rq.SetParameter("HJ_FENCE_RAD", 50.0))
+    w.ok(rq.SetParameter("HJ_FENCE_ALT", 50.0))
+    answer = w.ask(request_)
+    assert answer.result is Result.DENIED
+    assert "the fence is at 50 m" in answer.text
+    ground = World()
+    ground.ok(rq.SetParameter("HJ_FENCE_ALT", 50.0))
+    assert ground.ask(rq.Takeoff(51.0)).result is Result.DENIED
+
+
+def test_no_take_off_to_a_height_below_the_ground() -> None:
+    w = World()
+    w.ok(rq.SetHome(0.0, 0.0, STANDING - 50.0))
+    answer = w.ask(rq.Takeoff(10.0))
+    assert answer.result is Result.DENIED
+    assert "stands 50.0 m above it" in answer.text
+    w.ok(rq.SetHome(0.0, 0.0, STANDING - 2.0))
+    w.ok(rq.Takeoff(10.0))
+
+
+def test_low_fuel_returns_and_critical_fuel_lands() -> None:
+    w = World(airborne=True, remaining=0.5)
+    w.seconds(0.1, remaining=0.21)
+    assert w.pilot.mode is Mode.HOLD
+    w.seconds(0.1, remaining=0.19)
+    assert w.pilot.mode is Mode.RTL
+    w.seconds(0.1, remaining=0.07)
+    assert w.pilot.mode is Mode.LAND
+    assert w.pilot.failsafe == "energy critical (7 %)"
+
+
+def test_a_battery_is_emptied_by_thrust_to_three_halves() -> None:
+    """Hovering for a tenth of the endurance takes a tenth; at 1.5 of hover thrust 1.5^1.5 = 1.837 times as much."""
+    w = World(airborne=True)
+    w.ok(rq.SetParameter("HJ_ENDURANCE", 100.0))
+    w.seconds(10.0)
+    assert w.pilot.status.remaining == pytest.approx(0.9, abs=1e-9)
+    w.seconds(10.0, collective=1.5 * HOVER)
+    assert w.pilot.status.remaining == pytest.approx(0.9 - 0.1 * 1.5**1.5, abs=1e-9)
+
+
+def test_an_engine_that_fails_lands_the_vehicle() -> None:
+    w = World(airborne=True)
+    w.seconds(0.1, lost=(3,))
+    assert w.pilot.mode is Mode.LAND
+    assert w.pilot.failsafe == "engine 3 failed"
+
+
+def test_failsafes_do_not_undo_more_careful_ones() -> None:
+    w = World(airborne=True, remaining=0.05)
+    assert w.pilot.mode is Mode.LAND
+    w.ok(rq.LinkLost())
+    w.seconds(2.0)
+    assert w.pilot.mode is Mode.LAND
+
+
+def test_loss_of_control_is_said_once() -> None:
+    w = World(airborne=True)
+    w.seconds(3.0, roll=radians(65.0))
+    assert w.texts().count("leans as if control were lost") == 1
+    assert (
+        max(message.severity for message in w.pilot.messages if message.text.startswith("leans")) is Severity.CRITICAL
+    )
+
+
+def test_messages_are_numbered_without_gaps() -> None:
+    w = world("armed")
+    numbers = [message.number for message in w.pilot.messages]
+    assert numbers == list(range(1, len(numbers) + 1))
+
+
+# --- touch-down ----------------------------------------------------------------------------------------------------
+
+
+def touched(
+    touchdown: Touchdown,
+    seconds: float,
+    legs: bool,
+    sink: float,
+    collective: float,
+    descending: bool = True,
+    lift: float | None = 1.0,
+) -> None:
+    for _ in range(round(seconds / DT)):
+        touchdown.update(sink, lift, Report(legs, collective), descending)
+
+
+def test_contact_counts_only_when_it_lasts() -> None:
+    one = Touchdown(HOVER, DT)
+    touched(one, 0.15, True, 0.4, HOVER)
+    assert not one.touching
+    touched(one, 0.2, False, 0.0, HOVER)  # a bounce
+    touched(one, 0.15, True, 0.0, HOVER)
+    assert not one.touching
+    touched(one, 0.1, True, 0.0, HOVER)
+    assert one.touching
+    touched(one, 1.0, True, 0.0, HOVER)
+    assert not one.standing  # the thrust is still there
+    touched(one, 0.6, True, 0.0, 0.1)
+    assert one.standing
+
+
+def test_a_switch_that_reports_contact_while_falling_is_not_believed() -> None:
+    one = Touchdown(HOVER, DT)
+    touched(one, 1.0, True, 1.5, HOVER)
+    assert one.switch_failed
+    assert not one.touching
+    assert one.off
+
+
+def test_touch_down_is_felt_without_a_switch() -> None:
+    """A descent is asked for, the collective is too low for one, and the vehicle does not sink."""
+    one = Touchdown(HOVER, DT)
+    touched(one, 3.0, False, 0.0, 0.9 * HOVER)
+    assert not one.touching
+    touched(one, 1.5, False, 0.0, 0.4 * HOVER)
+    assert one.touching
+    in_hover = Touchdown(HOVER, DT)
+    touched(in_hover, 5.0, False, 0.0, 0.4 * HOVER, descending=False)
+    assert not in_hover.touching
+
+
+# --- mission -------------------------------------------------------------------------------------------------------
+
+
+def order(items: tuple[MissionItem, ...]) -> list[int]:
+    """The places that are flown, one after another."""
+    mission = Mission()
+    mission.load(items)
+    found = []
+    item = mission.skip_jumps()
+    while item is not None:
+        found.append(mission.current)
+        item = mission.advance()
+    assert mission.done
+    return found
+
+
+W = MissionItem("delay")
+
+
+def test_jumps_are_made_as_often_as_they_say() -> None:
+    assert order((W, W, W)) == [0, 1, 2]
+    assert order((W, W, MissionItem("jump", target=0, repeat=2), W)) == [0, 1, 0, 1, 0, 1, 3]
+    assert order((MissionItem("jump", target=2, repeat=1), W, W)) == [2]
+    # a loop in a loop: the inner one is made anew each time
+    inner = MissionItem("jump", target=0, repeat=1)
+    assert order((W, inner, W, MissionItem("jump", target=0, repeat=1))) == [0, 0, 2, 0, 0, 2]
+
+
+def test_a_circle_of_jumps_ends() -> None:
+    assert order((MissionItem("jump", target=1, repeat=1000), MissionItem("jump", target=0, repeat=1000))) == []
+
+
+def test_items_without_flight_are_done_at_once() -> None:
+    w = world("air")
+    w.ok(rq.MissionUpload((MissionItem("speed", speed=2.0), MissionItem("speed", speed=3.0), *POINTS)))
+    w.ok(rq.MissionStart())
+    assert w.pilot.mission.current == 2
+    assert w.pilot.status.mission_reached == 1
+
+
+def test_a_mission_without_anything_to_fly_holds() -> None:
+    w = world("air")
+    w.ok(rq.MissionUpload((MissionItem("speed", speed=2.0),)))
+    w.ok(rq.MissionStart())
+    w.seconds(0.1)
+    assert w.pilot.mode is Mode.HOLD
+    assert w.pilot.status.mission_done
+    assert "mission finished" in w.texts()
+
+
+def test_waiting_counts_from_the_arrival() -> None:
+    w = world("air")
+    w.ok(rq.MissionUpload((MissionItem("waypoint", 0.0, 0.0, 10.0, hold_s=3.0), MissionItem("delay", hold_s=2.0))))
+    w.ok(rq.MissionStart())
+    w.seconds(2.9)
+    assert w.pilot.mission.current == 0
+    w.seconds(0.2)
+    assert w.pilot.mission.current == 1
+    w.seconds(1.7)
+    assert w.pilot.mode is Mode.MISSION
+    w.seconds(0.4)
+    assert w.pilot.mode is Mode.HOLD
+
+
+# --- anything in any order -----------------------------------------------------------------------------------------
+
+CHANGES = st.fixed_dictionaries(
+    {},
+    optional={
+        "north": st.floats(-100, 100),
+        "altitude": st.sampled_from([STANDING, 2.0, 10.0]),
+        "roll": st.floats(-1.5, 1.5),
+        "sink": st.floats(-3, 3),
+        "legs": st.booleans(),
+        "collective": st.floats(0, 1),
+        "lost": st.sampled_from([(), (2,), (1, 6)]),
+        "remaining": st.none() | st.floats(0, 1),
+    },
+)
+LIKELY = st.sampled_from(
+    [
+        rq.Arm(),
+        rq.Arm(True),
+        rq.Takeoff(5.0),
+        rq.Land(),
+        rq.ReturnHome(),
+        rq.Kill(True),
+        STICKS,
+        LOW,
+        rq.OffboardPosition(1.0, 0.0, -5.0),
+        rq.MissionUpload(POINTS),
+        rq.MissionStart(),
+        rq.SetParameter("HJ_FENCE_RAD", 50.0),
+        *(rq.SetMode(mode.value) for mode in Mode),
+    ]
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.booleans(),
+    st.lists(st.tuples(LIKELY | LIKELY | st.one_of(*ANY.values(), *(st.just(kind()) for kind in REST)), CHANGES, st.integers(1, 60)), max_size=25),
+)  # fmt: skip
+def test_nothing_that_may_be_asked_breaks_it(airborne: bool, story: list[tuple[Any, dict[str, Any], int]]) -> None:
+    """Every request gets one answer, every step a finite command, and only an armed vehicle has its engines."""
+    w = World(airborne=airborne)
+    for request, changes, steps in story:
+        answer = w.ask(request)
+        assert answer.accepted is (answer.result is Result.ACCEPTED)
+        assert answer.accepted or answer.text
+        assert "\n" not in answer.text
+        command = w.seconds(steps * DT, **changes)
+        pilot = w.pilot
+        assert all(isfinite(v) for v in (*command.attitude, command.altitude, *(command.rate or ())))
+        assert command.collective is None or 0.0 <= command.collective <= 1.0
+        assert (pilot.engines is EngineState.FLY) <= pilot.armed
+        assert (pilot.engines is EngineState.OFF) <= (not pilot.armed)
+        assert (pilot.landed is LandedState.ON_GROUND) <= (pilot.engines is not EngineState.FLY)
+        lean = max(abs(command.attitude[0]), abs(command.attitude[1]))
+        if pilot.mode is not Mode.OFFBOARD:
+            assert lean <= radians(46.0)  # the most that a parameter may allow
+        assert pilot.status.ready is not bool(pilot.status.refusals)

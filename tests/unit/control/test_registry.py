@@ -1,0 +1,314 @@
+"""A predictor is known in one place: one from elsewhere flies, is offered, tuned, designed, swept and searched by its name."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from places import ROOT
+
+from cosim import Scenario, fly
+from cosim.base.errors import InputError
+from cosim.campaign.study.keys import find_key
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.plan import flights
+from cosim.campaign.workers.flight_row import fly_one
+from cosim.control.autopilot.parameters import Parameters, table
+from cosim.control.predictors.registry import PREDICTORS, PredictorSpec, TuningParameter
+from cosim.control.predictors.smith import FilteredSmithPredictor, NoPredictor, robustness_filter
+from cosim.design.channel import Channel
+from cosim.design.closed_loop import Closed, Points, steps_by_response
+from cosim.design.tune import Box, Requirements, excess, objective
+from cosim.design.tuning import Tuning, candidates
+from cosim.spec.vehicle import load_vehicle
+
+FIXED = {"baseline": 0, "smith": 1, "filtered-smith": 2, "state": 3, "state-model": 4, "state-disturbance": 5}
+TAU = TuningParameter("tau_s", "s", "time constant of its filter", 0.0, 2.0, (0.05, 5.0), 0.15, mavlink="HJ_PRED_MINE")
+FILTERED = PREDICTORS["filtered-smith"]
+
+
+def _response(model: Any, own: Mapping[str, float]) -> Any:
+    return FILTERED.response(model, {"filter_s": own["tau_s"]})  # type: ignore[misc]
+
+
+MINE = PredictorSpec(
+    "mine",
+    "the filtered predictor under another name",
+    lambda model, own: FilteredSmithPredictor(model, *robustness_filter(model, own["tau_s"])),
+    parameters=(TAU,),
+    response=_response,
+)
+PLAIN = PredictorSpec(
+    "plain", "the measurement, by a predictor of one's own", lambda model, own: NoPredictor(), needs_model=False
+)
+
+
+@pytest.fixture
+def mine() -> Iterator[PredictorSpec]:
+    PREDICTORS.register(MINE)
+    yield MINE
+    PREDICTORS.forget("mine")
+
+
+@pytest.fixture
+def plain() -> Iterator[PredictorSpec]:
+    PREDICTORS.register(PLAIN)
+    yield PLAIN
+    PREDICTORS.forget("plain")
+
+
+def roll(controller: str, **changes: Any) -> np.ndarray:
+    doublet = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.1}
+    scenario = Scenario.load("roll-doublet").replace(
+        controller=controller, duration_s=0.6, command=[doublet], expect=[], **changes
+    )
+    return np.asarray(fly(scenario).log["roll_rad"])
+
+
+def test_the_numbers_over_mavlink_stay_what_they_are() -> None:
+    """A parameter file of last year means the same predictor."""
+    assert {name: PREDICTORS[name].value for name in FIXED} == FIXED
+    assert MINE.value == 32891  # of its name alone, whatever else is registered
+
+
+def test_every_predictor_is_described() -> None:
+    for name, spec in PREDICTORS.items():
+        assert spec.name == name
+        assert spec.title
+        assert (spec.response is None) == (spec.space is None)
+
+
+def test_no_other_module_compares_a_predictors_name() -> None:
+    """Whoever wants to know what a predictor is like asks the registry; the paper's own experiments are about some by name."""
+    found = []
+    for path in (ROOT / "cosim").rglob("*.py"):
+        if "paper" in path.parts or path.name == "registry.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Compare) and {
+                c.value for c in ast.walk(node) if isinstance(c, ast.Constant) and isinstance(c.value, str)
+            } & set(FIXED) - {"state"}:
+                found.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert not found
+
+
+def test_one_from_elsewhere_flies_as_what_it_is(mine: PredictorSpec) -> None:
+    assert np.array_equal(roll("mine"), roll("filtered-smith"))
+    own = {"control": {"predictor": {"own": {"mine": {"tau_s": 0.6}}}}}
+    assert np.array_equal(
+        roll("mine", vehicle=own), roll("filtered-smith", vehicle={"control": {"predictor": {"filter_s": 0.6}}})
+    )
+
+
+def test_one_that_needs_no_model_flies_with_any_engine(plain: PredictorSpec) -> None:
+    assert np.array_equal(roll("plain", engine="turbojet"), roll("baseline", engine="turbojet"))
+
+
+def test_what_it_lacks_is_said_in_one_line(mine: PredictorSpec, plain: PredictorSpec) -> None:
+    with pytest.raises(
+        InputError, match=r"controller 'mine' needs an identified model of hexjet with engine 'turbojet'"
+    ):
+        roll("mine", engine="turbojet")
+    from cosim.design.design import design
+
+    with pytest.raises(
+        InputError, match=r"--controller plain: states no frequency response, which a design needs; allowed: auto, "
+    ):
+        design("edf", controller="plain")
+
+
+@pytest.mark.parametrize(
+    ("own", "message"),
+    [
+        ({"nine": {"tau_s": 1.0}}, r"predictor\.own\.nine: unknown predictor; did you mean 'mine'\?"),
+        ({"mine": {"tua_s": 1.0}}, r"own\.mine\.tua_s: unknown parameter; did you mean 'tau_s'\?"),
+        ({"mine": {"tau_s": 3.0}}, r"own\.mine\.tau_s = 3: must be from 0 to 2 s"),
+        ({"smith": {"tau_s": 1.0}}, r"own\.smith\.tau_s: unknown parameter; there are none"),
+        ({"mine": {"tau_s": "x"}}, r"tau_s = 'x'"),
+    ],
+)
+def test_wrong_tuning_is_refused(mine: PredictorSpec, own: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        roll("mine", vehicle={"control": {"predictor": {"own": own}}})
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        (replace(MINE, name="smith"), "predictor 'smith': there is one of this name already"),
+        (replace(MINE, name="My own"), "predictor 'My own': a name has small letters"),
+        (replace(MINE, title=" "), "title = ' ': must be one line"),
+        (replace(MINE, number=3), "its number 3 is that of 'state'; state another"),
+        (
+            replace(MINE, parameters=(replace(TAU, mavlink="MINE_TAU"),)),
+            "mavlink = 'MINE_TAU': must begin with HJ_PRED_",
+        ),
+        (replace(MINE, parameters=(replace(TAU, mavlink="HJ_PRED_FILT"),)), "mavlink = 'HJ_PRED_FILT': must begin"),
+        (replace(MINE, parameters=(replace(TAU, default=None),)), "tau_s: needs a default from 0 to 2"),
+        (
+            replace(MINE, parameters=(replace(TAU, search=(0.0, 1.0)),)),
+            r"search = \(0.0, 1.0\): must be two numbers above 0",
+        ),
+    ],
+)
+def test_what_could_not_be_told_apart_is_not_registered(spec: PredictorSpec, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        PREDICTORS.register(spec)
+    assert "mine" not in PREDICTORS
+
+
+def test_a_ground_station_is_offered_it(mine: PredictorSpec) -> None:
+    vehicle, _ = load_vehicle("hexjet")
+    assert vehicle.control.pilot is not None
+    parameters = Parameters(table(vehicle.control, vehicle.control.pilot, "mine", 25.0))
+    assert parameters["HJ_PRED_TYPE"] == MINE.value
+    assert (MINE.value, "mine") in parameters.table["HJ_PRED_TYPE"].values
+    assert parameters["HJ_PRED_MINE"] == 0.15
+    assert parameters.table["HJ_PRED_MINE"].text == "mine: time constant of its filter"
+    with pytest.raises(InputError, match=r"HJ_PRED_TYPE = 6: must be one of 0, 1, 2, 3, 4, 5, 32891"):
+        parameters.set("HJ_PRED_TYPE", 6)
+
+
+@pytest.fixture(scope="module")
+def loop() -> tuple[Channel, Tuning]:
+    """The roll channel with EDF engines, and the aircraft's own gains on it."""
+    from cosim.design.channel import Actuator, channels
+    from cosim.design.design import _dynamics, _identify, _scenario, believed, shipped
+    from cosim.engine import load_engine
+
+    scenario, vehicle = _scenario("edf", "hexjet", [])
+    spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
+    actuator = Actuator.of(spec.name, _dynamics(_identify(scenario, vehicle, spec, None)))
+    channel = channels(scenario, vehicle, spec, actuator)["roll"]
+    return channel, replace(shipped(channel, vehicle, spec), model=believed(channel, "test"))
+
+
+@pytest.mark.parametrize("name", candidates())
+def test_responses_in_time_from_the_frequency_response_are_those_of_the_state_space(
+    name: str, loop: tuple[Channel, Tuning]
+) -> None:
+    """So a predictor that states its frequency response alone is designed with what is exact for the others."""
+    closed = Closed(Points(loop[0]), replace(loop[1], controller=name))
+    assert not closed.unstable_poles
+    exact = closed.steps
+    found = steps_by_response(closed.points.channel, closed.tuning, len(exact.angle))
+    for ours, theirs in zip(found, exact, strict=True):
+        assert np.abs(ours - theirs).max() < 1e-8 * np.abs(theirs).max()  # FADED, and rounding grown by its root
+
+
+def test_a_design_searches_and_measures_it_like_the_one_that_it_is(
+    mine: PredictorSpec, loop: tuple[Channel, Tuning]
+) -> None:
+    """The same box for its parameter, and the same objective and requirements, once with a state space and once without."""
+    channel, start = loop
+    need = Requirements()
+    theirs = Box(channel, "filtered-smith", start.model, start, predictor=True)
+    ours = Box(channel, "mine", start.model, start, predictor=True)
+    assert np.array_equal(ours.low, theirs.low)
+    assert np.array_equal(ours.high, theirs.high)
+    for share in (0.3, 0.5, 0.6):
+        x = ours.low + share * (ours.high - ours.low)
+        one, other = ours.tuning(x), theirs.tuning(x)
+        assert (one.gains, one.angle_gain, MINE.own(one.predictor)["tau_s"]) == (
+            other.gains,
+            other.angle_gain,
+            other.predictor.filter_s,
+        )
+        a, b = Closed(Points(channel), one), Closed(Points(channel), other)
+        assert a.unstable_poles == b.unstable_poles
+        if not b.unstable_poles:
+            assert objective(a) == pytest.approx(objective(b), rel=1e-7)
+            assert excess(a, need) == pytest.approx(excess(b, need), rel=1e-7)
+
+
+def test_a_study_varies_what_it_is_tuned_with(mine: PredictorSpec) -> None:
+    key = find_key(Scenario.load("hover"), "vehicle.control.predictor.own.mine.tau_s")
+    assert (key.nominal, key.unit, key.low, key.high) == (0.15, "s", 0.0, 2.0)
+    vary = "vehicle.control.predictor.own.mine.tau_s=0.1:0.6"
+    study = open_study("hover", vary=[vary], controllers=["mine", "smith"], runs=2, settings=["duration_s=0.2"])
+    rows = [fly_one(study, flight) for flight in flights(study)]
+    assert [row["outcome"] for row in rows] == ["completed"] * 4
+    assert {row["controller"] for row in rows} == {"mine", "smith"}
+    assert len({row[vary.split("=")[0]] for row in rows}) == 2
+
+
+# ---- as an installed package
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package that states a predictor among its entry points, where Python finds packages."""
+    (tmp_path / "my_predictors.py").write_text(
+        "from dataclasses import replace\n"
+        "from cosim.control.predictors.registry import SMITH\n"
+        "SPEC = replace(SMITH, name='my-smith', title='Smith, from a package', number=None)\n"
+    )
+    info = tmp_path / "my_predictors-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-predictors\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[hexjet.predictors]\nmy-smith = my_predictors:SPEC\n")
+    return tmp_path
+
+
+def hexjet(package: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [
+        sys.executable,
+        "-c",
+        f"import sys; sys.path.insert(0, {str(package)!r}); from cosim.cli.main import main; main()",
+        *arguments,
+    ]
+    return subprocess.run(command, capture_output=True, text=True, cwd=package, check=False)
+
+
+def test_a_package_brings_one(package: Path) -> None:
+    listed = hexjet(package, "list", "controllers")
+    assert "my-smith           Smith, from a package" in listed.stdout
+    swept = hexjet(
+        package, "sweep", "hover", "--vary", "vehicle.mass_kg=5.6:5.8", "--runs", "1", "--set", "duration_s=0.2",
+        "--controller", "my-smith", "--controller", "smith", "--workers", "1", "--out", "out", "--json",
+    )  # fmt: skip
+    assert swept.returncode == 0, swept.stderr
+    assert "my-smith" in json.dumps(json.loads(swept.stdout))
+    searched = hexjet(
+        package, "search", "hover", "--vary", "mismatch.delay_samples=0:1", "--set", "duration_s=0.2",
+        "--controller", "my-smith", "--workers", "1", "--out", "found",
+    )  # fmt: skip
+    assert searched.returncode in (0, 1), searched.stderr
+    assert "my-smith" in searched.stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "my-smith = my_predictors:NONE",
+            "entry point 'my-smith' of hexjet.predictors: my_predictors:NONE cannot be loaded: AttributeError",
+        ),
+        (
+            "other = my_predictors:SPEC",
+            "entry point 'other' of hexjet.predictors: must be a PredictorSpec of this name",
+        ),
+    ],
+)
+def test_a_package_that_does_not_is_told_in_one_line(package: Path, text: str, message: str) -> None:
+    (package / "my_predictors-1.0.dist-info" / "entry_points.txt").write_text(f"[hexjet.predictors]\n{text}\n")
+    done = hexjet(package, "fly", "hover", "--controller", "my-smith")
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_page_lists_those_that_come_with_it() -> None:
+    page = (ROOT / "docs" / "design.md").read_text()
+    listed = [
+        line.split("`")[1] for line in page.split("| controller |")[1].split("\n\n")[0].splitlines() if "`" in line
+    ]
+    assert listed == list(PREDICTORS)

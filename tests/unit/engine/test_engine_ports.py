@@ -1,0 +1,885 @@
+"""Engines of other people: ports under other names and in other units, mapping files, arrays, events, other exporters."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from engine_tools import STEP, archive, rewrite
+from places import TOOLS
+
+from cosim import Scenario, fly
+from cosim.base.errors import EngineError, InputError
+from cosim.base.signals import Ambient, EngineOutput
+from cosim.engine import (
+    EngineBank,
+    EngineSpec,
+    build,
+    build_engines,
+    load_engine,
+)
+from cosim.engine.archive import read_archive
+from cosim.engine.instance import Slave
+from cosim.engine.ports import (
+    INPUTS,
+    KINDS,
+    OUTPUTS,
+    PortMap,
+    Variable,
+    find_ports,
+    plain,
+    without_unit,
+)
+from cosim.engine.units import (
+    ANGULAR_SPEED,
+    FORCE,
+    MASS_FLOW,
+    PRESSURE,
+    QUANTITIES,
+    RATIO,
+    SPEED,
+    TEMPERATURE,
+    Quantity,
+    Unit,
+    UnitError,
+    by_name,
+    to_si,
+)
+
+POUND_FORCE = 4.4482216152605  # N, exact: 0.45359237 * 9.80665
+LAG = 0.05  # s, of every engine in this file
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _built() -> None:
+    build_engines()
+
+
+def load(path: Path, parameters: Mapping[str, float] | None = None, step: float = STEP) -> EngineSpec:
+    """In this process: what a trial in another process finds is tested elsewhere."""
+    return load_engine(str(path), parameters or {}, step, unchecked=True)
+
+
+def refusal(path: Path, parameters: Mapping[str, float] | None = None) -> str:
+    with pytest.raises(InputError) as caught:
+        load(path, parameters)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert text.startswith(f"{path}: ")
+    return text.removeprefix(f"{path}: ")
+
+
+def lag(throttle: Sequence[float], first: float = 0.0, step: float = STEP) -> list[float]:
+    """The exact answer of x' = (u - x) / LAG to throttles that are held over a step each."""
+    x, course = first, []
+    for u in throttle:
+        x = u + (x - u) * math.exp(-step / LAG)
+        course.append(x)
+    return course
+
+
+# --- units --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit", "value", "si"),
+    [
+        # one value each that everybody knows, from a source other than the table
+        (FORCE, "lbf", 1.0, 4.4482216152605),
+        (FORCE, "kN", 0.25, 250.0),
+        (FORCE, "kgf", 1.0, 9.80665),
+        (PRESSURE, "psi", 14.695948775513, 101325.0),
+        (PRESSURE, "inHg", 29.92125, 101325.0),
+        (PRESSURE, "mmHg", 760.0, 101325.0),
+        (PRESSURE, "bar", 1.01325, 101325.0),
+        (PRESSURE, "hPa", 1013.25, 101325.0),
+        (TEMPERATURE, "degC", 15.0, 288.15),
+        (TEMPERATURE, "degF", 59.0, 288.15),
+        (TEMPERATURE, "degF", -40.0, 233.15),
+        (TEMPERATURE, "degR", 518.67, 288.15),
+        (SPEED, "kt", 100.0, 51.444444),
+        (SPEED, "mph", 100.0, 44.704),
+        (SPEED, "ft/s", 100.0, 30.48),
+        (SPEED, "km/h", 36.0, 10.0),
+        (ANGULAR_SPEED, "rpm", 60.0, 2.0 * math.pi),
+        (ANGULAR_SPEED, "Hz", 1.0, 2.0 * math.pi),
+        (ANGULAR_SPEED, "deg/s", 180.0, math.pi),
+        (MASS_FLOW, "kg/h", 3600.0, 1.0),
+        (MASS_FLOW, "g/min", 600.0, 0.01),
+        (MASS_FLOW, "pph", 7936.6414, 1.0),
+        (RATIO, "%", 50.0, 0.5),
+    ],
+)
+def test_units_known_by_name(quantity: Quantity, unit: str, value: float, si: float) -> None:
+    factor, offset = to_si(unit, None, quantity)
+    assert factor * value + offset == pytest.approx(si, rel=1e-6)
+
+
+def test_every_unit_belongs_to_one_quantity() -> None:
+    """So that a name rules out every port but its own."""
+    for one in QUANTITIES:
+        for other in QUANTITIES:
+            shared = set(one.units) & set(other.units)
+            assert one is other or not shared, (one.name, other.name)
+
+
+def test_a_units_case_counts_only_where_it_must() -> None:
+    assert by_name("RPM", ANGULAR_SPEED) == by_name("rpm", ANGULAR_SPEED)
+    assert by_name("mN", FORCE) == (1e-3, 0.0)
+    assert by_name("MN", FORCE) == (1e6, 0.0)
+    assert by_name("Mn", FORCE) is None
+
+
+def test_a_declared_unit_goes_before_its_name_unless_they_differ() -> None:
+    newtons = (1, 1, -2, 0, 0, 0, 0, 0)
+    assert to_si("tonne-force", Unit(newtons, 9806.65), FORCE) == (9806.65, 0.0)
+    assert to_si("lbf", Unit(newtons, 4.448), FORCE) == (4.448, 0.0)  # rounded by its author
+    with pytest.raises(UnitError, match="is in N, which the FMU defines as 1000 N and which is 1 N"):
+        to_si("N", Unit(newtons, 1000.0), FORCE)
+    with pytest.raises(UnitError, match=r"is in degC, which the FMU defines as 1 K and which is 1 K above 273.15 K"):
+        to_si("degC", Unit((0, 0, 0, 0, 1, 0, 0, 0)), TEMPERATURE)
+    with pytest.raises(UnitError, match="is in kg; it must be a force, such as N"):
+        to_si("kg", Unit((1, 0, 0, 0, 0, 0, 0, 0)), FORCE)
+    with pytest.raises(UnitError, match="is in furlong, which the FMU does not define; known: N, newton, "):
+        to_si("furlong", None, FORCE)
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "factor"),
+    [
+        ("rpm", Unit((0, 0, -1, 0, 0, 0, 0, 1), math.pi / 30.0), math.pi / 30.0),
+        ("rpm", Unit((0, 0, -1, 0, 0, 0, 0, 0), 1.0 / 60.0), math.pi / 30.0),  # as turns per second
+        ("rad/s", Unit((0, 0, -1, 0, 0, 0, 0, 0)), 1.0),
+        ("Hz", Unit((0, 0, -1, 0, 0, 0, 0, 0)), 2.0 * math.pi),
+    ],
+)
+def test_a_turn_without_radians_goes_by_its_name(name: str, base: Unit, factor: float) -> None:
+    assert to_si(name, base, ANGULAR_SPEED) == (pytest.approx(factor, rel=1e-15), 0.0)
+
+
+def test_a_frequency_of_unknown_name_is_no_speed_of_rotation() -> None:
+    with pytest.raises(UnitError, match="is in 1/s; it must be a speed of rotation, such as rad/s"):
+        to_si("1/s", Unit((0, 0, -1, 0, 0, 0, 0, 0)), ANGULAR_SPEED)
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity", "expected"),
+    [
+        ("thrust_lbf", FORCE, ("thrust", "lbf")),
+        ("thrust-lbs", FORCE, ("thrust", "lbs")),
+        ("net_thrust_kN", FORCE, ("net_thrust", "kN")),
+        ("fuel_flow_kg_per_h", MASS_FLOW, ("fuel_flow", "kg/h")),
+        ("fuel-flow-rate-pph", MASS_FLOW, ("fuel_flow_rate", "pph")),
+        ("omega_rad_s", ANGULAR_SPEED, ("omega", "rad/s")),
+        ("egt_degC", TEMPERATURE, ("egt", "degC")),
+        ("thrust", FORCE, ("thrust", None)),
+        ("N", FORCE, ("N", None)),  # a unit alone is a name
+    ],
+)
+def test_a_unit_behind_a_name(name: str, quantity: Quantity, expected: tuple[str, str | None]) -> None:
+    assert without_unit(name, quantity) == expected
+
+
+# --- finding ports ------------------------------------------------------------------------------------------------
+
+
+def variable(text: str, causality: str, **more: object) -> Variable:
+    """A variable from ``name [unit]``."""
+    name, _, unit = text.partition(" ")
+    fields = {"unit": unit.strip("[]") or None, "min": None, "max": None, "start": None, "description": ""} | more
+    return Variable(name=name, type="Real", reference=hash(text) % 2**31, causality=causality, **fields)  # type: ignore[arg-type]
+
+
+def described(inputs: str, outputs: str, parameters: str = "") -> list[Variable]:
+    lists = {"input": inputs, "output": outputs, "parameter": parameters}
+    return [variable(text.strip(), kind) for kind, texts in lists.items() for text in texts.split(",") if text.strip()]
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "expected"),
+    [
+        ("throttle", "thrust", {"throttle": "throttle", "thrust": "thrust"}),
+        (
+            "Throttle_Cmd [%], u",
+            "FN [lbf], XN [rpm]",
+            {"throttle": "Throttle_Cmd", "thrust": "FN", "spool_speed": "XN"},
+        ),
+        ("throttle, lever", "thrust, force", {"throttle": "throttle", "thrust": "thrust"}),  # our own name first
+        ("PLA [%]", "F [kN]", {"throttle": "PLA", "thrust": "F"}),
+        ("eng.throttle", "eng.Fnet [N]", {"throttle": "eng.throttle", "thrust": "eng.Fnet"}),
+        ("u", "out1 [N], out2 [K]", {"throttle": "u", "thrust": "out2"} | {"thrust": "out1"}),  # the only force
+        ("signal", "thrust", {"throttle": "signal", "thrust": "thrust"}),  # the only input
+        (
+            "signal, Tamb, run",
+            "thrust",
+            {"throttle": "signal", "thrust": "thrust", "run": "run"},
+        ),  # the only one unknown
+        (
+            "cmd, Pamb [hPa], Tamb [degC], TAS [kt], fuel_on",
+            "thrust_lbf, EGT_degC, Wf [pph], n1_rpm",
+            {
+                "throttle": "cmd",
+                "ambient_pressure": "Pamb",
+                "ambient_temperature": "Tamb",
+                "air_speed": "TAS",
+                "run": "fuel_on",
+                "thrust": "thrust_lbf",
+                "exhaust_temperature": "EGT_degC",
+                "fuel_flow": "Wf",
+                "spool_speed": "n1_rpm",
+            },
+        ),
+        (
+            "throttle, pressure [K]",
+            "thrust, speed [m/s]",
+            {"throttle": "throttle", "thrust": "thrust"},
+        ),  # units rule out
+    ],
+)
+def test_ports_are_found_by_causality_name_and_unit(inputs: str, outputs: str, expected: Mapping[str, str]) -> None:
+    found, _ = find_ports(described(inputs, outputs), PortMap())
+    assert {name: port.variable.name for name, port in found.items()} == expected
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "words"),
+    [
+        (
+            "a, b",
+            "thrust",
+            'has no input that is known as its throttle (inputs: a, b); a mapping file states it: [ports] throttle = "..."',
+        ),
+        ("", "thrust", "has no input that is known as its throttle (inputs: none); "),
+        ("lever, cmd", "thrust", "has several inputs that may be its throttle: lever, cmd; a mapping file states it: "),
+        ("PLA [%], thr", "thrust", "has several inputs that may be its throttle: PLA, thr; "),
+        ("throttle", "a, b", "has no output that is known as its thrust (outputs: a, b); "),
+        ("throttle", "a [N], b [kN]", "has several outputs that may be its thrust: a, b; "),
+        ("throttle", "thrust [kg/s]", "its thrust is in kg/s, which the FMU does not define; known: N, "),
+        (
+            "PLA",
+            "thrust",
+            "its PLA states neither range nor unit; a mapping file does: [range] throttle = [what 0 is, ",
+        ),
+        ("throttle [deg]", "thrust", "its throttle is in deg and states no range; a mapping file does: "),
+    ],
+)
+def test_what_is_missing_or_ambiguous_is_told_with_the_candidates(inputs: str, outputs: str, words: str) -> None:
+    with pytest.raises(ValueError, match=r".") as caught:
+        find_ports(described(inputs, outputs), PortMap())
+    assert str(caught.value).startswith(words)
+
+
+def test_a_port_that_is_not_needed_is_left_out_with_a_note() -> None:
+    found, notes = find_ports(described("throttle", "thrust, N1 [rpm], N2 [rpm], Wf, EGT"), PortMap())
+    assert set(found) == {"throttle", "thrust"}
+    assert notes == [
+        "throttle states no range; it is taken to run from 0 to 1",
+        "thrust states no unit; it is taken to be in N",
+        "no spool_speed: has several outputs that may be its spool_speed: N1, N2; a mapping file states it: "
+        '[ports] spool_speed = "..."',
+        'no exhaust_temperature: EGT states no unit; a mapping file does: [units] exhaust_temperature = "K"',
+        'no fuel_flow: Wf states no unit; a mapping file does: [units] fuel_flow = "kg/s"',
+    ]
+
+
+def test_a_unit_that_is_stated_against_the_fmus_own_counts_and_is_told() -> None:
+    variables = described("throttle [1]", "thrust [N]")
+    for unit, scale, said in (("lbf", 4.4482216152605, 1), ("N", 1.0, 0)):
+        found, notes = find_ports(variables, PortMap(units={"thrust": unit}, throttle_range=(0.0, 1.0)))
+        assert found["thrust"].scale == pytest.approx(scale)
+        assert notes == ["thrust is in N, says the FMU; the mapping file says lbf, and that counts"] * said
+
+
+def test_a_throttle_that_starts_outside_its_supposed_range_is_refused() -> None:
+    inputs = [variable("throttle", "input", start=20.0), variable("thrust", "output")]
+    with pytest.raises(ValueError, match=r"its throttle states no range and starts at 20, outside 0 to 1; a mapping"):
+        find_ports(inputs, PortMap())
+
+
+@pytest.mark.parametrize(
+    ("unit", "low", "high", "stated", "expected"),
+    [
+        (None, None, None, None, (0.0, 0.25, 1.0)),
+        ("%", None, None, None, (0.0, 25.0, 100.0)),
+        ("V", 1.0, 5.0, None, (1.0, 2.0, 5.0)),
+        ("1", -1e60, 1e60, None, (0.0, 0.25, 1.0)),  # what some tools write for no bound
+        ("deg", 0.0, 130.0, (20.0, 100.0), (20.0, 40.0, 100.0)),
+        ("1", 0.0, 1.0, (1.0, 0.0), (1.0, 0.75, 0.0)),  # a lever that works the other way
+    ],
+)
+def test_the_throttles_range(
+    unit: str | None,
+    low: float | None,
+    high: float | None,
+    stated: tuple[float, float] | None,
+    expected: tuple[float, float, float],
+) -> None:
+    ports = [variable("throttle", "input", unit=unit, min=low, max=high), variable("thrust", "output")]
+    throttle = find_ports(ports, PortMap(throttle_range=stated))[0]["throttle"]
+    assert tuple(throttle.value(u) for u in (0.0, 0.25, 1.0)) == expected
+    assert (throttle.value(-1.0), throttle.value(2.0)) == (expected[0], expected[2])  # never beyond the ends
+    back = [throttle.scale * value + throttle.offset for value in expected]
+    assert back == pytest.approx([0.0, 0.25, 1.0], abs=1e-15)
+
+
+def test_known_names_are_written_plainly_and_belong_to_one_port_each() -> None:
+    for port, kind in KINDS.items():
+        names = kind.names + kind.vague
+        assert all(name == plain(name) for name in names)
+        alike = [each for other, each in KINDS.items() if other != port and each.causality == kind.causality]
+        assert not set(names) & {name for each in alike for name in each.names + each.vague}
+
+
+def test_the_library_goes_by_its_own_statement(tmp_path: Path) -> None:
+    """Nothing is looked for that its engine.toml does not name."""
+    spec = load_engine("edf", {}, STEP)
+    assert set(spec.ports) == {"throttle", "thrust", "start"}
+    assert (spec.has("thrust"), spec.has("run"), spec.stated_delay, spec.mapping) == (True, False, None, None)
+    assert all(port.scale == port.gain == 1.0 and port.offset == port.bias == 0.0 for port in spec.ports.values())
+
+
+# --- mapping files ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def pythons(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
+    """Engines made by PythonFMU (FMI 2.0) and PythonFMU3 (FMI 3.0), a lag of 50 ms each, and no other."""
+    folder = tmp_path_factory.mktemp("pythons")
+    return {
+        "pythonfmu": export(folder, "pythonfmu", "LbfEngine", LBF_ENGINE),
+        "pythonfmu3": export(folder, "pythonfmu3", "KnEngine", KN_ENGINE),
+    }
+
+
+def export(folder: Path, exporter: str, name: str, source: str) -> Path:
+    """Make an FMU of a Python source with the tool that it is written for."""
+    script = folder / f"{name.lower()}.py"
+    script.write_text(re.sub(r"class \w+", f"class {name}", source))
+    command = [sys.executable, "-m", exporter, "build", "-f", str(script), "-d", str(folder)]
+    subprocess.run(command, check=True, capture_output=True, cwd=folder)
+    return folder / f"{name}.fmu"
+
+
+LBF_ENGINE = """
+import math
+from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
+
+class LbfEngine(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.PLA, self.Fn, self.N1, self.x = 20.0, 0.0, 0.0, 0.0
+        self.scale = 4.4
+        self.register_variable(Real("PLA", causality=Fmi2Causality.input, start=20.0))
+        self.register_variable(Real("Fn", causality=Fmi2Causality.output))
+        self.register_variable(Real("N1", causality=Fmi2Causality.output))
+        self.register_variable(Real("scale", causality=Fmi2Causality.parameter, variability=Fmi2Variability.fixed, start=4.4))
+
+    def do_step(self, time, step):
+        u = (self.PLA - 20.0) / 80.0
+        self.x = u + (self.x - u) * math.exp(-step / 0.05)
+        self.Fn = self.scale * self.x
+        self.N1 = 1e5 * self.x
+        return True
+"""
+
+KN_ENGINE = """
+import math
+from pythonfmu3 import Fmi3Causality, Fmi3Slave, Fmi3Variability, Float64, Unit
+
+class KnEngine(Fmi3Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.register_units([
+            Unit(name="kN", kg=1, m=1, s=-2, factor=1000.0),
+            Unit(name="%", factor=0.01),
+            Unit(name="degC", K=1, offset=273.15),
+        ])
+        self.time, self.throttle_cmd, self.net_thrust, self.EGT, self.x = 0.0, 0.0, 0.0, 15.0, 0.0
+        moving = {"variability": Fmi3Variability.continuous}
+        self.register_variable(Float64("time", causality=Fmi3Causality.independent, **moving))
+        self.register_variable(Float64("throttle_cmd", causality=Fmi3Causality.input, unit="%", **moving))
+        self.register_variable(Float64("net_thrust", causality=Fmi3Causality.output, unit="kN", **moving))
+        self.register_variable(Float64("EGT", causality=Fmi3Causality.output, unit="degC", **moving))
+
+    def do_step(self, time, step):
+        u = self.throttle_cmd / 100.0
+        self.x = u + (self.x - u) * math.exp(-step / 0.05)
+        self.net_thrust = 0.02 * self.x
+        self.EGT = 15.0 + 600.0 * self.x
+        return True
+"""
+
+MAPPING = """
+fmu = "LbfEngine.fmu"
+title = "Somebody's engine"
+[units]
+thrust = "lbf"
+spool_speed = "rpm"
+[range]
+throttle = [20.0, 100.0]
+[parameters]
+scale = 5.0
+[rotor]
+inertia_kg_m2 = 2.0e-5
+[ledger]
+delay_s = 0.1
+"""
+
+
+def mapping(folder: Path, fmu: Path, text: str) -> Path:
+    """A mapping file beside a copy of the archive it speaks of."""
+    shutil.copy(fmu, folder / fmu.name)
+    path = folder / "engine.toml"
+    path.write_text(text)
+    return path
+
+
+def test_an_engine_of_pythonfmu_in_pounds_with_a_mapping_file(pythons: Mapping[str, Path], tmp_path: Path) -> None:
+    path = mapping(tmp_path, pythons["pythonfmu"], MAPPING)
+    spec = load(path)
+    assert (spec.name, spec.family, spec.title) == ("engine", "engine.toml", "Somebody's engine")
+    assert (spec.rotor_inertia, spec.delay, spec.stated_delay, spec.mapping) == (2e-5, 0.1, 0.1, path)
+    assert spec.path == tmp_path / "LbfEngine.fmu"
+    assert spec.parameters == {"scale": 5.0}
+    # standing still to 1e-10 of a newton or of itself, times what the lag still has to go in that window
+    np.testing.assert_allclose(
+        spec.curve.thrust, np.array(spec.curve.throttle) * 5.0 * POUND_FORCE, rtol=0.0, atol=1e-8
+    )
+    throttles = [0.1, 0.25, 0.5, 0.6, 0.75, 1.0]
+    with EngineBank(spec, 6, STEP) as bank:
+        assert not bank.wants_ambient
+        rest = bank.reset(0.0)
+        outputs = [bank.step(k, tuple(throttles)) for k in range(50)]
+    assert rest.thrust == (0.0,) * 6
+    for i, u in enumerate(throttles):
+        x = np.array(lag([u] * 50))
+        # what is left of rounding: the throttle through 20..100 and back
+        np.testing.assert_allclose([o.thrust[i] for o in outputs], 5.0 * POUND_FORCE * x, rtol=1e-12)
+        np.testing.assert_allclose([o.spool_speed[i] for o in outputs], 1e5 * math.pi / 30.0 * x, rtol=1e-12)
+
+
+def test_a_parameter_given_goes_before_the_mapping_files(pythons: Mapping[str, Path], tmp_path: Path) -> None:
+    path = mapping(tmp_path, pythons["pythonfmu"], MAPPING)
+    assert load(path, {"scale": 1.0}).thrust_at(1.0) == pytest.approx(POUND_FORCE, rel=1e-9)
+
+
+def test_an_engine_of_pythonfmu3_with_usual_names_needs_no_mapping_file(pythons: Mapping[str, Path]) -> None:
+    spec = load(pythons["pythonfmu3"])
+    assert {name: port.variable.name for name, port in spec.ports.items()} == {
+        "throttle": "throttle_cmd",
+        "thrust": "net_thrust",
+        "exhaust_temperature": "EGT",
+    }
+    assert (spec.fmi, spec.family, spec.rotor_inertia) == ("3.0", "KnEngine.fmu", 0.0)
+    with EngineBank(spec, 6, STEP) as bank:
+        bank.reset(0.5)
+        output = bank.step(0, (0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
+    x = [lag([u], first=0.5)[0] for u in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)]
+    # run up to 0.5, where it stands still to 1e-10 N over a window
+    np.testing.assert_allclose(output.thrust, 20.0 * np.array(x), rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(output.exhaust_temperature, 288.15 + 600.0 * np.array(x), rtol=0.0, atol=1e-6)
+
+
+def test_engines_of_three_exporters_and_two_versions_in_one_bank(pythons: Mapping[str, Path], tmp_path: Path) -> None:
+    mine = load(mapping(tmp_path, pythons["pythonfmu"], MAPPING))
+    specs = [mine, load(pythons["pythonfmu3"]), load_engine("turbojet-fmi2", {}, STEP)] * 2
+    throttles = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
+    with EngineBank(specs, 6, STEP) as bank:
+        output = bank.reset(throttles)
+        expected = [spec.thrust_at(u) for spec, u in zip(specs, throttles, strict=True)]
+        np.testing.assert_allclose(output.thrust, expected, rtol=0.0, atol=1e-8)
+        assert [math.isnan(x) for x in output.spool_speed] == [False, True, True] * 2
+        assert [math.isnan(x) for x in output.exhaust_temperature] == [True, False, True] * 2
+        runs = [[bank.step(k, throttles) for k in range(100)]]
+        bank.reset(throttles)
+        runs.append([bank.step(k, throttles) for k in range(100)])
+    # a NaN is not equal to itself, and repr is exact for every other
+    assert repr(runs[0]) == repr(runs[1])
+
+
+@pytest.mark.parametrize("exporter", ["pythonfmu", "pythonfmu3"])
+def test_fmus_in_python_do_not_lend_each_other_their_modules(exporter: str, tmp_path: Path) -> None:
+    """Two engines whose module has the same name, as whoever changes an engine and exports it again has them."""
+    source, old = (LBF_ENGINE, "self.scale * self.x") if exporter == "pythonfmu" else (KN_ENGINE, "0.02 * self.x")
+    archives = []
+    for gain in (0.01, 0.03):
+        folder = tmp_path / f"{gain}"
+        folder.mkdir()
+        text = source.replace(old, f"{gain} * self.x").replace("PLA", "lever").replace("20.0", "0.0")
+        archives.append(export(folder, exporter, "Engine", text))
+    path, modules = list(sys.path), set(sys.modules)
+    specs = [load(each) for each in archives]
+    assert specs[1].thrust_at(1.0) / specs[0].thrust_at(1.0) == pytest.approx(3.0, rel=1e-6)
+    with EngineBank(specs * 2, 4, STEP) as bank:
+        thrust = bank.reset(1.0).thrust
+    assert (thrust[1] / thrust[0], thrust[3] / thrust[2]) == pytest.approx((3.0, 3.0), rel=1e-6)
+    assert (sys.path, {name for name in set(sys.modules) - modules if "ngine" in name}) == (path, set())
+
+
+EDF_IN_POUNDS = """
+from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+
+class Engine(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.pct, self.Fn, self.y = 0.0, 0.0, 0.0
+        self.register_variable(Real("pct", causality=Fmi2Causality.input, start=0.0))
+        self.register_variable(Real("Fn", causality=Fmi2Causality.output))
+
+    def do_step(self, time, step):
+        self.y = 0.8748 * self.y + 0.2554 * self.pct / 100.0
+        self.Fn = self.y / 0.45359237
+        return True
+"""
+
+
+def test_an_edf_of_another_exporter_in_pounds_and_percent_flies_like_ours(tmp_path: Path) -> None:
+    """The roll doublet with a mapping file, tried and found fit first."""
+    path = tmp_path / "theirs.toml"
+    fmu = export(tmp_path, "pythonfmu", "Engine", EDF_IN_POUNDS)
+    path.write_text(f'fmu = "{fmu.name}"\n[units]\nthrust = "lbf"\n[range]\nthrottle = [0.0, 100.0]\n')
+    scenario = Scenario.load("roll-doublet").replace(controller="baseline", duration_s=3.0, expect=[])
+    ours = fly(scenario.replace(engine="edf"))
+    theirs = fly(scenario.replace(engine=str(path)))
+    assert theirs.outcome == ours.outcome == "completed"
+    assert np.ptp(ours.log["roll_rad"]) > 0.17  # the first edge of the doublet: 10 degrees
+    for column in ("roll_rad", "rate_p_rad_s", "altitude_m"):
+        # they start as well settled as a run-up to 1e-10 leaves them, and convert the unit; 3 s make no more of it
+        np.testing.assert_allclose(theirs.log[column], ours.log[column], rtol=0.0, atol=1e-6)
+
+
+WRONG_MAPPINGS = {
+    "no fmu": ('title = "x"', 'has no key fmu; a mapping file names its archive: fmu = "their.fmu"'),
+    "unknown port": (
+        MAPPING + '[ports]\nthrotle = "PLA"',
+        "unknown key 'ports.throtle'; did you mean 'throttle'? allowed: ",
+    ),
+    "unknown unit": (MAPPING.replace('"lbf"', '"furlong"'), "units.thrust = 'furlong': allowed: N, newton, "),
+    "unit of another quantity": (MAPPING.replace('"rpm"', '"K"'), "units.spool_speed = 'K': allowed: rad/s, "),
+    "no such variable": (
+        MAPPING + '[ports]\nthrust = "Thrust"',
+        "{fmu}: has no output called Thrust for thrust (outputs: Fn, N1)",
+    ),
+    "an output as throttle": (
+        MAPPING + '[ports]\nthrottle = "Fn"',
+        "{fmu}: has no input called Fn for throttle (inputs: PLA)",
+    ),
+    "unconnected thrust": (MAPPING + '[ports]\nthrust = ""', "{fmu}: its thrust cannot be left unconnected"),
+    "one variable twice": (
+        MAPPING + '[ports]\nspool_speed = "Fn"',
+        "{fmu}: its Fn is both thrust and spool_speed; state one of them in [ports]",
+    ),
+    "no unit": (
+        MAPPING.replace('spool_speed = "rpm"', "") + '[ports]\nspool_speed = "N1"',
+        '{fmu}: N1 states no unit; a mapping file does: [units] spool_speed = "rad/s"',
+    ),
+    "unit of no port": (
+        MAPPING.replace("[range]", 'fuel_flow = "kg/h"\n[range]'),
+        "{fmu}: has no output that is known as its fuel_flow; a mapping file states it: [ports] fuel_flow = ",
+    ),
+    "no range": (
+        MAPPING.replace("[range]\nthrottle = [20.0, 100.0]", ""),
+        "{fmu}: its PLA states neither range nor unit; a mapping file does: [range] throttle = ",
+    ),
+    "empty range": (
+        MAPPING.replace("20.0, 100.0", "5.0, 5.0"),
+        "range.throttle = [5.0, 5.0]: what 0 and 1 are must differ",
+    ),
+    "negative inertia": (MAPPING.replace("2.0e-5", "-1.0"), "rotor.inertia_kg_m2"),
+    "no file": ('fmu = "nowhere.fmu"', "{folder}/nowhere.fmu: no such file"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG_MAPPINGS)
+def test_a_wrong_mapping_file_gets_one_clear_line(what: str, pythons: Mapping[str, Path], tmp_path: Path) -> None:
+    text, words = WRONG_MAPPINGS[what]
+    path = mapping(tmp_path, pythons["pythonfmu"], text)
+    assert refusal(path).startswith(words.format(fmu=tmp_path / "LbfEngine.fmu", folder=tmp_path))
+
+
+def test_an_unknown_parameter_of_a_mapping_file(pythons: Mapping[str, Path], tmp_path: Path) -> None:
+    path = mapping(tmp_path, pythons["pythonfmu"], MAPPING.replace("scale = 5.0", "scael = 5.0"))
+    with pytest.raises(InputError, match=r"scael: no such parameter; did you mean 'scale'\? allowed: scale"):
+        load(path)
+
+
+def test_a_port_left_unconnected(pythons: Mapping[str, Path], tmp_path: Path) -> None:
+    spec = load(mapping(tmp_path, pythons["pythonfmu"], MAPPING + '[ports]\nspool_speed = ""'))
+    assert not spec.has("spool_speed")
+
+
+# --- arrays, Float32, events, early return: tests/tools/odd_engine.c ------------------------------------------------------
+
+NOTHING, EARLY, EVENTS, STUCK, ENDLESS, TERMINATE, TINY, DISCARDS, AT_END = range(9)
+
+ODD_DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="3.0" modelName="odd" instantiationToken="{odd}">
+  <CoSimulation modelIdentifier="odd" canHandleVariableCommunicationStepSize="true" mightReturnEarlyFromDoStep="true"/>
+  <UnitDefinitions>
+    <Unit name="lbf"><BaseUnit kg="1" m="1" s="-2" factor="4.4482216152605"/></Unit>
+    <Unit name="rpm"><BaseUnit s="-1" rad="1" factor="0.10471975511965977"/></Unit>
+    <Unit name="hPa"><BaseUnit kg="1" m="-1" s="-2" factor="100"/></Unit>
+    <Unit name="degC"><BaseUnit K="1" offset="273.15"/></Unit>
+  </UnitDefinitions>
+  <ModelVariables>
+    <Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>
+    <UInt64 name="n" valueReference="1" causality="structuralParameter" variability="fixed" start="3"/>
+    <Float64 name="levers" valueReference="2" causality="input" start="10 35" min="10" max="110"><Dimension start="2"/></Float64>
+    <Float64 name="forces" valueReference="3" causality="output" unit="lbf"><Dimension valueReference="1"/></Float64>
+    <Float32 name="speed" valueReference="4" causality="output" unit="rpm"/>
+    <Float32 name="pressure" valueReference="5" causality="input" start="1013.25" unit="hPa"/>
+    <Float64 name="gains" valueReference="6" causality="parameter" variability="fixed" start="1 2 3"><Dimension start="3"/></Float64>
+    <Int32 name="trouble" valueReference="7" causality="parameter" variability="fixed" start="0"/>
+    <Float64 name="egt" valueReference="8" causality="output" unit="degC"/>
+    <Float64 name="sets" valueReference="9" causality="output"/>
+    <Boolean name="run" valueReference="10" causality="input" start="true"/>
+  </ModelVariables>
+  <ModelStructure>
+    <Output valueReference="3"/><Output valueReference="4"/><Output valueReference="8"/><Output valueReference="9"/>
+    <InitialUnknown valueReference="3"/><InitialUnknown valueReference="4"/>
+    <InitialUnknown valueReference="8"/><InitialUnknown valueReference="9"/>
+  </ModelStructure>
+</fmiModelDescription>
+"""
+
+ODD_BUILD = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiBuildDescription fmiVersion="3.0">
+  <BuildConfiguration modelIdentifier="odd">
+    <SourceFileSet language="C99"><SourceFile name="odd_engine.c"/></SourceFileSet>
+  </BuildConfiguration>
+</fmiBuildDescription>
+"""
+
+ODD_MAPPING = """
+fmu = "odd.fmu"
+[ports]
+throttle = "levers[1]"
+thrust = "forces[2]"
+fuel_flow = "sets" # how often the pressure was set
+[units]
+fuel_flow = "kg/s"
+"""
+
+RUN = '<Boolean name="run" valueReference="10" causality="input" start="true"/>'
+
+
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A mapping file beside the engine of odd_engine.c."""
+    folder = tmp_path_factory.mktemp("odd")
+    source = TOOLS / "odd_engine.c"
+    contents = {
+        "modelDescription.xml": ODD_DESCRIPTION.encode(),
+        "sources/odd_engine.c": source.read_bytes(),
+        "sources/buildDescription.xml": ODD_BUILD.encode(),
+    }
+    for name, data in contents.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(data)
+    build.compile_sources(folder, "odd")
+    for path in (folder / "binaries").rglob("*.*"):
+        contents[path.relative_to(folder).as_posix()] = path.read_bytes()
+    build.pack(contents, folder / "odd.fmu")
+    (folder / "odd.toml").write_text(ODD_MAPPING)
+    return folder / "odd.toml"
+
+
+@pytest.fixture(scope="module")
+def odd_with_events(odd: Path) -> Path:
+    """The same with its event mode, which no discrete input keeps from being used."""
+
+    def change(contents: dict[str, bytes]) -> None:
+        text = contents["modelDescription.xml"].decode().replace(RUN, "")
+        text = text.replace(
+            'mightReturnEarlyFromDoStep="true"', 'mightReturnEarlyFromDoStep="true" hasEventMode="true"'
+        )
+        contents["modelDescription.xml"] = text.encode()
+
+    rewrite(odd.with_name("odd.fmu"), odd.with_name("events.fmu"), change)
+    path = odd.with_name("events.toml")
+    path.write_text(ODD_MAPPING.replace("odd.fmu", "events.fmu"))
+    return path
+
+
+def fly_odd(path: Path, trouble: int, steps: int = 100) -> list[EngineOutput]:
+    with EngineBank(load(path, {"trouble": trouble}), 2, STEP) as bank:
+        bank.reset(0.25)
+        return [bank.step(k, (0.5, 1.0)) for k in range(steps)]
+
+
+def test_an_element_of_an_array_as_port(odd: Path) -> None:
+    spec = load(odd)
+    assert {name: port.variable.name for name, port in spec.ports.items()} == {
+        "throttle": "levers[1]",
+        "ambient_pressure": "pressure",
+        "run": "run",
+        "thrust": "forces[2]",
+        "spool_speed": "speed",
+        "exhaust_temperature": "egt",
+        "fuel_flow": "sets",
+    }
+    assert spec.thrust_at(1.0) == pytest.approx(2.0 * POUND_FORCE, rel=1e-8)
+    outputs = fly_odd(odd, NOTHING)
+    for i, u in enumerate((0.5, 1.0)):
+        x = np.array(lag([u] * 100, first=0.25))
+        # run up to 0.25, where it stands still to 1e-10 N over a window; the speed travels as Float32
+        np.testing.assert_allclose([o.thrust[i] for o in outputs], 2.0 * POUND_FORCE * x, rtol=0.0, atol=1e-8)
+        np.testing.assert_allclose([o.spool_speed[i] for o in outputs], 2000.0 * math.pi * x, rtol=1e-6)
+
+
+def test_the_other_elements_of_an_input_stay_at_their_start(odd: Path) -> None:
+    """The first of the forces is the second of the levers."""
+    echo = odd.with_name("echo.toml")
+    ports = 'spool_speed = "forces[1]"\nthrust = "forces[2]"'
+    text = ODD_MAPPING.replace('thrust = "forces[2]"', ports).replace("[units]", '[units]\nspool_speed = "rad/s"')
+    echo.write_text(text)
+    with EngineBank(load(echo), 1, STEP) as bank:
+        bank.reset(0.5)
+        assert [bank.step(k, (0.7,)).spool_speed[0] for k in range(3)] == [35.0] * 3
+
+
+def test_an_element_of_a_parameter(odd: Path) -> None:
+    spec = load(odd, {"gains[2]": 7.0})
+    assert spec.parameters == {"gains[1]": 1.0, "gains[2]": 7.0, "gains[3]": 3.0, "trouble": 0.0}
+    assert spec.thrust_at(1.0) == pytest.approx(7.0 * POUND_FORCE, rel=1e-8)
+
+
+@pytest.mark.parametrize("element", ["forces", "forces[0]", "forces[4]", "forces[2,1]"])
+def test_an_element_that_is_not_there(odd: Path, element: str) -> None:
+    path = odd.with_name("wrong.toml")
+    path.write_text(ODD_MAPPING.replace("forces[2]", element))
+    assert f"has no output called {element} for thrust (outputs: forces[1], forces[2], forces[3], speed, " in refusal(
+        path
+    )
+
+
+def test_the_ambient_is_set_when_it_changes_and_only_then(odd: Path) -> None:
+    spec = load(odd)
+    air = Ambient(90000.0, 280.0, (0.0, 0.0))
+    with EngineBank(spec, 2, STEP) as bank:
+        assert bank.wants_ambient
+        assert bank.reset(0.5).fuel_flow == (1.0, 1.0)  # once, before the start
+        thrust = [2.0 * POUND_FORCE * 0.5 * pressure / 101325.0 for pressure in (101325.0, 90000.0, 80000.0)]
+        courses = [None, None, air, air, air, None, air._replace(pressure=80000.0), air, air]
+        outputs = [bank.step(k, (0.5, 0.5), given) for k, given in enumerate(courses)]
+        assert [o.fuel_flow[0] for o in outputs] == [1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 3.0, 4.0, 4.0]
+        expected = [thrust[i] for i in (0, 0, 1, 1, 1, 1, 2, 1, 1)]
+        # the pressure travels as Float32, and the engine was run up
+        np.testing.assert_allclose([o.thrust[0] for o in outputs], expected, rtol=1e-6)
+        assert bank.reset(0.5, air).thrust == pytest.approx([thrust[1]] * 2, rel=1e-6)
+        for wrong in [(1.0, 2.0), Ambient(1.0, 2.0, (0.0,)), Ambient(1.0, 2.0, (0.0, 0.0, 0.0))]:
+            with pytest.raises(TypeError, match="pressure, temperature and 2 air speeds"):
+                bank.step(0, (0.5, 0.5), wrong)  # type: ignore[arg-type]
+        with pytest.raises(
+            EngineError, match=r"^engine 1 \(odd\.fmu\): ambient_pressure is not finite at step 0 \(0 s\)$"
+        ):
+            bank.step(0, (0.5, 0.5), air._replace(pressure=math.nan))
+
+
+def test_a_throttle_beyond_its_ends_stays_there(odd: Path) -> None:
+    """This engine has no limit of its own."""
+    with EngineBank(load(odd), 2, STEP) as bank:
+        bank.reset(0.5)
+        outputs = [bank.step(k, (1.5, 1.0) if k % 2 else (-0.5, 0.0)).thrust for k in range(6)]
+    assert all(one == other for one, other in outputs)
+
+
+def test_an_engine_is_shut_off_and_on_again(odd: Path) -> None:
+    with EngineBank(load(odd), 2, STEP) as bank:
+        bank.reset(0.5)
+        assert bank.set_run(1, False)
+        off = bank.step(0, (0.5, 0.5)).thrust
+        assert bank.set_run(1, True)
+        on = bank.step(1, (0.5, 0.5)).thrust
+    assert off == (pytest.approx(POUND_FORCE), 0.0)
+    assert on == pytest.approx((POUND_FORCE, POUND_FORCE))
+    with EngineBank(load_engine("edf", {}, STEP), 1, STEP) as bank:
+        bank.reset(0.5)
+        assert not bank.set_run(0, False)
+
+
+@pytest.mark.parametrize("events", [False, True])
+def test_a_step_in_parts_is_the_same_step(odd: Path, odd_with_events: Path, events: bool) -> None:
+    """The FMU refuses to step from anywhere but where it returned, and with an event that was not handled."""
+    path = odd_with_events if events else odd
+    whole = fly_odd(path, NOTHING)
+    for trouble in (EARLY, EVENTS, AT_END):
+        parts = fly_odd(path, trouble)
+        np.testing.assert_allclose([o.thrust for o in parts], [o.thrust for o in whole], rtol=0.0, atol=1e-8)
+        assert repr(fly_odd(path, trouble)) == repr(parts)
+
+
+def test_every_event_is_handled(odd: Path, odd_with_events: Path) -> None:
+    """One every 1.5 ms, those at the end of a step included, in 1.2 s of flight."""
+
+    def handled(path: Path, trouble: int) -> float:
+        outputs = fly_odd(path, trouble, steps=301)
+        return outputs[300].exhaust_temperature[0] - outputs[0].exhaust_temperature[0]
+
+    assert handled(odd_with_events, EVENTS) == 800.0
+    assert handled(odd_with_events, AT_END) == 300.0
+    assert handled(odd, EVENTS) == 0.0  # without event mode the FMU keeps them to itself
+
+
+IN_TROUBLE = {
+    STUCK: "it returned early from doStep and gets no further",
+    TINY: "it does not reach the end of the step",
+    ENDLESS: "its events do not come to an end",
+    TERMINATE: "it asked to end the simulation",
+    DISCARDS: "doStep returned discard",
+}
+
+
+@pytest.mark.parametrize("trouble", IN_TROUBLE)
+def test_an_fmu_that_gets_no_further_is_told_so(odd_with_events: Path, trouble: int) -> None:
+    with pytest.raises(InputError) as caught:
+        load(odd_with_events, {"trouble": trouble})
+    fmu = odd_with_events.with_name("events.fmu")
+    assert str(caught.value) == f"{fmu}: {IN_TROUBLE[trouble]} while its thrust was measured"
+
+
+def test_a_discrete_input_keeps_event_mode_off(odd: Path, odd_with_events: Path) -> None:
+    """With event mode in use it could be set there only."""
+    assert read_archive(
+        odd_with_events.with_name("events.fmu"), PortMap({"throttle": "levers[1]", "thrust": "forces[2]"})
+    ).event_mode
+
+    def change(contents: dict[str, bytes]) -> None:
+        text = contents["modelDescription.xml"].decode()
+        contents["modelDescription.xml"] = text.replace("<CoSimulation", '<CoSimulation hasEventMode="true"').encode()
+
+    path = rewrite(odd.with_name("odd.fmu"), odd.with_name("both.fmu"), change)
+    stated = {"throttle": "levers[1]", "thrust": "forces[2]"}
+    assert not read_archive(path, PortMap(stated)).event_mode
+    assert read_archive(path, PortMap(stated | {"run": ""})).event_mode
+
+
+def test_variables_of_two_types_may_share_a_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    """FMI 2.0 counts its references anew for every type."""
+    calls: list[tuple[object, ...]] = []
+    monkeypatch.setattr(Slave, "call", lambda self, *args: calls.append(args))
+    real, whole = variable("gain", "parameter"), replace(variable("samples", "parameter"), type="Integer")
+    settings = [(replace(real, reference=1), 2.0), (replace(whole, reference=1), 3.0)]
+    Slave.__new__(Slave)._set(settings)
+    assert calls == [("setReal", [1], [2.0]), ("setInteger", [1], [3])]
+
+
+def test_the_order_of_the_ports_is_that_of_the_c_loop() -> None:
+    source = (Path(build.__file__).parent / "_bank.c").read_text()
+    for names, title in ((INPUTS, "INPUT_NAMES[INPUTS]"), (OUTPUTS, "OUTPUT_NAMES[OUTPUTS]")):
+        listed = ", ".join(f'"{name}"' for name in names)
+        assert f"{title} = {{{listed}}};" in source
+
+
+def test_the_library_engine_by_path_is_the_library_engine() -> None:
+    by_path = load(archive("turbojet", 3))
+    assert set(by_path.ports) == {"throttle", "thrust", "start"}
+    assert by_path.start == "throttle_start"

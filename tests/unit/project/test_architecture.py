@@ -1,0 +1,229 @@
+"""The rules that make the architecture, read from the imports."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+from places import ROOT, TESTS
+
+PACKAGE = ROOT / "cosim"
+
+# A foreign library has one home: a module, or a folder with one duty.
+HOMES = {
+    "jsbsim": ["vehicle/airframe.py"],
+    "fmpy": ["engine/"],
+    "pymavlink": ["groundstation/mavlink/"],
+    "plotly": ["results/report/page.py"],
+    "pyarrow": ["results/arrow.py"],
+    "control": ["design/"],
+    "websockets": ["groundstation/web/"],
+    "distributed": ["campaign/workers/cluster.py"],
+}
+
+# Blocks get values and return values: no files, clocks, environment or global randomness.
+BLOCKS = [
+    "control/", "engine/wrappers.py", "vehicle/propulsion.py", "vehicle/sensors.py", "vehicle/servo.py", "simulation/ending.py", "base/frames.py",
+    "base/signals.py", "base/protocols.py",
+]  # fmt: skip
+OUTSIDE_WORLD = {
+    "builtins", "ctypes", "datetime", "fileinput", "glob", "importlib", "io", "logging", "os", "pathlib", "random",
+    "secrets", "shutil", "socket", "subprocess", "sys", "tempfile", "threading", "time", "tomllib", "uuid",
+}  # fmt: skip
+READS_THE_OUTSIDE_WORLD = {"open", "print", "input", "exec", "eval", "__import__"}
+OUR_FILE_READERS = {
+    "cosim.base.toml",
+    "cosim.base.paths",
+    "cosim.cli.main",
+    "cosim.results.report.flight",
+    "cosim.results.report.page",
+    "cosim.results.recorder",
+    "cosim.simulation.step",
+    "cosim.simulation.build",
+    "cosim.results.arrow",
+    "cosim.base.files",
+}
+
+# An engine is a file before it flies and none while it flies: loading reads, stepping does not.
+ENGINE_STEPS = ["engine/bank.py", "engine/response.py", "engine/instance.py", "engine/spec.py"]
+CLOCKS_AND_CHANCE = {"datetime", "random", "secrets", "time", "uuid"}
+C_FILES_CLOCKS_AND_CHANCE = (
+    r"\b(f?open|fread|fwrite|getenv|s?rand|random|time|clock|clock_gettime|s?printf|puts|system)\s*\("
+)
+
+# What a user would wait for, although a flight does not need it before its first step.
+HEAVY = [
+    "scipy", "plotly", "pyarrow", "jinja2", "matplotlib", "control", "pymavlink", "pyulog", "hypothesis", "fmpy",
+    "websockets", "distributed",
+]  # fmt: skip
+
+
+def modules() -> list[Path]:
+    """Every module of the package, as it is in the clone."""
+    return sorted(path for path in PACKAGE.rglob("*.py") if "data" not in path.relative_to(PACKAGE).parts)
+
+
+def place(path: Path) -> str:
+    return path.relative_to(PACKAGE).as_posix()
+
+
+def is_in(path: Path, places: list[str]) -> bool:
+    return any(place(path) == each or (each.endswith("/") and place(path).startswith(each)) for each in places)
+
+
+@cache
+def imported(path: Path) -> list[tuple[str, int]]:
+    """The full dotted names that a module imports anywhere in its text, and the lines."""
+    return list(_imports(path))
+
+
+def _imports(path: Path) -> Iterator[tuple[str, int]]:
+    package = ("cosim", *path.relative_to(PACKAGE).parent.parts)
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) - node.level + 1] if node.level else ()
+            start = ".".join([*above, *([node.module] if node.module else [])])
+            yield from ((f"{start}.{alias.name}", node.lineno) for alias in node.names)
+
+
+def importers(*wanted: str) -> list[str]:
+    """Where any of these modules, or anything inside them, is imported: ``place:line name``."""
+    return [
+        f"{place(path)}:{line} {name}"
+        for path in modules()
+        for name, line in imported(path)
+        if any(name == each or name.startswith(f"{each}.") for each in wanted)
+    ]
+
+
+def test_the_package_is_found() -> None:
+    """The rules below say nothing if there is nothing to read."""
+    assert {"vehicle/airframe.py", "simulation/step.py", "cli/main.py", "control/rate.py"} <= {
+        place(path) for path in modules()
+    }
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_every_block_exists(block: str) -> None:
+    assert any(is_in(path, [block]) for path in modules())
+
+
+@pytest.mark.parametrize(("library", "home"), HOMES.items())
+def test_a_foreign_library_has_one_home(library: str, home: list[str]) -> None:
+    strangers = [where for where in importers(library) if not is_in(PACKAGE / where.split(":")[0], home)]
+    assert not strangers
+
+
+def test_blocks_import_nothing_of_the_outside_world() -> None:
+    blocks = [path for path in modules() if is_in(path, BLOCKS)]
+    found = [
+        f"{place(path)}:{line} {name}"
+        for path in blocks
+        for name, line in imported(path)
+        if name.split(".")[0] in OUTSIDE_WORLD or any(f"{name}.".startswith(f"{each}.") for each in OUR_FILE_READERS)
+    ]
+    assert not found
+
+
+def test_blocks_call_nothing_that_reads_or_writes_the_outside_world() -> None:
+    found = [
+        f"{place(path)}:{node.lineno} {node.func.id}"
+        for path in modules()
+        if is_in(path, BLOCKS)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in READS_THE_OUTSIDE_WORLD
+    ]
+    assert not found
+
+
+def test_blocks_have_no_global_state() -> None:
+    """No ``global``, and no use of numpy's or the standard library's shared random generator."""
+    found = []
+    for path in modules():
+        if not is_in(path, BLOCKS):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Global):
+                found.append(f"{place(path)}:{node.lineno} global {', '.join(node.names)}")
+            shared = isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("np.random", "numpy.random")
+            if shared and node.attr not in ("Generator", "default_rng", "PCG64", "SeedSequence"):
+                found.append(f"{place(path)}:{node.lineno} {ast.unparse(node)}")
+    assert not found
+
+
+@pytest.mark.parametrize("module", ENGINE_STEPS)
+def test_engines_know_no_clock_and_no_chance(module: str) -> None:
+    assert not [name for name, _ in imported(PACKAGE / module) if name.split(".")[0] in CLOCKS_AND_CHANCE]
+
+
+def test_stepping_the_engines_reads_no_file() -> None:
+    """Neither ``EngineBank.step`` nor the C loop behind it."""
+    tree = ast.parse((PACKAGE / "engine" / "bank.py").read_text(encoding="utf-8"))
+    (bank,) = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "EngineBank")
+    (step,) = (node for node in bank.body if isinstance(node, ast.FunctionDef) and node.name == "step")
+    names = {node.id for node in ast.walk(step) if isinstance(node, ast.Name)}
+    assert not names & {"Path", "TemporaryDirectory", "open", "unpack", "os"}
+    loop = (PACKAGE / "engine" / "_bank.c").read_text(encoding="utf-8")
+    assert not re.findall(C_FILES_CLOCKS_AND_CHANCE, loop)
+
+
+def test_nothing_imports_the_command_line() -> None:
+    entry_points = ["__main__.py", "cli/"]
+    assert not [
+        where for where in importers("cosim.cli.main") if not is_in(PACKAGE / where.split(":")[0], entry_points)
+    ]
+
+
+def test_the_simulation_knows_no_output() -> None:
+    """It calls observers; which ones there are is the business of whoever starts a flight."""
+    outputs = importers(
+        "cosim.results.report.flight",
+        "cosim.results.report.page",
+        "cosim.results.recorder",
+        "cosim.results.arrow",
+        "cosim.results.digest",
+        "cosim.results.metrics",
+        "cosim.cli.main",
+        "cosim.groundstation.mavlink",
+    )
+    assert not [where for where in outputs if where.startswith(("simulation.py:", "build.py:"))]
+
+
+def test_the_protocols_know_the_records_and_nothing_above() -> None:
+    ours = {name.rpartition(".")[0] for name, _ in imported(PACKAGE / "base/protocols.py") if name.startswith("cosim")}
+    assert ours == {"cosim.base.signals"}
+
+
+def test_the_product_imports_no_test_tools() -> None:
+    assert not importers("hypothesis", "pytest", "psutil", "pyulog", "matplotlib", "playwright")
+
+
+def test_python_control_is_the_second_opinion_of_tests() -> None:
+    """Nothing of the package computes with what its tests check it by."""
+    assert not importers("control")
+
+
+@pytest.mark.parametrize("module", ["cosim", "cosim.cli.main", "cosim.flight"])
+def test_an_import_stays_light(module: str) -> None:
+    """Heavy libraries come in where they are needed, so that the command answers at once."""
+    script = f"import sys, {module}; print(*sys.modules.keys() & {HEAVY!r})"
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert answer.stdout.split() == []
+
+
+def test_a_test_has_a_folder_by_what_it_needs() -> None:
+    """No test file beside the folders, no two of one name, and none that takes from another: what is shared is a tool."""
+    paths = sorted(TESTS.rglob("test_*.py"))
+    assert {path.relative_to(TESTS).parts[0] for path in paths} == {"unit", "flight", "process", "clients"}
+    assert len({path.name for path in paths}) == len(paths)
+    taken = re.compile(r"^\s*(?:from|import) test_", re.MULTILINE)
+    # a script that a test starts imports the test that it belongs to
+    assert [path.name for path in paths if taken.search(path.read_text(encoding="utf-8"))] == ["test_reproduce.py"]

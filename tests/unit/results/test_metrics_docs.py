@@ -1,0 +1,36 @@
+"""docs/metrics.md names every metric, every limit with its default, and every verdict."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from places import DOCS
+
+from cosim.results import limits
+from cosim.results.metrics import metric_names
+from cosim.results.run import Verdict
+from cosim.spec.scenario import FlightLimits
+
+PAGE = (DOCS / "metrics.md").read_text(encoding="utf-8")
+
+
+def test_every_metric_is_defined() -> None:
+    for name in metric_names():
+        assert f"`{name.replace('pitch.', 'roll.').replace('yaw.', 'roll.')}`" in PAGE, name
+
+
+def test_every_limit_and_its_default_are_there() -> None:
+    rows = {line.split("|")[1]: line for line in PAGE.splitlines() if line.startswith("| `")}
+    for key in FlightLimits.model_fields:
+        assert any(f"`{key}`" in cell for cell in rows), key
+    row = {key: next(line for cell, line in rows.items() if f"`{key}`" in cell) for key in FlightLimits.model_fields}
+    assert f"{limits.HEIGHT_SPANS:g} spans" in row["height_error_m"]
+    assert f"{limits.PLACE_SPANS:g} spans" in row["place_error_m"]
+    assert f"{limits.DRIFT_SPANS:g} spans" in row["drift_m"]
+    assert f"{limits.SPEEDS:g} sqrt(g span)" in row["speed_m_s"]
+    assert f"{limits.SATURATED_PERCENT:g} %" in row["saturated_percent"]
+
+
+def test_every_verdict_is_there() -> None:
+    for verdict in get_args(Verdict):
+        assert f"| `{verdict}` |" in PAGE

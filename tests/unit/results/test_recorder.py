@@ -1,0 +1,672 @@
+"""The log and the run's folder: nothing lost, nothing changed, the same bytes every time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from math import isnan, nan, pi
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from flights import STEP, samples, scenario, setup
+from places import TOOLS
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.signals import (
+    Actuation,
+    Command,
+    ControlSignals,
+    Disturbance,
+    EngineOutput,
+    Measured,
+    Sample,
+    State,
+    Unallocated,
+)
+from cosim.results import arrow as arrow_module
+from cosim.results import recorder as recorder_module
+from cosim.results.arrow import ParquetLog, StreamSink, stream_to_parquet
+from cosim.results.columns import COLUMNS, NAMES
+from cosim.results.recorder import BackgroundSink, MemorySink, Recorder
+from cosim.results.run import (
+    LOG,
+    RUN_FILES,
+    SCENARIO,
+    STREAM,
+    SUMMARY,
+    Run,
+    begin_run,
+    open_run,
+)
+
+BLOCK = 250  # rows in one second of flight
+
+
+def bits(values: np.ndarray) -> bytes:
+    """What makes two columns the same, NaN included."""
+    return np.ascontiguousarray(values).tobytes()
+
+
+def numbered() -> tuple[Sample, dict[str, float]]:
+    """A sample whose numbers are all different, and the column each belongs to, written out by hand."""
+    sample = Sample(
+        k=7,
+        time=1.0,
+        command=Command((2.0, 3.0, 4.0), 5.0, place=(5.25, 5.5)),
+        state=State(
+            position=(6.0, 7.0, 8.0),
+            velocity=(9.0, 10.0, 11.0),
+            attitude=(1.0, 0.0, 0.0, 0.0),
+            euler=(12.0, 13.0, 14.0),
+            rate=(15.0, 16.0, 17.0),
+            specific_force=(18.0, 19.0, 20.0),
+            altitude=21.0,
+            wind=(22.0, 23.0, 24.0),
+            mass=25.0,
+            on_ground=True,
+            hull_contact=False,
+            air_rate=(24.25, 24.5, 24.75),
+        ),
+        measured=Measured(
+            (26.0, 27.0, 28.0),
+            (0.5, 0.5, 0.5, 0.5),
+            (29.0, 30.0, 31.0),
+            (32.0, 33.0, 34.0),
+            35.0,
+            (35.25, 35.5, 35.75),
+        ),
+        control=ControlSignals(
+            rate_setpoint=(36.0, 37.0, 38.0),
+            rate_predicted=(39.0, 40.0, 41.0),
+            torque=(42.0, 43.0, 44.0),
+            collective=45.0,
+            allocated=-1.0,
+        ),
+        actuation=Actuation(
+            (46.0, 47.0, 48.0, 49.0, 50.0, 51.0),
+            (52.0, 53.0),
+            Unallocated(roll=54.0, pitch=55.0, yaw=56.0, collective=57.0),
+        ),
+        tilt=(58.0, 59.0),
+        engines=EngineOutput(
+            thrust=(60.0, 61.0, 62.0, 63.0, 64.0, 65.0),
+            spool_speed=(79.0, 80.0, 81.0, 82.0, 83.0, 84.0),
+            exhaust_temperature=(85.0, 86.0, 87.0, 88.0, 89.0, 90.0),
+            fuel_flow=(91.0, 92.0, 93.0, 94.0, 95.0, 96.0),
+        ),
+        disturbance=Disturbance(
+            force=(66.0, 67.0, 68.0),
+            moment=(69.0, 70.0, 71.0),
+            torque_command=(72.0, 73.0, 74.0),
+            wind=(-1.0, -1.0, -1.0),
+            payload=(75.0, 76.0, 77.0, 78.0),
+        ),
+        fuel=97.0,
+        spool_moment=(98.0, 99.0, 100.0),
+        faults=tuple(float(value) for value in range(107, 119)),
+        health=(101.0, 102.0, 103.0, 104.0, 105.0, 106.0),
+    )
+    row = {
+        "time_s": 1,
+        **{"roll_setpoint_rad": 2, "pitch_setpoint_rad": 3, "yaw_setpoint_rad": 4, "altitude_setpoint_m": 5},
+        **{"north_setpoint_m": 5.25, "east_setpoint_m": 5.5},
+        **{"north_m": 6, "east_m": 7, "down_m": 8},
+        **{"velocity_north_m_s": 9, "velocity_east_m_s": 10, "velocity_down_m_s": 11},
+        **{"roll_rad": 12, "pitch_rad": 13, "yaw_rad": 14},
+        **{"rate_p_rad_s": 15, "rate_q_rad_s": 16, "rate_r_rad_s": 17},
+        **{"specific_force_x_m_s2": 18, "specific_force_y_m_s2": 19, "specific_force_z_m_s2": 20, "altitude_m": 21},
+        **{"wind_north_m_s": 22, "wind_east_m_s": 23, "wind_down_m_s": 24},
+        **{"air_rate_p_rad_s": 24.25, "air_rate_q_rad_s": 24.5, "air_rate_r_rad_s": 24.75},
+        **{"mass_kg": 25, "on_ground": 1, "hull_contact": 0},
+        **{"rate_p_measured_rad_s": 26, "rate_q_measured_rad_s": 27, "rate_r_measured_rad_s": 28},
+        # (1, 1, 1, 1) / 2 turns x to y, y to z and z to x: roll 90 deg, then yaw 90 deg
+        **{"roll_measured_rad": pi / 2, "pitch_measured_rad": 0, "yaw_measured_rad": pi / 2},
+        **{"north_measured_m": 29, "east_measured_m": 30, "down_measured_m": 31},
+        **{"velocity_north_measured_m_s": 32, "velocity_east_measured_m_s": 33, "velocity_down_measured_m_s": 34},
+        "altitude_measured_m": 35,
+        "specific_force_x_measured_m_s2": 35.25,
+        "specific_force_y_measured_m_s2": 35.5,
+        "specific_force_z_measured_m_s2": 35.75,
+        **{"rate_p_setpoint_rad_s": 36, "rate_q_setpoint_rad_s": 37, "rate_r_setpoint_rad_s": 38},
+        **{"rate_p_predicted_rad_s": 39, "rate_q_predicted_rad_s": 40, "rate_r_predicted_rad_s": 41},
+        **{"torque_roll": 42, "torque_pitch": 43, "torque_yaw": 44, "collective": 45},
+        **{f"throttle_{jet}": 45 + jet for jet in range(1, 7)},
+        **{"tilt_left_command_rad": 52, "tilt_right_command_rad": 53},
+        **{"refused_roll": 54, "refused_pitch": 55, "refused_yaw": 56, "refused_collective": 57},
+        **{"tilt_left_rad": 58, "tilt_right_rad": 59},
+        **{f"thrust_{jet}_N": 59 + jet for jet in range(1, 7)},
+        **{"disturbance_force_x_N": 66, "disturbance_force_y_N": 67, "disturbance_force_z_N": 68},
+        **{"disturbance_moment_x_N_m": 69, "disturbance_moment_y_N_m": 70, "disturbance_moment_z_N_m": 71},
+        **{"disturbance_torque_roll": 72, "disturbance_torque_pitch": 73, "disturbance_torque_yaw": 74},
+        **{"payload_kg": 75, "payload_x_m": 76, "payload_y_m": 77, "payload_z_m": 78},
+        **{f"spool_speed_{jet}_rad_s": 78 + jet for jet in range(1, 7)},
+        **{f"exhaust_temperature_{jet}_K": 84 + jet for jet in range(1, 7)},
+        **{f"fuel_flow_{jet}_kg_s": 90 + jet for jet in range(1, 7)},
+        "fuel_kg": 97,
+        **{"spool_moment_x_N_m": 98, "spool_moment_y_N_m": 99, "spool_moment_z_N_m": 100},
+        **{f"health_{jet}": 100 + jet for jet in range(1, 7)},
+        **{f"fault_jet_{jet}": 106 + jet for jet in range(1, 7)},
+        **{"fault_servo_left": 113, "fault_servo_right": 114},
+        **{"fault_gyro": 115, "fault_attitude": 116, "fault_gnss": 117, "fault_barometer": 118},
+    }
+    return sample, {name: float(value) for name, value in row.items()}
+
+
+def recorded(flight: list[Sample]) -> MemorySink:
+    sink = MemorySink()
+    recorder = Recorder(STEP, sink)
+    for sample in flight:
+        recorder.observe(sample)
+    recorder.flush()
+    return sink
+
+
+def fly(folder: Path | None, steps: int, seed: int = 1) -> Run:
+    recording = begin_run(setup(), scenario(), folder)
+    for sample in samples(steps, seed=seed):
+        recording.observe(sample)
+    return recording.finish("completed", f"flew {steps} steps", wall_s=2.0)
+
+
+@pytest.fixture(scope="module")
+def flight() -> list[Sample]:
+    return list(samples(1100))
+
+
+# ---- the row
+
+
+def test_every_wire_ends_in_the_column_that_bears_its_name() -> None:
+    sample, row = numbered()
+    log = recorded([sample]).log()
+    assert set(row) == set(log.columns) == set(NAMES)
+    for name, value in row.items():
+        # the angles come through an arc tangent, everything else is copied
+        assert log[name].tolist() == ([pytest.approx(value, abs=1e-15)] if "measured_rad" in name else [value]), name
+
+
+def test_setpoints_are_nan_where_their_loop_is_replaced() -> None:
+    sample, _ = numbered()
+    log = recorded([sample._replace(command=Command((2.0, 3.0, 4.0), 5.0, rate=(0.0, 0.0, 0.0), collective=0.5))]).log()
+    missing = {name for name in NAMES if isnan(log[name][0])}
+    angles = {"roll_setpoint_rad", "pitch_setpoint_rad", "yaw_setpoint_rad"}
+    assert missing == angles | {"altitude_setpoint_m", "north_setpoint_m", "east_setpoint_m"}
+
+
+def test_every_column_is_described_once() -> None:
+    assert len(NAMES) == len(set(NAMES))
+    for column in COLUMNS:
+        assert column.meaning
+        assert column.unit
+        suffixes = {"rad": "_rad", "m": "_m", "s": "_s", "kg": "_kg", "N": "_N", "m/s": "_m_s", "rad/s": "_rad_s"}
+        if column.unit in suffixes and "torque" not in column.name and "refused" not in column.name:
+            assert column.name.endswith(suffixes[column.unit]), column
+
+
+# ---- blocks
+
+
+def test_a_second_of_flight_is_handed_on_at_once(tmp_path: Path, flight: list[Sample]) -> None:
+    sink = StreamSink(tmp_path / STREAM, "")
+    recorder = Recorder(STEP, sink)
+    sizes = []
+    for sample in flight[: 2 * BLOCK]:
+        recorder.observe(sample)
+        sizes.append((tmp_path / STREAM).stat().st_size)
+    sink.close()
+    growths = [k + 1 for k in range(1, len(sizes)) if sizes[k] > sizes[k - 1]]
+    assert growths == [BLOCK, 2 * BLOCK]
+    assert recorder.steps == 2 * BLOCK
+
+
+def test_a_slow_flight_is_handed_on_when_its_time_has_come(
+    monkeypatch: pytest.MonkeyPatch, flight: list[Sample]
+) -> None:
+    def sizes(patience: float, between: float = 0.0) -> list[int]:
+        monkeypatch.setattr(recorder_module, "WALL_FLUSH_S", patience)
+        sink = MemorySink()
+        recorder = Recorder(STEP, sink)
+        for sample in flight[:4]:
+            time.sleep(between)
+            recorder.observe(sample)
+        assert recorder.steps == 4
+        return [table.shape[1] for table in sink.tables]
+
+    assert sizes(0.0) == [1, 1, 1, 1]
+    assert sizes(1000.0) == []
+    assert sizes(0.03, between=0.02)[0] <= 2  # and the clock starts anew with each
+
+
+def test_a_slow_disk_in_a_thread_of_its_own_gets_every_bit(flight: list[Sample]) -> None:
+    class Slow(MemorySink):
+        def write(self, table: np.ndarray) -> None:
+            time.sleep(0.01)  # rows come in meanwhile
+            super().write(table.copy())
+
+    slow = Slow()
+    behind = BackgroundSink(slow)
+    recorder = Recorder(STEP, behind)
+    for k, sample in enumerate(flight):
+        recorder.observe(sample)
+        if k % 60 == 0:
+            recorder.flush()
+    recorder.flush()
+    behind.settle()
+    log, expected = slow.log(), recorded(flight).log()
+    assert all(bits(log[name]) == bits(expected[name]) for name in NAMES)
+
+
+# ---- Parquet
+
+
+def test_the_file_holds_exactly_what_was_recorded(tmp_path: Path, flight: list[Sample]) -> None:
+    run, memory = fly(tmp_path / "run", 1100), recorded(flight).log()
+    assert len(run.log) == len(memory) == 1100
+    assert run.log.columns == memory.columns == NAMES
+    for name in NAMES:
+        assert run.log[name].dtype == np.float64
+        assert bits(run.log[name]) == bits(memory[name]), name
+    blocks = list(run.log.blocks(("time_s", "thrust_3_N"), rows=300))
+    assert [len(block["time_s"]) for block in blocks] == [300, 300, 300, 200]
+    assert bits(np.concatenate([block["thrust_3_N"] for block in blocks])) == bits(memory["thrust_3_N"])
+
+
+def test_the_same_flight_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        fly(tmp_path / name, 600)
+    fly(tmp_path / "c", 600, seed=2)
+    first, second, other = ((tmp_path / name / LOG).read_bytes() for name in "abc")
+    assert first == second != other
+
+
+def test_how_the_rows_were_cut_leaves_no_trace(
+    tmp_path: Path, flight: list[Sample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(arrow_module, "ROW_GROUP", 400)
+    random = Random(5)
+    files = []
+    for name, chance in (("whole", 0.0), ("cut", 0.05)):
+        sink = StreamSink(tmp_path / name, name)
+        recorder = Recorder(STEP, sink)
+        for sample in flight:
+            recorder.observe(sample)
+            if random.random() < chance:
+                recorder.flush()
+        recorder.flush()
+        sink.end()
+        sink.close()
+        assert stream_to_parquet(tmp_path / name, tmp_path / f"{name}.parquet") == 1100
+        files.append((tmp_path / f"{name}.parquet").read_bytes())
+    assert files[0] == files[1]
+    groups = pq.ParquetFile(tmp_path / "cut.parquet").metadata
+    assert [groups.row_group(i).num_rows for i in range(groups.num_row_groups)] == [400, 400, 300]
+
+
+def test_the_file_describes_its_columns_and_nothing_of_the_machine(tmp_path: Path) -> None:
+    fly(tmp_path / "run", 10)
+    schema = pq.read_schema(tmp_path / "run" / LOG)
+    assert schema.metadata is None
+    field = schema.field("rate_p_predicted_rad_s")
+    assert field.metadata[b"unit"] == b"rad/s"
+    assert field.metadata[b"frame"] == b"body"
+
+
+def test_columns_by_name(tmp_path: Path) -> None:
+    for run in (fly(tmp_path / "run", 10), fly(None, 10)):
+        with pytest.raises(InputError, match=r"no column 'rol_rad'; did you mean 'roll_rad'\?"):
+            run.log["rol_rad"]
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_flight_of_next_to_nothing(tmp_path: Path, rows: int) -> None:
+    run = fly(tmp_path / "run", rows)
+    assert len(run.log) == len(run.log["roll_rad"]) == run.summary.steps == rows
+    assert len(open_run(tmp_path / "run").log) == rows
+    assert len(fly(None, rows).log["roll_rad"]) == rows
+
+
+def test_conversion_takes_no_more_memory_for_a_longer_flight(tmp_path: Path) -> None:
+    code = f"""
+import resource, sys
+import numpy as np
+from pathlib import Path
+from cosim.results.columns import NAMES
+from cosim.results.metrics import flight_metrics
+from cosim.results.arrow import ParquetLog, StreamSink, stream_to_parquet
+folder = Path({str(tmp_path)!r})
+def peak(rows):
+    sink = StreamSink(folder / f"{{rows}}.arrows", "")
+    random = np.random.default_rng(1)
+    for _ in range(rows // {BLOCK}):
+        sink.write(random.normal(size=(len(NAMES), {BLOCK})))
+    sink.end(); sink.close()
+    assert stream_to_parquet(folder / f"{{rows}}.arrows", folder / "x.parquet") == rows
+    flight_metrics(ParquetLog(folder / "x.parquet"), {STEP})
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+print(peak(40_000), peak(160_000))
+"""
+    short, long = map(int, subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout.split())
+    held = 120_000 * len(NAMES) * 8  # 80 MB, if the difference between the two were in memory
+    # five columns of the longer flight may be: 6 MB, and twice that in temporaries
+    assert long - short < held / 3
+
+
+# ---- killed
+
+
+def test_every_complete_batch_of_a_torn_stream_is_recovered(tmp_path: Path) -> None:
+    begun = begin_run(setup(), scenario(), tmp_path / "whole")
+    ends = []
+    stream = tmp_path / "whole" / STREAM
+    for k, sample in enumerate(samples(1050), start=1):
+        if k == 1:
+            ends.append(stream.stat().st_size)
+        begun.observe(sample)
+        if k % BLOCK == 0:
+            ends.append(stream.stat().st_size)
+    content = stream.read_bytes()
+    assert len(content) == ends[-1]
+    assert len(ends) == 5
+    toml = (tmp_path / "whole" / SCENARIO).read_bytes()
+    expected = begun.finish("completed", "").log["roll_rad"]
+    random = Random(2)
+    cuts = {end + shift for end in ends for shift in (-9, -8, -1, 0, 1, 4, 8, 9, 200)} | {
+        random.randrange(ends[0], ends[-1]) for _ in range(25)
+    }
+    for number, cut in enumerate(sorted(cut for cut in cuts if ends[0] <= cut <= ends[-1])):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (folder / SCENARIO).write_bytes(toml)
+        (folder / STREAM).write_bytes(content[:cut])
+        run = open_run(folder)
+        rows = BLOCK * (sum(end <= cut for end in ends) - 1)
+        assert len(run.log) == run.summary.steps == rows, cut
+        assert bits(run.log["roll_rad"]) == bits(expected[:rows])
+        assert (run.outcome, run.reason, run.summary.wall_s) == ("failed", "interrupted", None)
+        assert run.scenario.name == run.summary.scenario == "roll-doublet"
+        assert sorted(path.name for path in folder.iterdir()) == sorted([LOG, SCENARIO, SUMMARY])
+
+
+@pytest.mark.parametrize("cut", [0, 3, 200, 5000])
+def test_a_stream_torn_before_its_first_row_is_said_in_one_line(tmp_path: Path, cut: int) -> None:
+    begun = begin_run(setup(), scenario(), tmp_path / "whole")
+    content = (tmp_path / "whole" / STREAM).read_bytes()
+    begun.finish("completed", "")
+    (tmp_path / STREAM).write_bytes(content[:cut])
+    with pytest.raises(InputError, match=r"torn before its first row") as complaint:
+        open_run(tmp_path)
+    assert "\n" not in str(complaint.value)
+    assert (tmp_path / STREAM).exists()
+
+
+CHILD = """
+import sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from flights import samples, scenario, setup
+from cosim.results.run import begin_run
+recording = begin_run(setup(), scenario(), Path({folder!r}))
+for sample in samples(10**9):
+    recording.observe(sample)
+    print(sample.k + 1, flush=True)
+"""
+
+
+@pytest.fixture
+def flying(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    code = CHILD.format(tests=str(TOOLS), folder=str(tmp_path / "run"))
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as child:
+        yield child, tmp_path / "run"
+        child.kill()
+
+
+def test_kill_9_loses_at_most_a_second_of_flight(flying: tuple[subprocess.Popen[str], Path]) -> None:
+    child, folder = flying
+    assert child.stdout is not None
+    for line in child.stdout:
+        if int(line) >= 870:
+            break
+    with pytest.raises(InputError, match="still being recorded"):
+        open_run(folder)
+    child.send_signal(signal.SIGKILL)
+    done = [int(line) for line in child.stdout if line.endswith("\n")]
+    child.wait()
+    last = done[-1] if done else 870
+    run = open_run(folder)
+    assert last - BLOCK < len(run.log) <= last + 1
+    assert run.outcome == "failed"
+    assert run.reason == "interrupted"
+    assert not (folder / STREAM).exists()
+    expected = recorded(list(samples(len(run.log)))).log()
+    for name in NAMES:
+        assert bits(run.log[name]) == bits(expected[name]), name
+    again = open_run(folder)
+    assert again.summary == run.summary
+    assert bits(again.log["east_m"]) == bits(run.log["east_m"])
+
+
+def test_killed_between_summary_and_clearing_up(tmp_path: Path) -> None:
+    run = fly(tmp_path / "run", 600)
+    begun = begin_run(setup(), scenario(), tmp_path / "other")
+    for sample in samples(600):
+        begun.observe(sample)
+    stream = (tmp_path / "other" / STREAM).read_bytes()
+    begun.finish("completed", "")
+    (tmp_path / "run" / STREAM).write_bytes(stream)
+    before = (tmp_path / "run" / LOG).read_bytes()
+    assert open_run(tmp_path / "run").summary == run.summary
+    assert (tmp_path / "run" / LOG).read_bytes() == before
+    assert not (tmp_path / "run" / STREAM).exists()
+
+
+# ---- the folder
+
+
+@pytest.mark.parametrize("name", RUN_FILES)
+def test_a_folder_that_holds_a_run_is_refused_untouched(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("precious")
+    with pytest.raises(InputError, match="already holds a run") as complaint:
+        begin_run(setup(), scenario(), tmp_path)
+    assert "\n" not in str(complaint.value)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "precious"
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "file" / "run", Path("/proc/run")):
+        with pytest.raises(InputError) as complaint:
+            begin_run(setup(), scenario(), folder)
+        assert str(folder) in str(complaint.value)
+        assert "\n" not in str(complaint.value)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_permission(tmp_path: Path) -> None:
+    (tmp_path / "shut").mkdir(mode=0o500)
+    with pytest.raises(InputError, match="Permission denied"):
+        begin_run(setup(), scenario(), tmp_path / "shut")
+
+
+def test_the_scenario_can_be_flown_from_the_folder(tmp_path: Path) -> None:
+    sticks = tmp_path / "somewhere" / "sticks.csv"
+    sticks.parent.mkdir()
+    sticks.write_text("time_s,roll\n0,0\n")
+    flown = scenario(command=[{"kind": "table", "file": "sticks.csv"}], vehicle={"mass_kg": 6.0})
+    begin_run(setup(), flown, tmp_path / "run", {"sticks.csv": sticks}).finish("completed", "")
+    assert (tmp_path / "run" / "sticks.csv").read_text() == sticks.read_text()
+    run = open_run(tmp_path / "run")
+    assert run.scenario.model_dump() == flown.model_dump()
+    assert run.scenario.folder == tmp_path / "run"
+    assert tomllib.loads((tmp_path / "run" / SCENARIO).read_text())["vehicle"] == {"mass_kg": 6.0}
+    for name in ("../x.csv", "summary.json"):
+        with pytest.raises(InputError, match="cannot be copied"):
+            begin_run(setup(), flown, tmp_path / "other", {name: sticks})
+    with pytest.raises(InputError, match=r"nowhere\.csv"):
+        begin_run(setup(), flown, tmp_path / "other", {"sticks.csv": tmp_path / "nowhere.csv"})
+    assert not any((tmp_path / "other").iterdir())
+
+
+def test_the_summary_says_what_the_design_asks_for(tmp_path: Path) -> None:
+    run = fly(tmp_path / "run", 2000)
+    text = (tmp_path / "run" / SUMMARY).read_text()
+    data = json.loads(text)
+    assert data == run.summary.model_dump(mode="json") == open_run(tmp_path / "run").summary.model_dump(mode="json")
+    assert data["outcome"] == "completed"
+    assert data["reason"] == "flew 2000 steps"
+    assert (data["steps"], data["duration_s"], data["wall_s"]) == (2000, 8.0, 2.0)
+    assert (data["realtime_factor"], data["step_us"]) == (4.0, 1000.0)
+    assert [data[key] for key in ("scenario", "aircraft", "engine", "controller", "seed")] == [
+        "roll-doublet",
+        "hexjet",
+        "edf-as-flown",
+        "smith",
+        1,
+    ]
+    wanted = {"rmse_rad", "max_abs_error_rad", "overshoot_percent", "settling_time_s", "rate_rmse_rad_s"}
+    assert wanted <= set(data["metrics"]["roll"])
+    assert data["metrics"]["roll"]["commanded"]
+    assert data["expectations_met"] is True
+    assert data["complaints"] == []
+    assert data["delay_ledger"][1] == {
+        "element": "transport delay",
+        "owner": "engine edf-as-flown",
+        "kind": "transport",
+        "samples": 25.0,
+    }
+    assert len(text.splitlines()) < 80  # for people too
+
+
+def test_an_unmet_expectation_is_said() -> None:
+    begun = begin_run(setup(), scenario())
+    for sample in samples(2000, zeta=0.1):
+        begun.observe(sample)
+    run = begun.finish("crashed", "the hull touched the ground")
+    assert run.summary.expectations_met is False
+    assert run.summary.complaints[0] == "outcome = crashed, expected completed"
+    assert run.summary.complaints[1].startswith("roll.overshoot_percent = ")
+    assert run.metrics["roll"].overshoot_percent == run.summary.flat_metrics["roll.overshoot_percent"]
+
+
+def test_without_a_folder_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = fly(None, 300)
+    assert run.folder is None
+    assert run.scenario.name == "roll-doublet"
+    assert len(run.log) == 300
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "complaint"),
+    [
+        (SUMMARY, None, "no run here"),
+        (LOG, None, "no run here"),
+        (SUMMARY, "{", "not a run's summary"),
+        (SUMMARY, "{}", "scenario: Field required"),
+        (LOG, "PAR1 or not", "cannot be read as Parquet"),
+        (STREAM, "not a stream at all, but long enough", "torn before its first row"),
+    ],
+)
+def test_a_spoilt_folder_is_one_line(tmp_path: Path, name: str, content: str | None, complaint: str) -> None:
+    fly(tmp_path, 10)
+    if content is None:
+        (tmp_path / name).unlink()
+    else:
+        if name == STREAM:
+            (tmp_path / SUMMARY).unlink()
+        (tmp_path / name).write_text(content)
+    with pytest.raises(InputError, match=complaint) as raised:
+        open_run(tmp_path)
+    assert str(tmp_path) in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no run here"):
+        open_run(tmp_path / "nowhere")
+
+
+# ---- no room
+
+
+FULL = """
+import resource, signal, sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from flights import samples, scenario, setup
+from cosim.base.errors import FlightError
+from cosim.results.run import begin_run
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+recording = begin_run(setup(), scenario(), Path({folder!r}))
+# no file may grow past 600 kB, as on a disk that fills: a second of flight is 210 kB
+resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, resource.RLIM_INFINITY))
+try:
+    for sample in samples(2000):
+        recording.observe(sample)
+except FlightError as error:
+    print(sample.k, error)
+if {roomy}:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+else:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
+try:
+    run = recording.finish("completed", "")
+    print(run.outcome, run.reason)
+except FlightError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("roomy", [True, False])
+def test_a_full_disk_ends_the_run_and_keeps_what_was_written(tmp_path: Path, roomy: bool) -> None:
+    folder = tmp_path / "run"
+    code = FULL.format(tests=str(TOOLS), folder=str(folder), roomy=roomy)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    during, after = done.stdout.splitlines()
+    assert during == f"749 {folder / STREAM}: File too large"  # the third second did not fit
+    if roomy:
+        # the disk has room again by then: the block that failed is written after all, and nothing is missing
+        assert after.startswith("completed")
+        log, expected = open_run(folder).log, recorded(list(samples(750))).log()
+        assert all(bits(log[name]) == bits(expected[name]) for name in NAMES)
+    else:
+        assert after.startswith(f"{folder / LOG}: File too large; what was flown is kept in {folder / STREAM}")
+        assert sorted(path.name for path in folder.iterdir()) == sorted([STREAM, SCENARIO])
+        assert len(open_run(folder).log) == 500
+
+
+def test_a_log_that_fails_to_the_end_makes_the_run_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun = begin_run(setup(), scenario(), tmp_path / "run")
+    for sample in samples(600):
+        begun.observe(sample)
+
+    def refuse(self: StreamSink, table: object) -> None:
+        raise FlightError("flight.arrows: Input/output error")
+
+    monkeypatch.setattr(StreamSink, "write", refuse)
+    run = begun.finish("completed", "")
+    assert (run.outcome, run.reason, len(run.log)) == ("failed", "flight.arrows: Input/output error", 500)
+
+
+def test_an_unreadable_value_survives(tmp_path: Path) -> None:
+    sample, _ = numbered()
+    odd = sample._replace(engines=sample.engines._replace(thrust=(nan, float("inf"), -0.0, 5e-324, 1e308, -1.0)))
+    recording = begin_run(setup(), scenario(), tmp_path / "run")
+    recording.observe(odd)
+    run = recording.finish("failed", "engine 1")
+    thrust = np.array([run.log[f"thrust_{jet}_N"][0] for jet in range(1, 7)])
+    assert bits(thrust) == bits(np.array(odd.thrust))
+    assert isinstance(run.log, ParquetLog)
+    with pa.OSFile(str(tmp_path / "run" / LOG)) as file:
+        assert file.size() > 0

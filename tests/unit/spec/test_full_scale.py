@@ -1,0 +1,555 @@
+"""The scaled-up aircraft: the law, the budget in the README, and JSBSim's reading of it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from math import degrees, exp, log, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from places import DESIGNS, DOCS
+from scipy.spatial.transform import Rotation
+
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.base.frames import jet_axis
+from cosim.base.paths import data_folder
+from cosim.base.signals import ZERO3, Disturbance, State
+from cosim.base.toml import read_toml
+from cosim.cli.main import cli
+from cosim.cli.options import load_scenario
+from cosim.design.controller_file import read_controller
+from cosim.engine import load_engine
+from cosim.flight import check_expected, expectation, fly
+from cosim.results.report.marks import parts_of
+from cosim.simulation.build import build
+from cosim.spec.scaling import _LAW, length_scale, scaled
+from cosim.spec.scenario import Environment, Initial, Scenario
+from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.vehicle.airframe import Airframe, standing_height
+
+BASE, _ = load_vehicle("hexjet")
+SIZES = {"hexjet-100": 100.0, "hexjet-p220": 220.0}  # N an engine
+STATED = BASE.model_dump(mode="json", exclude_none=True)
+
+# Numbers that are the same at every size, each for a reason.
+SAME = {
+    "shut_opposite",  # a choice
+    "mass_kg",  # given
+    "spin", "range_rad", "friction_static", "friction_dynamic", "tilt_deg", "lean_rad", "stick_lean_rad",  # no unit
+    "filter_s", "noise_rad_s", "bias_rad_s", "latency_samples", "noise_rad", "bias_rad",  # electronics
+    "position_noise_m", "velocity_noise_m_s", "period_samples", "noise_m", "bias_m", "noise_m_s2", "bias_m_s2", "ahrs_time_constant_s",
+    "integral_limit", "integral_limit_m_s2", "acceleration_m_s2",  # commands without a unit, accelerations
+    "throttle_min", "throttle_max",
+    "endurance_s",  # what is in the battery or tank
+    "threshold", "confirm_s", "stuck_s", "lag_factor", "delay_spread_s",  # the engines' and their monitor's
+}  # fmt: skip
+
+
+@pytest.fixture(params=list(SIZES))
+def name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def numbers(table: Any, law: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every number's path, and its exponent where the law has one."""
+    if isinstance(table, dict):
+        for key, each in table.items():
+            yield from numbers(each, law.get(key) if isinstance(law, dict) else law, (*path, key))
+    elif isinstance(table, list):
+        for each in table:
+            yield from numbers(each, law, path)
+    elif isinstance(table, (int, float)):
+        yield path, law
+
+
+def test_every_number_of_a_vehicle_has_its_law() -> None:
+    """A new key of vehicle.toml must be given an exponent, or stay the same for a reason."""
+    for path, law in numbers({key: each for key, each in STATED.items() if key != "identified"}, _LAW):
+        if law is None:
+            assert path[-1] in SAME, f"{'.'.join(path)}: neither in cosim/spec/scaling.py nor among those that stay"
+
+
+def test_the_law_by_hand() -> None:
+    """L = 2 and 4, where the powers are exact or roots of two."""
+    for scale in (2.0, 4.0):
+        root = sqrt(scale)
+        found = Vehicle.model_validate(scaled(STATED, STATED["mass_kg"] * scale**3))
+        assert length_scale(scale**3, 1.0) == pytest.approx(scale, rel=1e-15)
+
+        def same(a: Any, b: Any) -> None:
+            assert a == pytest.approx(b, rel=1e-14)  # a cube root and a power: a few roundings
+
+        for new, old in zip(found.jets, BASE.jets, strict=True):
+            same(new.position_m, [scale * x for x in old.position_m])
+        same(found.inertia_kg_m2, [scale**5 * j for j in BASE.inertia_kg_m2])
+        same(found.aero.drag_area_m2, [scale**2 * a for a in BASE.aero.drag_area_m2])
+        # a rate dies out as slowly as everything else happens: damping / inertia is one over a time
+        same(
+            [d / j for d, j in zip(found.aero.damping_n_m_s, found.inertia_kg_m2, strict=True)],
+            [d / j / root for d, j in zip(BASE.aero.damping_n_m_s, BASE.inertia_kg_m2, strict=True)],
+        )
+        # sinking by a length, swinging with a time
+        same(standing_sink(found), scale * standing_sink(BASE))
+        for new_contact, old_contact in zip(found.contacts, BASE.contacts, strict=True):
+            same(
+                new_contact.damping_n_s_m / new_contact.spring_n_m * root,
+                old_contact.damping_n_s_m / old_contact.spring_n_m * scale,
+            )
+        # loops: command times effectiveness, which falls with L, is 1/s, 1/s^2, 1
+        for new_gains, old_gains in (
+            (found.control.rate.roll, BASE.control.rate.roll),
+            (found.control.rate.pitch, BASE.control.rate.pitch),
+        ):
+            same(new_gains.p / scale, old_gains.p / root)
+            same(new_gains.i / scale, old_gains.i / scale)
+            same(new_gains.d / scale, old_gains.d)
+            assert new_gains.integral_limit == old_gains.integral_limit
+        same(found.control.attitude.gain_1_s, [g / root for g in BASE.control.attitude.gain_1_s])
+        same(found.limits.touchdown_m_s, BASE.limits.touchdown_m_s * root)
+        assert found.limits.tilt_deg == BASE.limits.tilt_deg
+        assert found.sensors == BASE.sensors
+        assert found.identified == {}
+
+
+def standing_sink(vehicle: Vehicle) -> float:
+    """How far the legs give way under the weight, m."""
+    return max(contact.position_m[2] for contact in vehicle.contacts) - standing_height(vehicle)
+
+
+def test_the_same_mass_is_the_same_aircraft() -> None:
+    assert scaled(STATED, STATED["mass_kg"]) == STATED | {"identified": {}}
+
+
+def test_thrust_to_weight_is_the_papers(name: str) -> None:
+    vehicle, _ = load_vehicle(name)
+    ratio = 6 * SIZES[name] / (vehicle.mass_kg * 9.80665)
+    assert ratio == pytest.approx(12.0 / 5.525, rel=2e-4)  # the mass is stated to four digits
+
+
+def test_what_the_readme_says(name: str) -> None:
+    """The table of numbers is the vehicle's, to the digits printed."""
+    vehicle, folder = load_vehicle(name)
+    text = (folder / "README.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| ([^|]+) \| ([^|]+) \|", text, re.MULTILINE))
+    lx, ly, lz = vehicle.jets[0].position_m
+    assert vehicle.servo is not None
+    assert vehicle.fuel is not None
+    corners = np.array([contact.position_m for contact in vehicle.contacts])
+    for key, values in {
+        "mass, tank full": [vehicle.mass_kg],
+        "length, width": list(2e3 * abs(corners).max(axis=0)[:2]),
+        "top, feet": [-corners[:, 2].min(), corners[:, 2].max()],
+        "L_x": [lx],
+        "L_y": [ly],
+        "L_z": [lz],
+        "J_xx, J_yy, J_zz": list(vehicle.inertia_kg_m2),
+        "drag areas": list(vehicle.aero.drag_area_m2),
+        "rate damping": list(vehicle.aero.damping_n_m_s),
+        "legs, hull points": [vehicle.contacts[0].spring_n_m, vehicle.contacts[0].damping_n_s_m],
+        "tank": [vehicle.fuel.mass_kg],
+        "servo lag, rate, range": [1e3 * vehicle.servo.lag_s, vehicle.servo.rate_limit_rad_s],
+        "end of flight": [vehicle.limits.tilt_deg, vehicle.limits.rate_deg_s, vehicle.limits.touchdown_m_s],
+    }.items():
+        if key not in rows:
+            assert name != "hexjet-p220", key
+            continue
+        said = re.findall(r"[0-9.]+", rows[key])[: len(values)]
+        for word, value in zip(said, values, strict=True):
+            assert float(word) == pytest.approx(value, abs=0.5001 * 10.0 ** -len(word.partition(".")[2])), key
+
+
+def test_ten_minutes_of_hover_are_in_the_tank() -> None:
+    """The data sheet's straight line from 9 N, 0.104 kg/min to 220 N, 0.58 kg/min, over the falling mass, in closed form."""
+    for name, (t0, f0, t1, f1), minutes in (
+        ("hexjet-p220", (9.0, 0.104, 220.0, 0.58), 10.0),
+        ("hexjet-100", (2.0, 0.064, 100.0, 0.312), 10.0),
+    ):
+        vehicle, _ = load_vehicle(name)
+        assert vehicle.fuel is not None
+        slope = (f1 - f0) / (t1 - t0)
+        a, b = 6 * (f0 - slope * t0), slope * 9.80665  # dm/dt = -a - b m
+        left = (vehicle.mass_kg + a / b) * exp(-b * minutes) - a / b
+        assert 0.05 < 1.0 - (vehicle.mass_kg - left) / vehicle.fuel.mass_kg < 0.10
+        empty = (log(vehicle.mass_kg + a / b) - log(vehicle.mass_kg - vehicle.fuel.mass_kg + a / b)) / b
+        assert minutes < empty < 1.1 * minutes
+
+
+def test_intakes_are_level_with_the_centre_of_gravity(name: str) -> None:
+    """Upright, air that is swallowed has no moment about it; the exhausts are clear of the ground."""
+    vehicle, _ = load_vehicle(name)
+    assert vehicle.airflow is not None
+    feet = max(contact.position_m[2] for contact in vehicle.contacts)
+    for jet, by_law in zip(vehicle.jets, BASE.jets, strict=True):
+        assert jet.position_m[2] - vehicle.airflow.intake_m == pytest.approx(0.0, abs=1e-12)
+        assert jet.position_m[2] - vehicle.airflow.exhaust_m < feet - 0.1
+        # the other two coordinates are the law's
+        scale = length_scale(vehicle.mass_kg, BASE.mass_kg)
+        assert jet.position_m[:2] == pytest.approx([scale * x for x in by_law.position_m[:2]], rel=1e-14)
+
+
+def test_rotors_cancel() -> None:
+    """All together, and one left over in a bank."""
+    for name in SIZES:
+        vehicle, _ = load_vehicle(name)
+        assert sum(jet.spin for jet in vehicle.jets) == 0
+        for side in ("left", "right"):
+            assert abs(sum(jet.spin for jet in vehicle.jets if jet.servo == side)) == 1
+
+
+def test_mass_properties_as_jsbsim_has_them(name: str) -> None:
+    vehicle, folder = load_vehicle(name)
+    frame = Airframe(vehicle, folder, Environment(), 0.004, 4, 1)
+    try:
+        frame.reset(Initial(), [ZERO3] * 6, ZERO3)
+        mass, cg, inertia = frame.mass_properties()
+    finally:
+        frame.close()
+    assert mass == pytest.approx(vehicle.mass_kg, rel=1e-9)
+    assert cg == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+    assert inertia == pytest.approx(
+        vehicle.inertia_kg_m2, rel=1e-6
+    )  # JSBSim's constants for slugs and feet are rounded
+
+
+def test_force_and_moment_are_r_cross_f(name: str) -> None:
+    vehicle, folder = load_vehicle(name)
+    rng = np.random.default_rng(3)
+    frame = Airframe(vehicle, folder, Environment(), 0.004, 4, 1)
+    try:
+        frame.reset(Initial(), [ZERO3] * 6, ZERO3)
+        for _ in range(5):
+            tilts = dict(zip(("left", "right"), rng.uniform(-0.5, 0.5, 2), strict=True))
+            newtons = rng.uniform(0.0, SIZES[name], 6)
+            axes = [jet_axis(float(tilts[jet.servo])) for jet in vehicle.jets if jet.servo]
+            forces = [tuple(float(n * x) for x in axis) for n, axis in zip(newtons, axes, strict=True)]
+            frame.step(forces, Disturbance())  # type: ignore[arg-type]
+            force, moment = frame.external_wrench()
+            expected = np.cross([jet.position_m for jet in vehicle.jets], forces).sum(axis=0)
+            assert force == pytest.approx(np.sum(forces, axis=0), rel=1e-9, abs=1e-9)
+            assert np.linalg.norm(np.array(moment) - expected) <= 1e-9 * np.linalg.norm(expected)
+    finally:
+        frame.close()
+
+
+def test_hover_is_below_half_thrust() -> None:
+    """46 % of full thrust, in shares of what the throttle can add to idle."""
+    scenario = Scenario.load("hover").replace(aircraft="hexjet-p220", engine="p220", controller="baseline", expect=[])
+    with build(scenario) as simulation:
+        curve = simulation.engine.curve
+        thrust = simulation.vehicle.mass_kg * GRAVITY / 6
+        assert thrust / curve.thrust[-1] == pytest.approx(0.46, abs=0.005)
+        share = (thrust - curve.thrust[0]) / (curve.thrust[-1] - curve.thrust[0])
+        assert simulation.cascade.allocator.hover == pytest.approx(share, rel=1e-3)  # linear between the curve's points
+
+
+def momentum_theorem(
+    vehicle: Vehicle, thrust: Any, tilt: tuple[float, float], state: State
+) -> tuple[np.ndarray, np.ndarray]:
+    """What six streams have in force and in moment about the centre of gravity, from what flows in and out.
+
+    Out of all that the stream takes along, the part across the axis; along it, it is the engine's business.
+    """
+    flow = vehicle.airflow
+    assert flow is not None
+    body = Rotation.from_quat([*state.attitude[1:], state.attitude[0]]).inv()
+    through_air = body.apply(np.array(state.velocity) - np.array(state.wind))
+    force, moment = np.zeros(3), np.zeros(3)
+    for jet, newton in zip(vehicle.jets, thrust, strict=True):
+        e = np.array(jet_axis(tilt[0] if jet.servo == "left" else tilt[1]))
+        across = np.eye(3) - np.outer(e, e)
+        kg_s = flow.kg_s * (newton / flow.at_thrust_n) ** flow.exponent
+        inlet = np.array(jet.position_m) + flow.intake_m * e
+        outlet = np.array(jet.position_m) + flow.exhaust_m * e
+        for where, velocity in ((inlet, through_air), (outlet, np.cross(state.rate, outlet))):
+            push = -kg_s * across @ velocity
+            force += push
+            moment += np.cross(where, push)
+    return force, moment
+
+
+def test_intake_drag_is_the_momentum_of_the_air() -> None:
+    """In JSBSim, in a flight with wind and rates: external force and moment less those of the thrusts alone."""
+    scenario = Scenario.load("hover").replace(
+        aircraft="hexjet-p220",
+        engine="p220",
+        controller="baseline",
+        environment={"wind_ned_m_s": [2.0, -6.0, 1.0]},
+        initial={
+            "rate_deg_s": [30.0, -20.0, 10.0],
+            "velocity_ned_m_s": [3.0, 1.0, 0.5],
+            "attitude_deg": [5.0, 8.0, 40.0],
+        },
+        vehicle={
+            "servo": {"bank_inertia_kg_m2": 0.0},  # the reaction of the banks has a test of its own
+            "jets": {str(jet): {"spin": 0} for jet in range(6)},
+            "fuel": {"position_m": [0.0, 0.0, 0.0]},
+        },
+        expect=[],
+    )
+    with build(scenario) as simulation:
+        for _ in range(20):
+            state = simulation.state
+            sample = simulation.step()
+            force, moment = simulation.airframe.external_wrench()
+            newtons, tilt = sample.engines.thrust, sample.tilt
+            axes = [jet_axis(tilt[0] if jet.servo == "left" else tilt[1]) for jet in simulation.vehicle.jets]
+            thrusts = np.array(newtons)[:, None] * np.array(axes)
+            arms = [jet.position_m for jet in simulation.vehicle.jets]
+            drag, turn = momentum_theorem(simulation.vehicle, newtons, tilt, state)
+            assert np.linalg.norm(drag) > 5.0  # N: there is something to compare
+            assert np.array(force) - thrusts.sum(axis=0) == pytest.approx(drag, rel=1e-6, abs=1e-6)
+            assert np.array(moment) - np.cross(arms, thrusts).sum(axis=0) == pytest.approx(turn, rel=1e-6, abs=1e-6)
+
+
+def test_still_air_drags_nothing() -> None:
+    with build(
+        Scenario.load("hover").replace(aircraft="hexjet-p220", engine="p220", controller="baseline")
+    ) as simulation:
+        streams = simulation.propulsion.streams
+        assert streams is not None
+        forces = [(0.0, 0.0, -100.0)] * 6
+        still = simulation.state._replace(velocity=ZERO3, rate=ZERO3, wind=ZERO3)
+        assert streams.act(forces, (100.0,) * 6, (0.1, -0.1), still) == (forces, ZERO3)
+        # an engine without thrust swallows nothing
+        moving = still._replace(velocity=(0.0, 10.0, 0.0))
+        assert streams.act(forces, (0.0,) * 6, (0.0, 0.0), moving) == (forces, ZERO3)
+        # six at full thrust, 10 m/s to the right: 27 N to the left, above the centre of gravity, so the vehicle rolls left
+        pushed, (roll, _, _) = streams.act([ZERO3] * 6, (220.0,) * 6, (0.0, 0.0), moving)
+        assert sum(y for _, y, _ in pushed) == pytest.approx(-6 * 0.45 * 10.0, rel=1e-12)
+        assert roll == pytest.approx(-6 * 0.45 * 10.0 * 0.1535, rel=1e-12)
+    with build(Scenario.load("hover")) as simulation:
+        assert simulation.propulsion.streams is None
+
+
+@pytest.mark.parametrize(
+    ("table", "complaint"),
+    [
+        ('[scaled]\nbase = "hexjt"\nmass_kg = 1.0', r"scaled.base: unknown aircraft 'hexjt'; did you mean 'hexjet'"),
+        ('[scaled]\nbase = "hexjet-p220"\nmass_kg = 1.0', r"hexjet-p220 is a scaled copy itself"),
+        ('[scaled]\nbase = "hexjet"', r"scaled: mass_kg is missing"),
+        ('[scaled]\nbase = "hexjet"\nmass_kg = 0.0', r"scaled: mass_kg = 0.0: .*greater than 0"),
+        ('scaled = 3', r"scaled = 3: must be a table with base and mass_kg"),
+    ],
+)  # fmt: skip
+def test_a_wrong_copy_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, table: str, complaint: str) -> None:
+    for known in ("hexjet", "hexjet-p220"):
+        (tmp_path / known).symlink_to(data_folder("aircraft") / known)
+    (tmp_path / "wrong").mkdir()
+    (tmp_path / "wrong" / "vehicle.toml").write_text(f'name = "wrong"\ntitle = "x"\n{table}\n', encoding="utf-8")
+    monkeypatch.setattr("cosim.spec.vehicle.data_folder", lambda kind: tmp_path)
+    monkeypatch.setattr("cosim.spec.vehicle.names_in", lambda *_: ["hexjet", "hexjet-p220", "wrong"])
+    with pytest.raises(InputError, match=complaint):
+        load_vehicle("wrong")
+
+
+def test_a_copy_may_state_its_own(name: str) -> None:
+    """What the file says stands, entry by entry of a list, and the rest is the law's."""
+    vehicle, folder = load_vehicle(name)
+    own = read_toml(folder / "vehicle.toml")
+    assert vehicle.servo is not None
+    assert vehicle.servo.lag_s == own["servo"]["lag_s"]
+    assert BASE.servo is not None
+    assert vehicle.servo.range_rad == BASE.servo.range_rad
+    assert [jet.servo for jet in vehicle.jets] == [jet.servo for jet in BASE.jets]
+    assert (folder / vehicle.model).resolve() == (data_folder("aircraft") / "hexjet" / BASE.model).resolve()
+
+
+def test_an_aircraft_is_named_on_the_command_line(tmp_path: Path) -> None:
+    """With the engine it is made for; what the scenario expects of another aircraft is not asked of it."""
+    arguments = ["fly", "hover", "--aircraft", "hexjet-p220", "--controller", "baseline", "--json"]
+    answer = CliRunner().invoke(cli, [*arguments, "--out", str(tmp_path / "run")])
+    assert answer.exit_code == 0, answer.output
+    summary = json.loads(answer.stdout)
+    assert (summary["aircraft"], summary["engine"]) == ("hexjet-p220", "p220")
+    assert summary["expectations_met"] is None
+    assert Scenario.load(tmp_path / "run" / "scenario.toml").aircraft == "hexjet-p220"
+    with pytest.raises(InputError, match=r"unknown aircraft 'hexjet-p22'; did you mean 'hexjet-p220'"):
+        load_scenario("hover", None, (), None, (), None, "hexjet-p22")
+    assert load_scenario("hover", None, ("turbojet",), None, (), None, "hexjet-p220").engine == "turbojet"
+
+
+def test_an_expectation_is_of_one_aircraft() -> None:
+    """Of the scenario's where it does not say, also after another aircraft was written over the scenario."""
+    hover = Scenario.load("hover")
+    assert [entry.aircraft for entry in hover.expect] == ["hexjet"]
+    assert expectation(hover) == hover.expect[0]
+    assert expectation(hover.replace(aircraft="hexjet-p220")) is None
+    assert expectation(hover.replace(aircraft="hexjet-p220").replace(aircraft="hexjet")) == hover.expect[0]
+    own = {"controller": "smith", "engine": "edf-as-flown", "metrics": {}}
+    other = hover.replace(aircraft="hexjet-p220", expect=[own])
+    assert expectation(other) == other.expect[0]
+    with pytest.raises(InputError, match=r"expect\.0\.aircraft: unknown 'hexjt'; did you mean 'hexjet'"):
+        check_expected(hover.replace(expect=[own | {"aircraft": "hexjt"}]))
+
+
+@pytest.mark.parametrize(("aircraft", "engine"), [("hexjet-p220", "p220"), ("hexjet-100", "turbine-100")])
+def test_the_shipped_gains_are_what_the_design_wrote(aircraft: str, engine: str) -> None:
+    """Gains, leads, predictor and model, to the last digit; which keep the margins, tests/flight/design/test_design.py shows."""
+    vehicle, _ = load_vehicle(aircraft)
+    written, _ = load_vehicle(aircraft, read_toml(DESIGNS / f"{engine}.toml")["vehicle"])
+    ours, theirs = vehicle.control.model_dump(), written.control.model_dump()
+    for control in (ours, theirs):
+        control["lead"] = {axis: lead for axis, lead in control["lead"].items() if lead}
+    assert ours == theirs
+    assert set(ours["lead"]) == {"roll", "altitude"}
+    assert written.identified == vehicle.identified
+    need = read_toml(DESIGNS / f"{engine}.toml")["design"]["requirements"]
+    assert (need["max_sensitivity"], need["delay_tolerance"], need["gain_tolerance"]) == (1.7, 0.3, 0.3)
+
+
+# --- two reports of one engine, and what an ECU may add ---------------------------------------------------------------
+
+PAGE = (DOCS / "full-scale.md").read_text(encoding="utf-8")
+
+
+def cells(title: str, part: str) -> list[str]:
+    """A row of one of the page's tables."""
+    found = re.search(rf"^\| {re.escape(title)} \| (.*) \|$", parts_of(PAGE, "full-scale.md")[part], re.MULTILINE)
+    assert found, title
+    return [cell.strip() for cell in found[1].split("|")]
+
+
+@pytest.mark.parametrize(
+    ("column", "gains", "engine"),
+    [(0, "p220", "p220"), (1, "p220", "p220-2025"), (2, "p220-2025", "p220"), (3, "p220-2025", "p220-2025")],
+)
+def test_either_design_on_either_engine_flies_as_the_page_says(column: int, gains: str, engine: str) -> None:
+    """The doublet: the gains for the engine of 2025 lose that of 2020, the other way round they hold."""
+    file = read_controller(DESIGNS / f"{gains}.toml")
+    flight = Scenario.load("full-scale-roll-doublet").replace(
+        engine=engine, controller=file.controller, vehicle=file.vehicle, expect=[]
+    )
+    run = fly(flight)
+    said = cells("roll-doublet", "two-engines")[column]
+    if run.outcome != "completed":
+        assert (said, gains, engine) == ("lost", "p220-2025", "p220")
+        return
+    # the page has the design as the command writes it today, the files are those that ship
+    assert float(said.rstrip("°")) == pytest.approx(degrees(run.metrics["roll"].max_abs_error_rad), abs=0.3)
+
+
+@pytest.mark.parametrize(("engine", "column"), [("p220", 0), ("p220-2025", 4)])
+@pytest.mark.parametrize(
+    ("limit", "parameters"),
+    [("none, as published", {}), ("48 ms late", {"delay_samples": 12}), ("100 % a second", {"command_rate": 1.0})],
+)
+def test_the_limits_of_an_ecu_cost_what_the_page_says(
+    engine: str, column: int, limit: str, parameters: dict[str, float]
+) -> None:
+    flight = Scenario.load("full-scale-roll-doublet").replace(engine=engine, engine_parameters=parameters, expect=[])
+    run = fly(flight)
+    said = cells(limit, "ecu")[column]
+    assert (said == "lost") == (run.outcome != "completed")
+    if said != "lost":
+        # to rounding, and a tenth of it for a flight that swings
+        found = run.summary.flat_metrics["roll.overshoot_percent"]
+        assert float(said.removesuffix(" %")) == pytest.approx(found, abs=0.6, rel=0.1)
+
+
+def test_the_faster_engine_is_lost_late_and_the_slower_is_not() -> None:
+    """100 ms of ECU, in hover, with the gains that the vehicle ships."""
+    outcomes = {}
+    for engine in ("p220", "p220-2025"):
+        late = {"engine": engine, "engine_parameters": {"delay_samples": 25}, "expect": []}
+        outcomes[engine] = fly(Scenario.load("full-scale-hover").replace(**late)).outcome
+    assert outcomes["p220"] == "completed" != outcomes["p220-2025"]
+
+
+def figures(sentence: str) -> list[float]:
+    """The figures that stand for ``{}`` in a sentence of the page, which is there once."""
+    page = " ".join(PAGE.replace("**", "").split())
+    found = re.findall(r"([-\d.]+)".join(map(re.escape, sentence.split("{}"))), page)
+    assert len(found) == 1, sentence
+    return [float(each) for each in ([found[0]] if isinstance(found[0], str) else found[0])]
+
+
+def rounded(said: float, found: float, digits: int) -> bool:
+    return abs(said - found) <= 0.5001 * 10.0**-digits
+
+
+def test_the_verdict_is_that_of_the_tables() -> None:
+    """docs/full-scale.md: what its text says of the designs, the flights and the ECU is in the tables below it."""
+    design = read_toml(DESIGNS / "p220.toml")
+    (natural,) = figures("follows the throttle like two poles at {} rad/s. A predictor")
+    pole, bandwidth = figures("which moves the poles to {} rad/s, gives {} Hz at the same peak sensitivity")
+    lead = design["vehicle"]["control"]["lead"]["roll"]
+    assert rounded(natural, lead["natural_rad_s"], 1)
+    assert rounded(pole, lead["pole_rad_s"], 0)
+    assert rounded(bandwidth, design["design"]["axes"]["roll"]["bandwidth_hz"], 2)
+    for sentence in ("keeps the requirements at {} Hz", '"None" is at the bandwidth that is asked for, {} Hz'):
+        assert figures(sentence) == [design["design"]["requirements"]["min_bandwidth_hz"]]
+    damping, stiffness, omega, zeta = figures(
+        "gives s² + {} s + {}, two poles at {} rad/s with damping {}. A test realises"
+    )
+    assert rounded(omega, lead["natural_rad_s"], 3)
+    assert rounded(zeta, lead["damping"], 2)
+    assert rounded(stiffness, lead["natural_rad_s"] ** 2, 2)
+    assert rounded(damping, 2.0 * lead["damping"] * lead["natural_rad_s"], 2)
+    (delay,) = figures("with a lead its delay of {} s becomes the limit")
+    assert delay == pytest.approx(load_engine("turbine-220", {}, 0.004).delay)
+    titles = [title.strip() for title in parts_of(PAGE, "full-scale.md")["gains"].splitlines()[0].strip("|").split("|")]
+    reached = {name: dict(zip(titles[1:], cells(name, "gains"), strict=True)) for name in ("p220", "turbine-220")}
+    plain = [name for name in titles[5:] if not name.endswith("lead")]
+    assert [reached["p220"][name] for name in plain] == ["none"] * len(plain)
+    assert reached["p220"]["baseline + lead"] == "100 %"
+    assert reached["turbine-220"]["state-disturbance + lead"] == "100 %"
+    assert reached["turbine-220"]["smith"] < reached["turbine-220"]["baseline"]  # of two digits each
+    gust, load = figures(
+        "roll leaves its set-point by {}° on the P220; taking up a tenth of the mass off-centre, by {}°"
+    )
+    without, p220, *_ = cells("gust", "flights")
+    assert (without, float(p220.rstrip("°"))) == ("lost", gust)
+    without, p220, *_ = cells("payload-drop", "flights")
+    assert (without, float(p220.rstrip("°"))) == ("lost", load)
+    level, raised = (cells(f"side gust within 10°, intakes {mm} mm up", "flights") for mm in (0, 333))
+    assert float(raised[1].split()[0]) < 0.5 * float(level[1].split()[0])
+    for limit in ("100 ms late", "200 % a second"):
+        said = cells(limit, "ecu")
+        assert (said[0] != "lost", said[4]) == (True, "lost"), limit
+    # the gains for the slower engine hold on both, those for the faster one lose the slower in every flight
+    flown = {name: cells(name, "two-engines") for name in ("hover", "roll-doublet", "gust", "payload-drop", "manual")}
+    assert all("lost" not in (a, b, d) and c == "lost" for a, b, c, d in flown.values())
+
+
+def test_the_intakes_by_hand() -> None:
+    """docs/full-scale.md: m h / J_xx, and the pole of s^3 + k g."""
+    vehicle, _ = load_vehicle("hexjet-p220")
+    flow = vehicle.airflow
+    assert flow is not None
+    share = vehicle.mass_kg * 9.80665 / 6.0 / flow.at_thrust_n
+    air = 6.0 * flow.kg_s * share**flow.exponent
+    lever = BASE.jets[0].position_m[2] * length_scale(vehicle.mass_kg, BASE.mass_kg) - flow.intake_m
+    k = air * -lever / vehicle.inertia_kg_m2[0]
+    (said,) = figures("Six engines swallow {} kg/s in hover")
+    assert rounded(said, air, 1)
+    for sentence in ("m h / J_xx = {} rad/s² per m/s at h = {} m",):
+        slope, height = figures(sentence)
+        assert rounded(slope, k, 2)
+        assert rounded(height, -lever, 2)
+    (height,) = figures("With the cranks where the scaling law puts them, {} m of lever")
+    assert rounded(height, -lever, 2)
+    (rate,) = figures("has s³ + k g = 0, an unstable oscillation of {} rad/s")
+    assert rounded(rate, (k * 9.80665) ** (1.0 / 3.0), 1)
+
+
+def test_the_gust_of_the_page_is_the_scenarios() -> None:
+    """docs/full-scale.md, below its flights."""
+    flight = Scenario.load("full-scale-gust")
+    rise, hold, fall, above, step = figures(
+        "in calm air, rise {} s, hold {} s, fall {} s, drag {} cm above the centre of gravity, to {} m/s"
+    )
+    (gust,) = flight.disturbance
+    assert gust.kind == "gust"
+    assert (rise, hold, fall) == (gust.rise_s, gust.hold_s, gust.fall_s)
+    assert above == pytest.approx(-100.0 * flight.vehicle["aero"]["centre_m"][2])
+    assert step == 1.0
+    source = (DOCS / "full_scale.py").read_text(encoding="utf-8")
+    assert "TO = 1.0  # m/s" in source
+    assert "LEAST_PLAIN_HZ = 0.1 " in source
+    assert figures("*without lead* at the {} Hz at which there are any") == [0.1]
