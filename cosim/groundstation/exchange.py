@@ -20,7 +20,6 @@ from typing import NamedTuple
 from cosim.base.geodesy import Geodesy
 from cosim.base.protocols import Diagnostics
 from cosim.base.signals import Measured, Sample, State
-from cosim.control.autopilot.autopilot import Status
 from cosim.control.autopilot.modes import Message, Severity
 from cosim.control.autopilot.parameters import Parameters
 from cosim.control.autopilot.requests import (
@@ -33,6 +32,7 @@ from cosim.control.autopilot.requests import (
     Result,
     Sticks,
 )
+from cosim.control.autopilot.status import Status
 from cosim.engine import EngineSpec
 from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import PaceReport

@@ -9,9 +9,9 @@ from types import TracebackType
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.control.autopilot.autopilot import Status
 from cosim.control.autopilot.modes import Severity
 from cosim.control.autopilot.requests import MissionItem, Request
+from cosim.control.autopilot.status import Status
 from cosim.groundstation.exchange import (
     Exchange,
     Facts,

@@ -23,14 +23,14 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.protocols import EngineState, Observer
 from cosim.base.signals import Sample
-from cosim.control.autopilot.autopilot import Autopilot, Status
+from cosim.control.autopilot.autopilot import Autopilot
+from cosim.control.autopilot.estimation.position import Fix
 from cosim.control.autopilot.modes import (
     Home,
     LandedState,
     Mode,
     Severity,
 )
-from cosim.control.autopilot.navigation import Fix
 from cosim.control.autopilot.parameters import Parameters, table
 from cosim.control.autopilot.requests import (
     Answer,
@@ -41,6 +41,7 @@ from cosim.control.autopilot.requests import (
     SetParameter,
     Sticks,
 )
+from cosim.control.autopilot.status import Status
 from cosim.flight import record, reserve_folder, with_page
 from cosim.groundstation.exchange import (
     Asked,

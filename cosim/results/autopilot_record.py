@@ -34,7 +34,8 @@ from typing import Any
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import to_euler
 from cosim.base.signals import Sample
-from cosim.control.autopilot.autopilot import Autopilot, Status
+from cosim.control.autopilot.autopilot import Autopilot
+from cosim.control.autopilot.status import Status
 from cosim.results.run import AUTOPILOT
 
 ESTIMATE_S = 0.1  # between two estimates; chosen by us: PX4 logs its local position as often

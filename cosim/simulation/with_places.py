@@ -3,8 +3,7 @@
 Until the first command of a place or a velocity begins, the script's leans are flown; from there on the law's.  Height
 and heading are the script's until a place states them; then they go there with the autopilot's bounds of climb, descent
 and turn, and stay.  The law, its estimate of the motion and its set-points' limits are those of the autopilot
-(:mod:`cosim.control.autopilot.navigation`, :mod:`cosim.control.autopilot.descent`), with the vehicle's
-[control.position] and [control.pilot].
+(:mod:`cosim.control.autopilot.guidance`), with the vehicle's [control.position] and [control.pilot].
 """
 
 from __future__ import annotations
@@ -17,16 +16,11 @@ from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
 from cosim.base.protocols import EngineState, Report
 from cosim.base.signals import Command, Measured
-from cosim.control.autopilot.descent import descent_for, height_limits, thrust_margins
-from cosim.control.autopilot.navigation import (
-    Estimator,
-    Pair,
-    PositionController,
-    Track,
-    Tracker,
-    lean_for,
-    wrap,
-)
+from cosim.control.autopilot.estimation.position import Estimator
+from cosim.control.autopilot.geometry import Pair, lean_for, wrap
+from cosim.control.autopilot.guidance.descent import descent_for, height_limits, thrust_margins
+from cosim.control.autopilot.guidance.position_control import PositionController
+from cosim.control.autopilot.guidance.tracker import Track, Tracker
 from cosim.simulation.commander import Commander
 from cosim.spec.scenario import PlaceCommand, Scenario, VelocityCommand
 

@@ -23,9 +23,8 @@ from cosim.base.signals import (
     State,
     Unallocated,
 )
-from cosim.control.autopilot.autopilot import Status
+from cosim.control.autopilot.estimation.position import Fix
 from cosim.control.autopilot.modes import Home, LandedState, Mode
-from cosim.control.autopilot.navigation import Fix
 from cosim.control.autopilot.requests import (
     Answer,
     Arm,
@@ -35,6 +34,7 @@ from cosim.control.autopilot.requests import (
     SetMode,
     Takeoff,
 )
+from cosim.control.autopilot.status import Status
 from cosim.groundstation.mavlink.exchange import Exchange
 from cosim.groundstation.mavlink.snapshot import About, Predicting, Snapshot
 from cosim.groundstation.mavlink.vehicle import Vehicle

@@ -8,9 +8,9 @@ from math import cos, hypot, radians, tan
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Report
 from cosim.base.signals import Measured
+from cosim.control.autopilot.estimation.position import Fix
 from cosim.control.autopilot.fence import beyond
 from cosim.control.autopilot.modes import Home
-from cosim.control.autopilot.navigation import Fix
 from cosim.control.autopilot.parameters import LAND, NOTHING, Parameters
 from cosim.control.autopilot.requests import FenceZone
 

@@ -13,7 +13,7 @@ from cosim.base.signals import (
     Sample,
     Vector3,
 )
-from cosim.control.autopilot.autopilot import Status
+from cosim.control.autopilot.status import Status
 
 Personality = Literal["px4", "ardupilot", "generic"]
 PERSONALITIES: tuple[Personality, ...] = ("px4", "ardupilot", "generic")

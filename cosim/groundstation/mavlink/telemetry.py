@@ -17,8 +17,8 @@ from cosim.base.frames import (
     rotate,
     to_euler,
 )
-from cosim.control.autopilot.autopilot import Status
 from cosim.control.autopilot.modes import Home, LandedState, Mode
+from cosim.control.autopilot.status import Status
 from cosim.groundstation.mavlink.modes import (
     AUTOPILOT,
     HEXAROTOR,

@@ -17,19 +17,19 @@ from cosim.base.frames import from_euler
 from cosim.base.signals import Sample, Vector3
 from cosim.cli.runs import catalogue
 from cosim.control.autopilot import requests as rq
-from cosim.control.autopilot.descent import (
+from cosim.control.autopilot.guidance.descent import (
     Floor,
     descent_for,
     height_limits,
     thrust_margins,
 )
-from cosim.control.autopilot.modes import LandedState
-from cosim.control.autopilot.shaper import (
+from cosim.control.autopilot.guidance.shaper import (
     AttitudeLimits,
     Shaper,
     angular_authority,
     attitude_limits,
 )
+from cosim.control.autopilot.modes import LandedState
 from cosim.spec.vehicle import load_vehicle
 
 # Every vehicle with an autopilot: with the predictor that a ground station finds, and with the one its gains are for.
@@ -213,7 +213,7 @@ def envelope_rows() -> list[str]:
         with in_the_air(aircraft, "baseline", 10.0) as flight:
             control = flight.simulation.vehicle.control
             assert control.pilot is not None
-            a, h = flight.pilot._attitude_limits(), flight.pilot._height_limits()
+            a, h = flight.pilot._envelope.attitude_limits(), flight.pilot._envelope.height_limits()
             cells = [
                 f"{degrees(control.pilot.stick_lean_rad):.0f} deg",
                 f"{degrees(a.rate):.0f} deg/s",
@@ -222,8 +222,8 @@ def envelope_rows() -> list[str]:
                 f"{degrees(a.yaw_acceleration):.0f} deg/s²",
                 f"{h.acceleration:.1f} m/s²",
                 f"{descent_for(0.0, h.braking, h.late, control.pilot.land_m_s):.2f} m/s",
-                f"{flight.pilot._floor.allowed(5.0, control.pilot.land_m_s):.1f} m/s",
-                f"{flight.pilot._floor.allowed(30.0, control.pilot.land_m_s):.1f} m/s",
+                f"{flight.pilot._envelope.floor.allowed(5.0, control.pilot.land_m_s):.1f} m/s",
+                f"{flight.pilot._envelope.floor.allowed(30.0, control.pilot.land_m_s):.1f} m/s",
             ]
             rows.append(f"| {aircraft} | " + " | ".join(cells) + " |")
     return rows

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.control.autopilot.descent import height_limits, thrust_margins
-from cosim.control.autopilot.navigation import Tracker
+from cosim.control.autopilot.guidance.descent import height_limits, thrust_margins
+from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.simulation.build import build

@@ -18,8 +18,9 @@ from cosim.base.signals import State
 from cosim.campaign.failsafe_survey import pilotable
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.fence import beyond, depth
+from cosim.control.autopilot.geometry import wrap
+from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.control.autopilot.modes import LandedState, Mode
-from cosim.control.autopilot.navigation import Tracker, wrap
 from cosim.control.autopilot.requests import (
     FenceUpload,
     FenceZone,

@@ -19,10 +19,10 @@ from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.autopilot import Autopilot
-from cosim.control.autopilot.mission import Mission
+from cosim.control.autopilot.manoeuvres.mission import Mission
+from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import LandedState, Mode, Severity
 from cosim.control.autopilot.requests import MissionItem, Result
-from cosim.control.autopilot.touchdown import Touchdown
 from cosim.control.predictors.smith import NoPredictor
 from cosim.control.rate import RateController
 from cosim.spec.vehicle import load_vehicle
@@ -82,7 +82,7 @@ class World:
         p = self.place
         if {"altitude", "sink", "roll"} & set(changes):
             # put there by hand: what it estimates is taken along
-            self.pilot._senses.reset(None)
+            self.pilot._estimates.senses.reset(None)
         attitude = from_euler(p["roll"], 0.0, 0.0)
         report = Report(p["legs"], p["collective"], p["lost"], p["remaining"])
         for _ in range(round(duration / DT)):

@@ -15,17 +15,10 @@ from scipy.linalg import solve_discrete_are
 from cosim.base.constants import GRAVITY
 from cosim.base.frames import IDENTITY, from_euler, rotate
 from cosim.base.signals import Measured
-from cosim.control.autopilot.navigation import (
-    Estimator,
-    Fix,
-    PositionController,
-    Track,
-    Tracker,
-    kalman_gains,
-    lean_acceleration,
-    lean_for,
-    wrap,
-)
+from cosim.control.autopilot.estimation.position import Estimator, Fix, kalman_gains
+from cosim.control.autopilot.geometry import lean_acceleration, lean_for, wrap
+from cosim.control.autopilot.guidance.position_control import PositionController
+from cosim.control.autopilot.guidance.tracker import Track, Tracker
 from cosim.control.lead import lead_polynomials
 from cosim.control.predictors.smith import polynomial
 from cosim.spec.vehicle import (

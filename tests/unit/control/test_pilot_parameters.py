@@ -13,14 +13,10 @@ from cosim.base.protocols import Predictor
 from cosim.base.signals import Command, Measured, Unallocated
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
-from cosim.control.autopilot.navigation import PositionController, Tracker
-from cosim.control.autopilot.parameters import (
-    Blocks,
-    Live,
-    Parameters,
-    rate_gains,
-    table,
-)
+from cosim.control.autopilot.guidance.position_control import PositionController
+from cosim.control.autopilot.guidance.tracker import Tracker
+from cosim.control.autopilot.parameters import Parameters, table
+from cosim.control.autopilot.tuning import Blocks, Live, rate_gains
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.smith import NoPredictor, SmithPredictor
 from cosim.control.rate import RateAxis, RateController

@@ -10,8 +10,8 @@ import pytest
 from cosim.base.constants import GRAVITY
 from cosim.base.frames import conjugate, from_euler, rotate
 from cosim.base.signals import ZERO3, Measured
-from cosim.control.autopilot.navigation import Estimator
-from cosim.control.autopilot.reckoning import Reckoning
+from cosim.control.autopilot.estimation.position import Estimator
+from cosim.control.autopilot.estimation.reckoning import Reckoning
 from cosim.spec.vehicle import load_vehicle
 
 STEP = 0.004

@@ -12,9 +12,9 @@ from scipy.linalg import solve_discrete_are
 from cosim.base.constants import GRAVITY
 from cosim.base.frames import conjugate, from_euler, multiply
 from cosim.base.signals import Measured, Quaternion, Vector3
-from cosim.control.autopilot.inertial import InertialEstimator
-from cosim.control.autopilot.senses import Senses
-from cosim.control.autopilot.vertical import VerticalEstimator
+from cosim.control.autopilot.estimation.inertial import InertialEstimator
+from cosim.control.autopilot.estimation.senses import Senses
+from cosim.control.autopilot.estimation.vertical import VerticalEstimator
 from cosim.spec.vehicle import Sensors, load_vehicle
 
 STEP = 0.004

@@ -17,7 +17,7 @@ from cosim.base.frames import to_euler
 from cosim.base.geodesy import Geodesy
 from cosim.campaign.failsafe_survey import scenario_of
 from cosim.control.autopilot import requests as rq
-from cosim.control.autopilot.autopilot import _LEAN_SURE, _SPEED_SURE
+from cosim.control.autopilot.estimation.estimates import LEAN_SURE, SPEED_SURE
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.flight import fly
 from cosim.groundstation.mavlink.snapshot import About, Snapshot
@@ -205,4 +205,4 @@ def test_the_log_has_height_and_climb_as_estimated_and_says_what_is_not_valid(tm
 def test_the_page_says_from_when_on_an_estimate_is_not_valid() -> None:
     text = (DOCS / "ground-station.md").read_text(encoding="utf-8")
     assert "known to a metre a second and the attitude while it is known to five degrees" in text
-    assert (_SPEED_SURE, degrees(_LEAN_SURE)) == pytest.approx((1.0, 5.0))
+    assert (SPEED_SURE, degrees(LEAN_SURE)) == pytest.approx((1.0, 5.0))

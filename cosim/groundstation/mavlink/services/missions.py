@@ -15,7 +15,6 @@ from math import nan
 
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
-from cosim.control.autopilot.autopilot import Status
 from cosim.control.autopilot.requests import (
     LONGEST_MISSION,
     Answer,
@@ -28,6 +27,7 @@ from cosim.control.autopilot.requests import (
     Request,
     Result,
 )
+from cosim.control.autopilot.status import Status
 from cosim.groundstation.mavlink.services.items import (
     ACCEPTED,
     CANCELLED,

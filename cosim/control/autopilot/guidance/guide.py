@@ -5,16 +5,11 @@ from __future__ import annotations
 from math import inf, pi
 
 from cosim.base.signals import Command, Measured
-from cosim.control.autopilot.descent import HeightLimits
-from cosim.control.autopilot.navigation import (
-    Fix,
-    Pair,
-    PositionController,
-    Track,
-    Tracker,
-    lean_for,
-    wrap,
-)
+from cosim.control.autopilot.estimation.position import Fix
+from cosim.control.autopilot.geometry import Pair, lean_for, wrap
+from cosim.control.autopilot.guidance.descent import HeightLimits
+from cosim.control.autopilot.guidance.position_control import PositionController
+from cosim.control.autopilot.guidance.tracker import Track, Tracker
 from cosim.control.autopilot.parameters import Parameters
 
 _LEAD = 1.0  # m that the height asked for may be ahead of the vehicle beyond what its climb rate needs
@@ -36,6 +31,7 @@ class Guide:
         step: float,
     ) -> None:
         self.tracker = tracker
+        self.limits = limits
         self._height = Tracker(limits.acceleration, limits.jerk, step)
         self._position = position
         self._parameters = parameters
@@ -51,6 +47,7 @@ class Guide:
 
     def limit(self, limits: HeightLimits) -> None:
         """Other bounds of the height; what is asked for goes on from where it is."""
+        self.limits = limits
         self._height.limit(limits.acceleration, limits.jerk)
         track = self._height.track
         self._height.start(track.position, track.velocity)

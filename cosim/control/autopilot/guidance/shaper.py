@@ -14,12 +14,8 @@ from typing import NamedTuple
 
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import AXES, Vector3
-from cosim.control.autopilot.navigation import (
-    Pair,
-    Tracker,
-    limited,
-    wrap,
-)
+from cosim.control.autopilot.geometry import Pair, limited, wrap
+from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.spec.vehicle import EngineLead, Vehicle
 
 # Chosen by us.

@@ -10,7 +10,7 @@ from math import sqrt
 from typing import NamedTuple
 
 from cosim.base.constants import GRAVITY
-from cosim.control.autopilot.shaper import MEAN, SHARE
+from cosim.control.autopilot.guidance.shaper import MEAN, SHARE
 
 # Chosen by us.
 _CATCH_SHARE = 0.5  # of the thrust beyond the weight is planned for catching a fall; the rest is for lean and error

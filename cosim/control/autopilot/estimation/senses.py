@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import Measured
-from cosim.control.autopilot.inertial import InertialEstimator
-from cosim.control.autopilot.vertical import VerticalEstimator
+from cosim.control.autopilot.estimation.inertial import InertialEstimator
+from cosim.control.autopilot.estimation.vertical import VerticalEstimator
 from cosim.spec.vehicle import Sensors
 
 

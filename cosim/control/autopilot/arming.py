@@ -1,0 +1,101 @@
+"""Armed or not, what the engines do, and why arming would be refused."""
+
+from __future__ import annotations
+
+from math import degrees
+
+from cosim.base.protocols import EngineState, Report
+from cosim.control.autopilot.estimation.estimates import Estimates
+from cosim.control.autopilot.failsafes import Watch
+from cosim.control.autopilot.guidance.course import Places
+from cosim.control.autopilot.manoeuvres.remote import Remote
+from cosim.control.autopilot.modes import DIRECT, LandedState, Mode
+from cosim.control.autopilot.parameters import Parameters
+
+_MOVING = 0.2  # rad/s: a vehicle that turns like this is being carried; chosen by us
+
+
+class Arming:
+    """``since``: the step of arming, of the begin of a take-off, or of standing again; ``flew``: since arming."""
+
+    def __init__(
+        self, parameters: Parameters, estimates: Estimates, places: Places, remote: Remote, watch: Watch, step: float
+    ) -> None:
+        self._parameters = parameters
+        self._estimates = estimates
+        self._places = places
+        self._remote = remote
+        self._watch = watch
+        self._step = step
+        self.reset(False)
+
+    def reset(self, airborne: bool) -> None:
+        """Standing and disarmed, or in the air and armed."""
+        self.armed = self.flew = airborne
+        self.engines = EngineState.FLY if airborne else EngineState.IDLE
+        self.since = 0
+
+    def arm(self, k: int, flying: bool) -> None:
+        """From now on it may fly, or does."""
+        self.armed = True
+        self.engines = EngineState.FLY if flying else EngineState.IDLE
+        self.flew = flying
+        self.since = k
+
+    def leave_ground(self, k: int) -> None:
+        """The engines fly."""
+        self.engines = EngineState.FLY
+        self.since = k
+
+    def stand(self, k: int) -> None:
+        """On the ground: the engines idle."""
+        self.engines = EngineState.IDLE
+        self.since = k
+
+    def disarm(self) -> None:
+        """Standing: the engines are off."""
+        self.shut_off()
+        self.flew = False
+
+    def shut_off(self) -> None:
+        """The engines are off, wherever it is."""
+        self.armed = False
+        self.engines = EngineState.OFF
+
+    def idle_too_long(self, k: int) -> bool:
+        """It has stood armed for as long as a parameter allows: not for ever."""
+        wait = self._parameters["HJ_DISARM_LAND" if self.flew else "HJ_DISARM_IDLE"]
+        return (k - self.since) * self._step >= wait and (wait > 0.0 or self.flew)
+
+    def refusals(self, mode: Mode, landed: LandedState, report: Report, k: int) -> tuple[str, ...]:
+        """Every reason for which arming would be refused at step ``k``."""
+        estimates = self._estimates
+        if estimates.measured is None:
+            return ("no measurements yet",)
+        reasons = []
+        limit = self._parameters["HJ_ARM_LEAN"]
+        roll, pitch, _ = estimates.euler
+        lean = degrees(max(abs(roll), abs(pitch)))
+        if lean > limit:
+            reasons.append(f"not level: leans {lean:.0f} deg, {limit:g} deg are allowed")
+        if max(abs(rate) for rate in estimates.measured.rate) > _MOVING:
+            reasons.append("it is being moved")
+        if report.lost:
+            reasons.append(f"engine {', '.join(map(str, report.lost))} failed")
+        remaining = self._watch.remaining
+        if remaining is not None and 100.0 * remaining <= self._parameters["HJ_FUEL_CRIT"]:
+            reasons.append(f"fuel or battery at {100.0 * remaining:.0f} %")
+        if self._places.home is None:
+            reasons.append("no home: waiting for the position")
+        if landed is not LandedState.ON_GROUND:
+            reasons.append("it is in the air")
+        reasons.extend(estimates.senses.failed)
+        if blind := self.blind(mode):
+            reasons.append(blind)
+        return (*reasons, *self._remote.refusals(mode, k))
+
+    def blind(self, mode: Mode) -> str:
+        """Why a mode cannot be flown from the ground for want of a position; empty: it can."""
+        if self._estimates.positioned or mode in (*DIRECT, Mode.ALTCTL) or self._remote.gives_collective(mode):
+            return ""
+        return f"mode {mode.value} needs the position, and the GNSS receiver has stopped"

@@ -1,0 +1,120 @@
+"""All that the autopilot knows of its own motion, and how far it can be believed."""
+
+from __future__ import annotations
+
+from math import nan, radians
+from typing import NamedTuple
+
+from cosim.base.frames import to_euler
+from cosim.base.signals import Measured, Vector3
+from cosim.control.autopilot.estimation.position import Estimator
+from cosim.control.autopilot.estimation.reckoning import Reckoning
+from cosim.control.autopilot.estimation.senses import Senses
+from cosim.spec.vehicle import PositionGains, Sensors
+
+# Chosen by us, with the reason.
+_BLIND_S = 1.0  # s without a fix: the lean alone is off by half a metre by then for a degree that it is wrong
+SPEED_SURE = 1.0  # m/s, one deviation: a speed that is less sure is not told as valid; as PX4's COM_VEL_FS_EVH
+LEAN_SURE = radians(5.0)  # one deviation: a twelfth of the weight pushes sideways unseen
+
+
+class Trust(NamedTuple):
+    """How far what the autopilot flies with can be believed.
+
+    ``place``, ``height``: something measures them; ``speed``, ``climb``, ``attitude``: known to less than 1 m/s and
+    5 degrees, measured or carried on.  Then the sensors that are believed themselves, and the standard deviations of
+    the estimates: m and m/s per axis, m, m/s, rad.
+    """
+
+    place: bool = True
+    speed: bool = True
+    height: bool = True
+    climb: bool = True
+    attitude: bool = True
+    gyro: bool = True
+    accelerometer: bool = True
+    barometer: bool = True
+    gnss: bool = True
+    attitude_sensor: bool = True
+    place_m: float = nan
+    speed_m_s: float = nan
+    height_m: float = nan
+    climb_m_s: float = nan
+    attitude_rad: float = nan
+
+
+class Estimates:
+    """Attitude, rates, height and climb rate from the :class:`Senses`, place and velocity from the :class:`Estimator`.
+
+    ``gain``: of the attitude loop, 1/s, the slowest of roll and pitch.  ``noisy``: the sensors have their noise, by
+    which a receiver that has stopped is told from one that stands.
+    """
+
+    def __init__(self, sensors: Sensors, gains: PositionGains, step: float, gain: float, noisy: bool) -> None:
+        gnss = sensors.gnss
+        noisy = noisy and max(gnss.position_noise_m, gnss.velocity_noise_m_s) > 0.0
+        self.senses = Senses(sensors, step, gain)
+        self._position = Estimator(gains, gnss, step, noisy, Reckoning(sensors, step))
+        self.reset(None)
+
+    def reset(self, measured: Measured | None) -> None:
+        """As if the vehicle had been where it is ``measured`` for long; None: nothing is known yet."""
+        self.measured = measured  # what the loops are to fly with; None before the first measurement
+        self.senses.reset(measured)
+        if measured is not None:
+            self._position.reset((measured.position[0], measured.position[1]))
+        self.euler: Vector3 = (0.0, 0.0, 0.0) if measured is None else to_euler(measured.attitude)
+        self.fix = self._position.fix
+
+    def update(self, k: int, measured: Measured, still: bool, grounded: bool) -> None:
+        """What is known at step ``k``; ``still``: the vehicle stands, ``grounded``: or has not left the ground yet."""
+        self.measured = measured = self.senses.update(k, measured, still)
+        self.euler = to_euler(measured.attitude)
+        inertial = self.senses.inertial
+        lean = 0.0 if inertial.has_attitude else inertial.deviation
+        self.fix = self._position.update(k, measured, grounded, lean)
+
+    @property
+    def now(self) -> Measured:
+        """What the loops are to fly with, where there has been a measurement."""
+        assert self.measured is not None
+        return self.measured
+
+    @property
+    def altitude(self) -> float:
+        """m above the origin."""
+        return self.measured.altitude if self.measured is not None else 0.0
+
+    @property
+    def altitude_deviation(self) -> float:
+        """Its standard deviation, m."""
+        return self.senses.vertical.deviation[0]
+
+    @property
+    def positioned(self) -> bool:
+        """Fixes of the GNSS come."""
+        return self._position.silent <= _BLIND_S
+
+    @property
+    def trust(self) -> Trust:
+        """How far all this can be believed."""
+        positioned, inertial, vertical = self.positioned, self.senses.inertial, self.senses.vertical
+        (place, speed), (height, climb) = self._position.deviation, vertical.deviation
+        lean = inertial.deviation
+        return Trust(
+            positioned,
+            positioned or speed < SPEED_SURE,
+            vertical.has_height or vertical.has_fix,
+            climb < SPEED_SURE,
+            inertial.has_attitude or lean < LEAN_SURE,
+            inertial.has_rate and not inertial.biased,
+            vertical.has_force,
+            vertical.has_height,
+            positioned,
+            inertial.has_attitude,
+            place,
+            speed,
+            height,
+            climb,
+            lean,
+        )

@@ -1,0 +1,197 @@
+"""Horizontal position and velocity from the GNSS receiver and the lean, NED.
+
+The estimate is carried on with the lean that is measured, so neither a limit of the lean nor a slow attitude loop winds
+anything up.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from functools import lru_cache
+from math import hypot, inf, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.base.signals import Measured, Vector3
+from cosim.control.autopilot.estimation.reckoning import Reckoning
+from cosim.control.autopilot.geometry import Pair, lean_acceleration
+from cosim.spec.vehicle import PositionGains, PositionSensor
+
+_LEAST_POSITION_NOISE = 0.01  # m, m/s: a receiver stated as perfect is still not trusted beyond this
+_LEAST_VELOCITY_NOISE = 0.001
+_EPOCHS = 600  # after which the gains have settled: a minute at 10 Hz
+
+
+class Fix(NamedTuple):
+    """Where the vehicle is thought to be, horizontally: m, m/s, m/s^2 of what attitude does not explain."""
+
+    position: Pair
+    velocity: Pair
+    disturbance: Pair
+
+
+class Estimator:
+    """Position, velocity and the acceleration that the attitude does not explain, one Kalman filter per axis.
+
+    The model per axis is ``p' = v``, ``v' = a + b + white``, ``b' = white``, with ``a = g tan(lean)`` from the measured
+    attitude (thrust along the body's z axis that holds the weight).  A GNSS epoch is compared with the estimate of the
+    step in which it was taken and its correction carried forward to now, so its latency costs no accuracy and no phase
+    margin.  The gains are those of the sensors' stated noise and of ``acceleration_noise`` and ``disturbance_walk``,
+    computed once; both axes share them.  ``noisy``: the receiver never says the same twice, standing or not.
+
+    ``reckoning``: what stands in for the receiver where it has nothing new.  Without it the last ``b`` stays, with the
+    drag of the speed at which it was learnt in it, and the velocity is soon another one than is thought.
+    """
+
+    def __init__(
+        self,
+        gains: PositionGains,
+        sensor: PositionSensor,
+        step: float,
+        noisy: bool = False,
+        reckoning: Reckoning | None = None,
+    ) -> None:
+        self._step = step
+        self._noisy = noisy
+        self._reckoning = reckoning
+        self._period, self._latency = sensor.period_samples, sensor.latency_samples
+        self._gains, self._deviations = _settling(gains, sensor, step)
+        self.reset((0.0, 0.0))
+
+    def reset(self, position: Pair) -> None:
+        """At rest at ``position``, known as well as one epoch of the receiver knows it."""
+        self._epoch = 0
+        self._last: tuple[float, ...] = ()
+        self.silent = 0.0  # s without a new fix
+        self._p = list(position)
+        self._v = [0.0, 0.0]
+        self._b = [0.0, 0.0]
+        entry = (*position, 0.0, 0.0)
+        self._past: deque[tuple[float, float, float, float]] = deque([entry] * (self._latency + 1))
+        if self._reckoning is not None:
+            self._reckoning.reset(position)
+
+    @property
+    def deviation(self) -> tuple[float, float]:
+        """Standard deviations of place [m] and velocity [m/s], per axis; infinite where nothing carries them on."""
+        own = self._deviations[min(self._epoch, len(self._deviations) - 1)]
+        if self.silent == 0.0:
+            return own
+        if self._reckoning is None:
+            return inf, inf
+        place, speed = self._reckoning.deviation
+        return hypot(own[0], place), hypot(own[1], speed)
+
+    @property
+    def fix(self) -> Fix:
+        """The estimate at the instant of the last update."""
+        p, v, b = self._p, self._v, self._b
+        return Fix((p[0], p[1]), (v[0], v[1]), (b[0], b[1]))
+
+    def update(self, k: int, measured: Measured, still: bool, lean_deviation: float = 0.0) -> Fix:
+        """The estimate at ``t_k``; ``still``: the vehicle stands, so it has no velocity and nothing pushes it.
+
+        ``lean_deviation``: of the attitude beyond its sensor's noise, rad.
+        """
+        dt, reckoning = self._step, self._reckoning
+        p, v, b = self._p, self._v, self._b
+        lean = lean_acceleration(measured.attitude)
+        if reckoning is not None:
+            reckoning.carry(measured, (lean[0] + b[0], lean[1] + b[1]))
+        for axis in (0, 1):
+            a = lean[axis] + b[axis]
+            p[axis] += dt * (v[axis] + 0.5 * dt * a)
+            v[axis] += dt * a
+            if still:
+                v[axis] = b[axis] = 0.0
+        past = self._past
+        past.append((p[0], p[1], v[0], v[1]))
+        past.popleft()
+        if k > self._latency and (k - self._latency) % self._period == 0:
+            # a receiver that has nothing new repeats itself to the last bit
+            fix = (*measured.position, *measured.velocity[:2])
+            fresh = fix != self._last or (still and not self._noisy)
+            self.silent = 0.0 if fresh else self.silent + self._period * dt
+            self._last = fix
+            if reckoning is not None:
+                reckoning.epoch(measured if fresh else None, still, lean_deviation)
+            if fresh:
+                self._correct((*measured.position[:2], *measured.velocity[:2]), still)
+            elif reckoning is not None:
+                self._correct(reckoning.then, still)
+        return self.fix
+
+    def _correct(self, fix: tuple[float, float, float, float], still: bool) -> None:
+        """Take a place and a velocity, m and m/s, of ``latency`` samples ago."""
+        gains = self._gains
+        gain = gains[self._epoch] if self._epoch < len(gains) else gains[-1]
+        self._epoch += 1
+        then = self._past[0]
+        p, v, b = self._p, self._v, self._b
+        late = self._latency * self._step
+        shifts = []
+        for axis in (0, 1):
+            off_p = fix[axis] - then[axis]
+            off_v = fix[2 + axis] - then[2 + axis]
+            dp = gain[0][0] * off_p + gain[0][1] * off_v
+            dv = gain[1][0] * off_p + gain[1][1] * off_v
+            db = gain[2][0] * off_p + gain[2][1] * off_v
+            if still:
+                dv = db = 0.0
+            shifts.append((dp, dv, db))
+            p[axis] += dp + late * (dv + 0.5 * late * db)
+            v[axis] += dv + late * db
+            b[axis] += db
+        self._shift_past(shifts)
+
+    def _shift_past(self, shifts: Sequence[Vector3]) -> None:
+        """What is compared with the next epochs moves with the correction."""
+        (pn, vn, bn), (pe, ve, be) = shifts
+        step = self._step
+        for i, (n, e, un, ue) in enumerate(self._past):
+            t = i * step
+            self._past[i] = (
+                n + pn + t * (vn + 0.5 * t * bn),
+                e + pe + t * (ve + 0.5 * t * be),
+                un + vn + t * bn,
+                ue + ve + t * be,
+            )
+
+
+def kalman_gains(gains: PositionGains, sensor: PositionSensor, step: float) -> list[list[list[float]]]:
+    """Gains (3 x 2: position, velocity, disturbance by position, velocity) of each GNSS epoch, the last one for good.
+
+    Time-varying from the first fix on: the noise of position is averaged away while the vehicle stands, instead of
+    being carried along for the half minute that the settled filter needs.
+    """
+    return _settling(gains, sensor, step)[0]
+
+
+@lru_cache
+def _settling(
+    gains: PositionGains, sensor: PositionSensor, step: float
+) -> tuple[list[list[list[float]]], list[tuple[float, float]]]:
+    """The gains of :func:`kalman_gains`, and after each number of epochs the deviations of position and velocity."""
+    T = sensor.period_samples * step
+    F = np.array([[1.0, T, 0.5 * T * T], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
+    qa, qb = gains.acceleration_noise_m_s15**2, gains.disturbance_walk_m_s25**2
+    # integrals of the two white noises over the time between epochs
+    Q = qa * np.array([[T**3 / 3, T**2 / 2, 0.0], [T**2 / 2, T, 0.0], [0.0, 0.0, 0.0]])
+    Q += qb * np.array([[T**5 / 20, T**4 / 8, T**3 / 6], [T**4 / 8, T**3 / 3, T**2 / 2], [T**3 / 6, T**2 / 2, T]])
+    H = np.eye(2, 3)
+    noise = (
+        max(sensor.position_noise_m, _LEAST_POSITION_NOISE) ** 2,
+        max(sensor.velocity_noise_m_s, _LEAST_VELOCITY_NOISE) ** 2,
+    )
+    R = np.diag(noise)
+    P = np.diag([noise[0], noise[1], 0.0])
+    found, deviations = [], [(sqrt(noise[0]), sqrt(noise[1]))]
+    for _ in range(_EPOCHS):
+        P = F @ P @ F.T + Q
+        K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+        P = (np.eye(3) - K @ H) @ P
+        found.append([[float(x) for x in row] for row in K])
+        deviations.append((float(sqrt(P[0, 0])), float(sqrt(P[1, 1]))))
+    return found, deviations

@@ -1,0 +1,42 @@
+"""Plane geometry of the autopilot: vectors north and east, angles, and the lean that goes with an acceleration."""
+
+from __future__ import annotations
+
+from math import atan2, cos, hypot, pi, sin
+
+from cosim.base.constants import GRAVITY
+from cosim.base.signals import Quaternion
+
+Pair = tuple[float, float]
+
+_LEAST_UPRIGHT = 0.5  # beyond a lean of 60 degrees the acceleration is no longer read off the attitude
+
+
+def limited(north: float, east: float, most: float) -> Pair:
+    """A vector shortened to the length ``most``."""
+    size = hypot(north, east)
+    return (north, east) if size <= most else (north * most / size, east * most / size)
+
+
+def lean_acceleration(attitude: Quaternion) -> Pair:
+    """Horizontal acceleration, m/s^2 NED, of thrust along the body's -z that holds the weight."""
+    w, x, y, z = attitude
+    upright = 1.0 - 2.0 * (x * x + y * y)
+    if upright < _LEAST_UPRIGHT:
+        upright = _LEAST_UPRIGHT
+    scale = -2.0 * GRAVITY / upright
+    return (scale * (x * z + w * y), scale * (y * z - w * x))
+
+
+def lean_for(acceleration: Pair, yaw: float) -> Pair:
+    """Roll and pitch (rad) at heading ``yaw`` whose :func:`lean_acceleration` is ``acceleration``."""
+    c, s = cos(yaw), sin(yaw)
+    forward = acceleration[0] * c + acceleration[1] * s
+    right = acceleration[1] * c - acceleration[0] * s
+    pitch = atan2(-forward, GRAVITY)
+    return atan2(right * cos(pitch), GRAVITY), pitch
+
+
+def wrap(angle: float) -> float:
+    """An angle in [-pi, pi)."""
+    return angle - 2.0 * pi * ((angle + pi) // (2.0 * pi))

@@ -1,0 +1,96 @@
+"""Keeps what the vehicle is asked for within what it can follow: attitude and rates, the height, and a fall."""
+
+from __future__ import annotations
+
+from math import radians
+
+from cosim.base.signals import AXES, Command
+from cosim.control.autopilot.estimation.estimates import Estimates
+from cosim.control.autopilot.guidance.descent import Floor, HeightLimits, height_limits, thrust_margins
+from cosim.control.autopilot.guidance.guide import Guide
+from cosim.control.autopilot.guidance.shaper import AttitudeLimits, Shaper, angular_authority, attitude_limits
+from cosim.control.autopilot.parameters import Parameters
+from cosim.spec.vehicle import Vehicle
+
+_SHAPING = ("HJ_ATT_", "HJ_RLIM_", "HJ_STICK_LEAN", "HJ_YAW_RATE")  # parameters that the limits of attitude follow from
+_CLIMBING = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_AUTO", "HJ_DESC_AUTO")  # and those of height
+
+
+class Envelope:
+    """A :class:`Shaper` for every command, and a :class:`Floor` where the collective comes by stick or set-point.
+
+    ``hover``: the collective at which the vehicle hovers; ``idle``: thrust of an engine without throttle, as a share of
+    what full throttle adds to it; ``answer``: delay and lag [s] with which the thrust answers, about hover and the
+    longest.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        hover: float,
+        idle: float,
+        answer: tuple[float, float],
+        parameters: Parameters,
+        estimates: Estimates,
+        step: float,
+    ) -> None:
+        limits = vehicle.control.allocation
+        self._vehicle, self._hover, self._idle = vehicle, hover, idle
+        self._least, self._most = limits.throttle_min, limits.throttle_max
+        self._parameters = parameters
+        self._estimates = estimates
+        self.shaper = Shaper(self.attitude_limits(), step)
+        self.floor = Floor(hover, idle, self._least, self._most, *answer, step)
+
+    def reset(self, airborne: bool) -> None:
+        """Nothing is asked for yet."""
+        self.shaper.reset()
+        self.floor.level(self._hover if airborne else self._least)
+
+    def attitude_limits(self) -> AttitudeLimits:
+        """What the loops may be asked for with the gains of now."""
+        p = self._parameters
+        gain = [p[f"HJ_ATT_{axis.upper()}"] for axis in AXES]
+        most = [radians(p[f"HJ_RLIM_{axis.upper()}"]) for axis in AXES]
+        authority = angular_authority(self._vehicle, self._hover, self._idle, gain)
+        return attitude_limits(gain, authority, radians(p["HJ_STICK_LEAN"]), radians(p["HJ_YAW_RATE"]), most)
+
+    def height_limits(self) -> HeightLimits:
+        """What the height that is asked for may do with the gains of now."""
+        p = self._parameters
+        speed = max(p["HJ_CLIMB_AUTO"], p["HJ_DESC_AUTO"])
+        margins = thrust_margins(self._hover, self._idle, self._least, self._most)
+        return height_limits(p["HJ_ALT_P"], p["HJ_CLIMB_P"], speed, *margins)
+
+    def follow(self, name: str, guide: Guide) -> None:
+        """A parameter has changed: the limits that follow from it are others from now on."""
+        if name.startswith(_SHAPING):
+            self.shaper.limit(self.attitude_limits())
+        if name in _CLIMBING:
+            guide.limit(self.height_limits())
+
+    def shaped(self, command: Command) -> Command:
+        """The command with an attitude, or body rates, that the loops can follow."""
+        euler = self._estimates.euler
+        if command.rate is not None:
+            return command._replace(rate=self.shaper.rate(command.rate, euler))
+        return command._replace(attitude=self.shaper.attitude(command.attitude, euler))
+
+    def caught(self, collective: float, ground: float, remaining: float | None) -> float:
+        """The collective that was asked for, or what it takes not to hit the ground at the height ``ground`` [m].
+
+        ``remaining``: share of the fuel; None: the vehicle has none, or it is not known.
+        """
+        measured, fuel = self._estimates.now, self._vehicle.fuel
+        _, x, y, _ = measured.attitude
+        weight = 1.0
+        if fuel is not None and remaining is not None:
+            weight -= fuel.mass_kg * (1.0 - remaining) / self._vehicle.mass_kg
+        return self.floor.under(
+            collective,
+            measured.altitude - ground,
+            measured.velocity[2],
+            self._parameters["MPC_LAND_SPEED"],
+            1.0 - 2.0 * (x * x + y * y),
+            weight,
+        )

@@ -1,0 +1,130 @@
+"""The set-point that moves to where the vehicle is sent: bounded speed, acceleration and jerk."""
+
+from __future__ import annotations
+
+from collections import deque
+from math import ceil, copysign, hypot, sqrt
+from typing import NamedTuple
+
+from cosim.control.autopilot.geometry import Pair
+
+_LONGEST_MEAN = 10.0  # s: a set-point that answers later than this is of no use to a pilot
+_BRAKE_SHARE = 0.75  # of the acceleration is planned for braking, so that some is left to turn with
+
+
+class Track(NamedTuple):
+    """One instant of the set-point: m, m/s, m/s^2, horizontal NED."""
+
+    position: Pair
+    velocity: Pair
+    acceleration: Pair
+
+
+class Tracker:
+    """The set-point that the vehicle follows: bounded speed, acceleration and jerk, for any target at any time.
+
+    A point runs ahead, with bounded acceleration towards the target's place or velocity; the set-point is its mean
+    over ``acceleration / jerk`` seconds, which bounds the jerk and adds exactly that time (a mean of what does not
+    overshoot does not overshoot).  From rest over a distance ``d`` it takes ``d / v + v / (2 a) + v / (2 a_b) + a / j``
+    with braking at ``a_b = 0.75 a``, where ``v`` is reached.
+    """
+
+    def __init__(self, acceleration: float, jerk: float, step: float) -> None:
+        self._step = step
+        self.limit(acceleration, jerk)
+        self.start((0.0, 0.0), (0.0, 0.0))
+
+    def limit(self, acceleration: float, jerk: float) -> None:
+        """New limits, m/s^2 and m/s^3; the mean's length changes at the next start."""
+        self._a = acceleration * self._step  # m/s a step
+        self._b = _BRAKE_SHARE * self._a
+        self._count = max(1, ceil(min(acceleration / jerk, _LONGEST_MEAN) / self._step))
+
+    def start(self, position: Pair, velocity: Pair) -> None:
+        """The set-point goes on from here, at this velocity and without acceleration."""
+        dt = self._step
+        ahead = 0.5 * dt * (self._count - 1)
+        # as if the point had always flown like this: then the mean of its past is where the set-point is
+        self._p = [position[0] + ahead * velocity[0], position[1] + ahead * velocity[1]]
+        self._v = [velocity[0], velocity[1]]
+        n = self._count
+        self._window: deque[tuple[float, float, float, float]] = deque(
+            (
+                self._p[0] - dt * j * velocity[0],
+                self._p[1] - dt * j * velocity[1],
+                velocity[0],
+                velocity[1],
+            )
+            for j in range(n - 1, -1, -1)
+        )
+        self._sum = [sum(entry[i] for entry in self._window) for i in range(4)]
+        self.track = Track(position, velocity, (0.0, 0.0))
+
+    def towards(self, target: Pair, speed: float) -> Track:
+        """One step towards a place, at most at ``speed`` m/s."""
+        n, e = target[0] - self._p[0], target[1] - self._p[1]
+        distance = hypot(n, e)
+        if distance == 0.0:
+            return self._move(0.0, 0.0)
+        # the speed from which whole steps of braking end at the target
+        unit = self._b * self._step
+        share = min(speed, self._b * (sqrt(0.25 + 2.0 * distance / unit) - 0.5), distance / self._step) / distance
+        return self._move(n * share, e * share)
+
+    def at_velocity(self, velocity: Pair) -> Track:
+        """One step towards a velocity, m/s."""
+        return self._move(*velocity)
+
+    @property
+    def point(self) -> Pair:
+        """Where the point is that runs ahead of the set-point."""
+        return (self._p[0], self._p[1])
+
+    def around(self, centre: Pair, radius: float, speed: float, clockwise: bool) -> Track:
+        """One step along a circle, towards it first; ``clockwise`` as seen from above.
+
+        The speed is at most that at which half of the acceleration holds the point on the circle: v^2 / R = a / 2.
+        """
+        n, e = self._p[0] - centre[0], self._p[1] - centre[1]
+        distance = hypot(n, e)
+        n, e = (n / distance, e / distance) if distance > 0.0 else (1.0, 0.0)
+        speed = min(speed, sqrt(0.5 * self._a / self._step * radius))
+        off = radius - distance
+        # inwards or outwards no faster than a quarter of the acceleration brakes, the rest along the circle
+        across = copysign(min(speed, sqrt(0.5 * self._a / self._step * abs(off)), abs(off) / self._step), off)
+        along = sqrt(max(0.0, speed * speed - across * across)) * (1.0 if clockwise else -1.0)
+        return self._move(across * n - along * e, across * e + along * n)
+
+    @property
+    def ahead(self) -> Pair:
+        """Where the set-point would come to rest if it were stopped now."""
+        vn, ve = self._v
+        speed = hypot(vn, ve)
+        # at_velocity stops with the full acceleration
+        share = 0.5 * speed / self._a * self._step
+        return (self._p[0] + vn * share, self._p[1] + ve * share)
+
+    def _move(self, north: float, east: float) -> Track:
+        v, p, dt = self._v, self._p, self._step
+        dn, de = north - v[0], east - v[1]
+        change = hypot(dn, de)
+        if change > self._a:
+            dn, de = dn * self._a / change, de * self._a / change
+            v[0] += dn
+            v[1] += de
+        else:
+            v[0], v[1] = north, east
+        p[0] += dt * v[0]
+        p[1] += dt * v[1]
+        entry = (p[0], p[1], v[0], v[1])
+        old = self._window.popleft()
+        self._window.append(entry)
+        total, n = self._sum, len(self._window)
+        for i in range(4):
+            total[i] += entry[i] - old[i]
+        self.track = Track(
+            (total[0] / n, total[1] / n),
+            (total[2] / n, total[3] / n),
+            ((v[0] - old[2]) / (n * dt), (v[1] - old[3]) / (n * dt)),
+        )
+        return self.track

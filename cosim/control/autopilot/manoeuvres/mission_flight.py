@@ -1,0 +1,154 @@
+"""A mission as it is flown: what each item aims at, and when it is done."""
+
+from __future__ import annotations
+
+from cosim.base.errors import InputError
+from cosim.base.signals import Command
+from cosim.control.autopilot.estimation.estimates import Estimates
+from cosim.control.autopilot.failsafes import Watch
+from cosim.control.autopilot.guidance.course import ABOVE_M, REACHED_M, Course, Places
+from cosim.control.autopilot.manoeuvres.circle import Circle
+from cosim.control.autopilot.manoeuvres.homeward import Homeward
+from cosim.control.autopilot.manoeuvres.mission import Mission
+from cosim.control.autopilot.parameters import Parameters
+from cosim.control.autopilot.requests import ItemKind, MissionItem, MissionUpload, Orbit
+
+
+class MissionFlight:
+    """Flies :attr:`mission` along the course; a circle and a return are flown by those who know them."""
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        estimates: Estimates,
+        places: Places,
+        course: Course,
+        circle: Circle,
+        homeward: Homeward,
+        step: float,
+    ) -> None:
+        self.mission = Mission()
+        self._parameters = parameters
+        self._estimates = estimates
+        self._places = places
+        self._course = course
+        self._circle = circle
+        self._homeward = homeward
+        self._step = step
+        self.reset()
+
+    def reset(self) -> None:
+        """A new flight; the mission stays."""
+        self._climb_to: float | None = None  # height to reach before it leaves the place of its take-off
+        self.abort()
+
+    def abort(self) -> None:
+        """Another mode is entered, or another item begins."""
+        self._there = False  # where the item's height changes, or where it lands
+
+    def load(self, request: MissionUpload, watch: Watch) -> None:
+        """Another mission.  Raises InputError where an item is outside the fence."""
+        for index, item in enumerate(request.items):
+            if item.north is not None and item.east is not None:
+                height = item.altitude if item.altitude is not None else self._estimates.altitude
+                if item.kind is ItemKind.CIRCLE and item.radius is not None:
+                    why = self._circle.outside((item.north, item.east), item.radius, height)
+                else:
+                    why = watch.outside(item.north, item.east, height, self._places.home)
+                if why:
+                    raise InputError(f"mission item {index} refused: {why}")
+        self.mission.load(request.items)
+
+    def leave_ground(self, flown: bool) -> None:
+        """It takes off; ``flown``: for the mission, which climbs first where its item does not say so."""
+        item = self.mission.item
+        self._climb_to = None
+        if flown and item is not None and item.kind is not ItemKind.TAKEOFF:
+            height = self._places.home_altitude + self._parameters["MIS_TAKEOFF_ALT"]
+            self._climb_to = height if item.altitude is None else min(height, item.altitude)
+
+    def advance(self, flying: bool) -> None:
+        """The present item is done."""
+        self.mission.advance()
+        self.begin(flying)
+
+    def begin(self, flying: bool) -> None:
+        """Aim at the present item; items that ask for no flight are over at once."""
+        for _ in range(len(self.mission.items) + 1):
+            item = self.mission.skip_jumps()
+            if item is None or item.kind is not ItemKind.SPEED:
+                break
+            self._course.cruise = item.speed
+            self.mission.advance()
+        else:
+            item = None
+        if item is None:
+            return
+        self.abort()
+        course = self._course
+        there = (item.north, item.east) if item.north is not None and item.east is not None else None
+        if item.kind in (ItemKind.WAYPOINT, ItemKind.STAY):
+            course.aim(there, item.altitude, item.yaw)
+        elif item.kind is ItemKind.CIRCLE and there is not None and item.altitude is not None:
+            radius = item.radius or 1.0
+            self._circle.begin(Orbit(radius, item.clockwise, turns=item.turns), there, item.altitude)
+        elif item.kind is ItemKind.ALTITUDE:
+            course.aim(there, None, None)
+        elif item.kind is ItemKind.TAKEOFF:
+            height = item.altitude
+            if height is not None and flying:
+                height = max(height, course.stop_height)
+            course.aim(None if flying else self._estimates.fix.position, height, item.yaw)
+        elif item.kind is ItemKind.LAND:
+            course.aim(there, course.height, item.yaw)
+        elif item.kind is ItemKind.RETURN:
+            course.aim(None, None, None)
+            self._homeward.reset()
+
+    def fly(self, k: int) -> Command | None:
+        """The next step of the present item; None where the mission is done."""
+        item, course = self.mission.item, self._course
+        if item is None:
+            return None
+        if self._climb_to is not None:
+            if self._estimates.altitude < self._climb_to - REACHED_M:
+                return course.to(None, self._climb_to, None)
+            self._climb_to = None
+        if item.kind is ItemKind.LAND:
+            self._there = self._there or course.place is None or course.away(course.place) <= ABOVE_M
+            if self._there:
+                return course.descend(course.place)
+        elif item.kind is ItemKind.RETURN:
+            return self._homeward.fly()
+        elif item.kind is ItemKind.CIRCLE:
+            command = self._circle.fly()
+            if self._circle.complete:
+                course.aim(None, course.height, None)  # what names no place is flown from here, not at the centre
+                self.advance(flying=True)
+            return command
+        elif item.kind is ItemKind.ALTITUDE and not self._there:
+            radius = self._parameters["HJ_ACC_RADIUS"]
+            if course.place is None or course.away(course.place) <= radius:
+                self._there, course.height = True, item.altitude
+        elif self._reached(item, k):
+            self.advance(flying=True)
+        if course.height is None:
+            course.height = course.stop_height
+        return course.fly()
+
+    def _reached(self, item: MissionItem, k: int) -> bool:
+        """Is the item done?  Waiting begins when its place is reached."""
+        if item.kind is ItemKind.STAY:
+            return False
+        place = self._course.place
+        if item.kind is not ItemKind.DELAY:
+            off = 0.0 if item.altitude is None else self._estimates.altitude - item.altitude
+            if off < -REACHED_M or (off > REACHED_M and item.kind is not ItemKind.TAKEOFF):
+                return False
+            if item.kind is ItemKind.WAYPOINT and place is not None:
+                radius = item.acceptance_m or self._parameters["HJ_ACC_RADIUS"]
+                if self.mission.since < 0 and self._course.away(place) > radius:
+                    return False
+        if self.mission.since < 0:
+            self.mission.since = k
+        return (k - self.mission.since) * self._step >= item.hold_s

@@ -1,0 +1,157 @@
+"""Flown from outside: by sticks, or by the set-points of an OFFBOARD pilot."""
+
+from __future__ import annotations
+
+from math import cos, radians, sin
+
+from cosim.base.frames import to_euler
+from cosim.base.signals import Command
+from cosim.control.autopilot.estimation.estimates import Estimates
+from cosim.control.autopilot.geometry import limited
+from cosim.control.autopilot.guidance.course import Course
+from cosim.control.autopilot.modes import BY_STICK, DIRECT, Mode
+from cosim.control.autopilot.parameters import Parameters
+from cosim.control.autopilot.requests import (
+    OffboardAttitude,
+    OffboardPosition,
+    OffboardVelocity,
+    Sticks,
+    quaternion_of,
+)
+from cosim.spec.vehicle import AllocationLimits
+
+Setpoint = OffboardAttitude | OffboardVelocity | OffboardPosition
+
+# Chosen by us, with the reason.
+_LOW = 0.05  # throttle below this is "off" on the ground
+_UP = 0.6  # throttle above this asks to leave the ground
+_DEAD = 0.05  # of full stick around the centre
+_CLIMBS = 0.1  # m/s: a climb or descent that is meant
+_HIGHER_M = 0.3  # a height above this one asks to leave the ground
+_NEVER = -(10**9)  # a step long before the first
+_CENTRED = Sticks(0.0, 0.0, 0.0, 0.5)
+
+
+class Remote:
+    """The last sticks and the last set-point, how old they are, and the commands that they mean.
+
+    ``hover``: the collective of the sticks' centre; ``limits``: those of the collective.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        estimates: Estimates,
+        course: Course,
+        limits: AllocationLimits,
+        hover: float,
+        step: float,
+    ) -> None:
+        self._parameters = parameters
+        self._estimates = estimates
+        self._course = course
+        self._limits = limits
+        self._hover = hover
+        self._step = step
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing has come."""
+        self.sticks: Sticks | None = None
+        self.setpoint: Setpoint | None = None
+        self._sticks_at = self._setpoint_at = _NEVER
+
+    def take(self, request: Sticks | Setpoint, k: int) -> None:
+        """The newest counts."""
+        if isinstance(request, Sticks):
+            self.sticks, self._sticks_at = request, k
+        else:
+            self.setpoint, self._setpoint_at = request, k
+
+    def sticks_fresh(self, k: int) -> bool:
+        return (k - self._sticks_at) * self._step <= self._parameters["HJ_STICK_TIME"]
+
+    def setpoint_fresh(self, k: int) -> bool:
+        return (k - self._setpoint_at) * self._step <= self._parameters["HJ_OFFB_TIME"]
+
+    def gives_collective(self, mode: Mode) -> bool:
+        """Is the collective asked for as such, and not by height?"""
+        offboard = mode is Mode.OFFBOARD and isinstance(self.setpoint, OffboardAttitude)
+        return offboard or mode in DIRECT
+
+    def refusals(self, mode: Mode, k: int) -> list[str]:
+        """Why it may not be armed in a mode that is flown from outside."""
+        if mode is Mode.OFFBOARD and not self.setpoint_fresh(k):
+            return ["mode OFFBOARD needs set-points, and there are none"]
+        if mode in BY_STICK and not self.sticks_fresh(k):
+            return [f"mode {mode.value} needs sticks, and there are none"]
+        if mode in DIRECT and self.sticks is not None and self.sticks.throttle > _LOW:
+            return ["the throttle stick is not down"]
+        return []
+
+    def wants_up(self, mode: Mode, k: int) -> bool:
+        """Does what has come need the vehicle to leave the ground?"""
+        sticks, setpoint = self.sticks, self.setpoint
+        if mode in BY_STICK and sticks is not None and self.sticks_fresh(k):
+            return sticks.throttle > (_LOW if mode in DIRECT else _UP)
+        if mode is Mode.OFFBOARD:
+            if isinstance(setpoint, OffboardAttitude):
+                return setpoint.thrust > _LOW
+            if isinstance(setpoint, OffboardVelocity):
+                return setpoint.down < -_CLIMBS
+            if isinstance(setpoint, OffboardPosition):
+                return -setpoint.down > self._estimates.altitude + _HIGHER_M
+        return False
+
+    def fly(self, mode: Mode) -> Command:
+        """What the sticks or the set-point mean."""
+        if mode in BY_STICK:
+            return self._by_stick(self.sticks or _CENTRED, mode)
+        return self._course.fly() if self.setpoint is None else self._by_setpoint(self.setpoint)
+
+    def _by_stick(self, sticks: Sticks, mode: Mode) -> Command:
+        course, parameters = self._course, self._parameters
+        guide = course.guide
+        yaw = guide.at_turn(_dead(sticks.yaw) * radians(parameters["HJ_YAW_RATE"]))
+        most = radians(parameters["HJ_STICK_LEAN"])
+        lean = limited(sticks.roll * most, -sticks.pitch * most, most)
+        if mode in DIRECT:
+            return Command((*lean, yaw), self._estimates.altitude, None, self._collective(sticks.throttle))
+        if mode is Mode.POSCTL:
+            heading, speed = self._estimates.euler[2], course.speed
+            c, s = cos(heading), sin(heading)
+            forward, right = limited(_dead(sticks.pitch) * speed, _dead(sticks.roll) * speed, speed)
+            lean = guide.at_velocity((forward * c - right * s, forward * s + right * c))
+        climb = _dead(2.0 * sticks.throttle - 1.0)
+        rate = climb * parameters["HJ_CLIMB_AUTO" if climb > 0.0 else "HJ_DESC_AUTO"]
+        course.descending = rate < 0.0
+        return guide.command(lean, guide.at_climb(rate), yaw)
+
+    def _collective(self, throttle: float) -> float:
+        """Of a throttle stick: least at 0, hover at the centre, most at 1."""
+        low, high = self._limits.throttle_min, self._limits.throttle_max
+        if throttle < 0.5:
+            return 2.0 * throttle * (self._hover - low) + low
+        return self._hover + (2.0 * throttle - 1.0) * (high - self._hover)
+
+    def _by_setpoint(self, setpoint: Setpoint) -> Command:
+        course, parameters = self._course, self._parameters
+        guide = course.guide
+        if isinstance(setpoint, OffboardAttitude):
+            quaternion = quaternion_of(setpoint)
+            roll, pitch, yaw = self._estimates.euler if quaternion is None else to_euler(quaternion)
+            roll, pitch = limited(roll, pitch, radians(parameters["HJ_STICK_LEAN"]))
+            return Command((roll, pitch, yaw), self._estimates.altitude, setpoint.rates, setpoint.thrust)
+        if isinstance(setpoint, OffboardPosition):
+            return course.to((setpoint.north, setpoint.east), -setpoint.down, setpoint.yaw)
+        climb = min(parameters["HJ_SPEED_UP"], max(-parameters["HJ_SPEED_DN"], -setpoint.down))
+        course.descending = climb < -_CLIMBS
+        lean = guide.at_velocity(limited(setpoint.north, setpoint.east, parameters["MPC_XY_VEL_MAX"]))
+        yaw = guide.to_yaw(setpoint.yaw) if setpoint.yaw_rate is None else guide.at_turn(setpoint.yaw_rate)
+        return guide.command(lean, guide.at_climb(climb), yaw)
+
+
+def _dead(stick: float) -> float:
+    """A stick without its dead middle, still 1 at the end."""
+    size = max(0.0, abs(stick) - _DEAD) / (1.0 - _DEAD)
+    return size if stick > 0.0 else -size

@@ -1,0 +1,61 @@
+"""What there is to tell of the autopilot: its state at one instant, and lines for the people on the ground."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+from cosim.base.protocols import EngineState
+from cosim.base.signals import Measured
+from cosim.control.autopilot.estimation.estimates import Trust
+from cosim.control.autopilot.estimation.position import Fix
+from cosim.control.autopilot.geometry import Pair
+from cosim.control.autopilot.modes import Home, LandedState, Message, Mode, Severity
+from cosim.control.autopilot.requests import FenceZone, Orbit, RallyPoint
+
+_KEPT = 200  # messages
+
+
+class Status(NamedTuple):
+    """What there is to tell at one instant."""
+
+    k: int
+    mode: Mode
+    armed: bool
+    landed: LandedState
+    engines: EngineState
+    ready: bool
+    refusals: tuple[str, ...]  # why arming would be refused
+    home: Home | None
+    fix: Fix
+    target: Home | None  # where it is on its way to or stays
+    track: Pair | None  # the set-point of position on the way there, m
+    altitude: float  # asked for, m; the last one where the height is not held
+    yaw: float  # asked for, rad
+    mission_count: int
+    mission_current: int
+    mission_reached: int  # the last item that was finished, -1: none
+    mission_done: bool
+    failsafe: str  # what is being acted upon; empty: nothing
+    remaining: float | None  # share of fuel or battery, None: not known
+    sticks_fresh: bool
+    link_lost: bool
+    zones: tuple[FenceZone, ...] = ()  # of the fence that was drawn
+    rally: tuple[RallyPoint, ...] = ()
+    orbit: Orbit | None = None  # that it flies; ``target`` is its centre
+    positioned: bool = True  # fixes of the GNSS come
+    seen: Measured | None = None  # what it flies with: attitude, rates, height and climb as estimated
+    trust: Trust = Trust()
+
+
+class Messages:
+    """The last lines, numbered from 1 without gaps."""
+
+    def __init__(self) -> None:
+        self.lines: deque[Message] = deque(maxlen=_KEPT)
+        self._said = 0
+
+    def say(self, k: int, severity: Severity, text: str) -> None:
+        """One more, at step ``k``."""
+        self._said += 1
+        self.lines.append(Message(self._said, k, severity, text))

@@ -1,0 +1,109 @@
+"""Parameters that act while it flies: a change of a gain goes through ``retune``, without a bump in the command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import radians
+from typing import NamedTuple
+
+from cosim.base.protocols import Predictor
+from cosim.base.signals import AXES
+from cosim.control.altitude import AltitudeController
+from cosim.control.attitude import AttitudeController
+from cosim.control.autopilot.guidance.position_control import PositionController
+from cosim.control.autopilot.guidance.tracker import Tracker
+from cosim.control.autopilot.parameters import Parameters
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.control.rate import RateController
+from cosim.spec.vehicle import Control, PredictorTuning, RateGains
+
+CATCH_UP_STEPS = 1000  # that a predictor that comes in flight is told of: 4 s at 250 Hz, 40 delays of a jet
+
+PredictorMaker = Callable[[str, float, PredictorTuning], list[Predictor]]
+
+
+class Blocks(NamedTuple):
+    """What a change of a parameter reaches.
+
+    ``predictors`` makes the three axes' predictors for a controller's name, the delay of the roll model in samples
+    and a tuning; it raises InputError where the vehicle has no model for them.
+    """
+
+    attitude: AttitudeController
+    altitude: AltitudeController
+    rate: RateController
+    position: PositionController
+    tracker: Tracker
+    predictors: PredictorMaker
+
+
+class Live:
+    """Hands changed parameters to the control blocks."""
+
+    def __init__(self, parameters: Parameters, control: Control, blocks: Blocks, step: float) -> None:
+        self._parameters = parameters
+        self._control = control
+        self._blocks = blocks
+        self._step = step
+        blocks.rate.remember(CATCH_UP_STEPS)
+
+    def set(self, name: str, value: float) -> None:
+        """Store a value and let it act from the next step on.  Raises InputError where it is not allowed."""
+        parameters = self._parameters
+        value = parameters.check(name, value)
+        if value == parameters[name]:
+            return
+        new = dict(parameters.values) | {name: value}
+        if name.startswith("HJ_PRED_"):
+            self._predict(new)
+        elif name in _RATE_NAMES:
+            self._blocks.rate.retune(rate_gains(self._control, new))
+        elif name.startswith("HJ_ATT_") or name.startswith("HJ_RLIM_"):
+            self._aim(new)
+        elif name in ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I", "HJ_SPEED_UP", "HJ_SPEED_DN"):
+            self._climb(new)
+        elif name in ("HJ_POS_P", "HJ_VEL_P", "HJ_LEAN_MAX"):
+            lean = radians(new["HJ_LEAN_MAX"])
+            self._blocks.position.retune(new["HJ_POS_P"], new["HJ_VEL_P"], lean)
+        elif name in ("HJ_ACC_HOR", "HJ_JERK_HOR"):
+            self._blocks.tracker.limit(new["HJ_ACC_HOR"], new["HJ_JERK_HOR"])
+        parameters.set(name, value)
+
+    def _predict(self, values: Mapping[str, float]) -> None:
+        tuning = self._control.predictor
+        for spec in PREDICTORS.values():
+            tuning = spec.tuned(tuning, {each.name: values[each.mavlink] for each in spec.parameters if each.mavlink})
+        name = next(spec.name for spec in PREDICTORS.values() if spec.value == values["HJ_PRED_TYPE"])
+        made = self._blocks.predictors(name, values["HJ_PRED_DELAY"], tuning)
+        self._blocks.rate.retune(rate_gains(self._control, values), made)
+
+    def _aim(self, values: Mapping[str, float]) -> None:
+        old = self._control.attitude
+        gain = [values[f"HJ_ATT_{axis.upper()}"] for axis in AXES]
+        limit = [radians(values[f"HJ_RLIM_{axis.upper()}"]) for axis in AXES]
+        changed = {"gain_1_s": tuple(gain), "rate_limit_rad_s": tuple(limit)}
+        self._blocks.attitude.retune(old.model_copy(update=changed), self._step)
+
+    def _climb(self, values: Mapping[str, float]) -> None:
+        self._blocks.altitude.retune(
+            self._control.altitude.model_copy(
+                update={
+                    "position_1_s": values["HJ_ALT_P"],
+                    "velocity_1_s": values["HJ_CLIMB_P"],
+                    "integral_1_s2": values["HJ_CLIMB_I"],
+                    "climb_limit_m_s": values["HJ_SPEED_UP"],
+                    "descent_limit_m_s": values["HJ_SPEED_DN"],
+                }
+            )
+        )
+
+
+_RATE_NAMES = frozenset(f"HJ_{axis.upper()}_{term}" for axis in AXES for term in "PID")
+
+
+def rate_gains(control: Control, values: Mapping[str, float]) -> list[RateGains]:
+    """The three rate laws with the gains of ``values``."""
+    return [
+        law.model_copy(update={term: values[f"HJ_{axis.upper()}_{term.upper()}"] for term in "pid"})
+        for axis, law in zip(AXES, (control.rate.roll, control.rate.pitch, control.rate.yaw), strict=True)
+    ]
