@@ -356,7 +356,7 @@ def test_gains_and_predictor_change_in_hover_without_a_bump() -> None:
 
         def jumps(samples: list[Sample]) -> list[float]:
             pairs = itertools.pairwise(samples)
-            return [max(abs(b - a) for a, b in zip(p.torque_command, q.torque_command, strict=True)) for p, q in pairs]
+            return [max(abs(b - a) for a, b in zip(p.control.torque, q.control.torque, strict=True)) for p, q in pairs]
 
         usual = max(jumps(flight.samples[quiet:]))
         for name, value in (
