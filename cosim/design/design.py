@@ -66,6 +66,7 @@ from cosim.spec.vehicle import (
 
 AXES = ("roll", "pitch", "yaw", "altitude")
 SWING = 0.005  # of the throttle, around hover: what an engine's limits on its acceleration do not see
+ABOVE_REST = 2.0  # times the thrust's own movement at rest, where a mapping file states one
 MISFIT = 0.005  # of one lag and a delay, above which more is fitted
 GAINS = 7  # in the grid of the tolerance
 BISECTIONS = 5
@@ -363,7 +364,10 @@ def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scen
 def _identify(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, amplitude: float | None) -> Identification:
     """The engine's response around hover."""
     throttle = throttle_for(spec, vehicle)
-    amplitude = min(SWING, 0.4 * min(throttle, 1.0 - throttle)) if amplitude is None else amplitude
+    if amplitude is None:
+        # an engine that never stands still has to be moved by more than it moves by itself
+        own = ABOVE_REST * spec.archive.starting.rest_n / (spec.curve.thrust[-1] - spec.curve.thrust[0])
+        amplitude = min(max(SWING, own), 0.4 * min(throttle, 1.0 - throttle))
     return identify_engine(
         scenario.engine, scenario.engine_parameters, step=scenario.step_s, throttle=throttle, amplitude=amplitude
     )

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foreign_engines import foreign
+from foreign_engines import foreign, mapped
 
 from cosim.design import design as making
 from cosim.design import prove as proving
@@ -21,6 +21,7 @@ from cosim.design.identify.response import FrequencyResponse
 from cosim.design.prove import CORNER, fault_of, prove, proved
 from cosim.design.result import summary_lines, to_dict
 from cosim.design.tune import Requirements
+from cosim.engine import load_engine
 
 STEP = 0.004
 
@@ -71,6 +72,17 @@ def test_a_zero_in_the_right_half_plane_is_found_as_one() -> None:
     assert found.lag_s == pytest.approx(0.3 + 0.03 + 0.35, rel=1e-3)  # the zero is late at low frequency
     other = fit_dynamics(response(0.1), 5.0, 0.3)
     assert all(z.real < 0.0 for z in other.zeros)
+
+
+def test_an_engine_that_trembles_is_swept_by_more_than_it_moves_itself(place: Path) -> None:
+    """Noise of 0.25 % of full thrust, 0.1 s of lag: half a per cent of throttle would drown in it."""
+    path = mapped(foreign(place, "noisy", "lag=0.1,delay=0.04,noise=0.0025"), "[rest]", "thrust = 0.5")
+    scenario, vehicle = making._scenario(str(path), "hexjet", ["engine_unchecked=true"])
+    spec = load_engine(str(path), {}, STEP, unchecked=True)
+    found = making._identify(scenario, vehicle, spec, None)
+    assert found.sweep.amplitude == pytest.approx(2.0 * 0.5 / 20.0, rel=0.01)
+    dynamics = making._dynamics(found)
+    assert dynamics.lag_s + dynamics.delay_samples * STEP == pytest.approx(0.14, rel=0.05)
 
 
 def test_a_misfit_is_no_design(monkeypatch: pytest.MonkeyPatch, sound: Design) -> None:
