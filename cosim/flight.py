@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.protocols import Observer
@@ -26,6 +27,7 @@ from cosim.results.run import (
     REPORT,
     DelayRow,
     Integration,
+    OwnController,
     Recording,
     Run,
     Setup,
@@ -35,10 +37,13 @@ from cosim.results.run import (
     versions,
 )
 from cosim.simulation.build import build
+from cosim.simulation.controllers.source import OBJECT, Source, of_object
+from cosim.simulation.controllers.source import names as own_controllers
 from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
+from cosim.spec.controller_name import file_name, label, seen_from
 from cosim.spec.scenario import (
     Expectation,
     Scenario,
@@ -56,9 +61,10 @@ from cosim.vehicle.airframe import (
 
 
 def fly(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     out: Path | str | None = None,
     *,
+    controller: Any = None,
     observers: Sequence[Observer] = (),
     realtime_factor: float | None = None,
     report: bool = True,
@@ -71,10 +77,13 @@ def fly(
 
     Parameters
     ----------
-    scenario : Scenario
-        Who flies, what is asked of it and what disturbs it.
+    scenario : Scenario or str or Path
+        Who flies, what is asked of it and what disturbs it; or its name, or the path of its file.
     out : Path or str or None
         The run's folder, made if need be; without it the log stays in memory.
+    controller : str or object or None
+        In place of the scenario's: a name as ``hexjet fly --controller`` takes it, or a class or an object of one's
+        own, see docs/own-controller.md.
     observers : sequence of Observer
         They see every step.
     realtime_factor : float or None
@@ -97,8 +106,16 @@ def fly(
     InputError
         If the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
     """
+    if not isinstance(scenario, Scenario):
+        scenario = Scenario.load(scenario)
+    own = None
+    if isinstance(controller, str):
+        scenario = scenario.replace(controller=seen_from(controller, Path()))
+    elif controller is not None:
+        own = of_object(controller)
+        scenario = scenario.replace(controller=own.name)
     check_expected(scenario)
-    with build(scenario) as simulation:
+    with build(scenario, own) as simulation:
         replay = pilot = None
         if scenario.requests is not None:
             pilot = with_autopilot(simulation, not scenario.initial.on_ground)
@@ -174,9 +191,15 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
             files[name] = source
             table["file"] = name
         commands.append(table)
+    own = simulation.own
+    controller: dict[str, Any] = {}
+    if own is not None:
+        controller = {"controller": copied_controller(own, files), "controller_sha256": own.sha256}
+        controller["controller_parameters"] = own.values(scenario.controller_parameters, "controller_parameters")
     engine = simulation.engine
     names = engine_files([engine, *simulation.stations], files)
     data = scenario.model_dump(mode="json", exclude_none=True) | {
+        **controller,
         "command": commands,
         "engine": names[id(engine)],
         "engine_parameters": dict(engine.parameters),
@@ -190,6 +213,25 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
     if scenario.requests is not None:
         data["requests"] = REQUESTS
     return Scenario.from_table(data, scenario.folder, f"scenario {scenario.name}"), files
+
+
+def copied_controller(own: Source, files: dict[str, Path | bytes]) -> str:
+    """What a controller is called beside a resolved scenario; what it is made of is added to ``files``.
+
+    Raises InputError where another file has the name of one that it imports.
+    """
+    named = file_name(own.name)
+    if named is None or not own.copied:
+        return own.name
+    first, *others = own.files.items()
+    name, number = first[0], len(files)
+    while name in files and files[name] != first[1]:
+        name, number = f"{number}-{first[0]}", number + 1
+    files[name] = first[1]
+    for each, path in others:
+        if files.setdefault(each, path) != path:
+            raise InputError(f"controller {own.label}: imports {each}, and another file has this name already")
+    return named._replace(file=name).text
 
 
 def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) -> dict[int, str]:
@@ -238,7 +280,8 @@ def _setup(simulation: Simulation) -> Setup:
         description=scenario.description,
         aircraft=scenario.aircraft,
         engine=engine.name,
-        controller=scenario.controller,
+        controller=label(scenario.controller),
+        own_controller=_own_controller(simulation),
         seed=scenario.seed,
         step_s=scenario.step_s,
         integration=integration(scenario),
@@ -256,7 +299,24 @@ def _setup(simulation: Simulation) -> Setup:
             simulation.vehicle.model: simulation.airframe.file_sha256,
             f"{simulation.vehicle.model} as flown": simulation.airframe.sha256,
             **_engine_hashes([engine, *simulation.stations]),
+            **(simulation.own.hashes if simulation.own is not None else {}),
         },
+    )
+
+
+def _own_controller(simulation: Simulation) -> OwnController | None:
+    own, scenario = simulation.own, simulation.scenario
+    if own is None:
+        return None
+    named = file_name(own.name)
+    return OwnController(
+        name=own.name if named is None else named.seen_from(scenario.folder).text,
+        level=own.level,
+        sha256=own.sha256,
+        files=own.hashes,
+        version=own.version,
+        parameters=own.values(scenario.controller_parameters, "controller_parameters"),
+        again=not own.name.startswith(OBJECT),
     )
 
 
@@ -311,7 +371,7 @@ def check_expected(scenario: Scenario) -> None:
     for index, entry in enumerate(scenario.expect):
         where = f"scenario {scenario.name}: expect.{index}"
         known = (
-            ("controller", [entry.controller], list(PREDICTORS)),
+            ("controller", [entry.controller], _controllers_like(entry.controller)),
             ("aircraft", [entry.aircraft], aircraft_names()),
             ("metrics", list(entry.metrics), metric_names()),
         )
@@ -323,6 +383,13 @@ def check_expected(scenario: Scenario) -> None:
             plain = entry.engine.removesuffix("-fmi2")
             if plain not in engine_names():
                 raise InputError(f"{where}.engine: unknown {entry.engine!r}; {nearest(plain, engine_names())}")
+
+
+def _controllers_like(controller: str) -> list[str]:
+    """The names of ours, and this one where it is named as one from outside is."""
+    if controller in PREDICTORS or ":" in controller or file_name(controller):
+        return [*PREDICTORS, controller]
+    return [*PREDICTORS, *(name for name, _ in own_controllers())]
 
 
 def expectation(scenario: Scenario) -> Expectation | None:

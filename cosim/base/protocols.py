@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from enum import Enum
+from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 from cosim.base.signals import (
@@ -221,6 +222,112 @@ class Predictor(Protocol):
         -------
         float
             The rate [rad/s] that the rate controller sees.
+        """
+
+
+class Parameter(NamedTuple):
+    """One number of a controller of one's own that scenarios, ``--set``, studies and searches reach by its name.
+
+    It is ``controller_parameters.<name>`` there, and ``default`` where nobody states it.
+    """
+
+    name: str  # letters, digits and _
+    default: float
+    unit: str = ""
+    meaning: str = ""
+    least: float = -inf
+    most: float = inf
+
+
+class Applied(NamedTuple):
+    """What became of the step before: what the actuators were given, and what the engines report of it."""
+
+    throttle: PerJet  # 0 to 1; before the first step those at which the engines stand
+    tilt: tuple[float, float]  # rad, left and right servo, kept within the servos' range
+    engines: EngineOutput  # reported at its end
+    burnt: float  # kg of fuel, counted from a full tank
+
+
+class RateLoop(Protocol):
+    """A rate loop of one's own, ``level = "rate"``: between our attitude loop and our allocation.
+
+    As every block from outside it may have ``prepare(belief)``, called once before the first reset, ``parameters`` and,
+    as :class:`Shows` says, ``columns`` and ``shown``; see docs/own-controller.md.
+    """
+
+    def reset(self) -> None:
+        """At rest, nothing applied."""
+
+    def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
+        """What to turn with over a step, once a step.
+
+        Parameters
+        ----------
+        setpoint : Vector3
+            Body rates asked for [rad/s].
+        measured : Vector3
+            Body rates at ``t_k`` [rad/s].
+        applied : Vector3
+            Last step's answer, less what could not be given of it.
+
+        Returns
+        -------
+        Vector3
+            About roll in throttle, about pitch and yaw in rad of tilt.
+        """
+
+
+class AttitudeLoop(Protocol):
+    """An attitude loop of one's own, ``level = "attitude"``: above our rate loop, which is fed by the predictor that
+    its attribute ``predictor`` names.  What else it may have: see :class:`RateLoop`.
+    """
+
+    def reset(self) -> None:
+        """At rest."""
+
+    def update(self, command: Command, measured: Measured) -> Vector3:
+        """The body rates to ask for over a step; not called while the command is a rate itself.
+
+        Parameters
+        ----------
+        command : Command
+            Its ``attitude`` is asked for.
+        measured : Measured
+            What is seen at ``t_k``.
+
+        Returns
+        -------
+        Vector3
+            Body rates [rad/s].
+        """
+
+
+class WholeController(Protocol):
+    """A whole controller of one's own, ``level = "controller"``.  What else it may have: see :class:`RateLoop`.
+
+    It may have ``signals: ControlSignals`` too, for the log's columns of a cascade.
+    """
+
+    def reset(self) -> None:
+        """At rest; the engines hold the vehicle up, or idle where it stands on the ground."""
+
+    def update(self, command: Command, measured: Measured, applied: Applied) -> Any:
+        """What the actuators are to do over a step, once a step.
+
+        Parameters
+        ----------
+        command : Command
+            What is asked for.
+        measured : Measured
+            What is seen at ``t_k``.
+        applied : Applied
+            What became of the step before.
+
+        Returns
+        -------
+        Actuation or tuple
+            An :class:`Actuation`, or throttles, 0 to 1 per jet, and tilts [rad] of the left and the right servo,
+            which a vehicle without servos leaves out.
         """
 
 

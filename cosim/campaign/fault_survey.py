@@ -19,7 +19,7 @@ from cosim.base.files import write_records
 from cosim.base.signals import AXES
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
-from cosim.control.predictors.registry import PREDICTORS
+from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.results.metrics import wrap
 from cosim.results.report.marks import table, write_marks
 from cosim.results.report.page import render
@@ -189,8 +189,9 @@ def survival(
         for start in STARTS
         for controller in controllers
     ]
-    with build(flights[0][3]) as simulation:
-        # wrong input is found here, before anything is spent on it
+    for _, _, _, scenario in flights[: len(controllers)]:
+        build(scenario).close()  # wrong input is found here, before anything is spent on it
+    with build(flights[0][3].replace(controller=BASELINE.name)) as simulation:
         hover, idle = simulation.cascade.allocator.hover, simulation.cascade.thrust_map.idle
         moments = _moments(vehicle, simulation.stations[0].delay)
     rows: list[Row] = []
@@ -403,9 +404,14 @@ def _cell_text(cell: Cell) -> str:
     return f"{cell.held} of {cell.flown}{airborne}; {cell.lean_deg:.0f}°, {cell.lost_m:.1f} m"
 
 
+def _predicts(controller: str) -> bool:
+    """Whether it knows of the engines' delay; of one from outside that is taken for granted."""
+    return controller not in PREDICTORS or PREDICTORS[controller].needs_model
+
+
 def _predicting(controllers: Sequence[str], cells: Sequence[Cell]) -> Sequence[Cell]:
     """The cells of the controllers that predict; all where none does."""
-    return [cell for name, cell in zip(controllers, cells, strict=True) if PREDICTORS[name].needs_model] or cells
+    return [cell for name, cell in zip(controllers, cells, strict=True) if _predicts(name)] or cells
 
 
 def _times(cells: Sequence[Cell]) -> str:

@@ -16,12 +16,14 @@ from cosim.base.files import replacing
 from cosim.base.toml import read_toml
 from cosim.campaign.study.distributions import Vary
 from cosim.campaign.study.keys import with_values
-from cosim.campaign.study.study import Study, is_path
+from cosim.campaign.study.study import Study
 from cosim.control.predictors.registry import BASELINE
 from cosim.engine import EngineSpec, load_engine
-from cosim.flight import engine_files, resolve
+from cosim.flight import copied_controller, engine_files, resolve
 from cosim.simulation.build import build
+from cosim.simulation.controllers.source import find
 from cosim.simulation.step import Simulation
+from cosim.spec.controller_name import file_name, is_design
 from cosim.spec.scenario import Scenario, is_file
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
@@ -69,8 +71,11 @@ def freeze(study: Study) -> Frozen:
     with build(with_values(base, {"controller": BASELINE.name})) as simulation:
         resolved, sources = resolve(simulation)
         scenario = _scenario(study, resolved, simulation, sources)
+    controllers = [_controller(name, study.folder, sources) for name in study.controllers]
+    if not study.controllers:
+        scenario["controller"] = _controller(base.controller, base.folder, sources)
     renamed = study.resolved(Path(SCENARIO)).changed(
-        controllers=[_copied(Path(name), sources) if is_path(name) else name for name in study.controllers],
+        controllers=controllers,
         vary=[vary.model_copy(update={"values": _values(base, vary, sources)}) for vary in study.vary],
     )
     own = next((name for name in sources if name in OWN), None)
@@ -98,7 +103,10 @@ def _scenario(
 ) -> dict[str, Any]:
     """The resolved scenario as a table; what belongs to an aircraft or an engine that is varied stays as it was."""
     base = study.base()
-    data = resolved.model_dump(mode="json", exclude_none=True) | {"controller": base.controller}
+    data = resolved.model_dump(mode="json", exclude_none=True) | {
+        "controller": base.controller if file_name(base.controller) is None else BASELINE.name,
+        "controller_parameters": base.controller_parameters,
+    }
     swapped = {vary.key.split(".")[-1] for vary in study.vary} & {"aircraft", "engine"}
     if swapped:
         names = engine_files([simulation.engine, *simulation.stations], sources)
@@ -127,6 +135,14 @@ def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> lis
             value = engine_files([spec], sources)[id(spec)]
         found.append(value)
     return found
+
+
+def _controller(name: str, folder: Path, sources: dict[str, Path | bytes]) -> str:
+    """What a controller is called in the folder, where its files are put."""
+    if is_design(name):
+        return _copied(folder / name, sources)
+    own = find(name, folder, f"unknown controller {name!r}")
+    return name if own is None else copied_controller(own, sources)
 
 
 def _copied(source: Path, sources: dict[str, Path | bytes]) -> str:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @click.option("--repeats", type=click.IntRange(min=1), metavar="N", help="Fly a whole grid more than once.")
 @click.option("--design", metavar="NAME", help="grid, latin-hypercube, random or sobol.")
 @click.option(
-    "controllers", "--controller", metavar="NAME|FILE.toml", multiple=True, help="Each draw is flown with every one."
+    "controllers", "--controller", metavar="NAME|FILE", multiple=True, help="Each draw is flown with every one."
 )
 @click.option("--correlate", metavar="KEY,KEY=R", multiple=True, help="Rank correlation of what is drawn for two keys.")
 @click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
@@ -116,7 +116,7 @@ def _list_keys(name: str, settings: tuple[str, ...], pattern: str, as_json: bool
     "several, each alone and then all together.",
 )
 @click.option("--over", metavar="KEY=LO:HI:N", help="A curve: search at each of these values of a second key.")
-@click.option("controllers", "--controller", metavar="NAME|FILE.toml", multiple=True, help="Each is searched.")
+@click.option("controllers", "--controller", metavar="NAME|FILE", multiple=True, help="Each is searched.")
 @click.option(
     "--tolerance", metavar="[KEY=]X", multiple=True, help="How near the edge is to be known.  [(HI - LO) / 200]"
 )

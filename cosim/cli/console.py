@@ -56,4 +56,4 @@ def terminal() -> Any:
     from rich.console import Console
 
     # in a pipe there is no width to fit
-    return Console() if sys.stdout.isatty() else Console(width=_PIPE_WIDTH)
+    return Console(emoji=False) if sys.stdout.isatty() else Console(width=_PIPE_WIDTH, emoji=False)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.option(
     "controllers",
     "--controller",
-    metavar="NAME",
+    metavar="NAME|FILE",
     multiple=True,
     help="[default: those with a model]",
 )
@@ -82,6 +82,7 @@ def faults(
     )
     from cosim.flight import new_folder
     from cosim.results.report.marks import check_marks
+    from cosim.spec.controller_name import seen_from
 
     if engine_out:
         own = ("aircraft", "engine", "engine_out", "designs", "docs", "workers", "out", "as_json")
@@ -100,7 +101,8 @@ def faults(
         check_marks(page, PARTS)
 
     with part_progress("faults", quiet=as_json) as say:
-        found = survival(aircraft, engine, controllers, kinds, workers, say, limits or page is not None)
+        named = [seen_from(each, Path()) for each in controllers]
+        found = survival(aircraft, engine, named, kinds, workers, say, limits or page is not None)
     paths = write(found, out if out is not None else new_folder(Path("runs"), f"faults-{aircraft}"))
     if page is not None:
         write_page(found, page)

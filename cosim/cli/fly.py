@@ -36,8 +36,9 @@ if TYPE_CHECKING:
 @click.argument("scenario")
 @click.option(
     "--controller",
-    metavar="NAME|FILE.toml",
-    help="Overrides the scenario's; see: hexjet list controllers. Or a file that hexjet design wrote, with all gains.",
+    metavar="NAME|FILE",
+    help="Overrides the scenario's; see: hexjet list controllers. Or a file that hexjet design wrote, with all gains; "
+    "or one of yours: FILE.py:Class, package.module:Class.",
 )
 @click.option(
     "--aircraft",
@@ -117,6 +118,7 @@ def fly(
     from cosim.flight import fly as fly_scenario
     from cosim.flight import new_folder
     from cosim.results.run import finish_killed
+    from cosim.spec.controller_name import folder_name
 
     if realtime and rtf is not None:
         raise InputError("--realtime and --rtf: give one of them")
@@ -132,7 +134,7 @@ def fly(
         for text in differences(flown, Path(controller)):
             click.echo(f"hexjet: warning: {controller}: {text}", err=True)
     warn_of_blemishes(flown.engine, *(s.engine for s in flown.stations.values() if s.engine), folder=flown.folder)
-    folder = out if out is not None else new_folder(Path("runs"), f"{flown.name}-{flown.controller}")
+    folder = out if out is not None else new_folder(Path("runs"), f"{flown.name}-{folder_name(flown.controller)}")
     with output_to_stderr(as_json), flight_progress(flown, quiet=as_json) as observers:
         if links:
             from cosim.groundstation.links import Links

@@ -102,6 +102,7 @@ def load_scenario(
     aircraft: str | None = None,
 ) -> Any:
     """The scenario with the command line's choices written over it."""
+    from cosim.spec.controller_name import seen_from
     from cosim.spec.scenario import Scenario
 
     designed = Path(controller) if controller is not None and controller.lower().endswith(".toml") else None
@@ -117,7 +118,10 @@ def load_scenario(
 
         changes |= {"aircraft": aircraft, "engine": load_vehicle(aircraft)[0].engine or scenario.engine}
     if controller is not None:
-        changes["controller"] = controller
+        # a file on the command line is meant from here, one in the scenario from the scenario's folder
+        changes["controller"] = seen_from(controller, Path())
+        if any(text.strip().startswith("controller_parameters") for text in settings):
+            changes["controller_parameters"] = scenario.controller_parameters
     chosen = engine_choices(engines)
     if "engine" in chosen and scenario.stations:
         scenario = scenario.model_copy(update={"stations": {}, "expect": []})  # one for all

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import nan
-from typing import Final, cast
+from typing import Final, Protocol, cast
 
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Allocator, Column, Diagnostics, EngineState, Predictor, Shows, columns_of
@@ -12,6 +12,7 @@ from cosim.base.signals import (
     ALL_WELL,
     AXES,
     NO_JETS,
+    UNKNOWN3,
     ZERO3,
     Actuation,
     Command,
@@ -38,12 +39,32 @@ _LONGEST_START: Final = 10.0
 _FLY: Final = EngineState.FLY
 
 
+class OwnRate(Protocol):
+    """A rate loop of the user's in place of ours."""
+
+    predicted: Vector3
+
+    def reset(self) -> None: ...
+
+    def update(self, setpoint: Vector3, measured: Vector3, unallocated: Unallocated) -> Vector3: ...
+
+    def tell(self, added: Vector3) -> None: ...
+
+
+class OwnAttitude(Protocol):
+    """An attitude loop of the user's in place of ours."""
+
+    def reset(self) -> None: ...
+
+    def update(self, command: Command, measured: Measured) -> Vector3: ...
+
+
 class Cascade:
     """The built-in :class:`cosim.base.protocols.Controller`: the paper's cascade.
 
     The parts are its own to run and anybody's to look at; who tunes them in flight does so through their ``retune``.
     ``added_delay``: of the roll command, steps; ``opposites``: for every jet, from 0, the one that is to be shut off
-    with it, none where empty.
+    with it, none where empty.  ``own_attitude`` and ``own_rate`` fly in place of the loop that they are named after.
     """
 
     def __init__(
@@ -59,7 +80,10 @@ class Cascade:
         added_delay: int,
         opposites: Sequence[int],
         step: float,
+        own_attitude: OwnAttitude | None = None,
+        own_rate: OwnRate | None = None,
     ) -> None:
+        self.own_attitude, self.own_rate = own_attitude, own_rate
         self.attitude, self.rate, self.altitude = attitude, rate, altitude
         self.allocator, self.thrust_map = allocator, thrust_map
         self.monitor, self.schedule = monitor, schedule
@@ -85,7 +109,7 @@ class Cascade:
         """At rest; the throttles of the start.  See :class:`cosim.base.protocols.Controller`."""
         self._forget(burnt)
         told = [(axis, each, columns_of(each)) for axis, each in zip(AXES, self.rate.predictors, strict=True)]
-        self._shows = [entry for entry in told if entry[2]]
+        self._shows = [] if self.own_rate is not None else [entry for entry in told if entry[2]]
         self.allocator.reset()
         self._reset_loops()
         hover = self.allocator.hover
@@ -103,20 +127,32 @@ class Cascade:
         self.altitude.reset()
         self.rate.reset()
         self._added_delay.reset()
+        if self.own_attitude is not None:
+            self.own_attitude.reset()
+        if self.own_rate is not None:
+            self.own_rate.reset()
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
         """Throttles and tilts of one step."""
         if engines is not _FLY or self._idles:
             self._switch(engines)
-        rate_setpoint = self.attitude.update(command, measured)
+        own_attitude, own_rate = self.own_attitude, self.own_rate
+        if own_attitude is None or command.rate is not None:
+            rate_setpoint = self.attitude.update(command, measured)
+        else:
+            rate_setpoint = own_attitude.update(command, measured)
         if self._idles:
             return self._idle(rate_setpoint)
-        torque = self.rate.update(rate_setpoint, measured.rate, self._unallocated)
+        if own_rate is None:
+            torque = self.rate.update(rate_setpoint, measured.rate, self._unallocated)
+        else:
+            torque = own_rate.update(rate_setpoint, measured.rate, self._unallocated)
         collective = self.altitude.update(command, measured, self._unallocated, self._burnt)
         given = self.allocator.allocate(collective, self._injected(torque, injected), injected.torque_command)
         self._unallocated = given.unallocated
         share = collective - given.unallocated.collective
-        self.signals = ControlSignals(rate_setpoint, self.rate.predicted, torque, collective, share)
+        predicted = self.rate.predicted if own_rate is None else own_rate.predicted
+        self.signals = ControlSignals(rate_setpoint, predicted, torque, collective, share)
         return self._actuated(given, share)
 
     def _switch(self, engines: EngineState) -> None:
@@ -141,7 +177,10 @@ class Cascade:
         if added != ZERO3:
             roll, pitch, yaw = roll + added[0], pitch + added[1], yaw + added[2]
         if injected.torque_seen != ZERO3:
-            self.rate.tell(injected.torque_seen)
+            if self.own_rate is not None:
+                self.own_rate.tell(injected.torque_seen)
+            else:
+                self.rate.tell(injected.torque_seen)
         return (self._added_delay.update(roll), pitch, yaw)
 
     def _actuated(self, given: Actuation, share: float) -> Actuation:
@@ -213,14 +252,16 @@ class Cascade:
 
     @property
     def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
-        """As :attr:`RateController.diagnostics`."""
-        return self.rate.diagnostics
+        """As :attr:`RateController.diagnostics`; NaN under a rate loop of the user's."""
+        return self.rate.diagnostics if self.own_rate is None else (UNKNOWN3, UNKNOWN3, UNKNOWN3)
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """What the predictors show of their own, each with its axis before the name: see :class:`Shows`."""
+        """What predictors show of their own, each with its axis before the name, and own loops: see :class:`Shows`."""
+        own = [*columns_of(self.own_attitude), *columns_of(self.own_rate)]
         return tuple(
             [column._replace(name=f"{axis}_{column.name}") for axis, _, columns in self._shows for column in columns]
+            + own
         )
 
     @property
@@ -230,4 +271,7 @@ class Cascade:
         for axis, predictor, columns in self._shows:
             there = self.rate.predictors[AXES.index(axis)] is predictor
             answer += cast(Shows, predictor).shown if there else (nan,) * len(columns)
+        for block in (self.own_attitude, self.own_rate):
+            if columns_of(block):
+                answer += cast(Shows, block).shown
         return tuple(answer)

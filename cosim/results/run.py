@@ -117,6 +117,19 @@ class Integration(Record):
         return ", ".join([*air, f"attitude {self.attitude}", f"position {self.position}"])
 
 
+class OwnController(Record):
+    """A controller from outside, as it flew."""
+
+    name: str
+    level: str  # predictor, rate, attitude or controller
+    sha256: str  # of its files, the one that it is where there is one; as in controller_sha256 of the scenario
+    files: dict[str, str]  # SHA-256 by name
+    version: str = ""  # of the package that it is in
+    parameters: dict[str, float]
+    again: bool = True  # False: an object of a program, which no file can make again
+    repeatable: bool | None = None  # asked again with the same inputs it answered the same; None: not asked
+
+
 class Setup(BaseModel):
     """What is known of a run before its first step."""
 
@@ -128,6 +141,7 @@ class Setup(BaseModel):
     aircraft: str
     engine: str
     controller: str
+    own_controller: OwnController | None = None  # None: a built-in one
     seed: int
     step_s: float
     integration: Integration | None = None  # None: of a run from before it was written down

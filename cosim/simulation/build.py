@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from math import hypot, inf
 from pathlib import Path
+from typing import Any
 
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import InputError
+from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Predictor
 from cosim.base.signals import AXES
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
@@ -17,6 +18,7 @@ from cosim.control.allocation.reallocation import get_ready
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
+from cosim.control.belief import Belief
 from cosim.control.cascade import Cascade
 from cosim.control.lead import Lead
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
@@ -32,6 +34,15 @@ from cosim.engine import (
 )
 from cosim.engine.wrappers import EngineChain
 from cosim.simulation.commander import Commander
+from cosim.simulation.controllers.deadline import Deadline
+from cosim.simulation.controllers.guard import (
+    GuardedAttitude,
+    GuardedController,
+    GuardedPredictor,
+    GuardedRate,
+    Named,
+)
+from cosim.simulation.controllers.source import Source, find
 from cosim.simulation.delay_ledger import delay_ledger
 from cosim.simulation.disturber import Disturber
 from cosim.simulation.ending import Judge
@@ -40,8 +51,8 @@ from cosim.simulation.fault_schedule import SERVOS, FaultSchedule
 from cosim.simulation.mismatch import as_flown, engines_as_flown
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_places import PlacePilot, flies_to_places
-from cosim.spec.scenario import Scenario, Station, is_file
-from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.spec.scenario import Scenario, Station, TorqueCommandDisturbance, is_file
+from cosim.spec.vehicle import RateModel, Vehicle, load_vehicle
 from cosim.vehicle.airframe import Airframe, start_height
 from cosim.vehicle.atmosphere import standard_air
 from cosim.vehicle.banks import Banks
@@ -54,12 +65,14 @@ from cosim.vehicle.servo import TiltServo
 from cosim.vehicle.tank import Tank
 
 
-def build(scenario: Scenario) -> Simulation:
-    """Wire a flight.
+def build(scenario: Scenario, own: Source | None = None) -> Simulation:
+    """Wire a flight; ``own`` is a controller that a program hands over, else the scenario's is found by its name.
 
     Raises InputError for anything in the scenario, the vehicle, the engine or the controller that does not fit.
     """
-    PREDICTORS.find(scenario.controller, f"unknown controller {scenario.controller!r}")
+    if own is None:
+        own = find_controller(scenario)
+    told = own_parameters(scenario, own)
     scenario.count(scenario.duration_s, "duration_s")
     vehicle, folder = load_vehicle(scenario.aircraft, scenario.vehicle, f"scenario {scenario.name}: vehicle")
     _need_tank(scenario, vehicle)
@@ -69,8 +82,10 @@ def build(scenario: Scenario) -> Simulation:
     step, initial = scenario.step_s, scenario.initial
     flown = as_flown(vehicle, scenario.mismatch)
     spools = Spools(flown.jets, stations, step)
-    controller = _cascade(scenario, vehicle, engine, stations)
     with ExitStack() as made:
+        plugged = None if own is None else _Plugged(own, told, scenario, vehicle, engine, stations)
+        end = made.callback(plugged.close) if plugged is not None else None
+        controller = _cascade(scenario, vehicle, engine, stations, plugged)
         airframe = Airframe(flown, folder, scenario.environment, step, scenario.substeps, scenario.seed, spools.any)
         made.callback(airframe.close)
         apart = scenario.engine_isolated or any(spec.isolated for spec in stations)
@@ -108,12 +123,14 @@ def build(scenario: Scenario) -> Simulation:
             if flies_to_places(scenario)
             else None,
             Disturber(scenario),
-            controller,
+            controller if plugged is None or plugged.whole is None else plugged.whole,
             propulsion,
             airframe,
             sensors,
             FaultSchedule(scenario, engines, servos, sensors, laws),
             Judge(vehicle.limits),
+            own,
+            end,
         )
         made.pop_all()
         return simulation
@@ -160,13 +177,135 @@ def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
     return [engine, *(engine if station is None else at(station) for station in stations)]
 
 
-def _cascade(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, stations: Sequence[EngineSpec]) -> Cascade:
-    step = scenario.step_s
-    gains = vehicle.control
+def find_controller(scenario: Scenario) -> Source | None:
+    """The scenario's controller where it is from outside.  Raises InputError for an unknown one, or another file."""
+    found = find(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
+    if found is not None:
+        found.expect(scenario.controller_sha256, f"scenario {scenario.name}")
+    return found
+
+
+def own_parameters(scenario: Scenario, own: Source | None) -> dict[str, float]:
+    """The values of a controller's own parameters.  Raises InputError where the scenario states others."""
+    where = f"scenario {scenario.name}: controller_parameters"
+    if own is not None:
+        return own.values(scenario.controller_parameters, where)
+    for name in scenario.controller_parameters:
+        raise InputError(
+            f"{where}.{name}: controller {scenario.controller} has none of its own; it is tuned under vehicle.control"
+        )
+    return {}
+
+
+class _Plugged:
+    """A controller from outside, made and told what it may believe, in the place of its level."""
+
+    def __init__(
+        self,
+        own: Source,
+        parameters: dict[str, float],
+        scenario: Scenario,
+        vehicle: Vehicle,
+        engine: EngineSpec,
+        stations: Sequence[EngineSpec],
+    ) -> None:
+        self._own, self._scenario = own, scenario
+        self._deadline = Deadline(scenario.controller_limit_s)
+        self._named = Named(own.label, self._deadline)
+        self._blocks: list[Any] = []
+        self.whole: GuardedController | None = None
+        self.attitude: GuardedAttitude | None = None
+        self.rate: GuardedRate | None = None
+        if own.level == "controller" and any(
+            isinstance(each, TorqueCommandDisturbance) for each in scenario.disturbance
+        ):
+            raise InputError(
+                f"scenario {scenario.name}: disturbance: torque_command acts on a rate loop's output, which controller "
+                f"{own.label} does not have; take force, moment or wind"
+            )
+        if own.level == "controller" and scenario.added_delay_samples:
+            raise InputError(
+                f"scenario {scenario.name}: added_delay_samples = {scenario.added_delay_samples}: is added to a rate "
+                f"loop's output, which controller {own.label} does not have; take mismatch.delay_samples"
+            )
+        thrust_map, hover = _hovering(vehicle, engine, stations)
+        built_in = scenario.model_copy(update={"controller": BASELINE.name})
+        self._belief = Belief(
+            scenario.step_s,
+            vehicle,
+            _believed(scenario, vehicle, engine),
+            thrust_map,
+            hover,
+            parameters,
+            "",
+            scenario.initial.on_ground,
+            lambda: [engine_reference(spec, scenario.step_s) for spec in stations],
+            lambda name: predictors(built_in.model_copy(update={"controller": name}), vehicle, engine),
+        )
+        if own.level == "controller":
+            self.whole = GuardedController(self._made(self._belief), self._named, self._belief)
+        elif own.level == "rate":
+            self.rate = GuardedRate(self._made(self._belief), self._named)
+        elif own.level == "attitude":
+            self.attitude = GuardedAttitude(self._made(self._belief), self._named)
+
+    def predictors(self) -> list[Predictor]:
+        """What stands between measurement and our rate loop: the user's where engines answer, or one of ours."""
+        belief = self._belief
+        if self._own.level != "predictor":
+            return belief.predictors(self._own.predictor)
+        there = belief.models or (AXES[:1] if belief.vehicle.servo else AXES)
+        return [
+            GuardedPredictor(self._made(belief.of(axis)), self._named, axis) if axis in there else NoPredictor()
+            for axis in AXES
+        ]
+
+    def _made(self, belief: Belief) -> Any:
+        """A block that is told what it may believe.  Raises InputError for one that takes that badly."""
+        block = self._own.make()
+        self._blocks.append(block)
+        if hasattr(block, "prepare"):
+            try:
+                self._named.call("prepare", block.prepare, belief)
+            except FlightError as error:
+                raise InputError(str(error)) from error
+        return block
+
+    def close(self) -> None:
+        for block in self._blocks:
+            if hasattr(block, "close"):
+                block.close()
+        self._deadline.close()
+
+
+def _believed(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
+    """The identified models for this engine and this step, the delay that the controller adds in that of roll."""
+    found: dict[str, RateModel] = {}
+    for axis, model in vehicle.identified.get(engine.family, {}).items():
+        if abs(model.sample_time_s - scenario.step_s) <= 1e-9:
+            added = scenario.added_delay_samples if axis == "roll" else 0
+            delay = model.delay_samples + added
+            found[axis] = model.model_copy(update={"delay_samples": delay}) if added else model
+    return found
+
+
+def _hovering(vehicle: Vehicle, engine: EngineSpec, stations: Sequence[EngineSpec]) -> tuple[ThrustMap, float]:
+    """From shares of thrust to throttles, and the share in hover."""
     curves = {id(each): StaticCurve(each.name, *each.rising) for each in (engine, *stations)}
     thrust_map = ThrustMap(curves[id(engine)], [curves[id(each)] for each in stations])
-    jets = len(vehicle.jets)
-    hover = thrust_map.share(vehicle.mass_kg * GRAVITY / jets)
+    return thrust_map, thrust_map.share(vehicle.mass_kg * GRAVITY / len(vehicle.jets))
+
+
+def _cascade(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    engine: EngineSpec,
+    stations: Sequence[EngineSpec],
+    plugged: _Plugged | None,
+) -> Cascade:
+    step = scenario.step_s
+    gains = vehicle.control
+    thrust_map, hover = _hovering(vehicle, engine, stations)
     if not gains.allocation.throttle_min < hover < gains.allocation.throttle_max:
         raise InputError(
             f"engine {engine.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at throttle {hover:.2f}, "
@@ -177,7 +316,7 @@ def _cascade(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, stations:
         AttitudeController(gains.attitude),
         RateController(
             (gains.rate.roll, gains.rate.pitch, gains.rate.yaw),
-            predictors(scenario, vehicle, engine),
+            predictors(scenario, vehicle, engine) if plugged is None else plugged.predictors(),
             step,
             [_lead(vehicle, axis, step) for axis in AXES],
         ),
@@ -205,6 +344,8 @@ def _cascade(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, stations:
         scenario.added_delay_samples,
         opposites(vehicle) if gains.monitor is not None and gains.monitor.shut_opposite else (),
         step,
+        plugged.attitude if plugged else None,
+        plugged.rate if plugged else None,
     )
 
 

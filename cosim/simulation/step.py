@@ -26,6 +26,7 @@ from cosim.base.signals import (
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
 from cosim.simulation.commander import Commander
+from cosim.simulation.controllers.source import Source
 from cosim.simulation.delay_ledger import LedgerRow
 from cosim.simulation.ending import Ending, Judge
 from cosim.simulation.fault_schedule import FaultSchedule
@@ -64,7 +65,11 @@ class Simulation:
         sensors: FaultySensors,
         faults: FaultSchedule,
         judge: Judge,
+        own: Source | None = None,
+        end: Callable[[], None] | None = None,
     ) -> None:
+        self.own = own  # where a controller from outside comes from
+        self._end = end  # what a controller from outside holds is given free by it
         self.scenario = scenario
         self.vehicle = vehicle
         self.engine, *self.stations = specs
@@ -224,7 +229,9 @@ class Simulation:
         return Ending("completed", f"flew {self.k} steps{late}")
 
     def close(self) -> None:
-        """Free the engines and the airframe; may be called twice."""
+        """Free the engines, the airframe and what a controller from outside holds; may be called twice."""
+        if self._end is not None:
+            self._end()
         self.propulsion.close()
         self.airframe.close()
 

@@ -35,6 +35,11 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
     """
     scenario, vehicle, engine = simulation.scenario, simulation.vehicle, simulation.engine
     cascade = simulation.cascade
+    if simulation.own is not None:
+        raise InputError(
+            f"controller {simulation.own.label}: the autopilot tunes the loops that it flies by in flight, and has not "
+            "those of a controller from outside; fly a scenario with commands, or a built-in controller"
+        )
     roll = vehicle.identified.get(engine.family, {}).get("roll")
     delay = None if roll is None else roll.delay_samples + scenario.added_delay_samples
 

@@ -474,6 +474,11 @@ class Scenario(Model):
     aircraft: str = "hexjet"
     engine: str = "edf-as-flown"
     controller: str = "smith"
+    controller_parameters: dict[str, float] = {}  # of a controller of one's own
+    controller_sha256: str | None = None  # it flies only if it is this one still
+    controller_limit_s: Annotated[float, Field(gt=0.0, le=3600.0)] = (
+        10.0  # of the clock, that each of its calls may take
+    )
     duration_s: Duration
     step_s: Annotated[float, Field(gt=0.0, le=0.1)] = 0.004
     substeps: Annotated[int, Field(ge=1, le=100)] = 4
@@ -630,7 +635,12 @@ class Scenario(Model):
         InputError
             For a wrong key or value.
         """
-        data = merge(self.model_dump(exclude_none=True), changes)
+        data = self.model_dump(exclude_none=True)
+        if changes.get("controller", self.controller) != self.controller:  # what was said of the other one
+            data = {
+                key: value for key, value in data.items() if key not in ("controller_parameters", "controller_sha256")
+            }
+        data = merge(data, changes)
         return self.from_table(data, self.folder, f"scenario {self.name}")
 
 

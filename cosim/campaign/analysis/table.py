@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -14,9 +13,9 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.campaign.analysis.statistics import Counts
 from cosim.campaign.study.plan import controllers as controllers_of
-from cosim.campaign.study.study import is_path
 from cosim.results.metrics import metric_names
 from cosim.results.wording import Metric, metric
+from cosim.spec.controller_name import short_name
 
 if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
@@ -122,7 +121,7 @@ def read(campaign: Campaign) -> Flown:
         keys=key_columns(campaign),
         metrics=[metric(name) for name in telling(values, list(study.success))],
         values=values,
-        controllers=[Path(name).stem if is_path(name) else name for name in controllers],
+        controllers=[short_name(name) for name in controllers],
         grid=study.design == "grid",
     )
 

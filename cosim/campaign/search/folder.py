@@ -35,12 +35,13 @@ from cosim.campaign.search.span import span
 from cosim.campaign.study.distributions import Vary, parse_vary
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import scenario_of
-from cosim.campaign.study.study import Study, is_path
+from cosim.campaign.study.study import Study
 from cosim.campaign.study.values import check_vary, levels
 from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.protocol import Workers
 from cosim.flight import fly
 from cosim.results.digest import log_digest
+from cosim.spec.controller_name import short_name
 
 STUDY, QUESTION, JOURNAL, RESULT, REPORT, CASES = (
     "study",
@@ -210,7 +211,7 @@ def _held(found: Found, prober: Prober, point: Point) -> Row:
 def _shown(found: Found) -> Iterator[tuple[str, Point, bool]]:
     """The points that are worth a folder: the edges, of a curve the nearest on each side, and what breaks together."""
     for controller in found.study.flown_with:
-        label = Path(controller).stem if is_path(controller) else controller
+        label = short_name(controller)
         for edge in _edges(found, controller):
             where = re.sub(r"[^A-Za-z0-9_.-]+", "_", f"{label}-{edge.key}-{edge.side}")
             for breaks, value in ((True, edge.breaks), (False, edge.holds)):

@@ -18,7 +18,6 @@ from cosim.campaign.search.search import (
 )
 from cosim.campaign.search.span import Span
 from cosim.campaign.study.keys import Value
-from cosim.campaign.study.study import is_path
 from cosim.results.report.flight_figures import (
     GREEN,
     GREY,
@@ -27,6 +26,7 @@ from cosim.results.report.flight_figures import (
 )
 from cosim.results.report.page import render
 from cosim.results.run import REPORT, SCENARIO
+from cosim.spec.controller_name import short_name
 
 Figure = dict[str, Any]
 
@@ -83,7 +83,7 @@ def write_page(searched: Searched, path: Path) -> None:
 
 def label(controller: str) -> str:
     """A controller's name; of a file, the file's."""
-    return Path(controller).stem if is_path(controller) else controller
+    return short_name(controller)
 
 
 def text(value: Value | None, unit: str = "") -> str:

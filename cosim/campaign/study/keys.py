@@ -24,6 +24,9 @@ from pydantic.fields import FieldInfo
 from cosim.base.errors import InputError
 from cosim.base.toml import merge
 from cosim.control.predictors.registry import PREDICTORS
+from cosim.simulation.controllers.source import find
+from cosim.simulation.controllers.source import names as own_controllers
+from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario, is_file
 from cosim.spec.vehicle import PredictorTuning, aircraft_names, load_vehicle
 
@@ -64,6 +67,8 @@ ODD_UNITS = {"spring_n_m": "N/m", "reaction_m": "m"}  # a stiffness reads as a m
 WHOLE_STEPS = ("start_s", "duration_s", "width_s", "delay_s")  # of entries: counted in control steps
 LISTS = ("command", "disturbance", "fault")
 NOT_VARIED = (
+    "controller_sha256",
+    "controller_limit_s",
     "seed",
     "expect",
     "name",
@@ -78,6 +83,7 @@ OWN_NAMES = re.compile(
     r"(?P<head>engine_parameters|stations\.[^.]+\.parameters)\.(?P<name>.+)"
     r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"
 )
+OWN_PARAMETERS = "controller_parameters."
 OWN_TUNING = "vehicle.control.predictor.own."
 PLACE = re.compile(r"(?<=\.)\d+(?=\.|$)")
 OFFERED = 4  # names in a message
@@ -125,7 +131,7 @@ class Key:
         if self.kind == "choice":
             if value in self.choices:
                 return self.choices[self.choices.index(value)]
-            if self._takes_files and is_file(str(value)):
+            if self._takes_files and (is_file(str(value)) or ":" in str(value)):
                 return value
         elif self.kind in ("float", "int") and isinstance(value, (int, float)) and not isinstance(value, bool):
             number = self._rounded(float(value)) if isfinite(value) else value
@@ -187,6 +193,7 @@ def all_keys(scenario: Scenario) -> list[Key]:
     archive = _archive(scenario, scenario.engine)
     return [
         *own,
+        *own_keys(scenario),
         *(key for key in _below("vehicle", vehicle) if not key.path.startswith(OWN_TUNING)),
         *_predictor_keys(vehicle.control.predictor),
         *_parameters("engine_parameters", archive, scenario.engine_parameters),
@@ -218,6 +225,8 @@ def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
     Raises InputError for a value that the scenario does not take, and for keys that cannot hold together.
     """
     values = _with_own_engine(scenario, values)
+    if "controller" in values:
+        scenario, values = _for_controller(scenario, values)
     _need_together(scenario, values)
     changes, values = _controller_file(scenario, values)
     for path, value in values.items():
@@ -265,6 +274,42 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
     return {"vehicle": file.vehicle}, {**values, "controller": file.controller}
 
 
+def own_keys(scenario: Scenario) -> list[Key]:
+    """The parameters of the scenario's controller where it is one from outside."""
+    if is_design(scenario.controller):
+        return []
+    own = find(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
+    stated = scenario.controller_parameters
+    return [
+        Key(
+            f"{OWN_PARAMETERS}{each.name}",
+            "float",
+            stated.get(each.name, each.default),
+            each.unit,
+            each.least,
+            each.most,
+        )
+        for each in (() if own is None else own.parameters)
+    ]
+
+
+def _for_controller(scenario: Scenario, values: Mapping[str, Value]) -> tuple[Scenario, Mapping[str, Value]]:
+    """The parameters that the controller of these values has; those of the others that a study compares are not its."""
+    controller = str(values["controller"])
+    changed = scenario.model_copy(update={"controller": controller, "controller_parameters": {}})
+    known = {key.path.removeprefix(OWN_PARAMETERS) for key in own_keys(changed)}
+    kept = {name: value for name, value in scenario.controller_parameters.items() if name in known}
+    changes: dict[str, Any] = {"controller_parameters": kept}
+    if controller != scenario.controller:
+        changes["controller_sha256"] = None
+    left = {
+        path: value
+        for path, value in values.items()
+        if not path.startswith(OWN_PARAMETERS) or path.removeprefix(OWN_PARAMETERS) in known
+    }
+    return scenario.model_copy(update=changes), left
+
+
 def _need_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
     """Refuse another aircraft or engine under values that were meant for the one that the scenario has."""
     rules: list[tuple[str, str, Mapping[str, Any], tuple[str, ...]]] = [
@@ -289,7 +334,7 @@ def _need_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
 
 def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[Key]:
     value = getattr(scenario, name)
-    if name in NOT_VARIED or name in ("vehicle", "engine_parameters", "stations"):
+    if name in NOT_VARIED or name in ("controller_parameters", "vehicle", "engine_parameters", "stations"):
         return
     if name in ("aircraft", "engine", "controller"):
         yield Key(name, "choice", value, choices=tuple(_names(name)))
@@ -305,7 +350,7 @@ def _names(name: str) -> list[str]:
     from cosim.engine import engine_names
 
     if name == "controller":
-        return list(PREDICTORS)
+        return [*PREDICTORS, *(each for each, _ in own_controllers())]
     return aircraft_names() if name == "aircraft" else engine_names()
 
 

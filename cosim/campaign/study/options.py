@@ -17,9 +17,9 @@ from cosim.campaign.study.study import (
     Correlation,
     Study,
     dotted,
-    is_path,
     study_names,
 )
+from cosim.spec.controller_name import seen_from
 from cosim.spec.scenario import Range, Scenario, scenario_names
 
 
@@ -56,7 +56,7 @@ def open_study(
         **{".".join(path): value for path, value in map(parse_setting, settings)},
     }
     if controllers:
-        data["controllers"] = [str(Path(each).absolute()) if is_path(each) else each for each in controllers]
+        data["controllers"] = [seen_from(each, Path()) for each in controllers]
     given = {"design": design, "runs": runs, "repeats": repeats, "seed": seed}
     data |= {key: value for key, value in given.items() if value is not None}
     if not data["vary"]:

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
 from cosim.campaign.study.keys import Value, with_values
-from cosim.campaign.study.study import Study, is_path
+from cosim.campaign.study.study import Study
+from cosim.spec.controller_name import file_name, seen_from
 
 if TYPE_CHECKING:
     from cosim.campaign.study.draws import Draw
@@ -72,12 +73,13 @@ def controllers(study: Study) -> list[str]:
 def scenario_of(study: Study, flight: Flight) -> Scenario:
     """The scenario of one flight, which expects nothing.  Raises InputError if its values make none."""
     name = flight.controller
-    controller = str(study.folder / name) if is_path(name) else name
+    controller = seen_from(name, study.folder)
     return with_values(study.base(), {**flight.values, "controller": controller, "seed": flight.seed})
 
 
 def _seen_from(folder: Path, controller: str) -> str:
     """A controller's file by its name where it is in the folder, so that rows are the same wherever that is."""
-    if is_path(controller) and Path(controller).is_relative_to(folder.absolute()):
-        return Path(controller).relative_to(folder.absolute()).as_posix()
+    named = file_name(controller)
+    if named is not None and Path(named.file).is_relative_to(folder.absolute()):
+        return named._replace(file=Path(named.file).relative_to(folder.absolute()).as_posix()).text
     return controller

@@ -24,13 +24,16 @@ from cosim.base.toml import (
 )
 from cosim.campaign.study.distributions import Vary, parse_vary
 from cosim.campaign.study.keys import (
+    OWN_PARAMETERS,
     Key,
     find_key,
+    own_keys,
     split,
     with_values,
 )
 from cosim.campaign.study.values import check_vary
-from cosim.control.predictors.registry import PREDICTORS
+from cosim.simulation.controllers.source import find
+from cosim.spec.controller_name import is_design, seen_from
 from cosim.spec.scenario import Range, Scenario, find_scenario
 
 __all__ = ["Correlation", "Study", "Vary", "check", "find_study", "parse_vary", "study_names"]
@@ -104,7 +107,7 @@ class Study(Model):
     @property
     def flown_with(self) -> list[str]:
         """The controllers, one at least."""
-        return self.controllers or [self.base().controller]
+        return self.controllers or [seen_from(self.base().controller, self.base().folder)]
 
     def base(self) -> Scenario:
         """The scenario with the study's settings, before any draw; what it expected is left out."""
@@ -120,7 +123,12 @@ class Study(Model):
     def key(self, name: str) -> Key:
         """A varied key, with the nominal value that factors and offsets start from."""
         if name not in self._keys:
-            self._keys[name] = find_key(self.base(), name)
+            base = self.base()
+            if name.startswith(OWN_PARAMETERS):  # of any controller that is flown
+                known = [with_values(base, {"controller": each}) for each in self.flown_with]
+                known.sort(key=lambda each: [name in [key.path for key in own_keys(each)], bool(own_keys(each))])
+                base = known[-1]
+            self._keys[name] = find_key(base, name)
         return self._keys[name]
 
     def correlations(self) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -194,7 +202,7 @@ class Study(Model):
         """Validate a parsed table and check it against its scenario; ``where`` names its source in the error."""
         study = validate(cls, data, where)
         study._folder, study._where = folder, where
-        files = [str((folder / name).absolute()) if is_path(name) else name for name in study.controllers]
+        files = [seen_from(name, folder) for name in study.controllers]
         study = study.model_copy(update={"controllers": files}) if files != study.controllers else study
         check(study, where)
         return study
@@ -264,8 +272,8 @@ def check(study: Study, where: str) -> None:
     from cosim.results.metrics import metric_names
 
     for name in study.controllers:
-        if not is_path(name):
-            PREDICTORS.find(name, f"{where}: controllers: unknown controller {name!r}")
+        if not is_design(name):
+            find(name, study.folder, f"{where}: controllers: unknown controller {name!r}")
     for name in study.success:
         if name not in metric_names():
             raise InputError(f"{where}: success: unknown metric {name!r}; {nearest(name, metric_names())}")
@@ -276,7 +284,10 @@ def check(study: Study, where: str) -> None:
         if vary.key in seen:
             raise InputError(f"{where}: vary {vary.key}: is there twice")
         seen.add(vary.key)
+    own = [name for name, _ in dotted(study.settings) if name.startswith(OWN_PARAMETERS)]
     try:
+        for name in own:
+            study.key(name)
         for vary in study.vary:
             check_vary(vary, study.key(vary.key))
         for controller in study.flown_with:  # files exist, and are for this aircraft

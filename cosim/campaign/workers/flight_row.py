@@ -31,7 +31,15 @@ Kinds = dict[str, type[Value]]
 
 _FIRST: Kinds = {"flight": int, "draw": int, "controller": str, "seed": int}
 _OUTCOME: Kinds = {"outcome": str, "reason": str, "success": bool, "beyond": str, "steps": int, "duration_s": float}
-_LAST: Kinds = {"log_sha256": str, "inputs_sha256": str, "inputs": str, "wall_s": float, "worker": str}
+_LAST: Kinds = {
+    "controller_sha256": str,
+    "controller_repeatable": bool,
+    "log_sha256": str,
+    "inputs_sha256": str,
+    "inputs": str,
+    "wall_s": float,
+    "worker": str,
+}
 _KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
 BY_CHANCE = ("wall_s", "worker")  # what may differ when a flight is flown again
 
@@ -87,7 +95,7 @@ def inputs_sha256(run: Run) -> str:
 
 
 def _flown(study: Study, run: Run, digest: str) -> Row:
-    summary = run.summary
+    summary, own = run.summary, run.summary.own_controller
     measured = summary.flat_metrics
     return {
         "outcome": summary.outcome,
@@ -99,6 +107,8 @@ def _flown(study: Study, run: Run, digest: str) -> Row:
         "steps": summary.steps,
         "duration_s": summary.duration_s,
         **measured,
+        "controller_sha256": None if own is None else own.sha256,
+        "controller_repeatable": None if own is None else own.repeatable,
         "log_sha256": digest,
         "inputs_sha256": inputs_sha256(run),
         "inputs": inputs(run),

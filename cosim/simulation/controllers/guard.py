@@ -1,0 +1,290 @@
+"""Blocks of the user's as the flight sees them: every answer is looked at, and what is wrong names the controller.
+
+Numpy arrays and lists are taken for tuples.  Whatever a block raises, gives back wrongly or takes too long for ends the
+flight as a :class:`FlightError`.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import FlightError, InputError
+from cosim.base.limits import clamp
+from cosim.base.protocols import Applied, Column, Diagnostics, EngineState
+from cosim.base.signals import (
+    ALL_WELL,
+    AXES,
+    NO_JETS,
+    UNKNOWN3,
+    ZERO3,
+    Actuation,
+    Command,
+    ControlSignals,
+    Disturbance,
+    EngineOutput,
+    Measured,
+    PerJet,
+    Unallocated,
+    Vector3,
+)
+from cosim.control.belief import Belief
+from cosim.simulation.controllers.deadline import Deadline, LateError
+
+_ROUNDING = 1e-9  # of a throttle: this far outside 0 to 1 is the rounding of somebody's arithmetic
+_AXES = tuple(f"the answer for {axis}" for axis in AXES)
+_FLY = EngineState.FLY
+
+
+@dataclass(frozen=True)
+class Named:
+    """What the messages call a controller, and the time that each of its calls may take."""
+
+    label: str
+    deadline: Deadline
+
+    def error(self, text: str) -> FlightError:
+        return FlightError(f"controller {self.label}: {text}")
+
+    def call(self, what: str, method: Callable[..., Any], *told: Any) -> Any:
+        """Call a method of the user's.  Raises FlightError for whatever it raises, and if it takes too long."""
+        begun = self.deadline.begin()
+        try:
+            answer = method(*told)
+            self.deadline.done(begun)
+        except LateError:
+            self.deadline.drop()
+            raise self.error(f"{what} took longer than {self.deadline.limit:g} s") from None
+        except FlightError as error:
+            self.deadline.drop()
+            raise self.error(str(error)) from error
+        except InputError:
+            self.deadline.drop()
+            raise
+        except Exception as error:
+            self.deadline.drop()
+            raise self.error(f"{what} raised {described(error)}") from error
+        return answer
+
+    def numbers(self, answer: Any, names: Sequence[str], what: str = "update") -> tuple[float, ...]:
+        """An answer as so many finite numbers.  Raises FlightError."""
+        try:
+            values = tuple([float(value) for value in answer])
+        except (TypeError, ValueError):
+            raise self.error(f"{what} gave {_short(answer)}: must be {len(names)} numbers") from None
+        if len(values) != len(names):
+            raise self.error(f"{what} gave {len(values)} numbers: must be {len(names)}")
+        for value, name in zip(values, names, strict=True):
+            if not isfinite(value):
+                raise self.error(f"{name} = {value}: must be finite")
+        return values
+
+    def shown(self, block: Any, columns: Sequence[Column]) -> tuple[float, ...]:
+        """What a block shows, one number for each column.  Raises FlightError."""
+        try:
+            return tuple([float(value) for value in block.shown])
+        except Exception as error:
+            raise self.error(f"shown raised {described(error)}") from error
+
+
+def described(error: Exception) -> str:
+    """An error in one line, with the file and the line of the user's where it was raised."""
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if len(frames) > 1 else ""
+    return ": ".join([type(error).__name__, *str(error).splitlines()[:1]]) + place
+
+
+def _short(value: Any) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def columns_from(block: Any) -> tuple[Column, ...]:
+    """The columns that a block shows, each as it is or as four texts."""
+    return tuple([Column(*column) for column in getattr(block, "columns", ())])
+
+
+class GuardedPredictor:
+    """A predictor of the user's on one axis."""
+
+    def __init__(self, block: Any, named: Named, axis: str) -> None:
+        self._block, self._named, self._axis = block, named, axis
+        self.columns = columns_from(block)
+        self._answer = (f"the rate of {axis}",)
+
+    def reset(self) -> None:
+        self._named.call("reset", self._block.reset)
+
+    def update(self, measured: float, applied: float) -> float:
+        answer = self._named.call("update", self._block.update, measured, applied)
+        if type(answer) is float and isfinite(answer):
+            return answer
+        return self._named.numbers((answer,) if not isinstance(answer, (list, tuple)) else answer, self._answer)[0]
+
+    @property
+    def shown(self) -> tuple[float, ...]:
+        return self._named.shown(self._block, self.columns)
+
+    @property
+    def diagnostics(self) -> Diagnostics:
+        found = getattr(self._block, "diagnostics", UNKNOWN3)
+        return (float(found[0]), float(found[1]), float(found[2]))
+
+
+class GuardedRate:
+    """A rate loop of the user's: see :class:`cosim.control.cascade.OwnRate`."""
+
+    def __init__(self, block: Any, named: Named) -> None:
+        self._block, self._named = block, named
+        self.columns = columns_from(block)
+        self._asked = ZERO3
+        self.predicted: Vector3 = UNKNOWN3
+
+    def reset(self) -> None:
+        self._asked, self.predicted = ZERO3, UNKNOWN3
+        self._named.call("reset", self._block.reset)
+
+    def update(self, setpoint: Vector3, measured: Vector3, unallocated: Unallocated) -> Vector3:
+        roll, pitch, yaw = self._asked
+        applied = (roll - unallocated.roll, pitch - unallocated.pitch, yaw - unallocated.yaw)
+        answer = self._named.call("update", self._block.update, setpoint, measured, applied)
+        roll, pitch, yaw = self._named.numbers(answer, _AXES)
+        self._asked = (roll, pitch, yaw)
+        x, y, z = getattr(self._block, "predicted", UNKNOWN3)
+        self.predicted = (float(x), float(y), float(z))
+        return self._asked
+
+    def tell(self, added: Vector3) -> None:
+        x, y, z = self._asked
+        self._asked = (x + added[0], y + added[1], z + added[2])
+
+    @property
+    def shown(self) -> tuple[float, ...]:
+        return self._named.shown(self._block, self.columns)
+
+
+class GuardedAttitude:
+    """An attitude loop of the user's: see :class:`cosim.control.cascade.OwnAttitude`."""
+
+    def __init__(self, block: Any, named: Named) -> None:
+        self._block, self._named = block, named
+        self.columns = columns_from(block)
+
+    def reset(self) -> None:
+        self._named.call("reset", self._block.reset)
+
+    def update(self, command: Command, measured: Measured) -> Vector3:
+        x, y, z = self._named.numbers(
+            self._named.call("update", self._block.update, command, measured),
+            ("the rate of roll", "the rate of pitch", "the rate of yaw"),
+        )
+        return (x, y, z)
+
+    @property
+    def shown(self) -> tuple[float, ...]:
+        return self._named.shown(self._block, self.columns)
+
+
+class GuardedController:
+    """A whole controller of the user's as a :class:`cosim.base.protocols.Controller`."""
+
+    def __init__(self, block: Any, named: Named, belief: Belief) -> None:
+        self._block, self._named = block, named
+        self.columns = columns_from(block)
+        vehicle, jets = belief.vehicle, len(belief.vehicle.jets)
+        low = vehicle.control.allocation.throttle_min
+        self._idle = belief.thrust_map.throttle((low,) * jets)
+        self._mass, self._thrust_map, self._share = vehicle.mass_kg, belief.thrust_map, belief.hover
+        self._range = vehicle.servo.range_rad if vehicle.servo else 0.0
+        self._names = tuple([f"throttle {number}" for number in range(1, jets + 1)])
+        self._every_jet = frozenset(range(jets))
+        self._flying = True
+        self._applied = Applied(self._idle, (0.0, 0.0), EngineOutput((), (), (), ()), 0.0)
+        self.signals = self._own_signals(0.0)
+
+    def reset(self, on_ground: bool, burnt: float) -> PerJet:
+        """The engines stand where they hold the vehicle up, or idle; see :class:`cosim.base.protocols.Controller`."""
+        jets, share = len(self._names), self._share
+        if burnt:
+            share = self._thrust_map.share((self._mass - burnt) * GRAVITY / jets)
+        throttle = self._idle if on_ground else self._thrust_map.throttle((share,) * jets)
+        unknown = (float("nan"),) * len(throttle)
+        self._applied = Applied(throttle, (0.0, 0.0), EngineOutput(unknown, unknown, unknown, unknown), burnt)
+        self._flying = True
+        self._named.call("reset", self._block.reset)
+        self.signals = self._own_signals(sum(throttle) / len(throttle))
+        return throttle
+
+    def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
+        """What the user's answers, looked at; idle engines are ours to see to."""
+        if engines is not _FLY:
+            self._flying = False
+            off = self._every_jet if engines is EngineState.OFF else NO_JETS
+            return self._given(Actuation(self._idle, (0.0, 0.0), Unallocated(), off))
+        if not self._flying:
+            self._named.call("reset", self._block.reset)
+            self._flying = True
+        return self._given(
+            self._checked(self._named.call("update", self._block.update, command, measured, self._applied))
+        )
+
+    def _given(self, answer: Actuation) -> Actuation:
+        self._applied = self._applied._replace(throttle=answer.throttle, tilt=answer.tilt)
+        self.signals = self._own_signals(sum(answer.throttle) / len(answer.throttle))
+        return answer
+
+    def _own_signals(self, mean: float) -> ControlSignals:
+        """What the block shows of a cascade, and what can be said of any controller: its mean throttle."""
+        found = getattr(self._block, "signals", None)
+        return found if isinstance(found, ControlSignals) else ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, mean, mean)
+
+    def _checked(self, answer: Any) -> Actuation:
+        named = self._named
+        whole = isinstance(answer, Actuation)
+        if whole:
+            throttles, tilts = answer.throttle, answer.tilt
+        else:
+            try:
+                throttles, tilts = answer if self._range else (answer, (0.0, 0.0))
+            except (TypeError, ValueError):
+                raise named.error(f"update gave {_short(answer)}: must be throttles and tilts") from None
+        throttle = named.numbers(throttles, self._names, "throttles: update")
+        for name, value in zip(self._names, throttle, strict=True):
+            if not -_ROUNDING <= value <= 1.0 + _ROUNDING:
+                raise named.error(f"{name} = {value:g}: must be from 0 to 1")
+        left, right = named.numbers(
+            tilts, ("the tilt of the left servo", "the tilt of the right servo"), "tilts: update"
+        )
+        return Actuation(
+            tuple([min(max(value, 0.0), 1.0) for value in throttle]),
+            (clamp(left, self._range), clamp(right, self._range)),
+            answer.unallocated if whole else Unallocated(),
+            answer.off if whole else NO_JETS,
+        )
+
+    def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
+        """What the engines report goes into what the next update is told."""
+        self._applied = self._applied._replace(engines=engines, burnt=burnt)
+        return ALL_WELL
+
+    def forgive(self) -> None:
+        """Nothing is judged here."""
+
+    @property
+    def lost(self) -> tuple[int, ...]:
+        """None: engines are not watched here."""
+        return ()
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
+        """There are no predictors that could be seen."""
+        return (UNKNOWN3, UNKNOWN3, UNKNOWN3)
+
+    @property
+    def shown(self) -> tuple[float, ...]:
+        return self._named.shown(self._block, self.columns)

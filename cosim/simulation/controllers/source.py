@@ -1,0 +1,382 @@
+"""Where a controller from outside comes from: its name, what it states of itself, and the files that it is.
+
+A name is ``FILE.py:Class``, ``package.module:Class``, or that of an entry point of an installed package::
+
+    [project.entry-points."hexjet.controllers"]
+    my-controller = "my_package.my_module:MyController"
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import importlib
+import inspect
+import pickle
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, packages_distributions, version
+from math import isfinite
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from cosim.base.cache import Memory
+from cosim.base.errors import InputError, nearest
+from cosim.base.protocols import Column, Parameter
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.simulation.controllers.guard import columns_from, described
+from cosim.spec.controller_name import file_name, is_design
+from cosim.spec.controller_name import label as label_of
+
+GROUP = "hexjet.controllers"  # of entry points
+# Levels, and what the update of each is told.
+LEVELS: dict[str, tuple[str, ...]] = {
+    "predictor": ("measured", "applied"),
+    "rate": ("setpoint", "measured", "applied"),
+    "attitude": ("command", "measured"),
+    "controller": ("command", "measured", "applied"),
+}
+OBJECT = "python:"  # before the name of one that a program handed over, and that no file can make again
+_MODULE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+_NAME = re.compile(r"[A-Za-z_]\w*")
+_OURS = "hexjet_controller_"  # modules that were made of files here
+
+
+@dataclass(frozen=True)
+class Source:
+    """A controller from outside before it flies.
+
+    ``files``: what it is made of, the first being the one that its name names, under the names that they have in a
+    run's folder.  ``make`` makes a block, at rest.
+    """
+
+    name: str
+    level: str
+    make: Callable[[], Any]
+    files: Mapping[str, Path]
+    version: str = ""  # of the package that it is in
+    predictor: str = "baseline"  # ours, under a loop of its own above
+    parameters: Sequence[Parameter] = ()
+    columns: Sequence[Column] = ()
+    copied: bool = True  # its files go into a run's folder
+    repeats: bool = True  # it is code of this process; else it is found out whether it answers the same again
+
+    @property
+    def label(self) -> str:
+        """What messages and rows call it."""
+        return label_of(self.name)
+
+    @cached_property
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of each file."""
+        return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in self.files.items()}
+
+    @property
+    def sha256(self) -> str:
+        """One hash for all: that of its file where it is one."""
+        if len(self.hashes) == 1:
+            return next(iter(self.hashes.values()))
+        return hashlib.sha256("".join(f"{value}  {name}\n" for name, value in self.hashes.items()).encode()).hexdigest()
+
+    def values(self, stated: Mapping[str, float], where: str) -> dict[str, float]:
+        """Its parameters with what is stated of them.  Raises InputError: one line with the key and what is allowed."""
+        known = {each.name: each for each in self.parameters}
+        for name, value in stated.items():
+            if name not in known:
+                allowed = nearest(name, known) if known else f"controller {self.label} has none"
+                raise InputError(f"{where}.{name}: unknown parameter; {allowed}")
+            if not known[name].least <= value <= known[name].most:
+                least, most, unit = known[name].least, known[name].most, known[name].unit
+                raise InputError(f"{where}.{name} = {value:g}: must be from {least:g} to {most:g} {unit}".rstrip())
+        return {name: stated.get(name, each.default) for name, each in known.items()}
+
+    def expect(self, sha256: str | None, where: str) -> None:
+        """Refuse another file than the one that flew.  Raises InputError with the difference."""
+        if sha256 is not None and sha256 != self.sha256:
+            raise InputError(
+                f"{where}: controller {self.label} is not the one that was flown: its sha256 is {self.sha256[:12]}, "
+                f"then it was {sha256[:12]}; leave out controller_sha256 to fly what is there now"
+            )
+
+
+def find(controller: str, folder: Path, complaint: str) -> Source | None:
+    """The controller of that name, a file seen from ``folder``; None where it is one of ours.
+
+    Raises InputError: ``complaint`` and what there is, or what is wrong with it.
+    """
+    named = file_name(controller)
+    if named is not None and not is_design(controller):
+        path = Path(named.seen_from(folder).file)
+        if not path.is_file():
+            raise InputError(f"controller {controller}: {path}: no such file")
+        if named.before or not named.after:
+            raise InputError(f"{complaint}; allowed: FILE.py:Class, package.module:Class, or a name")
+        return _of_file(controller, path, named.after[1:])
+    if named is None and controller in PREDICTORS:
+        return None
+    if controller.startswith(OBJECT):
+        raise InputError(
+            f"controller {controller.removeprefix(OBJECT)!r} was an object of a program, which no file can make again: "
+            "give it anew, cosim.fly(scenario, controller=...)"
+        )
+    if named is None and _MODULE.fullmatch(controller):
+        return _of_module(controller)
+    for entry in entry_points(group=GROUP):
+        if entry.name == controller:
+            return _of_entry(entry)
+    names = [*PREDICTORS, *(entry.name for entry in entry_points(group=GROUP))]
+    raise InputError(f"{complaint}; {nearest(controller, names)}")
+
+
+def names() -> Iterator[tuple[str, str]]:
+    """The controllers of installed packages, and what each is.  Raises InputError for one that cannot be loaded."""
+    for entry in entry_points(group=GROUP):
+        yield entry.name, f"{_of_entry(entry).level} of {entry.value}"
+
+
+def of_object(given: Any) -> Source:
+    """A class or an object of a program.  Raises InputError for one that is no controller.
+
+    A class of a file flies again from that file, and so does an object that is as its class makes it without being told
+    anything.
+    """
+    made = given if isinstance(given, type) else type(given)
+    label = f"{made.__module__}.{made.__qualname__}"
+    path = _file_of(made)
+    files = {} if path is None else {path.name: path}
+    make = made if isinstance(given, type) else _copies(given)
+    again = path is not None and path.suffix == ".py" and made.__qualname__.isidentifier()
+    if again and (isinstance(given, type) or _as_made(given, made)):
+        return _stated(f"{path}:{made.__name__}", given, make, files)
+    return _stated(f"{OBJECT}{label}", given, make, files, copied=False)
+
+
+def _copies(given: Any) -> Callable[[], Any]:
+    return lambda: copy.deepcopy(given)
+
+
+def _as_made(given: Any, made: type) -> bool:
+    try:
+        return pickle.dumps(vars(made())) == pickle.dumps(vars(given))
+    except Exception:  # it cannot be told, so it is not said
+        return False
+
+
+def _file_of(made: type) -> Path | None:
+    try:
+        found = inspect.getsourcefile(made)
+    except (TypeError, OSError):
+        return None
+    path = None if found is None else Path(found)
+    return path if path is not None and path.is_file() else None
+
+
+_known: Memory[Source] = Memory(32)
+
+
+def _of_file(controller: str, path: Path, name: str) -> Source:
+    held = [
+        (each, hashlib.sha256(each.read_bytes()).hexdigest())
+        for each in _last_files.get(path, [path])
+        if each.is_file()
+    ]
+
+    def load() -> Source:
+        module, neighbours = _executed(path, controller)
+        _last_files[path] = [path, *neighbours]
+        files = {each.name: each for each in (path, *neighbours)}
+        return _stated(controller, _class(module, name, controller, path), None, files)
+
+    return _known.get((controller, str(path), tuple(held)), load)
+
+
+_last_files: dict[Path, list[Path]] = {}  # by path what it was made of when it was last read
+
+
+def _executed(path: Path, controller: str) -> tuple[ModuleType, list[Path]]:
+    """The module of a file, and the files beside it that it imports.  Raises InputError."""
+    folder = path.resolve().parent
+    module = ModuleType(f"{_OURS}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module
+    try:
+        with _beside(folder) as imported:
+            exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
+    except Exception as error:
+        line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
+        raise InputError(f"controller {controller}: {path}{line}: {described(error)}") from error
+    deep = [each for each in imported if each.parent != folder]
+    if deep:
+        raise InputError(
+            f"controller {controller}: imports {deep[0]}, which is in a package beside it: install that, and name the "
+            "controller as package.module:Class"
+        )
+    return module, sorted(imported)
+
+
+@contextmanager
+def _beside(folder: Path) -> Iterator[list[Path]]:
+    """Let a file import its neighbours, and note which; nobody else's modules of the same names are mixed up with them.
+
+    What is below the folder and found from anywhere, as an installed package is, is no neighbour.
+    """
+    anywhere = any(each and Path(each).resolve() == folder for each in sys.path)
+
+    def neighbours() -> dict[str, ModuleType]:
+        found = {}
+        for name, module in list(sys.modules.items()):
+            stated = getattr(module, "__file__", None)
+            path = Path(stated).resolve() if stated else None
+            if path is None or path.suffix != ".py" or name.startswith(_OURS) or not path.is_relative_to(folder):
+                continue
+            inner = path.relative_to(folder).parts
+            if len(inner) == 1 or not (anywhere or {"site-packages", "lib"} & set(inner)):
+                found[name] = module
+        return found
+
+    outside = {name: module for name, module in neighbours().items() if "." not in name and name != "__main__"}
+    for name in outside:
+        del sys.modules[name]
+    before, written = set(sys.modules), sys.dont_write_bytecode
+    imported: list[Path] = []
+    sys.path.insert(0, str(folder))
+    sys.dont_write_bytecode = True
+    try:
+        yield imported
+    finally:
+        sys.path.remove(str(folder))
+        sys.dont_write_bytecode = written
+        for name, module in neighbours().items():
+            if name not in before:
+                imported.append(Path(str(module.__file__)).resolve())
+                del sys.modules[name]
+        sys.modules.update(outside)
+
+
+def _of_module(controller: str) -> Source:
+    module_name, _, name = controller.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except Exception as error:
+        raise InputError(f"controller {controller}: {module_name} cannot be imported: {described(error)}") from error
+    path = Path(module.__file__ or "")
+    found = _class(module, name, controller, path)
+    files = {path.name: path} if path.is_file() else {}
+    return _stated(controller, found, None, files, _version_of(module_name), copied=False)
+
+
+def _of_entry(entry: EntryPoint) -> Source:
+    where = f"entry point {entry.name!r} of {GROUP}"
+    if entry.name in PREDICTORS:
+        raise InputError(f"{where}: there is a predictor of this name already")
+    try:
+        found = entry.load()
+    except Exception as error:
+        raise InputError(f"{where}: {entry.value} cannot be loaded: {described(error)}") from error
+    path = _file_of(found) if isinstance(found, type) else None
+    files = {} if path is None else {path.name: path}
+    number = entry.dist.version if entry.dist is not None else ""
+    return _stated(entry.name, found, None, files, f"{entry.dist.name} {number}" if entry.dist else "", copied=False)
+
+
+def _version_of(module: str) -> str:
+    top = module.split(".")[0]
+    for package in packages_distributions().get(top, []):
+        try:
+            return f"{package} {version(package)}"
+        except PackageNotFoundError:
+            continue
+    return ""
+
+
+def _class(module: ModuleType, name: str, controller: str, path: Path) -> type:
+    found = getattr(module, name, None)
+    if not isinstance(found, type):
+        classes = [each for each, value in vars(module).items() if isinstance(value, type) and hasattr(value, "level")]
+        said = nearest(name, classes) if classes else "there is no class with a level in it"
+        raise InputError(f"controller {controller}: {path.name} has no class {name!r}; {said}")
+    return found
+
+
+def _stated(
+    controller: str,
+    block: Any,
+    make: Callable[[], Any] | None,
+    files: Mapping[str, Path],
+    package: str = "",
+    copied: bool = True,
+) -> Source:
+    """What a class states of itself.  Raises InputError for what does not fit."""
+    where = f"controller {label_of(controller)}"
+    level = getattr(block, "level", None)
+    if not isinstance(level, str) or level not in LEVELS:
+        raise InputError(f"{where}: level = {level!r}: must be one of {', '.join(LEVELS)}")
+    for method, told in (("reset", ()), ("update", LEVELS[level])):
+        check_method(block, method, told, where)
+    if hasattr(block, "prepare"):
+        check_method(block, "prepare", ("belief",), where)
+    predictor = getattr(block, "predictor", "baseline")
+    if level == "attitude":
+        PREDICTORS.find(predictor, f"{where}: predictor = {predictor!r}: there is none of that name")
+    try:
+        columns = columns_from(block)
+    except TypeError as error:
+        raise InputError(f"{where}: columns: must be Column(name, unit, frame, meaning): {error}") from error
+    if make is None or isinstance(block, type):
+        make = _maker(make or block, where)
+    found = Source(
+        controller, level, make, files, package, predictor, parameters_of(block, where), columns, copied,
+    )  # fmt: skip
+    found.hashes  # noqa: B018  of what was read just now
+    return found
+
+
+def _maker(made: Callable[[], Any], where: str) -> Callable[[], Any]:
+    def make() -> Any:
+        try:
+            return made()
+        except Exception as error:
+            raise InputError(f"{where}: cannot be made without arguments: {described(error)}") from error
+
+    return make
+
+
+def check_method(block: Any, method: str, told: Sequence[str], where: str) -> None:
+    """Refuse a block without a method, or with one that takes something else.  Raises InputError."""
+    found = getattr(block, method, None)
+    if not callable(found):
+        raise InputError(f"{where}: has no {method}({', '.join(told)})")
+    try:
+        signature = inspect.signature(found)
+    except (TypeError, ValueError):
+        return  # it does not say
+    try:
+        signature.bind(*([None] if isinstance(block, type) else []), *told)
+    except TypeError as error:
+        raise InputError(f"{where}: {method}{signature}: must take ({', '.join(told)})") from error
+
+
+def parameters_of(block: Any, where: str) -> tuple[Parameter, ...]:
+    """The parameters that a block states.  Raises InputError."""
+    found: list[Parameter] = []
+    for each in getattr(block, "parameters", ()):
+        try:
+            one = Parameter(*each)
+            numbers = float(one.default), float(one.least), float(one.most)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"{where}: parameters: {each!r}: must be Parameter(name, default, ...): {error}"
+            ) from error
+        if not _NAME.fullmatch(str(one.name)):
+            raise InputError(f"{where}: parameter {one.name!r}: a name is of letters, digits and _, no digit first")
+        if not isfinite(numbers[0]) or not numbers[1] <= numbers[0] <= numbers[2]:
+            raise InputError(f"{where}: parameter {one.name}: default = {one.default}: must be from least to most")
+        if one.name in [other.name for other in found]:
+            raise InputError(f"{where}: parameter {one.name}: is there twice")
+        found.append(one._replace(default=numbers[0]))
+    return tuple(found)

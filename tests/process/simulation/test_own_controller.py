@@ -1,0 +1,422 @@
+"""A controller of the user's flies, is recorded as what it is, and is named where it goes wrong."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import time
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from places import ROOT
+
+from cosim import InputError, Scenario, fly, open_run
+from cosim.base.protocols import Column, Parameter
+from cosim.base.signals import UNKNOWN3, Actuation, Unallocated
+from cosim.campaign.run import fly_again, run_campaign
+from cosim.campaign.study.keys import find_key
+from cosim.campaign.study.options import open_study
+from cosim.control.attitude import AttitudeController
+from cosim.control.rate import RateController
+
+PAGE = ROOT / "docs" / "own-controller.md"
+DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.2}
+ROLL = Scenario.load("roll-doublet").replace(duration_s=0.8, command=[DOUBLET], expect=[])
+SHORT = ROLL.replace(duration_s=0.2)
+
+
+def of_page(name: str, where: Path) -> str:
+    """The file that a reader copies from the page."""
+    found = re.search(
+        rf"<!-- {name} -->\n```\w*\n(.*?)```\n<!-- /{name} -->", PAGE.read_text(encoding="utf-8"), re.DOTALL
+    )
+    assert found is not None
+    where.write_text(found[1], encoding="utf-8")
+    return str(where)
+
+
+def same(one: Any, other: Any) -> bool:
+    names = [name for name in one.log.columns if name in other.log.columns]
+    return len(names) >= 80 and all(one.log[name].tobytes() == other.log[name].tobytes() for name in names)
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> str:
+    return of_page("predictor", tmp_path / "mine.py") + ":Mine"
+
+
+# ---- it flies
+
+
+def test_a_class_of_thirty_lines_that_repeats_the_cascade_leaves_its_log(tmp_path: Path) -> None:
+    name = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
+    # but for the class of the records, everything: a gust and a payload too
+    gust = {
+        "kind": "gust",
+        "start_s": 0.1,
+        "velocity_ned_m_s": [0.0, 4.0, 1.0],
+        "rise_s": 0.1,
+        "hold_s": 0.2,
+        "fall_s": 0.1,
+    }
+    scenario = ROLL.replace(disturbance=[gust])
+    ours, theirs = fly(scenario.replace(controller="smith")), fly(scenario.replace(controller=name))
+    assert theirs.outcome == "completed"
+    assert ours.log.columns == theirs.log.columns
+    assert same(ours, theirs)
+    own = theirs.summary.own_controller
+    assert own is not None
+    assert (own.level, theirs.summary.controller) == ("controller", "cascade.py:Cascade")
+
+
+def test_the_predictor_of_the_page_is_between_smith_and_none(mine: str) -> None:
+    whole = fly(ROLL.replace(controller=mine))
+    assert whole.log.columns[-1] == "roll_correction_rad_s"
+    np.testing.assert_array_equal(
+        whole.log["roll_correction_rad_s"], whole.log["rate_p_predicted_rad_s"] - whole.log["rate_p_measured_rad_s"]
+    )
+    smith = fly(ROLL.replace(controller="smith"))
+    # measured + (smith - measured) is smith to the rounding of two sums
+    assert np.abs(whole.log["roll_rad"] - smith.log["roll_rad"]).max() < 1e-12
+    none = fly(ROLL.replace(controller=mine, controller_parameters={"share": 0.0}))
+    assert same(none, fly(ROLL.replace(controller="baseline")))
+
+
+class OwnRate:
+    """Ours, behind the protocol of one from outside; what was applied tells it what could not be given."""
+
+    level = "rate"
+
+    def prepare(self, belief: Any) -> None:
+        gains = belief.vehicle.control.rate
+        self._inner = RateController((gains.roll, gains.pitch, gains.yaw), belief.predictors("smith"), belief.step_s)
+
+    def reset(self) -> None:
+        self._inner.reset()
+        self._asked = np.zeros(3)
+        self.predicted = UNKNOWN3
+
+    def update(self, setpoint: Any, measured: Any, applied: Any) -> Any:
+        roll, pitch, yaw = (self._asked - np.array(applied)).tolist()
+        answer = self._inner.update(setpoint, measured, Unallocated(roll, pitch, yaw))
+        self.predicted = self._inner.predicted
+        self._asked = np.array(answer)
+        return self._asked
+
+
+class OwnAttitude:
+    level = "attitude"
+    predictor = "smith"
+
+    def prepare(self, belief: Any) -> None:
+        self._inner = AttitudeController(belief.vehicle.control.attitude)
+
+    def reset(self) -> None:
+        self._inner.reset()
+
+    def update(self, command: Any, measured: Any) -> list[float]:
+        return list(self._inner.update(command, measured))
+
+
+@pytest.mark.parametrize("loop", [OwnRate, OwnAttitude])
+def test_a_loop_of_ones_own_between_ours(loop: type) -> None:
+    ours, theirs = fly(ROLL.replace(controller="smith")), fly(ROLL, controller=loop)
+    assert theirs.outcome == "completed", theirs.reason
+    assert same(ours, theirs)
+
+
+def test_what_a_controller_is_told_is_never_the_truth() -> None:
+    told: list[Any] = []
+
+    class Curious(OwnRate):
+        def prepare(self, belief: Any) -> None:
+            super().prepare(belief)
+            told.append(
+                (belief.vehicle.model_dump_json(), belief.models["roll"], belief.hover, belief.engines, belief.step_s)
+            )
+
+    for mismatch in ({}, {"mass_factor": 1.2, "thrust_factor": 0.9, "delay_samples": 5, "centre_m": [0.0, 0.01, 0.0]}):
+        assert fly(SHORT.replace(mismatch=mismatch), controller=Curious()).outcome == "completed"
+    assert told[0] == told[1]
+    assert fly(SHORT.replace(added_delay_samples=3), controller=Curious()).outcome == "completed"
+    assert told[2][1].delay_samples == told[0][1].delay_samples + 3  # that one its own loop adds
+
+
+def test_a_quadrotor_has_no_tilts() -> None:
+    class Hover:
+        level = "controller"
+
+        def reset(self) -> None: ...
+
+        def update(self, command: Any, measured: Any, applied: Any) -> Any:
+            return np.array(applied.throttle)
+
+    base = Scenario.load("hover").replace(
+        aircraft="quadrotor", engine="motor", step_s=0.0025, duration_s=0.1, expect=[]
+    )
+    assert fly(base, controller=Hover).outcome == "completed"
+
+
+# ---- it goes wrong
+
+
+class Wrong:
+    level = "controller"
+    answer: Any = None
+
+    def reset(self) -> None:
+        self.k = 0
+
+    def update(self, command: Any, measured: Any, applied: Any) -> Any:
+        self.k += 1
+        if self.k <= 10:
+            return applied.throttle, applied.tilt
+        return self.answer(applied) if callable(self.answer) else self.answer
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        (lambda applied: (applied.throttle[:5], applied.tilt), "throttles: update gave 5 numbers: must be 6"),
+        (lambda applied: ([nan, *applied.throttle[1:]], applied.tilt), "throttle 1 = nan: must be finite"),
+        (lambda applied: ([*applied.throttle[:5], -0.1], applied.tilt), "throttle 6 = -0.1: must be from 0 to 1"),
+        (lambda applied: ([*applied.throttle[:5], 1.5], applied.tilt), "throttle 6 = 1.5: must be from 0 to 1"),
+        (lambda applied: (applied.throttle, (0.0, nan)), "the tilt of the right servo = nan: must be finite"),
+        (lambda applied: ("abc", applied.tilt), "throttles: update gave 'abc': must be 6 numbers"),
+        (lambda applied: None, "update gave None: must be throttles and tilts"),
+        (lambda applied: 1 / 0, r"update raised ZeroDivisionError: division by zero (test_own_controller.py:"),
+        (lambda applied: time.sleep(60), "update took longer than 0.2 s"),
+    ],
+)  # fmt: skip
+def test_what_a_controller_does_wrong_ends_the_run_which_names_it(answer: Any, reason: str, tmp_path: Path) -> None:
+    block = Wrong()
+    block.answer = answer
+    limit = 0.2 if "longer" in reason else 10.0
+    run = fly(SHORT.replace(controller_limit_s=limit), tmp_path / "run", controller=block, report=False)
+    assert run.outcome == "failed"
+    assert f"Wrong: {reason}" in run.reason
+    assert "at step 10 (0.040 s)" in run.reason
+    assert len(open_run(tmp_path / "run").log) == 10
+
+
+def test_a_predictor_and_a_loop_too() -> None:
+    class Bad:
+        level = "predictor"
+
+        def reset(self) -> None: ...
+
+        def update(self, measured: float, applied: float) -> float:
+            return nan
+
+    class Short(OwnAttitude):
+        def update(self, command: Any, measured: Any) -> list[float]:
+            return [0.0]
+
+    assert "Bad: the rate of roll = nan: must be finite at step 0" in fly(SHORT, controller=Bad).reason
+    assert "update gave 1 numbers: must be 3 at step 0" in fly(SHORT, controller=Short).reason
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("class Mine:\n    pass\n", r"mine.py:Mine: level = None: must be one of predictor, rate, attitude, controller"),
+        ("class Mine:\n    level = 'rate'\n    def reset(self): ...\n", r"has no update\(setpoint, measured, applied\)"),
+        ("class Mine:\n    level = 'rate'\n    def reset(self): ...\n    def update(self, a): ...\n",
+         r"update\(self, a\): must take \(setpoint, measured, applied\)"),
+        ("class Other:\n    level = 'rate'\n", r"mine.py has no class 'Mine'; allowed: Other"),
+        ("x = \n", r"mine.py, line 1: SyntaxError"),
+        ("import nowhere_to_be_found\n", r"ModuleNotFoundError: No module named 'nowhere_to_be_found' \(mine.py:1\)"),
+        ("class Mine:\n    level = 'predictor'\n    def __init__(self, x): ...\n    def reset(self): ...\n"
+         "    def update(self, a, b): ...\n", "cannot be made without arguments: TypeError"),
+        ("class Mine:\n    level = 'predictor'\n    parameters = (('a b', 1.0),)\n    def reset(self): ...\n"
+         "    def update(self, a, b): ...\n", "parameter 'a b': a name is of letters, digits and _"),
+        ("class Mine:\n    level = 'predictor'\n    parameters = (('a', 2.0, '', '', 0.0, 1.0),)\n    def reset(self): ...\n"
+         "    def update(self, a, b): ...\n", "parameter a: default = 2.0: must be from least to most"),
+        ("class Mine:\n    level = 'predictor'\n    def reset(self): ...\n    def update(self, a, b): ...\n"
+         "    def prepare(self, belief): raise ValueError('no')\n", r"prepare raised ValueError: no \(mine.py:5\)"),
+    ],
+)  # fmt: skip
+def test_what_cannot_fly_is_one_line(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "mine.py").write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        fly(SHORT, controller=str(tmp_path / "mine.py") + ":Mine")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"controller": "nowhere.py:Mine"}, "nowhere.py: no such file"),
+        ({"controller": "no.such.module:Mine"}, "no.such.module cannot be imported: ModuleNotFoundError"),
+        ({"controller": "smiht"}, "unknown controller 'smiht'; did you mean 'smith'?"),
+        (
+            {"controller_parameters": {"share": 1.0}},
+            "controller smith has none of its own; it is tuned under vehicle.control",
+        ),
+    ],
+)
+def test_wrong_names_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        fly(SHORT.replace(**changes))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [({"shear": 1.0}, "controller_parameters.shear: unknown parameter; did you mean 'share'?"),
+     ({"share": 2.0}, "controller_parameters.share = 2: must be from 0 to 1")],
+)  # fmt: skip
+def test_wrong_parameters_are_refused(mine: str, parameters: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        fly(SHORT.replace(controller=mine, controller_parameters=parameters))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"added_delay_samples": 2},
+     {"disturbance": [{"kind": "torque_command", "axis": "roll", "start_s": 0.0, "duration_s": 0.1, "amplitude": 0.1}]}],
+)  # fmt: skip
+def test_what_only_a_cascade_has_is_refused_of_a_whole_controller(changes: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"rate loop's output, which controller .*Wrong does not have"):
+        fly(SHORT.replace(**changes), controller=Wrong)
+
+
+# ---- the run says what flew
+
+
+def test_a_run_has_the_file_and_flies_it_again_or_says_what_is_another(mine: str, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    (tmp_path / "gain.py").write_text("SHARE = 0.7\n")
+    file = Path(mine.removesuffix(":Mine"))
+    file.write_text("import gain\n" + file.read_text().replace("self.share = ", "self.share = gain.SHARE * "))
+    first = fly(SHORT.replace(controller=mine, controller_parameters={"share": 0.5}), folder, report=False)
+    own = first.summary.own_controller
+    assert own is not None
+    assert own.parameters == {"share": 0.5}
+    assert set(own.files) == {"mine.py", "gain.py"}
+    assert own.files["mine.py"] == first.summary.sha256["mine.py"]
+    assert not list(tmp_path.glob("**/__pycache__"))
+    assert "gain" not in sys.modules
+    shutil.copytree(folder, tmp_path / "moved")
+    file.write_text("raise SystemError\n")  # the copy is what flies
+    (tmp_path / "gain.py").unlink()
+    again = fly(Scenario.load(tmp_path / "moved" / "scenario.toml"))
+    assert same(first, again)
+    assert again.summary.own_controller is not None
+    assert again.summary.own_controller.sha256 == own.sha256
+    (tmp_path / "moved" / "gain.py").write_text("SHARE = 0.8\n")
+    with pytest.raises(
+        InputError, match=rf"mine.py:Mine is not the one that was flown: .*then it was {own.sha256[:12]}"
+    ):
+        fly(Scenario.load(tmp_path / "moved" / "scenario.toml"))
+    # another controller is not held against that hash
+    other = Scenario.load(tmp_path / "moved" / "scenario.toml").replace(controller="baseline")
+    assert (other.controller_sha256, other.controller_parameters) == (None, {})
+    assert fly(other).outcome == "completed"
+
+
+def test_an_object_with_values_of_its_own_is_not_flown_again_by_a_file(tmp_path: Path) -> None:
+    block = Wrong()
+    block.answer = lambda applied: (applied.throttle, applied.tilt)
+    run = fly(SHORT, tmp_path / "object", controller=block, report=False)
+    assert run.summary.own_controller is not None
+    assert not run.summary.own_controller.again
+    with pytest.raises(InputError, match="was an object of a program, which no file can make again"):
+        fly(Scenario.load(tmp_path / "object" / "scenario.toml"))
+    # one as its class makes it is: its file is copied
+    run = fly(SHORT, tmp_path / "class", controller=Wrong(), report=False)
+    assert run.summary.own_controller is not None
+    assert run.summary.own_controller.again
+    assert (tmp_path / "class" / Path(__file__).name).read_bytes() == Path(__file__).read_bytes()
+
+
+def test_a_study_compares_it_with_ours_in_spawned_workers(mine: str, tmp_path: Path) -> None:
+    vary = ["controller_parameters.share=0,1"]
+    study = open_study("roll-doublet", vary=vary, controllers=[mine, "smith"], settings=["duration_s=0.2"])
+    assert study.key("controller_parameters.share").nominal == 1.0
+    campaign = run_campaign(study, tmp_path / "campaign", workers=1)
+    Path(mine.removesuffix(":Mine")).unlink()
+    columns = campaign.columns
+    assert list(columns["outcome"]) == ["completed"] * 4
+    assert list(columns["controller"]) == ["mine.py:Mine", "smith"] * 2
+    hashes = list(columns["controller_sha256"])
+    assert hashes[0] == hashes[2] is not None
+    assert hashes[1] is None
+    logs = list(columns["log_sha256"])
+    assert len({*logs}) == 4
+    assert fly_again(campaign, 2, report=False).same
+    copied = tmp_path / "campaign" / "mine.py"
+    copied.write_text(copied.read_text().replace("return measured +", "return measured + 2.0 *"))
+    again = fly_again(campaign, 2, report=False)
+    assert not again.same
+    assert any(line.startswith("mine.py was ") for line in again.otherwise)
+
+
+def test_its_parameters_are_keys(mine: str) -> None:
+    key = find_key(SHORT.replace(controller=mine), "controller_parameters.share")
+    assert (key.nominal, key.low, key.high) == (1.0, 0.0, 1.0)
+    with pytest.raises(InputError, match=r"did you mean controller_parameters\.share"):
+        open_study("hover", vary=["controller_parameters.shear=0,1"], controllers=[mine])
+    with pytest.raises(InputError, match=r"controller_parameters\.shear"):
+        open_study(
+            "hover", vary=["vehicle.mass_kg=5,6"], controllers=[mine], settings=["controller_parameters.shear=1"]
+        )
+
+
+# ---- from the command line, and of an installed package
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    of_page("predictor", tmp_path / "my_controllers.py")
+    info = tmp_path / "my_controllers-1.2.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-controllers\nVersion: 1.2\n")
+    (info / "entry_points.txt").write_text("[hexjet.controllers]\nmine = my_controllers:Mine\n")
+    return tmp_path
+
+
+def hexjet(package: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    script = f"import sys; sys.path.insert(0, {str(package)!r}); from cosim.cli.main import main; main()"
+    command = [sys.executable, "-c", script, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=package, check=False)
+
+
+def test_an_installed_package_brings_one(package: Path) -> None:
+    assert re.search(r"mine +predictor of my_controllers:Mine", hexjet(package, "list", "controllers").stdout)
+    done = hexjet(
+        package, "fly", "roll-doublet", "--controller", "mine", "--set", "duration_s=0.2", "--set",
+        "controller_parameters.share=0.5", "--out", "run", "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    own = json.loads(done.stdout)["own_controller"]
+    assert (own["name"], own["version"], own["parameters"]) == ("mine", "my-controllers 1.2", {"share": 0.5})
+    (package / "my_controllers.py").write_text((package / "my_controllers.py").read_text() + "# edited\n")
+    again = hexjet(package, "fly", "run/scenario.toml")
+    assert again.returncode == 2
+    assert "controller mine is not the one that was flown" in again.stderr
+
+
+def test_a_file_is_seen_from_here_and_a_parameter_of_no_controller_refused(package: Path) -> None:
+    done = hexjet(
+        package, "fly", "hover", "--controller", "my_controllers.py:Mine", "--set", "controller_parameters.x=1"
+    )
+    assert done.returncode == 2
+    assert "controller_parameters.x: unknown parameter; allowed: share" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_records_of_the_protocol_are_what_the_page_says() -> None:
+    assert Parameter("share", 1.0)[2:4] == ("", "")
+    assert Column("a", "1", "", "b").source == ""
+    assert Actuation._fields[:2] == ("throttle", "tilt")
+    page = PAGE.read_text(encoding="utf-8")
+    from cosim.simulation.controllers.source import GROUP, LEVELS
+
+    assert all(f'`"{level}"`' in page for level in LEVELS)
+    assert f"`{GROUP}`" in page
