@@ -29,6 +29,7 @@ DUTY = {
     "flight": "fly(): a scenario to a run",
     "design": "identification, design",
     "groundstation": "MAVLink, local page",
+    "codegen": "a controller as C and as FMUs",
     "campaign": "many flights",
     "paper": "the paper reproduced",
     "bench": "what it costs",

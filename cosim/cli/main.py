@@ -15,7 +15,7 @@ INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
 COMMANDS = {  # where each is, so that none is read for another
     "bench": "bench:bench",
     "design": "design:design",
-    "export": "runs:export",
+    "export": "export:export",
     "failsafes": "faults:failsafes",
     "faults": "faults:faults",
     "fly": "fly:fly",

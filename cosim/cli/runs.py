@@ -1,14 +1,13 @@
-"""hexjet list, report and export: what can be flown, and what was."""
+"""hexjet list and report: what can be flown, and what was."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from cosim.base.errors import InputError
 from cosim.base.paths import data_folder, files_in, names_in
 from cosim.base.toml import read_toml
 from cosim.cli.console import terminal
@@ -57,31 +56,6 @@ def report(folder: Path) -> int:
     run = open_run(folder)
     write_report(run, folder / REPORT)
     print_run(run)
-    return DONE
-
-
-@click.command(epilog=example("hexjet export runs/roll-doublet-smith-001 --to ulog"))
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
-@click.option("target", "--to", type=click.Choice(["ulog", "csv"]), required=True, help="The format.")
-@click.option(
-    "--rates",
-    type=click.Choice(["all", "px4"]),
-    default="all",
-    show_default=True,
-    help="ULog: every step, or each topic about as often as PX4 logs it.",
-)
-def export(folder: Path, target: str, rates: Literal["all", "px4"]) -> int:
-    """Write the log of the run in DIR as CSV, or as ULog for PlotJuggler and Flight Review."""
-    from cosim.results.export import export_csv, export_ulog
-
-    path = folder / {"ulog": "flight.ulg", "csv": "flight.csv"}[target]
-    if target == "ulog":
-        export_ulog(folder, path, rates)
-    elif rates != "all":
-        raise InputError("--rates: is for --to ulog; CSV has every step")
-    else:
-        export_csv(folder, path)
-    click.echo(str(path))
     return DONE
 
 

@@ -12,7 +12,7 @@ from cosim.control.bumpless import Fade
 from cosim.control.lead import Lead
 from cosim.spec.vehicle import AltitudeGains, EngineLead
 
-_LEAST_UPRIGHT: Final = 0.5  # thrust is not raised further for a lean beyond 60 degrees
+LEAST_UPRIGHT: Final = 0.5  # thrust is not raised further for a lean beyond 60 degrees
 
 
 class AltitudeController:
@@ -83,8 +83,8 @@ class AltitudeController:
             self._integral = clamp(integral, limit)
         _, x, y, _ = measured.attitude
         upright = 1.0 - 2.0 * (x * x + y * y)
-        if upright < _LEAST_UPRIGHT:
-            upright = _LEAST_UPRIGHT
+        if upright < LEAST_UPRIGHT:
+            upright = LEAST_UPRIGHT
         acceleration = GRAVITY + self._velocity * error + self._integral
         if self._fade is not None:
             acceleration += self._faded(self._fade, off, measured.velocity[2], acceleration)

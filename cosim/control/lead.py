@@ -29,8 +29,16 @@ def lead_polynomials(lead: EngineLead, step: float) -> tuple[list[float], list[f
     for root in roots:
         over = _times(over, exp(root * step))
         under = _times(under, exp(complex(-lead.pole_rad_s * step)))
-    gain = sum(under).real / sum(over).real
+    gain = _at_one(under) / _at_one(over)
     return [gain * x.real for x in over], [x.real for x in under]
+
+
+def _at_one(polynomial: list[complex]) -> float:
+    """The real part at ``z = 1``, added up in order: ``sum`` adds in another way from Python to Python."""
+    total = complex(0.0)
+    for x in polynomial:
+        total += x
+    return total.real
 
 
 def _times(polynomial: list[complex], root: complex) -> list[complex]:
@@ -63,6 +71,11 @@ class Lead:
         else:
             self._c1 = (b1 + 2.0 * p * b0) / self._q
             self._c2 = (b0 * p * p + b1 * p + b2) / (self._q * self._q)
+
+    @property
+    def constants(self) -> tuple[float, float, float, float, float]:
+        """``C(inf)``, the low-pass's ``p`` and ``1 - p``, and the weights of the two low-passed."""
+        return (self._most, self._p, self._q, self._c1, self._c2)
 
     def settle(self, value: float) -> None:
         """As if ``value`` had always been wanted."""

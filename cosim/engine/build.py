@@ -41,6 +41,7 @@ UNITS: dict[str, dict[str, float]] = {
     "m": {"m": 1},
     "m2": {"m": 2},
     "m/s": {"m": 1, "s": -1},
+    "rad": {"rad": 1},
     "rad/s": {"rad": 1, "s": -1},
     "rpm": {"rad": 1, "s": -1, "factor": 0.10471975511965977},
     "s": {"s": 1},
@@ -264,8 +265,16 @@ def _number(where: str, value: Any) -> float:
 
 def _token(engine: Engine, adapter: Path, fmi: int) -> str:
     """A name for exactly these inputs: it is the FMI token, and it tells whether an archive is up to date."""
-    digest = hashlib.sha256(f"{engine.name} FMI {fmi}".encode())
-    for path in [engine.folder / "engine.toml", *engine.sources, *_adapter_files(adapter, fmi), Path(__file__)]:
+    return _named_by(f"{engine.name} FMI {fmi}", [engine.folder / "engine.toml", *_inputs(engine, adapter, fmi)])
+
+
+def _inputs(engine: Engine, adapter: Path, fmi: int) -> list[Path]:
+    return [*engine.sources, *_adapter_files(adapter, fmi), Path(__file__)]
+
+
+def _named_by(label: str, paths: Iterable[Path]) -> str:
+    digest = hashlib.sha256(label.encode())
+    for path in paths:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
 
@@ -506,6 +515,15 @@ def build_all(
                 _build(engine, adapter or engines / "fmi", fmi, token, target)
             built.append(target)
     return built
+
+
+def build_one(engine: Engine, adapter: Path, fmi: int, target: Path) -> None:
+    """Build one archive of what has the three functions of ``engine.h`` and no ``engine.toml``.
+
+    Raises BuildError for a compiler that is missing or fails.
+    """
+    token = _named_by(f"{engine.name} {engine.variables} FMI {fmi}", _inputs(engine, adapter, fmi))
+    _build(engine, adapter, fmi, token, target)
 
 
 def _platform_folder(fmi: int) -> str:

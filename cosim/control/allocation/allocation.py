@@ -29,7 +29,7 @@ from cosim.base.signals import (
 from cosim.control.allocation.reallocation import Plan, plan
 from cosim.spec.vehicle import AllocationLimits, Jet
 
-_LEAST_SHARE: Final = 0.25  # of hover thrust, below which tilts are not enlarged further
+LEAST_SHARE: Final = 0.25  # of hover thrust, below which tilts are not enlarged further
 _FLAT: Final = 1e-9  # of throttle per collective: does not follow it
 
 
@@ -64,14 +64,14 @@ class TiltAllocator:
                 raise InputError(
                     f"vehicle.jets: the {jet.servo} servo's jet at y = {jet.position_m[1]:g} m is not on its side"
                 )
-        self._left = tuple(jet.servo == "left" for jet in jets)
+        self.left = tuple(jet.servo == "left" for jet in jets)
         lever = sum(jet.position_m[2] for jet in jets)
         if lever == 0.0:
             raise InputError(
                 "vehicle.jets: with all jets at the height of the centre of gravity, tilting gives no pitch"
             )
         # a forward tilt pushes forward at z: nose up where the jets stand below the centre of gravity
-        self._pitch_sign = 1.0 if lever > 0.0 else -1.0
+        self.pitch_sign = 1.0 if lever > 0.0 else -1.0
         self._lever = lever
         self._hover_thrust = hover + idle
 
@@ -107,15 +107,15 @@ class TiltAllocator:
         left, right = c + r, c - r
 
         share = (c + self._idle) / self._hover_thrust
-        if share < _LEAST_SHARE:
-            share = _LEAST_SHARE
+        if share < LEAST_SHARE:
+            share = LEAST_SHARE
         # what fits is refused exactly nothing, not a rounding error: the integrals stop on any refusal
         limit = self._range
-        p = self._pitch_sign * pitch / share
+        p = self.pitch_sign * pitch / share
         left_pitch = left_yaw = 0.0
         if p > limit or p < -limit:
             p = limit if p > 0.0 else -limit
-            left_pitch = pitch - self._pitch_sign * p * share
+            left_pitch = pitch - self.pitch_sign * p * share
         room = limit - (p if p >= 0.0 else -p)
         y = yaw / share
         if y > room or y < -room:
@@ -123,7 +123,7 @@ class TiltAllocator:
             left_yaw = yaw - y * share
 
         return Actuation(
-            tuple([left if on_left else right for on_left in self._left]),
+            tuple([left if on_left else right for on_left in self.left]),
             (p + y, p - y),
             Unallocated(roll - r, left_pitch, left_yaw, collective - c),
             NO_JETS,
@@ -158,12 +158,12 @@ class TiltAllocator:
         c = collective if up >= least and extra == missing else plan.centre + above + extra
         throttle = tuple([_between(low, lifted[i], high) if frees[i] else at_roll[i] for i in jets])
 
-        share = max(_LEAST_SHARE, (c + self._idle) / self._hover_thrust)
+        share = max(LEAST_SHARE, (c + self._idle) / self._hover_thrust)
         constant, per_up, per_roll, per_boost = plan.pitch
         left = constant + above * per_up + r * per_roll + extra * per_boost
         # what the throttles leave of pitch is tilted away
-        balance = -left / (self._lever * max(_LEAST_SHARE, self._idle + c))
-        wanted = self._pitch_sign * pitch / share + balance
+        balance = -left / (self._lever * max(LEAST_SHARE, self._idle + c))
+        wanted = self.pitch_sign * pitch / share + balance
         p = clamp(wanted, self._range)
         y = clamp(yaw / share, self._range - abs(p))
         return Actuation(
@@ -171,7 +171,7 @@ class TiltAllocator:
             (p + y, p - y),
             Unallocated(
                 roll - r,
-                0.0 if p == wanted else self._pitch_sign * (wanted - p) * share,
+                0.0 if p == wanted else self.pitch_sign * (wanted - p) * share,
                 0.0 if y == yaw / share else yaw - y * share,
                 collective - c,
             ),
@@ -213,11 +213,9 @@ class RotorAllocator:
     def __init__(self, jets: Sequence[Jet], limits: AllocationLimits, hover: float) -> None:
         self._low, self._high = limits.throttle_min, limits.throttle_max
         self.hover = hover
-        self._signs = tuple(
-            (-_sign(jet.position_m[1]), _sign(jet.position_m[0]), _sign(jet.reaction_m)) for jet in jets
-        )
+        self.signs = tuple((-_sign(jet.position_m[1]), _sign(jet.position_m[0]), _sign(jet.reaction_m)) for jet in jets)
         for index, axis in enumerate(AXES):
-            signs = [sign[index] for sign in self._signs]
+            signs = [sign[index] for sign in self.signs]
             if not (max(signs) > 0.0 > min(signs)):
                 raise InputError(f"vehicle.jets: the rotors give no {axis} moment both ways")
 
@@ -244,7 +242,7 @@ class RotorAllocator:
         # rounding may leave the two apart by nothing
         c = least if collective < least else (most if collective > most else collective)
         return Actuation(
-            tuple([min(high, max(low, c + a * r + b * p + d * y)) for a, b, d in self._signs]),
+            tuple([min(high, max(low, c + a * r + b * p + d * y)) for a, b, d in self.signs]),
             (0.0, 0.0),
             Unallocated(roll - r, pitch - p, yaw - y, collective - c),
             NO_JETS,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -45,36 +45,33 @@ class ThrustMap:
 
     def __init__(self, reference: StaticCurve, stations: Sequence[StaticCurve]) -> None:
         inverse = {id(curve): inverted(curve) for curve in (reference, *stations)}
-        self._low, self._span = reference.thrust[0], reference.span
+        self.low, self.span = reference.thrust[0], reference.span
         # None: the throttle is the share, to the last bit
-        self._stations = [
+        self.stations = [
             None if reference.straight and _same(curve, reference) else inverse[id(curve)] for curve in stations
         ]
-        self.identity = not any(self._stations)
-        self._share = inverse[id(reference)] if reference.straight else self._linear
+        self.identity = not any(self.stations)
+        self.inverse = inverse[id(reference)] if reference.straight else None  # None: as the chord has it
         # thrust at throttle 0, in shares: the thrust itself is proportional to c + idle
-        self.idle = self._low / self._span if abs(self._low) > STRAIGHT * self._span else 0.0
-
-    def _linear(self, thrust: float) -> float:
-        return (thrust - self._low) / self._span
+        self.idle = self.low / self.span if abs(self.low) > STRAIGHT * self.span else 0.0
 
     def share(self, thrust: float) -> float:
         """The share that asks a station for ``thrust`` [N]."""
-        return self._share(thrust)
+        return (thrust - self.low) / self.span if self.inverse is None else self.inverse(thrust)
 
     def collective(self, total: float) -> float:
         """The share that asks every station for its part of ``total`` [N]."""
-        return self._share(total / len(self._stations))
+        return self.share(total / len(self.stations))
 
     def throttle(self, shares: PerJet) -> PerJet:
         """One throttle per station."""
         if self.identity:
             return shares
-        low, span = self._low, self._span
+        low, span = self.low, self.span
         return tuple(
             [
                 c if throttle is None else min(max(throttle(low + c * span), 0.0), 1.0)
-                for throttle, c in zip(self._stations, shares, strict=True)
+                for throttle, c in zip(self.stations, shares, strict=True)
             ]
         )
 
@@ -83,7 +80,7 @@ def _same(one: StaticCurve, other: StaticCurve) -> bool:
     return one is other or (one.throttle, one.thrust) == (other.throttle, other.thrust)
 
 
-def inverted(curve: StaticCurve) -> Callable[[float], float]:
+def inverted(curve: StaticCurve) -> Inverse:
     """Thrust at rest [N] to throttle, linear between the points and beyond the ends.
 
     Raises InputError if the thrust does not grow with the throttle: nothing could then be inverted.
@@ -99,17 +96,17 @@ def inverted(curve: StaticCurve) -> Callable[[float], float]:
 
     slopes = [(v - u) / (b - a) for (u, v), (a, b) in zip(pairwise(throttles), pairwise(thrusts), strict=True)]
 
-    return _Inverse(throttles, thrusts, slopes)
+    return Inverse(throttles, thrusts, slopes)
 
 
-class _Inverse:
+class Inverse:
     """Straight lines between the points of a curve: throttle by thrust [N]."""
 
     def __init__(self, throttles: Sequence[float], thrusts: Sequence[float], slopes: Sequence[float]) -> None:
-        self._throttles, self._thrusts, self._slopes = list(throttles), list(thrusts), list(slopes)
+        self.throttles, self.thrusts, self.slopes = list(throttles), list(thrusts), list(slopes)
 
     def __call__(self, thrust: float) -> float:
-        thrusts = self._thrusts
+        thrusts = self.thrusts
         # bisect_left of the points between the ends; called once a step
         i, end = 0, len(thrusts) - 2
         while i < end:
@@ -118,4 +115,4 @@ class _Inverse:
                 i = middle + 1
             else:
                 end = middle
-        return self._throttles[i] + self._slopes[i] * (thrust - thrusts[i])
+        return self.throttles[i] + self.slopes[i] * (thrust - thrusts[i])

@@ -28,21 +28,21 @@ class DelayLine:
     """``z^-n``: what went in ``samples`` updates ago, 0 before that."""
 
     def __init__(self, samples: int) -> None:
-        self._samples = samples
+        self.samples = samples
         self.reset()
 
     def reset(self) -> None:
         """Fill with zeros."""
-        self._line = [0.0] * self._samples
+        self._line = [0.0] * self.samples
         self._at = 0
 
     def update(self, value: float) -> float:
-        if not self._samples:
+        if not self.samples:
             return value
         line, at = self._line, self._at
         old = line[at]
         line[at] = value
-        self._at = at + 1 if at + 1 < self._samples else 0
+        self._at = at + 1 if at + 1 < self.samples else 0
         return old
 
 
@@ -54,23 +54,23 @@ class DiscreteModel:
     """
 
     def __init__(self, numerator: Sequence[float], denominator: Sequence[float]) -> None:
-        self._a = list(denominator[1:])
-        self._b = [0.0] * (len(self._a) - len(numerator)) + list(numerator)
+        self.a = list(denominator[1:])
+        self.b = [0.0] * (len(self.a) - len(numerator)) + list(numerator)
         self.reset()
 
     def reset(self) -> None:
         """At rest."""
-        self._past = [0.0] * len(self._a)
+        self._past = [0.0] * len(self.a)
 
     def update(self, applied: float) -> float:
         """Output at ``t_k`` from the input held over ``[t_k-1, t_k)``."""
         # transposed direct form: past[i] holds what is known by now of the output i steps ahead
         past = self._past
-        value = past[0] + self._b[0] * applied
+        value = past[0] + self.b[0] * applied
         last = len(past) - 1
         for i in range(last):
-            past[i] = past[i + 1] + self._b[i + 1] * applied - self._a[i] * value
-        past[last] = -self._a[last] * value
+            past[i] = past[i + 1] + self.b[i + 1] * applied - self.a[i] * value
+        past[last] = -self.a[last] * value
         return value
 
 
@@ -92,17 +92,17 @@ class DelayedModel:
     def __init__(self, model: RateModel) -> None:
         whole = int(model.delay_samples)
         fraction = model.delay_samples - whole
-        self._line = DelayLine(whole)
-        self._model = _fractional(model, fraction) if fraction else rate_model(model)
+        self.line = DelayLine(whole)
+        self.model = _fractional(model, fraction) if fraction else rate_model(model)
 
     def reset(self) -> None:
         """At rest."""
-        self._line.reset()
-        self._model.reset()
+        self.line.reset()
+        self.model.reset()
 
     def update(self, applied: float) -> float:
         """Output at ``t_k`` from the inputs up to the one held over ``[t_k-1, t_k)``."""
-        return self._line.update(self._model.update(applied))
+        return self.line.update(self.model.update(applied))
 
 
 class SmithPredictor:
@@ -114,23 +114,23 @@ class SmithPredictor:
     """
 
     def __init__(self, model: RateModel) -> None:
-        self._now = rate_model(model)
+        self.now = rate_model(model)
         # over whole samples the late output is the early one, kept
-        self._whole = model.delay_samples == int(model.delay_samples)
-        self._then: DelayLine | DelayedModel
-        self._then = DelayLine(int(model.delay_samples)) if self._whole else DelayedModel(model)
+        self.whole = model.delay_samples == int(model.delay_samples)
+        self.then: DelayLine | DelayedModel
+        self.then = DelayLine(int(model.delay_samples)) if self.whole else DelayedModel(model)
         self._delay = model.delay_samples
         self.diagnostics: Diagnostics = (0.0, 0.0, self._delay)
 
     def reset(self) -> None:
         """Model and delay at rest."""
-        self._now.reset()
-        self._then.reset()
+        self.now.reset()
+        self.then.reset()
         self.diagnostics = (0.0, 0.0, self._delay)
 
     def update(self, measured: float, applied: float) -> float:
-        now = self._now.update(applied)
-        then = self._then.update(now if self._whole else applied)
+        now = self.now.update(applied)
+        then = self.then.update(now if self.whole else applied)
         self.diagnostics = (now, then, self._delay)
         return measured + (now - then)
 
@@ -143,34 +143,34 @@ class FilteredSmithPredictor:
     """
 
     def __init__(self, model: RateModel, numerator: Sequence[float], denominator: Sequence[float]) -> None:
-        self._now = rate_model(model)
-        self._then = DelayedModel(model)
+        self.now = rate_model(model)
+        self.then = DelayedModel(model)
         # a filter in z^-1 of which today's input already moves today's output: feed-through and a strictly proper rest
-        self._through = numerator[0]
-        rest = [b - self._through * a for b, a in zip(numerator[1:], denominator[1:], strict=True)]
-        self._rest = DiscreteModel(rest, denominator) if rest else None
+        self.through = numerator[0]
+        rest = [b - self.through * a for b, a in zip(numerator[1:], denominator[1:], strict=True)]
+        self.rest = DiscreteModel(rest, denominator) if rest else None
         self._delay = model.delay_samples
         self.diagnostics: Diagnostics = (0.0, 0.0, self._delay)
         self.reset()
 
     def reset(self) -> None:
         """Models and filter at rest."""
-        self._now.reset()
-        self._then.reset()
-        if self._rest:
-            self._rest.reset()
+        self.now.reset()
+        self.then.reset()
+        if self.rest:
+            self.rest.reset()
         self._before = 0.0
         self.diagnostics = (0.0, 0.0, self._delay)
 
     def update(self, measured: float, applied: float) -> float:
-        then = self._then.update(applied)
+        then = self.then.update(applied)
         difference = measured - then
-        filtered = self._through * difference
-        if self._rest:
-            filtered += self._rest.update(self._before)
+        filtered = self.through * difference
+        if self.rest:
+            filtered += self.rest.update(self._before)
         self._before = difference
         # written as Smith's answer and what the filter changes of it, so that F = 1 is Smith's bit for bit
-        now = self._now.update(applied)
+        now = self.now.update(applied)
         self.diagnostics = (now, then, self._delay)
         return measured + (now - then) + (filtered - difference)
 

@@ -76,11 +76,11 @@ class DoubleIntegratorObserver:
         w = bandwidth
         # exp of [[-2w, 1], [-w^2, 0]]: a double pole at -w
         decay = float(np.exp(-w * step))
-        self._a = (decay * (1.0 - w * step), decay * step, -decay * w * w * step, decay * (1.0 + w * step))
+        self.transition = (decay * (1.0 - w * step), decay * step, -decay * w * w * step, decay * (1.0 + w * step))
         inverse = np.linalg.inv(np.array([[-2.0 * w, 1.0], [-w * w, 0.0]]))
-        integral = inverse @ (np.array(self._a).reshape(2, 2) - np.eye(2))
-        self._l = tuple(float(v) for v in integral @ np.array([2.0 * w, w * w]))
-        self._b = tuple(float(v) for v in integral @ np.array([0.0, 1.0]))
+        integral = inverse @ (np.array(self.transition).reshape(2, 2) - np.eye(2))
+        self.of_rate = tuple(float(v) for v in integral @ np.array([2.0 * w, w * w]))
+        self.of_command = tuple(float(v) for v in integral @ np.array([0.0, 1.0]))
         self.reset()
 
     def reset(self) -> None:
@@ -88,9 +88,9 @@ class DoubleIntegratorObserver:
 
     def update(self, measured: float, late: float, push: Pair) -> tuple[Pair, float]:
         x, v = self._x, self._v
-        a, b, c, d = self._a
-        self._x = a * x + b * v + self._l[0] * measured + self._b[0] * late
-        self._v = c * x + d * v + self._l[1] * measured + self._b[1] * late
+        a, b, c, d = self.transition
+        self._x = a * x + b * v + self.of_rate[0] * measured + self.of_command[0] * late
+        self._v = c * x + d * v + self.of_rate[1] * measured + self.of_command[1] * late
         return (self._x, self._v), 0.0
 
 
@@ -102,7 +102,7 @@ class ModelObserver:
     """
 
     def __init__(self, model: StateModel, bandwidth: float, disturbance: bool) -> None:
-        self._with_disturbance = disturbance
+        self.with_disturbance = disturbance
         n = 3 if disturbance else 2
         F = np.eye(n)
         F[:2, :2] = model.A
@@ -115,21 +115,21 @@ class ModelObserver:
         observability = np.array([c @ np.linalg.matrix_power(F, i) for i in range(n)])
         characteristic = np.linalg.matrix_power(F - pole * np.eye(n), n)
         late_gain = characteristic @ np.linalg.solve(observability, np.eye(n)[:, -1])
-        self._gain = [float(v) for v in np.linalg.solve(F, late_gain)]
-        self._F = [[float(v) for v in row] for row in F]
+        self.gain = [float(v) for v in np.linalg.solve(F, late_gain)]
+        self.F = [[float(v) for v in row] for row in F]
         self.reset()
 
     def reset(self) -> None:
-        self._state = [0.0] * len(self._F)
+        self._state = [0.0] * len(self.F)
 
     def update(self, measured: float, late: float, push: Pair) -> tuple[Pair, float]:
         old = self._state
-        ahead = [_dot(row, old) for row in self._F]
+        ahead = [_dot(row, old) for row in self.F]
         ahead[0] += push[0]
         ahead[1] += push[1]
         error = measured - ahead[0]
-        self._state = state = [ahead[i] + gain * error for i, gain in enumerate(self._gain)]
-        return (state[0], state[1]), state[2] if self._with_disturbance else 0.0
+        self._state = state = [ahead[i] + gain * error for i, gain in enumerate(self.gain)]
+        return (state[0], state[1]), state[2] if self.with_disturbance else 0.0
 
 
 class StatePredictor:
@@ -140,41 +140,41 @@ class StatePredictor:
     """
 
     def __init__(self, model: RateModel, observer: Observer, state_model: StateModel) -> None:
-        self._observer = observer
+        self.observer = observer
         n = int(model.delay_samples)
         f = model.delay_samples - n
         A, B = state_model.A, state_model.B
-        self._f = f
+        self.f = f
         # a command given n + f samples ago takes over from the one before it when f of the step has gone by
         phi, new = state_model.fraction(1.0 - f)
         old = phi @ state_model.fraction(f)[1]
-        self._push = (float(old[0]), float(new[0]), float(old[1]), float(new[1]))
+        self.push = (float(old[0]), float(new[0]), float(old[1]), float(new[1]))
         phi, gamma = state_model.fraction(f)
         row = np.linalg.matrix_power(A, n)[0]
-        self._of_state = tuple(float(v) for v in row @ phi)
+        self.of_state = tuple(float(v) for v in row @ phi)
         # oldest first: for the observer alone, over the fraction, then one a step
         weights = [0.0, float(row @ gamma), *(float((np.linalg.matrix_power(A, n - 1 - j) @ B)[0]) for j in range(n))]
-        self._weights = weights
-        self._of_disturbance = sum(weights)
+        self.weights = weights
+        self.of_disturbance = sum(weights)
         self.diagnostics: Diagnostics = (nan, nan, model.delay_samples)  # its model has no output of its own
         self.reset()
 
     def reset(self) -> None:
         """At rest, nothing on its way."""
-        self._observer.reset()
-        self._sent = [0.0] * len(self._weights)
+        self.observer.reset()
+        self._sent = [0.0] * len(self.weights)
 
     def update(self, measured: float, applied: float) -> float:
         sent = self._sent
         sent.append(applied)
         del sent[0]
-        f = self._f
+        f = self.f
         before, now = sent[0], sent[1]
-        old_x, new_x, old_v, new_v = self._push
+        old_x, new_x, old_v, new_v = self.push
         push = (old_x * before + new_x * now, old_v * before + new_v * now)
-        (x, v), disturbance = self._observer.update(measured, f * before + (1.0 - f) * now, push)
-        of_x, of_v = self._of_state
-        return of_x * x + of_v * v + _dot(self._weights, sent) + self._of_disturbance * disturbance
+        (x, v), disturbance = self.observer.update(measured, f * before + (1.0 - f) * now, push)
+        of_x, of_v = self.of_state
+        return of_x * x + of_v * v + _dot(self.weights, sent) + self.of_disturbance * disturbance
 
 
 class Modes:
@@ -242,19 +242,19 @@ class ModalPredictor:
     def __init__(self, model: RateModel, bandwidth: float, disturbance: bool) -> None:
         modes = Modes(model)
         _, gain = modal_observer(modes, bandwidth, model.sample_time_s, disturbance)
-        self._poles = modes.poles
-        self._residues = modes.residues
-        self._shares = modes.shares
-        self._with_disturbance = disturbance
-        self._gain: list[complex] = gain.tolist()
-        self._ahead = modes.ahead()
-        self._gathered = modes.gathered()
+        self.poles = modes.poles
+        self.residues = modes.residues
+        self.shares = modes.shares
+        self.with_disturbance = disturbance
+        self.gain: list[complex] = gain.tolist()
+        self.ahead = modes.ahead()
+        self.gathered = modes.gathered()
         n, f = modes.whole, modes.delay - modes.whole
         # oldest first: for the observer alone, over the fraction, then one a step
         over_fraction: list[complex] = [f if p == 1.0 else (p**f - 1.0) / (p - 1.0) for p in modes.poles]
         residues, poles = modes.residues, modes.poles
         late = [c * p**n for c, p in zip(residues, poles, strict=True)]
-        self._weights = [
+        self.weights = [
             0.0,
             _product_sum(late, over_fraction).real,
             *[_product_sum(residues, [p ** (n - 1 - j) for p in poles]).real for j in range(n)],
@@ -264,22 +264,22 @@ class ModalPredictor:
 
     def reset(self) -> None:
         """At rest, nothing on its way."""
-        self._x: list[complex] = [0.0] * len(self._poles)
+        self._x: list[complex] = [0.0] * len(self.poles)
         self._d = 0.0
-        self._sent = [0.0] * len(self._weights)
+        self._sent = [0.0] * len(self.weights)
 
     def update(self, measured: float, applied: float) -> float:
         sent = self._sent
         sent.append(applied)
         del sent[0]
         before, now, d = sent[0], sent[1], self._d
-        old, shares = self._x, self._shares
-        x = [p * old[i] + d + shares[i] * now + (1.0 - shares[i]) * before for i, p in enumerate(self._poles)]
-        error = measured - _product_sum(self._residues, x).real
-        self._x = x = [value + self._gain[i] * error for i, value in enumerate(x)]
-        if self._with_disturbance:
-            self._d = d = d + self._gain[-1].real * error
-        return _product_sum(self._ahead, x).real + _dot(self._weights, sent) + self._gathered * d
+        old, shares = self._x, self.shares
+        x = [p * old[i] + d + shares[i] * now + (1.0 - shares[i]) * before for i, p in enumerate(self.poles)]
+        error = measured - _product_sum(self.residues, x).real
+        self._x = x = [value + self.gain[i] * error for i, value in enumerate(x)]
+        if self.with_disturbance:
+            self._d = d = d + self.gain[-1].real * error
+        return _product_sum(self.ahead, x).real + _dot(self.weights, sent) + self.gathered * d
 
 
 def _dot(a: list[float], b: list[float]) -> float:

@@ -1,0 +1,148 @@
+"""hexjet export: a run's log in other formats, a controller as C and as FMUs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+from cosim.base.errors import InputError
+from cosim.cli.options import DONE, FLIGHT_FAILED, example, load_scenario, offer_to_compile
+
+if TYPE_CHECKING:
+    from cosim.codegen.export import Exported
+
+
+class Export(click.Group):
+    """``hexjet export DIR --to FORMAT`` is a run's log; what a first word names is something else."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Hand what does not begin with the name of a command to that of logs."""
+        if args and args[0] not in (*self.commands, *self.get_help_option_names(ctx)):
+            args = [_LOG, *args]
+        return super().parse_args(ctx, args)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """One of the commands, or that of logs."""
+        return log if cmd_name == _LOG else super().get_command(ctx, cmd_name)
+
+
+_LOG = "DIR"  # what the help calls it
+
+
+@click.group(cls=Export, epilog=example("hexjet export runs/roll-doublet-smith-001 --to ulog"))
+def export() -> None:
+    """Write the log of a run, or a controller, for other tools.
+
+    \b
+    hexjet export DIR --to ulog|csv   the log of the run in DIR; see: hexjet export DIR --help
+    hexjet export controller          a controller as C99 and as FMUs, with a test
+
+    A run in a folder called "controller" is ./controller.
+    """
+
+
+@click.command(_LOG, epilog=example("hexjet export runs/roll-doublet-smith-001 --to ulog"))
+@click.argument("folder", type=click.Path(path_type=Path), metavar="")
+@click.option("target", "--to", type=click.Choice(["ulog", "csv"]), required=True, help="The format.")
+@click.option(
+    "--rates",
+    type=click.Choice(["all", "px4"]),
+    default="all",
+    show_default=True,
+    help="ULog: every step, or each topic about as often as PX4 logs it.",
+)
+def log(folder: Path, target: str, rates: Literal["all", "px4"]) -> int:
+    """Write the log of the run in DIR as CSV, or as ULog for PlotJuggler and Flight Review."""
+    from cosim.results.export import export_csv, export_ulog
+
+    path = folder / {"ulog": "flight.ulg", "csv": "flight.csv"}[target]
+    if target == "ulog":
+        export_ulog(folder, path, rates)
+    elif rates != "all":
+        raise InputError("--rates: is for --to ulog; CSV has every step")
+    else:
+        export_csv(folder, path)
+    click.echo(str(path))
+    return DONE
+
+
+@export.command(epilog=example("hexjet export controller --controller turbojet.toml --engine turbojet --out c"))
+@click.option(
+    "--scenario",
+    default="roll-doublet",
+    show_default=True,
+    metavar="NAME|FILE",
+    help="The flight that becomes the test, with aircraft, engine and controller where they are not given.",
+)
+@click.option(
+    "--controller", metavar="NAME|FILE.toml", help="Overrides the scenario's; or a file that hexjet design wrote."
+)
+@click.option("--aircraft", metavar="NAME", help="Overrides the scenario's, with the engine that it is made for.")
+@click.option("engines", "--engine", metavar="[N=]NAME|FILE", multiple=True, help="Overrides the scenario's.")
+@click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="Write a value over the scenario's.")
+@click.option("--name", default="controller", show_default=True, help="Of files, functions and types, an identifier.")
+@click.option(
+    "--licence",
+    metavar="SPDX",
+    help='Stated in every file, e.g. MIT or "LicenseRef-Ours"; yours to choose.  [default: NOASSERTION]',
+)
+@click.option("--no-fmu", is_flag=True, help="The C alone.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="A new or an empty folder.  [default: NAME]"
+)
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
+def controller(
+    scenario: str,
+    controller: str | None,
+    aircraft: str | None,
+    engines: tuple[str, ...],
+    settings: tuple[str, ...],
+    name: str,
+    licence: str | None,
+    no_fmu: bool,
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """Write a controller as C99 with parameters, test vectors and test program, and as FMI 2.0 and 3.0 FMUs.
+
+    The scenario is flown once; the C is compiled and compared with that flight where there is a compiler.  Status 1:
+    it does not repeat the flight to the last bit.
+    """
+    from cosim.codegen.export import export_controller
+
+    offer_to_compile(*engines)
+    flown = load_scenario(scenario, controller, engines, None, settings, None, aircraft)
+    source = Path(controller).name if controller is not None and controller.lower().endswith(".toml") else ""
+    done = export_controller(flown, out if out is not None else Path(name), name, licence, not no_fmu, source)
+    if as_json:
+        click.echo(json.dumps(_data(done)))
+    else:
+        _print(done)
+    return FLIGHT_FAILED if done.measured is not None and not done.measured.same else DONE
+
+
+def _data(done: Exported) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    measured = asdict(done.measured) if done.measured is not None else None
+    return {
+        "folder": str(done.folder),
+        "files": done.files,
+        "steps": done.steps,
+        "measured": measured,
+        "without_fmus": done.without_fmus,
+    }
+
+
+def _print(done: Exported) -> None:
+    from cosim.codegen.export import figures
+
+    click.echo(f"{done.folder}: {', '.join(done.files)}")
+    click.echo(f"test vectors: {done.steps} steps")
+    for what, value in figures(done.measured):
+        click.echo(f"{what}: {value}")
+    if done.without_fmus is not None:
+        click.echo(f"no FMUs: {done.without_fmus}")

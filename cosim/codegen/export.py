@@ -1,0 +1,130 @@
+"""``hexjet export controller``: a folder with a controller as C, its test and its FMUs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from cosim.base.errors import FlightError, InputError
+from cosim.codegen.files import Labels, render, texts
+from cosim.codegen.form import Form, form_of
+from cosim.codegen.measure import Measured, measure
+from cosim.codegen.vectors import Vectors, record
+from cosim.simulation.build import build
+from cosim.spec.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written and what it came to."""
+
+    folder: Path
+    files: list[str]
+    steps: int  # of the flight in the test vectors
+    measured: Measured | None  # None: no C compiler here
+    without_fmus: str | None  # why there are none
+
+
+def export_controller(
+    scenario: Scenario, folder: Path, name: str, licence: str | None = None, fmus: bool = True, source: str = ""
+) -> Exported:
+    """Fly a scenario and write its controller, as C and as FMUs, with the flight as test vectors.
+
+    ``name``: of files, functions and types; ``licence``: stated in every file; ``source``: the controller's file.
+    Raises InputError for what has no C form, for a folder that is not empty, and for a flight that fails.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
+    labels = Labels(name, f"{scenario.aircraft} with {scenario.controller}", licence, ())  # before the flight
+    with build(scenario) as simulation:
+        form = form_of(simulation)
+        origin = _origin(scenario, source, simulation.engine.name, simulation.engine.sha256)
+        vectors = record(simulation)
+    labels = Labels(labels.name, labels.title, labels.licence, origin)
+    made = texts(form, vectors, labels)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, text in made.items():
+            (folder / file).write_text(text, encoding="utf-8")
+        measured = measure(folder, name)
+        archives, without = _fmus(form, vectors, labels, made, folder) if fmus else ([], "left out, as asked")
+        readme = _readme(form, vectors, labels, measured, archives)
+        (folder / "README.md").write_text(readme, encoding="utf-8")
+    except OSError as error:
+        raise FlightError(f"{folder}: {error.strerror or error}") from error
+    return Exported(folder, [*made, *archives, "README.md"], len(vectors.rows), measured, without)
+
+
+def _fmus(
+    form: Form, vectors: Vectors, labels: Labels, made: dict[str, str], folder: Path
+) -> tuple[list[str], str | None]:
+    from cosim.codegen.fmu import build_fmus
+
+    return build_fmus(form, vectors, labels, made, folder)
+
+
+def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[str, ...]:
+    lines = [
+        f"aircraft {scenario.aircraft}, engine {engine} (sha256 {sha256[:16]}), controller {scenario.controller}"
+        + (f" of {source}" if source else ""),
+        f"test vectors: scenario {scenario.name}, seed {scenario.seed}, {scenario.duration_s:g} s",
+    ]
+    if scenario.added_delay_samples:
+        lines.append(f"with {scenario.added_delay_samples} samples of added delay on roll, as the scenario states")
+    return tuple(lines)
+
+
+def _readme(form: Form, vectors: Vectors, labels: Labels, found: Measured | None, fmus: list[str]) -> str:
+    kinds = [f"{axis['name']}: {axis['predictor']['kind']}" for axis in form["axes"]]
+    leads = [axis["lead"] for axis in form["axes"]] + [form["altitude"]["lead"]]
+    return render(
+        "README.md",
+        n=labels.name,
+        title=labels.title,
+        maker=f"hexjet-cosim {version('hexjet-cosim')}",
+        licence_name=labels.licence or "not stated (choose one with --licence)",
+        step=repr(form["step"]),
+        steps=len(vectors.rows),
+        fmus=fmus,
+        origin=labels.origin,
+        predictors="predictors " + ", ".join(kinds),
+        leads=any(leads),
+        schedule=bool(form["schedule"]),
+        straight=form["thrust"]["identity"],
+        figures=figures(found),
+    )
+
+
+def figures(found: Measured | None) -> list[tuple[str, str]]:
+    """What was measured, in words: what, and how much."""
+    if found is None:
+        return [("measured", "nothing: no C compiler was found where this was made")]
+    lines = [
+        ("compiler", f"{found.compiler}, -O2 -ffp-contract=off"),
+        ("double", "every number of the flight to the last bit" if found.same else "not the bits of the flight"),
+        (
+            "float",
+            f"throttle within {found.float_throttle:.2g}, tilt within {found.float_tilt:.2g} rad over the flight, "
+            + ("" if found.float_passes else "not ")
+            + "within half a step of a 12-bit command",
+        ),
+    ]
+    if found.state is not None:
+        lines.append(("state", f"{found.state} bytes"))
+    if found.code is not None:
+        lines.append(("code and constants, without parameters", f"{found.code} bytes"))
+    if found.stack is not None:
+        lines.append(
+            ("worst-case stack", f"{found.stack} bytes by gcc's call graph, beside that of the library of mathematics")
+        )
+    if found.cycles is not None:
+        worst, mean = found.cycles
+        lines.append(
+            (
+                "cycles of a step",
+                f"worst {worst}, mean {mean}: measured, time-stamp counter of the machine that made it, the least of "
+                "20 flights at each step; not a bound for another processor",
+            )
+        )
+    return lines

@@ -1,0 +1,220 @@
+"""The text of every file of an exported controller, from templates and a form."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.codegen.form import Form
+from cosim.codegen.vectors import INPUTS, Vectors, output_names
+from cosim.control.allocation.allocation import LEAST_SHARE
+from cosim.control.altitude import LEAST_UPRIGHT
+
+TEMPLATES = Path(__file__).resolve().parent / "templates"
+_TITLES = {
+    "smith": "Smith's predictor",
+    "filtered": "Smith's predictor with a robustness filter",
+    "state": "state predictor with a double-integrator observer",
+    "observer": "state predictor with an observer of the identified model",
+    "modal": "state predictor with an observer of the identified model, mode by mode",
+}
+# whose headers are included, by the C or by the adapter of the FMUs
+_TAKEN = ("math", "stdbool", "stdint", "stdio", "string", "time", "engine", "slave", "variables", "fmi2", "fmi3")
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What the user chooses of the files, and where their numbers are from."""
+
+    name: str  # of files, functions and types: a C identifier
+    title: str
+    licence: str | None  # SPDX expression or a name
+    origin: tuple[str, ...]  # lines
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[a-z][a-z0-9_]{0,39}", self.name) or self.name in _TAKEN:
+            raise InputError(
+                f"--name {self.name}: must be a C identifier of small letters, digits and _, at most 40, and not "
+                + ", ".join(_TAKEN)
+            )
+        if self.licence is not None and not re.fullmatch(r"[A-Za-z0-9.+() -]{1,120}", self.licence):
+            raise InputError(
+                f"--licence {self.licence}: must be one line of letters, digits, spaces, . + - and brackets, as in SPDX"
+            )
+
+
+def texts(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
+    """Every C file by its name."""
+    n, f = labels.name, _prepared(form)
+    columns = [*INPUTS, *output_names(form["jets"])]
+    common = {
+        "n": n,
+        "N": n.upper(),
+        "f": f,
+        "title": labels.title,
+        "maker": f"hexjet-cosim {version('hexjet-cosim')}",
+        "licence": f"/* SPDX-License-Identifier: {labels.licence or 'NOASSERTION'} */",
+        "step": repr(form["step"]),
+        "gravity": repr(GRAVITY),
+        "least_upright": repr(LEAST_UPRIGHT),
+        "least_share": repr(LEAST_SHARE),
+        "origin": [part for line in labels.origin for part in textwrap.wrap(line.replace("*/", "* /"), 110)],
+        "values": _values(f),
+        "columns": columns,
+        "inputs": len(INPUTS),
+        "rows": [[repr(x) for x in row] for row in vectors.rows],
+        "start": [repr(x) for x in vectors.start],
+        "burnt": repr(vectors.burnt),
+        "on_ground": vectors.on_ground,
+    }
+    made = {
+        f"{n}.h": "controller.h",
+        f"{n}.c": "controller.c",
+        f"{n}_parameters.c": "parameters.c",
+        f"{n}_vectors.h": "vectors.h",
+        f"{n}_vectors.c": "vectors.c",
+        f"test_{n}.c": "test.c",
+    }
+    environment = _environment()
+    return {name: environment.get_template(template).render(**common) for name, template in made.items()}
+
+
+def render(template: str, **values: Any) -> str:
+    """One more file, from any template here."""
+    return str(_environment().get_template(template).render(**values))
+
+
+def _environment() -> Any:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        variable_start_string="[[",
+        variable_end_string="]]",
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+    environment.filters["c"] = _c
+    return environment
+
+
+def _c(value: Any, indent: str = "        ") -> str:
+    """A number, a list or a table as an initializer."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f".{key} = {_c(x)}" for key, x in value.items()) + "}"
+    if isinstance(value, Sequence):
+        text = "{" + ", ".join(_c(x) for x in value) + "}"
+        wrapped = textwrap.wrap(text, 110, break_long_words=False, break_on_hyphens=False)
+        return wrapped[0] if len(wrapped) == 1 else ("\n" + indent).join(wrapped)
+    return f"R({float(value)!r})"
+
+
+def _prepared(form: Form) -> Form:
+    """The form with what the templates ask of it: which helpers are used, and every predictor's fields."""
+    axes = [axis | {"predictor": _fields(axis["predictor"])} for axis in form["axes"]]
+    predictors = [axis["predictor"] for axis in axes]
+    leads = [axis["lead"] for axis in axes] + [form["altitude"]["lead"]]
+    scheduled = [axes[0]["lead"], form["altitude"]["lead"]] if form["schedule"] else []
+    return form | {
+        "axes": axes,
+        "uses_line": bool(form["delay"] or any(each.get("line") for each in predictors)),
+        "uses_discrete": any(each["kind"] in ("smith", "filtered") for each in predictors),
+        "uses_sent": any("weights" in each for each in predictors),
+        "uses_lead": any(leads),
+        "lead_orders": sorted({lead["order"] for lead in scheduled if lead}),
+    }
+
+
+def _fields(q: Form) -> Form:
+    """A predictor's constants and states: names, how many, and the values of the former."""
+    kind = q["kind"]
+    if kind == "none":
+        return q
+    values: dict[str, Any] = {}
+    states: list[tuple[str, Any]] = []
+    if kind in ("smith", "filtered"):
+        for name in ("now", "then", "rest"):
+            model = q.get(name)
+            if model:
+                values |= {f"{name}_b": model["b"], f"{name}_a": model["a"]}
+                states.append((name, len(model["a"])))
+        if kind == "filtered":
+            values["through"] = q["through"]
+            if q["rest"]:
+                states.append(("before", None))
+        if q["line"]:
+            states.append(("line", q["line"]))
+    elif kind == "modal":
+        for name, vector in q["real"].items():
+            values[name] = vector
+            if q["paired"]:
+                values[f"{name}_im"] = q["imaginary"][name]
+        states += [("x", q["order"]), *([("x_im", q["order"])] if q["paired"] else [])]
+        if q["disturbance"]:
+            values["gathered"] = q["gathered"]
+            states.append(("disturbance", None))
+    elif kind == "state":
+        values |= {name: q[name] for name in ("f", "transition", "of_rate", "of_command", "of_state")}
+        states.append(("x", 2))
+    else:
+        values |= {"transition": q["F"], "gain": q["gain"], "push": q["push"], "of_state": q["of_state"]}
+        if q["disturbance"]:
+            values["of_disturbance"] = q["of_disturbance"]
+        states.append(("x", len(q["gain"])))
+    if "weights" in q:
+        values["weights"] = q["weights"]
+        states.append(("sent", len(q["weights"])))
+    constants = [(name, _size(value)) for name, value in values.items()]
+    return {"line": 0} | q | {"title": _TITLES[kind], "constants": constants, "states": states, "values": values}
+
+
+def _size(value: Any) -> str | None:
+    if not isinstance(value, list):
+        return None
+    rows = len(value)
+    return f"{rows}][{len(value[0])}" if isinstance(value[0], list) else str(rows)
+
+
+def _values(f: Form) -> list[tuple[str, Any]]:
+    """The fields of the struct of parameters, in its order, with their values."""
+    height, allocation, schedule = f["altitude"], f["allocation"], f["schedule"]
+    found: list[tuple[str, Any]] = [
+        ("step", f["step"]),
+        ("mass", f["mass"]),
+        ("attitude_gain", f["attitude"]["gain"]),
+        ("attitude_limit", f["attitude"]["limit"]),
+    ]
+    for axis in f["axes"]:
+        found.append((axis["name"], axis["gains"]))
+        if "values" in axis["predictor"]:
+            found.append((f"{axis['name']}_predictor", axis["predictor"]["values"]))
+        if axis["lead"] and not axis["scheduled"]:
+            found.append((f"{axis['name']}_lead", axis["lead"]["constants"]))
+    found += [(key, height[key]) for key in ("position", "up", "down", "velocity", "integral")]
+    found.append(("integral_limit", height["limit"]))
+    if height["lead"] and not schedule:
+        found.append(("altitude_lead", height["lead"]["constants"]))
+    if schedule:
+        found.append(("level_share", schedule["share"]))
+        found += [(f"{name}_level", rows) for name, rows in schedule["levels"].items()]
+        found += [("level_follow", schedule["follow"]), ("level_fine", schedule["fine"])]
+    found += [("throttle_min", allocation["low"]), ("throttle_max", allocation["high"]), ("hover", allocation["hover"])]
+    if allocation["kind"] == "tilt":
+        found += [("idle", allocation["idle"]), ("hover_thrust", allocation["hover_thrust"])]
+        found += [("tilt_range", allocation["range"]), ("pitch_sign", allocation["pitch_sign"])]
+    else:
+        found.append(("signs", allocation["signs"]))
+    found += [("thrust_low", f["thrust"]["low"]), ("thrust_span", f["thrust"]["span"])]
+    for number, curve in enumerate(f["thrust"]["curves"]):
+        found += [(f"curve_{number}_{key}", curve[key]) for key in ("thrust", "throttle", "slope")]
+    return found

@@ -1,0 +1,244 @@
+"""What the C of a controller is written from: the constants of every block of a flight's cascade, as plain numbers.
+
+Numbers are Python's own and are printed so that a C compiler reads the same bits.  What a block computes with is asked
+of the block that flies, not computed anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import exp
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES
+from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
+from cosim.control.allocation.thrust_map import Inverse, ThrustMap
+from cosim.control.cascade import Cascade
+from cosim.control.lead import Lead
+from cosim.control.predictors.smith import (
+    DelayedModel,
+    DelayLine,
+    DiscreteModel,
+    FilteredSmithPredictor,
+    NoPredictor,
+    SmithPredictor,
+)
+from cosim.control.predictors.state import DoubleIntegratorObserver, ModalPredictor, ModelObserver, StatePredictor
+from cosim.control.schedule import FINE
+from cosim.simulation.step import Simulation
+from cosim.spec.vehicle import EngineLead, RateGains, Vehicle
+
+Form = dict[str, Any]
+
+
+def form_of(simulation: Simulation) -> Form:
+    """The cascade of a simulation that has not flown yet, block by block.
+
+    Raises InputError for a controller, predictor or allocator that has no C form.
+    """
+    cascade, vehicle, step = simulation.cascade, simulation.vehicle, simulation.dt
+    schedule = _schedule(vehicle, step)
+    leads = [_lead(getattr(vehicle.control.lead, axis, None), step) for axis in AXES]
+    rate = vehicle.control.rate
+    predictors = cascade.rate.predictors
+    axes = [
+        {
+            "name": axis,
+            "gains": _gains(gains, step),
+            "predictor": predictor_form(predictor, axis),
+            "lead": lead,
+            "scheduled": schedule is not None and axis == "roll",
+        }
+        for axis, gains, predictor, lead in zip(AXES, (rate.roll, rate.pitch, rate.yaw), predictors, leads, strict=True)
+    ]
+    height = vehicle.control.altitude
+    return {
+        "jets": len(vehicle.jets),
+        "step": step,
+        "mass": vehicle.mass_kg,
+        "attitude": {
+            "gain": list(vehicle.control.attitude.gain_1_s),
+            "limit": list(vehicle.control.attitude.rate_limit_rad_s),
+        },
+        "axes": axes,
+        "altitude": {
+            "position": height.position_1_s,
+            "up": height.climb_limit_m_s,
+            "down": -height.descent_limit_m_s,
+            "velocity": height.velocity_1_s,
+            "integral": height.integral_1_s2 * step,
+            "limit": height.integral_limit_m_s2,
+            "lead": _lead(getattr(vehicle.control.lead, "altitude", None), step),
+        },
+        "schedule": schedule,
+        "allocation": _allocation(cascade, vehicle),
+        "thrust": _thrust(cascade.thrust_map),
+        "delay": simulation.scenario.added_delay_samples,
+    }
+
+
+def _gains(gains: RateGains, step: float) -> Form:
+    return {
+        "p": gains.p,
+        "i": gains.i * step,
+        "d": gains.d,
+        "limit": gains.integral_limit,
+        "share": step / (gains.d_filter_s + step),
+    }
+
+
+def _lead(stated: EngineLead | bool | None, step: float) -> Form | None:
+    if not isinstance(stated, EngineLead):
+        return None
+    names = ("most", "p", "q", "c1", "c2")
+    constants = dict(zip(names, Lead(stated, step).constants, strict=True))
+    return {"order": 1 if stated.damping is None else 2, "constants": constants}
+
+
+def _schedule(vehicle: Vehicle, step: float) -> Form | None:
+    stated = vehicle.control.schedule
+    if not stated:
+        return None
+    shares = [level.share for level in stated.level]
+    keys = ("angle", "p", "i", "d", "natural_rad_s", "damping", "pole_rad_s")
+    return {
+        "share": shares,
+        "follow": 1.0 - exp(-step / stated.filter_s),
+        "fine": FINE * (shares[-1] - shares[0]),
+        "levels": {
+            name: [[getattr(getattr(level, name), key) or 0.0 for key in keys] for level in stated.level]
+            for name in ("roll", "altitude")
+        },
+    }
+
+
+def _allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
+    allocator, limits = cascade.allocator, vehicle.control.allocation
+    both = {"low": limits.throttle_min, "high": limits.throttle_max, "hover": allocator.hover}
+    if isinstance(allocator, TiltAllocator) and vehicle.servo is not None:
+        return both | {
+            "kind": "tilt",
+            "idle": cascade.thrust_map.idle,
+            "range": vehicle.servo.range_rad,
+            "pitch_sign": allocator.pitch_sign,
+            "hover_thrust": allocator.hover + cascade.thrust_map.idle,
+            "left": list(allocator.left),
+        }
+    if isinstance(allocator, RotorAllocator):
+        return both | {"kind": "rotor", "signs": [list(signs) for signs in allocator.signs]}
+    raise InputError(f"the allocator {type(allocator).__name__} has no C form; allowed: the built-in ones")
+
+
+def _thrust(thrust_map: ThrustMap) -> Form:
+    curves: list[Inverse] = []
+
+    def number(curve: Inverse | None) -> int | None:
+        if curve is None:
+            return None
+        if not any(curve is other for other in curves):
+            curves.append(curve)
+        return next(i for i, other in enumerate(curves) if other is curve)
+
+    reference = number(thrust_map.inverse)
+    stations = [number(curve) for curve in thrust_map.stations]
+    return {
+        "identity": thrust_map.identity,
+        "low": thrust_map.low,
+        "span": thrust_map.span,
+        "reference": reference,
+        "mapped": [
+            {"jet": jet, "curve": curve, "points": len(curves[curve].thrusts)}
+            for jet, curve in enumerate(stations)
+            if curve is not None
+        ],
+        "curves": [{"throttle": list(c.throttles), "thrust": list(c.thrusts), "slope": list(c.slopes)} for c in curves],
+    }
+
+
+def predictor_form(predictor: object, axis: str = "roll") -> Form:
+    """A predictor's constants.  Raises InputError for one that has no C form."""
+    for kind, write in _PREDICTORS.items():
+        if type(predictor) is kind:
+            return write(predictor)
+    known = ", ".join(kind.__name__ for kind in _PREDICTORS)
+    raise InputError(f"{axis}: the predictor {type(predictor).__name__} has no C form; those that have: {known}")
+
+
+def _discrete(model: DiscreteModel) -> Form:
+    return {"b": list(model.b), "a": list(model.a)}
+
+
+def _delayed(model: DelayedModel) -> Form:
+    return {"line": model.line.samples, "model": _discrete(model.model)}
+
+
+def _smith(predictor: SmithPredictor) -> Form:
+    then = predictor.then
+    if isinstance(then, DelayLine):
+        return {"kind": "smith", "now": _discrete(predictor.now), "line": then.samples, "then": None}
+    return {"kind": "smith", "now": _discrete(predictor.now), "then": _discrete(then.model), "line": then.line.samples}
+
+
+def _filtered(predictor: FilteredSmithPredictor) -> Form:
+    delayed = _delayed(predictor.then)
+    return {
+        "kind": "filtered",
+        "now": _discrete(predictor.now),
+        "then": delayed["model"],
+        "line": delayed["line"],
+        "through": predictor.through,
+        "rest": _discrete(predictor.rest) if predictor.rest else None,
+    }
+
+
+def _state(predictor: StatePredictor) -> Form:
+    common = {
+        "f": predictor.f,
+        "push": list(predictor.push),
+        "of_state": list(predictor.of_state),
+        "weights": list(predictor.weights),
+        "of_disturbance": predictor.of_disturbance,
+    }
+    observer = predictor.observer
+    if type(observer) is DoubleIntegratorObserver:
+        return common | {
+            "kind": "state",
+            "transition": list(observer.transition),
+            "of_rate": list(observer.of_rate),
+            "of_command": list(observer.of_command),
+        }
+    if type(observer) is ModelObserver:
+        return common | {
+            "kind": "observer",
+            "disturbance": observer.with_disturbance,
+            "F": [list(row) for row in observer.F],
+            "gain": list(observer.gain),
+        }
+    raise InputError(f"the observer {type(observer).__name__} has no C form; allowed: the built-in ones")
+
+
+def _modal(predictor: ModalPredictor) -> Form:
+    vectors = {
+        name: getattr(predictor, name) for name in ("poles", "residues", "shares", "gain", "ahead")
+    }  # real, or complex where the model has pairs
+    paired = any(complex(x).imag != 0.0 for vector in vectors.values() for x in vector)
+    return {
+        "kind": "modal",
+        "order": len(predictor.poles),
+        "paired": paired,
+        "disturbance": predictor.with_disturbance,
+        "real": {name: [complex(x).real for x in vector] for name, vector in vectors.items()},
+        "imaginary": {name: [complex(x).imag for x in vector] for name, vector in vectors.items()},
+        "weights": list(predictor.weights),
+        "gathered": predictor.gathered,
+    }
+
+
+_PREDICTORS: dict[type, Callable[[Any], Form]] = {
+    NoPredictor: lambda predictor: {"kind": "none"},
+    SmithPredictor: _smith,
+    FilteredSmithPredictor: _filtered,
+    StatePredictor: _state,
+    ModalPredictor: _modal,
+}

@@ -1,0 +1,126 @@
+"""What the C comes to with the compiler of this machine: bits, deviation in single precision, stack and cycles."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from cosim.base.errors import InputError
+
+FLAGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wdouble-promotion", "-ffp-contract=off")
+_LONGEST_S = 300.0  # for one run of a compiler or of the test program; chosen by us
+_NODE = re.compile(r'node: \{ title: "([^"]+)" label: "[^"]*?\\n(\d+) bytes')
+_EDGE = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
+_TEST = re.compile(r"(\d+) numbers differ in their bits; greatest deviation: throttle (\S+), tilt (\S+) rad")
+_CYCLES = re.compile(r"worst step (\d+), mean (\d+)")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was found; None where this machine's compiler does not tell."""
+
+    compiler: str  # its own first line
+    same: bool  # every number of the flight to the last bit, in double
+    float_throttle: float
+    float_tilt: float  # rad
+    float_passes: bool  # within half a step of a 12-bit command
+    stack: int | None  # bytes, of reset or step with all that they call but the library of mathematics
+    cycles: tuple[int, int] | None  # of the time-stamp counter: worst step of the flight, mean
+    code: int | None  # bytes of machine code and constants
+    state: int | None  # bytes of the struct
+
+
+def compiler() -> str | None:
+    """The C compiler of this machine: ``CC``, or ``cc``."""
+    return shutil.which((os.environ.get("CC") or "cc").split()[0])
+
+
+def measure(folder: Path, name: str) -> Measured | None:
+    """Compile and run an exported controller; None without a compiler.
+
+    Raises InputError, with what the compiler complained of first, if it refuses.
+    """
+    cc = compiler()
+    if cc is None:
+        return None
+    first = _run([cc, "--version"]).stdout.splitlines()
+    with tempfile.TemporaryDirectory(prefix="hexjet-export-") as made:
+        double = _flown(cc, folder, name, Path(made, "double"))
+        single = _flown(cc, folder, name, Path(made, "single"), f"-D{name.upper()}_FLOAT")
+        stack, code = _static(cc, folder, name, Path(made))
+    other, _, _ = _figures(double.stdout)
+    _, throttle, tilt = _figures(single.stdout)
+    cycles = _CYCLES.search(double.stdout)
+    state = re.search(r"state (\d+) bytes", double.stdout)
+    return Measured(
+        first[0] if first else cc,
+        double.returncode == 0 and other == 0,
+        throttle,
+        tilt,
+        single.returncode == 0,
+        stack,
+        (int(cycles[1]), int(cycles[2])) if cycles else None,
+        code,
+        int(state[1]) if state else None,
+    )
+
+
+def sources(name: str) -> list[str]:
+    """What the test program is made of."""
+    return [f"test_{name}.c", f"{name}.c", f"{name}_parameters.c", f"{name}_vectors.c"]
+
+
+def _flown(cc: str, folder: Path, name: str, program: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    files = [str(folder / source) for source in sources(name)]
+    _compiled([cc, *FLAGS, "-O2", *more, "-o", str(program), *files, "-lm"], folder)
+    return _run([str(program), "time"])
+
+
+def _compiled(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    done = _run(command)
+    if done.returncode != 0:
+        lines = [line for line in done.stderr.splitlines() if "error" in line] or [*done.stderr.splitlines(), "no word"]
+        raise InputError(f"{folder}: the C compiler {command[0]} refuses: {lines[0]}")
+    return done
+
+
+def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S, check=False)
+
+
+def _figures(text: str) -> tuple[int, float, float]:
+    found = _TEST.search(text)
+    if found is None:
+        raise InputError(f"the test program does not say what it found: {text[:200]!r}")
+    return int(found[1]), float(found[2]), float(found[3])
+
+
+def _static(cc: str, folder: Path, name: str, made: Path) -> tuple[int | None, int | None]:
+    """Stack in bytes by gcc's call graph, and bytes of code and constants by ``size``; None where they do not tell."""
+    target = made / f"{name}.o"
+    done = _run([cc, *FLAGS, "-O2", "-fcallgraph-info=su", "-c", "-o", str(target), str(folder / f"{name}.c")])
+    if done.returncode != 0:
+        return None, None
+    graph = target.with_suffix(".ci")
+    stack = _deepest(graph.read_text(encoding="utf-8")) if graph.is_file() else None
+    size = shutil.which("size")
+    sized = _run([size, str(target)]).stdout.splitlines() if size else []
+    return stack, int(sized[1].split()[0]) if len(sized) > 1 else None
+
+
+def _deepest(graph: str) -> int | None:
+    """The most stack of any way through a call graph of gcc; without what is not in it, the library of mathematics."""
+    own = {node: int(size) for node, size in _NODE.findall(graph)}
+    calls: dict[str, set[str]] = {}
+    for source, target in _EDGE.findall(graph):
+        calls.setdefault(source, set()).add(target)
+
+    def depth(node: str) -> int:
+        return own.get(node, 0) + max((depth(other) for other in calls.get(node, ())), default=0)
+
+    return max((depth(node) for node in own), default=None)

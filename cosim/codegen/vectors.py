@@ -1,0 +1,145 @@
+"""A flight as a test of whoever repeats its controller: what went into it at every step, and what came out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from cosim.base.errors import InputError
+from cosim.base.protocols import Controller, Diagnostics, EngineState
+from cosim.base.signals import (
+    AXES,
+    ZERO3,
+    Actuation,
+    Command,
+    ControlSignals,
+    Disturbance,
+    EngineOutput,
+    Measured,
+    PerJet,
+)
+from cosim.simulation.step import Simulation
+
+ENGINES = {EngineState.FLY: 0.0, EngineState.IDLE: 1.0, EngineState.OFF: 2.0}
+INPUTS = (
+    *(f"{axis}_setpoint" for axis in AXES),
+    "altitude_setpoint",
+    *(f"{axis}_rate_setpoint" for axis in AXES),
+    "collective_setpoint",
+    "rates_commanded",
+    "collective_commanded",
+    "engines",
+    *(f"{axis}_rate" for axis in AXES),
+    *(f"attitude_{part}" for part in "wxyz"),
+    "velocity_down",
+    "altitude",
+    "fuel_burnt",
+)
+
+
+def output_names(jets: int) -> tuple[str, ...]:
+    """The controller's outputs in the order of a row."""
+    return (
+        *(f"throttle_{jet}" for jet in range(1, jets + 1)),
+        "tilt_left",
+        "tilt_right",
+        *(f"unallocated_{name}" for name in (*AXES, "collective")),
+        *(f"shown_rate_setpoint_{axis}" for axis in AXES),
+        *(f"shown_predicted_{axis}" for axis in AXES),
+        *(f"shown_torque_{axis}" for axis in AXES),
+        "shown_collective",
+        "shown_allocated",
+        *(f"off_{jet}" for jet in range(1, jets + 1)),
+    )
+
+
+@dataclass
+class Vectors:
+    """A recorded flight: the start, then one row a step, inputs before outputs."""
+
+    on_ground: bool = False
+    burnt: float = 0.0  # kg
+    start: PerJet = ()  # throttles before the first step
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+
+
+class Listening:
+    """A controller that flies as the one inside it, and writes down what that is told and what it answers."""
+
+    def __init__(self, inner: Controller, vectors: Vectors) -> None:
+        self._inner, self._vectors = inner, vectors
+        self._burnt = 0.0
+
+    @property
+    def signals(self) -> ControlSignals:
+        return self._inner.signals
+
+    @property
+    def lost(self) -> tuple[int, ...]:
+        return self._inner.lost
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
+        return self._inner.diagnostics
+
+    def reset(self, on_ground: bool, burnt: float) -> PerJet:
+        found, self._burnt = self._vectors, burnt
+        found.on_ground, found.burnt = on_ground, burnt
+        found.rows.clear()
+        found.start = self._inner.reset(on_ground, burnt)
+        return found.start
+
+    def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
+        if (injected.torque_command, injected.torque_output) != (ZERO3, ZERO3):
+            raise InputError("the flight adds a signal to the controller's own; choose a scenario without one")
+        answer = self._inner.update(command, measured, injected, engines)
+        if self._inner.lost or (answer.off and engines is not EngineState.OFF):
+            raise InputError("the flight loses an engine, and plans around lost engines are not exported")
+        told = (
+            *command.attitude,
+            command.altitude,
+            *(command.rate or ZERO3),
+            command.collective or 0.0,
+            0.0 if command.rate is None else 1.0,
+            0.0 if command.collective is None else 1.0,
+            ENGINES[engines],
+            *measured.rate,
+            *measured.attitude,
+            measured.velocity[2],
+            measured.altitude,
+            self._burnt,
+        )
+        shown = self._inner.signals
+        given = (
+            *answer.throttle,
+            *answer.tilt,
+            *answer.unallocated,
+            *shown.rate_setpoint,
+            *shown.rate_predicted,
+            *shown.torque,
+            shown.collective,
+            shown.allocated,
+            *(1.0 if jet in answer.off else 0.0 for jet in range(len(answer.throttle))),
+        )
+        self._vectors.rows.append((*told, *given))
+        return answer
+
+    def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
+        self._burnt = burnt
+        return self._inner.watch(engines, burnt)
+
+    def forgive(self) -> None:
+        self._inner.forgive()
+
+
+def record(simulation: Simulation) -> Vectors:
+    """Fly a simulation to its end and write down its controller's inputs and outputs.
+
+    Raises InputError for a flight that loses an engine, adds signals to the controller's or fails.
+    """
+    vectors = Vectors()
+    simulation.controller = Listening(simulation.controller, vectors)
+    simulation.reset()
+    ending = simulation.run()
+    if ending.outcome == "failed":
+        raise InputError(f"the flight for the test vectors {ending.outcome}: {ending.reason}")
+    return vectors

@@ -1,0 +1,362 @@
+"""A controller as C: the bits of the flight, with every compiler that is here, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+import subprocess
+from math import cos, sin
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_tools import Hexjet
+
+from cosim.base.errors import InputError
+from cosim.base.protocols import EngineState
+from cosim.base.signals import ZERO3, Command, Disturbance, EngineOutput, Measured
+from cosim.codegen import measure
+from cosim.codegen.export import Exported, export_controller
+from cosim.codegen.files import Labels, texts
+from cosim.codegen.form import form_of, predictor_form
+from cosim.codegen.vectors import INPUTS, Listening, Vectors, output_names, record
+from cosim.simulation.build import build
+from cosim.simulation.step import Simulation
+from cosim.spec.scenario import Scenario
+
+CC = measure.compiler()
+STRICT = (
+    "-Wsign-conversion",
+    "-Wshadow",
+    "-Wstrict-prototypes",
+    "-Wmissing-prototypes",
+    "-Wundef",
+    "-Wcast-qual",
+    "-Werror",
+)
+QUIET = EngineOutput((0.0,) * 6, (0.0,) * 6, (0.0,) * 6, (0.0,) * 6)
+
+pytestmark = pytest.mark.skipif(CC is None, reason="no C compiler")
+
+
+def written(folder: Path, simulation: Simulation, vectors: Vectors, form: dict[str, Any]) -> Path:
+    """The C files of a controller."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts(form, vectors, Labels("ours", "a test", None, ("a test",))).items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return folder
+
+
+def ran(folder: Path, *flags: str, cc: str | None = CC, name: str = "ours") -> subprocess.CompletedProcess[str]:
+    """What the test program says, compiled with warnings as errors."""
+    program = folder / "program"
+    files = [str(folder / source) for source in measure.sources(name)]
+    command = [str(cc), *measure.FLAGS, *STRICT, *flags, "-o", str(program), *files, "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+    return subprocess.run([str(program)], capture_output=True, text=True, check=False)
+
+
+def driven(simulation: Simulation, steps: int, seed: int) -> Vectors:
+    """The controller with inputs that no flight would have: every branch is gone through, limits included."""
+    chance, vectors = random.Random(seed), Vectors()
+    vehicle = simulation.vehicle
+    controller = Listening(simulation.controller, vectors)
+    burnt = 0.1 * vehicle.mass_kg if vehicle.fuel else 0.0
+    controller.reset(chance.random() < 0.5, burnt)
+    engines, command, size = EngineState.FLY, Command((0.0, 0.0, 0.0), 3.0), 0.01
+    for k in range(steps):
+        if k % 40 == 0:
+            size = chance.choice([0.001, 0.03, 1.0])
+            engines = chance.choice([EngineState.FLY] * 6 + [EngineState.IDLE, EngineState.OFF])
+            command = Command(
+                (chance.gauss(0, 0.3), chance.gauss(0, 0.3), chance.choice([-0.0, 0.0, chance.uniform(-3, 3)])),
+                3.0 + chance.gauss(0, size),
+                (chance.gauss(0, 1), chance.gauss(0, 1), chance.gauss(0, 1)) if chance.random() < 0.2 else None,
+                chance.uniform(0.0, 1.1) if chance.random() < 0.2 else None,
+            )
+        lean, heading = chance.gauss(0, size), chance.uniform(-3, 3)
+        attitude = (cos(lean) * cos(heading), sin(lean), chance.gauss(0, 0.01) * size, cos(lean) * sin(heading))
+        measured = Measured(
+            (chance.gauss(0, size), chance.gauss(0, size), chance.gauss(0, size)),
+            attitude,
+            ZERO3,
+            (0.0, 0.0, chance.gauss(0, size)),
+            3.0 + chance.gauss(0, size),
+        )
+        controller.update(command, measured, Disturbance(), engines)
+        burnt += 1e-4 if vehicle.fuel else 0.0
+        controller.watch(QUIET, burnt)
+    return vectors
+
+
+def scenario(name: str, **changes: Any) -> Scenario:
+    return Scenario.load(name).replace(expect=[], **changes)
+
+
+PAIRED = {
+    "gain": 0.004, "zeros": [-0.9], "poles": [0.999, 0.97], "pole_pairs": [(0.95, 0.05)], "delay_samples": 7.0,
+    "sample_time_s": 0.004, "source": "made up",
+}  # fmt: skip
+BROKEN_DELAY = {
+    "gain": 0.02, "zeros": [-0.9], "poles": [0.999, 0.95], "delay_samples": 12.4, "sample_time_s": 0.004, "source": "made up",
+}  # fmt: skip
+HEXJET = "roll-doublet"
+CASES = {
+    "baseline": (HEXJET, {"controller": "baseline"}),
+    "state": (HEXJET, {"controller": "state"}),
+    "state-model": (HEXJET, {"controller": "state-model"}),
+    "state-disturbance": (HEXJET, {"controller": "state-disturbance"}),
+    "a delay that is added": (HEXJET, {"controller": "filtered-smith", "added_delay_samples": 3}),
+    "a broken delay, smith": (HEXJET, {"controller": "smith", "model": BROKEN_DELAY}),
+    "a broken delay, filtered": (HEXJET, {"controller": "filtered-smith", "model": BROKEN_DELAY}),
+    "a broken delay, state": (HEXJET, {"controller": "state-disturbance", "model": BROKEN_DELAY}),
+    "pairs of poles, smith": (HEXJET, {"controller": "smith", "model": PAIRED}),
+    "pairs of poles, state-model": (HEXJET, {"controller": "state-model", "model": PAIRED}),
+    "pairs of poles, state-disturbance": (HEXJET, {"controller": "state-disturbance", "model": PAIRED}),
+    "curves, leads and schedule": ("full-scale-roll-doublet", {"controller": "filtered-smith"}),
+    "four poles, state-disturbance": ("full-scale-roll-doublet", {"controller": "state-disturbance"}),
+    "a rotorcraft, three predictors": (HEXJET, {"controller": "smith", "aircraft": "quadrotor", "engine": "motor"}),
+}  # fmt: skip
+
+
+def made(name: str, changes: dict[str, Any]) -> Scenario:
+    changes = dict(changes)
+    if "model" in changes:
+        changes["vehicle"] = {"identified": {"edf-as-flown": {"roll": changes.pop("model")}}}
+    if changes.get("aircraft") == "quadrotor":
+        changes["step_s"] = 0.0025
+    return scenario(name, **changes)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_branch_of_every_controller_gives_the_same_bits(case: str, tmp_path: Path) -> None:
+    name, changes = CASES[case]
+    with build(made(name, changes)) as simulation:
+        form = form_of(simulation)
+        folder = written(tmp_path, simulation, driven(simulation, 600, seed=len(case)), form)
+    done = ran(folder, "-O2")
+    assert done.returncode == 0, done.stdout
+    assert "600 steps, 0 numbers differ" in done.stdout
+
+
+COMPILERS = [
+    pytest.param(cc, marks=[] if shutil.which(cc) else pytest.mark.skip(reason=f"no {cc} here"))
+    for cc in ("gcc", "clang")
+]
+
+
+@pytest.fixture(scope="module", params=["roll-doublet smith", "full-scale-roll-doublet smith"])
+def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The vectors of a flight."""
+    name, controller = request.param.split()
+    with build(scenario(name, controller=controller, duration_s=4.0)) as simulation:
+        form = form_of(simulation)
+        return written(tmp_path_factory.mktemp("flown"), simulation, record(simulation), form)
+
+
+@pytest.mark.parametrize("cc", COMPILERS)
+@pytest.mark.parametrize("level", ["-O0", "-O2"])
+def test_a_flight_is_repeated_to_the_last_bit(flown: Path, cc: str, level: str) -> None:
+    done = ran(flown, level, cc=cc)
+    assert (done.returncode, "1000 steps, 0 numbers differ" in done.stdout) == (0, True), done.stdout
+
+
+def test_single_precision_stays_within_half_a_step_of_a_12_bit_command(flown: Path) -> None:
+    done = ran(flown, "-O2", "-DOURS_FLOAT")
+    assert done.returncode == 0, done.stdout
+    assert "0 numbers differ" not in done.stdout.replace("10 numbers", "")  # it is not double under another name
+
+
+def test_the_test_program_finds_a_controller_that_is_another(flown: Path, tmp_path: Path) -> None:
+    """One gain that is off by its last bit."""
+    folder = shutil.copytree(flown, tmp_path / "other")
+    path = folder / "ours_parameters.c"
+    text = path.read_text(encoding="utf-8")
+    before, _, rest = text.partition(".roll = {.p = R(")
+    value, _, after = rest.partition(")")
+    changed = float.fromhex(hex_up(float(value)))
+    path.write_text(f"{before}.roll = {{.p = R({changed!r}){after}", encoding="utf-8")
+    done = ran(folder, "-O2")
+    assert done.returncode == 1
+    assert "first at step" in done.stdout
+
+
+def hex_up(value: float) -> str:
+    """The next double."""
+    from math import inf, nextafter
+
+    return nextafter(value, inf).hex()
+
+
+@pytest.mark.skipif(shutil.which("cppcheck") is None, reason="no cppcheck here")
+def test_cppcheck_has_nothing_to_say(flown: Path) -> None:
+    files = [str(flown / name) for name in ("ours.c", "ours_parameters.c", "test_ours.c")]
+    options = [
+        "--enable=warning,style,performance,portability",
+        "--std=c99",
+        "--inconclusive",
+        "--error-exitcode=3",
+        "-q",
+    ]
+    done = subprocess.run(["cppcheck", *options, *files], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_no_heap_no_globals_no_library_but_mathematics(flown: Path, tmp_path: Path) -> None:
+    """What the object files define and need; data that can be written would be state."""
+    objects = []
+    for source in ("ours.c", "ours_parameters.c"):
+        objects.append(tmp_path / f"{source}.o")
+        subprocess.run([str(CC), *measure.FLAGS, "-O2", "-c", "-o", objects[-1], flown / source], check=True)
+    listed = subprocess.run(["nm", *objects], capture_output=True, text=True, check=True).stdout
+    kinds = {line.split()[-2]: line.split()[-1] for line in listed.splitlines() if len(line.split()) >= 2}
+    symbols = [line.split() for line in listed.splitlines() if len(line.split()) >= 2]
+    assert not [s for s in symbols if s[-2] in "dDbBC"], listed
+    needed = {s[-1] for s in symbols if s[-2] == "U"} - {"ours_parameters"}
+    assert needed <= {"sin", "cos", "sincos", "exp", "sqrt", "__stack_chk_fail"}, needed
+    assert kinds
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
+    """A whole folder."""
+    folder = tmp_path_factory.mktemp("exported") / "out"
+    return export_controller(scenario(HEXJET, controller="smith", duration_s=2.0), folder, "ours", "MIT")
+
+
+def test_a_folder_has_what_is_said_of_it(exported: Exported) -> None:
+    folder, found = exported.folder, exported.measured
+    assert sorted(exported.files) == sorted(path.name for path in folder.iterdir())
+    assert {"ours.fmu", "ours-fmi2.fmu", "ours.c", "README.md"} <= set(exported.files)
+    assert (exported.steps, exported.without_fmus) == (500, None)
+    assert found is not None
+    assert found.same
+    assert found.float_passes
+    assert found.stack is None or 0 < found.stack < 4096
+    assert found.state is not None
+    for path in folder.glob("*.[ch]"):
+        assert path.read_text(encoding="utf-8").startswith("/* SPDX-License-Identifier: MIT */\n")
+    head = (folder / "ours.h").read_text(encoding="utf-8")
+    assert "the engine monitor and the plans around lost engines" in head
+    assert f"{found.state} bytes" in (folder / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_command_says_what_it_came_to(hexjet: Hexjet, tmp_path: Path) -> None:
+    options = ["--controller", "state-model", "--set", "duration_s=0.2", "--no-fmu", "--out", str(tmp_path / "out")]
+    done = hexjet("export", "controller", *options, "--json")
+    assert (done.status, done.err) == (0, "")
+    said = json.loads(done.out)
+    assert (said["steps"], said["measured"]["same"]) == (50, True)
+    assert sorted(said["files"]) == sorted(path.name for path in (tmp_path / "out").iterdir())
+    text = (tmp_path / "out" / "controller.c").read_text(encoding="utf-8")
+    assert text.startswith("/* SPDX-License-Identifier: NOASSERTION */\n")
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_the_fmus_answer_as_the_flight(exported: Exported, fmi: int, tmp_path: Path) -> None:
+    import fmpy
+    from fmpy.fmi2 import FMU2Slave
+    from fmpy.fmi3 import FMU3Slave
+
+    path = exported.folder / ("ours.fmu" if fmi == 3 else "ours-fmi2.fmu")
+    assert fmpy.validation.validate_fmu(str(path)) == []
+    with build(scenario(HEXJET, controller="smith", duration_s=2.0)) as simulation:
+        vectors = record(simulation)
+    description = fmpy.read_model_description(str(path))
+    reference = {v.name: v.valueReference for v in description.modelVariables}
+    slave = (FMU2Slave if fmi == 2 else FMU3Slave)(
+        guid=description.guid if fmi == 2 else description.instantiationToken,
+        unzipDirectory=fmpy.extract(str(path), str(tmp_path)),
+        modelIdentifier=description.coSimulation.modelIdentifier,
+        instanceName="ours",
+    )
+    slave.instantiate()
+    if fmi == 2:
+        slave.setupExperiment(startTime=0.0)
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    put, get = (slave.setReal, slave.getReal) if fmi == 2 else (slave.setFloat64, slave.getFloat64)
+    into = [reference[name] for name in INPUTS]
+    out = [reference[name] for name in output_names(6)]
+    assert tuple(get(out[:6])) == vectors.start
+    for k, row in enumerate(vectors.rows):
+        put(into, list(row[: len(INPUTS)]))
+        slave.doStep(k * 0.004, 0.004)
+        assert tuple(get(out)) == row[len(INPUTS) :], k
+    slave.terminate()
+    slave.freeInstance()
+
+
+def test_the_log_of_a_run_is_exported_as_before(hexjet: Hexjet, tmp_path: Path) -> None:
+    run = str(tmp_path / "run")
+    assert hexjet("fly", "hover", "--set", "duration_s=0.2", "--out", run).status in (0, 1)
+    assert hexjet("export", run, "--to", "csv").out.strip() == str(tmp_path / "run" / "flight.csv")
+    assert hexjet("export", "--to", "csv", run).status == 0
+    assert hexjet("export", run).status == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--name", "2nd"], "--name 2nd: must be a C identifier"),
+        (["--name", "math"], "--name math: must be a C identifier"),
+        (["--licence", "a */ b"], "--licence a */ b: must be one line of letters"),
+        (["--controller", "unheard-of"], "unknown controller 'unheard-of'"),
+        (["--out", "."], "is there already and not an empty folder"),
+        (["--scenario", "fault-flame-out"], "plans around lost engines are not exported"),
+    ],
+)
+def test_what_cannot_be_is_one_line(hexjet: Hexjet, arguments: list[str], message: str, tmp_path: Path) -> None:
+    (tmp_path / "kept").touch()
+    given = [str(tmp_path) if each == "." else each for each in arguments]
+    out = [] if "--out" in given else ["--out", str(tmp_path / "new")]
+    done = hexjet("export", "controller", *given, *out)
+    assert (done.status, done.out) == (2, "")
+    assert message in done.err
+    assert done.err.count("\n") == 1
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_predictor_of_somebody_elses_has_no_c_form() -> None:
+    class Own:
+        def reset(self) -> None: ...
+
+        def update(self, measured: float, applied: float) -> float:
+            return measured
+
+    with pytest.raises(InputError, match=r"^pitch: the predictor Own has no C form; those that have: NoPredictor, "):
+        predictor_form(Own(), "pitch")
+
+
+def test_without_a_compiler_the_text_is_written_and_nothing_claimed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CC", "no-such-compiler")
+    done = export_controller(scenario(HEXJET, duration_s=0.1), tmp_path / "out", "ours", fmus=False)
+    assert done.measured is None
+    assert "nothing: no C compiler was found" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
+
+
+def test_a_compiler_that_refuses_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiler = tmp_path / "cc"
+    compiler.write_text("#!/bin/sh\necho 'x.c:1: error: out of sorts' >&2\nexit 1\n", encoding="utf-8")
+    compiler.chmod(0o755)
+    monkeypatch.setenv("CC", str(compiler))
+    with pytest.raises(InputError, match=r"refuses: x\.c:1: error: out of sorts"):
+        export_controller(scenario(HEXJET, duration_s=0.1), tmp_path / "out", "ours", fmus=False)
+
+
+def test_the_stack_is_that_of_the_deepest_way() -> None:
+    def node(name: str, size: int) -> str:
+        return f'node: {{ title: "{name}" label: "{name}\\nc.c:1:2\\n{size} bytes (static)\\n0 dynamic objects" }}\n'
+
+    def edge(source: str, target: str) -> str:
+        return f'edge: {{ sourcename: "{source}" targetname: "{target}" label: "c.c:3:4" }}\n'
+
+    graph = node("a", 16) + node("b", 32) + node("c", 64) + node("d", 8)
+    graph += edge("a", "b") + edge("a", "c") + edge("b", "d") + edge("c", "sin")
+    assert measure._deepest(graph) == 80
+    assert measure._deepest("") is None
