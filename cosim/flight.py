@@ -45,8 +45,10 @@ from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.controller_name import file_name, label, seen_from
 from cosim.spec.scenario import (
+    CommandEntry,
     Expectation,
     Scenario,
+    Station,
     SticksCommand,
     TableCommand,
     is_file,
@@ -182,15 +184,14 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
     files: dict[str, Path | bytes] = {}
     if scenario.requests is not None:
         files[REQUESTS] = scenario.folder / scenario.requests
-    commands = []
+    commands: list[CommandEntry] = []
     for index, entry in enumerate(scenario.command):
-        table = entry.model_dump(mode="json", exclude_none=True)
         if isinstance(entry, (TableCommand, SticksCommand)):
             source = scenario.folder / entry.file
             name = source.name if source.name not in files else f"{index}-{source.name}"
             files[name] = source
-            table["file"] = name
-        commands.append(table)
+            entry = entry.model_copy(update={"file": name})
+        commands.append(entry)
     own = simulation.own
     controller: dict[str, Any] = {}
     if own is not None:
@@ -198,21 +199,26 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
         controller["controller_parameters"] = own.values(scenario.controller_parameters, "controller_parameters")
     engine = simulation.engine
     names = engine_files([engine, *simulation.stations], files)
-    data = scenario.model_dump(mode="json", exclude_none=True) | {
-        **controller,
-        "command": commands,
-        "engine": names[id(engine)],
-        "engine_parameters": dict(engine.parameters),
-        "stations": {
-            str(number): {"engine": names[id(each)], "parameters": dict(each.parameters)}
-            for number, each in enumerate(simulation.stations, 1)
-            if each is not engine
-        },
-        "vehicle": simulation.vehicle.model_dump(mode="json", exclude_none=True),
-    }
-    if scenario.requests is not None:
-        data["requests"] = REQUESTS
-    return Scenario.from_table(data, scenario.folder, f"scenario {scenario.name}"), files
+    # each part was checked when the scenario was read, so nothing is checked once more
+    return scenario.model_copy(
+        update={
+            **controller,
+            "command": commands,
+            "engine": names[id(engine)],
+            "engine_parameters": _floats(engine.parameters),
+            "stations": {
+                str(number): Station(engine=names[id(station)], parameters=_floats(station.parameters))
+                for number, station in enumerate(simulation.stations, 1)
+                if station is not engine
+            },
+            "vehicle": simulation.vehicle.model_dump(mode="json", exclude_none=True),
+            **({"requests": REQUESTS} if scenario.requests is not None else {}),
+        }
+    ), files
+
+
+def _floats(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(value) for name, value in values.items()}
 
 
 def copied_controller(own: Source, files: dict[str, Path | bytes]) -> str:

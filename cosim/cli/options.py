@@ -111,7 +111,7 @@ def load_scenario(
 
         scenario, controller = with_controller(name, designed, settings, aircraft), None
     else:
-        scenario = Scenario.load(name, list(settings))
+        scenario = Scenario.read(name, list(settings))
     changes: dict[str, Any] = {}
     if aircraft is not None:
         from cosim.spec.vehicle import load_vehicle
@@ -134,7 +134,9 @@ def load_scenario(
         changes["vehicle"] = {"identified": read_models(model)}
     if settings or model is not None or designed is not None or "stations" in chosen:
         changes["expect"] = []
-    return scenario.replace(**changes) if changes else scenario
+    scenario = scenario.replace(**changes) if changes else scenario
+    scenario.resolved_vehicle()  # a wrong key is told before anything is built
+    return scenario
 
 
 def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:

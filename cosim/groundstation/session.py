@@ -65,7 +65,6 @@ from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.scenario import Scenario, is_file
-from cosim.spec.vehicle import load_vehicle
 
 LONGEST_S = 86_400.0  # of one flight that has no planned end: a day
 # Chosen by us: a request costs some 10 us, a new predictor 3 ms, a step has 4 ms of which stepping takes a tenth.
@@ -556,7 +555,7 @@ def scripted_status(simulation: Simulation, sample: Sample) -> Status:
 
 def waiting_scenario(scenario: Scenario, duration: float | None) -> Scenario:
     """The scenario with its vehicle standing on the ground, and an autopilot in place of its commands."""
-    watched = load_vehicle(scenario.aircraft, scenario.vehicle, f"scenario {scenario.name}: vehicle")[0].control.monitor
+    watched = scenario.resolved_vehicle()[0].control.monitor
     heading = scenario.initial.attitude_deg[2]
     still = (0.0, 0.0, 0.0)
     return scenario.replace(

@@ -245,7 +245,7 @@ class Run:
         if self.flown is not None:
             return self.flown
         assert self.folder is not None
-        return Scenario.load(self.folder / SCENARIO)
+        return Scenario.read(self.folder / SCENARIO)
 
     @property
     def outcome(self) -> Outcome:
@@ -536,7 +536,7 @@ def _recover(folder: Path) -> None:
 
 def _shorten(folder: Path, summary: Summary, steps: int) -> None:
     """Let the scenario of a flight that had no planned end, being flown by request, end where its log ends."""
-    scenario = Scenario.load(folder / SCENARIO)
+    scenario = Scenario.read(folder / SCENARIO)
     if scenario.requests is not None and steps:
         flown = {"planned_s": steps * scenario.step_s}
         _write(folder / SCENARIO, _toml(scenario.replace(duration_s=flown["planned_s"])))

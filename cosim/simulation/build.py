@@ -52,7 +52,7 @@ from cosim.simulation.mismatch import as_flown, engines_as_flown
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_places import PlacePilot, flies_to_places
 from cosim.spec.scenario import Scenario, Station, TorqueCommandDisturbance, is_file
-from cosim.spec.vehicle import RateModel, Vehicle, load_vehicle
+from cosim.spec.vehicle import RateModel, Vehicle
 from cosim.vehicle.airframe import Airframe, start_height
 from cosim.vehicle.atmosphere import standard_air
 from cosim.vehicle.banks import Banks
@@ -74,7 +74,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
         own = find_controller(scenario)
     told = own_parameters(scenario, own)
     scenario.count(scenario.duration_s, "duration_s")
-    vehicle, folder = load_vehicle(scenario.aircraft, scenario.vehicle, f"scenario {scenario.name}: vehicle")
+    vehicle, folder = scenario.resolved_vehicle()
     _need_tank(scenario, vehicle)
     PREDICTORS.check(vehicle.control.predictor, f"scenario {scenario.name}: vehicle.control.predictor")
     engine, *stations = specs = _engines(scenario, vehicle)

@@ -6,6 +6,7 @@ Angles in the file are in degrees where the key says ``_deg``; everything behind
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -26,6 +27,7 @@ from cosim.base.toml import (
     set_path,
     validate,
 )
+from cosim.spec.vehicle import Vehicle, load_vehicle
 
 SIGNALS = (
     "roll_deg",
@@ -502,6 +504,7 @@ class Scenario(Model):
     expect: list[Expectation] = []
 
     _folder: Path = PrivateAttr(default_factory=Path)
+    _resolved: tuple[str, dict[str, Any], tuple[Vehicle, Path]] | None = PrivateAttr(default=None)  # once needed
 
     @model_validator(mode="before")
     @classmethod
@@ -522,6 +525,17 @@ class Scenario(Model):
     def folder(self) -> Path:
         """What relative file names in the scenario start from."""
         return self._folder
+
+    def resolved_vehicle(self) -> tuple[Vehicle, Path]:
+        """The aircraft with :attr:`vehicle` written over it, and its folder; read and checked once.
+
+        Raises InputError as :func:`cosim.spec.vehicle.load_vehicle`.
+        """
+        known = self._resolved
+        if known is None or known[0] != self.aircraft or known[1] is not self.vehicle:  # a copy may have another
+            found = load_vehicle(self.aircraft, self.vehicle, f"scenario {self.name}: vehicle")
+            known = self._resolved = (self.aircraft, self.vehicle, found)
+        return known[2]
 
     @property
     def monitored(self) -> bool:
@@ -581,8 +595,15 @@ class Scenario(Model):
         Raises
         ------
         InputError
-            For an unknown name (lists the known ones), wrong TOML, or a wrong key or value.
+            For an unknown name (lists the known ones), wrong TOML, or a wrong key or value, the vehicle's among them.
         """
+        scenario = cls.read(name, settings)
+        scenario.resolved_vehicle()
+        return scenario
+
+    @classmethod
+    def read(cls, name: str | Path, settings: Sequence[str] | None = None) -> Scenario:
+        """As :meth:`load`, its vehicle not looked at: of a run of an older version, or before another aircraft."""
         path = find_scenario(name)
         data = read_toml(path)
         for text in settings or []:

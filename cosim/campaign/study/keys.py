@@ -188,7 +188,7 @@ def all_keys(scenario: Scenario) -> list[Key]:
 
     Raises InputError if the aircraft or an engine is not usable.
     """
-    vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle, f"scenario {scenario.name}: vehicle")
+    vehicle, _ = scenario.resolved_vehicle()
     own = [key for name, field in Scenario.model_fields.items() for key in _scenario_keys(scenario, name, field)]
     archive = _archive(scenario, scenario.engine)
     return [
