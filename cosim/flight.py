@@ -196,7 +196,8 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
     controller: dict[str, Any] = {}
     if own is not None:
         controller = {"controller": copied_controller(own, files), "controller_sha256": own.sha256}
-        controller["controller_parameters"] = own.values(scenario.controller_parameters, "controller_parameters")
+        told = own.values(scenario.controller_parameters, "controller_parameters")
+        controller["controller_parameters"] = _floats(told)
     engine = simulation.engine
     names = engine_files([engine, *simulation.stations], files)
     # each part was checked when the scenario was read, so nothing is checked once more
