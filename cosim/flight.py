@@ -148,6 +148,7 @@ def fly(
             reason += f"; {len(replay.otherwise)} requests were answered otherwise, the first: {replay.otherwise[0]}"
         if simulation.faults.commanded and replay is None:  # faults came by command
             recording.restate(resolve(simulation)[0])
+        recording.repeats(simulation.repeats())
         run = recording.finish(ending.outcome, reason, wall, pace.report if realtime_factor else None)
         return with_page(run) if report else run
 

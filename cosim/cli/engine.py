@@ -93,16 +93,19 @@ def fmu_survey(engines: tuple[Path, ...], controller: str, time_limit: float, as
 def fmu_check(
     engine: str, step: float | None, settings: tuple[str, ...], time_limit: float, out: Path | None, as_json: bool
 ) -> int:
-    """Tell whether an FMU is fit to be an engine, and how it answers its throttle.
+    """Tell whether an FMU is fit to be an engine, and how it answers its throttle; of a controller, what it is.
 
     The FMU is run in a process of its own: if it crashes, hangs or eats memory, that is told and nothing else happens.
     Leaves check.json and a page with its static curve and step responses.  Status 0: fit; 1: unfit; 2: not usable.
     """
     from cosim.base.toml import parse_numbers
     from cosim.engine import check_fmu, limits_of
+    from cosim.engine.controller_fmu import is_controller
     from cosim.flight import new_folder
     from cosim.results.report.engine_check import write_check
 
+    if is_controller(Path(engine)):
+        return _check_controller(Path(engine), as_json)
     offer_to_compile(engine)
     found = check_fmu(engine, step, parse_numbers(settings, "--set"), limits_of(time_limit))
     page = write_check(found, out if out is not None else new_folder(Path("runs"), f"check-{Path(engine).stem}"))
@@ -111,6 +114,36 @@ def fmu_check(
     else:
         print_check(found, page)
     return DONE if found.ok else FLIGHT_FAILED
+
+
+def _check_controller(path: Path, as_json: bool) -> int:
+    """What a controller's FMU is told and answers, and whether it flies in hover for a second, twice the same."""
+    from cosim.engine.controller_fmu import read_controller_fmu
+    from cosim.flight import fly
+    from cosim.spec.scenario import Scenario
+
+    fmu = read_controller_fmu(path)
+    run = fly(Scenario.load("hover").replace(duration_s=1.0, expect=[], controller=str(path.absolute())))
+    own = run.summary.own_controller
+    found = {
+        "controller": path.name,
+        "fmi": fmu.fmi,
+        "level": fmu.level,
+        "inputs": list(fmu.inputs),
+        "outputs": list(fmu.outputs),
+        "parameters": [v.name for v in fmu.parameters],
+        "columns": [v.name for v in fmu.shown],
+        "notes": list(fmu.notes),
+        "hover of 1 s": f"{run.outcome}, {run.reason}",
+        "repeatable": own.repeatable if own is not None else None,
+    }
+    if as_json:
+        click.echo(json.dumps(found, allow_nan=False))
+    else:
+        for key, value in found.items():
+            shown = ", ".join(value) if isinstance(value, list) else value
+            terminal().print(f"{key:14} {shown}", highlight=False, soft_wrap=True, markup=False)
+    return DONE if run.outcome == "completed" and found["repeatable"] else FLIGHT_FAILED
 
 
 def print_check(report: CheckReport, page: Path) -> None:

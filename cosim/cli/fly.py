@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     "--controller",
     metavar="NAME|FILE",
     help="Overrides the scenario's; see: hexjet list controllers. Or a file that hexjet design wrote, with all gains; "
-    "or one of yours: FILE.py:Class, package.module:Class.",
+    "or one of yours: FILE.py:Class, package.module:Class, FILE.fmu, 'process:FILE ARGUMENTS'.",
 )
 @click.option(
     "--aircraft",
@@ -118,7 +118,7 @@ def fly(
     from cosim.flight import fly as fly_scenario
     from cosim.flight import new_folder
     from cosim.results.run import finish_killed
-    from cosim.spec.controller_name import folder_name
+    from cosim.spec.controller_name import folder_name, is_design
 
     if realtime and rtf is not None:
         raise InputError("--realtime and --rtf: give one of them")
@@ -128,7 +128,7 @@ def fly(
     flown = load_scenario(scenario, controller, engines, seed, settings, model, aircraft)
     if unchecked_engine:
         flown = flown.replace(engine_unchecked=True)
-    if controller is not None and controller.lower().endswith(".toml"):
+    if controller is not None and is_design(controller):
         from cosim.design.controller_file import differences
 
         for text in differences(flown, Path(controller)):
@@ -212,6 +212,13 @@ def print_run(run: Run) -> None:
     _print_whole(run)
     for text in summary.exceeded:
         console.print(f"beyond its limit: {text}", highlight=False)
+    own = summary.own_controller
+    if own is not None and own.repeatable is False:
+        console.print(
+            f"controller {summary.controller} is not repeatable: asked the same again, it answered otherwise",
+            highlight=False,
+            markup=False,
+        )
     for complaint in summary.complaints:
         console.print(f"not as expected: {complaint}", highlight=False)
     if run.folder is not None:

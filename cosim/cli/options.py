@@ -102,10 +102,10 @@ def load_scenario(
     aircraft: str | None = None,
 ) -> Any:
     """The scenario with the command line's choices written over it."""
-    from cosim.spec.controller_name import seen_from
+    from cosim.spec.controller_name import is_design, seen_from
     from cosim.spec.scenario import Scenario
 
-    designed = Path(controller) if controller is not None and controller.lower().endswith(".toml") else None
+    designed = Path(controller) if controller is not None and is_design(controller) else None
     if designed is not None:
         from cosim.design.controller_file import with_controller
 

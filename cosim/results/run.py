@@ -287,6 +287,13 @@ class Recording:
         if isinstance(self._sink, StreamSink):
             _write(self._sink.path.with_name(SCENARIO), _toml(scenario))
 
+    def repeats(self, same: bool | None) -> None:
+        """What was found out of a controller outside this process: whether it answers the same again."""
+        own = self._setup.own_controller
+        if own is not None and same is not None:
+            changed = own.model_copy(update={"repeatable": same})
+            self._setup = self._setup.model_copy(update={"own_controller": changed})
+
     def shorten(self, steps: int) -> None:
         """A flight without a planned end is over: its scenario flies as many steps as it did.  Raises FlightError."""
         if steps:

@@ -42,6 +42,7 @@ from cosim.simulation.controllers.guard import (
     GuardedRate,
     Named,
 )
+from cosim.simulation.controllers.process import ProcessBlock
 from cosim.simulation.controllers.source import Source, find
 from cosim.simulation.delay_ledger import delay_ledger
 from cosim.simulation.disturber import Disturber
@@ -131,6 +132,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             Judge(vehicle.limits),
             own,
             end,
+            None if plugged is None else plugged.repeats,
         )
         made.pop_all()
         return simulation
@@ -210,7 +212,7 @@ class _Plugged:
         stations: Sequence[EngineSpec],
     ) -> None:
         self._own, self._scenario = own, scenario
-        self._deadline = Deadline(scenario.controller_limit_s)
+        self._deadline = Deadline(scenario.controller_limit_s * (1.0 if own.repeats else 2.0))
         self._named = Named(own.label, self._deadline)
         self._blocks: list[Any] = []
         self.whole: GuardedController | None = None
@@ -264,12 +266,21 @@ class _Plugged:
         """A block that is told what it may believe.  Raises InputError for one that takes that badly."""
         block = self._own.make()
         self._blocks.append(block)
+        if isinstance(block, ProcessBlock):  # it has limits of its own, and takes a while to start
+            block.limit(self._scenario.controller_limit_s)
+            block.prepare(belief)
+            return block
         if hasattr(block, "prepare"):
             try:
                 self._named.call("prepare", block.prepare, belief)
             except FlightError as error:
                 raise InputError(str(error)) from error
         return block
+
+    def repeats(self) -> bool | None:
+        """Whether processes, asked the same again, answer the same; None: it is code of this process."""
+        asked = [block.repeats() for block in self._blocks if isinstance(block, ProcessBlock)]
+        return all(asked) if asked else None
 
     def close(self) -> None:
         for block in self._blocks:

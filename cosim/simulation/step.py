@@ -67,7 +67,9 @@ class Simulation:
         judge: Judge,
         own: Source | None = None,
         end: Callable[[], None] | None = None,
+        repeats: Callable[[], bool | None] | None = None,
     ) -> None:
+        self._repeats = repeats
         self.own = own  # where a controller from outside comes from
         self._end = end  # what a controller from outside holds is given free by it
         self.scenario = scenario
@@ -227,6 +229,10 @@ class Simulation:
                 pace.wait(self.k)
         late = f", {pace.missed} of them late" if pace and pace.missed else ""
         return Ending("completed", f"flew {self.k} steps{late}")
+
+    def repeats(self) -> bool | None:
+        """Whether a controller outside this process answers the same when it is asked the same; None: there is none."""
+        return None if self._repeats is None else self._repeats()
 
     def close(self) -> None:
         """Free the engines, the airframe and what a controller from outside holds; may be called twice."""

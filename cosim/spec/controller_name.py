@@ -49,8 +49,8 @@ def file_name(controller: str) -> FileName | None:
 
 
 def is_design(controller: str) -> bool:
-    """Whether it is a file of hexjet design: gains of the built-in controller."""
-    return controller.lower().endswith(".toml")
+    """Whether it is a file of hexjet design: gains of the built-in controller, and no mapping file of an FMU."""
+    return controller.lower().endswith(".toml") and not controller.lower().endswith(".fmu.toml")
 
 
 def seen_from(controller: str, folder: Path) -> str:

@@ -261,7 +261,7 @@ def _with_own_engine(scenario: Scenario, values: Mapping[str, Value]) -> Mapping
 def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[dict[str, Any], Mapping[str, Value]]:
     """What a controller file states, to be written under the other values; nothing where a controller is a name."""
     path = str(values.get("controller", ""))
-    if not path.lower().endswith(".toml"):
+    if not is_design(path):
         return {}, values
     from cosim.design.controller_file import read_controller
 

@@ -1,6 +1,7 @@
 """Where a controller from outside comes from: its name, what it states of itself, and the files that it is.
 
-A name is ``FILE.py:Class``, ``package.module:Class``, or that of an entry point of an installed package::
+A name is ``FILE.py:Class``, ``package.module:Class``, ``FILE.fmu``, ``process:FILE ARGUMENTS``, or that of an entry
+point of an installed package::
 
     [project.entry-points."hexjet.controllers"]
     my-controller = "my_package.my_module:MyController"
@@ -22,14 +23,16 @@ from functools import cached_property
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, packages_distributions, version
 from math import isfinite
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 from cosim.base.cache import Memory
+from cosim.base.controller_wire import EXTRAS
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Column, Parameter
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.simulation.controllers.guard import columns_from, described
+from cosim.simulation.controllers.process import Command, ProcessBlock, describe, program
 from cosim.spec.controller_name import file_name, is_design
 from cosim.spec.controller_name import label as label_of
 
@@ -114,8 +117,10 @@ def find(controller: str, folder: Path, complaint: str) -> Source | None:
         path = Path(named.seen_from(folder).file)
         if not path.is_file():
             raise InputError(f"controller {controller}: {path}: no such file")
-        if named.before or not named.after:
-            raise InputError(f"{complaint}; allowed: FILE.py:Class, package.module:Class, or a name")
+        if named.before:
+            return _of_process(controller, path, named.after)
+        if not named.after:
+            return _of_fmu(controller, path)
         return _of_file(controller, path, named.after[1:])
     if named is None and controller in PREDICTORS:
         return None
@@ -256,6 +261,69 @@ def _beside(folder: Path) -> Iterator[list[Path]]:
                 imported.append(Path(str(module.__file__)).resolve())
                 del sys.modules[name]
         sys.modules.update(outside)
+
+
+def _of_process(controller: str, path: Path, arguments: str) -> Source:
+    command = program(path, arguments)
+    key = (controller, str(path), hashlib.sha256(path.read_bytes()).hexdigest())
+
+    def ask() -> Source:
+        found = describe(command, path.parent, label_of(controller))
+        return _described(controller, found, {path.name: path}, command, path.parent)
+
+    return _known.get(key, ask)
+
+
+def _of_fmu(controller: str, path: Path) -> Source:
+    from cosim.engine.controller_fmu import command, describing, read_controller_fmu
+
+    try:
+        fmu = read_controller_fmu(path)
+    except InputError as error:
+        raise InputError(f"controller {controller}: {error}") from error
+    key = (controller, str(path), *[hashlib.sha256(each.read_bytes()).hexdigest() for each in fmu.files.values()])
+    run = command(path)
+    return _known.get(key, lambda: _described(controller, describing(fmu), fmu.files, lambda: run, path.parent))
+
+
+def _described(
+    controller: str, said: Mapping[str, Any], files: Mapping[str, Path], command: Command, folder: Path
+) -> Source:
+    """What a process or an FMU says of itself.  Raises InputError for what does not fit."""
+    label = label_of(controller)
+    where = f"controller {label}"
+    known = ("level", "predictor", "extras", "parameters", "columns")
+    for key in said:
+        if key not in known:
+            raise InputError(f"{where}: its first line: {key!r}: {nearest(key, known)}")
+    stated = SimpleNamespace(**said)
+    level, extras = said.get("level"), tuple(said.get("extras", ()))
+    if level not in LEVELS:
+        raise InputError(f"{where}: level = {level!r}: must be one of {', '.join(LEVELS)}")
+    for extra in extras:
+        if extra not in EXTRAS or level != "controller":
+            raise InputError(
+                f"{where}: extras: {extra!r}: must be of a whole controller, and one of {', '.join(EXTRAS)}"
+            )
+    try:
+        columns = columns_from(stated)
+    except TypeError as error:
+        raise InputError(f"{where}: columns: must be [name, unit, frame, meaning]: {error}") from error
+    predictor = said.get("predictor", "baseline")
+    if level == "attitude":
+        PREDICTORS.find(predictor, f"{where}: predictor = {predictor!r}: there is none of that name")
+    found = Source(
+        controller,
+        level,
+        lambda: ProcessBlock(command, folder, label, level, columns, extras),
+        files,
+        predictor=predictor,
+        parameters=parameters_of(stated, where),
+        columns=columns,
+        repeats=False,
+    )
+    found.hashes  # noqa: B018  of what was read just now
+    return found
 
 
 def _of_module(controller: str) -> Source:

@@ -1,0 +1,142 @@
+"""What a controller outside this process is told and answers, number by number: for processes and FMUs alike.
+
+Everything is SI and rad, body axes forward-right-down, positions NED.  A frame is ``k``, the step from 0, and behind it
+the numbers in the order of the names; little-endian doubles.  ``k = 0`` begins a flight anew.  An answer that begins
+with -1 says that it cannot go on, and a line of text behind it why.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+from cosim.base.signals import (
+    AXES,
+    NO_JETS,
+    Actuation,
+    Command,
+    ControlSignals,
+    Measured,
+    Unallocated,
+    Vector3,
+)
+
+WholeAnswer = tuple[Actuation, ControlSignals | None]
+PROTOCOL, VERSION = "hexjet-controller", 1
+
+_ATTITUDE = ("attitude_w", "attitude_x", "attitude_y", "attitude_z")  # body to NED
+_RATES = ("roll_rate", "pitch_rate", "yaw_rate")  # measured
+_RATE_SETPOINTS = ("roll_rate_setpoint", "pitch_rate_setpoint", "yaw_rate_setpoint")
+_ANGLES = ("roll_setpoint", "pitch_setpoint", "yaw_setpoint")
+_APPLIED = ("roll_applied", "pitch_applied", "yaw_applied")
+# Of a whole controller, before what is per jet; commanded: 1 where the numbers behind it are asked for, else 0.
+_WHOLE = (
+    *_ANGLES, "altitude_setpoint", "rates_commanded", *_RATE_SETPOINTS, "collective_commanded", "collective_setpoint",
+    *_RATES, *_ATTITUDE, "position_north", "position_east", "position_down", "velocity_north", "velocity_east",
+    "velocity_down", "altitude", "specific_force_x", "specific_force_y", "specific_force_z", "fuel_burnt", "engines",
+)  # fmt: skip
+_PER_JET = ("throttle_applied", "spool_speed", "exhaust_temperature", "fuel_flow")
+# What a whole controller may answer beside throttles and tilts: what it could not give, which jets it has shut off, and
+# what it shows of a cascade.
+EXTRAS = ("unallocated", "off", "shown")
+_SHOWN = ("rate_setpoint", "predicted", "torque")
+LEVEL_BY_OUTPUT = {
+    "throttle_1": "controller", "roll_torque": "rate", "roll_rate_setpoint": "attitude", "predicted_rate": "predictor",
+}  # fmt: skip
+
+
+def input_names(level: str, jets: int) -> tuple[str, ...]:
+    """The names of what a block of this level is told."""
+    if level == "predictor":
+        return ("rate", "applied")
+    if level == "rate":
+        return (*_RATE_SETPOINTS, *_RATES, *_APPLIED)
+    if level == "attitude":
+        return (*_ANGLES, *_ATTITUDE)
+    numbered = [f"{name}_{number}" for name in _PER_JET for number in range(1, jets + 1)]
+    return (*_WHOLE, *numbered, "tilt_left_applied", "tilt_right_applied")
+
+
+def output_names(level: str, jets: int, tilts: bool, extras: Sequence[str] = ()) -> tuple[str, ...]:
+    """The names of what it answers."""
+    if level == "predictor":
+        return ("predicted_rate",)
+    if level == "rate":
+        return ("roll_torque", "pitch_torque", "yaw_torque")
+    if level == "attitude":
+        return _RATE_SETPOINTS
+    names = [f"throttle_{number}" for number in range(1, jets + 1)]
+    names += ["tilt_left", "tilt_right"] if tilts else []
+    if "unallocated" in extras:
+        names += [f"unallocated_{name}" for name in (*AXES, "collective")]
+    if "off" in extras:
+        names += [f"off_{number}" for number in range(1, jets + 1)]
+    if "shown" in extras:
+        names += [f"shown_{name}_{axis}" for name in _SHOWN for axis in AXES] + ["shown_collective", "shown_allocated"]
+    return tuple(names)
+
+
+def answer_whole(values: Sequence[float], jets: int, tilts: bool, extras: Sequence[str]) -> WholeAnswer:
+    """What the numbers of :func:`output_names` say."""
+    left = list(values)
+
+    def take(count: int) -> tuple[float, ...]:
+        found = tuple(left[:count])
+        del left[:count]
+        return found
+
+    throttle = take(jets)
+    left_tilt, right_tilt = take(2) if tilts else (0.0, 0.0)
+    roll, pitch, yaw, collective = take(4) if "unallocated" in extras else (0.0, 0.0, 0.0, 0.0)
+    off = frozenset([jet for jet, value in enumerate(take(jets)) if value]) if "off" in extras else NO_JETS
+    actuation = Actuation(throttle, (left_tilt, right_tilt), Unallocated(roll, pitch, yaw, collective), off)
+    if "shown" not in extras:
+        return actuation, None
+    (a, b, c), (d, e, f), (g, h, i), (asked, given) = take(3), take(3), take(3), take(2)
+    return actuation, ControlSignals((a, b, c), (d, e, f), (g, h, i), asked, given)
+
+
+def told_whole(command: Command, measured: Measured, applied: Any) -> tuple[float, ...]:
+    """The numbers of :func:`input_names` for a whole controller."""
+    rate: Vector3 = command.rate or (0.0, 0.0, 0.0)
+    engines = applied.engines
+    return (
+        *command.attitude,
+        command.altitude,
+        float(command.rate is not None),
+        *rate,
+        float(command.collective is not None),
+        command.collective or 0.0,
+        *measured.rate,
+        *measured.attitude,
+        *measured.position,
+        *measured.velocity,
+        measured.altitude,
+        *measured.specific_force,
+        applied.burnt,
+        0.0,  # engines that are told to idle, or are off, are not asked of it
+        *applied.throttle,
+        *engines.spool_speed,
+        *engines.exhaust_temperature,
+        *engines.fuel_flow,
+        *applied.tilt,
+    )
+
+
+def frame(count: int) -> struct.Struct:
+    """Of so many numbers behind the step's."""
+    return struct.Struct(f"<{count + 1}d")
+
+
+def numbers(told: Sequence[Any], level: str) -> tuple[float, ...]:
+    """What ``update`` is told as the numbers of a frame."""
+    if level == "controller":
+        return told_whole(*told)
+    if level == "attitude":
+        command, measured = told
+        return (*command.attitude, *measured.attitude)
+    if level == "rate":
+        setpoint, measured, applied = told
+        return (*setpoint, *measured, *applied)
+    return (told[0], told[1])

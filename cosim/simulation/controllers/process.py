@@ -1,0 +1,292 @@
+"""A controller that is a process of its own and steps in lockstep, and an FMU, which such a process of ours runs.
+
+The process says on its standard output one line of JSON, what it is; reads one from its standard input, what it may
+believe and the names of the numbers to come; and then answers frames with frames (:mod:`cosim.base.controller_wire`)
+until its input ends.  What it prints for people goes to standard error.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from time import monotonic
+from typing import IO, Any
+
+from cosim.base import controller_wire as wire
+from cosim.base.errors import FlightError, InputError
+from cosim.base.protocols import Column
+from cosim.base.scratch import scratch
+from cosim.base.signals import ControlSignals
+from cosim.control.belief import Belief
+
+START_S = 60.0  # chosen by us: until it says what it is; an interpreter on a busy machine takes seconds
+END_S = 1.0  # until it has ended after its input has
+MOST_FRAMES = 50_000  # that are kept to be asked again: 200 s of steps of 4 ms
+_LINE = 1_000_000  # bytes that a line may have
+
+Command = Callable[[], Sequence[str]]
+
+
+class Connection:
+    """One process, from its start to its end."""
+
+    def __init__(self, command: Sequence[str], folder: Path, errors: IO[bytes] | None = None) -> None:
+        try:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                cwd=folder,
+                process_group=0,
+                bufsize=0,
+            )
+        except OSError as error:
+            raise InputError(f"cannot be started: {error.strerror or error}") from error
+        self._rest = b""
+
+    def line(self, limit: float) -> bytes:
+        """One line of its output.  Raises FlightError."""
+        end = monotonic() + limit
+        while b"\n" not in self._rest:
+            if len(self._rest) > _LINE:
+                raise FlightError("its first line does not end")
+            self._rest += self._some(end, limit)
+        line, _, self._rest = self._rest.partition(b"\n")
+        return line
+
+    def read(self, count: int, limit: float) -> bytes:
+        """So many bytes of its output.  Raises FlightError."""
+        end = monotonic() + limit
+        while len(self._rest) < count:
+            self._rest += self._some(end, limit)
+        found, self._rest = self._rest[:count], self._rest[count:]
+        return found
+
+    def send(self, data: bytes) -> None:
+        """Raises FlightError if it is not there any more."""
+        assert self._process.stdin is not None
+        try:
+            view = memoryview(data)
+            while view:
+                view = view[self._process.stdin.write(view) :]
+        except OSError:
+            raise FlightError(f"the process {self._how_it_ended()}") from None
+
+    def _some(self, end: float, limit: float) -> bytes:
+        assert self._process.stdout is not None
+        file = self._process.stdout.fileno()
+        if not select.select([file], [], [], max(0.0, end - monotonic()))[0]:
+            raise FlightError(f"the process did not answer within {limit:g} s")
+        found = os.read(file, 65536)
+        if not found:
+            raise FlightError(f"the process {self._how_it_ended()}")
+        return found
+
+    def _how_it_ended(self) -> str:
+        try:
+            code = self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            return "closed its output"
+        return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+        for stream in (self._process.stdin, self._process.stdout):
+            with suppress(OSError):
+                if stream is not None:
+                    stream.close()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(END_S)
+        with suppress(OSError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+
+
+def describe(command: Command, folder: Path, label: str) -> dict[str, Any]:
+    """What a process says that it is.  Raises InputError."""
+    with tempfile.TemporaryFile() as errors:  # it ends before it has begun, and need not like that
+        connection = _started(command, folder, label, errors)
+        try:
+            return _description(connection, label)
+        except InputError as error:
+            connection.close()
+            errors.seek(0)
+            said = errors.read().decode(errors="replace").strip().rpartition("\n")[2]
+            raise InputError(f"{error}: {said}" if said else str(error)) from error
+        finally:
+            connection.close()
+
+
+def _started(command: Command, folder: Path, label: str, errors: IO[bytes] | None = None) -> Connection:
+    try:
+        return Connection(command(), folder, errors)
+    except InputError as error:
+        raise InputError(f"controller {label}: {error}") from error
+
+
+def _description(connection: Connection, label: str) -> dict[str, Any]:
+    try:
+        line = connection.line(START_S)
+        found = json.loads(line)
+    except FlightError as error:
+        raise InputError(f"controller {label}: {error} before it had said what it is") from error
+    except ValueError:
+        raise InputError(f"controller {label}: its first line is no JSON: {line[:60]!r}") from None
+    if not isinstance(found, dict):
+        raise InputError(f"controller {label}: its first line is no JSON object: {line[:60]!r}")
+    if "error" in found:
+        raise InputError(f"controller {label}: {found['error']}")
+    return found
+
+
+class ProcessBlock:
+    """A block of :mod:`cosim.simulation.controllers.guard` that asks a process; ``limit`` s for each answer."""
+
+    shown: tuple[float, ...] = ()
+
+    def __init__(
+        self,
+        command: Command,
+        folder: Path,
+        label: str,
+        level: str,
+        columns: Sequence[Column],
+        extras: Sequence[str],
+    ) -> None:
+        self._extras = extras
+        self.signals: ControlSignals | None = None
+        self._limit = 10.0
+        self._command, self._folder, self._label = command, folder, label
+        self._level = level
+        self.columns = tuple(columns)
+        self._connection: Connection | None = None
+        self._belief = b""
+        self._asked: list[bytes] = []
+        self._answered: list[bytes] = []
+        self._k = 0
+
+    def limit(self, seconds: float) -> None:
+        """So long it may take for an answer."""
+        self._limit = seconds
+
+    def prepare(self, belief: Belief) -> None:
+        """Start it and tell it what it may believe."""
+        jets, servo = len(belief.vehicle.jets), belief.vehicle.servo is not None
+        inputs, outputs = wire.input_names(self._level, jets), wire.output_names(self._level, jets, servo, self._extras)
+        self._outputs = len(outputs)
+        self._jets, self._servo = jets, servo
+        self._in, self._out = wire.frame(len(inputs)), wire.frame(len(outputs) + len(self.columns))
+        told = {
+            "protocol": wire.PROTOCOL,
+            "version": wire.VERSION,
+            "inputs": inputs,
+            "outputs": [*outputs, *(column.name for column in self.columns)],
+            "step_s": belief.step_s,
+            "axis": belief.axis,
+            "parameters": dict(belief.parameters),
+            "hover": belief.hover,
+            "on_ground": belief.on_ground,
+            "models": {axis: model.model_dump(mode="json") for axis, model in belief.models.items()},
+            "engines": [engine._asdict() for engine in belief.engines],
+            "vehicle": belief.vehicle.model_dump(mode="json"),
+        }
+        self._belief = json.dumps(told).encode() + b"\n"
+        self._connection = self._begun()
+
+    def _begun(self) -> Connection:
+        connection = _started(self._command, self._folder, self._label)
+        try:
+            _description(connection, self._label)
+            connection.send(self._belief)
+        except FlightError as error:
+            connection.close()
+            raise InputError(f"controller {self._label}: {error}") from error
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    def reset(self) -> None:
+        """The next frame has the number 0."""
+        self._k = 0
+
+    def update(self, *told: Any) -> Any:
+        """One frame to it, one back.  Raises FlightError."""
+        assert self._connection is not None
+        frame = self._in.pack(float(self._k), *wire.numbers(told, self._level))
+        answer = self._exchange(self._connection, frame, self._k)
+        if len(self._asked) < MOST_FRAMES:
+            self._asked.append(frame)
+            self._answered.append(answer)
+        self._k += 1
+        values = self._out.unpack(answer)[1:]
+        self.shown = values[self._outputs :]
+        values = values[: self._outputs]
+        if self._level == "predictor":
+            return values[0]
+        if self._level != "controller":
+            return values
+        actuation, self.signals = wire.answer_whole(values, self._jets, self._servo, self._extras)
+        return actuation
+
+    def _exchange(self, connection: Connection, frame: bytes, k: int) -> bytes:
+        connection.send(frame)
+        answer = connection.read(self._out.size, self._limit)
+        number = self._out.unpack(answer)[0]
+        if number == -1.0:
+            raise FlightError(connection.line(self._limit).decode(errors="replace"))
+        if number != k:
+            raise FlightError(f"its answer begins with {number:g} and not with the step; does it print to its output?")
+        return answer
+
+    def repeats(self) -> bool:
+        """Whether another process, asked the same, answers the same, bit for bit."""
+        try:
+            connection = self._begun()
+        except (InputError, FlightError):
+            return False
+        try:
+            for frame, answer in zip(self._asked, self._answered, strict=True):
+                if self._exchange(connection, frame, int(self._in.unpack(frame)[0])) != answer:
+                    return False
+        except FlightError:
+            return False
+        finally:
+            connection.close()
+        return True
+
+    def close(self) -> None:
+        """End the process; may be called twice."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+
+def program(path: Path, arguments: str) -> Command:
+    """How a file is run: one of Python by this interpreter, any other as a program."""
+    words = arguments.split()
+
+    def command() -> Sequence[str]:
+        if path.suffix == ".py":
+            return [sys.executable, str(path), *words]
+        if os.access(path, os.X_OK):
+            return [str(path), *words]
+        folder = Path(
+            tempfile.mkdtemp(prefix="controller-", dir=scratch())
+        )  # a copy in a run's folder may not be run as it is
+        copied = folder / path.name
+        shutil.copyfile(path, copied)
+        copied.chmod(0o700)
+        return [str(copied), *words]
+
+    return command

@@ -1,0 +1,393 @@
+"""A controller that is a program or an FMU flies in lockstep, as the same law in a class does, to the last bit."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+import shutil
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import pytest
+from fmpy.fmi2 import FMU2Slave
+from places import ROOT, TOOLS
+
+from cosim import InputError, Run, Scenario, fly
+from cosim.base import controller_wire as wire
+from cosim.campaign.run import run_campaign
+from cosim.campaign.study.options import open_study
+from cosim.cli.main import main
+from cosim.engine.controller_fmu import read_controller_fmu
+
+PAGE = ROOT / "docs" / "own-controller.md"
+DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.1}
+ROLL = Scenario.load("roll-doublet").replace(duration_s=0.4, command=[DOUBLET], expect=[])
+
+
+def of_page(name: str, where: Path) -> Path:
+    """The file that a reader copies from the page."""
+    text = PAGE.read_text(encoding="utf-8")
+    found = re.search(rf"<!-- {name} -->\n```\w*\n(.*?)```\n<!-- /{name} -->", text, re.DOTALL)
+    assert found is not None
+    where.write_text(found[1], encoding="utf-8")
+    return where
+
+
+def same(one: Run, other: Run) -> bool:
+    assert set(one.log.columns) <= set(other.log.columns)
+    return all(one.log[name].tobytes() == other.log[name].tobytes() for name in one.log.columns)
+
+
+class Loop:
+    """The law of the page, in this process."""
+
+    level = "rate"
+    parameters = (("share", 1.0, "", "of the gains", 0.0, 10.0),)
+    columns = (("roll_integral", "1", "body", "integral of the roll error"),)
+
+    def prepare(self, belief: Any) -> None:
+        self.share, self.step = belief.parameters["share"], belief.step_s
+
+    def reset(self) -> None:
+        self.integral = [0.0, 0.0, 0.0]
+        self.shown = (0.0,)
+
+    def update(self, setpoint: Any, measured: Any, applied: Any) -> list[float]:
+        errors = [a - b for a, b in zip(setpoint, measured, strict=True)]
+        self.integral = [held + 0.5 * self.step * error for held, error in zip(self.integral, errors, strict=True)]
+        self.shown = (self.integral[0],)
+        pairs = zip((0.05, 0.2, 0.2), errors, self.integral, strict=True)
+        return [self.share * gain * (error + held) for gain, error, held in pairs]
+
+
+@pytest.fixture(scope="module")
+def reference() -> Run:
+    run = fly(ROLL.replace(controller_parameters={}), controller=Loop)
+    assert run.outcome == "completed", run.reason
+    return run
+
+
+@pytest.fixture(scope="module")
+def loop_c(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("loop")
+    source = of_page("process", folder / "loop.c")
+    strict = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-O2", "-ffp-contract=off"]
+    subprocess.run([shutil.which("cc") or "gcc", *strict, str(source), "-o", str(folder / "loop")], check=True)
+    return folder / "loop"
+
+
+def test_the_program_of_the_page_in_c_flies_as_the_class(loop_c: Path, reference: Run, tmp_path: Path) -> None:
+    run = fly(ROLL.replace(controller=f"process:{loop_c}"), tmp_path / "run", report=False)
+    assert run.outcome == "completed", run.reason
+    assert run.log.columns == reference.log.columns
+    assert same(reference, run)
+    own = run.summary.own_controller
+    assert own is not None
+    assert (own.level, own.repeatable, own.parameters) == ("rate", True, {"share": 1.0})
+    # from the copy in its folder, which is no program by its mode, with another value of its own
+    again = fly(Scenario.load(tmp_path / "run" / "scenario.toml"))
+    assert same(reference, again)
+    weaker = fly(ROLL.replace(controller=f"process:{loop_c}", controller_parameters={"share": 0.5}))
+    assert not same(reference, weaker)
+
+
+def test_so_does_that_in_python_and_a_study_of_it_says_that_it_repeats(reference: Run, tmp_path: Path) -> None:
+    script = of_page("script", tmp_path / "loop.py")
+    assert same(reference, fly(ROLL.replace(controller=f"process:{script}")))
+    name = f"process:{script}"
+    vary = ["controller_parameters.share=0.5,1"]
+    study = open_study("hover", vary=vary, controllers=[name], settings=["duration_s=0.1"])
+    columns = run_campaign(study, tmp_path / "campaign", workers=1).columns
+    assert list(columns["outcome"]) == ["completed"] * 2
+    assert list(columns["controller"]) == ["process:loop.py"] * 2
+    assert list(columns["controller_repeatable"]) == [True, True]
+    assert (tmp_path / "campaign" / "loop.py").is_file()
+
+
+CASCADE = """
+import json, struct, sys
+from types import SimpleNamespace
+from cosim.base.signals import Command, EngineOutput, Measured
+from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
+from cosim.control.predictors.smith import NoPredictor, SmithPredictor
+from cosim.spec.vehicle import RateModel, Vehicle
+sys.path.insert(0, {folder!r})
+from cascade import Cascade
+
+read, write = sys.stdin.buffer, sys.stdout.buffer
+write.write(b'{{"level": "controller", "extras": ["unallocated", "shown"]}}\\n')
+write.flush()
+line = read.readline()
+told = json.loads(line) if line else sys.exit()
+curves = [StaticCurve("engine", each["throttle"], each["thrust"]) for each in told["engines"]]
+models = {{axis: RateModel.model_validate(model) for axis, model in told["models"].items()}}
+cascade = Cascade()
+cascade.prepare(SimpleNamespace(
+    vehicle=Vehicle.model_validate(told["vehicle"]), thrust_map=ThrustMap(curves[0], curves), hover=told["hover"],
+    step_s=told["step_s"],
+    predictors=lambda name: [SmithPredictor(models[a]) if a in models else NoPredictor() for a in ("roll", "pitch", "yaw")],
+))
+asked, answer = struct.Struct(f"<{{1 + len(told['inputs'])}}d"), struct.Struct(f"<{{1 + len(told['outputs'])}}d")
+while len(frame := read.read(asked.size)) == asked.size:
+    k, *numbers = asked.unpack(frame)
+    at = dict(zip(told["inputs"], numbers))
+    if k == 0:
+        cascade.reset()
+    def three(*names):
+        return tuple(at[name] for name in names)
+    rates = three("roll_rate_setpoint", "pitch_rate_setpoint", "yaw_rate_setpoint") if at["rates_commanded"] else None
+    collective = at["collective_setpoint"] if at["collective_commanded"] else None
+    given = cascade.update(
+        Command(three("roll_setpoint", "pitch_setpoint", "yaw_setpoint"), at["altitude_setpoint"], rates, collective),
+        Measured(
+            three("roll_rate", "pitch_rate", "yaw_rate"),
+            three("attitude_w", "attitude_x", "attitude_y", "attitude_z"),
+            three("position_north", "position_east", "position_down"),
+            three("velocity_north", "velocity_east", "velocity_down"), at["altitude"],
+        ),
+        SimpleNamespace(burnt=at["fuel_burnt"]),
+    )
+    s = cascade.signals
+    shown = (*s.rate_setpoint, *s.rate_predicted, *s.torque, s.collective, s.allocated)
+    write.write(answer.pack(k, *given.throttle, *given.tilt, *given.unallocated, *shown))
+    write.flush()
+"""
+
+
+def test_the_whole_cascade_in_a_process_leaves_the_log_of_ours(tmp_path: Path) -> None:
+    of_page("cascade", tmp_path / "cascade.py")
+    script = tmp_path / "outside.py"
+    script.write_text(CASCADE.format(folder=str(tmp_path)))
+    ours, theirs = fly(ROLL.replace(controller="smith")), fly(ROLL.replace(controller=f"process:{script}"))
+    assert theirs.outcome == "completed", theirs.reason
+    assert same(ours, theirs)
+
+
+WRONG = """
+import json, os, random, struct, sys, time
+print('{"level": "predictor"}', flush=True)
+line = sys.stdin.buffer.readline()
+told = json.loads(line) if line else sys.exit()
+out = sys.stdout.buffer
+while len(frame := sys.stdin.buffer.read(24)) == 24:
+    k, measured, applied = struct.unpack("<3d", frame)
+    answer = struct.pack("<2d", k, measured)
+    if k == 10:
+        WHAT
+    out.write(answer)
+    out.flush()
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "reason"),
+    [
+        ("time.sleep(60)", "the process did not answer within 0.5 s"),
+        ("os.abort()", "the process was ended by SIGABRT"),
+        ("sys.exit(3)", "the process ended with status 3"),
+        ("os.close(1); time.sleep(60)", "the process closed its output"),
+        ("answer = struct.pack('<2d', k, float('nan'))", "the rate of roll = nan: must be finite"),
+        ("answer = b'debugging prints'", "and not with the step; does it print to its output?"),
+        ("answer = struct.pack('<2d', -1.0, 0.0) + b'no more\\n'", "no more"),
+    ],
+)
+def test_what_a_process_does_wrong_ends_the_run_which_names_it(tmp_path: Path, what: str, reason: str) -> None:
+    script = tmp_path / "wrong.py"
+    script.write_text(WRONG.replace("WHAT", what))
+    limit = 0.5 if "within" in reason else 60.0
+    run = fly(ROLL.replace(duration_s=0.1, controller=f"process:{script}", controller_limit_s=limit))
+    assert run.outcome == "failed"
+    assert run.reason.startswith("controller process:wrong.py: ")
+    assert reason in run.reason
+    assert "at step 10 (0.040 s)" in run.reason
+    assert len(run.log) == 10
+
+
+def test_one_that_is_not_repeatable_is_called_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    script = tmp_path / "dice.py"
+    script.write_text(WRONG.replace("WHAT", "answer = struct.pack('<2d', k, measured + 1e-9 * random.random())"))
+    arguments = ["fly", "hover", "--controller", f"process:{script}", "--set", "duration_s=0.1"]
+    with pytest.raises(SystemExit) as ended:
+        main([*arguments, "--out", str(tmp_path / "run")])
+    assert ended.value.code == 0
+    assert "controller process:dice.py is not repeatable" in capsys.readouterr().out
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["own_controller"]["repeatable"] is False
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("raise SystemExit('no licence')", "the process ended with status 1 before it had said what it is: no licence"),
+        ("print('hello')", "its first line is no JSON: b'hello'"),
+        ("print('[1]')", "its first line is no JSON object"),
+        ('print(\'{"level": "pilot"}\')', "level = 'pilot': must be one of predictor, rate, attitude, controller"),
+        ('print(\'{"level": "rate", "colums": []}\')', "'colums': did you mean 'columns'?"),
+        (
+            'print(\'{"level": "rate", "extras": ["off"]}\')',
+            "extras: 'off': must be of a whole controller, and one of unallocated, off, shown",
+        ),
+    ],
+)
+def test_what_is_no_controller_is_one_line(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "wrong.py").write_text(text)
+    with pytest.raises(InputError, match=re.escape(message)):
+        fly(ROLL.replace(controller=f"process:{tmp_path / 'wrong.py'}"))
+    with pytest.raises(InputError, match="no such file"):
+        fly(ROLL.replace(controller="process:nowhere.py"))
+
+
+# ---- FMUs
+
+ROWS = [
+    *[(name, 1 + n, "input", 'start="0"') for n, name in enumerate(wire.input_names("rate", 6)[:6])],
+    *[(name, 11 + n, "output", "") for n, name in enumerate(wire.output_names("rate", 6, True))],
+    ("roll_integral", 14, "output", ""),
+    ("share", 20, "parameter", 'start="1" min="0" max="10"'),
+]
+
+
+@pytest.fixture(scope="module")
+def fmu_c(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An FMU of FMI 2.0 that nobody's tool wrote."""
+    folder = tmp_path_factory.mktemp("fmu")
+    source = TOOLS / "foreign_controller.c"
+    defined = set(re.findall(r"(fmi2\w+)\(", source.read_text()))
+    needed = {each for each, _ in inspect.getmembers(FMU2Slave) if each.startswith("fmi2")}
+    stubs = "\n".join(f"int {each}(void) {{ return 3; }}" for each in sorted(needed - defined))
+    (folder / "all.c").write_text(f'#include "{source}"\n{stubs}\n')
+    binary = folder / f"loop{fmpy.sharedLibraryExtension}"
+    flags = ["-shared", "-fPIC", "-O2", "-w", "-ffp-contract=off"]
+    subprocess.run([shutil.which("cc") or "gcc", *flags, str(folder / "all.c"), "-o", str(binary)], check=True)
+    fixed = ' variability="fixed"'
+    made = "\n".join(
+        f'<ScalarVariable name="{name}" valueReference="{place}" causality="{causality}"'
+        f"{fixed if causality == 'parameter' else ''}><Real {more}/></ScalarVariable>"
+        for name, place, causality, more in ROWS
+    )
+    outputs = [k for k, row in enumerate(ROWS, start=1) if row[2] == "output"]
+    unknown = "".join(f'<Unknown index="{k}"/>' for k in outputs)
+    with zipfile.ZipFile(folder / "loop.fmu", "w") as archive:
+        archive.writestr(
+            "modelDescription.xml",
+            '<?xml version="1.0" encoding="UTF-8"?>\n<fmiModelDescription fmiVersion="2.0" modelName="loop" guid="loop">'
+            '<CoSimulation modelIdentifier="loop" canHandleVariableCommunicationStepSize="true"/>'
+            f"<ModelVariables>{made}</ModelVariables><ModelStructure><Outputs>{unknown}</Outputs>"
+            f"<InitialUnknowns>{unknown}</InitialUnknowns></ModelStructure></fmiModelDescription>",
+        )
+        archive.write(binary, f"binaries/{fmpy.platform}/{binary.name}")
+    return folder / "loop.fmu"
+
+
+def test_an_fmu_written_by_hand_flies_as_the_class(fmu_c: Path, reference: Run, tmp_path: Path) -> None:
+    run = fly(ROLL.replace(controller=str(fmu_c)), tmp_path / "run", report=False)
+    assert run.outcome == "completed", run.reason
+    assert same(reference, run)
+    own = run.summary.own_controller
+    assert own is not None
+    assert (own.level, own.repeatable, own.parameters) == ("rate", True, {"share": 1.0})
+    assert same(run, fly(Scenario.load(tmp_path / "run" / "scenario.toml")))
+
+
+PYTHON_FMU = """
+from pythonfmu3 import Fmi3Causality, Fmi3Slave, Fmi3Variability, Float64
+
+class PythonLoop(Fmi3Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.time, self.share, self.integral = 0.0, 1.0, [0.0, 0.0, 0.0]
+        moving = {"variability": Fmi3Variability.continuous}
+        self.register_variable(Float64("time", causality=Fmi3Causality.independent, **moving))
+        self.register_variable(Float64("share", causality=Fmi3Causality.parameter, variability=Fmi3Variability.fixed))
+        for axis in ("roll", "pitch", "yaw"):
+            for name, causality in (
+                (f"{axis}_asked", Fmi3Causality.input), (f"gyro_{axis}", Fmi3Causality.input),
+                (f"{axis}_torque", Fmi3Causality.output),
+            ):
+                setattr(self, name, 0.0)
+                self.register_variable(Float64(name, causality=causality, **moving))
+
+    def do_step(self, time, step):
+        for n, (axis, gain) in enumerate(zip(("roll", "pitch", "yaw"), (0.05, 0.2, 0.2))):
+            error = getattr(self, f"{axis}_asked") - getattr(self, f"gyro_{axis}")
+            self.integral[n] += 0.5 * step * error
+            setattr(self, f"{axis}_torque", self.share * gain * (error + self.integral[n]))
+        return True
+"""
+
+
+def test_one_of_pythonfmu3_through_a_mapping_file(
+    tmp_path: Path, reference: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = tmp_path / "pythonloop.py"
+    script.write_text(PYTHON_FMU)
+    command = [sys.executable, "-m", "pythonfmu3", "build", "-f", str(script), "-d", str(tmp_path)]
+    subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
+    axes = ("roll", "pitch", "yaw")
+    lines = [f'{axis}_rate_setpoint = "{axis}_asked"\n{axis}_rate = "gyro_{axis}"\n' for axis in axes]
+    mapping = tmp_path / "mine.fmu.toml"
+    mapping.write_text('fmu = "PythonLoop.fmu"\n[ports]\n' + "".join(lines))
+    run = fly(ROLL.replace(controller=str(mapping)), tmp_path / "run", report=False)
+    assert run.outcome == "completed", run.reason
+    own = run.summary.own_controller
+    assert own is not None
+    assert own.repeatable
+    assert set(own.files) == {"mine.fmu.toml", "PythonLoop.fmu"}
+    names = [name for name in reference.log.columns if name in run.log.columns]
+    # the time of its step is the difference of two of FMI's times, so to rounding
+    assert (
+        max(
+            abs(reference.log[name] - run.log[name]).max()
+            for name in names
+            if "rad" in name and "seen" not in name and "predicted" not in name
+        )
+        < 1e-9
+    )
+    with pytest.raises(SystemExit) as ended:
+        main(["fmu", "check", str(mapping)])
+    assert ended.value.code == 0
+    said = capsys.readouterr().out
+    assert re.search(r"level +rate", said)
+    assert "is not told of: roll_applied, pitch_applied, yaw_applied" in said
+    mapping.write_text('fmu = "PythonLoop.fmu"\n[ports]\nroll_rate = "gyro"\n')
+    with pytest.raises(InputError, match=r"ports\.roll_rate = 'gyro': is no input of it; did you mean"):
+        fly(ROLL.replace(controller=str(mapping)))
+
+
+def test_an_fmu_that_crashes_ends_the_run(fmu_c: Path) -> None:
+    class Far:
+        level = "attitude"
+
+        def reset(self) -> None: ...
+
+        def update(self, command: Any, measured: Any) -> Any:
+            return (1e7, 0.0, 0.0)
+
+    fmu = read_controller_fmu(fmu_c)
+    assert (fmu.level, list(fmu.inputs)) == ("rate", list(wire.input_names("rate", 6)[:6]))
+    command = {"kind": "step", "signal": "rate_p_deg_s", "start_s": 0.04, "amplitude": 1e6}
+    begin = time.monotonic()
+    run = fly(ROLL.replace(controller=str(fmu_c), command=[command, command | {"start_s": 0.044}] * 40))
+    assert run.outcome == "failed", (run.reason, time.monotonic() - begin)
+    assert "loop.fmu: the process was ended by SIGABRT" in run.reason
+
+
+def test_an_engine_is_no_controller() -> None:
+    with pytest.raises(InputError, match=r"edf\.fmu: is no controller: it has no output throttle_1, roll_torque"):
+        fly(ROLL.replace(controller=str(ROOT / "fmus" / "edf.fmu")))
+
+
+def test_the_page_has_every_name() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    table = page.partition("<!-- ports -->")[2]
+    for level in ("predictor", "rate", "attitude"):
+        for name in (*wire.input_names(level, 6), *wire.output_names(level, 6, True)):
+            assert f"`{name}`" in table
+    for name in wire.input_names("controller", 6):
+        stem = re.sub(r"_(\d|north|east|down|y|z)$", "", name)
+        assert stem in table or stem.replace("_left", "") in table, name
