@@ -14,6 +14,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.thrust_map import Inverse, ThrustMap
+from cosim.control.attitude import AttitudeController
 from cosim.control.cascade import Cascade
 from cosim.control.lead import Lead
 from cosim.control.predictors.smith import (
@@ -25,6 +26,7 @@ from cosim.control.predictors.smith import (
     SmithPredictor,
 )
 from cosim.control.predictors.state import DoubleIntegratorObserver, ModalPredictor, ModelObserver, StatePredictor
+from cosim.control.rate import RateController
 from cosim.control.schedule import FINE
 from cosim.simulation.step import Simulation
 from cosim.spec.vehicle import EngineLead, RateGains, Vehicle
@@ -38,6 +40,9 @@ def form_of(simulation: Simulation) -> Form:
     Raises InputError for a controller, predictor or allocator that has no C form.
     """
     cascade, vehicle, step = simulation.cascade, simulation.vehicle, simulation.dt
+    for loop, ours in ((cascade.attitude, AttitudeController), (cascade.rate, RateController)):
+        if type(loop) is not ours:
+            raise InputError(f"the loop {type(loop).__name__} has no C form; allowed: the built-in ones")
     schedule = _schedule(vehicle, step)
     leads = [_lead(getattr(vehicle.control.lead, axis, None), step) for axis in AXES]
     rate = vehicle.control.rate

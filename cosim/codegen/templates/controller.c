@@ -348,22 +348,22 @@ static void follow(const [[ n ]]_Parameters *p, [[ n ]]_State *s, Real level)
         k++;
     }
     const Real part = (share - p->level_share[k - 1]) / (p->level_share[k] - p->level_share[k - 1]);
-    const [[ n ]]_Level roll = level_between(&p->roll_level[k - 1], &p->roll_level[k], part);
-    const [[ n ]]_Level altitude = level_between(&p->altitude_level[k - 1], &p->altitude_level[k], part);
-    s->attitude_gain = roll.angle * p->attitude_gain[0];
-    s->roll_gains.p = roll.p * p->roll.p;
-    s->roll_gains.i = roll.i * p->roll.i;
-    s->roll_gains.d = roll.d * p->roll.d;
+    const [[ n ]]_Level roll_at = level_between(&p->roll_level[k - 1], &p->roll_level[k], part);
+    const [[ n ]]_Level altitude_at = level_between(&p->altitude_level[k - 1], &p->altitude_level[k], part);
+    s->attitude_gain = roll_at.angle * p->attitude_gain[0];
+    s->roll_gains.p = roll_at.p * p->roll.p;
+    s->roll_gains.i = roll_at.i * p->roll.i;
+    s->roll_gains.d = roll_at.d * p->roll.d;
     s->roll_gains.limit = p->roll.limit;
     s->roll_gains.share = p->roll.share;
-    s->position = altitude.angle * p->position;
-    s->velocity = altitude.p * p->velocity;
-    s->integral = altitude.i * p->integral;
+    s->position = altitude_at.angle * p->position;
+    s->velocity = altitude_at.p * p->velocity;
+    s->integral = altitude_at.i * p->integral;
 {% for name, lead in (("roll", f.axes[0].lead), ("altitude", f.altitude.lead)) if lead %}
 {% if lead.order == 2 %}
-    design_lead_2(&s->[[ name ]]_lead_now, [[ name ]].natural_rad_s, [[ name ]].damping, [[ name ]].pole_rad_s, p->step);
+    design_lead_2(&s->[[ name ]]_lead_now, [[ name ]]_at.natural_rad_s, [[ name ]]_at.damping, [[ name ]]_at.pole_rad_s, p->step);
 {% else %}
-    design_lead_1(&s->[[ name ]]_lead_now, [[ name ]].natural_rad_s, [[ name ]].pole_rad_s, p->step);
+    design_lead_1(&s->[[ name ]]_lead_now, [[ name ]]_at.natural_rad_s, [[ name ]]_at.pole_rad_s, p->step);
 {% endif %}
 {% endfor %}
 }

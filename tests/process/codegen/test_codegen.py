@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import random
+import re
+import shlex
 import shutil
 import subprocess
 from math import cos, sin
@@ -12,10 +14,12 @@ from typing import Any
 
 import pytest
 from command_tools import Hexjet
+from places import DOCS, TOOLS
 
 from cosim.base.errors import InputError
 from cosim.base.protocols import EngineState
 from cosim.base.signals import ZERO3, Command, Disturbance, EngineOutput, Measured
+from cosim.cli.main import main
 from cosim.codegen import measure
 from cosim.codegen.export import Exported, export_controller
 from cosim.codegen.files import Labels, texts
@@ -103,6 +107,15 @@ PAIRED = {
 BROKEN_DELAY = {
     "gain": 0.02, "zeros": [-0.9], "poles": [0.999, 0.95], "delay_samples": 12.4, "sample_time_s": 0.004, "source": "made up",
 }  # fmt: skip
+LAG = {"natural_rad_s": 6.0, "pole_rad_s": 20.0}
+OVERDAMPED = {"natural_rad_s": 1.3, "damping": 1.4, "pole_rad_s": 8.0}
+LEVELS = {
+    "filter_s": 0.5,
+    "level": [
+        {"share": share, "roll": {"p": 0.5 + share, "i": 0.7, **LAG}, "altitude": {"angle": 1.0 + share, **LAG}}
+        for share in (0.3, 0.5, 0.6)
+    ],
+}
 HEXJET = "roll-doublet"
 CASES = {
     "baseline": (HEXJET, {"controller": "baseline"}),
@@ -118,6 +131,15 @@ CASES = {
     "pairs of poles, state-disturbance": (HEXJET, {"controller": "state-disturbance", "model": PAIRED}),
     "curves, leads and schedule": ("full-scale-roll-doublet", {"controller": "filtered-smith"}),
     "four poles, state-disturbance": ("full-scale-roll-doublet", {"controller": "state-disturbance"}),
+    "leads of a single lag": (HEXJET, {"control": {"lead": {"roll": LAG, "pitch": LAG, "altitude": LAG}}}),
+    "the same, scheduled": (HEXJET, {"control": {"lead": {"roll": LAG, "altitude": LAG}, "schedule": LEVELS}}),
+    "leads of more than critical damping": (
+        "full-scale-roll-doublet",
+        {"control": {"schedule": {"filter_s": 0.1, "level": [
+            {"share": share, "roll": OVERDAMPED, "altitude": OVERDAMPED} for share in (0.3, 0.35, 0.6)
+        ]}}},
+    ),
+    "a schedule without leads": (HEXJET, {"control": {"schedule": LEVELS}}),
     "a rotorcraft, three predictors": (HEXJET, {"controller": "smith", "aircraft": "quadrotor", "engine": "motor"}),
 }  # fmt: skip
 
@@ -126,6 +148,8 @@ def made(name: str, changes: dict[str, Any]) -> Scenario:
     changes = dict(changes)
     if "model" in changes:
         changes["vehicle"] = {"identified": {"edf-as-flown": {"roll": changes.pop("model")}}}
+    if "control" in changes:
+        changes["vehicle"] = {"control": changes.pop("control")}
     if changes.get("aircraft") == "quadrotor":
         changes["step_s"] = 0.0025
     return scenario(name, **changes)
@@ -168,6 +192,42 @@ def test_single_precision_stays_within_half_a_step_of_a_12_bit_command(flown: Pa
     done = ran(flown, "-O2", "-DOURS_FLOAT")
     assert done.returncode == 0, done.stdout
     assert "0 numbers differ" not in done.stdout.replace("10 numbers", "")  # it is not double under another name
+
+
+CROSS = shutil.which("arm-none-eabi-gcc"), shutil.which("qemu-system-arm")
+
+
+@pytest.mark.skipif(None in CROSS, reason="no arm-none-eabi-gcc, or no qemu-system-arm, here")
+@pytest.mark.parametrize(
+    ("board", "flags", "says"),
+    [
+        ("mps2-an386", ["-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-DOURS_FLOAT"], ""),
+        ("mps2-an386", ["-mcpu=cortex-m4", "-mfloat-abi=soft"], ", 0 numbers differ"),
+        ("mps2-an500", ["-mcpu=cortex-m7", "-mfloat-abi=hard", "-mfpu=fpv5-d16"], ", 0 numbers differ"),
+    ],
+    ids=["float on a Cortex-M4", "double on a Cortex-M4", "double on a Cortex-M7"],
+)
+def test_a_microcontroller_repeats_the_flight(flown: Path, board: str, flags: list[str], says: str) -> None:
+    cc, qemu = CROSS
+    image = flown / "image.elf"
+    files = [*(str(flown / source) for source in measure.sources("ours")), str(TOOLS / "cortex_m_start.c")]
+    script = str(TOOLS / "cortex_m.ld")
+    built = [str(cc), *measure.FLAGS, *flags, "-mthumb", "-O2", "--specs=rdimon.specs", "-T", script, "-o", str(image)]
+    done = subprocess.run([*built, *files, "-lm"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    options = ["-M", board, "-nographic", "-semihosting-config", "enable=on,target=native", "-kernel", str(image)]
+    ran = subprocess.run([str(qemu), *options], capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert f"1000 steps{says}" in ran.stdout
+
+
+def test_single_precision_says_where_it_is_not_enough(tmp_path: Path) -> None:
+    """The one built-in controller of docs/controller-export.md that a float does not carry."""
+    flight = scenario("full-scale-roll-doublet", controller="filtered-smith", duration_s=3.0)
+    done = export_controller(flight, tmp_path / "out", "ours", fmus=False)
+    assert done.measured is not None
+    assert (done.measured.same, done.measured.float_passes) == (True, False)
+    assert "not within half a step of a 12-bit command" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_test_program_finds_a_controller_that_is_another(flown: Path, tmp_path: Path) -> None:
@@ -318,6 +378,31 @@ def test_what_cannot_be_is_one_line(hexjet: Hexjet, arguments: list[str], messag
     assert message in done.err
     assert done.err.count("\n") == 1
     assert not (tmp_path / "new").exists()
+
+
+def page() -> str:
+    return (DOCS / "controller-export.md").read_text(encoding="utf-8")
+
+
+def test_the_first_lines_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = page().partition("##")[0].splitlines()
+    export, compile_and_run = (line.strip() for line in lines if line.startswith("    "))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main([*shlex.split(export)[1:], "--set", "duration_s=0.4", "--no-fmu"])
+    assert ended.value.code == 0
+    done = subprocess.run(["sh", "-c", compile_and_run], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "100 steps, 0 numbers differ" in done.stdout
+
+
+def test_the_page_has_every_variable_of_the_fmus() -> None:
+    named = set(re.findall(r"`(\w+)`", page().partition("## As an FMU")[2]))
+    families = {f"unallocated_{axis}" for axis in ("pitch", "yaw")} | {
+        f"shown_{what}_{axis}" for what in ("rate_setpoint", "predicted", "torque") for axis in ("pitch", "yaw")
+    }
+    assert {"on_ground", *INPUTS, *output_names(1)} - families <= named
+    assert not {name for name in named if "_" in name} - {"on_ground", *INPUTS, *output_names(1)}
 
 
 def test_a_predictor_of_somebody_elses_has_no_c_form() -> None:
