@@ -40,10 +40,14 @@ def build_fmus(
     form: Form, vectors: Vectors, labels: Labels, made: dict[str, str], folder: Path
 ) -> tuple[list[str], str | None]:
     """Write the archives into ``folder``; their names, and in one line why there are none."""
-    n, outputs = labels.name, output_names(form["jets"])
+    n, jets = labels.name, form["jets"]
+    # a vehicle without servos has no tilts
+    tilts = form["allocation"]["kind"] == "tilt"
+    every = zip(output_names(jets), _places(jets), strict=True)
+    places = [(name, place) for name, place in every if tilts or not name.startswith("tilt_")]
+    outputs = tuple(name for name, _ in places)
     with tempfile.TemporaryDirectory(prefix="hexjet-export-") as scratch:
         glue = Path(scratch, f"{n}_fmu.c")
-        places = list(zip(outputs, _places(form["jets"]), strict=True))
         text = render(
             "fmu.c",
             n=n,
@@ -51,7 +55,7 @@ def build_fmus(
             title=labels.title,
             licence=made[f"{n}.c"].splitlines()[0],
             outputs=outputs,
-            jets=form["jets"],
+            jets=jets,
             places=places,
         )
         glue.write_text(text, encoding="utf-8")

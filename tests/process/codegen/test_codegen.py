@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from command_tools import Hexjet
-from places import DOCS, TOOLS
+from places import DESIGNS, DOCS, TOOLS
 
 from cosim.base.errors import InputError
 from cosim.base.protocols import EngineState
@@ -25,6 +25,7 @@ from cosim.codegen.export import Exported, export_controller
 from cosim.codegen.files import Labels, texts
 from cosim.codegen.form import form_of, predictor_form
 from cosim.codegen.vectors import INPUTS, Listening, Vectors, output_names, record
+from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
@@ -305,14 +306,16 @@ def test_a_folder_has_what_is_said_of_it(exported: Exported) -> None:
 
 
 def test_the_command_says_what_it_came_to(hexjet: Hexjet, tmp_path: Path) -> None:
-    options = ["--controller", "state-model", "--set", "duration_s=0.2", "--no-fmu", "--out", str(tmp_path / "out")]
-    done = hexjet("export", "controller", *options, "--json")
+    designed = ["--controller", str(DESIGNS / "turbojet.toml"), "--engine", "turbojet"]
+    options = ["--set", "duration_s=0.2", "--no-fmu", "--out", str(tmp_path / "out")]
+    done = hexjet("export", "controller", *designed, *options, "--json")
     assert (done.status, done.err) == (0, "")
     said = json.loads(done.out)
     assert (said["steps"], said["measured"]["same"]) == (50, True)
     assert sorted(said["files"]) == sorted(path.name for path in (tmp_path / "out").iterdir())
-    text = (tmp_path / "out" / "controller.c").read_text(encoding="utf-8")
+    text = (tmp_path / "out" / "controller_parameters.c").read_text(encoding="utf-8")
     assert text.startswith("/* SPDX-License-Identifier: NOASSERTION */\n")
+    assert " of turbojet.toml\n" in text
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -348,6 +351,29 @@ def test_the_fmus_answer_as_the_flight(exported: Exported, fmi: int, tmp_path: P
         assert tuple(get(out)) == row[len(INPUTS) :], k
     slave.terminate()
     slave.freeInstance()
+
+
+BACK = {
+    "FMI 3": ("ours.fmu", HEXJET, {"controller": "smith"}),
+    "FMI 2, leads and schedule": ("ours-fmi2.fmu", "full-scale-roll-doublet", {"controller": "state-model"}),
+    "a rotorcraft": (
+        "ours.fmu",
+        HEXJET,
+        {"controller": "smith", "aircraft": "quadrotor", "engine": "motor", "step_s": 0.0025},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BACK)
+def test_flown_back_it_leaves_the_same_log(case: str, exported: Exported, tmp_path: Path) -> None:
+    """Every sample of every column, as bytes: NaN included."""
+    file, name, changes = BACK[case]
+    flight = scenario(name, duration_s=2.0, **changes)
+    folder = exported.folder if case == "FMI 3" else export_controller(flight, tmp_path / "out", "ours").folder
+    ours = fly(flight, report=False).log
+    theirs = fly(flight.replace(controller=str(folder / file)), report=False).log
+    assert theirs.columns == ours.columns
+    assert [column for column in ours.columns if ours[column].tobytes() != theirs[column].tobytes()] == []
 
 
 def test_the_log_of_a_run_is_exported_as_before(hexjet: Hexjet, tmp_path: Path) -> None:
