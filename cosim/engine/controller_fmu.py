@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import struct
 import sys
@@ -136,7 +137,8 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
     inputs = _found(by_cause["input"], ins, stated, by_name, "input")
     used = {id(v) for v in (*inputs.values(), *outputs.values())}
     left = [v.name for v in by_cause["input"] if id(v) not in used]
-    untold = [name for name in wire.input_names(level, jets) if name not in inputs]
+    names = [name for name in wire.input_names(level, jets) if name not in inputs]
+    untold = list(dict.fromkeys(re.sub(r"_\d+$", "_1 and on", name) for name in names))
     notes = (
         *blemishes,
         *([f"inputs that stay at their start values: {', '.join(left)}"] if left else []),
@@ -247,6 +249,15 @@ def serve(path: str) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def _by_type(keys: list[Any], variables: Sequence[Any]) -> list[tuple[str, list[Any], list[int]]]:
+    """Types, and for each its keys and value references."""
+    found = []
+    for kind in dict.fromkeys(v.type for v in variables):
+        pairs = [(key, v.valueReference) for key, v in zip(keys, variables, strict=True) if v.type == kind]
+        found.append((kind, [key for key, _ in pairs], [reference for _, reference in pairs]))
+    return found
+
+
 def _write(file: int, data: bytes) -> None:
     view = memoryview(data)
     while view:
@@ -262,7 +273,10 @@ class _Instance:
         self._settings = {v: told["parameters"].get(v.name) for v in fmu.parameters}
         ground = [v for v in fmu.description.modelVariables if v.name == _ON_GROUND and v.causality == "parameter"]
         self._settings |= {v: float(told["on_ground"]) for v in ground}
-        self._answers = [*fmu.outputs.values(), *fmu.shown]
+        # by type, for one call each
+        self._told = _by_type(list(fmu.inputs), list(fmu.inputs.values()))
+        answers = [*fmu.outputs.values(), *fmu.shown]
+        self._asked = _by_type(list(range(len(answers))), answers)
         self._slave: Any = None
         try:
             with zipfile.ZipFile(BytesIO(fmu.data)) as archive:
@@ -276,7 +290,10 @@ class _Instance:
         else:
             self._set_inputs(values)
         self._slave.doStep(currentCommunicationPoint=k * self._dt, communicationStepSize=self._dt)
-        return [self._get(v) for v in self._answers]
+        found: dict[int, float] = {}
+        for kind, places, references in self._asked:
+            found |= zip(places, map(float, getattr(self._slave, f"get{kind}")(references)), strict=True)
+        return [found[place] for place in range(len(found))]
 
     def _begin(self, values: Mapping[str, float]) -> None:
         from fmpy.fmi2 import FMU2Slave  # type: ignore[import-untyped]
@@ -312,12 +329,12 @@ class _Instance:
         slave.exitInitializationMode()
 
     def _set_inputs(self, values: Mapping[str, float]) -> None:
-        for name, v in self._fmu.inputs.items():
-            self._set(v, values[name])
+        for kind, names, references in self._told:
+            self._call(kind, references, [values[name] for name in names])
 
     def _set(self, v: Any, value: float) -> None:
-        kind: type = float if v.type in REALS else bool if v.type == "Boolean" else int
-        getattr(self._slave, f"set{v.type}")([v.valueReference], [kind(value)])
+        self._call(v.type, [v.valueReference], [value])
 
-    def _get(self, v: Any) -> float:
-        return float(getattr(self._slave, f"get{v.type}")([v.valueReference])[0])
+    def _call(self, kind: str, references: list[int], values: Sequence[float]) -> None:
+        made: type = float if kind in REALS else bool if kind == "Boolean" else int
+        getattr(self._slave, f"set{kind}")(references, [made(value) for value in values])
