@@ -64,6 +64,7 @@ from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
+from cosim.spec.controller_name import folder_name
 from cosim.spec.scenario import Scenario, is_file
 
 LONGEST_S = 86_400.0  # of one flight that has no planned end: a day
@@ -595,7 +596,7 @@ def facts_of(
 def vehicle_key(scenario: Scenario) -> str:
     """What parameters are kept for: another engine or controller has other defaults."""
     engine = Path(scenario.engine).stem if is_file(scenario.engine) else scenario.engine
-    return f"{scenario.aircraft}-{engine}-{scenario.controller}"
+    return f"{scenario.aircraft}-{engine}-{folder_name(scenario.controller)}"
 
 
 @contextmanager
@@ -636,4 +637,6 @@ def _parameters(simulation: Simulation) -> Parameters:
     control = simulation.vehicle.control
     if control.position is None or control.pilot is None:
         return Parameters([])
-    return Parameters(table(control, control.pilot, simulation.scenario.controller, None))
+    own = simulation.own
+    controller = simulation.scenario.controller if own is None else own.label
+    return Parameters(table(control, control.pilot, controller, None, "" if own is None else own.level))

@@ -133,6 +133,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             own,
             end,
             None if plugged is None else plugged.repeats,
+            None if plugged is None or plugged.whole is None else controller,
         )
         made.pop_all()
         return simulation

@@ -68,8 +68,10 @@ class Simulation:
         own: Source | None = None,
         end: Callable[[], None] | None = None,
         repeats: Callable[[], bool | None] | None = None,
+        beside: Cascade | None = None,
     ) -> None:
         self._repeats = repeats
+        self.beside = beside  # the built-in one that a whole controller from outside flies in place of
         self.own = own  # where a controller from outside comes from
         self._end = end  # what a controller from outside holds is given free by it
         self.scenario = scenario

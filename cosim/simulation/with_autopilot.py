@@ -30,16 +30,12 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
     """An autopilot in place of the scenario's commands; from here on the flight does what it is asked.
 
     ``airborne``: the flight begins in the air, armed and holding.
-    Raises InputError where the vehicle does not state [control.position] and [control.pilot], and where another
-    controller than the built-in one flies: its loops are tuned in flight.
+    What tunes the loops that a controller from outside takes the place of cannot be changed in flight.
+    Raises InputError where the vehicle does not state [control.position] and [control.pilot], and where a block of a
+    program flies in place of the controller.
     """
     scenario, vehicle, engine = simulation.scenario, simulation.vehicle, simulation.engine
-    cascade = simulation.cascade
-    if simulation.own is not None:
-        raise InputError(
-            f"controller {simulation.own.label}: the autopilot tunes the loops that it flies by in flight, and has not "
-            "those of a controller from outside; fly a scenario with commands, or a built-in controller"
-        )
+    cascade, own = simulation.beside or simulation.cascade, simulation.own
     roll = vehicle.identified.get(engine.family, {}).get("roll")
     delay = None if roll is None else roll.delay_samples + scenario.added_delay_samples
 
@@ -60,7 +56,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
         vehicle,
         scenario.step_s,
         cascade.allocator.hover,
-        scenario.controller,
+        scenario.controller if own is None else own.predictor if own.level == "attitude" else own.label,
         delay,
         cascade.attitude,
         cascade.altitude,
@@ -75,6 +71,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
             max(each.delay + each.longest for each in references),
         ),
         scenario.sensor_noise,
+        "" if own is None else own.level,
     )
     pilot.reset(simulation.measured)
     simulation.pilot = pilot

@@ -106,11 +106,12 @@ class Autopilot:
         idle: float = 0.0,
         answer: tuple[float, float] = (0.2, 0.2),
         noisy: bool = True,
+        level: str = "",
     ) -> None:
         gains, settings, slowest = _settings(vehicle)
         limits = vehicle.control.allocation
         least = limits.throttle_min
-        self.parameters = parameters = Parameters(table(vehicle.control, settings, controller, delay))
+        self.parameters = parameters = Parameters(table(vehicle.control, settings, controller, delay, level))
         position = PositionController(gains, step)
         tracker = Tracker(settings.acceleration_m_s2, settings.jerk_m_s3, step)
         blocks = Blocks(attitude, altitude, rate, position, tracker, predictors)

@@ -7,13 +7,13 @@ Every change of a gain goes through the control blocks' ``retune``, which makes 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import degrees, isfinite
 from typing import Literal, NamedTuple
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.control.predictors.registry import PREDICTORS
+from cosim.control.predictors.registry import PREDICTORS, number_of
 from cosim.spec.vehicle import (
     Control,
     PilotSettings,
@@ -99,14 +99,29 @@ class Parameters:
         self._values[name] = self.check(name, value)
 
 
-def table(control: Control, pilot: PilotSettings, controller: str, delay: float | None) -> list[Parameter]:
+# By the level of a controller from outside the parameters of what it takes the place of: nobody would hear of a change.
+_PREDICTORS, _ANGLES = ("HJ_PRED_",), ("HJ_ATT_", "HJ_RLIM_")
+_RATES = tuple(f"HJ_{axis.upper()}_{term}" for axis in AXES for term in "PID")
+_HEIGHT = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I", "HJ_SPEED_UP", "HJ_SPEED_DN")
+_REPLACED: Mapping[str, tuple[str, ...]] = {
+    "predictor": _PREDICTORS,
+    "rate": _PREDICTORS + _RATES,
+    "attitude": _ANGLES,
+    "controller": _PREDICTORS + _RATES + _ANGLES + _HEIGHT,
+}
+
+
+def table(
+    control: Control, pilot: PilotSettings, controller: str, delay: float | None, level: str = ""
+) -> list[Parameter]:
     """Every parameter of a vehicle; ``delay`` is that of its roll model in samples, None where it has no model.
 
+    ``level``: of a controller from outside; what tunes the loops in whose place it stands cannot be changed then.
     Raises InputError for a vehicle without a table [control.position].
     """
     if control.position is None:
         raise InputError("vehicle.control.position is missing: this vehicle cannot be flown by the autopilot")
-    return [
+    found = [
         *_loops(control),
         *_position(control.position),
         *_flight(pilot),
@@ -114,6 +129,8 @@ def table(control: Control, pilot: PilotSettings, controller: str, delay: float 
         *_failsafes(pilot),
         *_of_px4(),
     ]
+    mute = _REPLACED.get(level, ())
+    return [replace(each, read_only=True) if each.name.startswith(mute) else each for each in found]
 
 
 def _gain(name: str, default: float, unit: str, group: str, text: str, most: float | None = None) -> Parameter:
@@ -176,9 +193,12 @@ def _predictor(tuning: PredictorTuning, controller: str, delay: float | None) ->
     group = "Predictor"
     specs = sorted(PREDICTORS.values(), key=lambda spec: spec.value)
     values = tuple(Meaning(each.value, each.name) for each in specs if delay is not None or not each.needs_model)
+    if controller not in PREDICTORS:  # from outside
+        values += (Meaning(number_of(controller), controller),)
     first, last = values[0].value, values[-1].value
+    flown = PREDICTORS[controller].value if controller in PREDICTORS else last
     text = "; ".join(f"{each.value} {each.title}" for each in specs)
-    yield Parameter("HJ_PRED_TYPE", "int", PREDICTORS[controller].value, first, last, "", group, text, values)
+    yield Parameter("HJ_PRED_TYPE", "int", flown, first, last, "", group, text, values)
     text = "delay that the roll predictor takes the engines to have"
     most = min(1000.0, max(4.0 * delay, 100.0)) if delay is not None else 0.0
     yield Parameter("HJ_PRED_DELAY", "float", delay or 0.0, 0.0, most, "samples", group, text, decimals=2)

@@ -88,7 +88,7 @@ class PredictorSpec:
     @property
     def value(self) -> int:
         """Its number over MAVLink."""
-        return OTHERS + crc32(self.name.encode()) % PLACES if self.number is None else self.number
+        return number_of(self.name) if self.number is None else self.number
 
     def own(self, tuning: PredictorTuning) -> dict[str, float]:
         """The values of its parameters."""
@@ -108,6 +108,11 @@ class PredictorSpec:
     def predictor(self, model: RateModel | None, tuning: PredictorTuning) -> Predictor:
         """One of them, at rest."""
         return self.make(model, self.own(tuning))
+
+
+def number_of(name: str) -> int:
+    """The number over MAVLink of what states none."""
+    return OTHERS + crc32(name.encode()) % PLACES
 
 
 _FIELDS = frozenset(PredictorTuning.model_fields) - {"own"}

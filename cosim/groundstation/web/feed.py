@@ -20,6 +20,7 @@ from cosim.control.autopilot.modes import (
     Mode,
 )
 from cosim.groundstation.exchange import Facts, Snapshot
+from cosim.spec.controller_name import label
 
 Point = tuple[float | None, ...]  # of the strip chart: t [s], measured p, q, r, predicted p, q, r [deg/s]
 
@@ -36,7 +37,7 @@ def flight(facts: Facts) -> dict[str, Any]:
         "number": facts.number,
         "scenario": scenario.name,
         "vehicle": vehicle.name,
-        "controller": scenario.controller,
+        "controller": label(scenario.controller),
         "engines": [{"name": spec.name, "most_N": _plain(spec.curve.thrust[-1])} for spec in facts.stations],
         "watched": scenario.monitored,
         "takeoff_m": facts.parameters["MIS_TAKEOFF_ALT"],

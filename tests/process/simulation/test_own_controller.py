@@ -22,8 +22,13 @@ from cosim.base.signals import UNKNOWN3, Actuation, Unallocated
 from cosim.campaign.run import fly_again, run_campaign
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
+from cosim.campaign.study.plan import flights
+from cosim.campaign.workers.cluster import DaskWorkers
+from cosim.campaign.workers.flight_row import fly_one
 from cosim.control.attitude import AttitudeController
 from cosim.control.rate import RateController
+from cosim.simulation.build import build
+from cosim.simulation.with_autopilot import with_autopilot
 
 PAGE = ROOT / "docs" / "own-controller.md"
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.2}
@@ -420,3 +425,42 @@ def test_records_of_the_protocol_are_what_the_page_says() -> None:
 
     assert all(f'`"{level}"`' in page for level in LEVELS)
     assert f"`{GROUP}`" in page
+
+
+@pytest.mark.parametrize("name", ["predictor", "cascade"])
+def test_the_autopilot_flies_it_and_what_it_has_not_cannot_be_set(tmp_path: Path, name: str) -> None:
+    """The same steps as over our own; the built-in loops beside it are tuned by nobody."""
+    classes = {"predictor": "Mine", "cascade": "Cascade"}
+    file = of_page(name, tmp_path / f"{name}.py")
+    hover = Scenario.load("hover").replace(duration_s=0.4, expect=[])
+
+    def flown(controller: str) -> tuple[list[Any], Any]:
+        with build(hover.replace(controller=controller)) as simulation:
+            pilot = with_autopilot(simulation, airborne=True)
+            samples = [simulation.step() for _ in range(100)]
+            return [(s.state.position, s.actuation.throttle) for s in samples], pilot
+
+    ours, _ = flown("smith")
+    theirs, pilot = flown(f"{file}:{classes[name]}")
+    np.testing.assert_allclose(
+        np.array([[*place, *throttle] for place, throttle in theirs]),
+        np.array([[*place, *throttle] for place, throttle in ours]),
+        rtol=0.0,
+        atol=0.0 if name == "cascade" else 1e-12,  # the page's predictor adds and takes away the measurement
+    )
+    kept = {line.name: line.read_only for line in pilot.parameters}
+    assert kept["HJ_PRED_TYPE"]
+    assert not kept["HJ_YAW_RATE"]
+    assert kept["HJ_ROLL_P"] == kept["HJ_CLIMB_P"] == (name == "cascade")
+    meanings = dict(pilot.parameters.table["HJ_PRED_TYPE"].values)
+    assert meanings[pilot.parameters["HJ_PRED_TYPE"]] == f"{name}.py:{classes[name]}"
+
+
+def test_a_cluster_gets_it_by_its_contents(mine: str, tmp_path: Path) -> None:
+    vary = ["controller_parameters.share=0,1"]
+    study = open_study("roll-doublet", vary=vary, controllers=[mine], settings=["duration_s=0.1"])
+    here = fly_one(study, flights(study)[1])
+    with DaskWorkers(None, 1) as workers:
+        there = run_campaign(study, tmp_path / "there", workers=workers).columns
+    for column in ("controller_sha256", "log_sha256"):
+        assert here[column] == there[column][1] is not None
