@@ -1,7 +1,13 @@
-"""Constants of nature and of law, once."""
+"""Constants of nature and of law, and the words that scenarios, logs and summaries share, each once."""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, Literal, get_args
 
 GRAVITY: Final = 9.80665  # m/s^2, the standard acceleration of free fall: exact by definition (CGPM 1901)
+
+Side = Literal["left", "right"]  # of a tilt servo, seen by the pilot
+Sensor = Literal["gyro", "attitude", "gnss", "barometer"]  # those that can fail
+Outcome = Literal["completed", "crashed", "diverged", "failed"]  # how a flight ends
+SERVOS: Final[tuple[Side, ...]] = get_args(Side)
+SENSORS: Final[tuple[Sensor, ...]] = get_args(Sensor)

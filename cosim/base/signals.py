@@ -14,14 +14,15 @@ from cosim.base._records import quick
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
-PerJet = tuple[float, ...]  # jets 1 to 6
+PerJet = tuple[float, ...]  # jet 1 first
 
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 UNKNOWN3: Vector3 = (nan, nan, nan)
-JETS = 6  # at most; the log has as many columns
-ALL_WELL: Final[PerJet] = (1.0,) * JETS  # of engines that nobody watches, or that do as they are told
+JETS = 6  # columns that every log has of what a jet has, so that logs can be laid side by side
+MOST_JETS = 12  # as many motors as a ULog's actuator_motors takes
+ALL_WELL: Final[PerJet] = (1.0,) * MOST_JETS  # of engines that nobody watches, or that do as they are told
 NO_JETS: Final[frozenset[int]] = frozenset()
-# jets 1 to 6; left and right servo; gyro, attitude, GNSS, barometer
+# every jet of the log; left and right servo; gyro, attitude, GNSS, barometer
 NO_FAULTS: Final[tuple[float, ...]] = (0.0,) * (JETS + 2 + 4)
 AXES = ("roll", "pitch", "yaw")
 
@@ -95,7 +96,7 @@ class Unallocated(NamedTuple):
 class Actuation(NamedTuple):
     """What the controller asks of the engines and of the two tilt servos."""
 
-    throttle: PerJet  # 0..1, jets 1 to 6
+    throttle: PerJet  # 0..1, jet 1 first
     tilt: tuple[float, float]  # rad, left and right servo, positive tilts the thrust forward
     unallocated: Unallocated
     off: frozenset[int] = NO_JETS  # the jets, from 0, that are shut off on purpose

@@ -13,7 +13,7 @@ from math import degrees, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from cosim.base.constants import GRAVITY
+from cosim.base.constants import GRAVITY, SERVOS
 from cosim.base.errors import InputError
 from cosim.base.files import write_records
 from cosim.base.signals import AXES
@@ -134,7 +134,7 @@ def cases(vehicle: Vehicle) -> list[Case]:
         found += [Case(title, f"jet {jet}", fault | {"jet": jet}) for jet in range(1, len(vehicle.jets) + 1)]
     if vehicle.servo is not None:
         for title, angle in (("servo jam where it is", {}), ("servo jam at 5 deg", {"angle_deg": 5.0})):
-            found += [Case(title, side, {"kind": "servo_jam", "servo": side} | angle) for side in ("left", "right")]
+            found += [Case(title, side, {"kind": "servo_jam", "servo": side} | angle) for side in SERVOS]
     biases: list[tuple[str, str, dict[str, Any]]] = [
         ("gyro bias 3 deg/s", "gyro", {"bias": [0.0524, 0.0, 0.0]}),
         ("attitude bias 3 deg", "attitude", {"bias": [0.0524, 0.0, 0.0]}),

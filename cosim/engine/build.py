@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -27,28 +28,8 @@ from xml.etree import ElementTree
 FMI_VERSIONS = (3, 2)
 FMI2_SUFFIX = "-fmi2"
 
-# What a unit of a variable is in SI base units, as FMI wants it stated.
-UNITS: dict[str, dict[str, float]] = {
-    "1": {},
-    "N": {"kg": 1, "m": 1, "s": -2},
-    "K": {"K": 1},
-    "Pa": {"kg": 1, "m": -1, "s": -2},
-    "kg": {"kg": 1},
-    "kg/s": {"kg": 1, "s": -1},
-    "kg/s2": {"kg": 1, "s": -2},
-    "kg/m3": {"kg": 1, "m": -3},
-    "kg.m2": {"kg": 1, "m": 2},
-    "m": {"m": 1},
-    "m2": {"m": 2},
-    "m/s": {"m": 1, "s": -1},
-    "rad": {"rad": 1},
-    "rad/s": {"rad": 1, "s": -1},
-    "rpm": {"rad": 1, "s": -1, "factor": 0.10471975511965977},
-    "s": {"s": 1},
-    "1/s": {"s": -1},
-    "N.m": {"kg": 1, "m": 2, "s": -2},
-    "W": {"kg": 1, "m": 2, "s": -3},
-}
+# By its path, as this file itself is loaded by the package's build, which cannot import the package.
+UNITS: dict[str, dict[str, float]] = runpy.run_path(str(Path(__file__).with_name("unit_table.py")))["UNITS"]
 
 # The adapter that turns an engine model into a slave; fmi2.c or fmi3.c joins them.
 ADAPTER = ("engine.h", "slave.h", "slave.c")

@@ -10,8 +10,9 @@ from math import isclose, pi
 from typing import NamedTuple
 
 from cosim.base.constants import GRAVITY
+from cosim.engine.unit_table import BASE, UNITS
 
-Exponents = tuple[int, int, int, int, int, int, int, int]  # of kg, m, s, A, K, mol, cd, rad
+Exponents = tuple[int, ...]  # of each of BASE
 
 
 class Unit(NamedTuple):
@@ -27,8 +28,16 @@ class Quantity(NamedTuple):
 
     name: str
     si: str
-    exponents: Exponents
     units: dict[str, tuple[float, float]]  # name: factor, offset
+
+    @property
+    def exponents(self) -> Exponents:
+        return exponents(self.si)
+
+
+def exponents(unit: str) -> Exponents:
+    """Of a unit of the table."""
+    return tuple(int(UNITS[unit].get(base, 0)) for base in BASE)
 
 
 class UnitError(ValueError):
@@ -49,7 +58,6 @@ def _named(**sizes: float) -> dict[str, tuple[float, float]]:
 FORCE = Quantity(
     "a force",
     "N",
-    (1, 1, -2, 0, 0, 0, 0, 0),
     _named(
         N=1.0,
         newton=1.0,
@@ -69,7 +77,6 @@ FORCE = Quantity(
 PRESSURE = Quantity(
     "a pressure",
     "Pa",
-    (1, -1, -2, 0, 0, 0, 0, 0),
     _named(
         Pa=1.0,
         pascal=1.0,
@@ -92,7 +99,6 @@ _FAHRENHEIT = (5.0 / 9.0, 273.15 - 32.0 * 5.0 / 9.0)
 TEMPERATURE = Quantity(
     "a temperature",
     "K",
-    (0, 0, 0, 0, 1, 0, 0, 0),
     {
         **_named(K=1.0, kelvin=1.0, degK=1.0, degR=5.0 / 9.0, R=5.0 / 9.0, Rankine=5.0 / 9.0),
         **dict.fromkeys(("degC", "deg_C", "\u00b0C", "\u2103", "C", "celsius"), _CELSIUS),
@@ -102,7 +108,6 @@ TEMPERATURE = Quantity(
 SPEED = Quantity(
     "a speed",
     "m/s",
-    (0, 1, -1, 0, 0, 0, 0, 0),
     {
         **dict.fromkeys(("m/s", "m.s-1", "mps"), (1.0, 0.0)),
         **dict.fromkeys(("km/h", "kph", "kmh"), (1.0 / 3.6, 0.0)),
@@ -115,11 +120,12 @@ SPEED = Quantity(
 ANGULAR_SPEED = Quantity(
     "a speed of rotation",
     "rad/s",
-    (0, 0, -1, 0, 0, 0, 0, 1),
     {
         **dict.fromkeys(("rad/s", "rad.s-1", "rad/sec"), (1.0, 0.0)),
-        **dict.fromkeys(("rpm", "rev/min", "r/min", "1/min", "min-1", "U/min", "r.min-1"), (TURN / 60.0, 0.0)),
-        "krpm": (1e3 * TURN / 60.0, 0.0),
+        **dict.fromkeys(
+            ("rpm", "rev/min", "r/min", "1/min", "min-1", "U/min", "r.min-1"), (UNITS["rpm"]["factor"], 0.0)
+        ),
+        "krpm": (1e3 * UNITS["rpm"]["factor"], 0.0),
         **dict.fromkeys(("rps", "rev/s", "r/s", "Hz"), (TURN, 0.0)),
         "deg/s": (pi / 180.0, 0.0),
     },
@@ -127,7 +133,6 @@ ANGULAR_SPEED = Quantity(
 MASS_FLOW = Quantity(
     "a mass flow",
     "kg/s",
-    (1, 0, -1, 0, 0, 0, 0, 0),
     {
         **dict.fromkeys(("kg/s", "kg.s-1"), (1.0, 0.0)),
         "kg/min": (1.0 / 60.0, 0.0),
@@ -143,7 +148,6 @@ MASS_FLOW = Quantity(
 RATIO = Quantity(
     "a ratio",
     "1",
-    (0, 0, 0, 0, 0, 0, 0, 0),
     {
         **dict.fromkeys(("1", "-", "", "ratio"), (1.0, 0.0)),
         **dict.fromkeys(("%", "percent", "pct", "perc"), (0.01, 0.0)),
@@ -152,13 +156,11 @@ RATIO = Quantity(
 LENGTH = Quantity(
     "a length",
     "m",
-    (0, 1, 0, 0, 0, 0, 0, 0),
     _named(m=1.0, metre=1.0, meter=1.0, km=1e3, ft=FOOT, feet=FOOT, kft=1e3 * FOOT),
 )
 DENSITY = Quantity(
     "a density",
     "kg/m3",
-    (1, -3, 0, 0, 0, 0, 0, 0),
     {
         **dict.fromkeys(("kg/m3", "kg/m^3", "kg.m-3", "g/l"), (1.0, 0.0)),
         "g/cm3": (1e3, 0.0),
@@ -168,7 +170,7 @@ DENSITY = Quantity(
 )
 QUANTITIES = (FORCE, PRESSURE, TEMPERATURE, SPEED, ANGULAR_SPEED, MASS_FLOW, RATIO, LENGTH, DENSITY)
 
-_PER_SECOND: Exponents = (0, 0, -1, 0, 0, 0, 0, 0)
+_PER_SECOND = exponents("1/s")
 
 
 def by_name(name: str, quantity: Quantity) -> tuple[float, float] | None:

@@ -19,11 +19,13 @@ Where a place lies behind a field that is None the value is NaN.  :func:`program
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.constants import SENSORS, SERVOS
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Column
 from cosim.base.signals import (
@@ -43,8 +45,6 @@ from cosim.base.signals import (
 RATES = ("p", "q", "r")
 _XYZ = ("x", "y", "z")
 _NED = ("north", "east", "down")
-_SERVOS = ("left", "right")
-_SENSORS = ("gyro", "attitude", "gnss", "barometer")
 _EULER = "body to NED"
 _OUTPUT_UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
 _OWN = "throttle on roll, rad of tilt on pitch and yaw"
@@ -122,14 +122,14 @@ def _columns(jets: int) -> list[Column]:
         *of_jets("throttle_{}", "throttle", "", "throttle of jet {}, 0 to 1", "actuation.throttle.{n}"),
         *of_jets("thrust_{}_N", "N", "along the jet", "thrust that jet {} delivers", "engines.thrust.{n}"),
         *_each(
-            _SERVOS,
+            SERVOS,
             "tilt_{}_rad",
             "rad",
             "body",
             "where the {} servo stands; positive tilts the thrust forward",
             "tilt.{n}",
         ),
-        *_each(_SERVOS, "tilt_{}_command_rad", "rad", "body", "where the {} servo is told to go", "actuation.tilt.{n}"),
+        *_each(SERVOS, "tilt_{}_command_rad", "rad", "body", "where the {} servo is told to go", "actuation.tilt.{n}"),
         Column("north_m", "m", "NED", "true position north", "state.position.0"),
         Column("east_m", "m", "NED", "true position east", "state.position.1"),
         Column("down_m", "m", "NED", "true position down", "state.position.2"),
@@ -244,10 +244,8 @@ def _columns(jets: int) -> list[Column]:
         ),
         *of_jets("health_{}", "1", "", "share of its command that jet {} gives, as the monitor believes", "health.{n}"),
         *_each(flags, "fault_jet_{}", "0/1", "", "a fault acts on jet {}", "faults.{n}"),
-        *_each(_SERVOS, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo", "faults.{n}", first=len(flags)),
-        *_each(
-            _SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}", "faults.{n}", first=len(flags) + len(_SERVOS)
-        ),
+        *_each(SERVOS, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo", "faults.{n}", first=len(flags)),
+        *_each(SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}", "faults.{n}", first=len(flags) + len(SERVOS)),
     ]
 
 
@@ -275,9 +273,17 @@ COLUMNS = log_columns()  # of six jets, and nothing shown
 NAMES: tuple[str, ...] = tuple(column.name for column in COLUMNS)
 
 
+def jets_in(columns: Iterable[str]) -> int:
+    """How many jets a log has columns of; six at least, as an older log of fewer."""
+    names = frozenset(columns)
+    return next(jets for jets in count(JETS) if f"throttle_{jets + 1}" not in names)
+
+
 def own_columns(columns: Iterable[Column]) -> list[Column]:
-    """Those that are not every flight's: of blocks that show, and of a seventh engine."""
-    return [column for column in columns if column.name not in NAMES]
+    """Those that are not every flight's with as many engines: of blocks that show."""
+    columns = tuple(columns)
+    names = {column.name for column in _columns(jets_in(column.name for column in columns))}
+    return [column for column in columns if column.name not in names]
 
 
 def known(name: str, columns: Iterable[str], where: str = "log") -> str:

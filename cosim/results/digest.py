@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.protocols import Column
-from cosim.results.columns import COLUMNS, known
+from cosim.results.columns import jets_in, known, log_columns
 from cosim.results.recorder import Log, MemoryLog
 
 _ROWS = 2048  # of a log, read at once: 2 MB
@@ -59,7 +59,7 @@ class DigestSink:
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
         self._kept: list[Array] = []
-        self.begin(COLUMNS)
+        self.begin(log_columns(jets_in(self._names)))
 
     def begin(self, columns: Sequence[Column]) -> None:
         """See :class:`cosim.results.recorder.KeepingSink`."""

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.base.constants import SENSORS, SERVOS
 from cosim.base.errors import FlightError, InputError
-from cosim.base.signals import JETS
 from cosim.results.autopilot_record import read_pilot_record
+from cosim.results.columns import jets_in
 from cosim.results.metrics import Record
-from cosim.simulation.fault_schedule import SENSORS, SERVOS
 
 if TYPE_CHECKING:
     from cosim.results.recorder import Log
@@ -77,7 +77,7 @@ def spans(mask: NDArray[np.bool_], step: float) -> list[tuple[float, float | Non
 
 def faults(log: Log, step: float, stated: Sequence[Fault] = ()) -> Iterator[Event]:
     """Every stretch in which a fault acts, by jet, servo and sensor; in the words of the scenario where it has them."""
-    places = [("jet", str(jet)) for jet in range(1, JETS + 1)] + [("servo", side) for side in SERVOS]
+    places = [("jet", str(jet)) for jet in range(1, jets_in(log.columns) + 1)] + [("servo", side) for side in SERVOS]
     places += [("sensor", name) for name in SENSORS]
     for what, name in places:
         column = f"fault_{name}" if what == "sensor" else f"fault_{what}_{name}"
@@ -134,7 +134,7 @@ def fault_text(fault: Fault) -> str:
 
 def verdicts(log: Log, step: float) -> Iterator[Event]:
     """Every change of what the engine monitor believes of a jet."""
-    for jet in range(1, JETS + 1):
+    for jet in range(1, jets_in(log.columns) + 1):
         name = f"health_{jet}"
         if name not in log.columns:
             continue

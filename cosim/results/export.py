@@ -20,13 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
+from cosim.base.constants import SENSORS, SERVOS
 from cosim.base.errors import InputError
 from cosim.base.files import one_line, replacing
 from cosim.base.protocols import Column
-from cosim.base.signals import AXES, JETS
+from cosim.base.signals import AXES, JETS, MOST_JETS
 from cosim.results import ulog_autopilot
 from cosim.results.autopilot_record import read_pilot_record
-from cosim.results.columns import RATES, own_columns
+from cosim.results.columns import RATES, jets_in, own_columns
 from cosim.results.events import events_of
 from cosim.results.run import (
     RUN_FILES,
@@ -34,7 +35,6 @@ from cosim.results.run import (
     Summary,
     open_run,
 )
-from cosim.simulation.fault_schedule import SENSORS, SERVOS
 
 Block = dict[str, Array]
 
@@ -83,7 +83,9 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
     run = open_run(folder)
     step, lines = run.summary.step_s, read_pilot_record(folder)
     own = own_columns(run.log.described)
-    held = dict(_of(lines)) | ({OWN: [_column("float", column.name, column.name) for column in own]} if own else {})
+    held = dict(_of(lines, jets_in(run.log.columns))) | (
+        {OWN: [_column("float", column.name, column.name) for column in own]} if own else {}
+    )
     topics = {name: _topic(fields, step if rates == "all" else EVERY_S[name], step) for name, fields in held.items()}
     pilot = ulog_autopilot.states(lines, run.summary.steps, step)
     at_start, changes = ulog_autopilot.parameters(lines)
@@ -136,11 +138,11 @@ class _Topic(NamedTuple):
 _Timed = tuple[int, bytes]  # a message and its step
 
 
-def _of(lines: Sequence[ulog_autopilot.Line]) -> list[tuple[str, list[Field]]]:
+def _of(lines: Sequence[ulog_autopilot.Line], jets: int) -> list[tuple[str, list[Field]]]:
     """The topics of the rows: with an autopilot its own words stand for what follows from the loops."""
     if not any(line["kind"] == "state" for line in lines):
-        return list(TOPICS.items())
-    return [(name, fields) for name, fields in (TOPICS | _BY_AUTOPILOT).items() if name not in STATES]
+        return list(topics(jets).items())
+    return [(name, fields) for name, fields in (topics(jets) | _BY_AUTOPILOT).items() if name not in STATES]
 
 
 def _topic(fields: list[Field], seconds: float, step: float) -> _Topic:
@@ -336,9 +338,9 @@ def _accelerometer(block: Block) -> Array:
 
 
 def _motors(block: Block) -> Array:
-    """Twelve throttles, of which six exist."""
-    control = np.full((len(block["time_s"]), 12), np.nan)
-    for jet in range(JETS):
+    """Throttles of as many motors as the message has, NaN of those that do not exist."""
+    control = np.full((len(block["time_s"]), MOST_JETS), np.nan)
+    for jet in range(jets_in(block)):
         control[:, jet] = block[f"throttle_{jet + 1}"]
     return control
 
@@ -396,85 +398,94 @@ def _rates(suffix: str) -> list[str]:
     return [f"rate_{rate}{suffix}_rad_s" for rate in RATES]
 
 
-TOPICS: dict[str, list[Field]] = {
-    "vehicle_attitude": [_sampled(), _quaternion("q", "{}_measured_rad")],
-    "vehicle_attitude_groundtruth": [_sampled(), _quaternion("q", "{}_rad")],
-    "vehicle_attitude_setpoint": [
-        _quaternion("q_d", "{}_setpoint_rad"),
-        Field("float", "thrust_body", 3, _thrust_body),
-    ],
-    "vehicle_angular_velocity": [_sampled(), _columns("float", "xyz", *_rates("_measured"))],
-    "vehicle_angular_velocity_groundtruth": [_sampled(), _columns("float", "xyz", *_rates(""))],
-    "vehicle_rates_setpoint": [
-        *(_column("float", axis, rate) for axis, rate in zip(AXES, _rates("_setpoint"), strict=True)),
-        Field("float", "thrust_body", 3, _thrust_body),
-    ],
-    "vehicle_local_position": _local_position("_measured"),
-    "vehicle_local_position_groundtruth": _local_position(""),
-    "vehicle_local_position_setpoint": [
-        *(_known("float", xy, f"{place}_setpoint_m") for xy, place in (("x", "north"), ("y", "east"))),
-        _column("float", "z", "altitude_setpoint_m", -1.0),
-        *(_constant("float", name, np.nan) for name in ("vx", "vy", "vz", "yaw")),
-    ],
-    "sensor_combined": [
-        _columns("float", "gyro_rad", *_rates("_measured")),
-        _constant("int32_t", "accelerometer_timestamp_relative", 0.0),
-        Field("float", "accelerometer_m_s2", 3, _accelerometer),
-    ],
-    "actuator_motors": [_sampled(), Field("float", "control", 12, _motors)],
-    "vehicle_status": [
-        _constant("uint8_t", "arming_state", _ARMED),
-        Field("uint8_t", "nav_state", 0, _mode),
-    ],
-    "vehicle_land_detected": [
-        _column("bool", "landed", "on_ground"),
-        _column("bool", "maybe_landed", "on_ground"),
-        _column("bool", "ground_contact", "on_ground"),
-    ],
-    "wind": [
-        _sampled(),
-        _column("float", "windspeed_north", "wind_north_m_s"),
-        _column("float", "windspeed_east", "wind_east_m_s"),
-    ],
-    "hexjet_height": [  # above the ground, where PX4's barometric height is above the sea
-        _column("float", "true_m", "altitude_m"),
-        _column("float", "measured_m", "altitude_measured_m"),
-        _column("float", "setpoint_m", "altitude_setpoint_m"),
-    ],
-    "hexjet_thrust": [_columns("float", "newton", *(f"thrust_{jet}_N" for jet in range(1, JETS + 1)))],
-    "hexjet_engine": [  # NaN where an engine does not say
-        _columns("float", "spool_speed_rad_s", *(f"spool_speed_{jet}_rad_s" for jet in range(1, JETS + 1))),
-        _columns("float", "exhaust_temperature_k", *(f"exhaust_temperature_{jet}_K" for jet in range(1, JETS + 1))),
-        _columns("float", "fuel_flow_kg_s", *(f"fuel_flow_{jet}_kg_s" for jet in range(1, JETS + 1))),
-        _column("float", "fuel_kg", "fuel_kg"),
-        _columns("float", "spool_moment_n_m", *(f"spool_moment_{axis}_N_m" for axis in _XYZ)),
-    ],
-    "hexjet_rate_predicted": [_columns("float", "xyz", *_rates("_predicted"))],
-    "hexjet_tilt": [
-        _columns("float", "actual_rad", "tilt_left_rad", "tilt_right_rad"),
-        _columns("float", "command_rad", "tilt_left_command_rad", "tilt_right_command_rad"),
-    ],
-    "hexjet_control": [
-        _columns("float", "torque", *(f"torque_{axis}" for axis in AXES)),
-        _columns("float", "refused", *(f"refused_{axis}" for axis in AXES)),
-        _column("float", "collective", "collective"),
-        _column("float", "refused_collective", "refused_collective"),
-    ],
-    "hexjet_disturbance": [
-        _columns("float", "force_n", *(f"disturbance_force_{axis}_N" for axis in _XYZ)),
-        _columns("float", "moment_n_m", *(f"disturbance_moment_{axis}_N_m" for axis in _XYZ)),
-        _columns("float", "torque", *(f"disturbance_torque_{axis}" for axis in AXES)),
-        _column("float", "payload_kg", "payload_kg"),
-        _column("float", "mass_kg", "mass_kg"),
-        _known("float", "air_rate_rad_s", *(f"air_rate_{rate}_rad_s" for rate in RATES), length=len(RATES)),
-    ],
-    "hexjet_fault": [  # 1 where a fault acts; and what the engine monitor believes of each jet, 1 for healthy
-        _known("float", "jet", *(f"fault_jet_{jet}" for jet in range(1, JETS + 1)), length=JETS),
-        _known("float", "servo", *(f"fault_servo_{side}" for side in SERVOS), length=len(SERVOS)),
-        _known("float", "sensor", *(f"fault_{name}" for name in SENSORS), length=len(SENSORS)),
-        _known("float", "health", *(f"health_{jet}" for jet in range(1, JETS + 1)), length=JETS),
-    ],
-}
+def topics(jets: int) -> dict[str, list[Field]]:
+    """What is in each topic, of a log of so many jets."""
+
+    def of_jets(pattern: str) -> list[str]:
+        return [pattern.format(jet) for jet in range(1, jets + 1)]
+
+    return {
+        "vehicle_attitude": [_sampled(), _quaternion("q", "{}_measured_rad")],
+        "vehicle_attitude_groundtruth": [_sampled(), _quaternion("q", "{}_rad")],
+        "vehicle_attitude_setpoint": [
+            _quaternion("q_d", "{}_setpoint_rad"),
+            Field("float", "thrust_body", 3, _thrust_body),
+        ],
+        "vehicle_angular_velocity": [_sampled(), _columns("float", "xyz", *_rates("_measured"))],
+        "vehicle_angular_velocity_groundtruth": [_sampled(), _columns("float", "xyz", *_rates(""))],
+        "vehicle_rates_setpoint": [
+            *(_column("float", axis, rate) for axis, rate in zip(AXES, _rates("_setpoint"), strict=True)),
+            Field("float", "thrust_body", 3, _thrust_body),
+        ],
+        "vehicle_local_position": _local_position("_measured"),
+        "vehicle_local_position_groundtruth": _local_position(""),
+        "vehicle_local_position_setpoint": [
+            *(_known("float", xy, f"{place}_setpoint_m") for xy, place in (("x", "north"), ("y", "east"))),
+            _column("float", "z", "altitude_setpoint_m", -1.0),
+            *(_constant("float", name, np.nan) for name in ("vx", "vy", "vz", "yaw")),
+        ],
+        "sensor_combined": [
+            _columns("float", "gyro_rad", *_rates("_measured")),
+            _constant("int32_t", "accelerometer_timestamp_relative", 0.0),
+            Field("float", "accelerometer_m_s2", 3, _accelerometer),
+        ],
+        "actuator_motors": [_sampled(), Field("float", "control", MOST_JETS, _motors)],
+        "vehicle_status": [
+            _constant("uint8_t", "arming_state", _ARMED),
+            Field("uint8_t", "nav_state", 0, _mode),
+        ],
+        "vehicle_land_detected": [
+            _column("bool", "landed", "on_ground"),
+            _column("bool", "maybe_landed", "on_ground"),
+            _column("bool", "ground_contact", "on_ground"),
+        ],
+        "wind": [
+            _sampled(),
+            _column("float", "windspeed_north", "wind_north_m_s"),
+            _column("float", "windspeed_east", "wind_east_m_s"),
+        ],
+        "hexjet_height": [  # above the ground, where PX4's barometric height is above the sea
+            _column("float", "true_m", "altitude_m"),
+            _column("float", "measured_m", "altitude_measured_m"),
+            _column("float", "setpoint_m", "altitude_setpoint_m"),
+        ],
+        "hexjet_thrust": [_columns("float", "newton", *of_jets("thrust_{}_N"))],
+        "hexjet_engine": [  # NaN where an engine does not say
+            _columns("float", "spool_speed_rad_s", *of_jets("spool_speed_{}_rad_s")),
+            _columns("float", "exhaust_temperature_k", *of_jets("exhaust_temperature_{}_K")),
+            _columns("float", "fuel_flow_kg_s", *of_jets("fuel_flow_{}_kg_s")),
+            _column("float", "fuel_kg", "fuel_kg"),
+            _columns("float", "spool_moment_n_m", *(f"spool_moment_{axis}_N_m" for axis in _XYZ)),
+        ],
+        "hexjet_rate_predicted": [_columns("float", "xyz", *_rates("_predicted"))],
+        "hexjet_tilt": [
+            _columns("float", "actual_rad", "tilt_left_rad", "tilt_right_rad"),
+            _columns("float", "command_rad", "tilt_left_command_rad", "tilt_right_command_rad"),
+        ],
+        "hexjet_control": [
+            _columns("float", "torque", *(f"torque_{axis}" for axis in AXES)),
+            _columns("float", "refused", *(f"refused_{axis}" for axis in AXES)),
+            _column("float", "collective", "collective"),
+            _column("float", "refused_collective", "refused_collective"),
+        ],
+        "hexjet_disturbance": [
+            _columns("float", "force_n", *(f"disturbance_force_{axis}_N" for axis in _XYZ)),
+            _columns("float", "moment_n_m", *(f"disturbance_moment_{axis}_N_m" for axis in _XYZ)),
+            _columns("float", "torque", *(f"disturbance_torque_{axis}" for axis in AXES)),
+            _column("float", "payload_kg", "payload_kg"),
+            _column("float", "mass_kg", "mass_kg"),
+            _known("float", "air_rate_rad_s", *(f"air_rate_{rate}_rad_s" for rate in RATES), length=len(RATES)),
+        ],
+        "hexjet_fault": [  # 1 where a fault acts; and what the engine monitor believes of each jet, 1 for healthy
+            _known("float", "jet", *of_jets("fault_jet_{}"), length=jets),
+            _known("float", "servo", *(f"fault_servo_{side}" for side in SERVOS), length=len(SERVOS)),
+            _known("float", "sensor", *(f"fault_{name}" for name in SENSORS), length=len(SENSORS)),
+            _known("float", "health", *of_jets("health_{}"), length=jets),
+        ],
+    }
+
+
+TOPICS = topics(JETS)
 
 OWN = "hexjet_own"  # what the flight's blocks show of their own; an info message of the file says what each field is
 

@@ -22,7 +22,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import nearest
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES, JETS
-from cosim.results.columns import RATES
+from cosim.results.columns import RATES, jets_in
 from cosim.spec.scenario import Range
 
 HOLD_S = 0.2  # chosen by us: shorter than any doublet worth flying, longer than the holds of recorded sticks at 10 Hz
@@ -33,9 +33,7 @@ FLIGHT_M = 0.2  # chosen by us: less is a hop at take-off or a bounce
 AT_LIMIT = 1e-9  # throttle, rad: rounding between a limit and a command that was cut there
 REFUSED = ("refused_roll", "refused_pitch", "refused_yaw", "refused_collective")
 PLACE = ("north_setpoint_m", "east_setpoint_m")
-_THROTTLES = tuple(f"throttle_{jet}" for jet in range(1, JETS + 1))
-_HEALTH = tuple(f"health_{jet}" for jet in range(1, JETS + 1))
-_FLOWS = tuple(f"fuel_flow_{jet}_kg_s" for jet in range(1, JETS + 1))
+THROTTLE, HEALTH, FLOW = "throttle_{}", "health_{}", "fuel_flow_{}_kg_s"  # of a jet
 TILTS = ("tilt_left_command_rad", "tilt_right_command_rad")
 
 
@@ -106,7 +104,7 @@ class Metrics(Record):
 class Reach(Record):
     """How far the actuators can be told to go."""
 
-    throttle: tuple[tuple[float, float], ...]  # least and most, jets 1 to 6
+    throttle: tuple[tuple[float, float], ...]  # least and most, jet 1 first
     tilt_rad: float | None = None  # either way; None: nothing tilts
 
 
@@ -133,22 +131,27 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
         speed=speed_metrics(np.hypot(log["velocity_north_m_s"], log["velocity_east_m_s"])),
         effort=EffortMetrics(
             saturated_percent=share_percent(saturated(log, reach), ~contact),
-            throttle_1_s=activity((log[name] for name in _THROTTLES), step_s),
+            throttle_1_s=activity((log[name] for name in _of_jets(THROTTLE, jets_in(log.columns))), step_s),
             tilt_rad_s=activity((log[name] for name in TILTS), step_s),
         ),
         fuel_burnt_kg=_fuel_of(log, step_s),
     )
 
 
-def columns() -> tuple[str, ...]:
-    """The names of the columns that :func:`flight_metrics` and the limits of a flight read."""
+def columns(jets: int = JETS) -> tuple[str, ...]:
+    """The names of the columns that :func:`flight_metrics` and the limits of a flight read, of so many jets' log."""
+    jets = max(jets, JETS)
     names = [name for axis, rate in zip(AXES, RATES, strict=True) for name in _axis_columns(axis, rate)]
     return (
         *names,
         *("altitude_setpoint_m", "altitude_m", "on_ground", "hull_contact", "velocity_down_m_s"),
         *("north_m", "east_m", *PLACE, "velocity_north_m_s", "velocity_east_m_s"),
-        *(*REFUSED, *_THROTTLES, *_HEALTH, *TILTS, *_FLOWS, "fuel_kg"),
+        *(*REFUSED, *_of_jets(THROTTLE, jets), *_of_jets(HEALTH, jets), *TILTS, *_of_jets(FLOW, jets), "fuel_kg"),
     )
+
+
+def _of_jets(pattern: str, jets: int) -> list[str]:
+    return [pattern.format(jet) for jet in range(1, jets + 1)]
 
 
 def _axis_columns(axis: str, rate: str) -> tuple[str, str, str, str]:
@@ -250,9 +253,9 @@ def saturated(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
         found |= np.abs(log[name]) > 0.0
     if reach is None:
         return found
-    for name, health, (least, most) in zip(_THROTTLES, _HEALTH, reach.throttle, strict=False):
-        throttle = log[name]
-        found |= ((throttle <= least + AT_LIMIT) | (throttle >= most - AT_LIMIT)) & ~(log[health] < 1.0)
+    for jet, (least, most) in enumerate(reach.throttle, 1):
+        throttle, given_up = log[THROTTLE.format(jet)], log[HEALTH.format(jet)] < 1.0
+        found |= ((throttle <= least + AT_LIMIT) | (throttle >= most - AT_LIMIT)) & ~given_up
     if reach.tilt_rad is not None:
         for name in TILTS:
             found |= np.abs(log[name]) >= reach.tilt_rad - AT_LIMIT
@@ -304,7 +307,7 @@ def asks_for_a_place(log: Columns) -> bool:
 
 
 def _fuel_of(log: Columns, step_s: float) -> float | None:
-    return fuel_burnt(log["fuel_kg"], (log[name] for name in _FLOWS), step_s)
+    return fuel_burnt(log["fuel_kg"], (log[name] for name in _of_jets(FLOW, jets_in(log.columns))), step_s)
 
 
 def touchdown(contact: NDArray[np.bool_], altitude: Array, velocity_down: Array) -> float | None:

@@ -20,6 +20,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from cosim.base.constants import Outcome
 from cosim.base.errors import FlightError, InputError
 from cosim.base.files import locked, replacing
 from cosim.base.protocols import Column
@@ -60,7 +61,6 @@ from cosim.results.recorder import (
 from cosim.simulation.pacing import PaceReport
 from cosim.spec.scenario import Expectation, Scenario
 
-Outcome = Literal["completed", "crashed", "diverged", "failed"]
 # As planned: completed, within the limits of the flight, and with what its scenario expects.
 Verdict = Literal["as planned", "not as expected", "beyond limits", "not completed"]
 
@@ -148,7 +148,7 @@ class Setup(BaseModel):
     planned_s: float  # how long the flight is meant to be
     started: str = ""  # UTC, ISO 8601
     engine_curve: list[tuple[float, float]] = []  # throttle, thrust of one engine at rest [N]
-    stations: list[StationEngine] = []  # jets 1 to 6
+    stations: list[StationEngine] = []  # jet 1 first
     jets_m: list[Vector] = []  # engine stations, body
     delay_ledger: list[DelayRow] = []
     reach: Reach | None = None  # of throttles and tilts

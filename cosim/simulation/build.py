@@ -8,7 +8,7 @@ from math import hypot, inf
 from pathlib import Path
 from typing import Any
 
-from cosim.base.constants import GRAVITY
+from cosim.base.constants import GRAVITY, SERVOS
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Predictor
 from cosim.base.signals import AXES
@@ -48,7 +48,7 @@ from cosim.simulation.delay_ledger import delay_ledger
 from cosim.simulation.disturber import Disturber
 from cosim.simulation.ending import Judge
 from cosim.simulation.engine_reference import engine_reference
-from cosim.simulation.fault_schedule import SERVOS, FaultSchedule
+from cosim.simulation.fault_schedule import FaultSchedule
 from cosim.simulation.mismatch import as_flown, engines_as_flown
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_places import PlacePilot, flies_to_places
@@ -176,7 +176,7 @@ def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
         return load(station.engine, station.parameters)
 
     engine = load(scenario.engine, scenario.engine_parameters)
-    stations = [scenario.stations.get(str(number)) for number in range(1, jets + 1)]  # type: ignore[call-overload]
+    stations = [scenario.stations.get(str(number)) for number in range(1, jets + 1)]
     return [engine, *(engine if station is None else at(station) for station in stations)]
 
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, degrees, radians
-from typing import Literal
 
+from cosim.base.constants import Outcome
 from cosim.base.signals import AXES, State
 from cosim.spec.vehicle import Limits
-
-Outcome = Literal["completed", "crashed", "diverged", "failed"]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ import sys
 from collections.abc import Sequence
 from math import radians
 
+from cosim.base.constants import SENSORS, SERVOS
 from cosim.base.errors import InputError
-from cosim.base.signals import JETS, NO_FAULTS, Measured
+from cosim.base.signals import JETS, Measured
 from cosim.engine.rundown import FlameOutLaw
 from cosim.engine.wrappers import EngineChain
 from cosim.spec.scenario import (
@@ -26,8 +27,6 @@ from cosim.vehicle.sensors import FaultySensors
 from cosim.vehicle.servo import TiltServo
 
 NEVER = sys.maxsize
-SERVOS = ("left", "right")
-SENSORS = ("gyro", "attitude", "gnss", "barometer")
 
 
 class FaultSchedule:
@@ -49,6 +48,8 @@ class FaultSchedule:
         self._scenario = scenario
         self._engines, self._servos, self._sensors = engines, list(servos), sensors
         self._laws = list(laws)
+        self._jets = max(len(self._laws), JETS)  # as the log has columns
+        self._none = (0.0,) * (self._jets + len(SERVOS) + len(SENSORS))
         self.reset()
 
     def reset(self) -> None:
@@ -56,7 +57,7 @@ class FaultSchedule:
         self._spans: list[tuple[int, int, Fault]] = []
         self._acting: list[Fault] = []
         self._jams: list[ServoJam | None] = [None] * len(self._servos)
-        self.flags = NO_FAULTS
+        self.flags = self._none
         self.commanded = False
         self.next = NEVER
         for index, fault in enumerate(self._scenario.fault):
@@ -122,7 +123,7 @@ class FaultSchedule:
                 self._begin(fault, measured)
         self._acting = due
         self._jam()
-        self.flags = _flags(due) if due else NO_FAULTS
+        self.flags = self._flagged(due) if due else self._none
         times = [time for start, end, _ in self._spans for time in (start, end) if time > k]
         self.next = min(times, default=NEVER)
 
@@ -151,16 +152,15 @@ class FaultSchedule:
                 servo.jam(None if jam.angle_deg is None else radians(jam.angle_deg))
             self._jams[i] = jam
 
-
-def _flags(acting: Sequence[Fault]) -> tuple[float, ...]:
-    """1 for every jet, servo and sensor that a fault acts on, in the order of the log's columns."""
-    flags = list(NO_FAULTS)
-    for fault in acting:
-        if isinstance(fault, ServoJam):
-            flags[JETS + SERVOS.index(fault.servo)] = 1.0
-        elif isinstance(fault, (SensorBias, SensorDropout)):
-            flags[JETS + len(SERVOS) + SENSORS.index(fault.sensor)] = 1.0
-        else:
-            for jet in fault.jet:
-                flags[jet - 1] = 1.0
-    return tuple(flags)
+    def _flagged(self, acting: Sequence[Fault]) -> tuple[float, ...]:
+        """1 for every jet, servo and sensor that a fault acts on, in the order of the log's columns."""
+        flags = list(self._none)
+        for fault in acting:
+            if isinstance(fault, ServoJam):
+                flags[self._jets + SERVOS.index(fault.servo)] = 1.0
+            elif isinstance(fault, (SensorBias, SensorDropout)):
+                flags[self._jets + len(SERVOS) + SENSORS.index(fault.sensor)] = 1.0
+            else:
+                for jet in fault.jet:
+                    flags[jet - 1] = 1.0
+        return tuple(flags)

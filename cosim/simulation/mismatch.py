@@ -52,5 +52,6 @@ def engines_as_flown(mismatch: Mismatch, jets: int) -> tuple[PerJet | None, int]
     for number, factor in enumerate(single[jets:], jets + 1):
         if factor != 1.0:
             raise InputError(f"mismatch.thrust_factor_{number} = {factor:g}: the aircraft has jets 1 to {jets}")
+    single += (1.0,) * (jets - len(single))
     factors = tuple(mismatch.thrust_factor * factor for factor in single[:jets])
     return (None if all(factor == 1.0 for factor in factors) else factors), mismatch.delay_samples

@@ -13,9 +13,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
+from cosim.base.constants import Outcome, Sensor, Side
 from cosim.base.errors import InputError, nearest
 from cosim.base.paths import data_folder
-from cosim.base.signals import JETS
+from cosim.base.signals import MOST_JETS
 from cosim.base.toml import (
     Model,
     NotNegative,
@@ -238,13 +239,20 @@ def _as_list(jet: Any) -> Any:
     return jet if isinstance(jet, list) else [jet]
 
 
+def _station_number(text: str) -> str:
+    if text not in map(str, range(1, MOST_JETS + 1)):
+        raise ValueError(f"a station is the number of a jet, 1 to {MOST_JETS} at most")
+    return text
+
+
 def _once_each(jets: list[int]) -> list[int]:
     if len(set(jets)) != len(jets):
         raise ValueError("name a jet once")
     return jets
 
 
-JetNumber = Annotated[int, Field(ge=1, le=JETS)]
+StationNumber = Annotated[str, AfterValidator(_station_number)]
+JetNumber = Annotated[int, Field(ge=1, le=MOST_JETS)]
 Jets = Annotated[list[JetNumber], Field(min_length=1), BeforeValidator(_as_list), AfterValidator(_once_each)]
 
 
@@ -303,7 +311,7 @@ class ServoJam(Model):
     kind: Literal["servo_jam"]
     start_s: Seconds
     duration_s: Duration | None = None
-    servo: Literal["left", "right"]
+    servo: Side
     angle_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None
 
 
@@ -313,7 +321,7 @@ class SensorBias(Model):
     kind: Literal["sensor_bias"]
     start_s: Seconds
     duration_s: Duration | None = None
-    sensor: Literal["gyro", "attitude", "gnss", "barometer"]
+    sensor: Sensor
     bias: list[float] = [0.0, 0.0, 0.0]  # one number for the barometer, else three
     velocity_bias: Vector = (0.0, 0.0, 0.0)  # m/s, NED, of the gnss alone
 
@@ -341,7 +349,7 @@ class SensorDropout(Model):
     kind: Literal["sensor_dropout"]
     start_s: Seconds
     duration_s: Duration | None = None
-    sensor: Literal["gyro", "attitude", "gnss", "barometer"]
+    sensor: Sensor
 
 
 EngineFault = FlameOut | StuckThrottle | ThrustLoss | SlowSpool | DelayGrowth
@@ -385,7 +393,7 @@ class Mismatch(Model):
     mass_factor: Factor = 1.0  # of the mass; the moments of inertia stay
     centre_m: Vector = (0.0, 0.0, 0.0)  # where the centre of gravity is, body, from where it is taken to be
     thrust_factor: Factor = 1.0  # of every engine's thrust, at the same reported spool speed
-    thrust_factor_1: Factor = 1.0  # of one jet's beside
+    thrust_factor_1: Factor = 1.0  # of one jet's beside, of the first six
     thrust_factor_2: Factor = 1.0
     thrust_factor_3: Factor = 1.0
     thrust_factor_4: Factor = 1.0
@@ -447,7 +455,7 @@ class Expectation(Model):
     controller: str
     engine: str
     aircraft: str = ""  # not stated: the one that the scenario states
-    outcome: list[Literal["completed", "crashed", "diverged", "failed"]] = ["completed"]
+    outcome: list[Outcome] = ["completed"]
     metrics: dict[str, Range] = {}  # "roll.overshoot_percent" -> range
 
 
@@ -497,7 +505,7 @@ class Scenario(Model):
     engine_parameters: dict[str, float] = {}
     engine_unchecked: bool = False  # engines that are not of the library fly without having been tried before
     engine_isolated: bool = False  # the engines run in a process of their own
-    stations: dict[Literal["1", "2", "3", "4", "5", "6"], Station] = {}  # by the number of the jet
+    stations: dict[StationNumber, Station] = {}  # by the number of the jet
     requests: str | None = None  # a file of what is asked of the autopilot, which flies then
     vehicle: dict[str, Any] = {}
     limits: FlightLimits = FlightLimits()

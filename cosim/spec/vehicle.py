@@ -12,8 +12,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from cosim.base.cache import Memory
+from cosim.base.constants import Side
 from cosim.base.errors import InputError, nearest
 from cosim.base.paths import data_folder, names_in
+from cosim.base.signals import MOST_JETS
 from cosim.base.toml import (
     Model,
     NotNegative,
@@ -33,7 +35,7 @@ class Jet(Model):
     """One engine station: a jet on a tilting bank, or a rotor that points straight up."""
 
     position_m: Vector  # body, from the centre of gravity of the vehicle as built
-    servo: Literal["left", "right"] | None = None
+    servo: Side | None = None
     reaction_m: float = 0.0  # yaw moment on the frame per thrust, positive turns the nose right
     spin: Literal[-1, 0, 1] = 0  # sense of the rotor about the thrust, right-handed; 0: its spin is not modelled
 
@@ -423,7 +425,7 @@ class Vehicle(Model):
     engine: str | None = None  # what it is made for, and flies with where only the aircraft is named
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]
-    jets: Annotated[list[Jet], Field(min_length=4, max_length=6)]
+    jets: Annotated[list[Jet], Field(min_length=4, max_length=MOST_JETS)]
     contacts: Annotated[list[Contact], Field(min_length=1)]
     servo: Servo | None = None
     fuel: Fuel | None = None

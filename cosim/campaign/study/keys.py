@@ -317,7 +317,7 @@ def _need_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
         ("engine", scenario.engine, scenario.engine_parameters, ("engine_parameters.", "stations.")),
     ]
     for path in [each for each in values if each.startswith("stations.") and each.endswith(".engine")]:
-        station = scenario.stations.get(path.split(".")[1])  # type: ignore[call-overload]
+        station = scenario.stations.get(path.split(".")[1])
         engine = (station and station.engine) or scenario.engine
         rules.append((path, engine, station.parameters if station else {}, (path.replace("engine", "parameters."),)))
     for key, own, stated, parts in rules:
@@ -341,7 +341,7 @@ def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[
     elif name in LISTS:
         for place, entry in enumerate(value):
             for key in _below(f"{name}.{place}", entry):
-                yield _of_entry(key, entry, scenario.step_s)
+                yield _of_entry(key, entry, scenario)
     else:
         yield from _leaves(name, _annotated(field), value)
 
@@ -354,12 +354,15 @@ def _names(name: str) -> list[str]:
     return aircraft_names() if name == "aircraft" else engine_names()
 
 
-def _of_entry(key: Key, entry: BaseModel, step: float) -> Key:
-    """A key of a command, disturbance or fault: times in whole steps, the amplitude in the unit of its signal."""
-    last = key.path.split(".")[-1]
+def _of_entry(key: Key, entry: BaseModel, scenario: Scenario) -> Key:
+    """A key of a command, disturbance or fault: whole steps, the amplitude's unit, the jets that there are."""
+    parts = key.path.split(".")
+    name, last = parts[2], parts[-1]
+    if name == "jet":
+        return replace(key, high=float(len(scenario.resolved_vehicle()[0].jets)))
     kind = str(getattr(entry, "kind", ""))
     if last in WHOLE_STEPS and kind not in ("table", "sticks"):
-        return replace(key, grid=step)
+        return replace(key, grid=scenario.step_s)
     if last == "amplitude" and hasattr(entry, "signal"):
         return replace(key, unit=_unit(entry.signal))
     return key
@@ -497,7 +500,7 @@ def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
 
     names = tuple(engine_names())
     for number in range(1, jets + 1):
-        stated = scenario.stations.get(str(number))  # type: ignore[call-overload]
+        stated = scenario.stations.get(str(number))
         engine = stated.engine if stated else None
         given = stated.parameters if stated else {}
         yield Key(f"stations.{number}.engine", "choice", engine or scenario.engine, choices=names)

@@ -62,7 +62,7 @@ def fly_one(study: Study, flight: Flight) -> Row:
     begin = time.perf_counter()
     try:
         scenario = scenario_of(study, flight)
-        sink = DigestSink(metrics.columns())
+        sink = DigestSink(metrics.columns(len(scenario.resolved_vehicle()[0].jets)))
         flown = _flown(study, fly(scenario, sink=sink), sink.hexdigest())
     except Exception as error:
         trouble = _machine_trouble(error)

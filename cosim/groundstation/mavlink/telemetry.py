@@ -233,24 +233,25 @@ def global_position_int(v: View) -> list[Message]:
 
 
 def servo_output_raw(v: View) -> list[Message]:
-    """Six throttles and two tilts as pulses: 1000 to 2000 us, 1500 is straight up."""
+    """Throttles, and two tilts from the seventh or behind the last, as pulses: 1000 to 2000 us, 1500 is straight up."""
     actuation, reach = v.sample.actuation, v.about.tilt_range
     pulses = [0] * 16
     for i, throttle in enumerate(actuation.throttle[: v.about.jets]):
         pulses[i] = clamp(1000.0 + 1000.0 * throttle, 0, U16)
     for i, tilt in enumerate(actuation.tilt):
-        pulses[6 + i] = 0 if isnan(reach) else clamp(1500.0 + 500.0 * tilt / reach, 0, U16)
+        pulses[max(6, v.about.jets) + i] = 0 if isnan(reach) else clamp(1500.0 + 500.0 * tilt / reach, 0, U16)
     return [mav.MAVLink_servo_output_raw_message(v.us & U32, 0, *pulses)]
 
 
 def actuator_output_status(v: View) -> list[Message]:
-    """Throttles 0 to 1 at 0 to 5, tilts at 6 and 7: -1 to 1, or rad where the servo's range is not stated."""
+    """Throttles 0 to 1 from 0 on, tilts at 6 and 7 or behind them: -1 to 1, or rad where their range is not stated."""
     actuation, reach = v.sample.actuation, v.about.tilt_range
     values = [0.0] * 32
     jets = v.about.jets
     values[:jets] = actuation.throttle[:jets]
-    values[6:8] = [tilt if isnan(reach) else tilt / reach for tilt in actuation.tilt]
-    return [mav.MAVLink_actuator_output_status_message(v.us, (1 << jets) - 1 | 0b11 << 6, values)]
+    first = max(6, jets)
+    values[first : first + 2] = [tilt if isnan(reach) else tilt / reach for tilt in actuation.tilt]
+    return [mav.MAVLink_actuator_output_status_message(v.us, (1 << jets) - 1 | 0b11 << first, values)]
 
 
 def vfr_hud(v: View) -> list[Message]:

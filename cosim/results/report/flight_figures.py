@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
+from cosim.base.constants import SERVOS
 from cosim.base.signals import AXES, JETS
-from cosim.results.columns import RATES, own_columns
+from cosim.results.columns import RATES, jets_in, own_columns
 from cosim.results.events import Event
 from cosim.results.recorder import Log
 from cosim.results.run import Run, Summary
@@ -110,7 +111,7 @@ TILT = [
         DEG,
         least_span=4.0,
     )
-    for side in ("left", "right")
+    for side in SERVOS
 ]
 EFFORT = [
     Panel(
@@ -202,13 +203,13 @@ def event_marks(events: Sequence[Event], end: float) -> list[Figure]:
 def engine_panels(reader: Reader) -> list[Panel]:
     """What the engines report beside their thrust, their spools' moment and the tank, as far as there is any of it."""
     panels = []
+    jets = range(1, jets_in(reader.log.columns) + 1)
     for title, unit, pattern, scale in ENGINES:
-        jets = range(1, JETS + 1)
         traces = [Trace(pattern.format(jet), f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in jets]
         known = [trace for trace in traces if reader.known(trace.column)]
         if known:
             panels.append(Panel(title, unit, known, scale))
-    healths = [Trace(f"health_{jet}", f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in range(1, JETS + 1)]
+    healths = [Trace(f"health_{jet}", f"jet {jet}", run_colour(jet - 1), width=1.4) for jet in jets]
     given_up = [trace for trace in healths if reader.known(trace.column) and np.nanmin(reader.log[trace.column]) < 1.0]
     if given_up:
         panels.append(Panel("Health, as monitored", "1", given_up, least_span=1.2))
@@ -322,7 +323,7 @@ def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[
 def thrust_figure(reader: Reader, summary: Summary, marks: Sequence[Figure] = ()) -> Figure:
     """A panel for each jet, where the jet sits: the thrust at rest for its throttle, and the thrust it delivered.
 
-    All six have one scale.
+    All have one scale.
     """
     curves = [np.array(curve, dtype=float).reshape(-1, 2) for curve in thrust_curves(summary)]
     rows = jet_rows(summary.jets_m)
@@ -351,7 +352,7 @@ def thrust_figure(reader: Reader, summary: Summary, marks: Sequence[Figure] = ()
     for side in range(2):
         layout[_axis("xaxis", side)] = _time_axis(data) | {
             "domain": [0.52 * side, 0.48 + 0.52 * side],
-            "anchor": _axis("y", count - 2 + side),
+            "anchor": _axis("y", count - 1 - (count + side + 1) % 2),
             **({"matches": "x"} if side else {}),
         }
     layout["shapes"] = [mark | {"xref": _axis("x", side)} for side in range(2) for mark in marks]
@@ -361,17 +362,21 @@ def thrust_figure(reader: Reader, summary: Summary, marks: Sequence[Figure] = ()
 def thrust_curves(summary: Summary) -> list[list[tuple[float, float]]]:
     """Throttle and thrust at rest of the engine at each station, empty where it is not known."""
     own = [list(station.curve) for station in summary.stations]
-    return [curve or summary.engine_curve for curve in own + [[]] * (JETS - len(own))]
+    return [curve or summary.engine_curve for curve in own + [[]] * (max(JETS, len(summary.jets_m)) - len(own))]
 
 
-def jet_rows(jets_m: Sequence[Sequence[float]]) -> tuple[tuple[int, int], ...]:
+def jet_rows(jets_m: Sequence[Sequence[float]]) -> tuple[tuple[int, ...], ...]:
     """Jet numbers from front to back, (left, right), from their places in the body frame if these are known."""
     if not jets_m:
         return JET_ROWS
     places = sorted((-x, y, number) for number, (x, y, _) in enumerate(jets_m, start=1))
     left = [number for _, y, number in places if y < 0.0]
     right = [number for _, y, number in places if y >= 0.0]
-    return tuple(zip(left, right, strict=True)) if len(left) == len(right) else JET_ROWS
+    if len(left) == len(right):
+        return tuple(zip(left, right, strict=True))
+    if len(jets_m) <= JETS:
+        return JET_ROWS
+    return tuple(tuple(range(n, min(n + 2, len(jets_m) + 1))) for n in range(1, len(jets_m) + 1, 2))
 
 
 # ---- the track

@@ -506,7 +506,7 @@ def test_a_reset_forgets_what_came_by_command() -> None:
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ({"kind": "flame_out", "start_s": 1.0, "jet": 7}, r"fault\.0\.jet.*less than or equal to 6"),
+        ({"kind": "flame_out", "start_s": 1.0, "jet": 7}, r"fault\.0\.jet = 7: hexjet has jets 1 to 6"),
         ({"kind": "flame_out", "start_s": 1.0, "jet": [1, 1]}, r"fault\.0\.jet: name a jet once"),
         (
             {"kind": "flame_out", "start_s": 1.0, "jet": 1, "jets": 1},
@@ -720,7 +720,7 @@ def test_the_reference_of_an_engine_is_its_own() -> None:
 def test_a_vehicle_without_a_monitor_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle, folder = load_vehicle("hexjet")
     bare = vehicle.model_copy(update={"control": vehicle.control.model_copy(update={"monitor": None})})
-    monkeypatch.setattr("cosim.simulation.build.load_vehicle", lambda *_: (bare, folder))
+    monkeypatch.setattr("cosim.spec.scenario.load_vehicle", lambda *_: (bare, folder))
     with pytest.raises(InputError, match=r"hexjet has no \[control\.monitor\]"):
         build(HOVER.replace(monitor=True))
 
