@@ -36,6 +36,7 @@ from cosim.engine.wrappers import EngineChain
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.simulation.build import build
+from cosim.simulation.controllers.source import Source
 from cosim.simulation.engine_reference import engine_reference
 from cosim.simulation.fault_schedule import NEVER
 from cosim.simulation.step import Simulation
@@ -448,8 +449,8 @@ class Commander:
         self.acts = acts
         self.simulation: Simulation | None = None
 
-        def keep(scenario: Scenario) -> Simulation:
-            self.simulation = build(scenario)
+        def keep(scenario: Scenario, own: Source | None = None) -> Simulation:
+            self.simulation = build(scenario, own)
             return self.simulation
 
         monkeypatch.setattr(flight, "build", keep)
@@ -506,7 +507,7 @@ def test_a_reset_forgets_what_came_by_command() -> None:
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ({"kind": "flame_out", "start_s": 1.0, "jet": 7}, r"fault\.0\.jet = 7: hexjet has jets 1 to 6"),
+        ({"kind": "flame_out", "start_s": 1.0, "jet": 13}, r"fault\.0\.jet.*less than or equal to 12"),
         ({"kind": "flame_out", "start_s": 1.0, "jet": [1, 1]}, r"fault\.0\.jet: name a jet once"),
         (
             {"kind": "flame_out", "start_s": 1.0, "jet": 1, "jets": 1},
