@@ -105,6 +105,13 @@ class ParquetLog:
             self.columns: tuple[str, ...] = tuple(file.schema_arrow.names)
             self._rows: int = file.metadata.num_rows
 
+    def keys(self) -> tuple[str, ...]:
+        """The columns' names, so that ``dict(log)`` has all of them."""
+        return self.columns
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
     def __len__(self) -> int:
         return self._rows
 

@@ -51,6 +51,10 @@ class Log(Protocol):
     def described(self) -> tuple[Column, ...]:
         """What the columns are and mean, as far as that is known."""
 
+    def keys(self) -> tuple[str, ...]: ...
+
+    def __iter__(self) -> Iterator[str]: ...
+
     def __len__(self) -> int: ...
 
     def __getitem__(self, name: str) -> Array: ...
@@ -180,6 +184,13 @@ class MemoryLog:
     ) -> None:
         self.columns, self.described = columns, described
         self._tables = tables
+
+    def keys(self) -> tuple[str, ...]:
+        """The columns' names, so that ``dict(log)`` has all of them."""
+        return self.columns
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
 
     def __len__(self) -> int:
         return sum(table.shape[1] for table in self._tables)

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
+from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from platform import python_version
@@ -218,7 +219,7 @@ class Summary(Setup):
         return [told(name, self.limits, self.flat_metrics) for name in self.beyond]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """A finished run.
 
@@ -246,6 +247,24 @@ class Run:
             return self.flown
         assert self.folder is not None
         return Scenario.read(self.folder / SCENARIO)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it."""
+        summary = self.summary
+        said = f"{summary.scenario}: {summary.outcome}, {summary.reason}" + (
+            f"; {summary.verdict}" if summary.verdict else ""
+        )
+        flown = f"{summary.aircraft}, engine {summary.engine}, controller {summary.controller}, seed {summary.seed}"
+        rows = "".join(
+            f"<tr><td>{escape(name)}</td><td>{value:.6g}</td></tr>"
+            for name, value in summary.flat_metrics.items()
+            if value is not None
+        )
+        return f"<p><b>{escape(said)}</b><br>{escape(flown)}</p><table>{rows}</table>"
+
+    def __repr__(self) -> str:
+        where = "" if self.folder is None else f", {self.folder}"
+        return f"<Run {self.summary.scenario}: {self.outcome}, {len(self.log)} steps{where}>"
 
     @property
     def outcome(self) -> Outcome:

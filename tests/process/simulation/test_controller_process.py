@@ -391,16 +391,3 @@ def test_the_page_has_every_name() -> None:
     for name in wire.input_names("controller", 6):
         stem = re.sub(r"_(\d|north|east|down|y|z)$", "", name)
         assert stem in table or stem.replace("_left", "") in table, name
-
-
-@pytest.mark.skipif(shutil.which("cc") is None and shutil.which("gcc") is None, reason="needs a C compiler")
-def test_ours_exported_as_an_fmu_and_flown_back_leaves_the_same_log(tmp_path: Path) -> None:
-    arguments = ["export", "controller", "--set", "duration_s=0.2", "--out", str(tmp_path / "c")]
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    assert ended.value.code == 0
-    ours = fly(ROLL.replace(controller="smith"))
-    theirs = fly(ROLL.replace(controller=str(tmp_path / "c" / "controller.fmu")))
-    assert theirs.outcome == "completed", theirs.reason
-    assert theirs.log.columns == ours.log.columns
-    assert same(ours, theirs)

@@ -464,3 +464,15 @@ def test_a_cluster_gets_it_by_its_contents(mine: str, tmp_path: Path) -> None:
         there = run_campaign(study, tmp_path / "there", workers=workers).columns
     for column in ("controller_sha256", "log_sha256"):
         assert here[column] == there[column][1] is not None
+
+
+def test_a_notebook_is_shown_a_run_and_its_log_is_a_table() -> None:
+    run = fly("hover", controller=Wrong)
+    assert "flew" not in repr(run)
+    assert repr(run) == "<Run hover: failed, 10 steps>"
+    shown = run._repr_html_()
+    assert "update gave None: must be throttles and tilts" in shown
+    assert "<td>altitude.max_abs_error_m</td>" in shown
+    table = dict(run.log)
+    assert list(run.log) == list(table) == list(run.log.columns)
+    assert {len(column) for column in table.values()} == {len(run.log)} == {10}
