@@ -8,6 +8,7 @@ from pathlib import Path
 
 from cosim.base.errors import FlightError, InputError
 from cosim.codegen.files import Labels, render, texts
+from cosim.codegen.fmu import build_fmus
 from cosim.codegen.form import Form, form_of
 from cosim.codegen.measure import Measured, measure
 from cosim.codegen.vectors import Vectors, record
@@ -36,6 +37,8 @@ def export_controller(
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
+    if scenario.requests is not None:
+        raise InputError(f"scenario {scenario.name}: is flown by an autopilot's requests; choose one with commands")
     labels = Labels(name, f"{scenario.aircraft} with {scenario.controller}", licence, ())  # before the flight
     with build(scenario) as simulation:
         form = form_of(simulation)
@@ -48,20 +51,12 @@ def export_controller(
         for file, text in made.items():
             (folder / file).write_text(text, encoding="utf-8")
         measured = measure(folder, name)
-        archives, without = _fmus(form, vectors, labels, made, folder) if fmus else ([], "left out, as asked")
+        archives, without = build_fmus(form, vectors, labels, made, folder) if fmus else ([], "left out, as asked")
         readme = _readme(form, vectors, labels, measured, archives)
         (folder / "README.md").write_text(readme, encoding="utf-8")
     except OSError as error:
         raise FlightError(f"{folder}: {error.strerror or error}") from error
     return Exported(folder, [*made, *archives, "README.md"], len(vectors.rows), measured, without)
-
-
-def _fmus(
-    form: Form, vectors: Vectors, labels: Labels, made: dict[str, str], folder: Path
-) -> tuple[list[str], str | None]:
-    from cosim.codegen.fmu import build_fmus
-
-    return build_fmus(form, vectors, labels, made, folder)
 
 
 def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[str, ...]:

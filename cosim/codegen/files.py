@@ -111,10 +111,11 @@ def _environment() -> Any:
 def _c(value: Any, indent: str = "        ") -> str:
     """A number, a list or a table as an initializer."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f".{key} = {_c(x)}" for key, x in value.items()) + "}"
+        between = f",\n{indent}" if any(isinstance(x, Sequence) for x in value.values()) else ", "
+        return "{" + between.join(f".{key} = {_c(x)}" for key, x in value.items()) + "}"
     if isinstance(value, Sequence):
         text = "{" + ", ".join(_c(x) for x in value) + "}"
-        wrapped = textwrap.wrap(text, 110, break_long_words=False, break_on_hyphens=False)
+        wrapped = textwrap.wrap(text, 90, break_long_words=False, break_on_hyphens=False)
         return wrapped[0] if len(wrapped) == 1 else ("\n" + indent).join(wrapped)
     return f"R({float(value)!r})"
 

@@ -173,7 +173,8 @@ static Real predict_[[ axis.name ]](const [[ n ]]_[[ A ]]Predictor *p, [[ n ]]_[
 {% if q.paired %}
         const Real re = s->x[i];
         const Real im = s->x_im[i];
-        s->x[i] = p->poles[i] * re - p->poles_im[i] * im[[ plus_d ]] + p->shares[i] * now + (R(1.0) - p->shares[i]) * before;
+        s->x[i] = p->poles[i] * re - p->poles_im[i] * im[[ plus_d ]]
+            + p->shares[i] * now + (R(1.0) - p->shares[i]) * before;
         s->x_im[i] = p->poles[i] * im + p->poles_im[i] * re + p->shares_im[i] * now - p->shares_im[i] * before;
         estimated += s->x[i] * p->residues[i] - s->x_im[i] * p->residues_im[i];
 {% else %}
@@ -273,7 +274,7 @@ static void design_lead_1([[ n ]]_Lead *c, Real natural, Real pole, Real step)
 #else
 {% for order in f.lead_orders %}
 {% if order == 2 %}
-/* The lead that divides two engine lags out, natural frequency and damping given, and puts two at -pole in their place. */
+/* The lead that divides two engine lags out, by natural frequency and damping, and puts two at -pole in their place. */
 static void design_lead_2([[ n ]]_Lead *c, Real natural, Real damping, Real pole, Real step)
 {
     const Real under = damping * damping - R(1.0);
@@ -361,7 +362,8 @@ static void follow(const [[ n ]]_Parameters *p, [[ n ]]_State *s, Real level)
     s->integral = altitude_at.i * p->integral;
 {% for name, lead in (("roll", f.axes[0].lead), ("altitude", f.altitude.lead)) if lead %}
 {% if lead.order == 2 %}
-    design_lead_2(&s->[[ name ]]_lead_now, [[ name ]]_at.natural_rad_s, [[ name ]]_at.damping, [[ name ]]_at.pole_rad_s, p->step);
+    design_lead_2(&s->[[ name ]]_lead_now, [[ name ]]_at.natural_rad_s, [[ name ]]_at.damping, [[ name ]]_at.pole_rad_s,
+        p->step);
 {% else %}
     design_lead_1(&s->[[ name ]]_lead_now, [[ name ]]_at.natural_rad_s, [[ name ]]_at.pole_rad_s, p->step);
 {% endif %}
@@ -404,7 +406,8 @@ static Real share_of(const [[ n ]]_Parameters *p, Real thrust)
     return (thrust - p->thrust_low) / p->thrust_span;
 {% else %}
 {% set c = "curve_" ~ f.thrust.reference %}
-    return inverse(p->[[ c ]]_thrust, p->[[ c ]]_throttle, p->[[ c ]]_slope, [[ f.thrust.curves[f.thrust.reference].thrust|length ]], thrust);
+    return inverse(p->[[ c ]]_thrust, p->[[ c ]]_throttle, p->[[ c ]]_slope,
+        [[ f.thrust.curves[f.thrust.reference].thrust|length ]], thrust);
 {% endif %}
 }
 {% if not f.thrust.identity %}
@@ -441,12 +444,6 @@ static void quaternion_of(const Real euler[3], Real q[4])
 /* Rate set-point: proportional to the error of the quaternion, taken the short way round, limited on each axis. */
 static void attitude(const [[ n ]]_Parameters *p, [[ n ]]_State *s, const [[ n ]]_Input *in, Real rate[3])
 {
-    if (in->rates_commanded) {
-        for (int i = 0; i < 3; i++) {
-            rate[i] = in->rate_setpoint[i];
-        }
-        return;
-    }
     const Real *const wanted = in->attitude_setpoint;
     if ((wanted[0] != s->euler[0]) || (wanted[1] != s->euler[1]) || (wanted[2] != s->euler[2])) {
         for (int i = 0; i < 3; i++) {
@@ -498,9 +495,11 @@ static void rates(const [[ n ]]_Parameters *p, [[ n ]]_State *s, const Real setp
 {% if axis.predictor.kind == "none" %}
     const Real [[ a ]] = measured[ [[- i ]]];
 {% else %}
-    const Real [[ a ]] = predict_[[ a ]](&p->[[ a ]]_predictor, &s->[[ a ]]_predictor, measured[ [[- i ]]], s->[[ a ]].command - s->unallocated[ [[- i ]]]);
+    const Real [[ a ]] = predict_[[ a ]](&p->[[ a ]]_predictor, &s->[[ a ]]_predictor, measured[ [[- i ]]],
+        s->[[ a ]].command - s->unallocated[ [[- i ]]]);
 {% endif %}
-    s->[[ a ]].command = pid({% if axis.scheduled %}&s->roll_gains{% else %}&p->[[ a ]]{% endif %}, &s->[[ a ]], setpoint[ [[- i ]]], [[ a ]], s->unallocated[ [[- i ]]], p->step);
+    s->[[ a ]].command = pid({% if axis.scheduled %}&s->roll_gains{% else %}&p->[[ a ]]{% endif %}, &s->[[ a ]], setpoint[ [[- i ]]], [[ a ]],
+        s->unallocated[ [[- i ]]], p->step);
 {% if axis.lead %}
     s->[[ a ]].command = lead({% if axis.scheduled %}&s->roll_lead_now{% else %}&p->[[ a ]]_lead{% endif %}, &s->[[ a ]]_lead, s->[[ a ]].command, s->unallocated[ [[- i ]]]);
 {% endif %}
@@ -511,12 +510,6 @@ static void rates(const [[ n ]]_Parameters *p, [[ n ]]_State *s, const Real setp
 static Real altitude(const [[ n ]]_Parameters *p, [[ n ]]_State *s, const [[ n ]]_Input *in)
 {
 {% set own = "s" if f.schedule else "p" %}
-    if (in->collective_commanded) {
-{% if f.altitude.lead %}
-        s->altitude_started = false;
-{% endif %}
-        return in->collective_setpoint;
-    }
     const Real off = in->altitude_setpoint - in->altitude;
     const Real climb = between([[ own ]]->position * off, p->down, p->up);
     const Real error = climb + in->velocity_down;
@@ -654,9 +647,17 @@ static void fly(const [[ n ]]_Parameters *p, [[ n ]]_State *s, const [[ n ]]_Inp
     out->torque[0] = s->roll.command;
     out->torque[1] = s->pitch.command;
     out->torque[2] = s->yaw.command;
-    out->collective = altitude(p, s, in);
+    if (in->collective_commanded) {
+{% if f.altitude.lead %}
+        s->altitude_started = false;
+{% endif %}
+        out->collective = in->collective_setpoint;
+    } else {
+        out->collective = altitude(p, s, in);
+    }
 {% if f.delay %}
-    const Real torque[3] = {delay_line(s->added_delay, &s->added_at, [[ f.delay ]], out->torque[0]), out->torque[1], out->torque[2]};
+    const Real roll = delay_line(s->added_delay, &s->added_at, [[ f.delay ]], out->torque[0]);
+    const Real torque[3] = {roll, out->torque[1], out->torque[2]};
     allocate(p, out->collective, torque, out);
 {% else %}
     allocate(p, out->collective, out->torque, out);
@@ -692,7 +693,13 @@ void [[ n ]]_reset(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, b
 void [[ n ]]_step(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, const [[ n ]]_Input *input,
     [[ n ]]_Output *output)
 {
-    attitude(parameters, state, input, output->rate_setpoint);
+    if (input->rates_commanded) {
+        for (int i = 0; i < 3; i++) {
+            output->rate_setpoint[i] = input->rate_setpoint[i];
+        }
+    } else {
+        attitude(parameters, state, input, output->rate_setpoint);
+    }
     if (input->engines != [[ N ]]_FLY) {
         idle(parameters, state, output);
     } else {
