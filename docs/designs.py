@@ -1,11 +1,12 @@
 """Writes what the designs in tests/designs state, and flights while fuel burns, into the pages that quote them.
 
     python docs/designs.py [--no-flights]
-    python docs/designs.py --anew [FOLDER]
+    python docs/designs.py --anew [FOLDER] [--only NAME ...]
 
 The tables of margins come from the files alone; a test compares them with the pages.  ``--anew`` begins every design
-from nothing, with the commands of :data:`COMMANDS` (half an hour of a processor), writes the files into FOLDER, where
-those that are there already are taken up, and states on the page which of them are what ships.
+from nothing, with the commands of :data:`COMMANDS` (half an hour of a processor), writes the files into
+FOLDER, where those that are there already are taken up, and states on the page which of them are what ships; with
+``--only`` it makes some files and writes no page.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import os
 import subprocess
 import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from math import degrees
 from pathlib import Path
@@ -108,15 +109,14 @@ def designs() -> str:
     return table(("engine, aircraft", "controller", *COLUMNS), rows, 2)
 
 
-def begin_anew(folder: Path) -> None:
-    """Every design from nothing, into ``folder``; with one thread of OpenBLAS, on whose number the bits hang."""
+def begin_anew(folder: Path, names: Iterable[str] = COMMANDS) -> None:
+    """Designs from nothing, into ``folder``; with one thread of OpenBLAS, on whose number the bits hang."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, lines in COMMANDS.items():
-        first = folder / f"{name}.first.toml"
+    for name in names:
+        lines, made, first = COMMANDS[name], folder / f"{name}.toml", folder / f"{name}.first.toml"
         for number, line in enumerate(lines):
-            last = number == len(lines) - 1
-            out = folder / f"{name}.toml" if last else first
-            if out.exists():
+            out = made if number == len(lines) - 1 else first
+            if made.exists() or out.exists():
                 continue
             words = lines[0].split(" --noise")[0].split() if number else []
             given = [*words, *(str(first) if word == "FIRST" else word for word in line.split())]
@@ -125,9 +125,14 @@ def begin_anew(folder: Path) -> None:
             print(f"{name}: {line}: status {done.returncode}", flush=True)
 
 
+def searched(path: Path) -> bytes:
+    """A file without its line of the digest of the engine's archive, which is no number that is searched for."""
+    return b"".join(line for line in path.read_bytes().splitlines(True) if not line.startswith(b"engine_sha256"))
+
+
 def ships(name: str) -> str:
-    """The shipped file's first digits of SHA-256."""
-    return hashlib.sha256((DESIGNS / f"{name}.toml").read_bytes()).hexdigest()[:12]
+    """First digits of the SHA-256 of what ships."""
+    return hashlib.sha256(searched(DESIGNS / f"{name}.toml")).hexdigest()[:12]
 
 
 def anew(folder: Path) -> str:
@@ -136,21 +141,11 @@ def anew(folder: Path) -> str:
     for name, lines in COMMANDS.items():
         made = folder / f"{name}.toml"
         if not made.exists():
-            told = "no design"
-        elif made.read_bytes() == (DESIGNS / f"{name}.toml").read_bytes():
+            told = "nothing"
+        elif searched(made) == searched(DESIGNS / f"{name}.toml"):
             told = "what ships, to the bit"
         else:
-            here, there = (
-                tomllib.loads(path.read_text(encoding="utf-8"))["design"]["axes"]["roll"]
-                for path in (made, DESIGNS / f"{name}.toml")
-            )
-            pairs = [
-                ("objective", *(f"{min(each['candidates'].values()):.3f}" for each in (here, there))),
-                ("bandwidth", *(f"{each['bandwidth_hz']:.3f} Hz" for each in (here, there))),
-                ("overshoot", *(f"{100.0 * each['overshoot']:.1f} %" for each in (here, there))),
-                ("settled", *(f"{each['settling_s']:.2f} s" for each in (here, there))),
-            ]
-            told = "another; of roll " + ", ".join(f"{what} {one} (ships {two})" for what, one, two in pairs)
+            told = "another design"
         rows.append([name, ships(name), "; then ".join(lines), told])
     return table(("file", "SHA-256", "hexjet design, from nothing", "makes"), rows, 4)
 
@@ -239,9 +234,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--no-flights", action="store_true")
     parser.add_argument("--anew", type=Path, nargs="?", const=ROOT / "runs" / "designs", metavar="FOLDER")
+    parser.add_argument("--only", nargs="+", choices=COMMANDS, metavar="NAME")
     given = parser.parse_args()
+    if given.only and not given.anew:
+        parser.error("--only goes with --anew")
     if given.anew:
-        begin_anew(given.anew)
+        begin_anew(given.anew, given.only or COMMANDS)
+        if given.only:
+            return
         write_marks(ROOT / "docs" / "control-design.md", {"designs anew": anew(given.anew)})
         return
     flights = not given.no_flights
