@@ -202,7 +202,11 @@ def searched(name: str, out: Path, workers: int) -> str:
     said = code(table(["key", *over, "from", "holds to", "breaks at", "then"], rows))
     for joint in found["together"]:
         broken = ", ".join(f"`{key}` = {value:.4g}" for key, value in joint["breaks"].items())
-        said += f"\nTogether it breaks at {broken}: the smallest found in {joint['flights']} flights.\n"
+        if broken:
+            said += f"\nTogether it breaks at {broken}: the smallest found in {joint['flights']} flights.\n"
+        else:
+            none = f"Together none was found to break it in {joint['flights']} flights"
+            said += f"\n{none}, in the directions that were tried.\n"
     return f"```\n{SEARCHES[name]}\n```\n\n{said}"
 
 
