@@ -58,9 +58,9 @@ from cosim.vehicle.airframe import Airframe, start_height
 from cosim.vehicle.atmosphere import standard_air
 from cosim.vehicle.banks import Banks
 from cosim.vehicle.ground_effect import GroundJets
-from cosim.vehicle.intakes import Airstreams
+from cosim.vehicle.intakes import IntakeDrag
 from cosim.vehicle.propulsion import Propulsion
-from cosim.vehicle.rotors import Spools
+from cosim.vehicle.rotors import RotorDynamics
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
 from cosim.vehicle.servo import TiltServo
 from cosim.vehicle.tank import Tank
@@ -82,7 +82,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
     laws = [spec.flame_out for spec in stations]
     step, initial = scenario.step_s, scenario.initial
     flown = as_flown(vehicle, scenario.mismatch)
-    spools = Spools(flown.jets, stations, step)
+    spools = RotorDynamics(flown.jets, stations, step)
     with ExitStack() as made:
         plugged = None if own is None else _Plugged(own, told, scenario, vehicle, engine, stations)
         end = made.callback(plugged.close) if plugged is not None else None
@@ -108,7 +108,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             spools if spools.any else None,
             Tank(vehicle.fuel.mass_kg, step, initial.fuel) if vehicle.fuel else None,
             banks if banks and banks.any else None,
-            Airstreams(vehicle.airflow, flown.jets) if vehicle.airflow else None,
+            IntakeDrag(vehicle.airflow, flown.jets) if vehicle.airflow else None,
             GroundJets(vehicle.ground_effect, flown.jets) if vehicle.ground_effect else None,
             airframe.air,
         )

@@ -14,7 +14,7 @@ from cosim.base.signals import PerJet, State, Vector3
 from cosim.spec.vehicle import Airflow, Jet
 
 
-class Airstreams:
+class IntakeDrag:
     """What the six streams do to the airframe beside their thrust, by the momentum theorem.
 
     ``m`` is one engine's mass flow, ``v`` the velocity of the centre of gravity through the air, ``e`` the jet's tilted

@@ -31,8 +31,8 @@ from cosim.engine.wrappers import EngineChain
 from cosim.spec.vehicle import Jet
 from cosim.vehicle.banks import Banks
 from cosim.vehicle.ground_effect import GroundJets
-from cosim.vehicle.intakes import Airstreams
-from cosim.vehicle.rotors import Spools
+from cosim.vehicle.intakes import IntakeDrag
+from cosim.vehicle.rotors import RotorDynamics
 from cosim.vehicle.servo import TiltServo
 from cosim.vehicle.tank import Tank
 
@@ -50,10 +50,10 @@ class Propulsion:
         jets: Sequence[Jet],
         engines: EngineChain,
         servos: Sequence[TiltServo],
-        spools: Spools | None,
+        spools: RotorDynamics | None,
         tank: Tank | None,
         banks: Banks | None,
-        streams: Airstreams | None,
+        streams: IntakeDrag | None,
         ground: GroundJets | None,
         air: Callable[[], tuple[float, float]],
     ) -> None:

@@ -11,7 +11,7 @@ from cosim.engine import EngineSpec
 from cosim.spec.vehicle import Jet
 
 
-class Spools:
+class RotorDynamics:
     """The angular momentum of all rotors against the airframe, and its change from step to step.
 
     ``H = sum s J w e``: spin s of the station, inertia J and speed w of its engine, e the jet's tilted axis.  On the

@@ -32,7 +32,7 @@ from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Jet, Vehicle, load_vehicle
 from cosim.vehicle.airframe import Airframe
-from cosim.vehicle.rotors import Spools
+from cosim.vehicle.rotors import RotorDynamics
 from cosim.vehicle.tank import Tank
 
 STEP = 0.004
@@ -80,11 +80,11 @@ class Rows:
         self.samples.append(sample)
 
 
-def spools(spins: tuple[int, ...], inertia: float = 2e-5) -> Spools:
+def spools(spins: tuple[int, ...], inertia: float = 2e-5) -> RotorDynamics:
     sides = ("right", "left", "left", "right", "right", "left")
     jets = [Jet(position_m=ZERO3, servo=side, spin=spin) for side, spin in zip(sides, spins, strict=True)]  # type: ignore[arg-type]
     engine = SimpleNamespace(name="made up", rotor_inertia=inertia, has=lambda port: True)
-    return Spools(jets, [engine] * 6, STEP)  # type: ignore[list-item]
+    return RotorDynamics(jets, [engine] * 6, STEP)  # type: ignore[list-item]
 
 
 # --- the moment ----------------------------------------------------------------------------------------------------
@@ -147,8 +147,8 @@ def test_rotors_that_turn_alternately_cancel_exactly() -> None:
 def test_a_rotor_whose_speed_is_not_told_is_refused() -> None:
     engine = SimpleNamespace(name="silent", rotor_inertia=1e-5, has=lambda port: False)
     with pytest.raises(InputError, match=r"engine silent at station 2: .* no output spool_speed"):
-        Spools([Jet(position_m=ZERO3), Jet(position_m=ZERO3, spin=1)], [engine] * 2, STEP)  # type: ignore[list-item]
-    assert not Spools([Jet(position_m=ZERO3)], [engine], STEP).any  # type: ignore[list-item]
+        RotorDynamics([Jet(position_m=ZERO3), Jet(position_m=ZERO3, spin=1)], [engine] * 2, STEP)  # type: ignore[list-item]
+    assert not RotorDynamics([Jet(position_m=ZERO3)], [engine], STEP).any  # type: ignore[list-item]
 
 
 # --- the airframe --------------------------------------------------------------------------------------------------
