@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--designs",
-    type=click.Path(path_type=Path),
+    type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
     help="Of --engine-out: where its controllers are, ENGINE.toml by hexjet design; a missing one is designed and "
     "written there.  [default: designs in --out]",
@@ -53,7 +53,9 @@ if TYPE_CHECKING:
     "full-scale.md, there; of all that they hold.",
 )
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="[default: a new one in runs/]"
+)
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 @click.pass_context
 def faults(
@@ -162,7 +164,9 @@ def _engine_out(
     help="What loses the position also begins at this speed, from 10 m on, in the least wind; 0: not.",
 )
 @click.option("--workers", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="[default: a new one in runs/]"
+)
 @click.option("--page", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write the table there.")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 def failsafes(
