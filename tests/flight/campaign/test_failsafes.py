@@ -489,6 +489,21 @@ def test_docs_failsafes_md_explains_every_flight_that_did_not_land(aircraft: str
                 assert thrust < 1e-3 * vehicle.mass_kg * GRAVITY
 
 
+def test_docs_failsafes_md_states_what_an_engine_lost_between_its_heights_does() -> None:
+    """It said that those in between land; the table's heights are 3 and 10 m, and from 4 m both hit harder than from 3."""
+    page = "docs/failsafes.md"
+    low = [flown("engine 1 out", aircraft, 4.0, 5.0).row for aircraft in ("hexjet-p220", "hexjet-100")]
+    assert [row.verdict for row in low] == ["crashed", "crashed"]
+    sentence = (
+        "From {} m in a wind of {} m/s, without engine 1, hexjet-p220 touches with {} m/s and hexjet-100 with {} m/s"
+    )
+    stated(page, sentence, *low[0].start[:2], *(row.touchdown_m_s for row in low))
+    higher = flown("engine 1 out", "hexjet-100", 5.0, 10.0).row
+    assert higher.verdict == "lost"
+    sentence = "From {} m in {} m/s, without engine 1, hexjet-100 touches with {} m/s and tips over"
+    stated(page, sentence, *higher.start[:2], higher.touchdown_m_s)
+
+
 def test_every_vehicle_with_an_autopilot_has_its_table_on_the_page() -> None:
     page = (DOCS / "failsafes.md").read_text(encoding="utf-8")
     for name in table.pilotable():
