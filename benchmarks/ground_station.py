@@ -30,16 +30,15 @@ from typing import Any
 
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.parameters import Parameters
-from cosim.groundstation.exchange import Exchange
+from cosim.groundstation.exchange import Exchange, Port
 from cosim.groundstation.links import Links, about_of
-from cosim.groundstation.mavlink.exchange import Exchange as MavlinkExchange
-from cosim.groundstation.mavlink.snapshot import Predicting, Snapshot
 from cosim.groundstation.mavlink.vehicle import Vehicle
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 from cosim.groundstation.mavlink.wire.link import Link
-from cosim.groundstation.session import Session, facts_of, scripted_status
+from cosim.groundstation.session import Session, facts_of, scripted_status, snapshot_of
 from cosim.results.report.marks import table, write_marks
 from cosim.simulation.build import build
+from cosim.simulation.pacing import PaceReport
 from cosim.spec.scenario import Scenario
 
 ATTITUDE = 30
@@ -275,9 +274,9 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
     now = [0.0]
     with build(Scenario.load("hover").replace(duration_s=SETTLE + COUNT + 1.0)) as simulation:
         link = Link([], clock=lambda: now[0])
-        exchange = MavlinkExchange()
+        exchange = Exchange(lambda: now[0])
         facts = facts_of(simulation, 1, Parameters([]), None, 1.0)
-        link.station = vehicle = Vehicle(about_of(facts, "px4"), exchange, link)
+        link.station = vehicle = Vehicle(about_of(facts, "px4"), Port(exchange, "mavlink"), link)
         wire = _Wire(lambda: now[0], link, baud)
         link._channels.append(wire)
         asked: list[float] = []
@@ -289,9 +288,7 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
                 sample = simulation.step()
             if simulation.k:
                 status = scripted_status(simulation, sample)
-                seen = simulation.controller.diagnostics
-                columns = tuple((seen[0][i], seen[1][i], seen[2][i]) for i in range(3))
-                exchange.publish(Snapshot(sample, status, Predicting(*columns), 0.1))
+                exchange.publish(snapshot_of(simulation, facts, sample, status, PaceReport(load=0.1), now[0]))
             if now[0] >= SETTLE:
                 begun = begun or len(wire.arrived)
                 if len(asked) <= (now[0] - SETTLE) / 0.7:

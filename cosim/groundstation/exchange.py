@@ -2,7 +2,8 @@
 
 The flight publishes what it is at; the last one wins, and nobody who is slow holds it up.  Requests wait in one short
 queue per sender, the senders take turns, and a queue that is full answers at once.  Everything here may be called from
-any thread and returns at once; no sockets, no files.
+any thread and returns at once; no sockets, no files.  Who has a loop of its own takes a :class:`Port`, which hands the
+answers out there.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from math import inf, nan
+from math import inf
 from pathlib import Path
 from threading import Lock
 from typing import NamedTuple
@@ -42,7 +43,7 @@ from cosim.spec.vehicle import Vehicle
 WAITING_EACH = 64  # requests of one sender that may wait; a mission is one.  Chosen by us: a quarter second of steps
 SENDERS = 32  # that may have something waiting at once
 KEPT_MESSAGES = 100
-_NOTHING: Diagnostics = (nan, nan, nan)
+PATIENCE = 2.0  # s for an answer at a port: ground stations ask again after 1 to 3 s
 
 # what is sent again and again: only the last one counts
 _STREAMS = (Sticks, OffboardAttitude, OffboardVelocity, OffboardPosition)
@@ -78,7 +79,7 @@ class Facts(NamedTuple):
 class Snapshot(NamedTuple):
     """The flight after one step."""
 
-    published: float  # time.monotonic() [s]
+    published: float  # s, of the exchange's clock
     facts: Facts
     k: int  # steps done; the state is that of k dt
     time: float  # k dt [s]
@@ -92,18 +93,27 @@ class Snapshot(NamedTuple):
     diagnostics: tuple[Diagnostics, Diagnostics, Diagnostics]  # of the predictors of roll, pitch and yaw
 
 
-class _Waiting(NamedTuple):
+class Waiting(NamedTuple):
+    """One request on its way to the flight."""
+
+    sender: str
     request: Asked
-    done: Done | None
-    until: float
+    done: Done | None  # gets the answer
+    until: float  # s, of the exchange's clock
+
+    def answer(self, answer: Answer) -> None:
+        """Tell who has asked, if it is to be told."""
+        if self.done is not None:
+            self.done(answer)
 
 
 class Exchange:
-    """One session's meeting place."""
+    """One session's meeting place; ``clock`` [s] is that of the times here."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.clock = clock
         self._lock = Lock()
-        self._queues: dict[str, deque[_Waiting]] = {}
+        self._queues: dict[str, deque[Waiting]] = {}
         self._snapshot: Snapshot | None = None
         self._messages: tuple[Message, ...] = ()
         self._said = 0
@@ -129,7 +139,7 @@ class Exchange:
 
         def leave() -> None:
             with self._lock:
-                self._wakers = tuple(each for each in self._wakers if each is not wake)
+                self._wakers = tuple(waker for waker in self._wakers if waker is not wake)
 
         return leave
 
@@ -139,10 +149,11 @@ class Exchange:
         """Ask something of the vehicle; it is handled before the next step.
 
         ``done`` gets the answer once, in the flight's thread, or at once in this one if there is no room; it must
-        return quickly.  ``sender`` goes to the log.  A request that is not taken ``until`` then [s, time.monotonic] is
-        not done any more: who asked has been told so.
+        return quickly.  ``sender`` goes to the log.  A request that is not taken ``until`` then is not done any more:
+        who asked has been told so.
         """
-        dropped: _Waiting | None = None
+        waiting = Waiting(sender, request, done, until)
+        dropped: Waiting | None = None
         with self._lock:
             queue = self._queues.get(sender)
             full = queue is None and len(self._queues) >= SENDERS
@@ -153,13 +164,13 @@ class Exchange:
                     dropped = queue.pop()
                 full = len(queue) >= WAITING_EACH
                 if not full:
-                    queue.append(_Waiting(request, done, until))
+                    queue.append(waiting)
             if full:
                 self.turned_away += 1
-        if dropped is not None and dropped.done is not None:
-            dropped.done(Answer(True, Result.ACCEPTED, "followed by a newer one"))
-        if full and done is not None:
-            done(Answer(False, Result.TEMPORARILY_REJECTED, "too many requests"))
+        if dropped is not None:
+            dropped.answer(Answer(True, Result.ACCEPTED, "followed by a newer one"))
+        if full:
+            waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "too many requests"))
 
     # --- for the flight ------------------------------------------------------------------------------------------
 
@@ -169,27 +180,24 @@ class Exchange:
         with self._lock:
             return sum(len(queue) for queue in self._queues.values())
 
-    def take(self, most: int) -> list[tuple[str, Asked, Done | None]]:
+    def take(self, most: int) -> list[Waiting]:
         """The next requests, at most so many, one sender after the other."""
         if not self._queues:
             return []
-        taken: list[tuple[str, Asked, Done | None]] = []
-        late: list[Done] = []
-        now = time.monotonic()
+        taken: list[Waiting] = []
+        late: list[Waiting] = []
+        now = self.clock()
         with self._lock:
             while self._queues and len(taken) < most:
                 # the first sender gives one and goes to the end of the row
                 sender = next(iter(self._queues))
                 queue = self._queues.pop(sender)
-                request, done, until = queue.popleft()
-                if now <= until:
-                    taken.append((sender, request, done))
-                elif done is not None:
-                    late.append(done)
+                waiting = queue.popleft()
+                (taken if now <= waiting.until else late).append(waiting)
                 if queue:
                     self._queues[sender] = queue
-        for done in late:
-            done(Answer(False, Result.FAILED, "too late"))
+        for waiting in late:
+            waiting.answer(Answer(False, Result.FAILED, "too late"))
         return taken
 
     def say(self, severity: Severity, text: str, k: int = 0) -> None:
@@ -198,24 +206,66 @@ class Exchange:
             self._said += 1
             self._messages = (*self._messages[1 - KEPT_MESSAGES :], Message(self._said, k, severity, text))
 
-    def publish(
-        self,
-        facts: Facts,
-        k: int,
-        sample: Sample | None,
-        state: State,
-        measured: Measured,
-        status: Status,
-        pace: PaceReport,
-        ending: Ending | None = None,
-        mission: tuple[MissionItem, ...] = (),
-        diagnostics: tuple[Diagnostics, Diagnostics, Diagnostics] = (_NOTHING, _NOTHING, _NOTHING),
-    ) -> None:
+    def publish(self, snapshot: Snapshot) -> None:
         """Put a snapshot in place of the one before, and wake who waits for news."""
-        now = k * facts.scenario.step_s
-        self._snapshot = Snapshot(
-            time.monotonic(), facts, k, now, sample, state, measured, status, pace, ending, mission, diagnostics
-        )
+        self._snapshot = snapshot
         for wake in self._wakers:
             with suppress(OSError):  # a socket that is being closed
                 wake()
+
+
+class Port:
+    """The exchange as seen from a loop of its own, in which every method is called.
+
+    ``wake`` is called in the flight's thread when there is something to collect; it must return at once.
+    """
+
+    def __init__(self, exchange: Exchange, name: str) -> None:
+        self.name = name  # of the sender, where it does not say who asks
+        self.wake: Callable[[], None] = lambda: None
+        self.snapshot: Snapshot | None = None  # the last one of a flight that has begun
+        self._exchange = exchange
+        self._lines: tuple[Message, ...] = ()
+        self._told = 0
+        self._open: dict[int, tuple[Done, float]] = {}  # who waits for an answer, and how long
+        self._asked = 0
+        self._answered: deque[tuple[int, Answer]] = deque()
+        self.leave = exchange.subscribe(self._news)
+
+    def ask(self, request: Asked, reply: Done | None, now: float, sender: str = "") -> None:
+        """Ask something of the vehicle; ``reply`` gets exactly one answer, from :meth:`collect`."""
+        sender = sender or self.name
+        if reply is None:
+            self._exchange.ask(request, None, sender)
+            return
+        self._asked += 1
+        number, until = self._asked, now + PATIENCE
+        self._open[number] = reply, until
+        self._exchange.ask(request, lambda answer: self._answer(number, answer), sender, until)
+
+    def collect(self, now: float) -> None:
+        """Hand out the answers that have come, and say to who has waited too long that there is none."""
+        while self._answered:
+            number, answer = self._answered.popleft()
+            if number in self._open:
+                self._open.pop(number)[0](answer)
+        for number in [number for number, (_, until) in self._open.items() if now >= until]:
+            self._open.pop(number)[0](Answer(False, Result.FAILED, "the flight does not answer"))
+
+    def messages(self) -> list[Message]:
+        """What has been said since the last call."""
+        new = [message for message in self._lines if message.number > self._told]
+        self._told = new[-1].number if new else self._told
+        return new
+
+    def _news(self) -> None:
+        """In the flight's thread."""
+        snapshot = self._exchange.snapshot
+        if snapshot is not None and snapshot.sample is not None:
+            self.snapshot, self._lines = snapshot, self._exchange.messages
+            self.wake()
+
+    def _answer(self, number: int, answer: Answer) -> None:
+        """In the flight's thread, or at once in this one."""
+        self._answered.append((number, answer))
+        self.wake()

@@ -10,16 +10,14 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.modes import Severity
-from cosim.control.autopilot.requests import MissionItem, Request
-from cosim.control.autopilot.status import Status
 from cosim.groundstation.exchange import (
     Exchange,
     Facts,
+    Port,
     Restart,
     Shutdown,
 )
-from cosim.groundstation.mavlink.exchange import PATIENCE, Reply, Ticket
-from cosim.groundstation.mavlink.exchange import Exchange as MavlinkExchange
+from cosim.groundstation.mavlink.about import About, Personality
 from cosim.groundstation.mavlink.services.ftp import Bytes, File, FileService
 from cosim.groundstation.mavlink.services.logs import (
     LOG_FOLDER,
@@ -30,12 +28,6 @@ from cosim.groundstation.mavlink.services.logs import (
 from cosim.groundstation.mavlink.services.metadata import Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.params import ParameterService
-from cosim.groundstation.mavlink.snapshot import (
-    About,
-    Personality,
-    Predicting,
-    Snapshot,
-)
 from cosim.groundstation.mavlink.vehicle import Vehicle
 from cosim.groundstation.mavlink.wire import endpoint
 from cosim.groundstation.mavlink.wire.link import Link
@@ -71,7 +63,7 @@ class Links:
         self.endpoints = [endpoint.parse(url, public) for url in urls or endpoint.default(system)]
         self._personality = personality
         signing = None if sign_key is None else Signing(read_key(sign_key))
-        self._port = _Port(self.exchange)
+        self._port = Port(self.exchange, "mavlink")
         self.link = Link(self.endpoints, system, signing=signing)
         self.link.tell = lambda text: self.exchange.say(Severity.WARNING, text)
         self._page = None
@@ -93,8 +85,8 @@ class Links:
     def urls(self) -> list[str]:
         """Where the links are, with the ports that were taken."""
         return [
-            each._replace(port=port or each.port).url
-            for each, port in zip(self.endpoints, self.link.ports, strict=True)
+            asked._replace(port=port or asked.port).url
+            for asked, port in zip(self.endpoints, self.link.ports, strict=True)
         ]
 
     @property
@@ -168,7 +160,13 @@ class Links:
         shelf = self._shelf = Shelf(self._runs)
 
         files = Files({path: Bytes(data) for path, data in metadata.files.items()}, shelf)
-        missions = MissionService(self._port.mission, self._port.status, vehicle.ask, facts.geodesy)
+        exchange = self.exchange
+        missions = MissionService(
+            lambda: exchange.snapshot.mission if exchange.snapshot else (),
+            lambda: exchange.snapshot.status if exchange.snapshot else None,
+            vehicle.ask,
+            facts.geodesy,
+        )
         vehicle.services += [self._parameters, missions, FileService(lambda: files), LogService(shelf)]
         vehicle.on_request |= metadata.on_request
         self.link.start(vehicle)
@@ -202,60 +200,6 @@ class Files(Mapping[str, File]):
 
     def __len__(self) -> int:
         return len(self._ready) + len(self._shelf.files())
-
-
-class _Port(MavlinkExchange):
-    """The links' end of the meeting place."""
-
-    def __init__(self, hub: Exchange) -> None:
-        super().__init__()
-        self._hub = hub
-        self._told = 0
-        self.leave = hub.subscribe(self._news)
-
-    def _news(self) -> None:
-        """In the flight's thread: a new snapshot is there."""
-        snapshot = self._hub.snapshot
-        if snapshot is None or snapshot.sample is None:
-            return
-        new = [message for message in self._hub.messages if message.number > self._told]
-        self._told = new[-1].number if new else self._told
-        seen = snapshot.diagnostics
-        step = snapshot.facts.scenario.step_s
-        predicting = Predicting(
-            (seen[0][0], seen[1][0], seen[2][0]),
-            (seen[0][1], seen[1][1], seen[2][1]),
-            (seen[0][2] * step, seen[1][2] * step, seen[2][2] * step),
-        )
-        status, pace = snapshot.status, snapshot.pace
-        if snapshot.ending is not None and snapshot.ending.outcome != "completed":
-            status = status._replace(failsafe=snapshot.ending.reason)
-        load = float("nan") if pace.load is None else pace.load
-        # what is told is the instant after the step, beside what acted until then
-        sample = snapshot.sample._replace(
-            k=snapshot.k, time=snapshot.time, state=snapshot.state, measured=snapshot.measured
-        )
-        self.publish(Snapshot(sample, status, predicting, load, pace.missed), new)
-        if not new:
-            self.wake()
-
-    def ask(self, request: Request | Restart | Shutdown, reply: Reply | None, now: float, who: str = "") -> None:
-        """Put a request to the flight; ``reply`` gets exactly one answer, in the link's thread."""
-        if reply is None:
-            self._hub.ask(request, None, who or "mavlink")
-            return
-        ticket = Ticket(request, reply, now + PATIENCE, who=who)  # type: ignore[arg-type]
-        self._waiting.append(ticket)
-        self._hub.ask(request, lambda answer: self.answer(ticket, answer), who or "mavlink", ticket.until)
-
-    def mission(self) -> tuple[MissionItem, ...]:
-        """What the pilot would fly."""
-        snapshot = self._hub.snapshot
-        return snapshot.mission if snapshot is not None else ()
-
-    def status(self) -> Status | None:
-        snapshot = self._hub.snapshot
-        return snapshot.status if snapshot is not None else None
 
 
 def about_of(facts: Facts, personality: Personality, system: int = 1) -> About:

@@ -35,6 +35,7 @@ from cosim.control.autopilot.parameters import Parameters, table
 from cosim.control.autopilot.requests import (
     Answer,
     MissionClear,
+    MissionItem,
     MissionUpload,
     Request,
     Result,
@@ -49,6 +50,7 @@ from cosim.groundstation.exchange import (
     Facts,
     Restart,
     Shutdown,
+    Snapshot,
 )
 from cosim.groundstation.parameter_store import ParameterStore
 from cosim.results.autopilot_record import PilotRecord
@@ -61,7 +63,7 @@ from cosim.results.run import (
 )
 from cosim.simulation.build import build
 from cosim.simulation.ending import Ending
-from cosim.simulation.pacing import Pace
+from cosim.simulation.pacing import Pace, PaceReport
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.controller_name import folder_name
@@ -185,9 +187,8 @@ class Session:
         recording = flight.begin()
         assert flight.noting is not None
         while flight.facts.number > 1 and (late := exchange.take(1)):  # meant for the flight before
-            for _, _, done in late:
-                if done is not None:
-                    done(Answer(False, Result.TEMPORARILY_REJECTED, "a new flight begins"))
+            for waiting in late:
+                waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "a new flight begins"))
         self._keeper.restore(flight.put)
         self._begun(flight.facts)
         exchange.say(Severity.INFO, f"flight {flight.facts.number}: {flight.facts.vehicle.name}")
@@ -221,12 +222,11 @@ class Session:
             if not taken:
                 break
             until = until or time.perf_counter() + _REQUEST_TIME
-            for sender, request, done in taken:
-                answer = self._answer(flight, sender, request, k)
-                if isinstance(request, (MissionUpload, MissionClear)):
+            for waiting in taken:
+                answer = self._answer(flight, waiting.sender, waiting.request, k)
+                if isinstance(waiting.request, (MissionUpload, MissionClear)):
                     flight.publish(self.exchange, None, None)  # who has the answer may read the mission back
-                if done is not None:
-                    done(answer)
+                waiting.answer(answer)
             if time.perf_counter() > until:
                 break
         if self._restart:
@@ -263,13 +263,12 @@ class Session:
             left = max(0.0, self.duration - flight.simulation.k * flight.simulation.dt)
             patience = time.monotonic() + (left / self.factor if self.factor else 0.0)
         while not (self._restart or self._stopping) and (patience is None or time.monotonic() < patience):
-            for sender, request, done in exchange.take(_MOST_A_STEP):
+            for waiting in exchange.take(_MOST_A_STEP):
                 answer = Answer(False, Result.FAILED, f"the flight is over: {ending.reason}")
-                if isinstance(request, (Restart, Shutdown)):
-                    self._leave(request, sender)
+                if isinstance(waiting.request, (Restart, Shutdown)):
+                    self._leave(waiting.request, waiting.sender)
                     answer = Answer(True, Result.ACCEPTED, "")
-                if done is not None:
-                    done(answer)
+                waiting.answer(answer)
             flight.publish(exchange, None, ending)
             time.sleep(_OVER_EVERY)
 
@@ -346,17 +345,11 @@ class _Flight:
             status = status._replace(
                 armed=False, ready=False, refusals=refusals, engines=EngineState.OFF, landed=landed
             )
+        mission = tuple(self.pilot.mission.items)
         exchange.publish(
-            self.facts,
-            simulation.k,
-            self.sample,
-            simulation.state,
-            simulation.measured,
-            status,
-            self.pace.report,
-            ending,
-            tuple(self.pilot.mission.items),
-            simulation.controller.diagnostics,
+            snapshot_of(
+                simulation, self.facts, self.sample, status, self.pace.report, exchange.clock(), ending, mission
+            )
         )
 
     def finish(self, ending: Ending, wall: float, report: bool) -> Run:
@@ -493,24 +486,32 @@ class _Onlooker:
             return
         self._last = now
         exchange, simulation, pilot = self._exchange, self._simulation, self._pilot
-        for _, _, done in exchange.take(_MOST_A_STEP):
-            if done is not None:
-                done(Answer(False, Result.DENIED, "this flight follows its script"))
+        for waiting in exchange.take(_MOST_A_STEP):
+            waiting.answer(Answer(False, Result.DENIED, "this flight follows its script"))
         if pilot is not None:
             self._said = pass_on(pilot, exchange, self._said)
         status = scripted_status(simulation, sample) if pilot is None else pilot.status
+        mission = tuple(pilot.mission.items) if pilot else ()
         exchange.publish(
-            self._facts,
-            simulation.k,
-            sample,
-            simulation.state,
-            simulation.measured,
-            status,
-            self._pace.report,
-            None,
-            tuple(pilot.mission.items) if pilot else (),
-            simulation.controller.diagnostics,
+            snapshot_of(simulation, self._facts, sample, status, self._pace.report, exchange.clock(), None, mission)
         )
+
+
+def snapshot_of(
+    simulation: Simulation,
+    facts: Facts,
+    sample: Sample | None,
+    status: Status,
+    pace: PaceReport,
+    published: float,
+    ending: Ending | None = None,
+    mission: tuple[MissionItem, ...] = (),
+) -> Snapshot:
+    """The flight as it is now, after ``sample``."""
+    k, state, measured = simulation.k, simulation.state, simulation.measured
+    time = k * facts.scenario.step_s
+    seen = simulation.controller.diagnostics
+    return Snapshot(published, facts, k, time, sample, state, measured, status, pace, ending, mission, seen)
 
 
 def pass_on(pilot: Autopilot, exchange: Exchange, said: int) -> int:
@@ -620,16 +621,16 @@ def stopped_by_signals(session: Session) -> Iterator[None]:
 
     def stop(number: int, frame: object) -> None:
         session.stop(f"stopped by {signal.Signals(number).name}")
-        for each, handler in kept.items():
-            signal.signal(each, handler)
+        for caught, handler in kept.items():
+            signal.signal(caught, handler)
 
     for number in (signal.SIGINT, signal.SIGTERM):
         kept[number] = signal.signal(number, stop)
     try:
         yield
     finally:
-        for each, handler in kept.items():
-            signal.signal(each, handler)
+        for caught, handler in kept.items():
+            signal.signal(caught, handler)
 
 
 def _parameters(simulation: Simulation) -> Parameters:

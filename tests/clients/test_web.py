@@ -305,17 +305,18 @@ def test_a_port_that_is_taken(flown: Flown) -> None:
 
 def test_the_state_that_is_told(flown: Flown) -> None:
     snapshot = flown.now
-    sample, facts = snapshot.sample, snapshot.facts
+    sample, facts, seen = snapshot.sample, snapshot.facts, snapshot.status.seen
     assert sample is not None
+    assert seen is not None
     thrust = tuple(7.0 + jet for jet in range(6))
     sample = sample._replace(engines=sample.engines._replace(thrust=thrust))
     snapshot = snapshot._replace(sample=sample)
     told = json.loads(server._dump(feed.state(snapshot)))
     assert told["t"] == pytest.approx(snapshot.k * 0.004, abs=5e-4)
     assert told["mode"] == snapshot.status.mode.value
-    assert told["height"] == round(snapshot.measured.altitude, 4)
-    assert told["velocity"][2] == round(snapshot.measured.velocity[2], 4)
-    assert told["attitude_deg"] == [round(math.degrees(a), 4) for a in to_euler(snapshot.measured.attitude)]
+    assert told["height"] == round(seen.altitude, 4)
+    assert told["velocity"][2] == round(seen.velocity[2], 4)
+    assert told["attitude_deg"] == [round(math.degrees(a), 4) for a in to_euler(seen.attitude)]
     assert len(told["jets"]) == 6
     for jet, spec in enumerate(facts.stations):
         said = told["jets"][jet]

@@ -7,11 +7,10 @@ import threading
 import time
 from typing import Any
 
-from mavlink_tools import ABOUT, PREDICTING, Pilot, Udp, sample
+from mavlink_tools import ABOUT, MOST, Pilot, Udp, sample, snapshot
 from patience import PATIENCE, stretched
 
-from cosim.groundstation.mavlink.exchange import Exchange
-from cosim.groundstation.mavlink.snapshot import Snapshot
+from cosim.groundstation.exchange import Exchange, Port
 from cosim.groundstation.mavlink.vehicle import Vehicle
 from cosim.groundstation.mavlink.wire.endpoint import parse
 from cosim.groundstation.mavlink.wire.link import Link
@@ -25,7 +24,7 @@ class Flight:
     def __init__(self, *urls: str, signing: Signing | None = None, log: Log | None = None) -> None:
         self.link = Link([parse(url) for url in urls], signing=signing, log=log)
         self.exchange = Exchange()
-        self.vehicle = Vehicle(ABOUT, self.exchange, self.link)
+        self.vehicle = Vehicle(ABOUT, Port(self.exchange, "mavlink"), self.link)
         self.pilot = Pilot()
         self.worst = 0.0  # s that handing over took
         self.late = self.steps = 0
@@ -38,9 +37,9 @@ class Flight:
         start, k = time.monotonic(), 0
         while not self._stop.is_set():
             began = time.perf_counter()
-            for ticket in self.exchange.take():
-                self.exchange.answer(ticket, self.pilot.handle(ticket.request))
-            self.exchange.publish(Snapshot(sample(k), self.pilot.status, PREDICTING, 0.25))
+            for waiting in self.exchange.take(MOST):
+                waiting.answer(self.pilot.handle(waiting.request))
+            self.exchange.publish(snapshot(sample(k), self.pilot.status))
             self.worst = max(self.worst, time.perf_counter() - began)
             k += 1
             self.steps = k

@@ -25,6 +25,7 @@ from cosim.base.signals import (
 )
 from cosim.control.autopilot.estimation.position import Fix
 from cosim.control.autopilot.modes import Home, LandedState, Mode
+from cosim.control.autopilot.parameters import Parameters
 from cosim.control.autopilot.requests import (
     Answer,
     Arm,
@@ -35,13 +36,16 @@ from cosim.control.autopilot.requests import (
     Takeoff,
 )
 from cosim.control.autopilot.status import Status
-from cosim.groundstation.mavlink.exchange import Exchange
-from cosim.groundstation.mavlink.snapshot import About, Predicting, Snapshot
+from cosim.groundstation.exchange import Exchange, Facts, Port, Snapshot
+from cosim.groundstation.mavlink.about import About
 from cosim.groundstation.mavlink.vehicle import Vehicle
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Peer
 from cosim.groundstation.mavlink.wire.signing import Signing
+from cosim.simulation.pacing import PaceReport
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
 
 GEODESY = Geodesy(22.35, 113.59, 12.0)
 ABOUT = About(
@@ -49,6 +53,7 @@ ABOUT = About(
     position_noise=0.4, velocity_noise=0.05, height_noise=0.1,
 )  # fmt: skip
 HALF = 0.5**0.5
+MOST = 1000  # requests at once
 
 
 def sample(k: int = 250, **changes: Any) -> Sample:
@@ -89,7 +94,17 @@ def status(**changes: Any) -> Status:
     return made._replace(**changes)
 
 
-PREDICTING = Predicting((0.7, 0.8, 0.9), (0.5, 0.6, 0.65), (0.1, 0.1, nan))
+# of roll, pitch and yaw: rates of the model without delay and with it, rad/s, and the delay in steps of 4 ms
+PREDICTING = ((0.7, 0.5, 25.0), (0.8, 0.6, 25.0), (0.9, 0.65, nan))
+FACTS = Facts(1, Scenario.load("hover"), load_vehicle("hexjet")[0], (), GEODESY, Parameters([]), None, 1.0)
+
+
+def snapshot(sample: Sample, status: Status, diagnostics: Any = PREDICTING, load: float = 0.25) -> Snapshot:
+    """The flight where a sample says that it is."""
+    pace = PaceReport(load=load)
+    return Snapshot(
+        0.0, FACTS, sample.k, sample.time, sample, sample.state, sample.measured, status, pace, None, (), diagnostics
+    )
 
 
 class Pilot:
@@ -120,15 +135,15 @@ class Bench:
     def __init__(self, about: About = ABOUT, signing: Signing | None = None, **more: Any) -> None:
         self.time = 100.0
         self.link = Link([], signing=signing, clock=lambda: self.time)
-        self.exchange = Exchange()
-        self.vehicle = Vehicle(about, self.exchange, self.link, **more)
+        self.exchange = Exchange(lambda: self.time)
+        self.vehicle = Vehicle(about, Port(self.exchange, "mavlink"), self.link, **more)
         self.link.station = self.vehicle
         self.pilot = Pilot()
         self.k = 250
         self.publish()
 
     def publish(self, **changes: Any) -> None:
-        self.exchange.publish(Snapshot(sample(self.k, **changes), self.pilot.status, PREDICTING, 0.25))
+        self.exchange.publish(snapshot(sample(self.k, **changes), self.pilot.status))
 
     def station(self, system: int = 255, component: int = 190) -> Desk:
         return Desk(self, system, component)
@@ -137,9 +152,9 @@ class Bench:
         """Time goes on: the pilot answers, the vehicle polls."""
         end = self.time + seconds
         while True:
-            while tickets := self.exchange.take():
-                for ticket in tickets:
-                    self.exchange.answer(ticket, self.pilot.handle(ticket.request))
+            while taken := self.exchange.take(MOST):
+                for waiting in taken:
+                    waiting.answer(self.pilot.handle(waiting.request))
                 self.publish()
                 self.vehicle.poll(self.time)
             self.publish()

@@ -192,22 +192,22 @@ def _flight(pilot: PilotSettings) -> Iterator[Parameter]:
 def _predictor(tuning: PredictorTuning, controller: str, delay: float | None) -> Iterator[Parameter]:
     group = "Predictor"
     specs = sorted(PREDICTORS.values(), key=lambda spec: spec.value)
-    values = tuple(Meaning(each.value, each.name) for each in specs if delay is not None or not each.needs_model)
+    values = tuple(Meaning(spec.value, spec.name) for spec in specs if delay is not None or not spec.needs_model)
     if controller not in PREDICTORS:  # from outside
         values += (Meaning(number_of(controller), controller),)
     first, last = values[0].value, values[-1].value
     flown = PREDICTORS[controller].value if controller in PREDICTORS else last
-    text = "; ".join(f"{each.value} {each.title}" for each in specs)
+    text = "; ".join(f"{spec.value} {spec.title}" for spec in specs)
     yield Parameter("HJ_PRED_TYPE", "int", flown, first, last, "", group, text, values)
     text = "delay that the roll predictor takes the engines to have"
     most = min(1000.0, max(4.0 * delay, 100.0)) if delay is not None else 0.0
     yield Parameter("HJ_PRED_DELAY", "float", delay or 0.0, 0.0, most, "samples", group, text, decimals=2)
     for spec in specs:
-        for each in spec.parameters:
-            if each.mavlink:
+        for own in spec.parameters:
+            if own.mavlink:
                 yield Parameter(
-                    each.mavlink, "float", spec.own(tuning)[each.name], each.least, each.most, each.unit, group,
-                    f"{spec.name}: {each.text}", decimals=each.decimals,
+                    own.mavlink, "float", spec.own(tuning)[own.name], own.least, own.most, own.unit, group,
+                    f"{spec.name}: {own.text}", decimals=own.decimals,
                 )  # fmt: skip
 
 

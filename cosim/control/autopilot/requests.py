@@ -476,17 +476,17 @@ def _make(kind: type[Any], values: Mapping[str, Any], where: str) -> Any:
 
 
 def _plain(record: Any) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for field in fields(record):
         value = getattr(record, field.name)
         if value != field.default or type(value) is not type(field.default):
-            found[field.name] = _plain_value(value)
-    return found
+            values[field.name] = _plain_value(value)
+    return values
 
 
 def _plain_value(value: Any) -> Any:
     if isinstance(value, tuple):
-        return [_plain_value(each) for each in value]
+        return [_plain_value(item) for item in value]
     if isinstance(value, Enum):
         return value.value
     return _plain(value) if isinstance(value, _Checked) else value
@@ -515,7 +515,7 @@ def _check(value: Any, hint: Any, where: str) -> Any:
         if len(kinds) != len(value):
             raise InputError(f"{where}: {len(value)} values, {len(kinds)} are needed")
         pairs = enumerate(zip(value, kinds, strict=True))
-        return tuple(_check(each, kind, f"{where}[{i}]") for i, (each, kind) in pairs)
+        return tuple(_check(item, kind, f"{where}[{i}]") for i, (item, kind) in pairs)
     if isinstance(hint, type) and issubclass(hint, Enum):
         return _member(value, hint, where)
     if isinstance(hint, type) and issubclass(hint, _Checked):

@@ -72,7 +72,8 @@ class Live:
     def _predict(self, values: Mapping[str, float]) -> None:
         tuning = self._control.predictor
         for spec in PREDICTORS.values():
-            tuning = spec.tuned(tuning, {each.name: values[each.mavlink] for each in spec.parameters if each.mavlink})
+            live = {own.name: values[own.mavlink] for own in spec.parameters if own.mavlink}
+            tuning = spec.tuned(tuning, live)
         name = next(spec.name for spec in PREDICTORS.values() if spec.value == values["HJ_PRED_TYPE"])
         made = self._blocks.predictors(name, values["HJ_PRED_DELAY"], tuning)
         self._blocks.rate.retune(rate_gains(self._control, values), made)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from cosim.control.autopilot.modes import BY_STICK, LandedState, Mode
-from cosim.groundstation.mavlink.snapshot import Personality
+from cosim.groundstation.mavlink.about import Personality
 
 AUTOPILOT: dict[Personality, int] = {"px4": 12, "ardupilot": 3, "generic": 0}  # MAV_AUTOPILOT
 HEXAROTOR = 13  # MAV_TYPE

@@ -73,9 +73,9 @@ class Streams:
         room = peer.telemetry_rate - fixed
         need = (self.demand(peer) - fixed) / room if room > 0.0 else _MOST
         steps = ceil(log(max(need, 1.0), _STEP) - 1e-9)
-        wanted = min(_MOST, _STEP**steps)
-        if wanted > peer.stretch or wanted * _STEP < peer.stretch or (steps == 0 and peer.stretch > 1.0):
-            peer.stretch = wanted
+        stretch = min(_MOST, _STEP**steps)
+        if stretch > peer.stretch or stretch * _STEP < peer.stretch or (steps == 0 and peer.stretch > 1.0):
+            peer.stretch = stretch
             for number in BY_ID:  # what has just been sent is not due again because it comes more seldom
                 if every := interval(peer, number):
                     self._next.setdefault((number, every), self._slot(now, number, every))
@@ -96,7 +96,7 @@ class Streams:
             self._fit(peer, now)
         earliest = inf
         following = self._next
-        wanted: dict[tuple[int, float], float] = {}
+        coming: dict[tuple[int, float], float] = {}
         for number, stream in BY_ID.items():
             default = DEFAULT[number]
             takers: dict[float, list[Peer]] = {default: []} if default else {}
@@ -104,17 +104,17 @@ class Streams:
                 every = interval(peer, number)
                 if every:
                     takers.setdefault(every, []).append(peer)
-            found: list[Peer] = []
+            takers_now: list[Peer] = []
             any_due = False
             for every, them in takers.items():
                 at = following.get((number, every), self._start)
                 if now >= at:
                     any_due = True
-                    found += them
+                    takers_now += them
                     at = self._slot(now, number, every)
-                wanted[number, every] = at
+                coming[number, every] = at
                 earliest = min(earliest, at)
             if any_due:
-                yield stream, found
-        self._next = wanted
+                yield stream, takers_now
+        self._next = coming
         self._at = earliest

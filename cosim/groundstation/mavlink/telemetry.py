@@ -17,8 +17,11 @@ from cosim.base.frames import (
     rotate,
     to_euler,
 )
+from cosim.base.signals import Vector3
 from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.status import Status
+from cosim.groundstation.exchange import Snapshot
+from cosim.groundstation.mavlink.about import About
 from cosim.groundstation.mavlink.modes import (
     AUTOPILOT,
     HEXAROTOR,
@@ -28,7 +31,6 @@ from cosim.groundstation.mavlink.modes import (
     base_mode,
     custom_mode,
 )
-from cosim.groundstation.mavlink.snapshot import About, Snapshot
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 
 U8, U16, I16, U32, I32 = 0xFF, 0xFFFF, 0x7FFF, 0xFFFFFFFF, 0x7FFFFFFF
@@ -63,7 +65,7 @@ class Since:
     flights: int = 0
     clock: Callable[[], float] = field(default=time.time)
 
-    def look(self, before: Snapshot | None, now: Snapshot) -> None:
+    def look(self, before: View | None, now: View) -> None:
         """Note what has changed."""
         was, status = before.status if before else None, now.status
         if status.armed and not (was and was.armed):
@@ -72,7 +74,7 @@ class Since:
         if status.landed is LandedState.IN_AIR and not self.took_off:
             self.took_off = self._now()
         if was and status.landed is LandedState.ON_GROUND and was.landed is not LandedState.ON_GROUND:
-            self.landed_ms = boot_ms(now)
+            self.landed_ms = now.ms
 
     def _now(self) -> int:
         return int(self.clock() * 1e6)
@@ -82,17 +84,35 @@ class View:
     """A snapshot with what several messages need of it, computed once."""
 
     def __init__(self, about: About, snapshot: Snapshot, since: Since) -> None:
+        assert snapshot.sample is not None
         self.about = about
         self.snapshot = snapshot
         self.since = since
-        self.sample = snapshot.sample
-        self.status = snapshot.status
-        self.measured = snapshot.sample.measured  # what the sensors say
+        self.time = snapshot.time
+        self.measured = snapshot.measured  # what the sensors say
+        # what is told is the instant after the step, beside what acted until then
+        self.sample = snapshot.sample._replace(
+            k=snapshot.k, time=snapshot.time, state=snapshot.state, measured=snapshot.measured
+        )
+        self.status, ending = snapshot.status, snapshot.ending
+        if ending is not None and ending.outcome != "completed":
+            self.status = self.status._replace(failsafe=ending.reason)
         self.seen = self.status.seen or self.measured  # what the vehicle is thought to do
         self.euler = to_euler(self.seen.attitude)
         self.place = about.geodesy.to_geodetic(*self.status.fix.position, self.altitude)[:2]
-        self.ms = boot_ms(snapshot)
+        self.ms = round(snapshot.time * 1e3) & U32  # in the 32 bits that there are for it
         self.us = round(snapshot.time * 1e6)
+
+    @property
+    def predicting(self) -> tuple[Vector3, Vector3, Vector3]:
+        """Of roll, pitch and yaw: the model's rate without delay and with it [rad/s], and the delay [s]; NaN: none."""
+        roll, pitch, yaw = self.snapshot.diagnostics
+        step = self.snapshot.facts.scenario.step_s
+        return (
+            (roll[0], pitch[0], yaw[0]),
+            (roll[1], pitch[1], yaw[1]),
+            (roll[2] * step, pitch[2] * step, yaw[2] * step),
+        )
 
     @property
     def altitude(self) -> float:
@@ -107,11 +127,6 @@ class View:
     @property
     def sea_level(self) -> float:
         return self.about.geodesy.ground + self.altitude
-
-
-def boot_ms(snapshot: Snapshot) -> int:
-    """Simulation time in the 32 bits that there are for it."""
-    return round(snapshot.time * 1e3) & U32
 
 
 def clamp(value: float, least: int, most: int) -> int:
@@ -147,11 +162,11 @@ def sys_status(v: View) -> list[Message]:
     lost = any(health == 0.0 for health in v.sample.health[: v.about.jets])
     bad = (_PREARM if not (status.ready or status.armed) else 0) | (_PROPULSION if lost else 0) | _unhealthy(v)
     health = present & ~bad
-    load = v.snapshot.load
+    load = v.snapshot.pace.load
     return [
         mav.MAVLink_sys_status_message(
             present, enabled, health,
-            0 if isnan(load) else clamp(load * 1000.0, 0, 1000),
+            0 if load is None else clamp(load * 1000.0, 0, 1000),
             U16, -1, _percent(v) if battery else -1, 0, 0, 0, 0, 0, 0,
         )
     ]  # fmt: skip
@@ -533,20 +548,20 @@ def _four(values: Sequence[float], first: int, missing: float) -> list[float]:
 def efi_status(v: View) -> list[Message]:
     """Each engine's control unit; NaN where the engine does not say, 0 for voltage and pressure as they define it."""
     sample, engines = v.sample, v.sample.engines
-    found = []
+    messages = []
     for i in range(v.about.jets):
         full = v.about.full_thrust[i] if i < len(v.about.full_thrust) else nan
         flow = engines.fuel_flow[i] / KEROSENE * 1e6 * 60.0  # cm^3/min
         throttle = 100.0 * sample.actuation.throttle[i]
         load = 100.0 * engines.thrust[i] / full
         exhaust = engines.exhaust_temperature[i] - KELVIN
-        found.append(
+        messages.append(
             mav.MAVLink_efi_status_message(
                 int(sample.health[i] > 0.0), float(i), engines.spool_speed[i] * _RPM, nan, flow, load, throttle,
                 nan, nan, nan, nan, nan, nan, nan, exhaust, throttle, nan, 0.0, 0.0,
             )
         )  # fmt: skip
-    return found
+    return messages
 
 
 def raw_rpm(v: View) -> list[Message]:
@@ -560,11 +575,9 @@ def predictor_array(v: View) -> list[Message]:
     Measured rate, predicted rate, model without delay, model with delay (rad/s), delay (s), set-point of the rate
     (rad/s), command.
     """
-    sample, inside = v.sample, v.snapshot.predicting
-    if inside is None:
-        return []
+    sample, (model, delayed, delay) = v.sample, v.predicting
     rows = (
-        sample.measured.rate, sample.control.rate_predicted, inside.model, inside.delayed, inside.delay,
+        sample.measured.rate, sample.control.rate_predicted, model, delayed, delay,
         sample.control.rate_setpoint, sample.control.torque,
     )  # fmt: skip
     values = [value for row in rows for value in row]
@@ -573,16 +586,14 @@ def predictor_array(v: View) -> list[Message]:
 
 def named_values(v: View) -> list[Message]:
     """The roll axis of the predictor for those who plot single numbers."""
-    sample, inside = v.sample, v.snapshot.predicting
-    if inside is None:
-        return []
+    sample, (model, _, delay) = v.sample, v.predicting
     measured, predicted = sample.measured.rate[0], sample.control.rate_predicted[0]
     values = {
         b"rate_p": measured,
         b"pred_p": predicted,
         b"pred_err": predicted - measured,
-        b"model_p": inside.model[0],
-        b"delay_ms": inside.delay[0] * 1e3,
+        b"model_p": model[0],
+        b"delay_ms": delay[0] * 1e3,
     }
     return [
         mav.MAVLink_named_value_float_message(v.ms, name, value) for name, value in values.items() if isfinite(value)
@@ -591,8 +602,6 @@ def named_values(v: View) -> list[Message]:
 
 def debug_vect(v: View) -> list[Message]:
     """Predicted rates about the three axes, rad/s."""
-    if v.snapshot.predicting is None:
-        return []
     return [mav.MAVLink_debug_vect_message(b"rate_pred", v.us, *v.sample.control.rate_predicted)]
 
 

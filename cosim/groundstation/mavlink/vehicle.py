@@ -22,7 +22,8 @@ from cosim.control.autopilot.requests import (
     Result,
     SetMode,
 )
-from cosim.groundstation.mavlink.exchange import Exchange
+from cosim.groundstation.exchange import Port, Snapshot
+from cosim.groundstation.mavlink.about import About
 from cosim.groundstation.mavlink.modes import from_custom
 from cosim.groundstation.mavlink.services import commands, setpoints
 from cosim.groundstation.mavlink.services.commands import (
@@ -33,7 +34,6 @@ from cosim.groundstation.mavlink.services.commands import (
     Plan,
 )
 from cosim.groundstation.mavlink.services.service import Client
-from cosim.groundstation.mavlink.snapshot import About, Snapshot
 from cosim.groundstation.mavlink.streams import Streams
 from cosim.groundstation.mavlink.telemetry import (
     Since,
@@ -114,14 +114,14 @@ class Vehicle:
     def __init__(
         self,
         about: About,
-        exchange: Exchange,
+        port: Port,
         link: Link,
         services: Sequence[Service] = (),
         on_request: Mapping[int, Callable[[int], Message]] | None = None,
         endings: tuple[Any, ...] = (),
     ) -> None:
         self.about = about
-        self.exchange = exchange
+        self.port = port
         self.link = link
         self.services = list(services)
         self.on_request = dict(on_request or {})
@@ -141,13 +141,13 @@ class Vehicle:
         self._complained = -_COMPLAIN
         self._once: tuple[tuple[Any, ...], float, Ack] | None = None
         self._pending: set[tuple[Any, ...]] = set()
-        exchange.wake = link.ring
+        port.wake = link.ring
 
     # --- what the services may use -------------------------------------------------------------------------------
 
     def ask(self, request: Request, reply: Callable[[Answer], None] | None = None, who: str = "") -> None:
         """Put a request to the pilot; ``reply`` gets exactly one answer, in the link's thread."""
-        self.exchange.ask(request, reply, self._now, who)
+        self.port.ask(request, reply, self._now, who)
 
     def send(self, peer: Peer | None, messages: Sequence[Message]) -> None:
         """To one station, or (None) to all; never dropped for telemetry's sake."""
@@ -194,11 +194,11 @@ class Vehicle:
     def poll(self, now: float) -> float:
         """Do what is due; returns when there is something to do again."""
         self._now = now
-        self.exchange.collect(now)
-        snapshot = self.exchange.snapshot
+        self.port.collect(now)
+        snapshot = self.port.snapshot
         if snapshot is not None and snapshot is not self._seen:
-            self._changed(self._seen, snapshot)
-        for message in self.exchange.messages():
+            self._changed(snapshot)
+        for message in self.port.messages():
             self.say(int(message.severity), message.text)
         self._poll_services(now)
         self._watch_link(now)
@@ -247,13 +247,14 @@ class Vehicle:
             self.link.failures[f"{message.msgname}: {error}"[:200]] += 1
             return None
 
-    def _changed(self, before: Snapshot | None, now: Snapshot) -> None:
-        self._seen = now
-        self._since.look(before, now)
-        self._view = view = View(self.about, now, self._since)
+    def _changed(self, snapshot: Snapshot) -> None:
+        before = self._view
+        self._seen = snapshot
+        self._view = view = View(self.about, snapshot, self._since)
+        self._since.look(before, view)
         if before is None:
             return
-        was, status = before.status, now.status
+        was, status = before.status, view.status
         if (was.mode, was.armed, bool(was.failsafe)) != (status.mode, status.armed, bool(status.failsafe)):
             self.send(None, heartbeat(view))
         if was.mode is not status.mode:
@@ -311,7 +312,7 @@ class Vehicle:
             if done == key and self._now - when < _REPEAT:
                 self._acknowledge(order, sender, result)
                 return
-        context = Context(self.about, view.snapshot, view, sender.peer, self._requested, self.endings)
+        context = Context(self.about, view, sender.peer, self._requested, self.endings)
         plan = commands.plan(order, context)
         if plan.requests:
             self._pending.add(key)
@@ -386,7 +387,7 @@ class Vehicle:
     def _timesync(self, message: Message, sender: Sender) -> None:
         """Answer with simulation time, which all the time stamps are in."""
         if message.tc1 == 0 and self._view is not None:
-            now = round(self._view.snapshot.time * 1e9)
+            now = round(self._view.time * 1e9)
             self.send(sender.peer, (mav.MAVLink_timesync_message(now, message.ts1),))
 
     def _origin(self, message: Message, sender: Sender) -> None:

@@ -108,8 +108,13 @@ def point(sample: Sample) -> Point:
 def lines(messages: Iterable[Message], step: float) -> list[dict[str, Any]]:
     """Messages for the people on the ground."""
     return [
-        {"number": each.number, "t": round(each.k * step, 3), "severity": each.severity.name, "text": each.text}
-        for each in messages
+        {
+            "number": message.number,
+            "t": round(message.k * step, 3),
+            "severity": message.severity.name,
+            "text": message.text,
+        }
+        for message in messages
     ]
 
 

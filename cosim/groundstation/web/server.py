@@ -196,10 +196,10 @@ class WebServer:
             if request.headers.get("Upgrade", "").lower() != "websocket":
                 return _response(HTTPStatus.UPGRADE_REQUIRED, b"A WebSocket.\n")
             return None
-        found = self._files.get(path)
-        if found is None:
+        file = self._files.get(path)
+        if file is None:
             return _response(HTTPStatus.NOT_FOUND, b"Not found.\n")
-        kind, body, policy = found
+        kind, body, policy = file
         return _response(HTTPStatus.OK, body, kind, policy)
 
     # --- one page ------------------------------------------------------------------------------------------------
@@ -325,7 +325,7 @@ class WebServer:
         if page.flight != snapshot.facts.number:
             page.flight = snapshot.facts.number
             _send(connection, feed.flight(snapshot.facts))
-        messages = [each for each in self._exchange.messages if each.number > page.told]
+        messages = [message for message in self._exchange.messages if message.number > page.told]
         if messages:
             page.told = messages[-1].number
             lines = feed.lines(messages, snapshot.facts.scenario.step_s)
@@ -375,14 +375,14 @@ def _parsed(text: str | bytes) -> dict[str, Any]:
         raise InputError(f"message: {word} is no number here")
 
     try:
-        found = json.loads(text, parse_constant=refuse)
+        value = json.loads(text, parse_constant=refuse)
     except (ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError("message: is not JSON") from None
-    if not isinstance(found, dict):
+    if not isinstance(value, dict):
         raise InputError("message: must be a table")
-    return found
+    return value
 
 
 def _send(connection: ServerConnection, told: dict[str, Any]) -> None:
@@ -402,24 +402,24 @@ def _read(token: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
         f"connect-src 'self' {sockets}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
-    found = {
+    served = {
         path: (_TYPES[path.rpartition(".")[2]], body, policy)
         for path, body in _walk(files("cosim.groundstation.web") / "static", "/")
         if path.rpartition(".")[2] in _TYPES
     }
-    kind, body, _ = found.pop("/index.html")
+    kind, body, _ = served.pop("/index.html")
     page = body.decode().replace(_TOKEN, escape(token)).encode()
-    return found | {"/": (kind, page, policy)}
+    return served | {"/": (kind, page, policy)}
 
 
 def _walk(folder: Traversable, above: str) -> list[tuple[str, bytes]]:
-    found = []
-    for each in folder.iterdir():
-        if each.is_dir():
-            found += _walk(each, f"{above}{each.name}/")
+    files = []
+    for entry in folder.iterdir():
+        if entry.is_dir():
+            files += _walk(entry, f"{above}{entry.name}/")
         else:
-            found.append((above + each.name, each.read_bytes()))
-    return found
+            files.append((above + entry.name, entry.read_bytes()))
+    return files
 
 
 def _response(status: HTTPStatus, body: bytes, kind: str = "text/plain; charset=utf-8", policy: str = "") -> Response:

@@ -21,15 +21,15 @@ from terminal import Terminal
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Mode
 from cosim.control.autopilot.parameters import Parameters
+from cosim.groundstation.exchange import Exchange, Port
 from cosim.groundstation.links import about_of
-from cosim.groundstation.mavlink.exchange import Exchange
-from cosim.groundstation.mavlink.snapshot import Predicting, Snapshot
 from cosim.groundstation.mavlink.vehicle import LINK_LOST, Vehicle
 from cosim.groundstation.mavlink.wire.channel import RETRY, STALL
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.endpoint import parse
 from cosim.groundstation.mavlink.wire.link import Link
-from cosim.groundstation.session import facts_of
+from cosim.groundstation.session import facts_of, pass_on, snapshot_of
+from cosim.simulation.pacing import PaceReport
 
 LOOK_STEPS = 5  # of flight between two turns of the link's loop
 BEAT_S, ASK_S = 1.0, 0.5  # between a station's heartbeats, and between its commands
@@ -79,10 +79,9 @@ class Airborne:
         self.flight = Flight(height=10.0)
         simulation = self.flight.simulation
         self.link = Link([parse(url) for url in urls], clock=lambda: self.now)
-        self.exchange = Exchange()
-        self.vehicle = Vehicle(
-            about_of(facts_of(simulation, 1, Parameters([]), None, 1.0), "px4"), self.exchange, self.link
-        )
+        self.exchange = Exchange(lambda: self.now)
+        self.facts = facts_of(simulation, 1, Parameters([]), None, 1.0)
+        self.vehicle = Vehicle(about_of(self.facts, "px4"), Port(self.exchange, "mavlink"), self.link)
         self.link.station = self.vehicle
         self.askers: list[Asker] = []
         self.told = 0
@@ -96,17 +95,14 @@ class Airborne:
         simulation, pilot, exchange = self.flight.simulation, self.flight.pilot, self.exchange
         end = self.now + seconds
         while self.now < end:
-            for ticket in exchange.take():
-                exchange.answer(ticket, pilot.handle(ticket.request, simulation.k))
+            for waiting in exchange.take(100):
+                waiting.answer(pilot.handle(waiting.request, simulation.k))
             sample = simulation.step()
             assert simulation.judge.look(simulation.state, 0.0) is None
             if simulation.k % LOOK_STEPS:
                 continue
-            new = [message for message in pilot.messages if message.number > self.told]
-            self.told = new[-1].number if new else self.told
-            seen = simulation.controller.diagnostics
-            columns = tuple((seen[0][i], seen[1][i], seen[2][i]) for i in range(3))
-            exchange.publish(Snapshot(sample, pilot.status, Predicting(*columns), 0.1), new)
+            self.told = pass_on(pilot, exchange, self.told)
+            exchange.publish(snapshot_of(simulation, self.facts, sample, pilot.status, PaceReport(), self.now))
             for asker in self.askers:
                 asker.turn(self.now)
             # as the link's own thread does

@@ -133,9 +133,13 @@ def test_senders_take_turns() -> None:
         exchange.ask(rq.SetSpeed(float(i)), sender="loud")
     exchange.ask(rq.Land(), sender="quiet")
     exchange.ask(rq.Hold(), sender="third")
-    order = [(sender, type(request).__name__) for sender, request, _ in exchange.take(4)]
+    order = [(each.sender, type(each.request).__name__) for each in exchange.take(4)]
     assert order == [("loud", "SetSpeed"), ("quiet", "Land"), ("third", "Hold"), ("loud", "SetSpeed")]
-    assert [request for _, request, _ in exchange.take(100)] == [rq.SetSpeed(2.0), rq.SetSpeed(3.0), rq.SetSpeed(4.0)]
+    assert [request for _, request, _, _ in exchange.take(100)] == [
+        rq.SetSpeed(2.0),
+        rq.SetSpeed(3.0),
+        rq.SetSpeed(4.0),
+    ]
     assert exchange.take(1) == []
 
 
@@ -148,7 +152,7 @@ def test_a_full_queue_answers_at_once_and_leaves_room_for_others() -> None:
     exchange.ask(rq.Land(), answers.append, "quiet")
     assert len(answers) == 3
     assert exchange.turned_away == 3
-    assert [type(request) for _, request, _ in exchange.take(2)] == [rq.Hold, rq.Land]
+    assert [type(request) for _, request, _, _ in exchange.take(2)] == [rq.Hold, rq.Land]
 
 
 def test_there_may_not_be_any_number_of_senders() -> None:
@@ -167,7 +171,7 @@ def test_only_the_last_of_a_stream_counts() -> None:
     exchange.ask(rq.Land(), sender="pad")
     exchange.ask(rq.Sticks(-1.0, 0.0, 0.0, 0.5), sender="pad")
     assert len(answers) == 999
-    taken = [request for _, request, _ in exchange.take(10)]
+    taken = [request for _, request, _, _ in exchange.take(10)]
     assert taken == [rq.Sticks(0.999, 0.0, 0.0, 0.5), rq.Land(), rq.Sticks(-1.0, 0.0, 0.0, 0.5)]
 
 
@@ -177,7 +181,7 @@ def test_a_request_whose_time_is_over_is_not_done() -> None:
     now = time.monotonic()
     exchange.ask(rq.Arm(), answers.append, "slow", now - 0.001)
     exchange.ask(rq.Land(), answers.append, "slow", now + 60.0)
-    assert [request for _, request, _ in exchange.take(5)] == [rq.Land()]
+    assert [request for _, request, _, _ in exchange.take(5)] == [rq.Land()]
     assert [answer.result for answer in answers] == [Result.FAILED]
     assert exchange.waiting == 0
 
@@ -200,7 +204,7 @@ def test_every_request_is_answered_once_whoever_asks_when() -> None:
         thread.start()
     last = [-1.0] * 4
     while any(thread.is_alive() for thread in threads) or exchange.waiting:
-        for sender, request, done in exchange.take(3):
+        for sender, request, done, _ in exchange.take(3):
             assert isinstance(request, rq.SetSpeed)
             assert request.m_s > last[int(sender)]  # in order
             last[int(sender)] = request.m_s

@@ -12,16 +12,17 @@ from typing import Any
 import numpy as np
 import pytest
 from mavlink_bench import mav
+from mavlink_tools import snapshot
 from patience import stretched
 
 from cosim.base.geodesy import Geodesy
 from cosim.control.autopilot.requests import ItemKind
-from cosim.groundstation.mavlink.exchange import Exchange
+from cosim.groundstation.exchange import Exchange, Port
+from cosim.groundstation.mavlink.about import About
 from cosim.groundstation.mavlink.services.ftp import Bytes, FileService
 from cosim.groundstation.mavlink.services.metadata import GENERAL, Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.params import ParameterService
-from cosim.groundstation.mavlink.snapshot import About, Snapshot
 from cosim.groundstation.mavlink.vehicle import Vehicle
 from cosim.groundstation.mavlink.wire.endpoint import parse
 from cosim.groundstation.mavlink.wire.link import Link
@@ -58,7 +59,9 @@ class Flight:
             ),
             FileService(lambda: files),
         ]
-        self.vehicle = Vehicle(About(PLACE, jets=6), exchange, self.link, services, self.metadata.on_request)
+        self.vehicle = Vehicle(
+            About(PLACE, jets=6), Port(exchange, "mavlink"), self.link, services, self.metadata.on_request
+        )
         self.link.start(self.vehicle)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.connect(("127.0.0.1", self.link.ports[0]))
@@ -81,9 +84,9 @@ class Flight:
         """Step until a message of these kinds comes."""
         end = time.monotonic() + stretched(seconds)
         while time.monotonic() < end:
-            for ticket in self.exchange.take():
-                self.exchange.answer(ticket, self.pilot.handle(ticket.request, self.simulation.k))
-            self.exchange.publish(Snapshot(self.simulation.step(), self.pilot.status))
+            for waiting in self.exchange.take(100):
+                waiting.answer(self.pilot.handle(waiting.request, self.simulation.k))
+            self.exchange.publish(snapshot(self.simulation.step(), self.pilot.status))
             try:
                 data = self.socket.recv(2048)
             except TimeoutError:

@@ -7,13 +7,13 @@ import random
 import struct
 import subprocess
 import sys
+from math import nan
 from pathlib import Path
 from typing import Any
 
 import pytest
-from mavlink_tools import ABOUT, sample, status
+from mavlink_tools import ABOUT, sample, snapshot, status
 
-from cosim.groundstation.mavlink.snapshot import Predicting, Snapshot
 from cosim.groundstation.mavlink.telemetry import STREAMS, Since, View
 from cosim.groundstation.mavlink.wire.dialect import (
     BY_NAME,
@@ -113,8 +113,9 @@ def test_every_stream_is_a_message_and_survives_what_cannot_be() -> None:
     measured = wild.measured._replace(position=far, velocity=far)
     state = wild.state._replace(position=far, velocity=far, specific_force=far)
     engines = wild.engines._replace(spool_speed=(float("inf"),) * 6, fuel_flow=(float("nan"),) * 6)
-    snapshot = Snapshot(wild._replace(measured=measured, state=state, engines=engines), status(), Predicting(), 7.0)
-    view = View(ABOUT, snapshot, Since())
+    nothing = ((nan,) * 3,) * 3
+    wild = wild._replace(measured=measured, state=state, engines=engines)
+    view = View(ABOUT, snapshot(wild, status(), nothing, 7.0), Since())
     for stream in STREAMS:
         for message in stream.build(view):
             assert message.msgname == stream.name

@@ -9,18 +9,17 @@ from itertools import pairwise
 from math import isnan, nan, pi
 
 import pytest
-from mavlink_tools import ABOUT, GEODESY, Bench, Desk, command, sample, status
+from mavlink_tools import ABOUT, GEODESY, Bench, Desk, command, sample, snapshot, status
 
 from cosim.control.autopilot.modes import (
     Home,
     LandedState,
-    Message,
     Mode,
     Severity,
 )
 from cosim.control.autopilot.requests import LinkBack, LinkLost
+from cosim.groundstation.mavlink.about import PERSONALITIES
 from cosim.groundstation.mavlink.modes import base_mode, custom_mode, from_custom
-from cosim.groundstation.mavlink.snapshot import PERSONALITIES, Snapshot
 from cosim.groundstation.mavlink.streams import BY_ID, DEFAULT
 from cosim.groundstation.mavlink.telemetry import (
     STREAMS,
@@ -134,7 +133,7 @@ def test_engines_are_told_in_two_messages_of_four(desk: Desk) -> None:
 
 def test_a_lost_engine_is_seen(desk: Desk) -> None:
     health = (1.0, 1.0, 0.0, 1.0, 1.0, 0.4)
-    view = View(ABOUT, Snapshot(sample(health=health), status()), Since())
+    view = View(ABOUT, snapshot(sample(health=health), status()), Since())
     built = {stream.name: stream.build(view) for stream in STREAMS}
     assert [message.info for message in built["ESC_INFO"]] == [0b1011, 0b11]
     assert [message.health for message in built["EFI_STATUS"]] == [1, 1, 0, 1, 1, 1]
@@ -146,12 +145,15 @@ def test_a_lost_engine_is_seen(desk: Desk) -> None:
 
 def test_what_engines_do_not_say_is_not_made_up() -> None:
     silent = sample().engines._replace(spool_speed=(nan,) * 6, exhaust_temperature=(nan,) * 6, fuel_flow=(nan,) * 6)
-    view = View(ABOUT, Snapshot(sample(engines=silent), status()), Since())
+    view = View(ABOUT, snapshot(sample(engines=silent), status(), ((nan,) * 3,) * 3), Since())  # no predictor flies
     built = {stream.name: stream.build(view) for stream in STREAMS}
     assert built["ESC_STATUS"] == built["RAW_RPM"] == []  # speeds that are not known
     assert [message.info for message in built["ESC_INFO"]] == [0b1111, 0b11]  # but which engines live, is
     assert all(isnan(m.rpm) and isnan(m.fuel_flow) and isnan(m.exhaust_gas_temperature) for m in built["EFI_STATUS"])
-    assert built["NAMED_VALUE_FLOAT"] == built["DEBUG_FLOAT_ARRAY"] == []  # no predictor flies
+    assert [m.name for m in built["NAMED_VALUE_FLOAT"]] == ["rate_p", "pred_p", "pred_err"]
+    (array,) = built["DEBUG_FLOAT_ARRAY"]
+    assert all(map(isnan, array.data[6:15]))
+    assert not any(map(isnan, array.data[:6]))
 
 
 def test_energy_by_tank_or_by_battery(desk: Desk) -> None:
@@ -169,7 +171,7 @@ def test_energy_by_tank_or_by_battery(desk: Desk) -> None:
     full = 2.0 / 0.808 * 1e3
     assert fuel == pytest.approx([full, 0.25 * full, 0.75 * full, 75, 0.006 / 0.808 * 1e3, 1])
     assert fields(desk, "BATTERY_STATUS", "battery_remaining") == [-1]
-    electric = View(replace(ABOUT, fuel_capacity=nan), Snapshot(sample(), status(remaining=0.4)), Since())
+    electric = View(replace(ABOUT, fuel_capacity=nan), snapshot(sample(), status(remaining=0.4)), Since())
     built = {stream.name: stream.build(electric) for stream in STREAMS}
     assert built["FUEL_STATUS"] == []
     assert built["BATTERY_STATUS"][0].battery_remaining == 40
@@ -343,7 +345,8 @@ def test_changes_are_told_at_once(bench: Bench, desk: Desk) -> None:
 def test_messages_of_the_pilot_go_to_everybody(bench: Bench, desk: Desk) -> None:
     other = bench.station(245, 191)
     text = "arming refused: " + "x" * 90
-    bench.exchange.publish(Snapshot(sample(), status()), [Message(1, 5, Severity.ERROR, text)])
+    bench.exchange.say(Severity.ERROR, text, 5)
+    bench.exchange.publish(snapshot(sample(), status()))
     bench.vehicle.poll(bench.time)
     for station in (desk, other):
         pieces = station.named("STATUSTEXT")

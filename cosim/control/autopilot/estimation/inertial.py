@@ -174,7 +174,7 @@ class InertialEstimator:
         if self._late:
             half = 0.5 * ka
             turn = (1.0, half * e[0], half * e[1], half * e[2])
-            self._past = deque(normalize(multiply(each, turn)) for each in self._past)
+            self._past = deque(normalize(multiply(attitude, turn)) for attitude in self._past)
         else:
             self._past[0] = self._q
         rest = 1.0 - ka

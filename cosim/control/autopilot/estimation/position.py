@@ -187,11 +187,11 @@ def _settling(
     )
     R = np.diag(noise)
     P = np.diag([noise[0], noise[1], 0.0])
-    found, deviations = [], [(sqrt(noise[0]), sqrt(noise[1]))]
+    gains_by_epoch, deviations = [], [(sqrt(noise[0]), sqrt(noise[1]))]
     for _ in range(_EPOCHS):
         P = F @ P @ F.T + Q
         K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
         P = (np.eye(3) - K @ H) @ P
-        found.append([[float(x) for x in row] for row in K])
+        gains_by_epoch.append([[float(x) for x in row] for row in K])
         deviations.append((float(sqrt(P[0, 0])), float(sqrt(P[1, 1]))))
-    return found, deviations
+    return gains_by_epoch, deviations

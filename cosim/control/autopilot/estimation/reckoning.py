@@ -132,7 +132,7 @@ class Reckoning:
         )
         total = column[which].real + noise
         kp, kv, ku = column[0] / total, column[1] / total, column[2] / total
-        cp, cv, cu = (each.conjugate() for each in column)
+        cp, cv, cu = (element.conjugate() for element in column)
         self._pp -= (kp * cp).real
         self._vv -= (kv * cv).real
         self._uu -= (ku * cu).real

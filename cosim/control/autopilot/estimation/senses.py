@@ -49,16 +49,16 @@ class Senses:
     def failed(self) -> tuple[str, ...]:
         """What is wrong, in words, the GNSS receiver aside."""
         inertial, vertical = self.inertial, self.vertical
-        found = []
+        failures = []
         if not inertial.has_attitude:
-            found.append("attitude lost")
+            failures.append("attitude lost")
         if not inertial.has_rate:
-            found.append("gyro lost")
+            failures.append("gyro lost")
         elif inertial.biased:
-            found.append("gyro biased")
+            failures.append("gyro biased")
         if not vertical.has_height:
-            found.append("barometer lost")
-        return tuple(found)
+            failures.append("barometer lost")
+        return tuple(failures)
 
     @property
     def lift(self) -> float | None:

@@ -10,6 +10,7 @@ from math import sqrt
 from typing import NamedTuple
 
 from cosim.base.constants import GRAVITY
+from cosim.base.limits import clamp
 from cosim.control.autopilot.guidance.shaper import MEAN, SHARE
 
 # Chosen by us.
@@ -116,8 +117,7 @@ class Floor:
         least = min(max(thrust - self._idle, self._least), self._most)
         self.acting = least > asked
         if self.acting:
-            self._trim += 0.25 * k * k * (sink - v) * self._step
-            self._trim = min(max(self._trim, -_TRIM), _TRIM)
+            self._trim = clamp(self._trim + 0.25 * k * k * (sink - v) * self._step, _TRIM)
         else:
             self._trim = 0.0
         return self.slowed(max(asked, least))

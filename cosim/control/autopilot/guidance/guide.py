@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import inf, pi
 
+from cosim.base.limits import clamp
 from cosim.base.signals import Command, Measured
 from cosim.control.autopilot.estimation.position import Fix
 from cosim.control.autopilot.geometry import Pair, lean_for, wrap
@@ -97,14 +98,14 @@ class Guide:
         self._take_up_yaw()
         if yaw is not None:
             most = self._parameters["HJ_YAW_RATE"] * pi / 180.0 * self._step
-            self.yaw = wrap(self.yaw + min(max(wrap(yaw - self.yaw), -most), most))
+            self.yaw = wrap(self.yaw + clamp(wrap(yaw - self.yaw), most))
         return self.yaw
 
     def at_turn(self, rate: float) -> float:
         """The heading asked for, turning at ``rate``, never more than a radian ahead of the vehicle."""
         self._take_up_yaw()
         ahead = wrap(self.yaw + rate * self._step - self._yaw)
-        self.yaw = wrap(self._yaw + min(max(ahead, -1.0), 1.0))
+        self.yaw = wrap(self._yaw + clamp(ahead, 1.0))
         return self.yaw
 
     def command(self, lean: Pair, altitude: float, yaw: float) -> Command:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from cosim.base.constants import GRAVITY
+from cosim.base.limits import clamp
 from cosim.base.signals import AXES, Vector3
 from cosim.control.autopilot.geometry import Pair, limited, wrap
 from cosim.control.autopilot.guidance.tracker import Tracker
@@ -73,7 +74,7 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
     weight = vehicle.mass_kg * GRAVITY
     room = min(hover - limits.throttle_min, limits.throttle_max - hover)
     per_jet = weight / len(jets) / (hover + idle)  # N per throttle, of one jet
-    found = []
+    authority = []
     for axis, name in enumerate(AXES):
         servo = vehicle.servo
         if servo is not None and axis > 0:
@@ -82,12 +83,12 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
             else:
                 moment = weight * sum(abs(jet.position_m[1]) for jet in jets) / len(jets)
             extra = 1.0 + gain[axis] * servo.lag_s
-            found.append(SHARE * servo.range_rad * moment / inertia[axis] / extra)
+            authority.append(SHARE * servo.range_rad * moment / inertia[axis] / extra)
             continue
         lever = sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[axis]) for jet in jets)
         lead = getattr(control.lead, name, None)
-        found.append(SHARE * room * lever * per_jet / inertia[axis] / _extra(lead, gain[axis]))
-    return (found[0], found[1], found[2])
+        authority.append(SHARE * room * lever * per_jet / inertia[axis] / _extra(lead, gain[axis]))
+    return (authority[0], authority[1], authority[2])
 
 
 def _extra(lead: EngineLead | bool | None, gain: float) -> float:
@@ -126,26 +127,25 @@ class Shaper:
             self._lean.start(lean.position, lean.velocity)
             self._yaw.start(yaw.position, yaw.velocity)
 
-    def attitude(self, wanted: Vector3, now: Vector3) -> Vector3:
+    def attitude(self, asked: Vector3, now: Vector3) -> Vector3:
         """Roll, pitch and yaw (rad) for the attitude loop; ``now`` is the vehicle's own attitude."""
         if not self._used or self._rates:
             self._begin(now)
         self._rates = False
-        roll, pitch = self._lean.towards((wanted[0], wanted[1]), self._limits.rate).position
+        roll, pitch = self._lean.towards((asked[0], asked[1]), self._limits.rate).position
         # the heading is counted on beyond half a turn, the short way from where the point ahead is
         ahead = self._yaw.point[0]
-        yaw, _ = self._yaw.towards((ahead + wrap(wanted[2] - ahead), 0.0), self._limits.yaw_rate).position
+        yaw, _ = self._yaw.towards((ahead + wrap(asked[2] - ahead), 0.0), self._limits.yaw_rate).position
         return (roll, pitch, wrap(yaw))
 
-    def rate(self, wanted: Vector3, now: Vector3) -> Vector3:
+    def rate(self, asked: Vector3, now: Vector3) -> Vector3:
         """Body rates (rad/s) for the rate loop."""
         if not self._used:
             self._begin(now)
         self._rates = True
         limits = self._limits
-        p, q = self._lean.at_velocity(limited(wanted[0], wanted[1], limits.rate)).velocity
-        most = limits.yaw_rate
-        r, _ = self._yaw.at_velocity((min(max(wanted[2], -most), most), 0.0)).velocity
+        p, q = self._lean.at_velocity(limited(asked[0], asked[1], limits.rate)).velocity
+        r, _ = self._yaw.at_velocity((clamp(asked[2], limits.yaw_rate), 0.0)).velocity
         return (p, q, r)
 
     def _begin(self, now: Vector3) -> None:

@@ -33,6 +33,7 @@ from cosim.control.autopilot.requests import (
     SetSpeed,
     Takeoff,
 )
+from cosim.groundstation.mavlink.about import About
 from cosim.groundstation.mavlink.modes import (
     CUSTOM,
     FROM_STANDARD,
@@ -40,7 +41,6 @@ from cosim.groundstation.mavlink.modes import (
     from_custom,
     from_main_sub,
 )
-from cosim.groundstation.mavlink.snapshot import About, Snapshot
 from cosim.groundstation.mavlink.streams import BY_ID, FASTEST, interval
 from cosim.groundstation.mavlink.telemetry import View, gps_global_origin, mode_line
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, mav
@@ -106,7 +106,6 @@ class Context(NamedTuple):
     """What a command is seen in."""
 
     about: About
-    snapshot: Snapshot
     view: View
     peer: Peer
     requested: Callable[[int], Sequence[Message] | None]  # beside the telemetry; None: not there
@@ -156,34 +155,34 @@ def _whole(value: float | None) -> int:
 
 
 def _arm(order: Order, context: Context) -> Plan:
-    wanted, force = order.p[0], order.p[1] == FORCE
-    if wanted == 1.0:
+    arm, force = order.p[0], order.p[1] == FORCE
+    if arm == 1.0:
         return _do(Arm(force))
-    if wanted == 0.0:
+    if arm == 0.0:
         return _do(Disarm(force))
     return _refuse("arm: parameter 1 must be 0 or 1")
 
 
 def _take_off(order: Order, context: Context) -> Plan:
     """Parameter 7: above sea level, as PX4 and QGroundControl have it; above home for ArduPilot or a relative frame."""
-    wanted = order.p[6]
-    if wanted is None:
+    altitude = order.p[6]
+    if altitude is None:
         return _do(Takeoff())
     if order.frame in RELATIVE_FRAMES or context.about.personality == "ardupilot":
-        return _do(Takeoff(wanted))
+        return _do(Takeoff(altitude))
     if order.frame is not None and order.frame not in ABSOLUTE_FRAMES:
         return _refuse("", Ack.UNSUPPORTED_FRAME)
     view = context.view
-    if wanted < view.sea_level + 1.0:
+    if altitude < view.sea_level + 1.0:
         here = f"the vehicle is at {view.sea_level:.0f} m"
-        return _refuse(f"take-off refused: {wanted:.0f} m above sea level asked for, {here}")
-    return _do(Takeoff(wanted - view.sea_level + view.height))
+        return _refuse(f"take-off refused: {altitude:.0f} m above sea level asked for, {here}")
+    return _do(Takeoff(altitude - view.sea_level + view.height))
 
 
 def _land(order: Order, context: Context) -> Plan:
     if order.place is not None:
         north, east = _local(order.place, context)
-        here = context.snapshot.status.fix.position
+        here = context.view.status.fix.position
         if (north - here[0]) ** 2 + (east - here[1]) ** 2 > 4.0:
             return _refuse("land refused: it lands where it is; fly to the place first")
     return _do(Land())
@@ -268,11 +267,11 @@ def _yaw(order: Order, context: Context) -> Plan:
     angle = order.p[0]
     if angle is None:
         return _refuse("yaw: parameter 1 is missing")
-    wanted = radians(angle)
+    heading = radians(angle)
     if order.p[3] == 1.0:
         sense = -1.0 if order.p[2] is not None and order.p[2] < 0.0 else 1.0
-        wanted = context.view.euler[2] + sense * wanted
-    return _do(Goto(yaw=remainder(wanted, tau)))
+        heading = context.view.euler[2] + sense * heading
+    return _do(Goto(yaw=remainder(heading, tau)))
 
 
 def _change_speed(order: Order, context: Context) -> Plan:
@@ -473,7 +472,7 @@ def _set_interval(order: Order, context: Context) -> Plan:
 
 
 def _prearm(order: Order, context: Context) -> Plan:
-    status = context.snapshot.status
+    status = context.view.status
     if status.armed:
         return _refuse("pre-arm checks: already armed", Ack.TEMPORARILY_REJECTED)
     text = f"not ready: {'; '.join(status.refusals)}" if status.refusals else "ready to arm"
@@ -482,12 +481,12 @@ def _prearm(order: Order, context: Context) -> Plan:
 
 def _reboot(order: Order, context: Context) -> Plan:
     """Parameter 1: 1 a new flight, 2 the end."""
-    wanted = _whole(order.p[0])
-    if not 1 <= wanted <= len(context.endings):
+    ending = _whole(order.p[0])
+    if not 1 <= ending <= len(context.endings):
         return Plan(result=Ack.UNSUPPORTED)
-    if context.snapshot.status.armed:
+    if context.view.status.armed:
         return _refuse("reboot refused: armed")
-    return _do(context.endings[wanted - 1])
+    return _do(context.endings[ending - 1])
 
 
 _HANDLERS: dict[int, Callable[[Order, Context], Plan]] = {

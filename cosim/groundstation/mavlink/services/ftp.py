@@ -134,7 +134,7 @@ class FileService(Service):
 
     def forget(self, peer: Peer) -> None:
         """The peer is gone: its files are closed."""
-        for client in [each for each in self._clients if each.peer == peer]:
+        for client in [client for client in self._clients if client.peer == peer]:
             del self._clients[client]
 
     def _state(self, client: Client) -> _State:
@@ -249,12 +249,12 @@ def _count(state: _State) -> bytes | None:
 def _entries(files: Mapping[str, File], folder: str) -> list[bytes] | None:
     """What is in a folder, in FTP's words, sorted; None: there is no such folder."""
     start = f"{folder}/" if folder else ""
-    found = {}
+    entries = {}
     for path, file in files.items():
         if path.startswith(start):
             name, slash, _ = path[len(start) :].partition("/")
-            found[name] = f"D{name}\0" if slash else f"F{name}\t{file.size}\0"
-    return [found[name].encode() for name in sorted(found)] if found or not folder else None
+            entries[name] = f"D{name}\0" if slash else f"F{name}\t{file.size}\0"
+    return [entries[name].encode() for name in sorted(entries)] if entries or not folder else None
 
 
 def _path(data: bytes) -> str | None:

@@ -234,7 +234,7 @@ class LogService(Service):
     def forget(self, peer: Peer) -> None:
         """The peer is gone."""
         for store in (self._lists, self._reads):
-            for client in [each for each in store if each.peer == peer]:
+            for client in [client for client in store if client.peer == peer]:
                 store.pop(client)
 
     def _entry(self, number: int) -> Message | None:
@@ -293,8 +293,10 @@ def _on_disk(path: Path) -> File:
 def finished_runs(root: Path) -> list[Path]:
     """The folders of the finished runs in ``root``, in the order in which they began."""
     with suppress(OSError):
-        found = [each.parent for each in root.glob("*/summary.json") if (each.parent / "flight.parquet").exists()]
-        return sorted(found, key=lambda run: (_started(run), run.name))
+        runs = [
+            summary.parent for summary in root.glob("*/summary.json") if (summary.parent / "flight.parquet").exists()
+        ]
+        return sorted(runs, key=lambda run: (_started(run), run.name))
     return []
 
 

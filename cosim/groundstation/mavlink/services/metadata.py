@@ -57,7 +57,7 @@ class Metadata:
 def describe(line: Parameter) -> dict[str, Any]:
     """A parameter in the words of MAVLink's parameter.schema.json."""
     number = int if line.kind == "int" else float
-    found: dict[str, Any] = {
+    described: dict[str, Any] = {
         "name": line.name,
         "type": "Int32" if line.kind == "int" else "Float",
         "shortDesc": line.text[:1].upper() + line.text[1:],
@@ -68,14 +68,14 @@ def describe(line: Parameter) -> dict[str, Any]:
         "max": number(line.most),
     }
     if line.unit:
-        found["units"] = line.unit
+        described["units"] = line.unit
     if line.kind == "float":
-        found["decimalPlaces"] = line.decimals
+        described["decimalPlaces"] = line.decimals
     if line.values:
-        found["values"] = [{"value": each.value, "description": each.text} for each in line.values]
+        described["values"] = [{"value": meaning.value, "description": meaning.text} for meaning in line.values]
     if line.read_only:
-        found["readOnly"] = True
-    return found
+        described["readOnly"] = True
+    return described
 
 
 def _packed(content: Mapping[str, Any]) -> bytes:

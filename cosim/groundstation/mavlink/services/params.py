@@ -17,6 +17,7 @@ import numpy as np
 from cosim.base.errors import InputError
 from cosim.control.autopilot.parameters import Parameter, Parameters
 from cosim.control.autopilot.requests import Answer, SetParameter
+from cosim.groundstation.mavlink.about import Personality
 from cosim.groundstation.mavlink.services.service import (
     MAX_CLIENTS,
     Answers,
@@ -29,7 +30,6 @@ from cosim.groundstation.mavlink.services.service import (
     crc32,
     text_of,
 )
-from cosim.groundstation.mavlink.snapshot import Personality
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
@@ -146,7 +146,7 @@ class ParameterService(Service):
 
     def _done(self, answer: Answer, client: Client, name: str) -> Outgoing:
         if not answer.accepted:
-            return [(client.peer, each) for each in self._refuse(client, name, OUT_OF_RANGE)]
+            return [(client.peer, message) for message in self._refuse(client, name, OUT_OF_RANGE)]
         self._told[name] = self._parameters[name]
         return [(None, self._value(self._index[name]))]
 
@@ -183,8 +183,8 @@ class ParameterService(Service):
             return _Refused(UNSUPPORTED_TYPE)
         if self._personality == "ardupilot":  # its clients are free in what they claim
             return value
-        wanted = INT32 if line.kind == "int" and self._personality == "px4" else REAL32
-        if kind != wanted and not (wanted == INT32 and kind in _WHOLE):
+        expected = INT32 if line.kind == "int" and self._personality == "px4" else REAL32
+        if kind != expected and not (expected == INT32 and kind in _WHOLE):
             return _Refused(OTHER_TYPE)
         if kind == REAL32:
             return value

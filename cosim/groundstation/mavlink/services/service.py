@@ -99,12 +99,12 @@ class Answers:
 
     def take(self) -> Outgoing:
         """The messages of every answer that has come."""
-        found: Outgoing = []
+        messages: Outgoing = []
         while self._ready:
             then, answer = self._ready.popleft()
             self._open -= 1
-            found += then(answer)
-        return found
+            messages += then(answer)
+        return messages
 
 
 def status_text(text: str, severity: int) -> list[Message]:

@@ -76,8 +76,8 @@ def parse(url: str, public: bool = False) -> Endpoint:
 
 def _resolve(host: str, url: str) -> tuple[str, int]:
     try:
-        found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
+        infos = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:
         raise InputError(f"link {url!r}: the host {host!r} is not known") from error
-    family, *_, address = next((each for each in found if each[0] == socket.AF_INET), found[0])
+    family, *_, address = next((info for info in infos if info[0] == socket.AF_INET), infos[0])
     return str(address[0]), int(family)

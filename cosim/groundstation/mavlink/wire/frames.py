@@ -147,8 +147,8 @@ class Sender:
 
 def _next_magic(buffer: bytes, at: int) -> int:
     first, second = buffer.find(MAGIC_1, at), buffer.find(MAGIC_2, at)
-    found = [place for place in (first, second) if place >= 0]
-    return min(found, default=len(buffer))
+    starts = [place for place in (first, second) if place >= 0]
+    return min(starts, default=len(buffer))
 
 
 def _length(buffer: bytes, at: int) -> int | None:

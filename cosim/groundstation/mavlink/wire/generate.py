@@ -34,7 +34,7 @@ def generate(folder: Path) -> Path:
     said = io.StringIO()
     with tempfile.TemporaryDirectory(prefix="hexjet-messages-") as name:
         work = Path(name)
-        for source in (*(bundled / f"{each}.xml" for each in BUNDLED), SOURCE):
+        for source in (*(bundled / f"{name}.xml" for name in BUNDLED), SOURCE):
             _without_prose(source, work / source.name)
         made = work / TARGET
         options = mavgen.Opts(str(made), wire_protocol="2.0", language="Python3", validate=False)

@@ -95,8 +95,8 @@ class Datagrams:
         try:
             self._socket.setblocking(False)
             # for this moment only, so that no other program can take the port
-            for each in (server, self._socket):
-                each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            for opened in (server, self._socket):
+                opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind(server.getsockname())
             self._socket.connect(address)
         except OSError:

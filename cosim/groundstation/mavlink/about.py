@@ -1,0 +1,33 @@
+"""The vehicle as it was built, as the telemetry tells it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import nan
+from typing import Literal
+
+from cosim.base.geodesy import Geodesy
+from cosim.base.signals import PerJet
+
+Personality = Literal["px4", "ardupilot", "generic"]
+PERSONALITIES: tuple[Personality, ...] = ("px4", "ardupilot", "generic")
+
+
+@dataclass(frozen=True)
+class About:
+    """What does not change."""
+
+    geodesy: Geodesy
+    jets: int
+    name: str = "hexjet"
+    version: str = "0.1.0"
+    personality: Personality = "px4"
+    system: int = 1
+    component: int = 1
+    tilt_range: float = nan  # rad, either way; NaN: the outputs are told in rad
+    full_thrust: PerJet = ()  # N, each engine at full throttle; empty: not known
+    fuel_capacity: float = nan  # kg; NaN: no tank
+    position_noise: float = nan  # m, standard deviation of the GNSS; NaN: not known
+    velocity_noise: float = nan  # m/s
+    height_noise: float = nan  # m, of the barometer
+    failures: bool = True  # INJECT_FAILURE is answered
