@@ -10,21 +10,10 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.modes import Severity
-from cosim.groundstation.exchange import (
-    Exchange,
-    Facts,
-    Port,
-    Restart,
-    Shutdown,
-)
+from cosim.groundstation.exchange import Exchange, Facts, Port, Restart, Shutdown
 from cosim.groundstation.mavlink.about import About, Personality
 from cosim.groundstation.mavlink.services.ftp import Bytes, File, FileService
-from cosim.groundstation.mavlink.services.logs import (
-    LOG_FOLDER,
-    LogService,
-    Shelf,
-    finished_runs,
-)
+from cosim.groundstation.mavlink.services.logs import LOG_FOLDER, LogService, Shelf, finished_runs
 from cosim.groundstation.mavlink.services.metadata import Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.params import ParameterService

@@ -25,12 +25,7 @@ from cosim.base.protocols import EngineState, Observer
 from cosim.base.signals import Sample
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.estimation.position import Fix
-from cosim.control.autopilot.modes import (
-    Home,
-    LandedState,
-    Mode,
-    Severity,
-)
+from cosim.control.autopilot.modes import Home, LandedState, Mode, Severity
 from cosim.control.autopilot.parameters import Parameters, table
 from cosim.control.autopilot.requests import (
     Answer,
@@ -44,23 +39,11 @@ from cosim.control.autopilot.requests import (
 )
 from cosim.control.autopilot.status import Status
 from cosim.flight import record, reserve_folder, with_page
-from cosim.groundstation.exchange import (
-    Asked,
-    Exchange,
-    Facts,
-    Restart,
-    Shutdown,
-    Snapshot,
-)
+from cosim.groundstation.exchange import Asked, Exchange, Facts, Restart, Shutdown, Snapshot
 from cosim.groundstation.parameter_store import ParameterStore
 from cosim.results.autopilot_record import PilotRecord
 from cosim.results.request_log import REQUESTS, RequestLog
-from cosim.results.run import (
-    AUTOPILOT,
-    Recording,
-    Run,
-    claim_folder,
-)
+from cosim.results.run import AUTOPILOT, Recording, Run, claim_folder
 from cosim.simulation.build import build
 from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace, PaceReport

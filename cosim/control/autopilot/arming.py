@@ -5,12 +5,10 @@ from __future__ import annotations
 from math import degrees
 
 from cosim.base.protocols import EngineState, Report
-from cosim.control.autopilot.estimation.estimates import Estimates
 from cosim.control.autopilot.failsafes import Watch
-from cosim.control.autopilot.guidance.course import Places
+from cosim.control.autopilot.guidance.course import Course
 from cosim.control.autopilot.manoeuvres.remote import Remote
 from cosim.control.autopilot.modes import DIRECT, LandedState, Mode
-from cosim.control.autopilot.parameters import Parameters
 
 _MOVING = 0.2  # rad/s: a vehicle that turns like this is being carried; chosen by us
 
@@ -18,12 +16,8 @@ _MOVING = 0.2  # rad/s: a vehicle that turns like this is being carried; chosen 
 class Arming:
     """``since``: the step of arming, of the begin of a take-off, or of standing again; ``flew``: since arming."""
 
-    def __init__(
-        self, parameters: Parameters, estimates: Estimates, places: Places, remote: Remote, watch: Watch, step: float
-    ) -> None:
-        self._parameters = parameters
-        self._estimates = estimates
-        self._places = places
+    def __init__(self, course: Course, remote: Remote, watch: Watch, step: float) -> None:
+        self._parameters, self._estimates, self._places = course.parameters, course.estimates, course.places
         self._remote = remote
         self._watch = watch
         self._step = step

@@ -15,6 +15,7 @@ from cosim.base.protocols import EngineState, Report
 from cosim.base.signals import Command, Measured
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
+from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.arming import Arming
 from cosim.control.autopilot.estimation.estimates import Estimates
 from cosim.control.autopilot.failsafes import OUTSIDE, Watch
@@ -32,39 +33,7 @@ from cosim.control.autopilot.manoeuvres.remote import Remote, Setpoint
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import BY_STICK, DIRECT, Home, LandedState, Message, Mode, Severity
 from cosim.control.autopilot.parameters import HOLD, LAND, RETURN, Parameters, table
-from cosim.control.autopilot.requests import (
-    Answer,
-    Arm,
-    ClearFaults,
-    Disarm,
-    FenceUpload,
-    Goto,
-    Hold,
-    InjectFault,
-    ItemKind,
-    Kill,
-    Land,
-    LinkBack,
-    LinkLost,
-    MissionClear,
-    MissionSetCurrent,
-    MissionStart,
-    MissionUpload,
-    OffboardAttitude,
-    OffboardPosition,
-    OffboardVelocity,
-    Orbit,
-    RallyUpload,
-    Request,
-    Result,
-    ReturnHome,
-    SetHome,
-    SetMode,
-    SetParameter,
-    SetSpeed,
-    Sticks,
-    Takeoff,
-)
+from cosim.control.autopilot.requests import Answer, ItemKind, Request, Result
 from cosim.control.autopilot.status import Messages, Status
 from cosim.control.autopilot.tuning import Blocks, Live, PredictorMaker
 from cosim.control.rate import RateController
@@ -75,7 +44,7 @@ _APART = 2.5  # attitude gain over velocity gain, at least: nearer, the loop tha
 _KNOWN_S = 1.0  # a second of GNSS before its place may be called home
 _SETTLE_SINK = 1.0  # m/s: sinking faster than this is no contact
 
-Fault = Callable[[InjectFault], None]
+Fault = Callable[[rq.InjectFault], None]
 
 
 class Autopilot:
@@ -122,14 +91,14 @@ class Autopilot:
         guide = Guide(tracker, position, parameters, self._envelope.height_limits(), step)
         self._course = course = Course(parameters, estimates, places, guide)
         self._watch = watch = Watch(parameters, hover, step, self._failsafe)
-        self._remote = Remote(parameters, estimates, course, limits, hover, step)
-        self._arming = Arming(parameters, estimates, places, self._remote, watch, step)
-        self._take_off = TakeOff(parameters, estimates, places, course, hover, least, step)
+        self._remote = Remote(course, limits, hover, step)
+        self._arming = Arming(course, self._remote, watch, step)
+        self._take_off = TakeOff(course, hover, least, step)
         touchdown = Touchdown(hover, step, idle, settings.spool_s)
-        self._landing = Landing(estimates, places, course, touchdown, hover, least, step)
-        self._homeward = Homeward(parameters, estimates, places, course)
-        self._circle = Circle(parameters, estimates, places, course, watch)
-        self._mission = MissionFlight(parameters, estimates, places, course, self._circle, self._homeward, step)
+        self._landing = Landing(course, touchdown, hover, least, step)
+        self._homeward = Homeward(course)
+        self._circle = Circle(course, watch)
+        self._mission = MissionFlight(course, self._circle, self._homeward, step)
         self._inject, self._clear = inject, clear
         self._airborne = airborne
         # a flight that begins in the air knows the ground as 0: it stands on its legs there
@@ -523,7 +492,7 @@ class Autopilot:
             return _no(Result.DENIED, str(error))
         return answer
 
-    def _arm(self, request: Arm, k: int) -> Answer:
+    def _arm(self, request: rq.Arm, k: int) -> Answer:
         if self.armed:
             return _yes("already armed")
         flying = self._flying()
@@ -545,7 +514,7 @@ class Autopilot:
         self._say(Severity.INFO, "armed", k)
         return _yes()
 
-    def _disarm(self, request: Disarm, k: int) -> Answer:
+    def _disarm(self, request: rq.Disarm, k: int) -> Answer:
         if not self.armed:
             return _yes("already disarmed")
         if self._stands():
@@ -560,12 +529,12 @@ class Autopilot:
             return _yes("disarms when it stands")
         return _no(Result.DENIED, "disarming refused: it is in the air")
 
-    def _kill(self, request: Kill, k: int) -> Answer:
+    def _kill(self, request: rq.Kill, k: int) -> Answer:
         if not request.force and not self._stands():
             return _no(Result.DENIED, "kill refused: it is in the air, and force was not given")
         return self._shut_off(k)
 
-    def _set_mode(self, request: SetMode, k: int) -> Answer:
+    def _set_mode(self, request: rq.SetMode, k: int) -> Answer:
         try:
             mode = Mode(request.mode)
         except ValueError:
@@ -582,7 +551,7 @@ class Autopilot:
         self._enter(mode, k)
         return _yes()
 
-    def _begin_take_off(self, request: Takeoff, k: int) -> Answer:
+    def _begin_take_off(self, request: rq.Takeoff, k: int) -> Answer:
         if self._flying():
             return _no(Result.DENIED, "take-off refused: already flying")
         if blind := self._arming.blind(Mode.TAKEOFF):
@@ -597,13 +566,13 @@ class Autopilot:
     def _begins(self) -> Answer:
         return _yes("" if self.armed else "begins when armed")
 
-    def _land(self, request: Land, k: int) -> Answer:
+    def _land(self, request: rq.Land, k: int) -> Answer:
         if not self._flying():
             return _no(Result.TEMPORARILY_REJECTED, "landing refused: it is on the ground")
         self._enter(Mode.LAND, k)
         return _yes()
 
-    def _return(self, request: ReturnHome, k: int) -> Answer:
+    def _return(self, request: rq.ReturnHome, k: int) -> Answer:
         if not self._flying():
             return _no(Result.TEMPORARILY_REJECTED, "return refused: it is on the ground")
         if self.home is None:
@@ -611,7 +580,7 @@ class Autopilot:
         self._enter(Mode.RTL, k)
         return _yes()
 
-    def _goto(self, request: Goto, k: int) -> Answer:
+    def _goto(self, request: rq.Goto, k: int) -> Answer:
         if not self._flying():
             return _no(Result.TEMPORARILY_REJECTED, "goto refused: it is on the ground")
         course, here = self._course, self._estimates.fix.position
@@ -633,14 +602,14 @@ class Autopilot:
         if why := self._watch.outside(*(place or here), altitude, self.home):
             return _no(Result.DENIED, f"goto refused: {why}")
         if request.speed:
-            self._set_speed(SetSpeed(request.speed), k)
+            self._set_speed(rq.SetSpeed(request.speed), k)
         heading = course.heading if request.yaw is None and holds else request.yaw
         if not holds:
             self._enter(Mode.HOLD, k)
         course.aim(place, altitude, heading)
         return _yes()
 
-    def _begin_orbit(self, request: Orbit, k: int) -> Answer:
+    def _begin_orbit(self, request: rq.Orbit, k: int) -> Answer:
         if not self._flying():
             return _no(Result.TEMPORARILY_REJECTED, "orbit refused: it is on the ground")
         centre, altitude = self._circle.asked(request)
@@ -648,7 +617,7 @@ class Autopilot:
         self._circle.begin(request, centre, altitude)
         return _yes()
 
-    def _stop(self, request: Hold, k: int) -> Answer:
+    def _stop(self, request: rq.Hold, k: int) -> Answer:
         if self.mode is Mode.HOLD and self._course.place is None:
             # it stops or has stopped: asking again does not move where it stays
             self.failsafe = ""
@@ -656,14 +625,14 @@ class Autopilot:
         self._enter(Mode.HOLD, k)
         return _yes()
 
-    def _set_speed(self, request: SetSpeed, k: int) -> Answer:
+    def _set_speed(self, request: rq.SetSpeed, k: int) -> Answer:
         limit = self.parameters.table["MPC_XY_VEL_MAX"]
         if not limit.least <= request.m_s <= limit.most:
             raise InputError(f"speed {request.m_s:g} m/s refused: from {limit.least:g} to {limit.most:g} m/s")
         self._course.cruise = request.m_s
         return _yes()
 
-    def _set_home(self, request: SetHome, k: int) -> Answer:
+    def _set_home(self, request: rq.SetHome, k: int) -> Answer:
         north, east = self._estimates.fix.position
         self._places.home = Home(
             request.north if request.north is not None else north,
@@ -673,17 +642,17 @@ class Autopilot:
         self._places.home_given = True
         return _yes()
 
-    def _take(self, request: Sticks | Setpoint, k: int) -> Answer:
+    def _take(self, request: rq.Sticks | Setpoint, k: int) -> Answer:
         self._remote.take(request, k)
         return _yes()
 
-    def _upload(self, request: MissionUpload, k: int) -> Answer:
+    def _upload(self, request: rq.MissionUpload, k: int) -> Answer:
         if self.mode is Mode.MISSION and self.armed:
             return _no(Result.TEMPORARILY_REJECTED, "upload refused: the mission is being flown")
         self._mission.load(request, self._watch)
         return _yes()
 
-    def _start_mission(self, request: MissionStart, k: int) -> Answer:
+    def _start_mission(self, request: rq.MissionStart, k: int) -> Answer:
         if not self.mission.items:
             return _no(Result.DENIED, "there is no mission")
         flying = self._flying()
@@ -697,7 +666,7 @@ class Autopilot:
         self._mission.begin(flying)
         return self._begins()
 
-    def _set_current(self, request: MissionSetCurrent, k: int) -> Answer:
+    def _set_current(self, request: rq.MissionSetCurrent, k: int) -> Answer:
         count = len(self.mission.items)
         if request.index >= count:
             return _no(Result.DENIED, f"mission item {request.index}: there are {count}")
@@ -706,13 +675,13 @@ class Autopilot:
             self._mission.begin(self._flying())
         return _yes()
 
-    def _clear_mission(self, request: MissionClear, k: int) -> Answer:
+    def _clear_mission(self, request: rq.MissionClear, k: int) -> Answer:
         self.mission.load(())
         if self.mode is Mode.MISSION:
             self._enter(Mode.HOLD, k)
         return _yes()
 
-    def _draw_fence(self, request: FenceUpload, k: int) -> Answer:
+    def _draw_fence(self, request: rq.FenceUpload, k: int) -> Answer:
         before, self._watch.zones = self._watch.zones, request.zones
         if self._flying():
             why = self._watch.outside(*self._estimates.fix.position, self._estimates.altitude, self.home)
@@ -721,7 +690,7 @@ class Autopilot:
                 return _no(Result.DENIED, f"fence refused: it would be outside at once ({why})")
         return _yes()
 
-    def _set_rally(self, request: RallyUpload, k: int) -> Answer:
+    def _set_rally(self, request: rq.RallyUpload, k: int) -> Answer:
         for index, point in enumerate(request.points):
             why = self._watch.outside(point.north, point.east, self._places.home_altitude, self.home)
             if why:
@@ -729,12 +698,12 @@ class Autopilot:
         self._places.rally = request.points
         return _yes()
 
-    def _set_parameter(self, request: SetParameter, k: int) -> Answer:
+    def _set_parameter(self, request: rq.SetParameter, k: int) -> Answer:
         self._live.set(request.name, request.value)
         self._envelope.follow(request.name, self._course.guide)
         return _yes()
 
-    def _inject_fault(self, request: InjectFault, k: int) -> Answer:
+    def _inject_fault(self, request: rq.InjectFault, k: int) -> Answer:
         if not self.parameters["SYS_FAILURE_EN"]:
             return _no(Result.DENIED, "failures on request are off (SYS_FAILURE_EN)")
         if self._inject is None:
@@ -743,18 +712,18 @@ class Autopilot:
         self._say(Severity.WARNING, f"fault on request: {request.fault}", k)
         return _yes()
 
-    def _clear_faults(self, request: ClearFaults, k: int) -> Answer:
+    def _clear_faults(self, request: rq.ClearFaults, k: int) -> Answer:
         if self._clear is None:
             return _no(Result.UNSUPPORTED, "nothing here can fail on request")
         self._clear()
         return _yes()
 
-    def _link_lost(self, request: LinkLost, k: int) -> Answer:
+    def _link_lost(self, request: rq.LinkLost, k: int) -> Answer:
         self._watch.lost_link(k)
         self._say(Severity.WARNING, "ground station lost", k)
         return _yes()
 
-    def _link_back(self, request: LinkBack, k: int) -> Answer:
+    def _link_back(self, request: rq.LinkBack, k: int) -> Answer:
         self._watch.found_link()
         self._say(Severity.INFO, "ground station is back", k)
         return _yes()
@@ -762,11 +731,11 @@ class Autopilot:
 
 _DOES = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}  # failsafes, the more careful the later
 _BEGUN_BY: dict[Mode, Request] = {
-    Mode.TAKEOFF: Takeoff(),
-    Mode.LAND: Land(),
-    Mode.RTL: ReturnHome(),
-    Mode.MISSION: MissionStart(),
-    Mode.HOLD: Hold(),
+    Mode.TAKEOFF: rq.Takeoff(),
+    Mode.LAND: rq.Land(),
+    Mode.RTL: rq.ReturnHome(),
+    Mode.MISSION: rq.MissionStart(),
+    Mode.HOLD: rq.Hold(),
 }
 
 
@@ -798,31 +767,31 @@ def _no(result: Result, text: str) -> Answer:
 
 
 _HANDLERS: dict[type[Any], Callable[[Autopilot, Any, int], Answer]] = {
-    Arm: Autopilot._arm,
-    Disarm: Autopilot._disarm,
-    Kill: Autopilot._kill,
-    SetMode: Autopilot._set_mode,
-    Takeoff: Autopilot._begin_take_off,
-    Land: Autopilot._land,
-    ReturnHome: Autopilot._return,
-    Goto: Autopilot._goto,
-    Orbit: Autopilot._begin_orbit,
-    Hold: Autopilot._stop,
-    SetSpeed: Autopilot._set_speed,
-    SetHome: Autopilot._set_home,
-    Sticks: Autopilot._take,
-    OffboardAttitude: Autopilot._take,
-    OffboardVelocity: Autopilot._take,
-    OffboardPosition: Autopilot._take,
-    MissionUpload: Autopilot._upload,
-    MissionStart: Autopilot._start_mission,
-    MissionSetCurrent: Autopilot._set_current,
-    MissionClear: Autopilot._clear_mission,
-    FenceUpload: Autopilot._draw_fence,
-    RallyUpload: Autopilot._set_rally,
-    SetParameter: Autopilot._set_parameter,
-    InjectFault: Autopilot._inject_fault,
-    ClearFaults: Autopilot._clear_faults,
-    LinkLost: Autopilot._link_lost,
-    LinkBack: Autopilot._link_back,
+    rq.Arm: Autopilot._arm,
+    rq.Disarm: Autopilot._disarm,
+    rq.Kill: Autopilot._kill,
+    rq.SetMode: Autopilot._set_mode,
+    rq.Takeoff: Autopilot._begin_take_off,
+    rq.Land: Autopilot._land,
+    rq.ReturnHome: Autopilot._return,
+    rq.Goto: Autopilot._goto,
+    rq.Orbit: Autopilot._begin_orbit,
+    rq.Hold: Autopilot._stop,
+    rq.SetSpeed: Autopilot._set_speed,
+    rq.SetHome: Autopilot._set_home,
+    rq.Sticks: Autopilot._take,
+    rq.OffboardAttitude: Autopilot._take,
+    rq.OffboardVelocity: Autopilot._take,
+    rq.OffboardPosition: Autopilot._take,
+    rq.MissionUpload: Autopilot._upload,
+    rq.MissionStart: Autopilot._start_mission,
+    rq.MissionSetCurrent: Autopilot._set_current,
+    rq.MissionClear: Autopilot._clear_mission,
+    rq.FenceUpload: Autopilot._draw_fence,
+    rq.RallyUpload: Autopilot._set_rally,
+    rq.SetParameter: Autopilot._set_parameter,
+    rq.InjectFault: Autopilot._inject_fault,
+    rq.ClearFaults: Autopilot._clear_faults,
+    rq.LinkLost: Autopilot._link_lost,
+    rq.LinkBack: Autopilot._link_back,
 }

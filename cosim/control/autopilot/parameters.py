@@ -14,12 +14,7 @@ from typing import Literal, NamedTuple
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS, number_of
-from cosim.spec.vehicle import (
-    Control,
-    PilotSettings,
-    PositionGains,
-    PredictorTuning,
-)
+from cosim.spec.vehicle import Control, PilotSettings, PositionGains, PredictorTuning
 
 _FLOAT32 = 1e-6  # relative: a bound that went through a 32-bit float is still the bound
 _LARGEST = 10.0  # times the default is the most a gain may be; chosen by us: beyond it no loop here is stable

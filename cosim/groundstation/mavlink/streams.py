@@ -10,12 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from math import ceil, floor, inf, log, sqrt
 
 from cosim.groundstation.mavlink.telemetry import STREAMS, Stream
-from cosim.groundstation.mavlink.wire.dialect import (
-    BY_NAME,
-    CHECKSUM,
-    HEADER_2,
-    Packed,
-)
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, CHECKSUM, HEADER_2, Packed
 from cosim.groundstation.mavlink.wire.peer import Peer
 
 FASTEST = 0.004  # s: a control step; nothing is new more often

@@ -11,26 +11,13 @@ from dataclasses import dataclass, field
 from math import atan2, ceil, degrees, hypot, isfinite, isnan, nan, pi
 
 from cosim.base.constants import GRAVITY
-from cosim.base.frames import (
-    conjugate,
-    from_euler,
-    rotate,
-    to_euler,
-)
+from cosim.base.frames import conjugate, from_euler, rotate, to_euler
 from cosim.base.signals import Vector3
 from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.status import Status
 from cosim.groundstation.exchange import Snapshot
 from cosim.groundstation.mavlink.about import About
-from cosim.groundstation.mavlink.modes import (
-    AUTOPILOT,
-    HEXAROTOR,
-    LANDED,
-    LIST,
-    STANDARD,
-    base_mode,
-    custom_mode,
-)
+from cosim.groundstation.mavlink.modes import AUTOPILOT, HEXAROTOR, LANDED, LIST, STANDARD, base_mode, custom_mode
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 
 U8, U16, I16, U32, I32 = 0xFF, 0xFFFF, 0x7FFF, 0xFFFFFFFF, 0x7FFFFFFF

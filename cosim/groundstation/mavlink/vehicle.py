@@ -13,26 +13,12 @@ from typing import Any, NamedTuple, Protocol
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.modes import Severity
-from cosim.control.autopilot.requests import (
-    Answer,
-    Arm,
-    LinkBack,
-    LinkLost,
-    Request,
-    Result,
-    SetMode,
-)
+from cosim.control.autopilot.requests import Answer, Arm, LinkBack, LinkLost, Request, Result, SetMode
 from cosim.groundstation.exchange import Port, Snapshot
 from cosim.groundstation.mavlink.about import About
 from cosim.groundstation.mavlink.modes import from_custom
 from cosim.groundstation.mavlink.services import commands, setpoints
-from cosim.groundstation.mavlink.services.commands import (
-    OF_RESULT,
-    Ack,
-    Context,
-    Order,
-    Plan,
-)
+from cosim.groundstation.mavlink.services.commands import OF_RESULT, Ack, Context, Order, Plan
 from cosim.groundstation.mavlink.services.service import Client
 from cosim.groundstation.mavlink.streams import Streams
 from cosim.groundstation.mavlink.telemetry import (
@@ -45,13 +31,7 @@ from cosim.groundstation.mavlink.telemetry import (
     home_position,
     statustext,
 )
-from cosim.groundstation.mavlink.wire.dialect import (
-    BY_NAME,
-    Message,
-    Packed,
-    mav,
-    pack,
-)
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, Packed, mav, pack
 from cosim.groundstation.mavlink.wire.frames import Frame
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Kind, Peer

@@ -13,12 +13,7 @@ from typing import Any
 from cosim.base.frames import to_euler
 from cosim.base.protocols import EngineState
 from cosim.base.signals import Sample
-from cosim.control.autopilot.modes import (
-    DIRECT,
-    Home,
-    Message,
-    Mode,
-)
+from cosim.control.autopilot.modes import DIRECT, Home, Message, Mode
 from cosim.groundstation.exchange import Facts, Snapshot
 from cosim.spec.controller_name import label
 

@@ -35,13 +35,7 @@ from websockets.typing import Origin
 from cosim.base.errors import InputError
 from cosim.base.signals import Sample
 from cosim.control.autopilot import requests as rq
-from cosim.groundstation.exchange import (
-    Asked,
-    Done,
-    Exchange,
-    Restart,
-    Snapshot,
-)
+from cosim.groundstation.exchange import Asked, Done, Exchange, Restart, Snapshot
 from cosim.groundstation.web import feed
 
 # Chosen by us, with the reason.

@@ -11,12 +11,7 @@ from collections import deque
 from math import exp, sqrt
 
 from cosim.base.frames import conjugate, multiply, normalize
-from cosim.base.signals import (
-    ZERO3,
-    Measured,
-    Quaternion,
-    Vector3,
-)
+from cosim.base.signals import ZERO3, Measured, Quaternion, Vector3
 from cosim.spec.vehicle import Sensors
 
 # Noise below which no sensor is trusted, whatever it states.

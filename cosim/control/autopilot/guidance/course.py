@@ -59,9 +59,9 @@ class Course:
     """The place, height and heading that it flies to or keeps, and the law that does it: one :class:`Guide`."""
 
     def __init__(self, parameters: Parameters, estimates: Estimates, places: Places, guide: Guide) -> None:
-        self._parameters = parameters
-        self._estimates = estimates
-        self._places = places
+        self.parameters = parameters
+        self.estimates = estimates
+        self.places = places
         self.guide = guide
         self.reset()
 
@@ -78,28 +78,28 @@ class Course:
 
     def begin(self, k: int) -> None:
         """The instant for the commands that follow."""
-        estimates = self._estimates
+        estimates = self.estimates
         self.guide.begin(k, estimates.now, estimates.euler[2], estimates.fix, self._sink_allowed())
 
     @property
     def speed(self) -> float:
         """The horizontal speed of automatic flight, m/s."""
-        return self.cruise if self.cruise is not None else self._parameters["MPC_XY_VEL_MAX"]
+        return self.cruise if self.cruise is not None else self.parameters["MPC_XY_VEL_MAX"]
 
     @property
     def stop_height(self) -> float:
         """Where it comes to rest if climbing or sinking ends now: not nearer to the ground than it must."""
-        measured = self._estimates.measured
+        measured = self.estimates.measured
         if measured is None:
             return 0.0
-        stop = measured.altitude - measured.velocity[2] / max(self._parameters["HJ_ALT_P"], 0.1)
+        stop = measured.altitude - measured.velocity[2] / max(self.parameters["HJ_ALT_P"], 0.1)
         if self.guide.holds_height:
             stop = self.guide.rest
-        return max(stop, min(measured.altitude, self._places.ground + LOWEST_M))
+        return max(stop, min(measured.altitude, self.places.ground + LOWEST_M))
 
     def away(self, place: Pair) -> float:
         """Distance of a place, m."""
-        n, e = self._estimates.fix.position
+        n, e = self.estimates.fix.position
         return hypot(place[0] - n, place[1] - e)
 
     def fly(self) -> Command:
@@ -115,7 +115,7 @@ class Course:
 
     def to_height(self, altitude: float) -> float:
         """The height asked for on the way to ``altitude``."""
-        parameters = self._parameters
+        parameters = self.parameters
         held = self.guide.to_height(altitude, parameters["HJ_CLIMB_AUTO"], parameters["HJ_DESC_AUTO"])
         self.descending = altitude < held
         return held
@@ -125,7 +125,7 @@ class Course:
         self.landing = self.descending = True
         guide = self.guide
         lean = guide.towards(place, self.speed) if place else guide.at_velocity((0.0, 0.0))
-        rate = min(self._parameters["HJ_DESC_AUTO"], self._sink_while_braking())
+        rate = min(self.parameters["HJ_DESC_AUTO"], self._sink_while_braking())
         return guide.command(lean, guide.at_climb(-rate), guide.to_yaw(self.heading))
 
     def _sink_while_braking(self) -> float:
@@ -133,15 +133,15 @@ class Course:
 
         The set-point brakes for ``v / a + a / j``, and the vehicle follows it with ``1 / K_v``, twice that to be slow.
         """
-        track, p = self.guide.track, self._parameters
+        track, p = self.guide.track, self.parameters
         speed = 0.0 if track is None else hypot(*track.velocity)
         if speed < SLOW:
             return inf
         left = speed / p["HJ_ACC_HOR"] + p["HJ_ACC_HOR"] / p["HJ_JERK_HOR"] + 2.0 / max(p["HJ_VEL_P"], 0.1)
-        return max(0.0, self._estimates.altitude - self._places.high_ground) / left
+        return max(0.0, self.estimates.altitude - self.places.high_ground) / left
 
     def _sink_allowed(self) -> float:
         """The most rate of descent [m/s] at this height, as far as it is known, where the height is controlled."""
-        p, limits, estimates = self._parameters, self.guide.limits, self._estimates
-        above = estimates.altitude - 2.0 * estimates.altitude_deviation - self._places.high_ground
+        p, limits, estimates = self.parameters, self.guide.limits, self.estimates
+        above = estimates.altitude - 2.0 * estimates.altitude_deviation - self.places.high_ground
         return descent_for(above - p["HJ_LAND_SLOW_H"], limits.braking, limits.late, p["MPC_LAND_SPEED"])

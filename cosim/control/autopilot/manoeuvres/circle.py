@@ -6,11 +6,9 @@ from math import atan2, cos, hypot, pi, sin
 
 from cosim.base.errors import InputError
 from cosim.base.signals import Command
-from cosim.control.autopilot.estimation.estimates import Estimates
 from cosim.control.autopilot.failsafes import Watch
 from cosim.control.autopilot.geometry import Pair, wrap
-from cosim.control.autopilot.guidance.course import LOWEST_M, Course, Places
-from cosim.control.autopilot.parameters import Parameters
+from cosim.control.autopilot.guidance.course import LOWEST_M, Course
 from cosim.control.autopilot.requests import Orbit, OrbitYaw
 
 _CHECKED = 36  # places of a circle that must be inside the fence
@@ -19,12 +17,8 @@ _CHECKED = 36  # places of a circle that must be inside the fence
 class Circle:
     """The course round a centre, and the turns that have been flown of it."""
 
-    def __init__(
-        self, parameters: Parameters, estimates: Estimates, places: Places, course: Course, watch: Watch
-    ) -> None:
-        self._parameters = parameters
-        self._estimates = estimates
-        self._places = places
+    def __init__(self, course: Course, watch: Watch) -> None:
+        self._parameters, self._estimates, self._places = course.parameters, course.estimates, course.places
         self._course = course
         self._watch = watch
         self.reset()

@@ -5,12 +5,10 @@ from __future__ import annotations
 from cosim.base.errors import InputError
 from cosim.base.protocols import Report
 from cosim.base.signals import Command
-from cosim.control.autopilot.estimation.estimates import Estimates
 from cosim.control.autopilot.failsafes import Watch
-from cosim.control.autopilot.guidance.course import LOWEST_M, REACHED_M, Course, Places
+from cosim.control.autopilot.guidance.course import LOWEST_M, REACHED_M, Course
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import Home
-from cosim.control.autopilot.parameters import Parameters
 
 # Chosen by us, with the reason.
 _LIFT_M = 0.3  # above the ground with no leg in contact is in the air
@@ -26,19 +24,8 @@ class TakeOff:
     ``hover``: the collective at which it hovers; ``least``: that of the engines at idle.
     """
 
-    def __init__(
-        self,
-        parameters: Parameters,
-        estimates: Estimates,
-        places: Places,
-        course: Course,
-        hover: float,
-        least: float,
-        step: float,
-    ) -> None:
-        self._parameters = parameters
-        self._estimates = estimates
-        self._places = places
+    def __init__(self, course: Course, hover: float, least: float, step: float) -> None:
+        self._parameters, self._estimates, self._places = course.parameters, course.estimates, course.places
         self._course = course
         self._hover, self._least = hover, least
         self._step = step
@@ -102,18 +89,8 @@ class Landing:
     The legs' contact is a :class:`Touchdown`'s to judge; where there can be ground at all is known here.
     """
 
-    def __init__(
-        self,
-        estimates: Estimates,
-        places: Places,
-        course: Course,
-        touchdown: Touchdown,
-        hover: float,
-        least: float,
-        step: float,
-    ) -> None:
-        self._estimates = estimates
-        self._places = places
+    def __init__(self, course: Course, touchdown: Touchdown, hover: float, least: float, step: float) -> None:
+        self._estimates, self._places = course.estimates, course.places
         self._course = course
         self.touchdown = touchdown
         self._hover, self._least = hover, least

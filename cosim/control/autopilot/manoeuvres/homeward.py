@@ -5,11 +5,9 @@ from __future__ import annotations
 from math import hypot
 
 from cosim.base.signals import Command
-from cosim.control.autopilot.estimation.estimates import Estimates
 from cosim.control.autopilot.geometry import Pair
-from cosim.control.autopilot.guidance.course import ABOVE_M, REACHED_M, SLOW, Course, Places
+from cosim.control.autopilot.guidance.course import ABOVE_M, REACHED_M, SLOW, Course
 from cosim.control.autopilot.modes import Home
-from cosim.control.autopilot.parameters import Parameters
 
 _NEAR_M = 2.0  # from home: no climb and no flight is needed to land here; chosen by us
 _CLIMB, _CRUISE, _DESCENT = range(3)
@@ -18,10 +16,8 @@ _CLIMB, _CRUISE, _DESCENT = range(3)
 class Homeward:
     """The way back."""
 
-    def __init__(self, parameters: Parameters, estimates: Estimates, places: Places, course: Course) -> None:
-        self._parameters = parameters
-        self._estimates = estimates
-        self._places = places
+    def __init__(self, course: Course) -> None:
+        self._parameters, self._estimates, self._places = course.parameters, course.estimates, course.places
         self._course = course
         self.reset()
 

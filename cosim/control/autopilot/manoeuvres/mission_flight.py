@@ -4,33 +4,20 @@ from __future__ import annotations
 
 from cosim.base.errors import InputError
 from cosim.base.signals import Command
-from cosim.control.autopilot.estimation.estimates import Estimates
 from cosim.control.autopilot.failsafes import Watch
-from cosim.control.autopilot.guidance.course import ABOVE_M, REACHED_M, Course, Places
+from cosim.control.autopilot.guidance.course import ABOVE_M, REACHED_M, Course
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.homeward import Homeward
 from cosim.control.autopilot.manoeuvres.mission import Mission
-from cosim.control.autopilot.parameters import Parameters
 from cosim.control.autopilot.requests import ItemKind, MissionItem, MissionUpload, Orbit
 
 
 class MissionFlight:
     """Flies :attr:`mission` along the course; a circle and a return are flown by those who know them."""
 
-    def __init__(
-        self,
-        parameters: Parameters,
-        estimates: Estimates,
-        places: Places,
-        course: Course,
-        circle: Circle,
-        homeward: Homeward,
-        step: float,
-    ) -> None:
+    def __init__(self, course: Course, circle: Circle, homeward: Homeward, step: float) -> None:
         self.mission = Mission()
-        self._parameters = parameters
-        self._estimates = estimates
-        self._places = places
+        self._parameters, self._estimates, self._places = course.parameters, course.estimates, course.places
         self._course = course
         self._circle = circle
         self._homeward = homeward

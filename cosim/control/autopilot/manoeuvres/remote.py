@@ -6,18 +6,10 @@ from math import cos, radians, sin
 
 from cosim.base.frames import to_euler
 from cosim.base.signals import Command
-from cosim.control.autopilot.estimation.estimates import Estimates
 from cosim.control.autopilot.geometry import limited
 from cosim.control.autopilot.guidance.course import Course
 from cosim.control.autopilot.modes import BY_STICK, DIRECT, Mode
-from cosim.control.autopilot.parameters import Parameters
-from cosim.control.autopilot.requests import (
-    OffboardAttitude,
-    OffboardPosition,
-    OffboardVelocity,
-    Sticks,
-    quaternion_of,
-)
+from cosim.control.autopilot.requests import OffboardAttitude, OffboardPosition, OffboardVelocity, Sticks, quaternion_of
 from cosim.spec.vehicle import AllocationLimits
 
 Setpoint = OffboardAttitude | OffboardVelocity | OffboardPosition
@@ -38,17 +30,8 @@ class Remote:
     ``hover``: the collective of the sticks' centre; ``limits``: those of the collective.
     """
 
-    def __init__(
-        self,
-        parameters: Parameters,
-        estimates: Estimates,
-        course: Course,
-        limits: AllocationLimits,
-        hover: float,
-        step: float,
-    ) -> None:
-        self._parameters = parameters
-        self._estimates = estimates
+    def __init__(self, course: Course, limits: AllocationLimits, hover: float, step: float) -> None:
+        self._parameters, self._estimates = course.parameters, course.estimates
         self._course = course
         self._limits = limits
         self._hover = hover

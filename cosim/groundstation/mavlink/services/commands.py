@@ -34,13 +34,7 @@ from cosim.control.autopilot.requests import (
     Takeoff,
 )
 from cosim.groundstation.mavlink.about import About
-from cosim.groundstation.mavlink.modes import (
-    CUSTOM,
-    FROM_STANDARD,
-    LIST,
-    from_custom,
-    from_main_sub,
-)
+from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, from_custom, from_main_sub
 from cosim.groundstation.mavlink.streams import BY_ID, FASTEST, interval
 from cosim.groundstation.mavlink.telemetry import View, gps_global_origin, mode_line
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, mav

@@ -14,15 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from cosim.groundstation.mavlink.services.service import (
-    MAX_CLIENTS,
-    Client,
-    Outgoing,
-    Pace,
-    Peer,
-    Service,
-    crc32,
-)
+from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, Pace, Peer, Service, crc32
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 

@@ -20,14 +20,7 @@ from pathlib import Path
 from threading import Thread
 
 from cosim.groundstation.mavlink.services.ftp import Bytes, File
-from cosim.groundstation.mavlink.services.service import (
-    MAX_CLIENTS,
-    Client,
-    Outgoing,
-    Pace,
-    Peer,
-    Service,
-)
+from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, Pace, Peer, Service
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 

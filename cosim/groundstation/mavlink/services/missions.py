@@ -45,22 +45,8 @@ from cosim.groundstation.mavlink.services.items import (
     to_flown,
     to_item,
 )
-from cosim.groundstation.mavlink.services.plans import (
-    CHECKS,
-    from_fence,
-    from_rally,
-    to_fence,
-    to_rally,
-)
-from cosim.groundstation.mavlink.services.service import (
-    Answers,
-    Ask,
-    Client,
-    Outgoing,
-    Peer,
-    Service,
-    status_text,
-)
+from cosim.groundstation.mavlink.services.plans import CHECKS, from_fence, from_rally, to_fence, to_rally
+from cosim.groundstation.mavlink.services.service import Answers, Ask, Client, Outgoing, Peer, Service, status_text
 from cosim.groundstation.mavlink.telemetry import mission_progress, mission_standing
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire

@@ -11,21 +11,8 @@ from math import isfinite
 
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
-from cosim.control.autopilot.requests import (
-    FenceUpload,
-    FenceZone,
-    RallyPoint,
-    RallyUpload,
-    ZoneKind,
-)
-from cosim.groundstation.mavlink.services.items import (
-    PARAM1,
-    UNSUPPORTED,
-    Item,
-    ItemError,
-    altitude_of,
-    place_of,
-)
+from cosim.control.autopilot.requests import FenceUpload, FenceZone, RallyPoint, RallyUpload, ZoneKind
+from cosim.groundstation.mavlink.services.items import PARAM1, UNSUPPORTED, Item, ItemError, altitude_of, place_of
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
 _POLYGONS = {

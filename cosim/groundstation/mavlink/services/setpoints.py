@@ -5,12 +5,7 @@ from __future__ import annotations
 from math import cos, isfinite, remainder, sin, tau
 
 from cosim.base.errors import InputError
-from cosim.control.autopilot.requests import (
-    OffboardAttitude,
-    OffboardPosition,
-    OffboardVelocity,
-    Sticks,
-)
+from cosim.control.autopilot.requests import OffboardAttitude, OffboardPosition, OffboardVelocity, Sticks
 from cosim.groundstation.mavlink.services.commands import ABSOLUTE_FRAMES, LOCAL_NED, RELATIVE_FRAMES
 from cosim.groundstation.mavlink.telemetry import View
 from cosim.groundstation.mavlink.wire.dialect import Message

@@ -11,12 +11,7 @@ import os
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.groundstation.mavlink.wire.channel import (
-    DATAGRAM,
-    RETRY,
-    STALL,
-    Hub,
-)
+from cosim.groundstation.mavlink.wire.channel import DATAGRAM, RETRY, STALL, Hub
 from cosim.groundstation.mavlink.wire.connection import Stream
 from cosim.groundstation.mavlink.wire.endpoint import Endpoint
 from cosim.groundstation.mavlink.wire.peer import Peer

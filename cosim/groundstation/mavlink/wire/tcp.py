@@ -6,15 +6,7 @@ import contextlib
 import selectors
 import socket
 
-from cosim.groundstation.mavlink.wire.channel import (
-    DATAGRAM,
-    MOST_PEERS,
-    RETRY,
-    Hub,
-    bound,
-    makes_room,
-    named,
-)
+from cosim.groundstation.mavlink.wire.channel import DATAGRAM, MOST_PEERS, RETRY, Hub, bound, makes_room, named
 from cosim.groundstation.mavlink.wire.connection import Stream
 from cosim.groundstation.mavlink.wire.endpoint import Endpoint
 from cosim.groundstation.mavlink.wire.peer import Peer
