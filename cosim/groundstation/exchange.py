@@ -232,14 +232,14 @@ class Port:
         self._answered: deque[tuple[int, Answer]] = deque()
         self.leave = exchange.subscribe(self._news)
 
-    def ask(self, request: Asked, reply: Done | None, now: float, sender: str = "") -> None:
+    def ask(self, request: Asked, reply: Done | None = None, sender: str = "") -> None:
         """Ask something of the vehicle; ``reply`` gets exactly one answer, from :meth:`collect`."""
         sender = sender or self.name
         if reply is None:
             self._exchange.ask(request, None, sender)
             return
         self._asked += 1
-        number, until = self._asked, now + PATIENCE
+        number, until = self._asked, self._exchange.clock() + PATIENCE
         self._open[number] = reply, until
         self._exchange.ask(request, lambda answer: self._answer(number, answer), sender, until)
 

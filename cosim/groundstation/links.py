@@ -144,7 +144,7 @@ class Links:
         page = self._page
         if page is not None:
             vehicle.pages = lambda: page.clients
-        self._parameters = ParameterService(facts.parameters, vehicle.ask, self._personality)
+        self._parameters = ParameterService(facts.parameters, self._port.ask, self._personality)
         metadata = Metadata(facts.parameters, about.name, about.version)
         shelf = self._shelf = Shelf(self._runs)
 
@@ -153,7 +153,7 @@ class Links:
         missions = MissionService(
             lambda: exchange.snapshot.mission if exchange.snapshot else (),
             lambda: exchange.snapshot.status if exchange.snapshot else None,
-            vehicle.ask,
+            self._port.ask,
             facts.geodesy,
         )
         vehicle.services += [self._parameters, missions, FileService(lambda: files), LogService(shelf)]

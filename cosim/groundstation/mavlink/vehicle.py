@@ -125,10 +125,6 @@ class Vehicle:
 
     # --- what the services may use -------------------------------------------------------------------------------
 
-    def ask(self, request: Request, reply: Callable[[Answer], None] | None = None, who: str = "") -> None:
-        """Put a request to the pilot; ``reply`` gets exactly one answer, in the link's thread."""
-        self.port.ask(request, reply, self._now, who)
-
     def send(self, peer: Peer | None, messages: Sequence[Message]) -> None:
         """To one station, or (None) to all; never dropped for telemetry's sake."""
         for message in messages:
@@ -259,7 +255,7 @@ class Vehicle:
             if not answer.accepted:
                 self._lost = not lost  # it is said again
 
-        self.ask(LinkLost() if lost else LinkBack(), reply, "link")
+        self.port.ask(LinkLost() if lost else LinkBack(), reply, "link")
 
     # --- messages ----------------------------------------------------------------------------------------------
 
@@ -323,7 +319,7 @@ class Vehicle:
             elif answer.text and not isinstance(plan.requests[place], Arm):  # the pilot says itself why it is not armed
                 self.say(int(Severity.WARNING), answer.text, sender.peer)
 
-        self.ask(plan.requests[place], reply, sender.text)
+        self.port.ask(plan.requests[place], reply, sender.text)
 
     def _acknowledge(self, order: Order, sender: Sender, result: Ack) -> None:
         self.acknowledged += 1
@@ -341,14 +337,14 @@ class Vehicle:
             if answer.result is not Result.ACCEPTED and answer.text:
                 self.say(int(Severity.WARNING), answer.text, sender.peer)
 
-        self.ask(SetMode(mode.value), reply, sender.text)
+        self.port.ask(SetMode(mode.value), reply, sender.text)
 
     def _setpoint(self, message: Message, sender: Sender) -> None:
         view = self._view
         if view is None:
             return
         try:
-            self.ask(_wanted(message, view), None, sender.text)
+            self.port.ask(_wanted(message, view), None, sender.text)
         except InputError as error:
             self._complain(str(error), sender.peer)
 

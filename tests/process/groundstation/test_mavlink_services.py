@@ -49,7 +49,7 @@ class Flight:
         self.metadata = Metadata(pilot.parameters, "hexjet", "0.1.0")
 
         def ask(*given: Any) -> None:
-            self.vehicle.ask(*given)
+            self.vehicle.port.ask(*given)
 
         files = {path: Bytes(data) for path, data in self.metadata.files.items()}
         services = [

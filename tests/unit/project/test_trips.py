@@ -10,7 +10,7 @@ import pytest
 from places import ROOT
 
 # Functions on the same way in commit 2f44bdb, records that are only handed on left out.
-BEFORE = {"throttle": 22, "thrust": 17, "study's key": 13, "requirement": 9}
+BEFORE = {"throttle": 22, "thrust": 17, "MAVLink command": 22, "study's key": 13, "requirement": 9}
 SECTION = (ROOT / "docs" / "design.md").read_text(encoding="utf-8").split("## Five trips")[1].split("\n## ")[0]
 STOP = re.compile(r"^(\d+)\. `([\w/]+\.(?:py|c)):([\w.]+)`$", re.MULTILINE)
 TRIPS = {part.split("**")[0]: part for part in re.split(r"^\*\*", SECTION, flags=re.MULTILINE)[1:]}
