@@ -29,7 +29,7 @@ from typing import Any
 
 from cosim.base import controller_wire as wire
 from cosim.base.errors import InputError, nearest
-from cosim.base.signals import JETS
+from cosim.base.signals import MOST_JETS
 from cosim.base.toml import read_toml
 from cosim.engine.archive import platform_folder
 from cosim.engine.container import DAMAGE, UnusableError, one_line, open_archive, parse, read_bytes
@@ -113,7 +113,7 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
     scalars = [v for v in description.modelVariables if v.type in _KINDS and not v.shape]
     by_cause = {cause: [v for v in scalars if v.causality == cause] for cause in ("input", "output", "parameter")}
     by_name = {v.name: v for v in scalars}
-    jets_known = range(1, JETS + 1)
+    jets_known = range(1, MOST_JETS + 1)
     outs = {_plain(name): name for n in jets_known for name in wire.output_names("controller", n, True, wire.EXTRAS)}
     for level in ("rate", "attitude", "predictor"):
         outs |= {_plain(name): name for name in wire.output_names(level, 1, True)}
