@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from cosim.base.errors import FlightError, InputError
-from cosim.codegen.files import Labels, render, texts
+from cosim.codegen.files import TITLES, Labels, render, texts
 from cosim.codegen.fmu import build_fmus
 from cosim.codegen.form import Form, form_of
 from cosim.codegen.measure import Measured, measure
@@ -71,7 +71,7 @@ def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[
 
 
 def _readme(form: Form, vectors: Vectors, labels: Labels, found: Measured | None, fmus: list[str]) -> str:
-    kinds = [f"{axis['name']}: {axis['predictor']['kind']}" for axis in form["axes"]]
+    kinds = [f"{axis['name']}: {TITLES[axis['predictor']['kind']]}" for axis in form["axes"]]
     leads = [axis["lead"] for axis in form["axes"]] + [form["altitude"]["lead"]]
     return render(
         "README.md",

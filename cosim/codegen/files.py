@@ -18,12 +18,13 @@ from cosim.control.allocation.allocation import LEAST_SHARE
 from cosim.control.altitude import LEAST_UPRIGHT
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
-_TITLES = {
-    "smith": "Smith's predictor",
-    "filtered": "Smith's predictor with a robustness filter",
-    "state": "state predictor with a double-integrator observer",
-    "observer": "state predictor with an observer of the identified model",
-    "modal": "state predictor with an observer of the identified model, mode by mode",
+TITLES = {
+    "none": "none",
+    "early-late": "Smith's predictor",
+    "early-late-filtered": "Smith's predictor with a robustness filter",
+    "double-integrator": "state predictor with a double-integrator observer",
+    "model-observer": "state predictor with an observer of the identified model",
+    "modes": "state predictor with an observer of the identified model, mode by mode",
 }
 # whose headers are included, by the C or by the adapter of the FMUs
 _TAKEN = ("math", "stdbool", "stdint", "stdio", "string", "time", "engine", "slave", "variables", "fmi2", "fmi3")
@@ -129,7 +130,7 @@ def _prepared(form: Form) -> Form:
     return form | {
         "axes": axes,
         "uses_line": bool(form["delay"] or any(each.get("line") for each in predictors)),
-        "uses_discrete": any(each["kind"] in ("smith", "filtered") for each in predictors),
+        "uses_discrete": any(each["kind"] in ("early-late", "early-late-filtered") for each in predictors),
         "uses_sent": any("weights" in each for each in predictors),
         "uses_lead": any(leads),
         "lead_orders": sorted({lead["order"] for lead in scheduled if lead}),
@@ -143,19 +144,19 @@ def _fields(q: Form) -> Form:
         return q
     values: dict[str, Any] = {}
     states: list[tuple[str, Any]] = []
-    if kind in ("smith", "filtered"):
+    if kind in ("early-late", "early-late-filtered"):
         for name in ("now", "then", "rest"):
             model = q.get(name)
             if model:
                 values |= {f"{name}_b": model["b"], f"{name}_a": model["a"]}
                 states.append((name, len(model["a"])))
-        if kind == "filtered":
+        if kind == "early-late-filtered":
             values["through"] = q["through"]
             if q["rest"]:
                 states.append(("before", None))
         if q["line"]:
             states.append(("line", q["line"]))
-    elif kind == "modal":
+    elif kind == "modes":
         for name, vector in q["real"].items():
             values[name] = vector
             if q["paired"]:
@@ -164,7 +165,7 @@ def _fields(q: Form) -> Form:
         if q["disturbance"]:
             values["gathered"] = q["gathered"]
             states.append(("disturbance", None))
-    elif kind == "state":
+    elif kind == "double-integrator":
         values |= {name: q[name] for name in ("f", "transition", "of_rate", "of_command", "of_state")}
         states.append(("x", 2))
     else:
@@ -176,7 +177,7 @@ def _fields(q: Form) -> Form:
         values["weights"] = q["weights"]
         states.append(("sent", len(q["weights"])))
     constants = [(name, _size(value)) for name, value in values.items()]
-    return {"line": 0} | q | {"title": _TITLES[kind], "constants": constants, "states": states, "values": values}
+    return {"line": 0} | q | {"title": TITLES[kind], "constants": constants, "states": states, "values": values}
 
 
 def _size(value: Any) -> str | None:

@@ -181,14 +181,19 @@ def _delayed(model: DelayedModel) -> Form:
 def _smith(predictor: SmithPredictor) -> Form:
     then = predictor.then
     if isinstance(then, DelayLine):
-        return {"kind": "smith", "now": _discrete(predictor.now), "line": then.samples, "then": None}
-    return {"kind": "smith", "now": _discrete(predictor.now), "then": _discrete(then.model), "line": then.line.samples}
+        return {"kind": "early-late", "now": _discrete(predictor.now), "line": then.samples, "then": None}
+    return {
+        "kind": "early-late",
+        "now": _discrete(predictor.now),
+        "then": _discrete(then.model),
+        "line": then.line.samples,
+    }
 
 
 def _filtered(predictor: FilteredSmithPredictor) -> Form:
     delayed = _delayed(predictor.then)
     return {
-        "kind": "filtered",
+        "kind": "early-late-filtered",
         "now": _discrete(predictor.now),
         "then": delayed["model"],
         "line": delayed["line"],
@@ -208,14 +213,14 @@ def _state(predictor: StatePredictor) -> Form:
     observer = predictor.observer
     if type(observer) is DoubleIntegratorObserver:
         return common | {
-            "kind": "state",
+            "kind": "double-integrator",
             "transition": list(observer.transition),
             "of_rate": list(observer.of_rate),
             "of_command": list(observer.of_command),
         }
     if type(observer) is ModelObserver:
         return common | {
-            "kind": "observer",
+            "kind": "model-observer",
             "disturbance": observer.with_disturbance,
             "F": [list(row) for row in observer.F],
             "gain": list(observer.gain),
@@ -229,7 +234,7 @@ def _modal(predictor: ModalPredictor) -> Form:
     }  # real, or complex where the model has pairs
     paired = any(complex(x).imag != 0.0 for vector in vectors.values() for x in vector)
     return {
-        "kind": "modal",
+        "kind": "modes",
         "order": len(predictor.poles),
         "paired": paired,
         "disturbance": predictor.with_disturbance,

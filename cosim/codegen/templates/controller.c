@@ -118,7 +118,7 @@ static void reset_[[ axis.name ]]_predictor([[ n ]]_[[ A ]]PredictorState *s)
 static Real predict_[[ axis.name ]](const [[ n ]]_[[ A ]]Predictor *p, [[ n ]]_[[ A ]]PredictorState *s, Real measured,
     Real applied)
 {
-{% if q.kind == "smith" %}
+{% if q.kind == "early-late" %}
     const Real now = discrete_model(p->now_b, p->now_a, s->now, [[ q.now.a|length ]], applied);
 {% if q.then %}
 {% set late = "discrete_model(p->then_b, p->then_a, s->then, " ~ q.then.a|length ~ ", applied)" %}
@@ -127,7 +127,7 @@ static Real predict_[[ axis.name ]](const [[ n ]]_[[ A ]]Predictor *p, [[ n ]]_[
 {% endif %}
     const Real then = {% if q.line %}delay_line(s->line, &s->at, [[ q.line ]], [[ late ]]){% else %}[[ late ]]{% endif %};
     return measured + (now - then);
-{% elif q.kind == "filtered" %}
+{% elif q.kind == "early-late-filtered" %}
 {% set late = "discrete_model(p->then_b, p->then_a, s->then, " ~ q.then.a|length ~ ", applied)" %}
     const Real then = {% if q.line %}delay_line(s->line, &s->at, [[ q.line ]], [[ late ]]){% else %}[[ late ]]{% endif %};
     const Real difference = measured - then;
@@ -142,7 +142,7 @@ static Real predict_[[ axis.name ]](const [[ n ]]_[[ A ]]Predictor *p, [[ n ]]_[
     send(s->sent, [[ q.weights|length ]], applied);
     const Real before = s->sent[0];
     const Real now = s->sent[1];
-{% if q.kind == "state" %}
+{% if q.kind == "double-integrator" %}
     const Real late = p->f * before + (R(1.0) - p->f) * now;
     const Real x = s->x[0];
     const Real v = s->x[1];
@@ -150,7 +150,7 @@ static Real predict_[[ axis.name ]](const [[ n ]]_[[ A ]]Predictor *p, [[ n ]]_[
     s->x[0] = t[0] * x + t[1] * v + p->of_rate[0] * measured + p->of_command[0] * late;
     s->x[1] = t[2] * x + t[3] * v + p->of_rate[1] * measured + p->of_command[1] * late;
     return p->of_state[0] * s->x[0] + p->of_state[1] * s->x[1] + dot(p->weights, s->sent, [[ q.weights|length ]]);
-{% elif q.kind == "observer" %}
+{% elif q.kind == "model-observer" %}
     Real ahead[ [[- q.gain|length ]]];
     for (int i = 0; i < [[ q.gain|length ]]; i++) {
         ahead[i] = dot(p->transition[i], s->x, [[ q.gain|length ]]);
