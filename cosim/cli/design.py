@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from cosim.base.errors import InputError
 from cosim.cli.console import part_progress, terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, offer_to_compile, warn_of_blemishes
 
@@ -77,7 +78,12 @@ if TYPE_CHECKING:
     help="End with the proof: measured past the crossover, flown at the corners of the tolerances.  [default: --proof]",
 )
 @click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly, over a plain hover.")
-@click.option("--out", type=click.Path(path_type=Path), metavar="FILE.toml", help="[default: a new folder in runs/]")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False, writable=True),
+    metavar="FILE.toml",
+    help="[default: a new folder in runs/]",
+)
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 def design(
     engine: str,
@@ -112,6 +118,11 @@ def design(
     from cosim.design.result import to_dict, write
     from cosim.design.tune import Requirements
 
+    if out is not None:  # before minutes of searching
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"--out {out}: cannot be written to: {error.strerror or error}") from error
     offer_to_compile(engine)
     warn_of_blemishes(engine)
     need = Requirements(

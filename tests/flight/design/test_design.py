@@ -548,3 +548,17 @@ def test_the_command_writes_file_and_page(capfd: pytest.CaptureFixture[str], tmp
     page = (tmp_path / "made.html").read_text(encoding="utf-8")
     assert "Nyquist" in page
     assert "plotly" in page
+
+
+@pytest.mark.parametrize(("place", "said"), [(".", "' is a directory"), ("file/made.toml", ": cannot be written to: ")])
+def test_where_nothing_can_be_written_nothing_is_searched(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, place: str, said: str
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setattr("cosim.design.design.design", None)
+    with pytest.raises(SystemExit) as end:
+        main(["design", "--engine", "edf", "--out", str(tmp_path / place)])
+    assert end.value.code == 2
+    told = capfd.readouterr().err
+    assert said in told
+    assert told.count("\n") == 1
