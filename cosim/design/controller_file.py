@@ -56,7 +56,7 @@ class Purpose(Model):
     aircraft: str
     engine: str
     family: str  # what the models are filed under
-    engine_sha256: str
+    engine_sha256: str  # of a library engine's equations, of any other's archive; older files: always of the archive
     engine_parameters: dict[str, float] = Field(default_factory=dict)  # that were not the engine's own
     vehicle_changes: dict[str, Any] = Field(default_factory=dict)  # of the aircraft, the same way
     step_s: float
@@ -135,9 +135,9 @@ def differences(scenario: Scenario, path: Path) -> list[str]:
         str(scenario.engine), scenario.engine_parameters, scenario.step_s, unchecked=scenario.engine_unchecked
     )
     found = []
-    if spec.sha256 != made.engine_sha256:
+    if made.engine_sha256 not in (spec.identity, spec.sha256):
         found.append(f"designed for engine {made.engine} ({made.engine_sha256[:12]}), flown with {spec.name} "
-                     f"({spec.sha256[:12]})")  # fmt: skip
+                     f"({spec.identity[:12]})")  # fmt: skip
     elif any(spec.parameters.get(key) != value for key, value in made.engine_parameters.items()) or any(
         made.engine_parameters.get(key) != value for key, value in scenario.engine_parameters.items()
     ):

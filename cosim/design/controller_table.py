@@ -75,7 +75,7 @@ def controller_table(found: Design) -> dict[str, Any]:
         aircraft=found.vehicle.name,
         engine=spec.name,
         family=spec.family,
-        engine_sha256=spec.sha256,
+        engine_sha256=spec.identity,
         engine_parameters=dict(scenario.engine_parameters),
         vehicle_changes=dict(scenario.vehicle),
         step_s=scenario.step_s,

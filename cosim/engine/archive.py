@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import itertools
 import math
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -13,6 +15,7 @@ from xml.etree import ElementTree
 
 from cosim.base.cache import Memory
 from cosim.base.errors import InputError
+from cosim.engine.build import ADAPTER, ADAPTER_MADE, GENERATION_TOOL
 from cosim.engine.container import (
     UnusableError,
     one_line,
@@ -50,6 +53,7 @@ class Archive:
 
     path: Path
     sha256: str
+    equations_sha256: str | None  # of an engine of the library: see equations_of; None for any other
     fmi: int  # 2 or 3
     version: str  # of FMI, as the description says
     model: str
@@ -148,6 +152,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
     return Archive(
         path=path,
         sha256=sha256,
+        equations_sha256=equations_of(data, root, description),
         fmi=fmi,
         version=version,
         model=description.modelName,
@@ -169,6 +174,30 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
         serializes_state=slave.canGetAndSetFMUstate and slave.canSerializeFMUstate,
         starting=begin,
     )
+
+
+def equations_of(data: bytes, root: ElementTree.Element, description: Any) -> str | None:
+    """A hash of what an engine of the library computes: its own C source and its variables with their start values.
+
+    Whoever compiles it, and with whatever adapter to FMI, the hash is the same, while that of the archive is another
+    with every compiler.  None for an archive that the library's build did not make: of that only the whole is known.
+    """
+    if root.get("generationTool") != GENERATION_TOOL:
+        return None
+    digest = hashlib.sha256()
+    for name, text in own_sources(data):
+        digest.update(f"{name}\0".encode() + text + b"\0")
+    for v in sorted(description.modelVariables, key=lambda v: str(v.name)):
+        digest.update(repr([str(each) for each in (v.name, v.causality, v.start, v.min, v.max, v.unit)]).encode())
+    return digest.hexdigest()
+
+
+def own_sources(data: bytes) -> list[tuple[str, bytes]]:
+    """The engine's own C sources in an archive that the library's build made, by name: what is not the adapter's."""
+    given = {f"sources/{name}" for name in (*ADAPTER, *ADAPTER_MADE, "fmi2.c", "fmi3.c")}
+    with zipfile.ZipFile(io.BytesIO(data)) as fmu:
+        names = sorted(set(fmu.namelist()) - given)
+        return [(name, fmu.read(name)) for name in names if name.startswith("sources/")]
 
 
 def _left_alone(inputs: Sequence[Variable], ports: Mapping[str, Port], begin: Starting) -> list[str]:

@@ -33,6 +33,8 @@ UNITS: dict[str, dict[str, float]] = runpy.run_path(str(Path(__file__).with_name
 
 # The adapter that turns an engine model into a slave; fmi2.c or fmi3.c joins them.
 ADAPTER = ("engine.h", "slave.h", "slave.c")
+ADAPTER_MADE = ("variables.h", "buildDescription.xml")  # written from engine.toml
+GENERATION_TOOL = "hexjet-cosim"
 
 # No fused multiply-add, so that every build computes the same bits.
 C_FLAGS = "" if sys.platform == "win32" else "-ffp-contract=off"
@@ -345,7 +347,7 @@ def _common(engine: Engine, version: str, **token: str) -> ElementTree.Element:
             "modelName": engine.name,
             **token,
             "description": f"{engine.title}: {engine.description}",
-            "generationTool": "hexjet-cosim",
+            "generationTool": GENERATION_TOOL,
             "variableNamingConvention": "flat",
         },
     )

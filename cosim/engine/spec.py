@@ -63,6 +63,11 @@ class EngineSpec:
     isolated: bool = False  # it asks for a process of its own
 
     @property
+    def identity(self) -> str:
+        """What a design says which engine it was made for by: the hash of its equations, else of its archive."""
+        return self.archive.equations_sha256 or self.sha256
+
+    @property
     def behaviour(self) -> tuple[Hashable, ...]:
         """What the engine does depends on this, and on how it is stepped."""
         return *behaviour_of(self.archive, self.settings, self.air), self.start, self.window, self.quiet

@@ -417,3 +417,25 @@ def test_loading_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     load_engine("edf-fmi2", {}, STEP)
     load_engine("edf", {}, STEP)
     assert capfd.readouterr() == ("", "")
+
+
+def test_what_a_library_engine_computes_has_a_hash_of_its_own(tmp_path: Path) -> None:
+    """Another compiler makes another archive of the same engine; another start value or equation makes another engine."""
+    shipped = load_engine("edf", {}, STEP)
+
+    def compiled(contents: dict[str, bytes]) -> None:
+        (name,) = [name for name in contents if name.endswith(".so")]
+        contents[name] += b"GCC: another"
+        contents["sources/slave.c"] += b"\n"
+
+    def equation(contents: dict[str, bytes]) -> None:
+        contents["sources/delayed_lag.c"] += b"\n"
+
+    again = load_engine(str(rewrite(archive("edf", 3), tmp_path / "again.fmu", compiled)), {}, STEP)
+    assert again.sha256 != shipped.sha256
+    assert again.identity == shipped.identity != shipped.sha256
+    other = load_engine(str(rewrite(archive("edf", 3), tmp_path / "other.fmu", equation)), {}, STEP)
+    assert other.identity != shipped.identity
+    foreign = edit_description(archive("edf", 3), tmp_path / "foreign.fmu", 'Tool="hexjet-cosim"', 'Tool="another"')
+    theirs = load_engine(str(foreign), {}, STEP)
+    assert theirs.identity == theirs.sha256
