@@ -537,7 +537,15 @@ class Scenario(Model):
     def resolved_vehicle(self) -> tuple[Vehicle, Path]:
         """The aircraft with :attr:`vehicle` written over it, and its folder; read and checked once.
 
-        Raises InputError as :func:`cosim.spec.vehicle.load_vehicle`.
+        Returns
+        -------
+        tuple of Vehicle and Path
+            The vehicle as stated, and the folder of its aircraft.
+
+        Raises
+        ------
+        InputError
+            As :func:`cosim.spec.vehicle.load_vehicle`.
         """
         known = self._resolved
         if known is None or known[0] != self.aircraft or known[1] is not self.vehicle:  # a copy may have another
@@ -611,7 +619,25 @@ class Scenario(Model):
 
     @classmethod
     def read(cls, name: str | Path, settings: Sequence[str] | None = None) -> Scenario:
-        """As :meth:`load`, its vehicle not looked at: of a run of an older version, or before another aircraft."""
+        """As :meth:`load`, its vehicle not looked at: of a run of an older version, or before another aircraft.
+
+        Parameters
+        ----------
+        name : str or Path
+            Its name in ``scenarios/``, or the path of its file.
+        settings : sequence of str or None
+            ``KEY=VALUE``, written over it; the value as TOML has it.
+
+        Returns
+        -------
+        Scenario
+            Validated but for its vehicle.
+
+        Raises
+        ------
+        InputError
+            As :meth:`load`, for all but the vehicle.
+        """
         path = find_scenario(name)
         data = read_toml(path)
         for text in settings or []:

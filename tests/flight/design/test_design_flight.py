@@ -124,4 +124,5 @@ def test_a_flight_flips_at_the_lower_gain_margin(engine: str, share: float, grow
         changed = [f"vehicle.jets.{k}.position_m=[{x}, {factor * y}, {z}]" for k, (x, y, z) in enumerate(places)]
         changed += [f"vehicle.control.rate.yaw.{key}={rate['yaw'][key] / factor}" for key in "pid"]
     changed += ["vehicle.control.schedule=false"] if engine == "p220" else []
-    assert (growth(engine, 60.0, *changed) > 1.0) == grows
+    # the fan without a predictor is at the limits of its throttle after ten seconds, and grows no further
+    assert (growth(engine, 12.0 if engine == "edf" else 60.0, *changed) > 1.0) == grows

@@ -79,7 +79,7 @@ def left_behind(run: Run) -> dict[str, Any]:
 
 def test_a_flight_does_not_depend_on_those_before_it() -> None:
     script = (
-        f"import sys; sys.path.insert(0, {str(TOOLS)!r});"
+        f"import sys; sys.path[:0] = {[str(TOOLS), str(Path(__file__).parent)]!r};"
         "from test_many_flights import *; print(digest(FLIGHTS[sys.argv[1]]))"
     )
     alone = {

@@ -260,6 +260,8 @@ def test_what_is_no_sample_is_refused_and_leaves_no_trace() -> None:
             continue
         if path == ("health",) and part == (1.0,) * 30:  # more than enough
             continue
+        if path[:1] == ("health",) and len(path) > 1 and int(path[1]) >= 6:  # of engines that this vehicle has not
+            continue
         with pytest.raises((TypeError, ZeroDivisionError)):
             recorder.observe(replaced(sample, path, part))
         tried += 1
