@@ -14,6 +14,8 @@ BUILT := .venv/built
 COMPILED := $(shell sed -n 's|^    "\(.*\.py\)",$$|cosim/\1|p' cosim/base/compiled.py)
 SOURCES := setup.py pyproject.toml cosim/base/compiled.py cosim/base/native_docs.py $(COMPILED) cosim/engine/build.py cosim/engine/unit_table.py $(wildcard cosim/*/*.c cosim/engine/*.h) \
 	$(shell find engines -type f 2>/dev/null)
+# three for two processors: many tests wait for a process, a port or a clock
+TESTERS = $(shell $(PYTHON) -c 'import os; print(max(2, os.cpu_count() * 3 // 2))')
 # half a gigabyte for MAVProxy's maps and three-dimensional views; the tests run it without
 NOT_NEEDED := opencv-python vtk shapely quantized-mesh-tile
 # what the set-up leaves outside .venv; if any of it was deleted, it is made again
@@ -37,10 +39,10 @@ check: setup ## lint, format, types and layers: everything that is checked witho
 	$(BIN)/lint-imports
 
 test: setup ## run the tests on all cores; options for pytest in ARGS: make test ARGS="-k smith -x", one core: -n0
-	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses $(TESTERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 fast: setup ## the unit tests alone, in at most three minutes
-	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile tests/unit $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder tests/unit $(ARGS)
 
 fmus: setup ## build the engines' FMUs anew
 	@$(BIN)/hexjet fmu build $(ARGS)
