@@ -39,12 +39,9 @@ KINDS = {"unit": "unit", "flight": "flight", "process": "process", "clients": "c
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A test has the mark of the folder that it is in; those that wait most come first, and the shortest last."""
-    kinds = [item.path.relative_to(TESTS).parts[0] for item in items]
-    for item, kind in zip(items, kinds, strict=True):
-        item.add_marker(KINDS[kind])
-    order = ["clients", "process", "flight", "unit"]
-    items[:] = [item for kind in order for item, its in zip(items, kinds, strict=True) if its == kind]
+    """A test has the mark of the folder that it is in."""
+    for item in items:
+        item.add_marker(KINDS[item.path.relative_to(TESTS).parts[0]])
 
 
 @pytest.fixture(scope="session", autouse=True)
