@@ -5,15 +5,12 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from click.core import ParameterSource
 
 from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example
-
-if TYPE_CHECKING:
-    pass
 
 
 @click.command(epilog=example("hexjet bench --only step --only engines"))

@@ -7,15 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from click.core import ParameterSource
 
 from cosim.base.errors import InputError
-
-if TYPE_CHECKING:
-    pass
 
 DONE, FLIGHT_FAILED, WRONG_INPUT = 0, 1, 2
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -12,9 +12,6 @@ from cosim.base.paths import data_folder, files_in, names_in
 from cosim.base.toml import read_toml
 from cosim.cli.console import terminal
 from cosim.cli.options import DONE, example
-
-if TYPE_CHECKING:
-    pass
 
 KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
 

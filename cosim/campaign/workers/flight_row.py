@@ -41,7 +41,6 @@ _LAST: Kinds = {
     "worker": str,
 }
 _KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
-BY_CHANCE = ("wall_s", "worker")  # what may differ when a flight is flown again
 
 
 def kinds(study: Study) -> Kinds:

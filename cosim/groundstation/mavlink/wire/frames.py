@@ -23,9 +23,6 @@ from cosim.groundstation.mavlink.wire.dialect import (
 )
 from cosim.groundstation.mavlink.wire.signing import Signing
 
-# Why a frame, or bytes that are none, were not taken.
-REASONS = ("noise", "truncated", "flags", "unknown", "crc", "signature", "replay", "unsigned")
-
 RADIO_STATUS = BY_NAME["RADIO_STATUS"].id
 _HEAD_2 = struct.Struct("<BBBBBBBHB")
 
