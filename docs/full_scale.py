@@ -93,7 +93,7 @@ def searched(case: Case, out: Path) -> dict[str, Any]:
     dynamics = Actuator.of(case.name, _dynamics(_identify(flight, vehicle, spec, None)))
     channel = channels(flight, vehicle, spec, dynamics)["roll"]
     lead, predictor = engine_lead(channel), vehicle.control.predictor
-    roll = _axis(channel, vehicle, flight, spec, TRIED, need, case.name, predictor, lambda text: None, lead)
+    roll = _axis(channel, vehicle, spec, TRIED, need, case.name, predictor, lambda text: None, lead)
     return {
         "limits_hz": dict(roll.limits),
         "candidates": {name: value if isfinite(value) else None for name, value in roll.candidates.items()},

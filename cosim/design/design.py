@@ -212,7 +212,7 @@ def design(
     source = f"{found.source}; with the airframe of {vehicle.name}"
     begin = None if start is None else _begin(start, plants, vehicle, spec)
     if begin is None:
-        axes = _axes(plants, vehicle, scenario, spec, names, need, source, say, lead)
+        axes = _axes(plants, vehicle, spec, names, need, source, say, lead)
     else:
         axes = _again(plants, vehicle, spec, need, source, begin, say)
     reason = _why_not(axes, need)
@@ -394,7 +394,6 @@ def throttle_for(spec: EngineSpec, vehicle: Vehicle) -> float:
 def _axes(
     plants: Mapping[str, Channel],
     vehicle: Vehicle,
-    scenario: Scenario,
     spec: EngineSpec,
     names: Sequence[str],
     need: Requirements,
@@ -404,7 +403,7 @@ def _axes(
 ) -> dict[str, AxisDesign]:
     leads = {axis: engine_lead(plants[axis]) if lead else None for axis in AXES}
     predictor = vehicle.control.predictor
-    roll = _axis(plants["roll"], vehicle, scenario, spec, names, need, source, predictor, say, leads["roll"])
+    roll = _axis(plants["roll"], vehicle, spec, names, need, source, predictor, say, leads["roll"])
     chosen = roll.after.tuning if roll.after else None
     found = {"roll": roll}
     for axis in AXES[1:]:
@@ -414,7 +413,7 @@ def _axes(
         names = (chosen.controller if predicted and chosen else BASELINE.name,)
         predictor = chosen.predictor if chosen else vehicle.control.predictor
         found[axis] = _axis(
-            channel, vehicle, scenario, spec, names, needed(axis, need), source, predictor, say, leads[axis],
+            channel, vehicle, spec, names, needed(axis, need), source, predictor, say, leads[axis],
             free=not predicted,
         )  # fmt: skip
     return found
@@ -423,7 +422,6 @@ def _axes(
 def _axis(
     channel: Channel,
     vehicle: Vehicle,
-    scenario: Scenario,
     spec: EngineSpec,
     names: Sequence[str],
     need: Requirements,

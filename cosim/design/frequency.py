@@ -37,7 +37,7 @@ class Margins(BaseModel):
     phase_margin: float | None  # deg
 
 
-def grid(step: float, points: int = 3000, lowest: float = 1e-4) -> Complex:
+def grid(points: int = 3000, lowest: float = 1e-4) -> Complex:
     """The upper half of the unit circle, dense at low frequency; ``lowest`` in rad per sample."""
     angles = np.union1d(np.geomspace(lowest, pi, points // 2), np.linspace(pi / points, pi, points // 2))
     return np.asarray(np.exp(1j * angles))

@@ -196,7 +196,7 @@ def noise_gain(axis: Axis, points: int = 6000) -> float:
     loop = LoopMap(axis, points)
     if loop.unstable_poles(1.0, axis.delay_samples):
         raise ValueError(f"{axis.controller}: an unstable loop has no noise gain")
-    z = grid(axis.step, points)
+    z = grid(points)
     of_rate, _ = predictor_response(axis.controller, axis.model, axis.tuning)(z)
     error, slope = controllers_response(axis, z)
     size = np.abs((error + slope) * of_rate / loop.characteristic(1.0, axis.delay_samples)) ** 2
@@ -311,7 +311,7 @@ def _tunings(axis: Axis) -> list[PredictorTuning]:
 
 def _reach(engine: str, axis: Axis, lag: float) -> Reach:
     """A coarse grid for each tuning, then ever finer ones around the best point."""
-    z = grid(axis.step, 500, lowest=1e-3)
+    z = grid(500, lowest=1e-3)
     # p in units of the gain that makes the rate loop as fast as the lag
     unit = 1.0 / integrating_gain(axis.model) / lag
 

@@ -168,7 +168,7 @@ class LoopMap:
     def __init__(self, axis: Axis, points: int = 3000, known: tuple[Complex, Complex, Complex] | None = None) -> None:
         """``known``: points of the upper half circle with ``P_y`` and ``P_u`` there, if found before."""
         self._axis = axis
-        z = known[0] if known else grid(axis.step, points)
+        z = known[0] if known else grid(points)
         of_rate, of_command = known[1:] if known else predictor_response(axis.controller, axis.model, axis.tuning)(z)
         error, slope = controllers_response(axis, z)
         angle = 0.5 * axis.step * (z + 1.0) / (z - 1.0)

@@ -89,7 +89,7 @@ MODELS = [
 def test_an_observers_closed_form_is_what_the_predictor_that_flies_does(each: RateModel, disturbance: bool) -> None:
     """The transform of the flying block's impulse response; equal poles are moved apart by 1e-5, and show it."""
     name = "state-disturbance" if disturbance else "state-model"
-    z = grid(0.004, 300)
+    z = grid(300)
     flown = impulse_response(lambda: PREDICTORS[name].predictor(each, TUNING), each)(z)
     bandwidth = TUNING.disturbance_observer_rad_s if disturbance else TUNING.model_observer_rad_s
     closed = observer_response(each, bandwidth, disturbance)(z)
@@ -144,7 +144,7 @@ def test_the_roll_channel_is_the_ledger() -> None:
 
 @pytest.mark.parametrize("engine", ["edf", "edf-as-flown", "turbojet"])
 def test_the_model_of_a_predictor_is_the_channel_exactly(engine: str) -> None:
-    z = grid(0.004, 300)
+    z = grid(300)
     for axis, channel in parts(engine)[3].items():
         if axis != "altitude":
             own = channel.model("x")
