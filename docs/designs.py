@@ -174,13 +174,12 @@ def heavier(name: str) -> str:
     plan = load_vehicle(made.aircraft, read_controller(path).vehicle)[0].control.schedule
     assert plan
     full = {axis: begin[axis][1.0] for axis in AXES}
-    leads = {axis: tuning.lead for axis, tuning in full.items()}
     rows = []
     for level in make._levels(scenario, vehicle, spec, actuator, None, lambda text: None):
         if level.fuel not in DESIGNED:
             continue
         row = [f"{100.0 * level.fuel:.0f} %"]
-        for tuning in (full["roll"], at_share(plan, leads, full, level.share, scenario.step_s)["roll"]):
+        for tuning in (full["roll"], at_share(plan, full, level.share, scenario.step_s)["roll"]):
             for inertia in (1.0, 1.25):
                 roll = level.channels["roll"]
                 closed = Closed(Points(replace(roll, gain=roll.gain / inertia), close=FINE), tuning)

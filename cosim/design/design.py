@@ -252,7 +252,6 @@ def _burn(
 ) -> tuple[Schedule | None, list[LevelDesign], str]:
     """The schedule, where one is needed, every level, and what is wrong with them."""
     full = {axis: each.after.tuning for axis, each in axes.items() if axis in LEVELLED and each.after is not None}
-    leads = {axis: tuning.lead for axis, tuning in full.items()}
     step = axes["roll"].channel.step
     fits = all(keeps(level.channels[axis], full[axis], needed(axis, need)) for level in found for axis in LEVELLED)
     known = {axis: dict((begin or {}).get(axis, {})) for axis in LEVELLED}
@@ -269,7 +268,7 @@ def _burn(
             plan = schedule(found, known)
         burning = []
         for level in found:
-            acting = at_share(plan, leads, full, level.share, step) if plan else full
+            acting = at_share(plan, full, level.share, step) if plan else full
             held = {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in LEVELLED}
             after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
             kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
@@ -300,7 +299,7 @@ def _begin(
         full = {axis: found[axis][1.0] for axis in LEVELLED}
         fuels = [level.fuel for level in file.design.levels if level.designed]
         for level, fuel in zip(reversed(plan.level), fuels, strict=False):
-            there = at_share(plan, {axis: each.lead for axis, each in full.items()}, full, level.share, step)
+            there = at_share(plan, full, level.share, step)
             for axis in LEVELLED:
                 found[axis][fuel] = there[axis]
     return found

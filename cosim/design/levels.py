@@ -148,10 +148,9 @@ def _factors(here: Tuning, full: Tuning) -> ScheduledGains:
     return ScheduledGains.model_validate(stated)
 
 
-def at_share(stated: Schedule, leads: Mapping[str, EngineLead | None], full: Mapping[str, Tuning], share: float,
-             step: float) -> dict[str, Tuning]:  # fmt: skip
+def at_share(stated: Schedule, full: Mapping[str, Tuning], share: float, step: float) -> dict[str, Tuning]:
     """The tunings that act in flight at a collective."""
-    there = GainSchedule(stated, Leads(**{axis: lead or None for axis, lead in leads.items()}), step).at(share)
+    there = GainSchedule(stated, Leads(**{axis: tuning.lead for axis, tuning in full.items()}), step).at(share)
     return {"roll": scaled(full["roll"], there.roll), "altitude": scaled(full["altitude"], there.altitude)}
 
 

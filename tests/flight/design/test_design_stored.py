@@ -148,7 +148,6 @@ def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
     plan = load_vehicle(made.aircraft, read_controller(DESIGNS / f"{name}.toml").vehicle)[0].control.schedule
     assert plan
     full = {axis: begin[axis][1.0] for axis in LEVELLED}
-    leads = {axis: tuning.lead for axis, tuning in full.items()}
     for level, record in zip(found, made.levels, strict=True):
         assert level.share == pytest.approx(record.share, rel=1e-4)
         for axis in LEVELLED:
@@ -165,7 +164,7 @@ def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
                 assert record.axes[axis].peak_sensitivity == pytest.approx(told.peak_sensitivity, rel=1e-3)
             assert record.axes[axis].peak_sensitivity <= made.requirements.max_sensitivity
             # what acts in flight, between the levels too, keeps every requirement: noise, saturation and tolerance as well
-            assert keeps(level.channels[axis], at_share(plan, leads, full, level.share, scenario.step_s)[axis], asked)
+            assert keeps(level.channels[axis], at_share(plan, full, level.share, scenario.step_s)[axis], asked)
 
 
 def test_a_level_is_designed_where_a_straight_line_misses_a_requirement() -> None:
