@@ -254,6 +254,9 @@ def _burn(
     full = {axis: each.after.tuning for axis, each in axes.items() if axis in LEVELLED and each.after is not None}
     step = axes["roll"].channel.step
     fits = all(keeps(level.channels[axis], full[axis], needed(axis, need)) for level in found for axis in LEVELLED)
+    held = [
+        {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in LEVELLED} for level in found
+    ]
     known = {axis: dict((begin or {}).get(axis, {})) for axis in LEVELLED}
     designed = {*DESIGNED, *(fuel for of in known.values() for fuel in of)}
     while True:
@@ -267,12 +270,13 @@ def _burn(
                 known[axis] = own
             plan = schedule(found, known)
         burning = []
-        for level in found:
-            acting = at_share(plan, full, level.share, step) if plan else full
-            held = {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in LEVELLED}
-            after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
+        for level, before in zip(found, held, strict=True):
+            acting, after = full, before
+            if plan:
+                acting = at_share(plan, full, level.share, step)
+                after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
             kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
-            burning.append(LevelDesign(level, level.fuel in designed, held, after, kept))
+            burning.append(LevelDesign(level, level.fuel in designed, before, after, kept))
         missed = {each.level.fuel for each in burning if plan and not all(each.kept.values())}
         if missed <= designed:
             where = ", ".join(f"{fuel:.0%} of the fuel" for fuel in sorted(missed))
