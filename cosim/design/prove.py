@@ -24,8 +24,8 @@ from math import ceil, degrees, floor, pi
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.base.arrays import Array, Complex
 from cosim.base.errors import EngineError, InputError
 from cosim.base.toml import merge, read_toml
 from cosim.design.closed_loop import Closed, Points
@@ -38,10 +38,6 @@ from cosim.design.proof import Flown, Proof
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario, find_scenario
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
 
 MOST_MISFIT = 0.10  # of the response: a third of what the tolerance of the gain leaves
 PAST = 3.0  # times the crossover, up to where the engine is measured
@@ -76,7 +72,7 @@ def prove(found: Design, say: Callable[[str], None] = lambda text: None) -> Proo
 
     Raises InputError if a flight cannot be set up at all.
     """
-    nothing = Proof("", np.nan, 0.0, 0.0, 0.0, ())
+    proof = Proof("", np.nan, 0.0, 0.0, 0.0, ())
     if found.identification is not None:
         dynamics = found.axes["roll"].channel.actuator.dynamics
         if dynamics.misfit > MOST_MISFIT:
@@ -84,18 +80,18 @@ def prove(found: Design, say: Callable[[str], None] = lambda text: None) -> Proo
                 f"no model follows the engine: the best one is {100.0 * dynamics.misfit:.0f} % off its response, and "
                 f"{100.0 * MOST_MISFIT:.0f} % is the most that a design rests on"
             )
-            return Proof(why, *(nothing.measured_hz, 0.0, 0.0, 0.0), ())
+            return replace(proof, reason=why)
         say("the engine past the crossover")
-        nothing = _measured(found, dynamics)
-        if nothing.reason:
-            return nothing
+        proof = _measured(found, dynamics)
+        if proof.reason:
+            return proof
     flights = _fly_all(found, say)
     bad = [each for each in flights if each.fault]
     reason = ""
     if bad:
         more = f" (and {len(bad) - 1} of {len(flights)} flights more)" if len(bad) > 1 else ""
         reason = f"flown with the engine itself it does not keep what it promises: {bad[0].words}: {bad[0].fault}{more}"
-    return Proof(reason, nothing.measured_hz, nothing.share, nothing.sensitivity, nothing.above, flights)
+    return replace(proof, reason=reason, flights=flights)
 
 
 # ---- the loop, with what was measured in place of the model
@@ -183,12 +179,13 @@ def _fly_all(found: Design, say: Callable[[str], None]) -> list[Flown]:
     later = floor(need.delay_samples(roll.channel))
     low, high = 1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance
     corners = dict.fromkeys([(1.0, 0), (low, 0), (high, 0), (low, later), (high, later)])
-    flights = []
+    tables = _tables(found)
+    flights: list[Flown] = []
     for gain, steps in corners:
-        for name, table in _tables(found).items():
+        for name, table in tables.items():
             say(f"flight: {name}, gain {gain:.2f}, {steps} steps later")
             flights.append(Flown(name, gain, steps, _flight(found, name, table, gain, steps)))
-        if flights[-1].fault or flights[-2].fault or flights[-3].fault:
+        if any(each.fault for each in flights[-len(tables) :]):
             break  # one corner that fails is enough
     return flights
 
