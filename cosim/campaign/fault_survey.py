@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from math import degrees, nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.base.constants import GRAVITY, SERVOS
 from cosim.base.errors import InputError
@@ -20,6 +20,7 @@ from cosim.base.signals import AXES
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
+from cosim.results.columns import jets_in
 from cosim.results.metrics import wrap
 from cosim.results.report.marks import table, write_marks
 from cosim.results.report.page import render
@@ -29,8 +30,6 @@ from cosim.spec.vehicle import Vehicle, load_vehicle
 if TYPE_CHECKING:
     from cosim.results.recorder import Log
 
-T = TypeVar("T")
-R = TypeVar("R")
 Verdict = Literal["held", "airborne", "lost"]
 Say = Callable[[str, int, int], None]
 
@@ -283,17 +282,11 @@ def judge(log: Log, begin: int) -> tuple[float, float, int | None]:
     if not roll.size:
         return nan, nan, None
     upright = np.cos(roll) * np.cos(pitch)
-    health = np.min([log[f"health_{jet}"] for jet in range(1, 5)] + [_known(log[f"health_{jet}"]) for jet in (5, 6)], 0)
+    # a column is NaN where a vehicle has no such jet
+    health = np.nanmin([log[f"health_{jet}"] for jet in range(1, jets_in(log.columns) + 1)], 0)
     ill = np.flatnonzero(health < 1.0)
     lean = degrees(float(np.arccos(np.clip(upright.min(), -1.0, 1.0))))
     return lean, max(0.0, float(height[0] - height.min())), int(ill[0]) if ill.size else None
-
-
-def _known(values: Any) -> Any:
-    """A column with 1 where a vehicle has no such jet."""
-    import numpy as np
-
-    return np.where(np.isnan(values), 1.0, values)
 
 
 def verdict_of(outcome: str, log: Log, step: float) -> Verdict:

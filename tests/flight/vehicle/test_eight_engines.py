@@ -14,6 +14,7 @@ from pyulog import ULog
 
 from cosim.base.errors import InputError
 from cosim.base.paths import data_folder
+from cosim.campaign.fault_survey import judge
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
@@ -68,6 +69,14 @@ FAULTS = [{"kind": "thrust_loss", "jet": 8, "share": 0.3, "start_s": 0.2, "durat
           {"kind": "sensor_bias", "sensor": "barometer", "bias": [0.2], "start_s": 0.3}]  # fmt: skip
 
 
+class Columns(dict[str, np.ndarray]):
+    """A log in memory."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        return tuple(self)
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return fly(octorotor(fault=FAULTS), tmp_path_factory.mktemp("runs") / "eight")
@@ -88,6 +97,13 @@ def test_a_fault_is_flagged_where_it_acts(run: Run) -> None:
     for other in (*(f"fault_jet_{jet}" for jet in range(1, 8)), "fault_servo_left", "fault_gyro", "fault_gnss"):
         assert not np.any(run.log[other]), other
     assert any(event.text == "jet 8: 30 % of the thrust lost" for event in events_of(run))
+
+
+def test_a_survey_of_faults_hears_of_the_last_of_them(run: Run) -> None:
+    log = {name: run.log[name] for name in run.log.columns}
+    assert judge(Columns(log), 80)[2] is None
+    log["health_8"] = np.where(run.log["time_s"] > 0.25, 0.0, 1.0)
+    assert judge(Columns(log), 80)[2] == np.flatnonzero(run.log["time_s"] > 0.25)[0]
 
 
 def test_metrics_are_of_all_of_them(run: Run) -> None:
