@@ -71,19 +71,14 @@ def write_page(searched: Searched, path: Path) -> None:
         figures(found, searched.looked),
         found=found,
         base=found.study.base(),
-        controllers=[label(name) for name in found.study.flown_with],
-        labels={name: label(name) for name in found.study.flown_with},
+        controllers=[short_name(name) for name in found.study.flown_with],
+        labels={name: short_name(name) for name in found.study.flown_with},
         columns=columns,
         rows=rows,
         fine=[how_fine(span) for span in found.plan.spans],
         together=joint_lines(found),
         cases=cases,
     )
-
-
-def label(controller: str) -> str:
-    """A controller's name; of a file, the file's."""
-    return short_name(controller)
 
 
 def text(value: Value | None, unit: str = "") -> str:
@@ -107,7 +102,7 @@ def table(found: Found) -> tuple[list[str], list[list[str]]]:
 def _row(found: Found, edge: Edge) -> Row:
     over = found.plan.over
     level = text(edge.level, over.key.unit) if over else ""
-    common = label(edge.controller), edge.key, level, text(edge.start, edge.unit)
+    common = short_name(edge.controller), edge.key, level, text(edge.start, edge.unit)
     if edge.start_breaks:
         back = "nowhere" if edge.holds is None else f"again at {text(edge.holds)}"
         return Row(*common, back, text(edge.breaks), "none", _then(edge))
@@ -151,7 +146,7 @@ def joint_lines(found: Found) -> list[str]:
 
 
 def _joint(found: Found, joint: Joint) -> str:
-    name = label(joint.controller)
+    name = short_name(joint.controller)
     effort = f"{joint.rays} directions, {joint.flights} flights" + (", all that were allowed" if joint.spent else "")
     if joint.distance is None:
         return f"{name}, together: nothing found that breaks it ({effort}), which does not show that nothing does"
@@ -195,11 +190,11 @@ def _bands(found: Found, span: Span) -> Figure:
     edges = [edge for edge in found.edges if edge.key == span.key.path]
     for edge in edges:
         for first, last, breaks in edge.bands:
-            data.append(_bar(label(edge.controller), float(first), float(last), RED if breaks else GREEN))
-    names = list(dict.fromkeys(label(edge.controller) for edge in edges))
+            data.append(_bar(short_name(edge.controller), float(first), float(last), RED if breaks else GREEN))
+    names = list(dict.fromkeys(short_name(edge.controller) for edge in edges))
     layout = _layout(110 + ROW_PX * len(names))
     layout["annotations"] = [
-        _said(label(edge.controller), float(edge.breaks), text(edge.breaks, edge.unit), span.logarithmic)
+        _said(short_name(edge.controller), float(edge.breaks), text(edge.breaks, edge.unit), span.logarithmic)
         for edge in edges
         if edge.breaks is not None and not edge.start_breaks
     ]
@@ -236,9 +231,8 @@ def _curve(found: Found) -> Figure:
         for side in ("up", "down"):
             edges = [e for e in found.edges if e.controller == controller and e.side == side]
             if edges:
-                data += _branch(
-                    edges, run_colour(number), label(controller), not any(d["name"] == label(controller) for d in data)
-                )
+                name = short_name(controller)
+                data += _branch(edges, run_colour(number), name, not any(d["name"] == name for d in data))
     layout = _layout(460) | {"showlegend": True}
     layout["shapes"] = [_level(span.start)]
     layout["xaxis"] = {"title": {"text": f"{over.key.path} [{over.key.unit or '1'}]"}}
@@ -341,11 +335,11 @@ def _shares(found: Found) -> Figure:
         {
             "type": "bar",
             "orientation": "h",
-            "name": label(joint.controller),
+            "name": short_name(joint.controller),
             "y": list(joint.deviations),
             "x": [100.0 * each for each in joint.deviations.values()],
             "marker": {"color": run_colour(number)},
-            "hovertemplate": f"{label(joint.controller)}: %{{y}} %{{x:+.3g}} %<extra></extra>",
+            "hovertemplate": f"{short_name(joint.controller)}: %{{y}} %{{x:+.3g}} %<extra></extra>",
         }
         for number, joint in enumerate(found.joints)
         if joint.distance is not None
