@@ -112,10 +112,11 @@ def controller(
     it does not repeat the flight to the last bit.
     """
     from cosim.codegen.export import export_controller
+    from cosim.spec.controller_name import is_design
 
     offer_to_compile(*engines)
     flown = load_scenario(scenario, controller, engines, None, settings, None, aircraft)
-    source = Path(controller).name if controller is not None and controller.lower().endswith(".toml") else ""
+    source = Path(controller).name if controller is not None and is_design(controller) else ""
     done = export_controller(flown, out if out is not None else Path(name), name, licence, not no_fmu, source)
     if as_json:
         click.echo(json.dumps(_data(done)))
@@ -127,14 +128,7 @@ def controller(
 def _data(done: Exported) -> dict[str, Any]:
     from dataclasses import asdict
 
-    measured = asdict(done.measured) if done.measured is not None else None
-    return {
-        "folder": str(done.folder),
-        "files": done.files,
-        "steps": done.steps,
-        "measured": measured,
-        "without_fmus": done.without_fmus,
-    }
+    return asdict(done) | {"folder": str(done.folder)}
 
 
 def _print(done: Exported) -> None:
