@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import cos, degrees, exp, hypot, inf, isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -342,12 +342,9 @@ def engine_out(
         if load_vehicle(vehicle)[0].servo is None:
             raise InputError(f"aircraft {vehicle}: it has no tilting banks, and no plan for an engine that is lost")
         for engine in engines:
-            why = unfit(vehicle, engine)
-            if not why:
-                found = _controller(vehicle, engine, designs, say)
-                why = found if isinstance(found, str) else ""
-            if why or isinstance(found, str):
-                left.append(Left(vehicle, engine, why))
+            found = unfit(vehicle, engine) or _controller(vehicle, engine, designs, say)
+            if isinstance(found, str):
+                left.append(Left(vehicle, engine, found))
                 continue
             flights = [
                 (_scenario(vehicle, engine, found, jet, means), jet, means)
@@ -507,8 +504,6 @@ def _half(simulation: Simulation, whole: Roller) -> Roller | None:
 
 def _inertia_for(whole: Roller, jet: int, limit: float) -> float:
     """The factor of J_xx, from 1, at which the bound is ``limit`` [deg], to 1 %."""
-    from dataclasses import replace
-
     low, high = 1.0, 32.0
     if whole.least_lean(jet).lean_deg <= limit:
         return 1.0
