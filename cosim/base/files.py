@@ -7,7 +7,8 @@ import fcntl
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import fields
+from dataclasses import asdict, fields
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,12 @@ def write_records(path: Path, kind: type[Any], records: Iterable[Any]) -> None:
         lines = csv.writer(file)
         lines.writerow(names)
         lines.writerows([getattr(record, name) for name in names] for record in records)
+
+
+def finite(record: Any) -> dict[str, Any]:
+    """A dataclass as a table that JSON can hold: None where a number is not finite."""
+    values = asdict(record)
+    return {name: None if isinstance(x, float) and not isfinite(x) else x for name, x in values.items()}
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.base.files import write_records
+from cosim.base.files import finite, write_records
 from cosim.campaign.fault_survey import (
     HEIGHT_M,
     SETTLED_S,
@@ -114,14 +114,10 @@ class EngineOut:
     def to_dict(self) -> dict[str, Any]:
         """For JSON; a bound beyond the furthest that is followed is null."""
         return {
-            "flights": [_finite(asdict(each)) for each in self.flights],
+            "flights": [finite(each) for each in self.flights],
             "left": [asdict(each) for each in self.left],
-            "levers": [_finite(asdict(each)) for each in self.levers],
+            "levers": [finite(each) for each in self.levers],
         }
-
-
-def _finite(table: dict[str, Any]) -> dict[str, Any]:
-    return {key: None if isinstance(x, float) and not isfinite(x) else x for key, x in table.items()}
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,16 @@ up.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
 from math import atan2, hypot, inf, isnan, nan, radians, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.campaign.fault_survey import controllers_for, step_of
+from cosim.base.files import finite
+from cosim.campaign.fault_survey import Say, controllers_for, step_of
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import (
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from cosim.simulation.step import Simulation
 
 Verdict = Literal["landed", "slid", "holds", "flies on", "stands armed", "crashed", "lost"]
-Say = Callable[[str, int, int], None]
 
 HEIGHTS_M = (3.0, 10.0, 30.0)
 WINDS_M_S = (0.0, 5.0, 10.0)
@@ -138,17 +138,13 @@ class Failsafes:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; null where there is no number."""
-        rows = [
-            {key: None if isinstance(value, float) and isnan(value) else value for key, value in asdict(row).items()}
-            for row in self.rows
-        ]
         return {
             "aircraft": self.aircraft,
             "engine": self.engine,
             "controller": self.controller,
             "limit_m_s": self.limit_m_s,
             "trip_m_s": self.trip_m_s,
-            "rows": rows,
+            "rows": [finite(row) for row in self.rows],
         }
 
 

@@ -8,6 +8,7 @@ from math import degrees, exp, inf, isfinite
 from pathlib import Path
 from typing import Any
 
+from cosim.base.files import finite
 from cosim.design.controller_table import controller_table, write_controller
 from cosim.design.design import (
     WITH_LEAD,
@@ -16,7 +17,6 @@ from cosim.design.design import (
     Design,
 )
 from cosim.design.figures import design_figures
-from cosim.design.proof import Proof
 from cosim.results.report.page import render
 from cosim.spec.vehicle import EngineLead
 
@@ -83,16 +83,9 @@ def to_dict(found: Design, paths: Mapping[str, Path] | None = None) -> dict[str,
         ],
         "schedule": found.schedule.model_dump(exclude_none=True) if found.schedule else None,
         "file": controller_table(found) if found.ok else None,
-        "proof": _proof_dict(found.proof),
+        "proof": finite(found.proof) if found.proof else None,
         "paths": {name: str(path) for name, path in (paths or {}).items()},
     }
-
-
-def _proof_dict(proof: Proof | None) -> dict[str, Any] | None:
-    if proof is None:
-        return None
-    values = asdict(proof)
-    return {key: None if isinstance(value, float) and not isfinite(value) else value for key, value in values.items()}
 
 
 def _axis_dict(each: AxisDesign) -> dict[str, Any]:
