@@ -18,7 +18,6 @@ import numpy as np
 
 from cosim.base.arrays import Array, Complex
 from cosim.control.lead import lead_polynomials
-from cosim.control.predictors.linear import Pair
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.channel import Channel, angles
 from cosim.design.frequency import (
@@ -50,10 +49,10 @@ class Points:
 class Closed:
     """A channel closed with a tuning, at the points."""
 
-    def __init__(self, points: Points, tuning: Tuning, answer: Pair | None = None) -> None:
+    def __init__(self, points: Points, tuning: Tuning) -> None:
         self.points, self.tuning = points, tuning
         z, channel = points.z, points.channel
-        self._of_rate, of_command = answer or tuning.answer()(z)
+        self._of_rate, of_command = tuning.answer()(z)
         self._error, slope = pid_response(tuning.gains, channel.step, z)
         if tuning.lead is not None:
             over, under = lead_polynomials(tuning.lead, channel.step)
