@@ -29,7 +29,7 @@ EVERY = (1, 2, 5, 25)  # steps a recorded row
 BANK_STEPS = 20_000  # one takes a microsecond
 
 HEXJET, QUADROTOR = "Hex-Jet, 6 engines, 2 servos", "quadrotor, 4 engines"
-BARE_HEXJET, BARE_QUADROTOR = "bare JSBSim run(), Hex-Jet", "bare JSBSim run(), quadrotor"
+BARE_QUADROTOR = "bare JSBSim run(), quadrotor"
 
 
 @dataclass(frozen=True)
