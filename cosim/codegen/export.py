@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -44,7 +44,7 @@ def export_controller(
         form = form_of(simulation)
         origin = _origin(scenario, source, simulation.engine.name, simulation.engine.sha256)
         vectors = record(simulation)
-    labels = Labels(labels.name, labels.title, labels.licence, origin)
+    labels = replace(labels, origin=origin)
     made = texts(form, vectors, labels)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from pilot_flights import Asked
+
 from cosim.campaign import failsafe_survey as table
 from cosim.campaign.fault_survey import step_of
 from cosim.control.autopilot import requests as rq
@@ -12,7 +14,7 @@ from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.vehicle import load_vehicle
 
 
-class Flight:
+class Flight(Asked):
     """A hover in still air over the ground, with an autopilot that is asked things."""
 
     def __init__(self, aircraft: str = "hexjet", height: float = 3.0, **changes: Any) -> None:
@@ -22,20 +24,6 @@ class Flight:
         self.simulation = build(scenario)
         self.pilot = with_autopilot(self.simulation, airborne=not scenario.initial.on_ground)
         self.ok(rq.SetParameter("SYS_FAILURE_EN", 1.0))
-
-    def __enter__(self) -> Flight:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.simulation.close()
-
-    def ask(self, request: Any) -> rq.Answer:
-        return self.pilot.handle(request, self.simulation.k)
-
-    def ok(self, *requests: Any) -> None:
-        for request in requests:
-            answer = self.ask(request)
-            assert answer.accepted, (request, answer)
 
     def fly(self, seconds: float, until: Any = None) -> float:
         """Step on; the thrust of the last step, N."""

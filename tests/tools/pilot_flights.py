@@ -5,19 +5,42 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from math import hypot
-from typing import Any
+from typing import Any, Self
 
 from cosim.base.signals import Sample
 from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.modes import Mode
 from cosim.simulation.build import build
 from cosim.simulation.ending import Ending
+from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.scenario import Scenario
 
 
-class Flight:
-    """A simulation that does what an autopilot is asked, step by step."""
+class Asked:
+    """A simulation with an autopilot that is asked things."""
+
+    simulation: Simulation
+    pilot: Autopilot
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.simulation.close()
+
+    def ask(self, request: Any) -> rq.Answer:
+        return self.pilot.handle(request, self.simulation.k)
+
+    def ok(self, *requests: Any) -> None:
+        for request in requests:
+            answer = self.ask(request)
+            assert answer.accepted, (request, answer)
+
+
+class Flight(Asked):
+    """A flight of an autopilot, step by step."""
 
     def __init__(self, airborne: bool = False, **changes: Any) -> None:
         base: dict[str, Any] = {
@@ -33,23 +56,9 @@ class Flight:
         self.samples: list[Sample] = []
         self.ending: Ending | None = None
 
-    def __enter__(self) -> Flight:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.simulation.close()
-
     @property
     def now(self) -> float:
         return self.simulation.k * self.simulation.dt
-
-    def ask(self, request: Any) -> rq.Answer:
-        return self.pilot.handle(request, self.simulation.k)
-
-    def ok(self, *requests: Any) -> None:
-        for request in requests:
-            answer = self.ask(request)
-            assert answer.accepted, (request, answer)
 
     def fly(self, seconds: float, until: Callable[[], bool] | None = None, every: Any = None) -> None:
         """Step on; ``every``: a request repeated ten times a second, as a ground station does with sticks."""
