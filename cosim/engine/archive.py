@@ -18,6 +18,8 @@ from cosim.base.errors import InputError
 from cosim.engine.build import ADAPTER, ADAPTER_MADE, GENERATION_TOOL
 from cosim.engine.container import (
     UnusableError,
+    fmi_of,
+    has_sources,
     one_line,
     open_archive,
     parse,
@@ -38,11 +40,6 @@ from cosim.engine.units import Unit
 
 TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}
 LARGEST_ARRAY = 10_000  # elements that are listed one by one
-# Model exchange leaves the integration to us.  FMPy's CVode, restarted at every change of the throttle, takes 2.5 ms
-# (1e-5) to 5.3 ms (1e-10) for six engines of two states, which is as long as a control step; not restarted it is wrong
-# by a hundredth of full thrust, or fails.
-INTERFACES = {"ModelExchange": "model exchange", "ScheduledExecution": "scheduled execution"}
-
 
 _archives: Memory[Archive] = Memory(64)
 
@@ -126,14 +123,7 @@ def validate(path: Path) -> list[str]:
 def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
     names, xml = open_archive(data)
     root = parse(xml)
-    version = root.get("fmiVersion", "none stated")
-    if version != "2.0" and not version.startswith("3.0"):
-        raise UnusableError(f"FMI version {version} is not supported; allowed: 2.0, 3.0")
-    if root.find("CoSimulation") is None:
-        other = [words for tag, words in INTERFACES.items() if root.find(tag) is not None]
-        more = "; export it with a solver inside, for co-simulation" if root.find("ModelExchange") is not None else ""
-        raise UnusableError(f"has no co-simulation interface (it has: {', '.join(other) or 'none'}){more}")
-    fmi = int(version[0])
+    fmi = fmi_of(root)
     description, blemishes = describe(data)
     slave = description.coSimulation
     _need_library(names, fmi, slave.modelIdentifier)
@@ -154,7 +144,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
         sha256=sha256,
         equations_sha256=equations_of(data, root, description),
         fmi=fmi,
-        version=version,
+        version=root.attrib["fmiVersion"],
         model=description.modelName,
         identifier=slave.modelIdentifier,
         token=description.instantiationToken,
@@ -229,8 +219,7 @@ def _need_library(names: list[str], fmi: int, identifier: str) -> None:
         return
     found = {PurePosixPath(name).parts[1] for name in names if name.startswith("binaries/") and name.count("/") > 1}
     has = ", ".join(sorted(found)) or "no binary at all"
-    sources = any(name.startswith("sources/") and not name.endswith("/") for name in names)
-    more = "; it has sources: hexjet fmu compile makes one of them" if sources else ""
+    more = "; it has sources: hexjet fmu compile makes one of them" if has_sources(names) else ""
     raise UnusableError(f"has no binary for this machine, {needed} (it has: {has}){more}")
 
 

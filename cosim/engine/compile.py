@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cosim.base.errors import InputError
 from cosim.engine.archive import platform_folder
-from cosim.engine.container import UnusableError, one_line, open_archive, parse, read_bytes
+from cosim.engine.container import UnusableError, has_sources, one_line, open_archive, parse, read_bytes
 from cosim.engine.description import describe
 
 LONGEST_S = 600.0  # chosen by us: a solver's sources take a minute
@@ -33,7 +33,7 @@ def needs_compiling(path: Path) -> bool:
         folder = platform_folder(2 if parse(xml).get("fmiVersion") == "2.0" else 3)
     except UnusableError:
         return False
-    return any(name.startswith("sources/") for name in names) and not any(
+    return has_sources(names) and not any(
         name.startswith(f"binaries/{folder}/") and not name.endswith("/") for name in names
     )
 
@@ -52,7 +52,7 @@ def compile_archive(path: Path, out: Path | None = None) -> Path:
         description, _ = describe(data)
     except UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason
-    if description.coSimulation is None or not any(name.startswith("sources/") for name in names):
+    if description.coSimulation is None or not has_sources(names):
         raise InputError(f"{path}: has no sources of a co-simulation interface; nothing to compile")
     with tempfile.TemporaryDirectory(prefix="hexjet-compile-") as folder:
         with zipfile.ZipFile(path) as fmu:

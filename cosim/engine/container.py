@@ -6,6 +6,7 @@ import io
 import stat
 import zipfile
 import zlib
+from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 from xml.parsers import expat
@@ -27,6 +28,10 @@ LONGEST_NAME = 250  # bytes of a part of a path; file systems end at 255
 # What both readers of the description, expat and FMPy's libxml2, take for the same characters.
 ENCODINGS = {"utf-8", "us-ascii", "iso-8859-1"}
 METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # what FMI allows
+# Model exchange leaves the integration to us.  FMPy's CVode, restarted at every change of the throttle, takes 2.5 ms
+# (1e-5) to 5.3 ms (1e-10) for six engines of two states, which is as long as a control step; not restarted it is wrong
+# by a hundredth of full thrust, or fails.
+INTERFACES = {"ModelExchange": "model exchange", "ScheduledExecution": "scheduled execution"}
 
 
 class UnusableError(Exception):
@@ -95,6 +100,23 @@ def parse(xml: bytes) -> ElementTree.Element:
     if root.tag != "fmiModelDescription":
         raise UnusableError(f"{DESCRIPTION} describes a {one_line(root.tag)[:80]}, not an FMU")
     return root
+
+
+def fmi_of(root: ElementTree.Element) -> int:
+    """The FMI version, 2 or 3, of a description with a co-simulation interface.  Raises UnusableError."""
+    version = root.get("fmiVersion", "none stated")
+    if version != "2.0" and not version.startswith("3.0"):
+        raise UnusableError(f"FMI version {version} is not supported; allowed: 2.0, 3.0")
+    if root.find("CoSimulation") is None:
+        other = [words for tag, words in INTERFACES.items() if root.find(tag) is not None]
+        more = "; export it with a solver inside, for co-simulation" if root.find("ModelExchange") is not None else ""
+        raise UnusableError(f"has no co-simulation interface (it has: {', '.join(other) or 'none'}){more}")
+    return int(version[0])
+
+
+def has_sources(names: Iterable[str]) -> bool:
+    """Whether an archive with files of these names brings C sources."""
+    return any(name.startswith("sources/") and not name.endswith("/") for name in names)
 
 
 def _size(count: int) -> str:

@@ -32,7 +32,7 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.signals import MOST_JETS
 from cosim.base.toml import read_toml
 from cosim.engine.archive import platform_folder
-from cosim.engine.container import DAMAGE, UnusableError, one_line, open_archive, parse, read_bytes
+from cosim.engine.container import DAMAGE, UnusableError, fmi_of, one_line, open_archive, parse, read_bytes
 from cosim.engine.description import describe
 from cosim.engine.ports import INTEGERS, REALS
 
@@ -103,12 +103,7 @@ def read_controller_fmu(path: Path) -> ControllerFmu:
 def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> ControllerFmu:
     data = read_bytes(path)
     _, xml = open_archive(data)
-    root = parse(xml)
-    version = root.get("fmiVersion", "none stated")
-    if version != "2.0" and not version.startswith("3.0"):
-        raise UnusableError(f"FMI version {version} is not supported; allowed: 2.0, 3.0")
-    if root.find("CoSimulation") is None:
-        raise UnusableError("has no co-simulation interface")
+    fmi = fmi_of(parse(xml))
     description, blemishes = describe(data)
     scalars = [v for v in description.modelVariables if v.type in _KINDS and not v.shape]
     by_cause = {cause: [v for v in scalars if v.causality == cause] for cause in ("input", "output", "parameter")}
@@ -156,7 +151,7 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
     return ControllerFmu(
         path,
         mapping,
-        int(version[0]),
+        fmi,
         level,
         jets,
         tilts,
