@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 import zipfile
+from io import BytesIO
 from pathlib import Path
 
 from cosim.base.errors import InputError
+from cosim.base.files import replacing
 from cosim.engine.archive import platform_folder
 from cosim.engine.container import UnusableError, has_sources, one_line, open_archive, parse, read_bytes
 from cosim.engine.description import describe
@@ -55,25 +56,22 @@ def compile_archive(path: Path, out: Path | None = None) -> Path:
     if description.coSimulation is None or not has_sources(names):
         raise InputError(f"{path}: has no sources of a co-simulation interface; nothing to compile")
     with tempfile.TemporaryDirectory(prefix="hexjet-compile-") as folder:
-        with zipfile.ZipFile(path) as fmu:
+        with zipfile.ZipFile(BytesIO(data)) as fmu:
             fmu.extractall(folder)
         _build(path, folder)
         binaries = Path(folder) / "binaries" / platform_folder(2 if description.fmiVersion == "2.0" else 3)
         made = sorted(each for each in binaries.glob("*") if each.is_file()) if binaries.is_dir() else []
         if not made:
             raise InputError(f"{path}: its sources make no library")
-        handle, copy = tempfile.mkstemp(dir=target.parent, suffix=".fmu")
-        os.close(handle)
         try:
-            shutil.copyfile(path, copy)
-            with zipfile.ZipFile(copy, "a", zipfile.ZIP_DEFLATED) as fmu:
-                for each in made:
-                    name = each.relative_to(folder).as_posix()
-                    if name not in names:
-                        fmu.write(each, name)
-            os.replace(copy, target)
+            with replacing(target) as copy:
+                copy.write_bytes(data)
+                with zipfile.ZipFile(copy, "a", zipfile.ZIP_DEFLATED) as fmu:
+                    for each in made:
+                        name = each.relative_to(folder).as_posix()
+                        if name not in names:
+                            fmu.write(each, name)
         except OSError as error:
-            Path(copy).unlink(missing_ok=True)
             raise InputError(f"{target}: {error.strerror or error}") from error
     return target
 

@@ -148,7 +148,10 @@ def test_an_engine_of_sources_alone_names_the_command_and_is_compiled_by_it(
     assert capfd.readouterr().out.strip() == str(made)
     assert needs_compiling(sources)
     assert not needs_compiling(made)
+    assert made.stat().st_mode == sources.stat().st_mode  # as readable for others as any file
     assert read_archive(made).thrust.name == "thrust"
+    with pytest.raises(InputError, match=r"nowhere.x\.fmu: No such file or directory"):
+        compile_archive(sources, sources.with_name("nowhere") / "x.fmu")
 
 
 def test_sources_that_do_not_compile_say_why(sources: Path) -> None:
