@@ -38,7 +38,6 @@ from cosim.engine.ports import INTEGERS, REALS
 
 MAPPING = ".fmu.toml"
 _SERVE = "import sys; from cosim.engine.controller_fmu import serve; serve(sys.argv[1])"
-NO_CONTROLLER = "is no controller"
 _ON_GROUND = "on_ground"  # a parameter that is set by us, if there is one
 _KINDS = {*REALS, *INTEGERS, "Boolean"}
 
@@ -69,6 +68,10 @@ class ControllerFmu:
         return {path.name: path for path in there}
 
 
+class IncompleteError(UnusableError):
+    """A controller by some of its outputs, which lacks another."""
+
+
 def is_controller(path: Path) -> bool:
     """Whether a file is an FMU with the outputs of a controller; False too for what cannot be read."""
     if not path.name.lower().endswith((".fmu", MAPPING)):
@@ -76,9 +79,7 @@ def is_controller(path: Path) -> bool:
     try:
         read_controller_fmu(path)
     except InputError as error:
-        return path.name.lower().endswith(MAPPING) or (
-            NO_CONTROLLER not in str(error) and "has no output" in str(error)
-        )
+        return path.name.lower().endswith(MAPPING) or isinstance(error.__cause__, IncompleteError)
     return True
 
 
@@ -116,7 +117,7 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
     level = next((found for name, found in wire.LEVEL_BY_OUTPUT.items() if name in outputs), "")
     if not level:
         raise UnusableError(
-            f"{NO_CONTROLLER}: it has no output {', '.join(wire.LEVEL_BY_OUTPUT)}; a mapping file {path.name}.toml "
+            f"is no controller: it has no output {', '.join(wire.LEVEL_BY_OUTPUT)}; a mapping file {path.name}.toml "
             "names its ports"
         )
     jets = next(number for number in reversed(jets_known) if number == 1 or f"throttle_{number}" in outputs)
@@ -126,7 +127,7 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
     )
     needed = wire.output_names(level, jets, tilts, extras)
     if missing := [name for name in needed if name not in outputs]:
-        raise UnusableError(f"has no output {missing[0]}, which a {level} needs")
+        raise IncompleteError(f"has no output {missing[0]}, which a {level} needs")
     outputs = {name: outputs[name] for name in needed}
     ins = {_plain(name): name for name in wire.input_names(level, jets)}
     inputs = _found(by_cause["input"], ins, stated, by_name, "input")
