@@ -1,7 +1,7 @@
 """An FMU as a controller: what it is by its description, and the process that runs it.
 
-Ports are those of :mod:`cosim.base.controller_wire`, found by name as engines' are, without case and without ``_``,
-``-`` and blanks, or stated in a mapping file ``NAME.fmu.toml``::
+Ports are those of :mod:`cosim.base.controller_wire`, found by name as engines' are, by its letters and digits
+without case, or stated in a mapping file ``NAME.fmu.toml``::
 
     fmu = "theirs.fmu"
     [ports]
@@ -17,7 +17,6 @@ import json
 import os
 import re
 import shutil
-import struct
 import sys
 import tempfile
 import zipfile
@@ -34,7 +33,7 @@ from cosim.base.toml import read_toml
 from cosim.engine.archive import platform_folder
 from cosim.engine.container import DAMAGE, UnusableError, fmi_of, one_line, open_archive, parse, read_bytes
 from cosim.engine.description import describe
-from cosim.engine.ports import INTEGERS, REALS
+from cosim.engine.ports import INTEGERS, REALS, plain
 
 MAPPING = ".fmu.toml"
 _SERVE = "import sys; from cosim.engine.controller_fmu import serve; serve(sys.argv[1])"
@@ -110,9 +109,9 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
     by_cause = {cause: [v for v in scalars if v.causality == cause] for cause in ("input", "output", "parameter")}
     by_name = {v.name: v for v in scalars}
     jets_known = range(1, MOST_JETS + 1)
-    outs = {_plain(name): name for n in jets_known for name in wire.output_names("controller", n, True, wire.EXTRAS)}
+    outs = {plain(name): name for n in jets_known for name in wire.output_names("controller", n, True, wire.EXTRAS)}
     for level in ("rate", "attitude", "predictor"):
-        outs |= {_plain(name): name for name in wire.output_names(level, 1, True)}
+        outs |= {plain(name): name for name in wire.output_names(level, 1, True)}
     outputs = _found(by_cause["output"], outs, stated, by_name, "output")
     level = next((found for name, found in wire.LEVEL_BY_OUTPUT.items() if name in outputs), "")
     if not level:
@@ -129,7 +128,7 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
     if missing := [name for name in needed if name not in outputs]:
         raise IncompleteError(f"has no output {missing[0]}, which a {level} needs")
     outputs = {name: outputs[name] for name in needed}
-    ins = {_plain(name): name for name in wire.input_names(level, jets)}
+    ins = {plain(name): name for name in wire.input_names(level, jets)}
     inputs = _found(by_cause["input"], ins, stated, by_name, "input")
     used = {id(v) for v in (*inputs.values(), *outputs.values())}
     left = [v.name for v in by_cause["input"] if id(v) not in used]
@@ -168,12 +167,8 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
 
 
 def _extra(level: str, jets: int, tilts: bool, extra: str) -> list[str]:
-    plain = wire.output_names(level, jets, tilts)
-    return [name for name in wire.output_names(level, jets, tilts, (extra,)) if name not in plain]
-
-
-def _plain(name: str) -> str:
-    return "".join(c for c in name.casefold() if c not in "_- []")
+    without = wire.output_names(level, jets, tilts)
+    return [name for name in wire.output_names(level, jets, tilts, (extra,)) if name not in without]
 
 
 def _found(
@@ -184,7 +179,7 @@ def _found(
     cause: str,
 ) -> dict[str, Any]:
     """Ports by their names; those stated before those found."""
-    found = {known[_plain(v.name)]: v for v in variables if _plain(v.name) in known}
+    found = {known[plain(v.name)]: v for v in variables if plain(v.name) in known}
     for port, name in stated.items():
         if port in known.values() and name in by_name and by_name[name].causality == cause:
             found[port] = by_name[name]
@@ -227,7 +222,7 @@ def serve(path: str) -> None:
     if not line:
         return
     told = json.loads(line)
-    asked, answered = struct.Struct(f"<{len(told['inputs']) + 1}d"), struct.Struct(f"<{len(told['outputs']) + 1}d")
+    asked, answered = wire.frame(len(told["inputs"])), wire.frame(len(told["outputs"]))
     folder = Path(tempfile.mkdtemp(prefix="hexjet-controller-"))
     try:
         expected = [*fmu.outputs, *(_column(v) for v in fmu.shown)]
@@ -317,10 +312,7 @@ class _Instance:
         for v, value in self._settings.items():
             if value is not None:
                 self._set(v, value)
-        if fmu.fmi == 2:
-            slave.enterInitializationMode()
-        else:
-            slave.enterInitializationMode(startTime=0.0)
+        slave.enterInitializationMode()
         self._set_inputs(values)
         slave.exitInitializationMode()
 
