@@ -98,6 +98,11 @@ def from_source() -> bool:
     return any(isinstance(finder, _FromSource) for finder in sys.meta_path)
 
 
+def environment() -> dict[str, str]:
+    """A copy for another process: it runs the modules as this one does, and does not say once more that it does."""
+    return {**os.environ, PURE: "1"} if from_source() else dict(os.environ)
+
+
 class _FromSource(MetaPathFinder):
     """Finds the modules' source, where the compiled ones would be found first."""
 

@@ -7,7 +7,6 @@ that it is without, bit for bit; what it costs is two passages through a socket 
 
 from __future__ import annotations
 
-import os
 import pickle
 import signal
 import socket
@@ -18,7 +17,7 @@ from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from typing import Any
 
-from cosim.base.compiled import PURE, from_source
+from cosim.base.compiled import environment
 from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient, EngineOutput, PerJet
 from cosim.engine.bank import EngineBank
@@ -41,18 +40,16 @@ class IsolatedBank:
         self._step, self._count = step, len(specs)
         self._names = ", ".join(dict.fromkeys(spec.path.name for spec in specs))
         self.wants_ambient = any(spec.has(port) for spec in specs for port in AMBIENT)
-        self._row = struct.Struct(f"<{2 * self._count + 3}d")
-        self._answer = struct.Struct(f"<{4 * self._count}d")
+        self._row, self._answer = _frames(self._count)
         ours, theirs = socket.socketpair()
         with theirs:
-            environment = {**os.environ, PURE: "1"} if from_source() else None
             self._child = subprocess.Popen(
                 [sys.executable, "-c", _SERVE, str(theirs.fileno())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
-                env=environment,
+                env=environment(),
             )
         self._pipe = Connection(ours.detach())
         try:
@@ -123,6 +120,14 @@ class IsolatedBank:
         return f"its process ended by itself (exit status {status})"
 
 
+def _frames(count: int) -> tuple[struct.Struct, struct.Struct]:
+    """A step of so many engines and its answer.
+
+    Throttles, whether there is air, pressure, temperature and speeds; then what they give, quantity by quantity.
+    """
+    return struct.Struct(f"<{2 * count + 3}d"), struct.Struct(f"<{4 * count}d")
+
+
 def serve(number: int) -> None:
     """The child: make a bank and do with it what is asked for, until nobody asks any more."""
     from cosim.engine.qualify.child import die_with_parent
@@ -150,7 +155,7 @@ def serve(number: int) -> None:
             if what == "make":
                 specs, step = given
                 count = len(specs)
-                row, answer = struct.Struct(f"<{2 * count + 3}d"), struct.Struct(f"<{4 * count}d")
+                row, answer = _frames(count)
                 bank = EngineBank(specs, count, step)
                 found: Any = None
             elif what == "reset":

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.base.compiled import PURE, from_source
+from cosim.base.compiled import environment
 from cosim.engine.container import one_line
 
 POLL_S = 0.02  # how often time and memory are looked at
@@ -82,9 +82,6 @@ def _child(task: Mapping[str, Any], limits: Limits, scratch: str) -> Iterator[tu
     # the same modules as here, whatever the folder or the environment say
     paths = [os.path.abspath(path) for path in sys.path]
     start = f"import sys; sys.path[:] = {paths!r}; from cosim.engine.qualify.child import main; main({write})"
-    environment = dict(os.environ)
-    if from_source():  # said here already; said there, it would count as the FMU's own words
-        environment[PURE] = "1"
     try:
         child = subprocess.Popen(
             [sys.executable, "-I", "-c", start],
@@ -94,7 +91,8 @@ def _child(task: Mapping[str, Any], limits: Limits, scratch: str) -> Iterator[tu
             pass_fds=(write,),
             cwd=scratch,
             start_new_session=True,
-            env=environment,  # else the new process reads the environment while another thread may change it
+            # a copy, else the new process reads it while another thread may change it
+            env=environment(),
         )
     finally:
         os.close(write)
