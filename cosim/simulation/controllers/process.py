@@ -32,6 +32,7 @@ START_S = 60.0  # chosen by us: until it says what it is; an interpreter on a bu
 END_S = 1.0  # until it has ended after its input has
 MOST_FRAMES = 50_000  # that are kept to be asked again: 200 s of steps of 4 ms
 _LINE = 1_000_000  # bytes that a line may have
+_STEP = wire.frame(0)  # what every frame begins with
 
 Command = Callable[[], Sequence[str]]
 
@@ -242,7 +243,7 @@ class ProcessBlock:
     def _exchange(self, connection: Connection, frame: bytes, k: int) -> bytes:
         connection.send(frame)
         answer = connection.read(self._out.size, self._limit)
-        number = self._out.unpack(answer)[0]
+        (number,) = _STEP.unpack_from(answer)
         if number == -1.0:
             raise FlightError(connection.line(self._limit).decode(errors="replace"))
         if number != k:
@@ -257,7 +258,7 @@ class ProcessBlock:
             return False
         try:
             for frame, answer in zip(self._asked, self._answered, strict=True):
-                if self._exchange(connection, frame, int(self._in.unpack(frame)[0])) != answer:
+                if self._exchange(connection, frame, int(_STEP.unpack_from(frame)[0])) != answer:
                     return False
         except FlightError:
             return False
