@@ -22,6 +22,7 @@ from time import monotonic
 from typing import IO, Any
 
 from cosim.base import controller_wire as wire
+from cosim.base.compiled import environment
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
 from cosim.base.scratch import scratch
@@ -48,6 +49,7 @@ class Connection:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 cwd=folder,
+                env=environment(),
                 process_group=0,
                 bufsize=0,
             )
