@@ -30,7 +30,7 @@ from cosim.base.cache import Memory
 from cosim.base.controller_wire import EXTRAS
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Column, Parameter
-from cosim.control.predictors.registry import PREDICTORS
+from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.simulation.controllers.guard import columns_from, described
 from cosim.simulation.controllers.process import Command, ProcessBlock, describe, program
 from cosim.spec.controller_name import file_name, is_design
@@ -50,6 +50,10 @@ _NAME = re.compile(r"[A-Za-z_]\w*")
 _OURS = "hexjet_controller_"  # modules that were made of files here
 
 
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
 @dataclass(frozen=True)
 class Source:
     """A controller from outside before it flies.
@@ -63,7 +67,7 @@ class Source:
     make: Callable[[], Any]
     files: Mapping[str, Path]
     version: str = ""  # of the package that it is in
-    predictor: str = "baseline"  # ours, under a loop of its own above
+    predictor: str = BASELINE.name  # ours, under a loop of its own above
     parameters: Sequence[Parameter] = ()
     columns: Sequence[Column] = ()
     copied: bool = True  # its files go into a run's folder
@@ -77,7 +81,7 @@ class Source:
     @cached_property
     def hashes(self) -> dict[str, str]:
         """SHA-256 of each file."""
-        return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in self.files.items()}
+        return {name: _sha256(path) for name, path in self.files.items()}
 
     @property
     def sha256(self) -> str:
@@ -154,7 +158,7 @@ def of_object(given: Any) -> Source:
     label = f"{made.__module__}.{made.__qualname__}"
     path = _file_of(made)
     files = {} if path is None else {path.name: path}
-    make = made if isinstance(given, type) else _copies(given)
+    make = None if isinstance(given, type) else _copies(given)
     again = path is not None and path.suffix == ".py" and made.__qualname__.isidentifier()
     if again and (isinstance(given, type) or _as_made(given, made)):
         return _stated(f"{path}:{made.__name__}", given, make, files)
@@ -185,11 +189,7 @@ _known: Memory[Source] = Memory(32)
 
 
 def _of_file(controller: str, path: Path, name: str) -> Source:
-    held = [
-        (each, hashlib.sha256(each.read_bytes()).hexdigest())
-        for each in _last_files.get(path, [path])
-        if each.is_file()
-    ]
+    held = [(each, _sha256(each)) for each in _last_files.get(path, [path]) if each.is_file()]
 
     def load() -> Source:
         module, neighbours = _executed(path, controller)
@@ -265,7 +265,7 @@ def _beside(folder: Path) -> Iterator[list[Path]]:
 
 def _of_process(controller: str, path: Path, arguments: str) -> Source:
     command = program(path, arguments)
-    key = (controller, str(path), hashlib.sha256(path.read_bytes()).hexdigest())
+    key = (controller, str(path), _sha256(path))
 
     def ask() -> Source:
         found = describe(command, path.parent, label_of(controller))
@@ -281,7 +281,7 @@ def _of_fmu(controller: str, path: Path) -> Source:
         fmu = read_controller_fmu(path)
     except InputError as error:
         raise InputError(f"controller {controller}: {error}") from error
-    key = (controller, str(path), *[hashlib.sha256(each.read_bytes()).hexdigest() for each in fmu.files.values()])
+    key = (controller, str(path), *[_sha256(each) for each in fmu.files.values()])
     run = command(path)
     return _known.get(key, lambda: _described(controller, describing(fmu), fmu.files, lambda: run, path.parent))
 
@@ -296,29 +296,22 @@ def _described(
     for key in said:
         if key not in known:
             raise InputError(f"{where}: its first line: {key!r}: {nearest(key, known)}")
-    stated = SimpleNamespace(**said)
-    level, extras = said.get("level"), tuple(said.get("extras", ()))
-    if level not in LEVELS:
-        raise InputError(f"{where}: level = {level!r}: must be one of {', '.join(LEVELS)}")
+    level, predictor, columns, parameters = _states(SimpleNamespace(**said), where, "[name, unit, frame, meaning]")
+    extras = said.get("extras", ())
+    if not isinstance(extras, (list, tuple)):
+        raise InputError(f"{where}: extras = {extras!r}: must be a list")
     for extra in extras:
         if extra not in EXTRAS or level != "controller":
             raise InputError(
                 f"{where}: extras: {extra!r}: must be of a whole controller, and one of {', '.join(EXTRAS)}"
             )
-    try:
-        columns = columns_from(stated)
-    except TypeError as error:
-        raise InputError(f"{where}: columns: must be [name, unit, frame, meaning]: {error}") from error
-    predictor = said.get("predictor", "baseline")
-    if level == "attitude":
-        PREDICTORS.find(predictor, f"{where}: predictor = {predictor!r}: there is none of that name")
     found = Source(
         controller,
         level,
         lambda: ProcessBlock(command, folder, label, level, columns, extras),
         files,
         predictor=predictor,
-        parameters=parameters_of(stated, where),
+        parameters=parameters,
         columns=columns,
         repeats=False,
     )
@@ -348,8 +341,8 @@ def _of_entry(entry: EntryPoint) -> Source:
         raise InputError(f"{where}: {entry.value} cannot be loaded: {described(error)}") from error
     path = _file_of(found) if isinstance(found, type) else None
     files = {} if path is None else {path.name: path}
-    number = entry.dist.version if entry.dist is not None else ""
-    return _stated(entry.name, found, None, files, f"{entry.dist.name} {number}" if entry.dist else "", copied=False)
+    package = "" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
+    return _stated(entry.name, found, None, files, package, copied=False)
 
 
 def _version_of(module: str) -> str:
@@ -381,27 +374,33 @@ def _stated(
 ) -> Source:
     """What a class states of itself.  Raises InputError for what does not fit."""
     where = f"controller {label_of(controller)}"
-    level = getattr(block, "level", None)
-    if not isinstance(level, str) or level not in LEVELS:
-        raise InputError(f"{where}: level = {level!r}: must be one of {', '.join(LEVELS)}")
+    level, predictor, columns, parameters = _states(block, where, "Column(name, unit, frame, meaning)")
     for method, told in (("reset", ()), ("update", LEVELS[level])):
         check_method(block, method, told, where)
     if hasattr(block, "prepare"):
         check_method(block, "prepare", ("belief",), where)
-    predictor = getattr(block, "predictor", "baseline")
-    if level == "attitude":
-        PREDICTORS.find(predictor, f"{where}: predictor = {predictor!r}: there is none of that name")
+    make = make or _maker(block, where)
+    found = Source(controller, level, make, files, package, predictor, parameters, columns, copied)
+    found.hashes  # noqa: B018  of what was read just now
+    return found
+
+
+def _states(block: Any, where: str, column: str) -> tuple[str, str, tuple[Column, ...], tuple[Parameter, ...]]:
+    """Level, predictor, columns and parameters that a block states; ``column``: how it writes one.
+
+    Raises InputError for what does not fit.
+    """
+    level, predictor = getattr(block, "level", None), BASELINE.name
+    if not isinstance(level, str) or level not in LEVELS:
+        raise InputError(f"{where}: level = {level!r}: must be one of {', '.join(LEVELS)}")
+    if level == "attitude":  # what another calls its predictor is its own
+        predictor = getattr(block, "predictor", predictor)
+        PREDICTORS.find(str(predictor), f"{where}: predictor = {predictor!r}: there is none of that name")
     try:
         columns = columns_from(block)
     except TypeError as error:
-        raise InputError(f"{where}: columns: must be Column(name, unit, frame, meaning): {error}") from error
-    if make is None or isinstance(block, type):
-        make = _maker(make or block, where)
-    found = Source(
-        controller, level, make, files, package, predictor, parameters_of(block, where), columns, copied,
-    )  # fmt: skip
-    found.hashes  # noqa: B018  of what was read just now
-    return found
+        raise InputError(f"{where}: columns: must be {column}: {error}") from error
+    return level, predictor, columns, parameters_of(block, where)
 
 
 def _maker(made: Callable[[], Any], where: str) -> Callable[[], Any]:
@@ -432,7 +431,10 @@ def check_method(block: Any, method: str, told: Sequence[str], where: str) -> No
 def parameters_of(block: Any, where: str) -> tuple[Parameter, ...]:
     """The parameters that a block states.  Raises InputError."""
     found: list[Parameter] = []
-    for each in getattr(block, "parameters", ()):
+    stated = getattr(block, "parameters", ())
+    if not isinstance(stated, (list, tuple)):
+        raise InputError(f"{where}: parameters = {stated!r}: must be a list of Parameter(name, default, ...)")
+    for each in stated:
         try:
             one = Parameter(*each)
             numbers = float(one.default), float(one.least), float(one.most)

@@ -227,7 +227,13 @@ def test_one_that_is_not_repeatable_is_called_so(tmp_path: Path, capsys: pytest.
         ("print('hello')", "its first line is no JSON: b'hello'"),
         ("print('[1]')", "its first line is no JSON object"),
         ('print(\'{"level": "pilot"}\')', "level = 'pilot': must be one of predictor, rate, attitude, controller"),
+        ('print(\'{"level": ["rate"]}\')', "level = ['rate']: must be one of predictor, rate, attitude, controller"),
         ('print(\'{"level": "rate", "colums": []}\')', "'colums': did you mean 'columns'?"),
+        (
+            'print(\'{"level": "rate", "parameters": 1}\')',
+            "parameters = 1: must be a list of Parameter(name, default, ...)",
+        ),
+        ('print(\'{"level": "controller", "extras": 1}\')', "extras = 1: must be a list"),
         (
             'print(\'{"level": "rate", "extras": ["off"]}\')',
             "extras: 'off': must be of a whole controller, and one of unallocated, off, shown",

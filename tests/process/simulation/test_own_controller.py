@@ -136,6 +136,12 @@ def test_a_loop_of_ones_own_between_ours(loop: type) -> None:
     assert same(ours, theirs)
 
 
+def test_what_a_rate_loop_keeps_as_its_predictor_is_its_own() -> None:
+    loop = OwnRate()
+    loop.predictor = RateController  # type: ignore[attr-defined]
+    assert same(fly(SHORT, controller=loop), fly(SHORT, controller=OwnRate))
+
+
 def test_what_a_controller_is_told_is_never_the_truth() -> None:
     told: list[Any] = []
 
