@@ -438,20 +438,16 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
             f"{engine.family!r}; there are models for: {', '.join(sorted(vehicle.identified))}; "
             + _one_command(vehicle, engine)
         )
+    believed = _believed(scenario, vehicle, engine)
     found: list[Predictor] = []
     for axis in AXES:
-        model = models.get(axis)  # type: ignore[call-overload]
-        if model is not None and abs(model.sample_time_s - scenario.step_s) > 1e-9:
-            if spec.needs_model:
-                raise InputError(
-                    f"vehicle.identified.{engine.family}.{axis}: the model's sample time {model.sample_time_s:g} s is "
-                    f"not the scenario's step {scenario.step_s:g} s"
-                )
-            model = None
-        if model is not None and axis == "roll" and scenario.added_delay_samples:
-            # the controller adds this delay itself, so its predictor knows of it
-            delay = model.delay_samples + scenario.added_delay_samples
-            model = model.model_copy(update={"delay_samples": delay})
+        model = believed.get(axis)
+        if spec.needs_model and model is None and axis in models:
+            sample_time = models[axis].sample_time_s  # type: ignore[index]
+            raise InputError(
+                f"vehicle.identified.{engine.family}.{axis}: the model's sample time {sample_time:g} s is not the "
+                f"scenario's step {scenario.step_s:g} s"
+            )
         # jets that tilt give pitch and yaw by servo, which no predictor is for
         predicted = model is not None if spec.needs_model else axis == "roll" or vehicle.servo is None
         found.append(spec.predictor(model, vehicle.control.predictor) if predicted else NoPredictor())
