@@ -69,12 +69,12 @@ def _torques(name: str, meaning: str, source: str) -> list[Column]:
 
 
 def _columns(jets: int) -> list[Column]:
+    numbers = [str(jet) for jet in range(1, max(jets, JETS) + 1)]
+
     def of_jets(pattern: str, unit: str, frame: str, meaning: str, source: str) -> list[Column]:
-        names = [str(jet) for jet in range(1, max(jets, JETS) + 1)]
-        made = _each(names, pattern, unit, frame, meaning, source)
+        made = _each(numbers, pattern, unit, frame, meaning, source)
         return [column if n < jets else column._replace(source="") for n, column in enumerate(made)]
 
-    flags = [str(jet) for jet in range(1, max(jets, JETS) + 1)]  # of faults: as many as the log has columns
     return [
         Column("time_s", "s", "", "start of the step", "time"),
         *_each(AXES, "{}_rad", "rad", _EULER, "true {} angle", "state.euler.{n}"),
@@ -243,9 +243,11 @@ def _columns(jets: int) -> list[Column]:
             "spool_moment.{n}",
         ),
         *of_jets("health_{}", "1", "", "share of its command that jet {} gives, as the monitor believes", "health.{n}"),
-        *_each(flags, "fault_jet_{}", "0/1", "", "a fault acts on jet {}", "faults.{n}"),
-        *_each(SERVOS, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo", "faults.{n}", first=len(flags)),
-        *_each(SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}", "faults.{n}", first=len(flags) + len(SERVOS)),
+        *_each(numbers, "fault_jet_{}", "0/1", "", "a fault acts on jet {}", "faults.{n}"),
+        *_each(SERVOS, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo", "faults.{n}", first=len(numbers)),
+        *_each(
+            SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}", "faults.{n}", first=len(numbers) + len(SERVOS)
+        ),
     ]
 
 
