@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from functools import cache
@@ -52,6 +53,10 @@ Vector = tuple[float, float, float]
 
 M = TypeVar("M", bound=BaseModel)
 
+_OWN_NAMES = re.compile(
+    r"(?P<head>engine_parameters|stations\.[^.]+\.parameters)\.(?P<name>.+)"
+    r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"
+)
 _parsed: Memory[dict[str, Any]] = Memory(64)
 
 
@@ -118,8 +123,7 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
     Raises InputError if there is no ``=`` or the key is empty.
     """
     key, equals, value = text.partition("=")
-    path = [part.strip() for part in key.split(".")]
-    path = _whole(path)
+    path = [part.strip() for part in split_key(key.strip())]
     if not equals or not all(path):
         raise InputError(f"--set {text}: write it as KEY=VALUE, for example vehicle.mass_kg=6.0")
     try:
@@ -128,12 +132,17 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
         return path, value.strip()
 
 
-def _whole(path: list[str]) -> list[str]:
-    """A path in which the name of an engine's parameter stays whole, dots and all: Modelica's names have them."""
-    head = 1 if path[0] == "engine_parameters" else 3 if path[0] == "stations" and path[2:3] == ["parameters"] else None
-    if head is None or len(path) <= head + 1:
-        return path
-    return [*path[:head], ".".join(path[head:]).strip("\"'")]
+def split_key(key: str) -> list[str]:
+    """A dotted key in its parts.
+
+    The name of an engine's parameter and that of an engine's file may have dots of their own: they stay whole.
+    """
+    found = _OWN_NAMES.fullmatch(key)
+    if not found:
+        return key.split(".")
+    if found["head"]:
+        return [*found["head"].split("."), found["name"].strip("\"'")]
+    return [*found["file"].split("."), found["family"].strip("\"'"), found["axis"], *found["rest"].split(".")]
 
 
 def parse_numbers(texts: Iterable[str], option: str) -> dict[str, float]:

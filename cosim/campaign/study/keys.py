@@ -22,7 +22,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from cosim.base.errors import InputError
-from cosim.base.toml import merge
+from cosim.base.toml import merge, split_key
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.simulation.controllers.source import find
 from cosim.simulation.controllers.source import names as own_controllers
@@ -78,10 +78,6 @@ NOT_VARIED = (
     "engine_unchecked",
     "engine_isolated",
     "limits",
-)
-OWN_NAMES = re.compile(
-    r"(?P<head>engine_parameters|stations\.[^.]+\.parameters)\.(?P<name>.+)"
-    r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"
 )
 OWN_PARAMETERS = "controller_parameters."
 OWN_TUNING = "vehicle.control.predictor.own."
@@ -230,7 +226,7 @@ def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
     _need_together(scenario, values)
     changes, values = _controller_file(scenario, values)
     for path, value in values.items():
-        *tables, last = split(path)
+        *tables, last = split_key(path)
         change: dict[str, Any] = {last: value}
         for part in reversed(tables):
             change = {part: change}
@@ -239,16 +235,6 @@ def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
     if values.get("engine", scenario.engine) != scenario.engine:
         stated["stations"] = {}
     return Scenario.from_table(merge(stated, changes), scenario.folder, f"scenario {scenario.name}")
-
-
-def split(path: str) -> list[str]:
-    """A key in its parts: a parameter of an engine and the name of an engine's file may have dots of their own."""
-    found = OWN_NAMES.fullmatch(path)
-    if not found:
-        return path.split(".")
-    if found["head"]:
-        return [*found["head"].split("."), found["name"]]
-    return [*found["file"].split("."), found["family"], found["axis"], *found["rest"].split(".")]
 
 
 def _with_own_engine(scenario: Scenario, values: Mapping[str, Value]) -> Mapping[str, Value]:

@@ -20,6 +20,7 @@ from cosim.base.toml import (
     Model,
     read_toml,
     set_path,
+    split_key,
     validate,
 )
 from cosim.campaign.study.distributions import Vary, parse_vary
@@ -28,7 +29,6 @@ from cosim.campaign.study.keys import (
     Key,
     find_key,
     own_keys,
-    split,
     with_values,
 )
 from cosim.campaign.study.values import check_vary
@@ -115,7 +115,7 @@ class Study(Model):
             path = _scenario_path(self.scenario, self.folder)
             data = read_toml(path)
             for key, value in dotted(self.settings):
-                set_path(data, split(key), value, f"{self._where}: settings")
+                set_path(data, split_key(key), value, f"{self._where}: settings")
             where = f"{self._where}: settings" if self.settings else str(path)
             self._base = Scenario.from_table({**data, "expect": []}, path.parent, where)
         return self._base

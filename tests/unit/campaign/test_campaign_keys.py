@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 
 from cosim.base.errors import InputError
+from cosim.base.toml import split_key
 from cosim.campaign.study.keys import (
     Key,
     all_keys,
     find_key,
     matching,
-    split,
     with_values,
 )
 from cosim.flight import fly
@@ -204,9 +204,9 @@ def test_another_aircraft_brings_its_engine_and_another_engine_takes_every_stati
 
 
 def test_names_with_dots_of_their_own() -> None:
-    assert split("engine_parameters.core.fan[1].gain") == ["engine_parameters", "core.fan[1].gain"]
-    assert split("stations.2.parameters.core.gain") == ["stations", "2", "parameters", "core.gain"]
-    assert split("vehicle.identified.mine.fmu.roll.poles.1") == [
+    assert split_key("engine_parameters.core.fan[1].gain") == ["engine_parameters", "core.fan[1].gain"]
+    assert split_key("stations.2.parameters.core.gain") == ["stations", "2", "parameters", "core.gain"]
+    assert split_key("vehicle.identified.mine.fmu.roll.poles.1") == [
         *("vehicle", "identified", "mine.fmu", "roll", "poles", "1")
     ]
     model = load_vehicle("hexjet")[0].identified["edf"]["roll"].model_dump()
