@@ -118,11 +118,12 @@ def fmu_check(
 
 def _check_controller(path: Path, as_json: bool) -> int:
     """What a controller's FMU is told and answers, and whether it flies in hover for a second, twice the same."""
-    from cosim.engine.controller_fmu import read_controller_fmu
+    from cosim.engine.controller_fmu import describing, read_controller_fmu
     from cosim.flight import fly
     from cosim.spec.scenario import Scenario
 
     fmu = read_controller_fmu(path)
+    said = describing(fmu)
     run = fly(Scenario.load("hover").replace(duration_s=1.0, expect=[], controller=str(path.absolute())))
     own = run.summary.own_controller
     found = {
@@ -131,8 +132,8 @@ def _check_controller(path: Path, as_json: bool) -> int:
         "level": fmu.level,
         "inputs": list(fmu.inputs),
         "outputs": list(fmu.outputs),
-        "parameters": [v.name for v in fmu.parameters],
-        "columns": [v.name for v in fmu.shown],
+        "parameters": [name for name, *_ in said["parameters"]],
+        "columns": [name for name, *_ in said["columns"]],
         "notes": list(fmu.notes),
         "hover of 1 s": f"{run.outcome}, {run.reason}",
         "repeatable": own.repeatable if own is not None else None,

@@ -197,14 +197,22 @@ def describing(fmu: ControllerFmu) -> dict[str, Any]:
         "level": fmu.level,
         "extras": fmu.extras,
         "parameters": [
-            [v.name, _number(v.start), v.unit or "", v.description or "", _number(v.min, -1e308), _number(v.max, 1e308)]
+            [
+                _word(v),
+                _number(v.start),
+                v.unit or "",
+                v.description or "",
+                _number(v.min, -1e308),
+                _number(v.max, 1e308),
+            ]
             for v in fmu.parameters
         ],
-        "columns": [[_column(v), v.unit or "1", "", v.description or v.name] for v in fmu.shown],
+        "columns": [[_word(v), v.unit or "1", "", v.description or v.name] for v in fmu.shown],
     }
 
 
-def _column(v: Any) -> str:
+def _word(v: Any) -> str:
+    """What a variable is called where a name has no dots: as a column and as a parameter."""
     return "".join(c if c.isascii() and c.isalnum() else "_" for c in v.name)
 
 
@@ -225,7 +233,7 @@ def serve(path: str) -> None:
     asked, answered = wire.frame(len(told["inputs"])), wire.frame(len(told["outputs"]))
     folder = Path(tempfile.mkdtemp(prefix="hexjet-controller-"))
     try:
-        expected = [*fmu.outputs, *(_column(v) for v in fmu.shown)]
+        expected = [*fmu.outputs, *(_word(v) for v in fmu.shown)]
         if told["outputs"] != expected:
             raise RuntimeError(
                 f"is for {fmu.jets} jets {'with' if fmu.tilts else 'without'} tilt servos, which is not this vehicle"
@@ -261,7 +269,7 @@ class _Instance:
     def __init__(self, fmu: ControllerFmu, folder: Path, told: Mapping[str, Any]) -> None:
         self._fmu, self._folder = fmu, folder
         self._dt = float(told["step_s"])
-        self._settings = {v: told["parameters"].get(v.name) for v in fmu.parameters}
+        self._settings = {v: told["parameters"].get(_word(v)) for v in fmu.parameters}
         ground = [v for v in fmu.description.modelVariables if v.name == _ON_GROUND and v.causality == "parameter"]
         self._settings |= {v: float(told["on_ground"]) for v in ground}
         # by type, for one call each

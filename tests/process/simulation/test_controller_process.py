@@ -300,6 +300,19 @@ def test_an_fmu_written_by_hand_flies_as_the_class(fmu_c: Path, reference: Run, 
     assert same(run, fly(Scenario.load(tmp_path / "run" / "scenario.toml")))
 
 
+def test_a_parameter_with_a_dot_in_its_name_is_one_too(fmu_c: Path, tmp_path: Path) -> None:
+    path = tmp_path / "dotted.fmu"
+    with zipfile.ZipFile(fmu_c) as before, zipfile.ZipFile(path, "w") as after:
+        for name in before.namelist():
+            content = before.read(name)
+            after.writestr(name, content.replace(b'"share"', b'"pid.share"') if name.endswith(".xml") else content)
+    scenario = ROLL.replace(duration_s=0.2)
+    run = fly(scenario.replace(controller=str(path), controller_parameters={"pid_share": 0.5}))
+    assert run.outcome == "completed", run.reason
+    assert same(run, fly(scenario.replace(controller=str(fmu_c), controller_parameters={"share": 0.5})))
+    assert not same(run, fly(scenario.replace(controller=str(fmu_c))))
+
+
 PYTHON_FMU = """
 from pythonfmu3 import Fmi3Causality, Fmi3Slave, Fmi3Variability, Float64
 
