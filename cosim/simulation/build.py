@@ -443,7 +443,7 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
     for axis in AXES:
         model = believed.get(axis)
         if spec.needs_model and model is None and axis in models:
-            sample_time = models[axis].sample_time_s  # type: ignore[index]
+            sample_time = models[axis].sample_time_s
             raise InputError(
                 f"vehicle.identified.{engine.family}.{axis}: the model's sample time {sample_time:g} s is not the "
                 f"scenario's step {scenario.step_s:g} s"
