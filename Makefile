@@ -39,7 +39,7 @@ check: setup ## lint, format, types and layers: everything that is checked witho
 	$(BIN)/lint-imports
 
 test: setup ## run the tests on all cores; options for pytest in ARGS: make test ARGS="-k smith -x", one core: -n0
-	@$(BIN)/python -m pytest --numprocesses $(TESTERS) --dist loadfile $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses $(TESTERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 fast: setup ## the unit tests alone, in at most three minutes
 	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile tests/unit $(ARGS)

@@ -35,13 +35,26 @@ BROWSER_FLAGS = [
 ]  # fmt: skip
 
 
-KINDS = {"unit": "unit", "flight": "flight", "process": "process", "clients": "client"}
+KINDS = {"clients": "client", "process": "process", "flight": "flight", "unit": "unit"}  # those that wait most first
+# the files that take longest: a worker that began one of them last would end long after the others
+LONG = (
+    "test_gcs_conformance", "test_design", "test_campaign_store", "test_mavlink_services", "test_campaign_workers", "test_design_stored",
+    "test_pilot_envelope", "test_failsafes", "test_bench", "test_package", "test_design_proof", "test_engine_broken", "test_gcs_mavsdk",
+    "test_reproduce", "test_campaign_run", "test_campaign_cluster", "test_codegen", "test_gcs_link", "test_web", "test_identify",
+    "test_engine_check", "test_scenarios", "test_pilot_flight", "test_engine_library", "test_campaign_report", "test_engine_build",
+)  # fmt: skip
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A test has the mark of the folder that it is in."""
+    """A test has the mark of the folder that it is in; long files come first, files of short tests last."""
     for item in items:
-        item.add_marker(KINDS[item.path.relative_to(TESTS).parts[0]])
+        item.add_marker(KINDS[_kind(item)])
+    kinds, places = list(KINDS), {name: place for place, name in enumerate(LONG)}
+    items.sort(key=lambda item: (places.get(item.path.stem, len(LONG)), kinds.index(_kind(item))))
+
+
+def _kind(item: pytest.Item) -> str:
+    return item.path.relative_to(TESTS).parts[0]
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -19,6 +19,7 @@ from typing import Any
 
 from cosim.base.compiled import environment
 from cosim.base.errors import EngineError, InputError
+from cosim.base.processes import reap
 from cosim.base.signals import Ambient, EngineOutput, PerJet
 from cosim.engine.bank import EngineBank
 from cosim.engine.ports import AMBIENT
@@ -86,7 +87,7 @@ class IsolatedBank:
             self._child.wait(CLOSE_S)
         except subprocess.TimeoutExpired:
             self._child.kill()
-            self._child.wait()
+            reap(self._child)
 
     def _ask(self, question: tuple[Any, ...], limit: float, moment: str) -> Any:
         return self._read(self._exchange(b"p" + pickle.dumps(question), limit, moment))

@@ -20,7 +20,7 @@ from typing import Any
 
 import pytest
 from gcs_tools import Relay, Station, VehicleProcess
-from patience import PATIENCE, stretched
+from patience import FLIGHT_PATIENCE, stretched
 
 from cosim.groundstation.links import Files
 from cosim.groundstation.mavlink.services.ftp import Bytes
@@ -231,7 +231,7 @@ class QGroundControl(Station):
         asked = self.ask(
             lambda: self.send("MISSION_COUNT", 1, 1, len(items), 0), "MISSION_REQUEST_INT", COUNT, PLAN * self.presses
         )
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + FLIGHT_PATIENCE
         while time.monotonic() < end:
             if asked is not None and asked.get_type() == "MISSION_ACK":
                 return int(asked.type)
@@ -277,7 +277,7 @@ class QGroundControl(Station):
         self.press(ARM, 1.0)
 
     def at(self, height: float) -> None:
-        self.until("GLOBAL_POSITION_INT", lambda m: abs(m.relative_alt / 1000.0 - height) < 0.7, PATIENCE)
+        self.until("GLOBAL_POSITION_INT", lambda m: abs(m.relative_alt / 1000.0 - height) < 0.7, FLIGHT_PATIENCE)
 
 
 @contextmanager
@@ -316,20 +316,20 @@ def test_connect_fly_and_land_as_qgroundcontrol(vehicle: VehicleProcess, loss: f
             assert set(found) == {"version", "modes", "metadata", "parameters", "mission"}
         check_connection(found)
         # QGroundControl does not ask for it again: it comes every two seconds
-        home = qgc.until("HOME_POSITION", lambda m: True, PATIENCE)
+        home = qgc.until("HOME_POSITION", lambda m: True, FLIGHT_PATIENCE)
         qgc.set_parameter("HJ_LINK_DELAY", 60.0)  # s of flight; heartbeats come once a second of wall time
-        qgc.until("SYS_STATUS", lambda m: bool(m.onboard_control_sensors_health & 1 << 28), PATIENCE)
+        qgc.until("SYS_STATUS", lambda m: bool(m.onboard_control_sensors_health & 1 << 28), FLIGHT_PATIENCE)
 
         qgc.take_off(8.0)
-        qgc.until("EXTENDED_SYS_STATE", lambda m: m.landed_state == 2, PATIENCE)  # the buttons change
-        qgc.until("HEARTBEAT", lambda m: qgc.mode == HOLD and qgc.armed, PATIENCE)
+        qgc.until("EXTENDED_SYS_STATE", lambda m: m.landed_state == 2, FLIGHT_PATIENCE)  # the buttons change
+        qgc.until("HEARTBEAT", lambda m: qgc.mode == HOLD and qgc.armed, FLIGHT_PATIENCE)
         qgc.at(8.0)
 
         # a click on the map: 15 m to the north, at the height above the sea that it has
         sea = qgc.now("GLOBAL_POSITION_INT").alt / 1000.0
         x, y = waypoint(home, 15.0, 0.0, 0.0)[8:10]
         qgc.press(REPOSITION, integer=(-1.0, 1.0, 0.0, NAN, x, y, sea))
-        qgc.until("GLOBAL_POSITION_INT", lambda m: abs(m.lat - x) * 1e-7 * 111194.9 < 1.0, PATIENCE)
+        qgc.until("GLOBAL_POSITION_INT", lambda m: abs(m.lat - x) * 1e-7 * 111194.9 < 1.0, FLIGHT_PATIENCE)
         if not loss:
             # change of height: a pause, then to home's height and more
             qgc.press(REPOSITION, -1.0, 1.0, 0.0, NAN, NAN, NAN, NAN)
@@ -338,15 +338,15 @@ def test_connect_fly_and_land_as_qgroundcontrol(vehicle: VehicleProcess, loss: f
             # heading
             qgc.press(REPOSITION, -1.0, 1.0, 0.0, math.radians(120.0), NAN, NAN, NAN)
             aim = math.radians(120.0)
-            qgc.until("ATTITUDE", lambda m: abs(math.remainder(m.yaw - aim, math.tau)) < 0.06, PATIENCE)
+            qgc.until("ATTITUDE", lambda m: abs(math.remainder(m.yaw - aim, math.tau)) < 0.06, FLIGHT_PATIENCE)
             qgc.press(178, 1.0, 3.0, -1.0, 0.0, NAN, NAN, NAN)  # speed
 
         assert qgc.upload([waypoint(home, 10.0, 0.0, 10.0), waypoint(home, 0.0, 6.0, 9.0)]) == 0
         assert [item.z for item in qgc.mission()] == [10.0, 9.0]
         qgc.set_mode(MISSION)
-        qgc.until("HEARTBEAT", lambda m: qgc.mode == HOLD, PATIENCE)  # at its end
+        qgc.until("HEARTBEAT", lambda m: qgc.mode == HOLD, FLIGHT_PATIENCE)  # at its end
         qgc.set_mode(RETURN)
-        qgc.until("HEARTBEAT", lambda m: not qgc.armed, PATIENCE)
+        qgc.until("HEARTBEAT", lambda m: not qgc.armed, FLIGHT_PATIENCE)
         assert qgc.counts["BAD_DATA"] == 0
 
 
@@ -415,7 +415,7 @@ def test_one_silent_one_flooding_and_two_are_served(vehicle: VehicleProcess) -> 
             assert len(qgc.parameters()) >= 60
             assert other.version().flight_sw_version > 0
             qgc.set_parameter("MPC_XY_VEL_MAX", 3.0)
-            qgc.until("SYS_STATUS", lambda m: bool(m.onboard_control_sensors_health & 1 << 28), PATIENCE)
+            qgc.until("SYS_STATUS", lambda m: bool(m.onboard_control_sensors_health & 1 << 28), FLIGHT_PATIENCE)
             assert qgc.command(ARM, 1.0) == 0
             other.until("HEARTBEAT", lambda m: other.armed, 3.0)  # the other one sees it
             assert other.command(ARM, 0.0) == 0
@@ -440,13 +440,13 @@ def test_one_silent_one_flooding_and_two_are_served(vehicle: VehicleProcess) -> 
 def test_who_goes_silent_is_missed(vehicle: VehicleProcess) -> None:
     """The last ground station in the air is lost: the vehicle returns and lands by itself."""
     with Station(vehicle.port) as only:
-        only.until("SYS_STATUS", lambda m: bool(m.onboard_control_sensors_health & 1 << 28), PATIENCE)
+        only.until("SYS_STATUS", lambda m: bool(m.onboard_control_sensors_health & 1 << 28), FLIGHT_PATIENCE)
         assert only.command(ARM, 1.0) == 0
         assert only.command(TAKEOFF, 0.0, 0.0, 0.0, NAN, NAN, NAN, NAN) == 0
-        only.until("HEARTBEAT", lambda m: only.mode == HOLD and only.armed, PATIENCE)
+        only.until("HEARTBEAT", lambda m: only.mode == HOLD and only.armed, FLIGHT_PATIENCE)
         only.hush()
-        only.until("HEARTBEAT", lambda m: only.mode == RETURN, PATIENCE)
-        only.until("HEARTBEAT", lambda m: not only.armed, PATIENCE)
+        only.until("HEARTBEAT", lambda m: only.mode == RETURN, FLIGHT_PATIENCE)
+        only.until("HEARTBEAT", lambda m: not only.armed, FLIGHT_PATIENCE)
         assert any("no ground station" in text for text in only.texts())
 
 
@@ -465,7 +465,7 @@ def test_a_stranger_without_the_key_is_not_obeyed(tmp_path: Path) -> None:
         ):
             for each, secret in ((friend, read_key(key)), (forger, bytes(32))):
                 each.sign(secret)
-            friend.until("SYS_STATUS", lambda m: bool(m.onboard_control_sensors_health & 1 << 28), PATIENCE)
+            friend.until("SYS_STATUS", lambda m: bool(m.onboard_control_sensors_health & 1 << 28), FLIGHT_PATIENCE)
             arm = ("COMMAND_LONG", 1, 1, ARM, 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             for each in (stranger, forger):
                 each.send(*arm)

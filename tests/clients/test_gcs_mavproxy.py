@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from gcs_tools import LOOPBACK, VehicleProcess, mavlogdump
-from patience import PATIENCE
+from patience import FLIGHT_PATIENCE
 
 from cosim.control.autopilot import requests as rq
 from cosim.results.request_log import REQUESTS, read_requests
@@ -64,7 +64,7 @@ class MavProxy:
         self.process.stdin.flush()
         return before
 
-    def until(self, pattern: str, since: int = 0, seconds: float = PATIENCE) -> None:
+    def until(self, pattern: str, since: int = 0, seconds: float = FLIGHT_PATIENCE) -> None:
         end = time.monotonic() + seconds
         while not re.search(pattern, self.said[since:]):
             assert time.monotonic() < end, f"MAVProxy did not say {pattern!r}:\n{self.said}"

@@ -30,7 +30,7 @@ from mavsdk.plugins import mission as mis
 from mavsdk.plugins import offboard as off
 from mavsdk.plugins import param as par
 from mavsdk.plugins import telemetry as tel
-from patience import PATIENCE, stretched
+from patience import FLIGHT_PATIENCE, stretched
 
 RTF = 6.0  # steps of 0.67 ms: a machine that does nothing else does three times as many
 SOON = 5.0  # s for anything that is only asked
@@ -71,7 +71,7 @@ class Drone:
         self.sdk.destroy()
         self.vehicle.kill()
 
-    def until(self, true: Callable[[], Any], what: str, seconds: float = PATIENCE) -> Any:
+    def until(self, true: Callable[[], Any], what: str, seconds: float = FLIGHT_PATIENCE) -> Any:
         try:
             return until(true, seconds, what)
         except AssertionError as error:
@@ -381,7 +381,7 @@ def test_rates_are_set(drone: Drone) -> None:
     for rate, count in ((5.0, 10), (100.0, 40)):  # 25 a second unasked
         drone.telemetry.set_rate_attitude_euler(rate)
         begin, most = time.monotonic(), len(came) + count
-        until(lambda: len(came) >= most, PATIENCE, f"{count} messages")  # noqa: B023
+        until(lambda: len(came) >= most, FLIGHT_PATIENCE, f"{count} messages")  # noqa: B023
         lasted = time.monotonic() - begin
         assert lasted > (count - 5) / rate, (rate, lasted)  # some are on the way while the rate is set
         assert lasted < stretched(count / rate), (rate, lasted)  # twice as long, and more on a busy machine
@@ -602,16 +602,16 @@ def test_a_new_flight_and_the_log_of_the_old_one(tmp_path: Path) -> None:
         with refused(logs.LogFilesError, logs.LogFilesResult.NO_LOGFILES):
             drone.logs.get_entries()
         drone.action.reboot()
-        until(lambda: any(text.startswith("flight 2") for text in drone.texts), PATIENCE, "a new flight")
+        until(lambda: any(text.startswith("flight 2") for text in drone.texts), FLIGHT_PATIENCE, "a new flight")
         drone.until(lambda: drone.telemetry.health().is_armable, "ready again")
-        (entry,) = until(lambda: listed(drone), PATIENCE, "the list")
+        (entry,) = until(lambda: listed(drone), FLIGHT_PATIENCE, "the list")
         results: list[logs.LogFilesResult] = []
         path = tmp_path / "flight.ulg"
         drone.logs.download_log_file_async(entry, str(path), lambda result, progress, _: results.append(result))
-        until(lambda: results and results[-1] is not logs.LogFilesResult.NEXT, PATIENCE, "the log")
+        until(lambda: results and results[-1] is not logs.LogFilesResult.NEXT, FLIGHT_PATIENCE, "the log")
         assert results[-1] is logs.LogFilesResult.SUCCESS
         drone.action.shutdown()
-        out, _ = drone.vehicle.process.communicate(timeout=PATIENCE)
+        out, _ = drone.vehicle.process.communicate(timeout=FLIGHT_PATIENCE)
     finally:
         drone.close()
     first, second = json.loads(out)["runs"]

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import os
 
-PATIENCE = 600.0  # s, for what must come
+PATIENCE = 120.0  # s, for what must come
+FLIGHT_PATIENCE = 300.0  # s, for what must be flown first, with the clock or as slowly as a busy machine flies
 _MOST = 40.0  # times, at most
 
 

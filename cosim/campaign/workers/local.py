@@ -28,6 +28,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError, InputError
+from cosim.base.processes import end_group
 from cosim.base.threads import ONE_THREAD
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 from cosim.campaign.workers.protocol import (
@@ -285,9 +286,7 @@ class _Process:
         return {"worker": f"{os.uname().nodename}:{self._process.pid}", "wall_s": wall_s}
 
     def end(self) -> None:
-        with suppress(OSError):
-            os.killpg(self._process.pid, signal.SIGKILL)  # with whatever an engine has started
-        self._process.wait()
+        end_group(self._process)  # with whatever an engine has started
         self.connection.close()
         shutil.rmtree(self._folder, ignore_errors=True)
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.compiled import environment
+from cosim.base.processes import end_group
 from cosim.engine.container import one_line
 
 POLL_S = 0.02  # how often time and memory are looked at
@@ -104,9 +105,7 @@ def _child(task: Mapping[str, Any], limits: Limits, scratch: str) -> Iterator[tu
             child.stdin.close()
         yield child, read
     finally:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(child.pid, signal.SIGKILL)
-        child.wait()
+        end_group(child)
         if child.stdout is not None:
             child.stdout.close()
         os.close(read)

@@ -24,6 +24,7 @@ from typing import IO, Any
 from cosim.base import controller_wire as wire
 from cosim.base.compiled import environment
 from cosim.base.errors import FlightError, InputError
+from cosim.base.processes import end_group
 from cosim.base.protocols import Column
 from cosim.base.scratch import scratch
 from cosim.base.signals import ControlSignals
@@ -110,9 +111,7 @@ class Connection:
                     stream.close()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(END_S)
-        with suppress(OSError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
+        end_group(self._process)
 
 
 def describe(command: Command, folder: Path, label: str) -> dict[str, Any]:

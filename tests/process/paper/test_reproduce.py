@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 from patience import PATIENCE
 from places import ROOT, TOOLS
@@ -161,8 +162,10 @@ def test_after_an_interruption_finished_parts_are_not_repeated(tmp_path: Path, h
         while len(list((tmp_path / "parts").glob("[abc]-*.pickle"))) < 3:
             assert time.monotonic() < end
             time.sleep(0.02)
+        workers = psutil.Process(first.pid).children()
         os.killpg(first.pid, how)
         _, said = first.communicate(timeout=PATIENCE)
+        assert not psutil.wait_procs(workers, timeout=PATIENCE)[1]  # one that lingers would do its part after all
     finally:
         first.kill()
         first.communicate()
