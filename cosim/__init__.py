@@ -4,6 +4,9 @@ from cosim import Scenario, fly
 
 run = fly(Scenario.load("roll-doublet").replace(engine="edf"))
 run.outcome, run.metrics["roll"].rmse_rad, run.log["roll_rad"]
+
+with Stepper("hover") as flight:  # one control step at a time
+    flight.step(Command((0.1, 0.0, 0.0), 10.0))
 """
 
 from __future__ import annotations
@@ -14,13 +17,29 @@ from cosim.base.compiled import choose
 from cosim.base.errors import EngineError, FlightError, InputError
 
 if TYPE_CHECKING:
+    from cosim.base.signals import Command
     from cosim.flight import fly
     from cosim.results.run import Run, open_run
     from cosim.spec.scenario import Scenario
+    from cosim.stepper import Snapshot, Stepper
 
-__all__ = ["EngineError", "FlightError", "InputError", "Run", "Scenario", "fly", "open_run"]
+__all__ = [
+    "Command",
+    "EngineError",
+    "FlightError",
+    "InputError",
+    "Run",
+    "Scenario",
+    "Snapshot",
+    "Stepper",
+    "fly",
+    "open_run",
+]
 
 _WHERE = {
+    "Command": "cosim.base.signals",
+    "Snapshot": "cosim.stepper",
+    "Stepper": "cosim.stepper",
     "Scenario": "cosim.spec.scenario",
     "fly": "cosim.flight",
     "Run": "cosim.results.run",

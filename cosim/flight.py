@@ -108,14 +108,7 @@ def fly(
     InputError
         If the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
     """
-    if not isinstance(scenario, Scenario):
-        scenario = Scenario.load(scenario)
-    own = None
-    if isinstance(controller, str):
-        scenario = scenario.replace(controller=seen_from(controller, Path()))
-    elif controller is not None:
-        own = of_object(controller)
-        scenario = scenario.replace(controller=own.name)
+    scenario, own = opened(scenario, controller)
     check_expected(scenario)
     with build(scenario, own) as simulation:
         replay = pilot = None
@@ -151,6 +144,21 @@ def fly(
         recording.repeats(simulation.repeats())
         run = recording.finish(ending.outcome, reason, wall, pace.report if realtime_factor else None)
         return with_page(run) if report else run
+
+
+def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Scenario, Source | None]:
+    """A scenario with the controller that it is to fly, and that controller where a program handed it over.
+
+    The parameters are those of :func:`fly`.  Raises InputError.
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = Scenario.load(scenario)
+    if controller is None:
+        return scenario, None
+    if isinstance(controller, str):
+        return scenario.replace(controller=seen_from(controller, Path())), None
+    own = of_object(controller)
+    return scenario.replace(controller=own.name), own
 
 
 def with_page(run: Run) -> Run:

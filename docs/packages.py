@@ -40,6 +40,8 @@ WHAT = {  # every package that pyproject.toml names for those who fly, and why i
 EXTRAS = {
     "bench": "hexjet bench: other ways to step FMUs, a multirotor simulator",
     "cluster": "hexjet sweep --cluster",
+    "gym": "the Gymnasium environment",
+    "notebook": "a log as a table of pandas",
     "serial": "hexjet gcs --mavlink serial:DEVICE",
     "dev": "make check, make test",
 }

@@ -1,7 +1,7 @@
 """Draws the rooms of the package and what imports what, from the imports: ``python docs/rooms.py``.
 
-A room is a folder of ``cosim/``, or the file ``flight.py``; it stands one floor above the highest that it imports.  An
-arrow that follows from others is left out.
+A room is a folder of ``cosim/``, or a file such as ``flight.py``; it stands one floor above the highest that it
+imports.  An arrow that follows from others is left out.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ DUTY = {
     "simulation": "one flight, step by step",
     "results": "log, metrics, run, page",
     "flight": "fly(): a scenario to a run",
+    "stepper": "a flight that a program steps",
+    "gym": "Gymnasium's environment",
     "design": "identification, design",
     "groundstation": "MAVLink, local page",
     "codegen": "a controller as C and as FMUs",

@@ -130,8 +130,8 @@ class MemorySink:
         self.tables.append(table)
 
     def log(self) -> Log:
-        """What was recorded."""
-        return MemoryLog(self.tables, tuple(column.name for column in self._columns), self._columns)
+        """What was recorded so far; what is recorded later is not in it."""
+        return MemoryLog(list(self.tables), tuple(column.name for column in self._columns), self._columns)
 
 
 class BackgroundSink:

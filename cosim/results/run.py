@@ -155,6 +155,7 @@ class Setup(BaseModel):
     reach: Reach | None = None  # of throttles and tilts
     yardstick: Yardstick | None = None  # what its limits are made from; None: it has none
     expectation: Expectation | None = None  # what this controller with this engine must come to
+    by_hand: int = 0  # steps whose command, throttles or tilts a program gave: the scenario alone does not repeat them
     versions: dict[str, str] = {}
     sha256: dict[str, str] = {}  # of the aircraft model and of every FMU
 
@@ -255,6 +256,7 @@ class Run:
             f"; {summary.verdict}" if summary.verdict else ""
         )
         flown = f"{summary.aircraft}, engine {summary.engine}, controller {summary.controller}, seed {summary.seed}"
+        flown += f"; {summary.by_hand} steps by hand" if summary.by_hand else ""
         rows = "".join(
             f"<tr><td>{escape(name)}</td><td>{value:.6g}</td></tr>"
             for name, value in summary.flat_metrics.items()
@@ -319,6 +321,11 @@ class Recording:
             duration = steps * self._setup.step_s
             self._setup = self._setup.model_copy(update={"planned_s": duration})
             self.restate(self._scenario.replace(duration_s=duration))
+
+    def stepped(self, steps: int, by_hand: int) -> None:
+        """A program stepped it so far, and gave ``by_hand`` of its commands: nothing is expected of it."""
+        changed = {"planned_s": steps * self._setup.step_s, "by_hand": by_hand, "expectation": None}
+        self._setup = self._setup.model_copy(update=changed)
 
     def finish(
         self,

@@ -94,7 +94,7 @@ class Simulation:
         propulsion, airframe, initial = self.propulsion, self.airframe, self.scenario.initial
         wind = self.disturber.at(0).wind
         propulsion.refuel()
-        throttle = self.controller.reset(initial.on_ground, propulsion.burnt)
+        self.standing = throttle = self.controller.reset(initial.on_ground, propulsion.burnt)  # before the first step
         # the air at the start is known once the airframe stands there, the thrust only in that air
         at_rest = airframe.reset(initial, [ZERO3] * len(throttle), wind) if propulsion.wants_ambient else None
         forces = propulsion.reset(throttle, at_rest, wind)
@@ -107,12 +107,15 @@ class Simulation:
         blocks = (self.pilot, self.disturber, self.controller, propulsion.engines.bank, self.sensors.inner)
         self._showing = [(cast(Shows, block), columns_of(block)) for block in blocks if columns_of(block)]
 
-    def step(self) -> Sample:
-        """One control step over ``[t_k, t_k+1)``, every input held; see docs/design.md."""
+    def step(self, given: Command | None = None) -> Sample:
+        """One control step over ``[t_k, t_k+1)``, every input held; see docs/design.md.
+
+        ``given``: in place of what the script asks for, or the pilot, who is not asked in this step.
+        """
         k, state, measured, propulsion = self.k, self.state, self.measured, self.propulsion
         if k >= self.faults.next:
             self.faults.change(k, measured)
-        command, seen, engines = self._command(k)
+        command, seen, engines = self._command(k) if given is None else (given, measured, _FLY)
         disturbance = self.disturber.at(k)
         actuation = self.controller.update(command, seen, disturbance, engines)
         forces, moment = propulsion.step(k, actuation, state)

@@ -1,0 +1,409 @@
+"""A flight that a program steps: one control step at a time, back to its start, and back to a place on its way.
+
+What is on the way of a flight cannot be copied out of it: JSBSim has no way to set the derivatives that its
+integrators remember, the filters and the generator of its turbulence, nor the friction forces of its contacts; many
+FMUs cannot be asked for their state; and a block of somebody else's keeps what it likes, where it likes.  But a flight
+is a function of its scenario and of what it was given, to the last bit.  So a snapshot is what was given, and going
+back to it is flying there again.  That costs the time of the steps up to it, needs nothing of any block that the flight
+does not need already, and is checked: what is there at the end must be what was there, bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from math import isfinite
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+from cosim.base.errors import EngineError, FlightError, InputError
+from cosim.base.protocols import Applied
+from cosim.base.signals import Actuation, Command, Measured, PerJet, Sample, State, Unallocated
+from cosim.flight import opened, record
+from cosim.results.run import Run
+from cosim.simulation.build import build
+from cosim.simulation.controllers.source import OBJECT, Source
+from cosim.simulation.ending import Ending
+from cosim.spec.scenario import Scenario
+
+Tilts = tuple[float, float]
+
+
+class Given(NamedTuple):
+    """What a program gave from a step on, until the next."""
+
+    k: int
+    command: Command | None  # None: the scenario's
+    throttle: PerJet | None = None  # None: not by hand, or those at which the engines stood
+    tilt: Tilts | None = None
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A place on the way of a flight: a value that can be pickled, and restored in another process too.
+
+    Attributes
+    ----------
+    flight : str
+        SHA-256 of what flies: scenario, aircraft, engines, controller.
+    seed : int
+        The scenario's.
+    k : int
+        The step that comes next.
+    given : tuple of Given
+        What was given on the way, in order.
+    there : str
+        SHA-256 of the motion, the measurement and the engines' reports at that place.
+    """
+
+    flight: str
+    seed: int
+    k: int
+    given: tuple[Given, ...]
+    there: str
+
+
+class _Hand:
+    """A whole controller that holds what it is told to."""
+
+    level = "controller"
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is held yet."""
+        self.throttle: PerJet | None = None
+        self.tilt: Tilts | None = None
+
+    def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
+        return Actuation(self.throttle or applied.throttle, self.tilt or applied.tilt, Unallocated())
+
+
+class Stepper:
+    """A flight that a program steps.
+
+    It ends as every flight does, crashed, diverged, failed or at the scenario's end; then it can be reset, restored,
+    made a run of, and not stepped.  A context manager, which frees engines and airframe.
+
+    Parameters
+    ----------
+    scenario : Scenario or str or Path
+        As for :func:`cosim.fly`; its commands are what is asked for where :meth:`step` is given none.
+    controller : str or object or None
+        As for :func:`cosim.fly`.
+    actuators : bool
+        Nobody controls: throttles and tilts are given by hand.
+    log : bool
+        Whether steps are recorded, for :meth:`run`.
+
+    Attributes
+    ----------
+    ending : Ending or None
+        How and why the flight ended; None: it has not.
+    simulation : Simulation
+        What flies; of what is changed in it from outside no snapshot knows.
+
+    Raises
+    ------
+    InputError
+        As :func:`cosim.fly`; also for a scenario that an autopilot flies.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario | str | Path,
+        *,
+        controller: Any = None,
+        actuators: bool = False,
+        log: bool = True,
+    ) -> None:
+        self._hand = _Hand() if actuators else None
+        if actuators and controller is not None:
+            raise InputError(
+                "actuators = True: throttles and tilts are given by hand, so there is no controller to name"
+            )
+        found, self._own = opened(scenario, controller)
+        if found.requests is not None:
+            raise InputError(f"scenario {found.name}: requests: an autopilot flies it, and is not stepped by hand")
+        if self._hand is not None:
+            hand, name = self._hand, f"{OBJECT}by hand"
+            self._own = Source(name, "controller", lambda: hand, {}, copied=False)
+            found = found.replace(controller=name)
+        self._scenario, self._log = found, log
+        self.simulation = build(found, self._own)
+        self._begin()
+
+    def _begin(self) -> None:
+        """At the start of a flight, which is there already."""
+        self.ending: Ending | None = None
+        self._given: list[Given] = []
+        self._by_hand = 0
+        self._recording = record(self.simulation, None) if self._log else None
+
+    @property
+    def scenario(self) -> Scenario:
+        """What flies, with the seed of the last reset."""
+        return self._scenario
+
+    @property
+    def k(self) -> int:
+        """The step that comes next."""
+        return self.simulation.k
+
+    @property
+    def time(self) -> float:
+        """The time at which it begins [s]."""
+        return self.simulation.k * self.simulation.dt
+
+    @property
+    def state(self) -> State:
+        """The true motion there."""
+        return self.simulation.state
+
+    @property
+    def measured(self) -> Measured:
+        """What the sensors say there."""
+        return self.simulation.measured
+
+    @property
+    def command(self) -> Command:
+        """What the scenario asks for in that step; its places and velocities are its pilot's to turn into angles."""
+        return self.simulation.commander.at(self.simulation.k)
+
+    def step(
+        self,
+        command: Command | None = None,
+        throttle: Sequence[float] | None = None,
+        tilt: Sequence[float] | None = None,
+    ) -> Sample:
+        """Fly one control step, every input held.
+
+        Parameters
+        ----------
+        command : Command or None
+            What is asked for: angles [rad] and height [m], or body rates [rad/s] and collective [throttle] in their
+            place; None: what the scenario asks for.
+        throttle : sequence of float or None
+            By hand, 0 to 1 per jet, jet 1 first; None: as before.
+        tilt : sequence of float or None
+            By hand, left and right servo [rad]; None: as before.
+
+        Returns
+        -------
+        Sample
+            All that there is to see of the step; the motion in it is that at its beginning.
+
+        Raises
+        ------
+        FlightError
+            If the flight is over, and where something fails in this step, which ends it.
+        InputError
+            For what is no command, and for throttles and tilts where a controller flies.
+        """
+        if self.ending is not None:
+            raise FlightError(f"the flight is over ({self.ending.outcome}: {self.ending.reason}); reset or restore it")
+        if command is not None:
+            command = _checked(command)
+        if throttle is not None or tilt is not None:
+            self._hold(throttle, tilt)
+        hand = self._hand
+        given = Given(self.k, command) if hand is None else Given(self.k, command, hand.throttle, hand.tilt)
+        if given[1:] != (self._given[-1][1:] if self._given else (None, None, None)):
+            self._given.append(given)
+        return self._fly(command)
+
+    def _hold(self, throttle: Sequence[float] | None, tilt: Sequence[float] | None) -> None:
+        if self._hand is None:
+            raise InputError("throttle, tilt: a controller flies; Stepper(..., actuators=True) gives them by hand")
+        if throttle is not None:
+            found = _numbers(throttle, len(self.simulation.vehicle.jets), "throttle")
+            for number, value in enumerate(found, 1):
+                if not 0.0 <= value <= 1.0:
+                    raise InputError(f"throttle {number} = {value:g}: must be from 0 to 1")
+            self._hand.throttle = found
+        if tilt is not None:
+            left, right = _numbers(tilt, 2, "tilt")
+            self._hand.tilt = left, right
+
+    def _fly(self, command: Command | None) -> Sample:
+        simulation = self.simulation
+        try:
+            sample = simulation.step(command)
+        except EngineError as error:
+            self.ending = Ending("failed", str(error))
+            raise
+        except FlightError as error:
+            self.ending = Ending("failed", f"{error} at step {self.k} ({self.time:.3f} s)")
+            raise FlightError(self.ending.reason) from error
+        self._by_hand += command is not None or self._hand is not None
+        self.ending = simulation.judge.look(simulation.state, self.time)
+        if self._recording is not None:
+            self._recording.observe(sample)
+            if self.ending is not None:  # as at the end of a flight that fly flew
+                self._recording.observe(
+                    sample._replace(k=self.k, time=self.time, state=simulation.state, measured=simulation.measured)
+                )
+        if self.ending is None and self.k >= self._scenario.steps:
+            self.ending = Ending("completed", f"flew {self.k} steps")
+        return sample
+
+    def reset(self, seed: int | None = None, scenario: Scenario | None = None) -> Measured:
+        """Back to ``t = 0``.
+
+        Parameters
+        ----------
+        seed : int or None
+            In place of the scenario's; None: the noise is that of before.
+        scenario : Scenario or None
+            To fly from here on, with the same controller; None: that of before.
+
+        Returns
+        -------
+        Measured
+            What the sensors say at the start.
+        """
+        wanted = self._scenario if scenario is None else scenario.replace(controller=self._scenario.controller)
+        if seed is not None and seed != wanted.seed:
+            wanted = wanted.replace(seed=seed)
+        broken = self.ending is not None and self.ending.outcome == "failed"
+        if wanted is not self._scenario or broken:
+            simulation = build(wanted, self._own)
+            self.simulation.close()
+            self.simulation, self._scenario = simulation, wanted
+        else:
+            self.simulation.reset()
+        self._begin()
+        return self.measured
+
+    def snapshot(self) -> Snapshot:
+        """This place, to be gone back to.
+
+        Returns
+        -------
+        Snapshot
+            A value; it takes no time to make.
+
+        Raises
+        ------
+        FlightError
+            Where the flight is over.
+        """
+        if self.ending is not None:
+            raise FlightError(f"the flight is over ({self.ending.outcome}); a snapshot is of one that is under way")
+        return Snapshot(self._identity(), self._scenario.seed, self.k, tuple(self._given), self._there())
+
+    def restore(self, snapshot: Snapshot) -> Measured:
+        """Fly from the start to the place of a snapshot, with what was given on the way.
+
+        Parameters
+        ----------
+        snapshot : Snapshot
+            Of this scenario, aircraft, engine and controller, of this or another process.
+
+        Returns
+        -------
+        Measured
+            What the sensors say there.
+
+        Raises
+        ------
+        InputError
+            If it is one of another flight.
+        FlightError
+            If the way there is not the same again, so that this is another place: an engine or a controller answers
+            otherwise when it is asked the same.  The flight is over then.
+        """
+        if snapshot.flight != self._identity():
+            raise InputError(
+                f"snapshot: is of another flight than {self._scenario.name} with {self._scenario.controller} and these "
+                "files of aircraft and engines"
+            )
+        self.reset(snapshot.seed)
+        changes = {each.k: each for each in snapshot.given}
+        command = None
+        while self.k < snapshot.k and self.ending is None:
+            if self.k in changes:
+                _, command, throttle, tilt = changes[self.k]
+                if self._hand is not None:
+                    self._hand.throttle, self._hand.tilt = throttle, tilt
+            self._fly(command)
+        self._given = list(snapshot.given)
+        if self.k != snapshot.k or self._there() != snapshot.there:
+            self.ending = Ending("failed", f"this flight does not repeat: at step {snapshot.k} it is at another place")
+            why = "an engine or a controller answers otherwise when it is asked the same"
+            raise FlightError(f"{self.ending.reason} than it was; {why}")
+        return self.measured
+
+    def _there(self) -> str:
+        simulation = self.simulation
+        seen = simulation.state, simulation.measured, simulation.propulsion.output, simulation.controller.signals
+        return sha256(repr(seen).encode()).hexdigest()
+
+    def _identity(self) -> str:
+        simulation, own = self.simulation, self._own or self.simulation.own
+        parts = (
+            self._scenario.model_copy(update={"seed": 0}).model_dump_json(),
+            simulation.airframe.sha256,
+            *[spec.sha256 for spec in simulation.stations],
+            "" if own is None else own.sha256,
+        )
+        return sha256("\n".join(parts).encode()).hexdigest()
+
+    def run(self) -> Run:
+        """What was flown so far, or to the end: summary, metrics, log.  It is flown by :func:`cosim.fly` no more.
+
+        Returns
+        -------
+        Run
+            ``summary.by_hand`` says how many steps were not the scenario's; nothing is expected of it.
+
+        Raises
+        ------
+        InputError
+            Without a log.
+        """
+        if self._recording is None:
+            raise InputError("log = False: nothing was recorded")
+        self._recording.stepped(self.k, self._by_hand)
+        ending = self.ending or Ending("completed", f"stepped by a program to {self.time:.3f} s")
+        return self._recording.finish(ending.outcome, ending.reason)
+
+    def close(self) -> None:
+        """Free engines, airframe and controller; may be called twice."""
+        self.simulation.close()
+
+    def __enter__(self) -> Stepper:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _numbers(values: Sequence[float], count: int, what: str) -> tuple[float, ...]:
+    """So many finite numbers.  Raises InputError."""
+    try:
+        found = tuple([float(value) for value in values])
+    except (TypeError, ValueError):
+        raise InputError(f"{what} = {values!r}: must be {count} numbers") from None
+    if len(found) != count or not all(isfinite(value) for value in found):
+        raise InputError(f"{what} = {found}: must be {count} finite numbers")
+    return found
+
+
+def _checked(command: Any) -> Command:
+    """A command of plain finite numbers.  Raises InputError."""
+    if not isinstance(command, Command):
+        raise InputError(f"command: {type(command).__name__}: must be a cosim.Command")
+    roll, pitch, yaw = _numbers(command.attitude, 3, "command.attitude")
+    rate = None
+    if command.rate is not None:
+        p, q, r = _numbers(command.rate, 3, "command.rate")
+        rate = (p, q, r)
+    (altitude,) = _numbers((command.altitude,), 1, "command.altitude")
+    collective = None if command.collective is None else _numbers((command.collective,), 1, "command.collective")[0]
+    return Command((roll, pitch, yaw), altitude, rate, collective, command.place)
