@@ -1,4 +1,4 @@
-"""hexjet export: a run's log in other formats, a controller as C and as FMUs."""
+"""hexjet export: a run's log in other formats, a controller as C and as FMUs, a vehicle as FMUs."""
 
 from __future__ import annotations
 
@@ -34,11 +34,12 @@ _LOG = "DIR"  # what the help calls it
 
 @click.group(cls=Export, epilog=example("hexjet export runs/roll-doublet-smith-001 --to ulog"))
 def export() -> None:
-    """Write the log of a run, or a controller, for other tools.
+    """Write the log of a run, a controller or the vehicle for other tools.
 
     \b
     hexjet export DIR --to ulog|csv   the log of the run in DIR; see: hexjet export DIR --help
     hexjet export controller          a controller as C99 and as FMUs, with a test
+    hexjet export vehicle             the vehicle as FMUs for other masters
 
     A run in a folder called "controller" is ./controller.
     """
@@ -123,6 +124,61 @@ def controller(
     else:
         _print(done)
     return FLIGHT_FAILED if done.measured is not None and not done.measured.same else DONE
+
+
+@export.command(epilog=example("hexjet export vehicle --controller smith --out vehicle"))
+@click.option(
+    "--scenario",
+    default="roll-doublet",
+    show_default=True,
+    metavar="NAME|FILE",
+    help="What is flown, with aircraft, engine and controller where they are not given.",
+)
+@click.option("--controller", metavar="NAME|FILE", help="Overrides the scenario's.")
+@click.option("--aircraft", metavar="NAME", help="Overrides the scenario's, with the engine that it is made for.")
+@click.option("engines", "--engine", metavar="[N=]NAME|FILE", multiple=True, help="Overrides the scenario's.")
+@click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="Write a value over the scenario's.")
+@click.option(
+    "--outside",
+    type=click.Choice(["engines", "controller"]),
+    multiple=True,
+    help="What is not in the FMU: its inputs and outputs become the FMU's.",
+)
+@click.option("--name", default="vehicle", show_default=True, help="Of the files, an identifier.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="A new or an empty folder.  [default: NAME]"
+)
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
+def vehicle(
+    scenario: str,
+    controller: str | None,
+    aircraft: str | None,
+    engines: tuple[str, ...],
+    settings: tuple[str, ...],
+    outside: tuple[str, ...],
+    name: str,
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """Write the vehicle as FMI 2.0 and 3.0 co-simulation FMUs for other masters.
+
+    The FMU flies the scenario in a Python with hexjet-cosim, which it starts itself: this one, or that which
+    HEXJET_PYTHON names.
+    """
+    from cosim.codegen.vehicle import export_vehicle
+    from cosim.codegen.vehicle_ports import Parts
+
+    offer_to_compile(*engines)
+    flown = load_scenario(scenario, controller, engines, None, settings, None, aircraft)
+    parts = Parts("engines" not in outside, "controller" not in outside)
+    done = export_vehicle(flown, out if out is not None else Path(name), name, parts)
+    if as_json:
+        click.echo(json.dumps(done.data))
+    else:
+        click.echo(f"{done.folder}: {', '.join(done.files)}")
+        click.echo(f"{done.inputs} inputs, {done.outputs} outputs, communication step {done.step_s:g} s or a multiple")
+        click.echo(f"flown by {done.python}, unless HEXJET_PYTHON names another")
+    return DONE
 
 
 def _data(done: Exported) -> dict[str, Any]:

@@ -96,6 +96,7 @@ class Engine:
     rotor_inertia: float  # kg m^2
     flame_out: Mapping[str, float]  # FLAME_OUT of an engine without a port run, or "electric"; empty where not stated
     variables: tuple[Variable, ...]
+    tool: Path | None = None  # C in place of slave.c, where a program outside the archive computes: no saved states
 
     @property
     def identifier(self) -> str:
@@ -252,7 +253,7 @@ def _token(engine: Engine, adapter: Path, fmi: int) -> str:
 
 
 def _inputs(engine: Engine, adapter: Path, fmi: int) -> list[Path]:
-    return [*engine.sources, *_adapter_files(adapter, fmi), Path(__file__)]
+    return [*engine.sources, *([engine.tool] if engine.tool else []), *_adapter_files(adapter, fmi), Path(__file__)]
 
 
 def _named_by(label: str, paths: Iterable[Path]) -> str:
@@ -361,8 +362,9 @@ def _model_description_3(engine: Engine, token: str) -> bytes:
         root,
         "CoSimulation",
         modelIdentifier=engine.identifier,
-        canGetAndSetFMUState="true",
-        canSerializeFMUState="true",
+        needsExecutionTool="true" if engine.tool else None,
+        canGetAndSetFMUState=None if engine.tool else "true",
+        canSerializeFMUState=None if engine.tool else "true",
         canHandleVariableCommunicationStepSize="true",
         fixedInternalStepSize=repr(engine.internal_step),
     )
@@ -407,10 +409,11 @@ def _model_description_2(engine: Engine, token: str, compiled: Iterable[str]) ->
         root,
         "CoSimulation",
         modelIdentifier=engine.identifier,
+        needsExecutionTool="true" if engine.tool else None,
         canHandleVariableCommunicationStepSize="false",
         canNotUseMemoryManagementFunctions="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
+        canGetAndSetFMUstate=None if engine.tool else "true",
+        canSerializeFMUstate=None if engine.tool else "true",
     )
     files = _sub(slave, "SourceFiles")
     for name in compiled:
@@ -461,6 +464,8 @@ def _build_description(engine: Engine, compiled: Iterable[str]) -> bytes:
 def _contents(engine: Engine, adapter: Path, fmi: int, token: str) -> dict[str, bytes]:
     """The archive without its binary: path inside -> bytes.  FMI's own headers stay out, as the standard wants."""
     files = {path.name: path.read_bytes() for path in [*engine.sources, *_adapter_files(adapter, fmi)]}
+    if engine.tool is not None:
+        files["slave.c"] = engine.tool.read_bytes()
     files["variables.h"] = _variables_header(engine, token).encode()
     compiled = sorted(name for name in files if name.endswith(".c"))
     contents = {f"sources/{name}": data for name, data in files.items()}
@@ -500,13 +505,18 @@ def build_all(
     return built
 
 
-def build_one(engine: Engine, adapter: Path, fmi: int, target: Path) -> None:
-    """Build one archive of what has the three functions of ``engine.h`` and no ``engine.toml``.
+def build_one(
+    engine: Engine, adapter: Path, fmi: int, target: Path, resources: Mapping[str, bytes] | None = None
+) -> None:
+    """Build one archive of what has the three functions of ``engine.h``, or a tool of its own, and no ``engine.toml``.
 
-    Raises BuildError for a compiler that is missing or fails.
+    ``resources`` go into the archive's folder of that name.  Raises BuildError for a compiler that is missing or fails.
     """
-    token = _named_by(f"{engine.name} {engine.variables} FMI {fmi}", _inputs(engine, adapter, fmi))
-    _build(engine, adapter, fmi, token, target)
+    given = resources or {}
+    digest = hashlib.sha256(b"".join(f"{name}\0{len(given[name])}\0".encode() + given[name] for name in sorted(given)))
+    label = f"{engine.name} {engine.variables} FMI {fmi}" + (f" {digest.hexdigest()}" if given else "")
+    token = _named_by(label, _inputs(engine, adapter, fmi))
+    _build(engine, adapter, fmi, token, target, given)
 
 
 def _platform_folder(fmi: int) -> str:
@@ -527,8 +537,16 @@ def _up_to_date(archive: Path, token: str) -> bool:
     return f'"{token}"' in text and any(name.startswith(f"binaries/{folder}/") for name in names)
 
 
-def _build(engine: Engine, adapter: Path, fmi: int, token: str, target: Path) -> None:
+def _build(
+    engine: Engine,
+    adapter: Path,
+    fmi: int,
+    token: str,
+    target: Path,
+    resources: Mapping[str, bytes] | None = None,
+) -> None:
     contents = _contents(engine, adapter, fmi, token)
+    contents |= {f"resources/{name}": data for name, data in (resources or {}).items()}
     with tempfile.TemporaryDirectory(prefix="engine-") as folder:
         for name, data in contents.items():
             path = Path(folder, name)

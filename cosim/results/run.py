@@ -306,7 +306,7 @@ class Recording:
         """The scenario as it was flown in the end, with what came by command.  Raises FlightError."""
         self._scenario = scenario
         if isinstance(self._sink, StreamSink):
-            _write(self._sink.path.with_name(SCENARIO), _toml(scenario))
+            _write(self._sink.path.with_name(SCENARIO), scenario_toml(scenario))
 
     def repeats(self, same: bool | None) -> None:
         """What was found out of a controller outside this process: whether it answers the same again."""
@@ -383,7 +383,7 @@ def begin_run(
     try:
         for name, source in (files or {}).items():
             _write(folder / name, source if isinstance(source, bytes) else source.read_bytes())
-        _write(folder / SCENARIO, _toml(scenario))
+        _write(folder / SCENARIO, scenario_toml(scenario))
     except (OSError, FlightError) as error:
         stream.close()
         stream.path.unlink(missing_ok=True)
@@ -572,7 +572,7 @@ def _shorten(folder: Path, summary: Summary, steps: int) -> None:
     scenario = Scenario.read(folder / SCENARIO)
     if scenario.requests is not None and steps:
         flown = {"planned_s": steps * scenario.step_s}
-        _write(folder / SCENARIO, _toml(scenario.replace(duration_s=flown["planned_s"])))
+        _write(folder / SCENARIO, scenario_toml(scenario.replace(duration_s=flown["planned_s"])))
         _write(folder / SUMMARY, _json(summary.model_copy(update=flown)).encode())
 
 
@@ -585,7 +585,7 @@ def _refuse_if_used(folder: Path, files: Mapping[str, Path | bytes]) -> None:
         raise InputError(f"{folder}: already holds a run ({held[0]}); choose another folder or remove it")
 
 
-def _toml(scenario: Scenario) -> bytes:
+def scenario_toml(scenario: Scenario) -> bytes:
     import tomli_w
 
     return tomli_w.dumps(scenario.model_dump(mode="json", exclude_none=True)).encode()

@@ -59,7 +59,6 @@ static const char *instantiation_problem(fmi2String name, fmi2Type type, fmi2Str
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID, fmi2String fmuResourceLocation,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean loggingOn)
 {
-    (void)fmuResourceLocation;
     (void)visible;
     const char *problem = instantiation_problem(instanceName, fmuType, fmuGUID);
     if (problem || !functions) {
@@ -74,7 +73,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     e->logger = functions->logger;
     e->component = functions->componentEnvironment;
     strcpy(e->name, instanceName);
-    Slave *s = slave_new(log_line, e, loggingOn != fmi2False);
+    Slave *s = slave_new(log_line, e, loggingOn != fmi2False, fmuResourceLocation);
     if (!s)
         free(e);
     return s;
@@ -109,8 +108,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 {
     if (!allows(c, "fmi2ExitInitializationMode", INITIALIZATION))
         return fmi2Error;
-    slave_exit_initialization(c);
-    return fmi2OK;
+    return status(slave_exit_initialization(c));
 }
 
 fmi2Status fmi2Terminate(fmi2Component c)

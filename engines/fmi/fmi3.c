@@ -54,7 +54,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
                                          size_t nRequiredIntermediateVariables, fmi3InstanceEnvironment instanceEnvironment,
                                          fmi3LogMessageCallback logMessage, fmi3IntermediateUpdateCallback intermediateUpdate)
 {
-    (void)resourcePath, (void)visible, (void)earlyReturnAllowed;
+    (void)visible, (void)earlyReturnAllowed;
     (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables, (void)intermediateUpdate;
     if (!instanceName || !*instanceName)
         return no_instance(instanceEnvironment, logMessage, "an instance needs a name");
@@ -67,7 +67,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
         return NULL;
     e->log = logMessage;
     e->instance = instanceEnvironment;
-    Slave *s = slave_new(logMessage ? log_line : NULL, e, loggingOn);
+    Slave *s = slave_new(logMessage ? log_line : NULL, e, loggingOn, resourcePath);
     if (!s)
         free(e);
     return s;
@@ -116,8 +116,7 @@ fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
 {
     if (!allows(instance, "fmi3ExitInitializationMode", INITIALIZATION))
         return fmi3Error;
-    slave_exit_initialization(instance);
-    return fmi3OK;
+    return status(slave_exit_initialization(instance));
 }
 
 fmi3Status fmi3Terminate(fmi3Instance instance)

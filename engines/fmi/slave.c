@@ -45,8 +45,9 @@ struct Snapshot {
 
 static const double TOLERANCE = 1e-9; /* relative, for times that the importer computed in floating point */
 
-Slave *slave_new(Log log, void *environment, bool logging)
+Slave *slave_new(Log log, void *environment, bool logging, const char *resources)
 {
+    (void)resources;
     Slave *s = calloc(1, sizeof(Slave));
     if (!s)
         return NULL;
@@ -122,10 +123,11 @@ bool slave_set_experiment(Slave *s, double start, bool stop_defined, double stop
 
 void slave_enter_initialization(Slave *s) { s->core.mode = INITIALIZATION; }
 
-void slave_exit_initialization(Slave *s)
+bool slave_exit_initialization(Slave *s)
 {
     engine_start(&s->core.values, s->state);
     s->core.mode = STEPPING;
+    return true;
 }
 
 void slave_terminate(Slave *s) { s->core.mode = TERMINATED; }

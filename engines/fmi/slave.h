@@ -26,7 +26,8 @@ typedef struct Slave Slave;
 typedef struct Snapshot Snapshot;
 typedef void (*Log)(void *environment, const char *message);
 
-ENGINE_LOCAL Slave *slave_new(Log log, void *environment, bool logging);
+/* `resources`: where the archive's are, as the importer says it; NULL, after a log line, where there can be no slave. */
+ENGINE_LOCAL Slave *slave_new(Log log, void *environment, bool logging, const char *resources);
 ENGINE_LOCAL void slave_free(Slave *s);
 ENGINE_LOCAL void *slave_environment(const Slave *s);
 ENGINE_LOCAL void slave_set_logging(Slave *s, bool logging);
@@ -38,7 +39,7 @@ ENGINE_LOCAL bool slave_allows(Slave *s, const char *function, unsigned modes);
 /* The four transitions; the caller has asked slave_allows() before. */
 ENGINE_LOCAL bool slave_set_experiment(Slave *s, double start, bool stop_defined, double stop);
 ENGINE_LOCAL void slave_enter_initialization(Slave *s);
-ENGINE_LOCAL void slave_exit_initialization(Slave *s);
+ENGINE_LOCAL bool slave_exit_initialization(Slave *s);
 ENGINE_LOCAL void slave_terminate(Slave *s);
 ENGINE_LOCAL void slave_reset(Slave *s);
 

@@ -71,6 +71,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/campaigns.md": ("test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py"),
     "docs/control-design.md": ("marks", "test_pages.py"),
     "docs/controller-export.md": ("test_codegen.py",),
+    "docs/export-vehicle.md": ("test_vehicle_export.py",),
     "docs/design.md": ("test_pages.py", "test_sensors.py", "test_trips.py"),
     "docs/engine-check.md": ("test_pages.py",),
     "docs/failsafes.md": ("marks", "test_engine_out.py", "test_failsafes.py", "test_quadrotor.py"),

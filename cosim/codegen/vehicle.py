@@ -1,0 +1,139 @@
+"""``hexjet export vehicle``: the vehicle of a scenario as co-simulation FMUs, flown in a process of their own."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.paths import data_folder
+from cosim.codegen.files import TEMPLATES, Labels
+from cosim.codegen.vehicle_ports import Flight, Parts
+from cosim.codegen.vehicle_process import FLIGHT, MADE
+from cosim.engine.build import FMI_VERSIONS, BuildError, Engine, Variable, archive_path, build_one
+from cosim.flight import resolve
+from cosim.results.run import scenario_toml, versions
+from cosim.spec.scenario import Scenario
+
+MOST_SEED = 2**31 - 1  # FMI's integer
+
+
+@dataclass(frozen=True)
+class ExportedVehicle:
+    """What was written."""
+
+    folder: Path
+    files: list[str]
+    inputs: int
+    outputs: int
+    step_s: float
+    python: str
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self) | {"folder": str(self.folder)}
+
+
+def export_vehicle(
+    scenario: Scenario, folder: Path, name: str, parts: Parts, fmis: Sequence[int] = FMI_VERSIONS
+) -> ExportedVehicle:
+    """Write the vehicle of a scenario as FMUs, of FMI 3.0 and 2.0 unless ``fmis`` says otherwise.
+
+    ``name``: of the files, an identifier.  Raises InputError for a scenario that cannot be flown so, for a folder that
+    is not empty, and where there is no C compiler.
+    """
+    if sys.platform == "win32":
+        raise InputError("export vehicle: the FMU starts a process as POSIX systems do; not on Windows")
+    labels = Labels(name, f"{scenario.aircraft}: scenario {scenario.name}", None, ())  # it checks the name
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
+    flight = Flight(scenario, parts, _nobody)
+    try:
+        resources = _resources(flight, parts)
+        engine = _as_engine(flight, labels)
+    finally:
+        flight.close()
+    files = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for fmi in fmis:
+            target = archive_path(folder, name, fmi)
+            build_one(engine, data_folder("engines") / "fmi", fmi, target, resources)
+            files.append(target.name)
+    except BuildError as error:
+        raise InputError(f"export vehicle: {error}") from error
+    except OSError as error:
+        raise FlightError(f"{folder}: {error.strerror or error}") from error
+    return ExportedVehicle(
+        folder, files, len(flight.inputs), len(flight.outputs), scenario.step_s, str(Path(sys.executable))
+    )
+
+
+def _nobody() -> None:
+    raise AssertionError("a flight that is only looked at does not step")
+
+
+def _resources(flight: Flight, parts: Parts) -> Mapping[str, bytes]:
+    """The flight with its files, what the process is to find, and the interpreter."""
+    resolved, files = resolve(flight.simulation)
+    held = {
+        f"{FLIGHT}/{name}": source if isinstance(source, bytes) else source.read_bytes()
+        for name, source in files.items()
+    }
+    made = {
+        "versions": versions(),
+        "engines_inside": parts.engines,
+        "controller_inside": parts.controller,
+        "inputs": [each.name for each in flight.inputs],
+        "outputs": [each.name for each in flight.outputs],
+    }
+    return held | {
+        f"{FLIGHT}/scenario.toml": scenario_toml(resolved),
+        MADE: json.dumps(made, indent=1).encode() + b"\n",
+        "python.txt": f"{sys.executable}\n".encode(),
+    }
+
+
+def _as_engine(flight: Flight, labels: Labels) -> Engine:
+    """What the build of engines takes: names, units and start values, and the C that starts a process."""
+    variables = [
+        Variable(
+            "seed",
+            1,
+            "parameter",
+            True,
+            None,
+            0.0,
+            float(MOST_SEED),
+            float(flight.simulation.scenario.seed),
+            "Of the sensors' noise and the turbulence",
+        )
+    ]
+    for each in flight.inputs:
+        variables.append(
+            Variable(each.name, len(variables) + 1, "input", False, each.unit, None, None, each.start, each.text)
+        )
+    for each in flight.outputs:
+        variables.append(
+            Variable(each.name, len(variables) + 1, "output", False, each.unit, None, None, None, each.text)
+        )
+    return Engine(
+        name=labels.name,
+        folder=Path(tempfile.gettempdir()),
+        title=labels.title,
+        description=f"one control step every {flight.simulation.dt!r} s, inputs held over it; flown by hexjet-cosim",
+        sources=(),
+        internal_step=flight.simulation.dt,
+        ports={},
+        ledger={},
+        rotor_inertia=0.0,
+        flame_out={},
+        variables=tuple(variables),
+        tool=TEMPLATES / "process.c",
+    )

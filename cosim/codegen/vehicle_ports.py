@@ -1,0 +1,396 @@
+"""A flight as a block with inputs and outputs: what is outside of it, and the names, units and places of its numbers.
+
+What is outside is stood in for by a block that waits there for whoever has it: the engines' bank, the controller, or,
+where both are inside, the pilot.  The step itself is the simulation's own, so the numbers are its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import isfinite, nan
+from typing import NamedTuple
+
+from cosim.base.errors import InputError
+from cosim.base.protocols import Controller, Diagnostics, Engines, EngineState, Pilot, Report
+from cosim.base.signals import (
+    ALL_WELL,
+    AXES,
+    UNKNOWN3,
+    ZERO3,
+    Actuation,
+    Ambient,
+    Command,
+    ControlSignals,
+    Disturbance,
+    EngineOutput,
+    Measured,
+    PerJet,
+    Unallocated,
+)
+from cosim.engine.ports import AMBIENT, Air
+from cosim.simulation.build import build
+from cosim.simulation.commander import Commander
+from cosim.spec.scenario import EngineFault, Scenario
+from cosim.vehicle.propulsion import Propulsion
+
+XYZ, WXYZ, NED = "xyz", "wxyz", ("north", "east", "down")
+REPORTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow")
+UNIT_OF = {
+    "throttle": "1", "thrust": "N", "spool_speed": "rad/s", "exhaust_temperature": "K", "fuel_flow": "kg/s",
+    "run": "1", "ambient_pressure": "Pa", "ambient_temperature": "K", "air_speed": "m/s", "altitude": "m", "mach": "1",
+    "density": "kg/m3", "total_pressure": "Pa", "total_temperature": "K",
+}  # fmt: skip
+_ENGINES = (EngineState.FLY, EngineState.IDLE, EngineState.OFF)
+
+
+class Number(NamedTuple):
+    """One input, output or parameter; an output's ``start`` is not used."""
+
+    name: str
+    unit: str
+    text: str
+    start: float = 0.0
+
+
+class Group(NamedTuple):
+    """Outputs that are read together."""
+
+    numbers: Sequence[Number]
+    read: Callable[[], Sequence[float]]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What is inside."""
+
+    engines: bool = True
+    controller: bool = True
+
+
+class Flight:
+    """One simulation whose engines, or controller, or commands are somebody else's.
+
+    ``meet`` is called in every step where the flight needs to be told: before it the :attr:`outputs` are those of
+    ``t_k``, behind it :attr:`given` holds the inputs by name.  Raises InputError as :func:`build` does, and for a
+    flight that cannot be had so.
+    """
+
+    def __init__(self, scenario: Scenario, parts: Parts, meet: Callable[[], None]) -> None:
+        if scenario.requests is not None:
+            raise InputError(f"scenario {scenario.name}: is flown by an autopilot's requests; choose one with commands")
+        if not parts.engines and not parts.controller:
+            for fault in scenario.fault:
+                if isinstance(fault, EngineFault):
+                    raise InputError(
+                        f"scenario {scenario.name}: fault {fault.kind}: acts between controller and engines, and both "
+                        "are outside; leave it out, or one of them inside"
+                    )
+        self.parts, self.meet = parts, meet
+        self.simulation = simulation = build(scenario)
+        self._wind = simulation.disturber.at(0).wind
+        self.jets = len(simulation.vehicle.jets)
+        self.throttle: PerJet = ()
+        self.command = Command((0.0, 0.0, 0.0), 0.0)
+        self.run = [1.0] * self.jets
+        bank = simulation.propulsion.engines.bank
+        initial = simulation.scenario.initial
+        self.start_throttle = simulation.controller.reset(initial.on_ground, simulation.propulsion.burnt)
+        self.start_engines = bank.reset(self.start_throttle, self.ambient if bank.wants_ambient else None)
+        self.inputs = tuple(self._inputs())
+        self._groups = tuple(self._list_outputs())
+        self.outputs = tuple(number for group in self._groups for number in group.numbers)
+        self.given: dict[str, float] = {each.name: each.start for each in self.inputs}
+        # everything that the blocks outside are in place of is built, and measured: what they are told is the same
+        if parts.engines:
+            simulation.propulsion.engines.bank = _Heard(bank, self)
+        else:
+            bank.close()
+            simulation.propulsion.engines.bank = _EnginesOutside(self, bank.wants_ambient)
+        if parts.controller:
+            simulation.pilot = _PilotOutside(self, simulation.pilot, simulation.commander)
+        else:
+            simulation.controller = _ControllerOutside(self, simulation.controller)
+
+    @property
+    def ambient(self) -> Ambient:
+        """The air around the engines now."""
+        simulation = self.simulation
+        wind = simulation.state.wind if simulation.k else self._wind
+        return simulation.propulsion.ambient(simulation.state, wind)
+
+    def values(self) -> tuple[float, ...]:
+        """The outputs now."""
+        return tuple([float(value) for group in self._groups for value in group.read()])
+
+    def reports(self) -> EngineOutput:
+        """What the engines outside give, as it was told; NaN for what none of them says."""
+        given = self.given
+        return EngineOutput(*[tuple([given.get(f"{name}_{jet}", nan) for jet in self.numbers]) for name in REPORTS])
+
+    @property
+    def numbers(self) -> range:
+        """Of the jets, from 1."""
+        return range(1, self.jets + 1)
+
+    def per_jet(self, name: str) -> PerJet:
+        """An input of every jet."""
+        return tuple([self.given[f"{name}_{jet}"] for jet in self.numbers])
+
+    def _inputs(self) -> Iterator[Number]:
+        simulation = self.simulation
+        command = simulation.commander.at(0)
+        if self.parts.controller:
+            yield Number("commanded", "1", "0: the scenario's commands are flown; 1: the set-points here")
+            for axis, angle in zip(AXES, command.attitude, strict=True):
+                yield Number(f"{axis}_setpoint", "rad", f"Attitude asked for: {axis}", angle)
+            yield Number("altitude_setpoint", "m", "Height above the ground asked for", command.altitude)
+            yield Number("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
+            for axis in AXES:
+                yield Number(f"{axis}_rate_setpoint", "rad/s", f"Body rate asked for: {axis}")
+            yield Number("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
+            yield Number("collective_setpoint", "1", "Mean throttle asked for")
+            yield Number("engines", "1", "0: as the loops ask; 1: idle; 2: off")
+        else:
+            if self.parts.engines:
+                for jet, start in zip(self.numbers, self.start_throttle, strict=True):
+                    yield Number(f"throttle_{jet}", "1", f"Throttle of jet {jet}", start)
+                for jet in self.numbers:
+                    yield Number(f"off_{jet}", "1", f"1: jet {jet} is shut off on purpose")
+            if simulation.vehicle.servo is not None:
+                yield Number("tilt_left", "rad", "Tilt asked of the left servo, positive forward")
+                yield Number("tilt_right", "rad", "Tilt asked of the right servo, positive forward")
+        if not self.parts.engines:
+            for name, starts in zip(REPORTS, self.start_engines, strict=True):
+                for jet, (start, spec) in enumerate(zip(starts, simulation.stations, strict=True), 1):
+                    if spec.has(name):
+                        yield Number(f"{name}_{jet}", UNIT_OF[name], f"Of the engine of jet {jet}: {name}", start)
+
+    def _list_outputs(self) -> Iterator[Group]:
+        simulation, propulsion = self.simulation, self.simulation.propulsion
+        if self.parts.controller:
+            throttles = [Number(f"throttle_{jet}", "1", f"Told to the engine of jet {jet}") for jet in self.numbers]
+            yield Group(throttles, lambda: self.throttle)
+        else:
+            yield from self._asked()
+        if simulation.vehicle.servo is not None:
+            sides = [Number(f"servo_{side}", "rad", f"Where the {side} servo stands") for side in ("left", "right")]
+            yield Group(sides, lambda: propulsion.tilt)
+        yield from self._reported() if self.parts.engines else self._to_engines()
+        if propulsion.tank is not None:
+            yield Group([Number("fuel_burnt", "kg", "Fuel burnt since the full tank")], lambda: (propulsion.burnt,))
+        yield from self._state()
+        yield from self._measured()
+
+    def _asked(self) -> Iterator[Group]:
+        """What the scenario asks for, for a controller outside."""
+        yield Group(_angles("_setpoint", "rad", "Attitude asked for"), lambda: self.command.attitude)
+        height = Number("altitude_setpoint", "m", "Height above the ground asked for")
+        yield Group([height], lambda: (self.command.altitude,))
+        flag = Number("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
+        yield Group([flag], lambda: (self.command.rate is not None,))
+        yield Group(_angles("_rate_setpoint", "rad/s", "Body rate asked for"), lambda: self.command.rate or ZERO3)
+        flag = Number("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
+        mean = Number("collective_setpoint", "1", "Mean throttle asked for")
+        yield Group([flag, mean], lambda: (self.command.collective is not None, self.command.collective or 0.0))
+
+    def _reported(self) -> Iterator[Group]:
+        """What engines inside deliver and say."""
+        output = self.simulation.propulsion
+        for n, name in enumerate(REPORTS):
+            have = [i for i, spec in enumerate(self.simulation.stations) if spec.has(name)]
+            numbers = [Number(f"{name}_{i + 1}", UNIT_OF[name], f"Of the engine of jet {i + 1}: {name}") for i in have]
+            yield Group(numbers, partial(_chosen, output, n, have))
+
+    def _to_engines(self) -> Iterator[Group]:
+        """What engines outside are told beside their throttles."""
+        stations = self.simulation.stations
+        text = "Throttle at which the engine stands in equilibrium before the first step: jet"
+        starts = [Number(f"start_throttle_{jet}", "1", f"{text} {jet}") for jet in self.numbers]
+        yield Group(starts, lambda: self.start_throttle)
+        have = [i for i, spec in enumerate(stations) if spec.has("run")]
+        runs = [Number(f"run_{i + 1}", "1", f"1: fuel on at jet {i + 1}") for i in have]
+        yield Group(runs, lambda: [self.run[i] for i in have])
+        for i, spec in enumerate(stations):
+            ports = [port for port in AMBIENT if spec.has(port)]
+            text = f"Around the engine of jet {i + 1}"
+            yield Group(
+                [Number(f"{port}_{i + 1}", UNIT_OF[port], f"{text}: {port}") for port in ports], self._air(i, ports)
+            )
+
+    def _air(self, jet: int, ports: Sequence[str]) -> Callable[[], Sequence[float]]:
+        def read() -> Sequence[float]:
+            if not ports:
+                return ()
+            pressure, temperature, speeds = self.ambient
+            air = Air(pressure, temperature, speeds[jet])
+            known = dict(zip(AMBIENT[:3], air, strict=True)) | air.derived()
+            return [known[port] for port in ports]
+
+        return read
+
+    def _state(self) -> Iterator[Group]:
+        simulation = self.simulation
+        yield Group(_parts("position", NED, "m", "Position from the start"), lambda: simulation.state.position)
+        yield Group(_parts("velocity", NED, "m/s", "Velocity over the ground"), lambda: simulation.state.velocity)
+        yield Group(_parts("attitude", WXYZ, "1", "Quaternion body to NED"), lambda: simulation.state.attitude)
+        yield Group(_angles("", "rad", "Attitude, in the order yaw, pitch, roll"), lambda: simulation.state.euler)
+        yield Group(_angles("_rate", "rad/s", "Body rate"), lambda: simulation.state.rate)
+        force = _parts("specific_force", XYZ, "m/s2", "Specific force at the centre of gravity, body")
+        yield Group(force, lambda: simulation.state.specific_force)
+        yield Group(_parts("wind", NED, "m/s", "Wind with turbulence"), lambda: simulation.state.wind)
+        yield Group([Number("altitude", "m", "Height above the ground")], lambda: (simulation.state.altitude,))
+        yield Group([Number("mass", "kg", "Mass of the vehicle")], lambda: (simulation.state.mass,))
+        yield Group([Number("on_ground", "1", "1: a leg touches")], lambda: (simulation.state.on_ground,))
+
+    def _measured(self) -> Iterator[Group]:
+        simulation = self.simulation
+        yield Group(_angles("_rate", "rad/s", "Measured body rate", "measured_"), lambda: simulation.measured.rate)
+        attitude = _parts("measured_attitude", WXYZ, "1", "Measured quaternion body to NED")
+        yield Group(attitude, lambda: simulation.measured.attitude)
+        yield Group(_parts("measured_position", NED, "m", "Measured position"), lambda: simulation.measured.position)
+        yield Group(_parts("measured_velocity", NED, "m/s", "Measured velocity"), lambda: simulation.measured.velocity)
+        height = Number("measured_altitude", "m", "Measured height above the ground")
+        yield Group([height], lambda: (simulation.measured.altitude,))
+        if all(isfinite(value) for value in simulation.measured.specific_force):  # there is an accelerometer
+            force = _parts("measured_specific_force", XYZ, "m/s2", "Measured specific force, body")
+            yield Group(force, lambda: simulation.measured.specific_force)
+
+    def close(self) -> None:
+        """Free engines and airframe."""
+        self.simulation.close()
+
+
+class _Heard:
+    """The engines inside, whose throttles are shown."""
+
+    def __init__(self, inner: Engines, flight: Flight) -> None:
+        self._inner, self._flight = inner, flight
+        self.wants_ambient = inner.wants_ambient
+
+    def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
+        self._flight.throttle = _each(throttle, self._flight.jets)
+        return self._inner.reset(throttle, ambient)
+
+    def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
+        self._flight.throttle = throttle
+        return self._inner.step(k, throttle, ambient)
+
+    def set_run(self, index: int, on: bool) -> bool:
+        return self._inner.set_run(index, on)
+
+    def close(self) -> None:
+        self._inner.close()
+
+
+class _EnginesOutside:
+    """Where the flight waits for thrusts: the throttles of step ``k`` are outputs, the thrusts at its end inputs."""
+
+    def __init__(self, flight: Flight, wants_ambient: bool) -> None:
+        self._flight, self.wants_ambient = flight, wants_ambient
+
+    def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
+        flight = self._flight
+        flight.throttle, flight.run = _each(throttle, flight.jets), [1.0] * flight.jets
+        return flight.reports()
+
+    def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
+        flight = self._flight
+        flight.throttle = throttle
+        if flight.parts.controller:
+            flight.meet()
+        return flight.reports()
+
+    def set_run(self, index: int, on: bool) -> bool:
+        flight = self._flight
+        flight.run[index] = float(on)
+        return flight.simulation.stations[index].has("run")
+
+    def close(self) -> None:
+        """There is nothing to free."""
+
+
+class _PilotOutside:
+    """The scenario's commands, or those of the inputs."""
+
+    def __init__(self, flight: Flight, inner: Pilot | None, commander: Commander) -> None:
+        self._flight, self._inner, self._commander = flight, inner, commander
+        self.engines = EngineState.FLY
+        self.seen: Measured = flight.simulation.measured
+
+    def reset(self, measured: Measured) -> None:
+        if self._inner is not None:
+            self._inner.reset(measured)
+
+    def update(self, k: int, measured: Measured, report: Report) -> Command:
+        if self._flight.parts.engines:
+            self._flight.meet()
+        given, inner = self._flight.given, self._inner
+        self.seen, self.engines = measured, EngineState.FLY
+        if given["commanded"] > 0.5:
+            roll, pitch, yaw = (given[f"{axis}_setpoint"] for axis in AXES)
+            p, q, r = (given[f"{axis}_rate_setpoint"] for axis in AXES)
+            self.engines = _ENGINES[(given["engines"] > 0.5) + (given["engines"] > 1.5)]
+            return Command(
+                (roll, pitch, yaw),
+                given["altitude_setpoint"],
+                (p, q, r) if given["rates_commanded"] > 0.5 else None,
+                given["collective_setpoint"] if given["collective_commanded"] > 0.5 else None,
+            )
+        if inner is None:
+            return self._commander.at(k)
+        command = inner.update(k, measured, report)
+        self.seen, self.engines = inner.seen, inner.engines
+        return command
+
+
+class _ControllerOutside:
+    """Where the flight waits for throttles and tilts; the built-in controller says where the engines stand at first."""
+
+    signals = ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, nan, nan)
+    lost: tuple[int, ...] = ()
+
+    def __init__(self, flight: Flight, inner: Controller) -> None:
+        self._flight, self._inner = flight, inner
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
+        return self._inner.diagnostics
+
+    def reset(self, on_ground: bool, burnt: float) -> PerJet:
+        return self._inner.reset(on_ground, burnt)
+
+    def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
+        flight = self._flight
+        flight.command = command
+        flight.meet()
+        given = flight.given
+        tilt = given.get("tilt_left", 0.0), given.get("tilt_right", 0.0)
+        if not flight.parts.engines:
+            return Actuation(flight.throttle, tilt, Unallocated())
+        off = frozenset([i for i, value in enumerate(flight.per_jet("off")) if value > 0.5])
+        return Actuation(flight.per_jet("throttle"), tilt, Unallocated(), off)
+
+    def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
+        return ALL_WELL
+
+    def forgive(self) -> None:
+        """It takes no engine for lost."""
+
+
+def _each(throttle: float | Sequence[float], jets: int) -> PerJet:
+    return tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * jets
+
+
+def _angles(suffix: str, unit: str, text: str, prefix: str = "") -> list[Number]:
+    return [Number(f"{prefix}{axis}{suffix}", unit, f"{text}: {axis}") for axis in AXES]
+
+
+def _parts(name: str, parts: Sequence[str], unit: str, text: str) -> list[Number]:
+    return [Number(f"{name}_{part}", unit, f"{text}: {part}") for part in parts]
+
+
+def _chosen(propulsion: Propulsion, report: int, jets: Sequence[int]) -> list[float]:
+    values = propulsion.output[report]
+    return [values[jet] for jet in jets]

@@ -1,0 +1,194 @@
+"""The process behind an exported vehicle: it flies, and meets the importer of the FMU once a communication step.
+
+Its standard input is a socket; the other end is ``process.c`` in the FMU.  Frames of native doubles: it gets what to do
+(0 start, 1 step), how many control steps, and every parameter and input; it answers 0 and every output, or -1 and a
+line that says why not.  Its first word, a 0, says that it is ready.  It ends when the importer does.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import sys
+from pathlib import Path
+from typing import Any, NoReturn
+
+START, STEP = 0.0, 1.0
+MADE = "vehicle.json"  # what the archive says of itself, beside the flight
+FLIGHT = "flight"  # the folder with the scenario and its files
+ANY_VERSION = "HEXJET_ANY_VERSION"
+
+
+class _AgainError(Exception):
+    """The importer starts the flight anew."""
+
+
+class _GoneError(Exception):
+    """The importer is no longer there."""
+
+
+class _Socket:
+    def __init__(self) -> None:
+        self._file = os.dup(0)
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(nothing, 0)  # what this process starts is not to hold the socket
+        os.close(nothing)
+
+    def receive(self, frame: struct.Struct) -> tuple[float, ...]:
+        data = b""
+        while len(data) < frame.size:
+            more = os.read(self._file, frame.size - len(data))
+            if not more:
+                raise _GoneError
+            data += more
+        values: tuple[float, ...] = frame.unpack(data)
+        return values
+
+    def send(self, data: bytes) -> None:
+        try:
+            while data:
+                data = data[os.write(self._file, data) :]
+        except OSError:
+            raise _GoneError from None
+
+    def refuse(self, error: object) -> None:
+        """Say why it cannot go on."""
+        line = " ".join(str(error).split())
+        self.send(struct.pack("=d", -1.0) + line.encode("utf-8", "replace")[:1000] + b"\n")
+
+
+def other_versions(made: dict[str, str], here: dict[str, str]) -> str:
+    """In words, what is not what it was where the archive was made; empty where all is."""
+    others = [
+        f"{name} {here.get(name, 'missing')} in place of {text}"
+        for name, text in made.items()
+        if here.get(name) != text
+    ]
+    return ", ".join(others)
+
+
+class _Server:
+    """Flies until the importer is gone."""
+
+    def __init__(self, socket: _Socket, folder: Path) -> None:
+        from cosim.base.errors import InputError
+        from cosim.codegen.vehicle_ports import Parts
+        from cosim.results.run import versions
+        from cosim.spec.scenario import Scenario
+
+        self._socket = socket
+        made: dict[str, Any] = json.loads((folder / MADE).read_text(encoding="utf-8"))
+        others = other_versions(made["versions"], versions())
+        if others and not os.environ.get(ANY_VERSION):
+            raise InputError(
+                f"this vehicle was made with other versions: {others}; export it anew, or set {ANY_VERSION}=1 to fly "
+                "it all the same"
+            )
+        self._parts = Parts(made["engines_inside"], made["controller_inside"])
+        self._scenario = Scenario.read(folder / FLIGHT / "scenario.toml")
+        self._flight = self._built(self._scenario.seed)
+        inputs = [each.name for each in self._flight.inputs]
+        outputs = [each.name for each in self._flight.outputs]
+        if (inputs, outputs) != (made["inputs"], made["outputs"]):
+            raise InputError("this vehicle was made with other inputs and outputs; export it anew")
+        self._inputs = inputs
+        self._in = struct.Struct(f"={3 + len(inputs)}d")
+        self._out = struct.Struct(f"={1 + len(outputs)}d")
+        self._left = 0  # control steps to go until the next meeting
+        self._owing = False  # an answer
+
+    def _built(self, seed: int) -> Any:
+        from cosim.codegen.vehicle_ports import Flight
+
+        self._seed = seed
+        return Flight(self._scenario.replace(seed=seed), self._parts, self._meet)
+
+    def _meet(self) -> None:
+        if self._left > 1:
+            self._left -= 1
+            return
+        if self._owing:
+            self._socket.send(self._out.pack(0.0, *self._flight.values()))
+        self._listen()
+
+    def _listen(self) -> None:
+        """What the importer wants next.  Raises _AgainError for a start, _GoneError."""
+        request, count, seed, *given = self._socket.receive(self._in)
+        self._owing = True
+        self._flight.given.update(zip(self._inputs, given, strict=True))
+        self._left = round(count)
+        if request == START:
+            self._wanted, self._left = round(seed), 0
+            raise _AgainError
+
+    def _start(self) -> None:
+        """To ``t = 0``, with the inputs and parameters that stand."""
+        if self._wanted != self._seed:
+            given = self._flight.given
+            self._flight.close()
+            self._flight = self._built(self._wanted)
+            self._flight.given.update(given)
+        self._flight.simulation.reset()
+
+    def _fly(self) -> NoReturn:
+        """Step after step.  Raises FlightError where the flight is over."""
+        from cosim.base.errors import FlightError
+
+        self._start()
+        simulation = self._flight.simulation
+        while True:
+            try:
+                simulation.step()
+            except FlightError as error:
+                raise FlightError(f"{error} at step {simulation.k} ({simulation.k * simulation.dt:.3f} s)") from error
+            ending = simulation.judge.look(simulation.state, simulation.k * simulation.dt)
+            if ending:
+                raise FlightError(f"the flight is over: {ending.outcome}, {ending.reason}")
+
+    def serve(self) -> None:
+        """Until the importer is gone."""
+        from cosim.base.errors import EngineError, FlightError, InputError
+
+        flying = False
+        while True:
+            try:
+                if flying:
+                    self._fly()
+                self._listen()
+            except _AgainError:
+                flying = True
+                continue
+            except _GoneError:
+                self._flight.close()
+                return
+            except (EngineError, FlightError, InputError) as error:
+                self._socket.refuse(error)
+                flying = False
+                continue
+            self._socket.refuse("the flight is over; start it anew")
+
+
+def main(folder: str) -> int:
+    """Serve the importer that started this process."""
+    socket = _Socket()
+    try:
+        server = _Server(socket, Path(folder))
+    except _GoneError:
+        return 0
+    except Exception as error:
+        socket.refuse(error)
+        return 1
+    socket.send(struct.pack("=d", 0.0))
+    try:
+        server.serve()
+    except _GoneError:
+        pass
+    except Exception as error:
+        socket.refuse(f"{type(error).__name__}: {error}")
+        raise
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))
