@@ -23,6 +23,7 @@ COMMANDS = {  # where each is, so that none is read for another
     "gcs": "gcs:gcs",
     "identify": "identify:identify",
     "list": "runs:list_",
+    "margins": "margins:margins",
     "paper": "paper:paper",
     "report": "runs:report",
     "search": "campaign:search",

@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.toml import (
     merge,
@@ -28,7 +26,7 @@ from cosim.design.channel import (
 from cosim.design.closed_loop import Closed, Points
 from cosim.design.controller_file import read_controller
 from cosim.design.dynamics import Dynamics, fit_dynamics, lags
-from cosim.design.frequency import wrapped
+from cosim.design.frequency import crossings, wrapped
 from cosim.design.identify import Identification, identify_engine
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import (
@@ -201,8 +199,8 @@ def design(
             f"outside {limits.throttle_min:g} to {limits.throttle_max:g}: it cannot be controlled, whatever the gains"
         )
     say(f"identifying {spec.name}")
-    found = _identify(scenario, vehicle, spec, amplitude)
-    dynamics = Actuator.of(spec.name, _dynamics(found))
+    found = identify_there(scenario, vehicle, spec, amplitude)
+    dynamics = Actuator.of(spec.name, dynamics_of(found))
     plants = channels(scenario, vehicle, spec, dynamics)
     given = read_models(model).get(spec.family, {}) if model else {}
     if model and not given:
@@ -237,7 +235,7 @@ def _levels(
         if there.mass_kg == vehicle.mass_kg:
             return full
         say(f"identifying {spec.name} at {there.mass_kg:.4g} kg")
-        return Actuator.of(spec.name, _dynamics(_identify(scenario, there, spec, amplitude)))
+        return Actuator.of(spec.name, dynamics_of(identify_there(scenario, there, spec, amplitude)))
 
     return levels(scenario, vehicle, spec, dynamics)
 
@@ -364,7 +362,7 @@ def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scen
     return scenario, vehicle
 
 
-def _identify(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, amplitude: float | None) -> Identification:
+def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, amplitude: float | None) -> Identification:
     """The engine's response around hover."""
     throttle = throttle_for(spec, vehicle)
     if amplitude is None:
@@ -376,7 +374,7 @@ def _identify(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, amplitude:
     )
 
 
-def _dynamics(found: Identification) -> Dynamics:
+def dynamics_of(found: Identification) -> Dynamics:
     """One lag and a delay, as identified; where that does not follow the response, what does."""
     model = found.chosen.model
     if found.chosen.misfit <= MISFIT and model.rate > 0.0:
@@ -541,27 +539,15 @@ def margins(closed: Closed) -> Margins:
     theta = closed.points.theta
     inside = theta < pi * (1.0 - 1e-9)
     last = closed.open_loop[~inside].real  # at half the sampling rate it is real: a gain may put a pole at -1
-    loop, omega = closed.open_loop[inside], theta[inside] / closed.points.channel.step
-    size, phase = np.log(np.abs(loop)), np.unwrap(np.angle(loop))
-
-    def crossings(value: Array) -> tuple[NDArray[np.intp], Array]:
-        """Where ``value`` changes its sign: the point before, and the part of the way to the next."""
-        at = np.flatnonzero(np.sign(value[:-1]) * np.sign(value[1:]) < 0.0)
-        return at, value[at] / (value[at] - value[at + 1])
-
-    at, part = crossings(loop.imag)
-    real = np.concatenate([loop.real[at] + part * np.diff(loop.real)[at], last])
-    gains = -1.0 / real[real < 0.0]
+    gains, angle, omega = crossings(closed.open_loop[inside], theta[inside] / closed.points.channel.step)
+    gains = np.concatenate([gains, -1.0 / last[last < 0.0]])
     up, down = gains[gains > 1.0], gains[gains < 1.0]
-    at, part = crossings(size)
-    angle = phase[at] + part * np.diff(phase)[at] + pi
-    delays = angle % (2.0 * pi) / (omega[at] + part * np.diff(omega)[at])
     turns = [wrapped(float(np.degrees(each))) for each in angle]
     return Margins(
         gain_db=float(20.0 * np.log10(up.min())) if len(up) else None,
         gain_down_db=float(20.0 * np.log10(down.max())) if len(down) else None,
         phase_deg=min(turns, key=abs, default=None),
-        delay_s=float(delays.min()) if len(delays) else None,
+        delay_s=float((angle / omega).min()) if len(angle) else None,
     )
 
 

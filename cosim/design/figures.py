@@ -52,8 +52,9 @@ def _hertz(loop: Closed) -> Array:
     return np.asarray(loop.points.theta / (2.0 * np.pi * loop.points.channel.step))
 
 
-def _trace(label: str, colour: str, x: Array, y: Array, panel: int = 0, **more: Any) -> Figure:
-    trace: Figure = {
+def trace(label: str, colour: str, x: Array, y: Array, panel: int = 0, **more: Any) -> Figure:
+    """A line in one of the panels, which share the horizontal axis."""
+    drawn: Figure = {
         "type": "scatter",
         "mode": "lines",
         "name": label,
@@ -64,10 +65,11 @@ def _trace(label: str, colour: str, x: Array, y: Array, panel: int = 0, **more: 
         "y": np.asarray(y, np.float64),
         "yaxis": "y" if panel == 0 else f"y{panel + 1}",
     }
-    return trace | more
+    return drawn | more
 
 
-def _layout(height: int, x: str, titles: list[str], log: bool) -> Figure:
+def panels(height: int, x: str, titles: list[str], log: bool) -> Figure:
+    """Panels above each other, the first on top; ``log`` of the horizontal axis."""
     layout: Figure = {
         "height": height,
         "margin": {"l": 64, "r": 12, "t": 36, "b": 44},
@@ -94,21 +96,21 @@ def _bode(loops: list[tuple[str, str, Closed, bool]]) -> Figure:
         hertz = _hertz(loop)
         phase = np.degrees(np.unwrap(np.angle(value)))
         phase -= 360.0 * np.round((phase[0] + 180.0) / 360.0)
-        data.append(_trace(label, colour, hertz, 20.0 * np.log10(np.abs(value))))
-        data.append(_trace(label, colour, hertz, phase, 1))
-    return {"data": data, "layout": _layout(460, "frequency [Hz]", ["|L| [dB]", "phase of L [deg]"], True)}
+        data.append(trace(label, colour, hertz, 20.0 * np.log10(np.abs(value))))
+        data.append(trace(label, colour, hertz, phase, 1))
+    return {"data": data, "layout": panels(460, "frequency [Hz]", ["|L| [dB]", "phase of L [deg]"], True)}
 
 
 def _nyquist(loops: list[tuple[str, str, Closed, bool]], found: Design) -> Figure:
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     radius = 1.0 / found.need.max_sensitivity
-    data = [_trace(f"|S| = {found.need.max_sensitivity:g}", RED, radius * np.cos(turn) - 1.0, radius * np.sin(turn))]
+    data = [trace(f"|S| = {found.need.max_sensitivity:g}", RED, radius * np.cos(turn) - 1.0, radius * np.sin(turn))]
     for label, colour, loop, _ in loops:
         value = loop.open_loop
         near = np.where(np.abs(value) < 2.0 * FAR, value, np.nan)
         keep = np.isfinite(near)
-        data.append(_trace(label, colour, value.real[keep], value.imag[keep]))
-    layout = _layout(460, "real part of L", ["imaginary part of L"], False)
+        data.append(trace(label, colour, value.real[keep], value.imag[keep]))
+    layout = panels(460, "real part of L", ["imaginary part of L"], False)
     layout["xaxis"]["range"] = [-FAR, 1.0]
     layout["yaxis"] |= {"range": [-FAR / 2.0 - 0.5, FAR / 2.0 + 0.5], "scaleanchor": "x"}
     return {"data": data, "layout": layout}
@@ -118,13 +120,13 @@ def _sensitivity(loops: list[tuple[str, str, Closed, bool]], found: Design) -> F
     data = []
     hertz = _hertz(loops[0][2])
     limit = found.need.max_sensitivity
-    data.append(_trace("limit", RED, hertz[[0, -1]], np.array([limit, limit]), line={"color": RED, "dash": "dash"}))
+    data.append(trace("limit", RED, hertz[[0, -1]], np.array([limit, limit]), line={"color": RED, "dash": "dash"}))
     for label, colour, loop, stable in loops:
         if stable:
-            data.append(_trace(label, colour, hertz, np.abs(loop.inner / loop.characteristic)))
-            data.append(_trace(label, colour, hertz, np.abs(loop.angle_response), 1))
+            data.append(trace(label, colour, hertz, np.abs(loop.inner / loop.characteristic)))
+            data.append(trace(label, colour, hertz, np.abs(loop.angle_response), 1))
     titles = ["|S|", "|angle / set-point|"]
-    layout = _layout(420, "frequency [Hz]", titles, True)
+    layout = panels(420, "frequency [Hz]", titles, True)
     return {"data": data, "layout": layout}
 
 
@@ -140,10 +142,10 @@ def _step(loops: list[tuple[str, str, Closed, bool]], each: AxisDesign) -> Figur
         time = np.arange(len(angle), dtype=np.float64) * every * each.channel.step
         keep = time <= end
         if not data:
-            data.append(_trace("set-point", GREY, time[keep][[0, -1]], np.ones(2)))
-        data.append(_trace(label, colour, time[keep], angle[keep]))
+            data.append(trace("set-point", GREY, time[keep][[0, -1]], np.ones(2)))
+        data.append(trace(label, colour, time[keep], angle[keep]))
         if loop.tuning.gains.i:
-            data.append(_trace(label, colour, time[keep], load[keep], 1))
+            data.append(trace(label, colour, time[keep], load[keep], 1))
     unit = "m" if each.channel.name == "altitude" else "rad"
     titles = ["after a step of 1", f"{unit} per {each.channel.unit} of load"]
-    return {"data": data, "layout": _layout(420, "time [s]", titles, False)}
+    return {"data": data, "layout": panels(420, "time [s]", titles, False)}

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from math import pi
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from cosim.base.arrays import Array, Complex
@@ -83,6 +84,25 @@ def pid_response(gains: RateGains, step: float, z: Complex) -> Pair:
     difference = 1.0 - 1.0 / z
     of_slope = gains.d * share * difference / (step * (1.0 - (1.0 - share) / z))
     return np.asarray(gains.p + gains.i * step / difference), np.asarray(of_slope)
+
+
+def crossings(loop: Complex, omega: Array) -> tuple[Array, Array, Array]:
+    """Where a loop's response meets the negative real axis and the unit circle, straight lines between its points.
+
+    The factors that put it on -1; then at every gain of 1 the angle [rad, 0 to 2 pi] down to -1, and ``omega`` there.
+    """
+    at, part = _passing(loop.imag)
+    real = loop.real[at] + part * np.diff(loop.real)[at]
+    size, phase = np.log(np.abs(loop)), np.unwrap(np.angle(loop))
+    at, part = _passing(size)
+    angle = phase[at] + part * np.diff(phase)[at] + pi
+    return -1.0 / real[real < 0.0], angle % (2.0 * pi), omega[at] + part * np.diff(omega)[at]
+
+
+def _passing(value: Array) -> tuple[NDArray[np.intp], Array]:
+    """Where ``value`` changes its sign: the point before, and the part of the way to the next."""
+    at = np.flatnonzero(np.sign(value[:-1]) * np.sign(value[1:]) < 0.0)
+    return at, value[at] / (value[at] - value[at + 1])
 
 
 def zeros_outside(values: Complex) -> int:

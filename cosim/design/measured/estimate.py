@@ -1,0 +1,144 @@
+"""From periods of a broken loop to its margins, with the bounds that the periods' spread leaves them.
+
+With the loop closed a signal ``w`` added at the plant's input becomes ``S w`` behind it, ``S = 1 / (1 + L)``, so that
+``L = 1 / S - 1`` whatever noise is in the loop: noise adds to ``S`` and averages out of it.
+
+The bounds are of the jackknife (J. W. Tukey, 1958): what is asked for is computed from all periods and from all but
+one, and the spread of ``n m - (n - 1) m_i`` says how sure it is; Student's t with n - 1 degrees of freedom at 95 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from math import isfinite, nan, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.errors import FlightError
+from cosim.design.frequency import crossings
+
+FEW = 10  # lines, of which no margins are made
+NOISY = 0.1  # of S, one standard deviation: lines that are hidden deeper in noise say nothing about margins
+TINY = 1e-12  # a gain of nothing, for its logarithm
+FINE = 20  # points between two measured ones, on straight lines of log gain and phase over log frequency
+
+
+@dataclass(frozen=True)
+class LoopMargins:
+    """Of a loop broken at the plant's input; None where nothing is crossed in the band."""
+
+    gain_db: float | None  # least factor up to instability
+    gain_down_db: float | None  # least factor down to it
+    phase_deg: float | None  # least lag to instability
+    phase_lead_deg: float | None  # least lead to it
+    delay_s: float | None  # least further delay to it
+    delay_less_s: float | None  # least delay taken away
+    peak_sensitivity: float | None
+    crossover_hz: float | None  # the highest frequency with gain 1
+
+
+def loop_margins(loop: Complex, hertz: Array) -> LoopMargins:
+    """Of a loop's response at rising frequencies, close enough for straight lines between them."""
+    omega = 2.0 * np.pi * hertz
+    factors, angles, at = crossings(loop, omega)
+    up, down = factors[factors > 1.0], factors[factors < 1.0]
+    lead = 2.0 * np.pi - angles
+    return LoopMargins(
+        gain_db=_least(20.0 * np.log10(up)),
+        gain_down_db=None if not len(down) else float(20.0 * np.log10(down.max())),
+        phase_deg=_least(np.degrees(angles)),
+        phase_lead_deg=_least(np.degrees(lead)),
+        delay_s=_least(angles / at),
+        delay_less_s=_least(lead / at),
+        peak_sensitivity=float(np.max(1.0 / np.abs(1.0 + loop))),
+        crossover_hz=float(at.max() / (2.0 * np.pi)) if len(at) else None,
+    )
+
+
+def _least(values: Array) -> float | None:
+    return float(values.min()) if len(values) else None
+
+
+QUANTITIES = tuple(field.name for field in fields(LoopMargins))
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """A number and its 95 % bounds; NaN where the periods do not agree that there is one."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Response:
+    """A measured loop: ``L`` and ``S`` at each line, one standard deviation of ``S``, and the coherence there."""
+
+    hertz: Array
+    loop: Complex
+    sensitivity: Complex
+    spread: Array
+    coherence: Array
+    used: NDArray[np.bool_]  # lines that stand out of the noise, which the margins are of
+    margins: Mapping[str, Bounded]
+
+
+def measured(sensitivity: Complex, hertz: Array) -> Response:
+    """Loop and margins of ``S`` by period and line, (periods, lines); two periods at least.
+
+    Raises FlightError where next to nothing stands out of the noise.
+    """
+    periods = len(sensitivity)
+    mean = sensitivity.mean(axis=0)
+    scatter = np.sum(np.abs(sensitivity - mean) ** 2, axis=0) / (periods - 1)
+    spread = np.sqrt(scatter / periods)
+    loop = 1.0 / mean - 1.0
+    used = spread <= NOISY * np.abs(mean)
+    if int(used.sum()) < FEW:
+        raise FlightError(
+            f"only {int(used.sum())} of {len(hertz)} lines stand out of the noise: more amplitude or periods"
+        )
+
+    def margins_of(rows: Complex) -> dict[str, float | None]:
+        return vars(loop_margins(*_fine((1.0 / rows.mean(axis=0) - 1.0)[used], hertz[used])))
+
+    whole = margins_of(sensitivity)
+    without = [margins_of(np.delete(sensitivity, number, axis=0)) for number in range(periods)]
+    found = {
+        name: _jackknife(value, [each[name] for each in without]) for name, value in whole.items() if value is not None
+    }
+    coherence = np.abs(mean) ** 2 / (np.abs(mean) ** 2 + scatter / periods)
+    return Response(hertz, loop, mean, spread, coherence, used, found)
+
+
+def _fine(loop: Complex, hertz: Array) -> tuple[Complex, Array]:
+    x = np.log(hertz)
+    fine = np.interp(np.arange(0, (len(x) - 1) * FINE + 1) / FINE, np.arange(len(x)), x)
+    size = np.interp(fine, x, np.log(np.maximum(np.abs(loop), TINY)))
+    phase = np.interp(fine, x, np.unwrap(np.angle(loop)))
+    return np.exp(size + 1j * phase), np.exp(fine)
+
+
+def _jackknife(value: float, without: list[float | None]) -> Bounded:
+    from scipy.special import stdtrit
+
+    if any(each is None for each in without):
+        return Bounded(value, nan, nan)
+    count = len(without)
+    left = np.array(without, np.float64)
+    half = float(stdtrit(count - 1, 0.975)) * sqrt((count - 1) / count * float(np.sum((left - left.mean()) ** 2)))
+    return Bounded(value, value - half, value + half)
+
+
+def apart(one: Mapping[str, Bounded], other: Mapping[str, Bounded]) -> dict[str, float]:
+    """By how much each of two sets of margins is off the other, relative; of gains in dB the factor's."""
+    found = {}
+    for name in one.keys() & other.keys():
+        a, b = one[name].value, other[name].value
+        if isfinite(a) and isfinite(b):
+            found[name] = 10.0 ** ((a - b) / 20.0) - 1.0 if name.endswith("_db") else (a - b) / b if b else nan
+    return found

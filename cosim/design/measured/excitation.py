@@ -1,0 +1,228 @@
+"""A loop broken in flight: a multisine added between a controller and its actuators, and what passes before and behind.
+
+The break is at the plant's input, which every controller has, whatever it is made of: its throttles and tilts.  What
+an axis is commanded is read from them as a number,
+
+    roll    sum_i a_i s_i u_i,  a_i = -y_i / sum |y|      u_i throttle, s_i slope of the static thrust curve at hover
+    pitch   half the sum of the tilts of the two servos      yaw   half their difference
+    a multirotor: as roll, with the levers x_i about pitch and the reactions about yaw
+
+and the multisine is added to the same actuators, so that it is read as itself.  No controller is told of it, nor of
+what it added to: what a controller takes for applied is its own answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import ceil, floor
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import FlightError, InputError
+from cosim.base.protocols import Controller, EngineState
+from cosim.base.signals import AXES, Actuation, Command, Disturbance, Measured
+from cosim.engine import EngineSpec
+from cosim.simulation.build import build
+from cosim.simulation.controllers.source import Source
+from cosim.simulation.step import Simulation
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle
+from cosim.vehicle.tank import Tank
+
+LINES = 36  # of a multisine in a decade: one is 7 % above the one before
+RISE = (
+    0.5  # power of 1 / f by which lines grow from ten times the lowest down: what they are to be seen in gets smaller
+)
+DRAWS = 64  # of phases, of which those with the lowest peak are taken
+SECANT = 0.02  # of throttle, either way, over which the slope of a static curve is taken
+
+
+@dataclass(frozen=True)
+class Multisine:
+    """Sines of whole periods in ``period`` steps, at ``bins`` times the lowest frequency, ``wave`` their sum."""
+
+    period: int
+    step: float
+    bins: Array
+    wave: Array  # peak 1
+
+    @property
+    def hertz(self) -> Array:
+        """The frequencies [Hz]."""
+        return self.bins / (self.period * self.step)
+
+
+def multisine(period_s: float, step: float, low: float, high: float) -> Multisine:
+    """Lines evenly over the logarithm of the frequency; of :data:`DRAWS` of random phases those with the lowest peak.
+
+    Raises InputError for a band that the period or the step has no lines in.
+    """
+    period = round(period_s / step)
+    first, last = ceil(low * period * step - 1e-9), floor(high * period * step + 1e-9)
+    if low * period * step < 1.0 - 1e-9 or last - first < 10 or 2 * last >= period:
+        raise InputError(
+            f"{low:g} to {high:g} Hz with a period of {period_s:g} s: the lowest must be at least {1.0 / period_s:.3g} "
+            f"Hz, the highest below {0.5 / step:g} Hz and {10.0 / period_s:.3g} Hz above it"
+        )
+    count = ceil(LINES * np.log10(last / first)) + 1
+    bins = np.unique(np.round(np.geomspace(first, last, count))).astype(np.float64)
+    size = np.maximum(1.0, 10.0 * first / bins) ** RISE
+    turn = 2.0 * np.pi * np.outer(np.arange(period), bins) / period
+    over, under = np.cos(turn) * size, np.sin(turn) * size
+    phases = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, (DRAWS, len(bins)))
+    waves = over @ np.cos(phases.T) - under @ np.sin(phases.T)
+    peaks = np.abs(waves).max(axis=0)
+    best = int(peaks.argmin())
+    return Multisine(period, step, bins, np.asarray(waves[:, best] / peaks[best], np.float64))
+
+
+class Tap:
+    """One axis of what a controller commands, as a number: how it is read, and how something is added to it."""
+
+    def __init__(self, axis: str, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
+        index = AXES.index(axis)
+        self.tilts = vehicle.servo is not None and axis != "roll"
+        self._sides = (1.0, 1.0) if axis == "pitch" else (1.0, -1.0)
+        levers = [(-jet.position_m[1], jet.position_m[0], jet.reaction_m)[index] for jet in vehicle.jets]
+        whole = sum(abs(lever) for lever in levers)
+        if not self.tilts and not whole:
+            raise InputError(f"{vehicle.name}: its engines give no {axis} moment")
+        slopes = [_slope(spec, vehicle.mass_kg * GRAVITY / len(vehicle.jets)) for spec in stations]
+        if not self.tilts:
+            self._weights = [lever * slope / whole for lever, slope in zip(levers, slopes, strict=True)]
+            self._adds = [float(np.sign(lever)) / slope for lever, slope in zip(levers, slopes, strict=True)]
+
+    def read(self, given: Actuation) -> float:
+        """The command of the axis: in shares of thrust, or rad of tilt."""
+        if self.tilts:
+            left, right = given.tilt
+            return 0.5 * (self._sides[0] * left + self._sides[1] * right)
+        return sum([weight * throttle for weight, throttle in zip(self._weights, given.throttle, strict=True)])
+
+    def add(self, given: Actuation, value: float) -> Actuation:
+        """The same with ``value`` more of the axis, throttles kept from 0 to 1."""
+        if self.tilts:
+            left, right = given.tilt
+            return given._replace(tilt=(left + self._sides[0] * value, right + self._sides[1] * value))
+        throttle = [each + value * share for each, share in zip(given.throttle, self._adds, strict=True)]
+        return given._replace(throttle=tuple([min(max(each, 0.0), 1.0) for each in throttle]))
+
+
+def _slope(spec: EngineSpec, thrust: float) -> float:
+    """Of an engine's static curve where it carries its part of the weight, over that of its chord."""
+    curve = spec.curve
+    span = curve.thrust[-1] - curve.thrust[0]
+    at = float(np.interp(thrust, curve.thrust, curve.throttle))
+    low, high = max(0.0, at - SECANT), min(1.0, at + SECANT)
+    below, above = np.interp([low, high], curve.throttle, curve.thrust)
+    return float((above - below) / (high - low) / span)
+
+
+class Tapped:
+    """A controller behind which a signal is added, and what passes before and behind that place."""
+
+    def __init__(self, inner: Controller, tap: Tap, wave: Callable[[int], float]) -> None:
+        self._inner, self._tap, self._wave = inner, tap, wave
+        self.before: list[float] = []
+        self.behind: list[float] = []
+        self.refused = 0  # steps in which allocation could not give what the loops asked for
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+    def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
+        """What the controller asks for, and what is added to it: see :class:`cosim.base.protocols.Controller`."""
+        given = self._inner.update(command, measured, injected, engines)
+        sent = self._tap.add(given, self._wave(len(self.before)))
+        self.before.append(self._tap.read(given))
+        self.behind.append(self._tap.read(sent))
+        self.refused += any(given.unallocated)
+        return sent
+
+
+@dataclass(frozen=True)
+class Record:
+    """Whole periods of a multisine in flight, after the first, in which the loop comes to swing with it."""
+
+    sine: Multisine
+    amplitude: float
+    before: Array  # (periods, steps)
+    behind: Array
+    clipped: bool  # an actuator, or allocation, was at an end of its range
+
+    def sensitivity(self) -> Complex:
+        """``S = behind / added`` of each period and line, (periods, lines).
+
+        What drifts over the periods, as a throttle does while something warms up, is taken off as a straight line.
+        """
+        added = self.behind - self.before
+        return np.asarray(self._lines(_level(self.behind)) / self._lines(added))
+
+    def _lines(self, values: Array) -> Complex:
+        return np.asarray(np.fft.rfft(values, axis=1)[:, self.sine.bins.astype(int)])
+
+
+def _level(values: Array) -> Array:
+    """Periods without the slope that their means have."""
+    periods, steps = values.shape
+    slope = np.polyfit(np.arange(periods) * steps, values.mean(axis=1), 1)[0] if periods > 1 else 0.0
+    return np.asarray(values - slope * np.arange(values.size).reshape(values.shape))
+
+
+def still(scenario: Scenario) -> Scenario:
+    """The scenario's vehicle in its air, holding still: without commands, faults, and what disturbs for a while.
+
+    Engines are not watched, since a monitor takes what is added for an engine's own.  Raises InputError for one that
+    stands on the ground or is flown by the autopilot.
+    """
+    if scenario.requests is not None or scenario.initial.on_ground:
+        raise InputError(
+            f"scenario {scenario.name}: margins are measured in flight at a height that is held; take one that begins "
+            "there and is not flown by the autopilot, such as hover"
+        )
+    for_ever = [
+        entry.model_dump(mode="json", exclude_none=True)
+        for entry in scenario.disturbance
+        if entry.kind in ("force", "moment", "wind", "payload") and not entry.start_s and entry.duration_s is None
+    ]
+    return scenario.replace(
+        command=[], fault=[], disturbance=for_ever, expect=[], monitor=False, limits={}, controller_limit_s=60.0
+    )
+
+
+def fly_with(
+    scenario: Scenario, axis: str, sine: Multisine, amplitude: float, periods: int, own: Source | None = None
+) -> Record:
+    """Fly one period for the loop to come to swing, and ``periods`` that are kept.  Fuel does not burn meanwhile.
+
+    Raises FlightError where the flight ends before.
+    """
+    steps = sine.period * (periods + 1)
+    flown = scenario.replace(duration_s=steps * scenario.step_s)
+    with build(flown, own) as simulation:
+        tapped = _tapped(simulation, axis, sine, amplitude)
+        ending = simulation.run()
+    if ending.outcome != "completed":
+        raise FlightError(ending.reason)
+    before, behind = (np.array(rows).reshape(periods + 1, sine.period)[1:] for rows in (tapped.before, tapped.behind))
+    wanted = amplitude * sine.wave
+    off = float(np.abs(behind - before - wanted).max())
+    return Record(sine, amplitude, before, behind, off > 1e-9 * amplitude + 1e-12 or tapped.refused > 0)
+
+
+def _tapped(simulation: Simulation, axis: str, sine: Multisine, amplitude: float) -> Tapped:
+    wave = (amplitude * sine.wave).tolist()
+    period = sine.period
+    tap = Tap(axis, simulation.vehicle, simulation.stations)
+    tapped = Tapped(simulation.controller, tap, lambda k: wave[k % period])
+    fuel = simulation.vehicle.fuel
+    if fuel is not None:  # as full as it is at the start: with no step nothing is burnt
+        simulation.propulsion.tank = Tank(fuel.mass_kg, 0.0, simulation.scenario.initial.fuel)
+    simulation.controller = tapped
+    simulation.reset()
+    tapped.before.clear()
+    return tapped

@@ -1,0 +1,272 @@
+"""``hexjet margins``: gain, phase and delay margins and peak sensitivity of any controller, measured in flight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+
+from cosim.base.errors import FlightError, InputError, nearest
+from cosim.base.signals import AXES
+from cosim.design.measured.computed import Computed, computed
+from cosim.design.measured.estimate import QUANTITIES, Response, apart, measured
+from cosim.design.measured.excitation import Multisine, Record, Tap, fly_with, multisine, still
+from cosim.simulation.build import build, find_controller
+from cosim.simulation.controllers.source import Source, of_object
+from cosim.spec.controller_name import label, seen_from
+from cosim.spec.scenario import Scenario
+
+PERIOD_S, LONG_S = 20.0, 60.0  # of the multisine; the longer one where the loop crosses over below WITHIN periods
+WITHIN = 10.0
+PERIODS = 5
+LEAST_PERIODS = 3  # that say a spread
+TO_HZ = 0.1  # over the control step
+AMPLITUDE = {False: 0.03, True: 0.06}  # peak, of a share of thrust, and in rad of tilt: some tenth of what there is
+LESS, TRIES = 0.4, 5  # times the amplitude where the vehicle was lost or an actuator at its end
+LINEAR = 0.05  # that a number may change by at half the amplitude beside its bounds
+JUDGED = ("gain_db", "gain_down_db", "phase_deg", "delay_s", "peak_sensitivity")
+COHERENT = 0.9
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class AxisMargins:
+    """One axis: measured, computed where that can be, and at half the amplitude."""
+
+    axis: str
+    unit: str
+    sine: Multisine
+    amplitude: float
+    periods: int
+    response: Response
+    half: Response
+    computed: Computed | None
+    notes: tuple[str, ...]
+
+    def off(self, name: str) -> float | None:
+        """The measured number less the computed, over that; of gains that of their factors.  None: one is not there."""
+        if self.computed is None or name not in self.response.margins:
+            return None
+        ours, theirs = self.response.margins[name].value, getattr(self.computed.margins, name)
+        if theirs is None:
+            return None
+        return float(10.0 ** ((ours - theirs) / 20.0) - 1.0 if name.endswith("_db") else (ours - theirs) / theirs)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Of one controller on one vehicle."""
+
+    scenario: Scenario
+    own: Source | None
+    axes: Mapping[str, AxisMargins]
+    uncomputed: str  # why nothing was computed; empty where it was
+
+    @property
+    def controller(self) -> str:
+        """Its name without a folder."""
+        return label(self.scenario.controller)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything that is not a curve, for JSON."""
+        scenario, own = self.scenario, self.own
+        return {
+            "aircraft": scenario.aircraft,
+            "engine": scenario.engine,
+            "controller": self.controller,
+            "controller_level": own.level if own else "built-in",
+            "controller_sha256": own.sha256 if own else None,
+            "controller_parameters": dict(scenario.controller_parameters),
+            "seed": scenario.seed,
+            "step_s": scenario.step_s,
+            "sensor_noise": scenario.sensor_noise,
+            "not_computed": self.uncomputed or None,
+            "axes": {axis: _axis_dict(each) for axis, each in self.axes.items()},
+        }
+
+
+def _axis_dict(found: AxisMargins) -> dict[str, Any]:
+    def number(value: float | None) -> float | None:
+        return None if value is None or not isfinite(value) else float(value)
+
+    return {
+        "unit": found.unit,
+        "amplitude": found.amplitude,
+        "from_hz": float(found.sine.hertz[0]),
+        "to_hz": float(found.sine.hertz[-1]),
+        "period_s": found.sine.period * found.sine.step,
+        "periods": found.periods,
+        "least_coherence": float(found.response.coherence.min()),
+        "measured": {
+            name: {"value": each.value, "low": number(each.low), "high": number(each.high)}
+            for name, each in found.response.margins.items()
+        },
+        "computed": None
+        if found.computed is None
+        else {n: number(getattr(found.computed.margins, n)) for n in QUANTITIES},
+        "off": {name: number(found.off(name)) for name in QUANTITIES},
+        "at_half_the_amplitude": {name: each.value for name, each in found.half.margins.items()},
+        "notes": list(found.notes),
+    }
+
+
+def measure_margins(
+    scenario: Scenario,
+    axes: Sequence[str] = AXES,
+    *,
+    controller: Any = None,
+    amplitude: float | None = None,
+    from_hz: float | None = None,
+    to_hz: float | None = None,
+    period_s: float | None = None,
+    periods: int = PERIODS,
+    say: Say = lambda text: None,
+) -> Margins:
+    """Break the loop of each axis at the plant's input while the vehicle holds still, and measure it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Vehicle, engine, controller and air; its commands, faults and passing disturbances are left out.
+    axes : sequence of str
+        Of roll, pitch and yaw.
+    controller : Any
+        A name, a class or an object in place of the scenario's.
+    amplitude : float or None
+        Peak of what is added, in shares of thrust or rad of tilt; None: 0.03 or 0.06, less where that does not fit.
+    from_hz, to_hz : float or None
+        The band; None: from two periods on to a tenth of the control rate.
+    period_s : float or None
+        Of the multisine [s]; None: 20 s, or 60 s for a loop that is slow.
+    periods : int
+        That are measured, three at least; one goes before them.
+    say : callable
+        Is told what is done.
+
+    Returns
+    -------
+    Margins
+        Of every axis, with 95 % bounds, and as computed where the controller is built in.
+
+    Raises
+    ------
+    InputError
+        For an unknown axis, a band without lines, an amplitude that does not fit, or what cannot be built.
+    FlightError
+        Where the vehicle does not stay in the air, however little is added.
+    """
+    if periods < LEAST_PERIODS:
+        raise InputError(f"periods = {periods}: must be at least {LEAST_PERIODS}, for their spread to be seen")
+    if amplitude is not None and not amplitude > 0.0:
+        raise InputError(f"amplitude = {amplitude:g}: must be above 0")
+    for axis in axes:
+        if axis not in AXES:
+            raise InputError(f"axis {axis!r}: {nearest(axis, AXES)}")
+    own: Source | None = None
+    if isinstance(controller, str):
+        scenario = scenario.replace(controller=seen_from(controller, scenario.folder))
+    elif controller is not None:
+        own = of_object(controller)
+        scenario = scenario.replace(controller=own.name)
+    scenario = still(scenario)
+    own = own or find_controller(scenario)
+    with build(scenario, own) as simulation:
+        vehicle, spec = simulation.vehicle, simulation.engine
+        taps = {axis: Tap(axis, vehicle, simulation.stations) for axis in axes}
+    say("computing")
+    known = computed(scenario, vehicle, spec, list(axes))
+    found = {}
+    for axis in axes:
+        asked = _Asked(scenario, own, axis, taps[axis].tilts, amplitude, from_hz, to_hz, period_s, periods, say)
+        found[axis] = asked.measure(None if isinstance(known, str) else known[axis])
+    return Margins(scenario, own, found, known if isinstance(known, str) else "")
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What is to be measured on one axis."""
+
+    scenario: Scenario
+    own: Source | None
+    axis: str
+    tilts: bool
+    amplitude: float | None
+    from_hz: float | None
+    to_hz: float | None
+    period_s: float | None
+    periods: int
+    say: Say
+
+    def measure(self, known: Computed | None) -> AxisMargins:
+        sine = self._sine(self.period_s or PERIOD_S)
+        size, record = self._fitting(sine, self.amplitude or AMPLITUDE[self.tilts])
+        response = measured(record.sensitivity(), sine.hertz)
+        if self.period_s is None and _slow(response):
+            sine = self._sine(LONG_S)
+            size, record = self._fitting(sine, size)
+            response = measured(record.sensitivity(), sine.hertz)
+        self.say(f"{self.axis}: half the amplitude")
+        half = fly_with(self.scenario, self.axis, sine, 0.5 * size, LEAST_PERIODS, self.own)
+        other = measured(half.sensitivity(), sine.hertz)
+        unit = "rad of tilt" if self.tilts else "share of thrust"
+        notes = _notes(response, other)
+        return AxisMargins(self.axis, unit, sine, size, self.periods, response, other, known, notes)
+
+    def _sine(self, period_s: float) -> Multisine:
+        step = self.scenario.step_s
+        count = self.scenario.count(period_s, "--period")
+        low = 2.0 / period_s if self.from_hz is None else self.from_hz
+        return multisine(count * step, step, low, TO_HZ / step if self.to_hz is None else self.to_hz)
+
+    def _fitting(self, sine: Multisine, size: float) -> tuple[float, Record]:
+        """The flight with that amplitude, or with one that fits.  Raises InputError where it was asked for."""
+        why = ""
+        for _ in range(TRIES):
+            self.say(f"{self.axis}: amplitude {size:.2g}")
+            try:
+                record = fly_with(self.scenario, self.axis, sine, size, self.periods, self.own)
+                if not record.clipped:
+                    return size, record
+                why = "an actuator comes to an end of its range"
+            except FlightError as error:
+                why = str(error)
+                if "controller " in why:
+                    raise
+            if self.amplitude is not None:
+                raise InputError(f"{self.axis}: amplitude {size:g} is too much: {why}")
+            size = float(f"{LESS * size:.2g}")
+        raise FlightError(f"{self.axis}: {why}, with as little as {size / LESS:.2g} added: the loop is not stable")
+
+
+def _slow(response: Response) -> bool:
+    """Whether what is looked for is near the band's lower end, or below it."""
+    crossing = response.margins.get("crossover_hz")
+    within = WITHIN if "gain_down_db" in response.margins else 2.0 * WITHIN
+    return crossing is None or crossing.value * PERIOD_S < within
+
+
+def _notes(response: Response, half: Response) -> tuple[str, ...]:
+    notes = []
+    hidden = int((~response.used).sum())
+    if hidden:
+        lines = f"{hidden} of {len(response.used)} lines"
+        notes.append(f"{lines} are hidden in noise and left out; --set sensor_noise=false flies without it")
+    for name, share in apart(half.margins, response.margins).items():
+        if name not in JUDGED:
+            continue
+        one, two = response.margins[name], half.margins[name]
+        wide = sum(0.5 * (each.high - each.low) for each in (one, two) if isfinite(each.high))
+        if abs(share) > LINEAR and abs(one.value - two.value) > wide:
+            notes.append(
+                f"{name} is {100.0 * share:+.0f} % off at half the amplitude: the loop is not linear at this one"
+            )
+    crossing = response.margins.get("crossover_hz")
+    if crossing is None:
+        notes.append("the loop's gain does not pass 1 in the band: widen it")
+    else:
+        there = float(response.coherence[abs(response.hertz - crossing.value).argmin()])
+        if there < COHERENT:
+            notes.append(f"coherence {there:.2f} at the crossover: more amplitude or more periods")
+    return tuple(notes)

@@ -1,0 +1,143 @@
+"""What measured margins leave in a folder: numbers, curves and a page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.errors import FlightError
+from cosim.base.files import one_line
+from cosim.design.figures import FAR, Figure, panels, trace
+from cosim.design.measured.estimate import TINY
+from cosim.design.measured.margins import AxisMargins, Margins
+from cosim.results.report.flight_figures import BLUE, GREY, ORANGE, RED
+from cosim.results.report.page import render
+
+TEMPLATE = Path(__file__).parent / "templates" / "margins.html"
+COLUMNS = ("", "measured", "95 % bounds", "computed", "off")
+SHOWN = (  # quantity, what it is called, and its numbers
+    ("gain_db", "gain up", "{:+.2f} dB"),
+    ("gain_down_db", "gain down", "{:+.2f} dB"),
+    ("phase_deg", "phase, lag", "{:.1f} deg"),
+    ("phase_lead_deg", "phase, lead", "{:.1f} deg"),
+    ("delay_s", "delay, more", "{:.4f} s"),
+    ("delay_less_s", "delay, less", "{:.4f} s"),
+    ("peak_sensitivity", "peak |S|", "{:.3f}"),
+    ("crossover_hz", "crossover", "{:.3f} Hz"),
+)
+
+
+def rows(found: AxisMargins) -> list[list[str]]:
+    """A line a quantity, as :data:`COLUMNS` head them."""
+    lines = []
+    for name, title, form in SHOWN:
+        ours = found.response.margins.get(name)
+        theirs = None if found.computed is None else getattr(found.computed.margins, name)
+        if ours is None and theirs is None:
+            continue
+        value, bounds = "not in the band", ""
+        if ours is not None:
+            value = form.format(ours.value)
+            bounds = f"{form.split(' ')[0].format(ours.low)} to {form.format(ours.high)}" if isfinite(ours.low) else "-"
+        share = found.off(name)
+        off = "" if share is None else f"{100.0 * share:+.1f} %"
+        lines.append([title, value, bounds, "-" if theirs is None else form.format(theirs), off])
+    return lines
+
+
+def heading(found: AxisMargins) -> str:
+    """What was done on an axis."""
+    sine = found.sine
+    band = f"{found.axis.capitalize()}: {sine.hertz[0]:.3g} to {sine.hertz[-1]:.3g} Hz"
+    return (
+        f"{band}, {len(sine.bins)} lines, {found.periods} "
+        f"periods of {sine.period * sine.step:g} s, peak {found.amplitude:g} {found.unit}"
+    )
+
+
+def write(found: Margins, folder: Path) -> dict[str, Path]:
+    """Write ``margins.json``, ``response.csv`` and ``report.html``.  Raises FlightError if a file cannot be written."""
+    paths = {"json": folder / "margins.json", "response": folder / "response.csv", "report": folder / "report.html"}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        paths["json"].write_text(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        paths["response"].write_text(_csv(found), encoding="utf-8")
+    except OSError as error:
+        raise FlightError(f"{folder}: {one_line(error)}") from error
+    figures: dict[str, Any] = {}
+    for axis, each in found.axes.items():
+        figures |= {f"bode_{axis}": _bode(each), f"nyquist_{axis}": _nyquist(each), f"peak_{axis}": _peak(each)}
+    tables = [(axis, heading(each), rows(each), each.notes) for axis, each in found.axes.items()]
+    render(TEMPLATE, paths["report"], figures, found=found, columns=COLUMNS, tables=tables)
+    return paths
+
+
+def _csv(found: Margins) -> str:
+    lines = [
+        "axis,frequency_hz,loop_real,loop_imaginary,sensitivity_real,sensitivity_imaginary,sensitivity_spread,coherence"
+    ]
+    for axis, each in found.axes.items():
+        r = each.response
+        columns = (r.hertz, r.loop.real, r.loop.imag, r.sensitivity.real, r.sensitivity.imag, r.spread, r.coherence)
+        lines += [f"{axis}," + ",".join(f"{value:.9g}" for value in row) for row in zip(*columns, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def _curves(found: AxisMargins) -> list[tuple[str, str, Any, Any, dict[str, Any]]]:
+    """Computed and measured: label, colour, Hz, L, how it is drawn."""
+    curves: list[tuple[str, str, Any, Any, dict[str, Any]]] = []
+    hertz = found.sine.hertz
+    if found.computed is not None:
+        inside = (found.computed.hertz >= hertz[0]) & (found.computed.hertz <= hertz[-1])
+        curves.append(("computed", ORANGE, found.computed.hertz[inside], found.computed.loop[inside], {}))
+    dots = {"mode": "markers", "marker": {"size": 5, "color": BLUE}}
+    return [*curves, ("measured", BLUE, hertz, found.response.loop, dots)]
+
+
+def _bode(found: AxisMargins) -> Figure:
+    data: list[Figure] = []
+    for label, colour, hertz, loop, how in _curves(found):
+        phase = np.degrees(np.unwrap(np.angle(loop)))
+        phase -= 360.0 * np.round((phase[0] + 180.0) / 360.0)
+        data += [trace(label, colour, hertz, 20.0 * np.log10(np.maximum(np.abs(loop), TINY)), **how)]
+        data += [trace(label, colour, hertz, phase, 1, **how)]
+    data.append(trace("coherence", GREY, found.sine.hertz, found.response.coherence, 2))
+    layout = panels(560, "frequency [Hz]", ["|L| [dB]", "phase of L [deg]", "coherence"], True)
+    layout["yaxis3"]["range"] = [0.0, 1.05]
+    return {"data": data, "layout": layout}
+
+
+def _nyquist(found: AxisMargins) -> Figure:
+    turn = np.linspace(0.0, 2.0 * np.pi, 200)
+    peak = found.response.margins["peak_sensitivity"].value
+    circle = trace(f"|S| = {peak:.2f}", RED, np.cos(turn) / peak - 1.0, np.sin(turn) / peak)
+    data = [circle]
+    for label, colour, _, loop, how in _curves(found):
+        near = np.abs(loop) < 2.0 * FAR
+        data.append(trace(label, colour, loop.real[near], loop.imag[near], **how))
+    layout = panels(560, "real part of L", ["imaginary part of L"], False)
+    layout["xaxis"]["range"] = [-FAR, 1.0]
+    layout["yaxis"] |= {"range": [-FAR / 2.0 - 0.5, FAR / 2.0 + 0.5], "scaleanchor": "x"}
+    return {"data": data, "layout": layout}
+
+
+def _peak(found: AxisMargins) -> Figure:
+    data: list[Figure] = []
+    for label, colour, hertz, loop, how in _curves(found):
+        more = dict(how)
+        if label == "measured":
+            wide = _wide(found)
+            more["error_y"] = {"type": "data", "array": wide, "thickness": 1, "width": 0}
+        data.append(trace(label, colour, hertz, np.abs(1.0 / (1.0 + loop)), **more))
+    return {"data": data, "layout": panels(320, "frequency [Hz]", ["|S|, with 95 % bounds"], True)}
+
+
+def _wide(found: AxisMargins) -> Sequence[float]:
+    from scipy.special import stdtrit
+
+    return np.asarray(float(stdtrit(found.periods - 1, 0.975)) * found.response.spread, np.float64)  # type: ignore[return-value]

@@ -1,0 +1,233 @@
+"""Margins measured in flight: closed forms first, then the computed ones, then delays that only the measurement sees."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from math import degrees, log10, pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_tools import Hexjet
+from places import ROOT
+from stated_figures import stated
+
+from cosim import InputError, Scenario
+from cosim.base.errors import FlightError
+from cosim.base.signals import Actuation, Unallocated
+from cosim.design.controller_file import with_controller
+from cosim.design.measured import margins, measure_margins
+from cosim.design.measured.estimate import loop_margins, measured
+from cosim.design.measured.excitation import LINES, Record, Tap, fly_with, multisine, still
+from cosim.engine import load_engine
+from cosim.spec.vehicle import load_vehicle
+
+DESIGNS = ROOT / "tests" / "designs"
+CLOSE = 0.05  # of what is computed
+QUIET = Scenario.load("hover").replace(sensor_noise=False, expect=[])
+SHORT: dict[str, Any] = {"period_s": 5.0, "periods": 3}  # the band begins at 0.4 Hz
+
+
+# ---- exact
+
+
+def test_an_integrator_with_a_delay_has_the_margins_of_its_closed_form() -> None:
+    k, tau = 4.0, 0.1
+    hertz = np.geomspace(0.05, 20.0, 4000)
+    s = 2j * pi * hertz
+    found = loop_margins(k / s * np.exp(-s * tau), hertz)
+    assert found.gain_db == pytest.approx(20.0 * log10(pi / (2.0 * k * tau)), abs=1e-3)
+    assert found.gain_down_db is None
+    assert found.phase_deg == pytest.approx(90.0 - degrees(k * tau), abs=1e-3)
+    assert found.phase_lead_deg == pytest.approx(270.0 + degrees(k * tau), abs=1e-3)
+    assert found.delay_s == pytest.approx((0.5 * pi - k * tau) / k, abs=1e-6)
+    assert found.crossover_hz == pytest.approx(k / (2.0 * pi), rel=1e-5)
+
+
+def test_bounds_hold_what_is_true_about_as_often_as_they_say() -> None:
+    k, tau, hertz = 4.0, 0.1, np.geomspace(0.1, 10.0, 80)
+    s = 2j * pi * hertz
+    true = 1.0 / (1.0 + k / s * np.exp(-s * tau))
+    exact = measured(np.tile(true, (5, 1)), hertz).margins["phase_deg"]
+    assert exact.high - exact.low < 1e-9
+    assert exact.value == pytest.approx(90.0 - degrees(k * tau), abs=0.02)  # straight lines 6 % of frequency apart
+    draw = np.random.default_rng(1)
+    held = 0
+    for _ in range(100):
+        noise = draw.normal(0.0, 0.02, (2, 5, len(hertz)))
+        found = measured(true + noise[0] + 1j * noise[1], hertz).margins["phase_deg"]
+        held += found.low <= exact.value <= found.high
+    assert 88 <= held <= 100  # 95 on average; less than 88 comes once in a thousand
+
+
+def test_lines_that_noise_hides_are_left_out_and_nothing_is_made_of_none() -> None:
+    hertz = np.geomspace(0.1, 10.0, 40)
+    true = np.ones((4, 40), complex)
+    true[:, 30:] += np.random.default_rng(2).normal(0.0, 2.0, (4, 10))
+    assert measured(true, hertz).used.sum() == 30
+    with pytest.raises(FlightError, match="lines stand out of the noise"):
+        measured(np.random.default_rng(3).normal(0.0, 1.0, (4, 40)) + 0j, hertz)
+
+
+def test_a_drift_over_the_periods_is_taken_off() -> None:
+    sine = multisine(4.0, 0.004, 0.5, 25.0)
+    added = np.tile(sine.wave, (4, 1))
+    drift = 0.3 * np.arange(added.size).reshape(added.shape) / added.size
+    record = Record(sine, 1.0, drift - 0.5 * added, drift + 0.5 * added, False)
+    np.testing.assert_allclose(record.sensitivity(), 0.5, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("aircraft", "engine", "step"),
+    [("hexjet", "edf", 0.004), ("hexjet-p220", "p220", 0.004), ("quadrotor", "motor", 0.0025)],
+)
+def test_what_is_added_is_read_as_itself_and_other_axes_are_left_alone(aircraft: str, engine: str, step: float) -> None:
+    vehicle, _ = load_vehicle(aircraft)
+    spec = load_engine(engine, {}, step)
+    taps = {axis: Tap(axis, vehicle, [spec] * len(vehicle.jets)) for axis in ("roll", "pitch", "yaw")}
+    given = Actuation((0.5,) * len(vehicle.jets), (0.01, 0.02), Unallocated())
+    for axis, tap in taps.items():
+        sent = tap.add(given, 0.03)
+        for other, each in taps.items():
+            assert each.read(sent) - each.read(given) == pytest.approx(0.03 if other == axis else 0.0, abs=1e-12)
+        assert sum(sent.throttle) == pytest.approx(sum(given.throttle), abs=1e-12)
+
+
+# ---- as computed
+
+
+@pytest.mark.parametrize("design", ["shipped", "turbojet", "edf"])
+def test_three_designs_are_measured_as_they_are_computed(design: str) -> None:
+    scenario = QUIET
+    if design != "shipped":
+        scenario = with_controller("hover", DESIGNS / f"{design}.toml", [f"engine={design}", "sensor_noise=false"])
+    found = measure_margins(scenario, ["roll"], **SHORT, to_hz=100.0)
+    roll = found.axes["roll"]
+    assert not found.uncomputed
+    for name in ("gain_db", "phase_deg", "delay_s", "peak_sensitivity", "crossover_hz"):
+        off = roll.off(name)
+        assert off is not None
+        assert abs(off) < CLOSE, name
+    # at half the amplitude the same: nothing of it is an actuator's limit
+    assert not roll.notes
+
+
+# ---- any controller
+
+
+class Late:
+    """A rate loop, P on all axes, that answers ``late`` steps after it should: nobody is told."""
+
+    level = "rate"
+    late = 0
+
+    def prepare(self, belief: Any) -> None:
+        gains = belief.vehicle.control.rate
+        self.gains = [0.5 * gains.roll.p, gains.pitch.p, gains.yaw.p]
+
+    def reset(self) -> None:
+        self.line = deque([[0.0, 0.0, 0.0]] * self.late)
+
+    def update(self, setpoint: Any, measured: Any, applied: Any) -> list[float]:
+        self.line.append([p * (a - b) for p, a, b in zip(self.gains, setpoint, measured, strict=True)])
+        return self.line.popleft()
+
+
+class Later(Late):
+    late = 3
+
+
+@pytest.mark.parametrize("axis", ["roll", "yaw"])
+def test_a_secret_delay_of_three_samples_is_three_samples_less_of_margin(axis: str) -> None:
+    one, other = (measure_margins(QUIET, [axis], controller=each, **SHORT).axes[axis] for each in (Late, Later))
+    assert one.computed is None
+    there, then = one.response.margins["delay_s"], other.response.margins["delay_s"]
+    # a twentieth of a sample: the lines are 7 % apart
+    assert (there.value - then.value) / QUIET.step_s == pytest.approx(3.0, abs=0.05)
+
+
+def test_one_that_falls_is_not_stable_and_one_that_raises_is_named(tmp_path: Path) -> None:
+    class Wild(Late):
+        def prepare(self, belief: Any) -> None:
+            self.gains = [-0.1, -1.0, -1.0]
+
+    class Raises(Late):
+        def update(self, setpoint: Any, measured: Any, applied: Any) -> list[float]:
+            raise ValueError("no")
+
+    with pytest.raises(FlightError, match=r"roll: .*the loop is not stable"):
+        measure_margins(QUIET, ["roll"], controller=Wild, period_s=4.0, periods=3)
+    with pytest.raises(FlightError, match=r"controller .*Raises.*ValueError: no"):
+        measure_margins(QUIET, ["roll"], controller=Raises, period_s=4.0, periods=3)
+
+
+def test_fuel_does_not_burn_meanwhile_and_commands_are_left_out() -> None:
+    scenario = Scenario.load("full-scale-roll-doublet")
+    held = still(scenario)
+    assert (held.command, held.fault, held.monitored) == ([], [], False)
+    record = fly_with(held.replace(sensor_noise=False), "roll", multisine(2.0, held.step_s, 1.0, 25.0), 0.005, 1)
+    drift = record.behind[0].mean() - record.before[0].mean()
+    assert abs(drift) < 1e-12
+
+
+def test_the_page_states_what_is_flown() -> None:
+    page = "docs/margins.md"
+    sine = multisine(margins.PERIOD_S, 0.004, 2.0 / margins.PERIOD_S, margins.TO_HZ / 0.004)
+    stated(
+        page,
+        "The period is {} s; one passes for the loop to come to swing, {} are kept",
+        margins.PERIOD_S,
+        margins.PERIODS,
+    )
+    assert np.diff(np.log(sine.hertz))[-20:].mean() == pytest.approx(np.log(10.0) / LINES, rel=0.05)
+    stated(page, "The lines stand {} % of frequency apart", 100.0 * (10.0 ** (1.0 / LINES) - 1.0))
+    stated(page, "is measured with a period of {} s", margins.LONG_S)
+    stated(page, "a peak of {} of a share of thrust or {} rad of tilt", *margins.AMPLITUDE.values())
+    stated(page, "by more than its bounds and {} % is named", 100.0 * margins.LINEAR)
+    stated(page, "Tests hold three designs to {} %", 100.0 * CLOSE)
+    stated(page, "Beside them stand {} % bounds", 95)
+
+
+# ---- the command
+
+
+def test_the_command_says_and_writes_it(hexjet: Hexjet, tmp_path: Path) -> None:
+    out = tmp_path / "margins"
+    done = hexjet("margins", "--axis", "yaw", "--period", "4", "--periods", "3", "--out", str(out), "--json")
+    assert done.status == 0, done.err
+    said = json.loads(done.out)
+    assert said == json.loads((out / "margins.json").read_text(encoding="utf-8"))
+    yaw = said["axes"]["yaw"]
+    assert yaw["measured"]["phase_deg"]["low"] < yaw["computed"]["phase_deg"] < yaw["measured"]["phase_deg"]["high"]
+    assert (out / "response.csv").read_text(encoding="utf-8").startswith("axis,frequency_hz,")
+    assert "yaw" in (out / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--axis", "heave"], "heave"),
+        (["--period", "0.003"], "--period"),
+        (["--from-hz", "0.01"], "the lowest must be at least 0.05 Hz"),
+        (["--to-hz", "200"], "the highest below 125 Hz"),
+        (["--amplitude", "0"], "must be above 0"),
+        (["--controller", "nobody"], "nobody"),
+        (["climb-and-land"], "begins there"),
+        (["--axis", "roll", "--amplitude", "0.5", "--period", "4"], "roll: amplitude 0.5 is too much"),
+    ],
+)
+def test_wrong_input_is_one_line(hexjet: Hexjet, arguments: list[str], message: str, tmp_path: Path) -> None:
+    done = hexjet("margins", *arguments, "--out", str(tmp_path / "out"))
+    assert (done.status, done.out) == (2, "")
+    assert message in done.err
+    assert done.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_program_asks_as_the_command_does() -> None:
+    with pytest.raises(InputError, match="axis 'rol': did you mean 'roll'"):
+        measure_margins(QUIET, ["rol"])
+    with pytest.raises(InputError, match="periods = 2"):
+        measure_margins(QUIET, ["roll"], periods=2)
