@@ -144,6 +144,14 @@ def controller(
     multiple=True,
     help="What is not in the FMU: its inputs and outputs become the FMU's.",
 )
+@click.option(
+    "kind",
+    "--as",
+    type=click.Choice(["fmu", "ssp"]),
+    default="fmu",
+    show_default=True,
+    help="ssp: archives of a system, with the engines as components.",
+)
 @click.option("--name", default="vehicle", show_default=True, help="Of the files, an identifier.")
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="A new or an empty folder.  [default: NAME]"
@@ -156,6 +164,7 @@ def vehicle(
     engines: tuple[str, ...],
     settings: tuple[str, ...],
     outside: tuple[str, ...],
+    kind: str,
     name: str,
     out: Path | None,
     as_json: bool,
@@ -171,7 +180,7 @@ def vehicle(
     offer_to_compile(*engines)
     flown = load_scenario(scenario, controller, engines, None, settings, None, aircraft)
     parts = Parts("engines" not in outside, "controller" not in outside)
-    done = export_vehicle(flown, out if out is not None else Path(name), name, parts)
+    done = export_vehicle(flown, out if out is not None else Path(name), name, parts, system=kind == "ssp")
     if as_json:
         click.echo(json.dumps(done.data))
     else:

@@ -13,6 +13,7 @@ from typing import Any
 from cosim.base.errors import FlightError, InputError
 from cosim.base.paths import data_folder
 from cosim.codegen.files import TEMPLATES, Labels
+from cosim.codegen.ssp import write_ssp
 from cosim.codegen.vehicle_ports import Flight, Parts
 from cosim.codegen.vehicle_process import FLIGHT, MADE
 from cosim.engine.build import FMI_VERSIONS, BuildError, Engine, Variable, archive_path, build_one
@@ -41,11 +42,17 @@ class ExportedVehicle:
 
 
 def export_vehicle(
-    scenario: Scenario, folder: Path, name: str, parts: Parts, fmis: Sequence[int] = FMI_VERSIONS
+    scenario: Scenario,
+    folder: Path,
+    name: str,
+    parts: Parts,
+    fmis: Sequence[int] = FMI_VERSIONS,
+    system: bool = False,
 ) -> ExportedVehicle:
     """Write the vehicle of a scenario as FMUs, of FMI 3.0 and 2.0 unless ``fmis`` says otherwise.
 
-    ``name``: of the files, an identifier.  Raises InputError for a scenario that cannot be flown so, for a folder that
+    ``name``: of the files, an identifier.  ``system``: as SSP archives in place of the FMUs, with the engines, which
+    are outside then, as components.  Raises InputError for a scenario that cannot be flown so, for a folder that
     is not empty, and where there is no C compiler.
     """
     if sys.platform == "win32":
@@ -53,6 +60,9 @@ def export_vehicle(
     labels = Labels(name, f"{scenario.aircraft}: scenario {scenario.name}", None, ())  # it checks the name
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
+    if system and not parts.controller:
+        raise InputError("export vehicle --as ssp: has the controller in the vehicle; leave out --outside controller")
+    parts = Parts(False) if system else parts
     flight = Flight(scenario, parts, _nobody)
     try:
         resources = _resources(flight, parts)
@@ -65,6 +75,10 @@ def export_vehicle(
         for fmi in fmis:
             target = archive_path(folder, name, fmi)
             build_one(engine, data_folder("engines") / "fmi", fmi, target, resources)
+            if system:
+                fmu, target = target, target.with_suffix(".ssp")
+                write_ssp(flight, fmu, target, fmi, scenario.duration_s)
+                fmu.unlink()
             files.append(target.name)
     except BuildError as error:
         raise InputError(f"export vehicle: {error}") from error

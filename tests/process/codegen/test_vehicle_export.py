@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import re
+import subprocess
 import sys
+import zipfile
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,11 +16,12 @@ import fmpy
 import numpy as np
 import pytest
 from command_tools import Hexjet
-from engine_tools import Driven, archive, driven, rewrite
+from engine_tools import Driven, driven, rewrite
 from places import DOCS
 
 from cosim.base.errors import InputError
 from cosim.codegen import measure
+from cosim.codegen.ssp import write_ssp
 from cosim.codegen.vehicle import export_vehicle
 from cosim.codegen.vehicle_ports import Flight, Parts
 from cosim.codegen.vehicle_process import other_versions
@@ -180,12 +185,25 @@ def test_other_versions_are_refused_by_name(whole: Path, tmp_path: Path, monkeyp
     assert "made with other versions: jsbsim" in said[-1]
 
 
-def test_engines_outside_stepped_before_the_vehicle_make_the_same_flight(tmp_path: Path, ours: Run) -> None:
+@pytest.fixture(scope="module")
+def system(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The SSP, and what is in it, in one folder."""
+    folder = tmp_path_factory.mktemp("system")
+    done = export_vehicle(doublet(), folder / "out", "ours", Parts(), fmis=(2,), system=True)
+    assert done.files == ["ours-fmi2.ssp"]
+    with zipfile.ZipFile(done.folder / "ours-fmi2.ssp") as ssp:
+        ssp.extractall(folder)
+    return folder
+
+
+def test_engines_outside_stepped_before_the_vehicle_make_the_same_flight(
+    system: Path, tmp_path: Path, ours: Run
+) -> None:
     """A master that goes from one to the next: engines with the throttles of now, then the vehicle with their thrusts."""
-    done = export_vehicle(doublet(), tmp_path / "out", "bare", Parts(engines=False), fmis=(2,))
-    engine = archive("edf-as-flown", 2)
+    fmus = system / "resources"
     with ExitStack() as stack:
-        vehicle = stack.enter_context(driven(done.folder / "bare-fmi2.fmu", tmp_path / "vehicle"))
+        vehicle = stack.enter_context(driven(fmus / "ours-fmi2.fmu", tmp_path / "vehicle"))
+        engine = fmus / "edf-as-flown-fmi2.fmu"
         engines = [stack.enter_context(driven(engine, tmp_path / "engine", name=f"engine {i}")) for i in range(6)]
         vehicle.start()
         for i, each in enumerate(engines, 1):
@@ -233,20 +251,28 @@ if master == "ecos":
     if library.is_file():
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
     import ecospy
-    structure = ecospy.EcosSimulationStructure()
-    structure.add_model("v", path)
-    simulation = ecospy.EcosSimulation(step_size=0.004, structure=structure)
-    simulation.init()
+    if path.endswith(".ssp"):
+        simulation = ecospy.EcosSimulation(step_size=0.004, ssp_path=path)
+        simulation.init(parameter_set="start")
+    else:
+        structure = ecospy.EcosSimulationStructure()
+        structure.add_model("vehicle", path)
+        simulation = ecospy.EcosSimulation(step_size=0.004, structure=structure)
+        simulation.init()
     for _ in range(steps):
-        rows.append([simulation.get_real(f"v::{name}") for name in references])
+        rows.append([simulation.get_real(f"vehicle::{name}") for name in references])
         simulation.step()
     simulation.free()
 else:
     from libcosimpy import CosimExecution, CosimLogging, CosimObserver, CosimSlave
     CosimLogging.log_output_level(CosimLogging.CosimLogLevel.FATAL)
-    run = CosimExecution.CosimExecution.from_step_size(4_000_000)
-    slave = CosimSlave.CosimLocalSlave(path, "v")
-    index = run.add_local_slave(slave)
+    if path.endswith(".ssd"):
+        run = CosimExecution.CosimExecution.from_ssp_file(path, 4_000_000)
+        (index,) = [each.index for each in run.slave_infos() if each.name == b"vehicle"]
+    else:
+        run = CosimExecution.CosimExecution.from_step_size(4_000_000)
+        slave = CosimSlave.CosimLocalSlave(path, "vehicle")
+        index = run.add_local_slave(slave)
     observer = CosimObserver.CosimObserver.create_last_value()
     run.add_observer(observer)
     for _ in range(steps):
@@ -256,25 +282,56 @@ Path(sys.argv[5]).write_text(json.dumps(rows))
 """
 
 
-@pytest.mark.parametrize(("master", "fmu"), [("ecos", "ours.fmu"), ("libcosim", "ours-fmi2.fmu")])
-def test_other_masters_fly_it_to_the_last_bit(master: str, fmu: str, whole: Path, ours: Run, tmp_path: Path) -> None:
-    """Each in a process of its own, where its libraries and its end disturb nobody."""
-    import importlib.util
-    import json
-    import subprocess
-
+def seen_by(master: str, path: Path, fmu: Path, result: Path) -> dict[str, list[float]]:
+    """What another master sees of the vehicle, in a process of its own, where its libraries disturb nobody."""
     package = {"ecos": "ecospy", "libcosim": "libcosimpy"}[master]
     if importlib.util.find_spec(package) is None:
         pytest.skip(f"no {package}: pip install {package}")
-    description = fmpy.read_model_description(str(whole / fmu))
+    description = fmpy.read_model_description(str(fmu))
     references = {v.name: v.valueReference for v in description.modelVariables if v.name in COLUMNS}
-    result = tmp_path / "rows.json"
-    command = [sys.executable, "-c", MASTER, master, str(whole / fmu), str(STEPS - 1), json.dumps(references)]
-    done = subprocess.run([*command, str(result)], capture_output=True, text=True, check=False, cwd=tmp_path)
+    command = [sys.executable, "-c", MASTER, master, str(path), str(STEPS - 1), json.dumps(references), str(result)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=result.parent)
     assert done.returncode == 0, done.stderr[-2000:]
-    rows = np.array(json.loads(result.read_text()))
-    for column, name in enumerate(references):
-        same(name, rows[:, column].tolist(), ours, first=1 if master == "libcosim" else 0)
+    columns = zip(*json.loads(result.read_text()), strict=True)
+    return {name: list(values) for name, values in zip(references, columns, strict=True)}
+
+
+@pytest.mark.parametrize(("master", "fmu"), [("ecos", "ours.fmu"), ("libcosim", "ours-fmi2.fmu")])
+def test_other_masters_fly_it_to_the_last_bit(master: str, fmu: str, whole: Path, ours: Run, tmp_path: Path) -> None:
+    for name, values in seen_by(master, whole / fmu, whole / fmu, tmp_path / "rows.json").items():
+        same(name, values, ours, first=1 if master == "libcosim" else 0)
+
+
+@pytest.mark.parametrize("master", ["ecos", "libcosim"])
+def test_other_masters_fly_the_system_with_thrusts_that_come_a_step_later(
+    master: str, system: Path, tmp_path: Path
+) -> None:
+    """They step all components at once: what is a delay of one step here, and bit for bit that."""
+    late = fly(doublet(mismatch={"delay_samples": 1}), report=False)
+    path = system / ("out/ours-fmi2.ssp" if master == "ecos" else "SystemStructure.ssd")
+    found = seen_by(master, path, system / "resources" / "ours-fmi2.fmu", tmp_path / "rows.json")
+    for name, values in found.items():
+        same(name, values, late, first=1 if master == "libcosim" else 0)
+
+
+def test_the_system_keeps_to_the_schema_of_ssp(system: Path) -> None:
+    from fmpy.ssp.ssd import read_ssd
+
+    read = read_ssd(str(system / "out" / "ours-fmi2.ssp"))  # it validates
+    assert [each.name for each in read.system.elements] == [*(f"engine_{i}" for i in range(1, 7)), "vehicle"]
+
+
+def test_an_engine_with_units_of_its_own_is_connected_by_transformations(tmp_path: Path) -> None:
+    big = doublet(aircraft="hexjet-p220", engine="p220").replace(controller="baseline")
+    flight = Flight(big, Parts(engines=False), lambda: None)
+    flight.close()
+    (tmp_path / "vehicle.fmu").write_bytes(b"")
+    write_ssp(flight, tmp_path / "vehicle.fmu", tmp_path / "v.ssp", 3, 1.0)
+    with zipfile.ZipFile(tmp_path / "v.ssp") as ssp:
+        text = ssp.read("SystemStructure.ssd").decode()
+    speed = re.search(r'startConnector="(spool_speed|speed)"[^>]*>\s*<ssc:LinearTransformation factor="([^"]+)"', text)
+    assert speed is not None
+    assert float(speed[2]) == pytest.approx(2.0 * np.pi / 60.0, rel=1e-15)  # from rpm
 
 
 def test_what_cannot_be_exported_is_one_line(hexjet: Hexjet) -> None:

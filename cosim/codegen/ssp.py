@@ -1,0 +1,128 @@
+"""The exported vehicle and its engines as components of one system: an SSP 1.0 archive of the Modelica Association.
+
+The engines come first and the vehicle last, so that a master that goes through the components in their order steps them
+as a control step does.  Connectors state no units: what differs between a port and an engine's own variable is a linear
+transformation in the connection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+from cosim.base.errors import InputError
+from cosim.codegen.vehicle_ports import REPORTS, Flight
+from cosim.engine import EngineSpec
+from cosim.engine.build import FMI2_SUFFIX, archive_path, pack
+from cosim.engine.ports import AMBIENT, REALS, Port
+
+_SSP = "http://ssp-standard.org/SSP1/SystemStructure"
+NAMESPACES = {"ssd": f"{_SSP}Description", "ssc": f"{_SSP}Common", "ssv": f"{_SSP}ParameterValues"}
+FMU = "application/x-fmu-sharedlibrary"
+
+
+def write_ssp(flight: Flight, vehicle: Path, target: Path, fmi: int, seconds: float) -> None:
+    """Pack the vehicle's FMU, which has the engines outside, and those of its engines.
+
+    ``seconds``: of the default experiment.  Raises InputError for an engine that cannot be connected so.
+    """
+    for prefix, uri in NAMESPACES.items():
+        ElementTree.register_namespace(prefix, uri)
+    stations = flight.simulation.stations
+    for jet, spec in enumerate(stations, 1):
+        _need_plain(jet, spec)
+    root = _element("ssd:SystemStructureDescription", name=target.stem, version="1.0", generationTool="hexjet-cosim")
+    system = _sub(root, "ssd:System", name=target.stem)
+    elements = _sub(system, "ssd:Elements")
+    contents = {f"resources/{vehicle.name}": vehicle.read_bytes()}
+    connections: list[tuple[str, str, str, str, float, float]] = []
+    for jet, spec in enumerate(stations, 1):
+        archive = _archive(spec, fmi)
+        contents[f"resources/{archive.name}"] = archive.read_bytes()
+        joined = _joined(spec)
+        kinds = {port.variable.name: port.variable.causality for port in joined.values()}
+        values = {v.name: value for v, value in (*spec.settings, *spec.archive.starting.constants)}
+        if spec.start is not None:
+            start = spec.archive.ports["start"]
+            values[start.variable.name] = start.value(flight.start_throttle[jet - 1])
+        _component(elements, f"engine_{jet}", archive.name, kinds, values)
+        for name, port in joined.items():
+            inner = port.variable.name
+            if port.variable.causality == "input":
+                connections.append(("vehicle", f"{name}_{jet}", f"engine_{jet}", inner, port.gain, port.bias))
+            else:
+                connections.append((f"engine_{jet}", inner, "vehicle", f"{name}_{jet}", port.scale, port.offset))
+    ours = {each.name: "input" for each in flight.inputs} | {each.name: "output" for each in flight.outputs}
+    _component(elements, "vehicle", vehicle.name, ours, {})
+    listed = _sub(system, "ssd:Connections")
+    for first, output, second, into, factor, offset in connections:
+        connection = _sub(
+            listed,
+            "ssd:Connection",
+            startElement=first,
+            startConnector=output,
+            endElement=second,
+            endConnector=into,
+        )
+        if (factor, offset) != (1.0, 0.0):
+            _sub(connection, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
+    _sub(root, "ssd:DefaultExperiment", startTime="0.0", stopTime=repr(seconds))
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+    pack({"SystemStructure.ssd": text} | contents, target)
+
+
+def _need_plain(jet: int, spec: EngineSpec) -> None:
+    where = f"export vehicle --as ssp: engine of jet {jet} ({spec.path.name})"
+    if spec.start is None:
+        raise InputError(f"{where}: has no parameter that starts it in equilibrium, which a system needs")
+    if spec.archive.starting.stages:
+        raise InputError(f"{where}: is started in stages ([start]), which a system structure does not state")
+    for name in ("throttle", "thrust"):
+        if spec.archive.ports[name].variable.type not in REALS or spec.archive.ports[name].variable.is_array:
+            raise InputError(f"{where}: its {name} is no real number, which the vehicle's is")
+
+
+def _archive(spec: EngineSpec, fmi: int) -> Path:
+    """Of a library's engine that of this FMI version; another is what it is."""
+    if not spec.library:
+        return spec.path
+    return archive_path(spec.path.parent, spec.name.removesuffix(FMI2_SUFFIX), fmi)
+
+
+def _joined(spec: EngineSpec) -> Mapping[str, Port]:
+    """The ports that are connected, by our name."""
+    wanted = ("throttle", "run", *AMBIENT, *REPORTS)
+    return {
+        name: port
+        for name, port in spec.archive.ports.items()
+        if name in wanted and port.variable.type in REALS and not port.variable.is_array
+    }
+
+
+def _component(
+    parent: ElementTree.Element, name: str, source: str, kinds: Mapping[str, str], values: Mapping[str, float]
+) -> None:
+    component = _sub(parent, "ssd:Component", name=name, source=f"resources/{source}", type=FMU)
+    connectors = _sub(component, "ssd:Connectors")
+    for variable, kind in kinds.items():
+        _sub(_sub(connectors, "ssd:Connector", name=variable, kind=kind), "ssc:Real")
+    if values:
+        bound = _sub(_sub(_sub(component, "ssd:ParameterBindings"), "ssd:ParameterBinding"), "ssd:ParameterValues")
+        listed = _sub(_sub(bound, "ssv:ParameterSet", version="1.0", name="start"), "ssv:Parameters")
+        for variable, value in values.items():
+            _sub(_sub(listed, "ssv:Parameter", name=variable), "ssv:Real", value=repr(value))
+
+
+def _name(tag: str) -> str:
+    prefix, _, local = tag.partition(":")
+    return f"{{{NAMESPACES[prefix]}}}{local}"
+
+
+def _element(tag: str, **attributes: str) -> ElementTree.Element:
+    return ElementTree.Element(_name(tag), attributes)
+
+
+def _sub(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+    return ElementTree.SubElement(parent, _name(tag), attributes)
