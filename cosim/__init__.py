@@ -19,6 +19,7 @@ from cosim.base.errors import EngineError, FlightError, InputError
 if TYPE_CHECKING:
     from cosim.base.signals import Command
     from cosim.flight import fly
+    from cosim.results.report.flight_figures import plot
     from cosim.results.run import Run, open_run
     from cosim.spec.scenario import Scenario
     from cosim.stepper import Snapshot, Stepper
@@ -34,6 +35,7 @@ __all__ = [
     "Stepper",
     "fly",
     "open_run",
+    "plot",
 ]
 
 _WHERE = {
@@ -44,6 +46,7 @@ _WHERE = {
     "fly": "cosim.flight",
     "Run": "cosim.results.run",
     "open_run": "cosim.results.run",
+    "plot": "cosim.results.report.flight_figures",
 }
 
 choose()  # before any module that may be compiled is imported

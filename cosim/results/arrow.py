@@ -24,6 +24,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.files import lock, one_line, replacing
 from cosim.base.protocols import Column
 from cosim.results.columns import COLUMNS, known
+from cosim.results.tables import Columnar
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -95,22 +96,15 @@ def _batch_head(columns: int, rows: int) -> bytes:
     return message[: len(message) - 8 * rows * columns]
 
 
-class ParquetLog:
+class ParquetLog(Columnar):
     """A log in a Parquet file; every column is read when it is asked for.  Raises InputError if it cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         with _parquet(self._path) as file:
             self.described = _described(file.schema_arrow)
-            self.columns: tuple[str, ...] = tuple(file.schema_arrow.names)
+            self.columns = tuple(file.schema_arrow.names)
             self._rows: int = file.metadata.num_rows
-
-    def keys(self) -> tuple[str, ...]:
-        """The columns' names, so that ``dict(log)`` has all of them."""
-        return self.columns
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.columns)
 
     def __len__(self) -> int:
         return self._rows

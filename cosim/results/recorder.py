@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from queue import Full, Queue
 from threading import Thread
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from cosim.base.signals import Sample
 from cosim.results._rows import Rows
 from cosim.results.arrow import ROW_GROUP
 from cosim.results.columns import COLUMNS, NAMES, Program, known, program
+from cosim.results.tables import Columnar
 
 _BEHIND = 60  # blocks, of 0.3 MB at 250 Hz, that may wait for a disk
 WALL_FLUSH_S = 1.0  # a slow flight is handed on this often too
@@ -58,6 +59,8 @@ class Log(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, name: str) -> Array: ...
+
+    def table(self, *names: str) -> Any: ...
 
     def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]: ...
 
@@ -176,7 +179,7 @@ class BackgroundSink:
                     self._error = error
 
 
-class MemoryLog:
+class MemoryLog(Columnar):
     """A log whose blocks are in memory, each of shape (columns, rows)."""
 
     def __init__(
@@ -184,13 +187,6 @@ class MemoryLog:
     ) -> None:
         self.columns, self.described = columns, described
         self._tables = tables
-
-    def keys(self) -> tuple[str, ...]:
-        """The columns' names, so that ``dict(log)`` has all of them."""
-        return self.columns
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.columns)
 
     def __len__(self) -> int:
         return sum(table.shape[1] for table in self._tables)

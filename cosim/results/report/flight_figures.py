@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.constants import SERVOS
 from cosim.base.signals import AXES, JETS
-from cosim.results.columns import RATES, jets_in, own_columns
+from cosim.results.columns import RATES, jets_in, known, own_columns
 from cosim.results.events import Event
 from cosim.results.recorder import Log
+from cosim.results.report.page import drawn
 from cosim.results.run import Run, Summary
 
 Figure = dict[str, Any]
@@ -30,6 +31,7 @@ DEG = 180.0 / pi
 
 BLUE, ORANGE, MAGENTA, GREEN, RED, GREY = "#2f7de1", "#f08c00", "#c2339b", "#2f9e44", "#e03131", "#868e96"
 RUN_COLOURS = (ORANGE, BLUE, GREEN, MAGENTA, RED, "#7048e8", "#1098ad", "#a0522d")
+_DASHES = ("solid", "dash", "dot", "dashdot")  # of several runs in one plot
 JET_ROWS = ((3, 1), (6, 5), (2, 4))  # front to back, left and right: the Hex-Jet's numbering
 
 
@@ -224,6 +226,48 @@ def comparison_figures(runs: Sequence[Run], labels: Sequence[str]) -> dict[str, 
     figures["height"] = overlaid(readers, labels, HEIGHT, "true")
     figures["track"] = track_figure(readers, labels, [run_colour(number) for number in range(len(runs))])
     return figures
+
+
+def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
+    """Columns of a run, or of several, over time.
+
+    Parameters
+    ----------
+    runs : Run or sequence of Run
+        Whose logs are drawn over each other.
+    *columns : str
+        Their names; those of one unit share a panel, in SI units.  The attitude in degrees where none is named.
+
+    Returns
+    -------
+    plotly.graph_objects.Figure
+        A notebook shows it; ``write_html(path)`` makes a page of it, ``show()`` opens a browser.
+
+    Raises
+    ------
+    InputError
+        For a column that a log has not.
+    """
+    flown = [runs] if isinstance(runs, Run) else list(runs)
+    readers = [Reader(run.log, run.summary.step_s) for run in flown]
+    if not columns:
+        labels = [f"{n}: {run.summary.controller}, {run.summary.engine}" for n, run in enumerate(flown, 1)]
+        one = len(flown) == 1
+        return drawn(stacked(readers[0], ATTITUDE) if one else overlaid(readers, labels, ATTITUDE, "true"))
+    units = {column.name: column.unit for run in flown for column in run.log.described}
+    for name in columns:
+        for run in flown:
+            known(name, run.log.columns)
+    shared = list(dict.fromkeys(units.get(name, "") for name in columns))
+    panels = [Panel("", unit, []) for unit in shared]
+    data = []
+    for number, reader in enumerate(readers):
+        for n, name in enumerate(columns):
+            at = shared.index(units.get(name, ""))
+            label = name if len(readers) == 1 else f"{number + 1}: {name}"
+            trace = Trace(name, label, run_colour(n), _DASHES[number % len(_DASHES)])
+            data.append(_line(reader, panels[at], at, trace))
+    return drawn({"data": _named_once(data), "layout": _stacked_layout(panels, data)})
 
 
 def run_colour(number: int) -> str:
@@ -453,7 +497,7 @@ def _stacked_layout(panels: Sequence[Panel], data: Sequence[Mapping[str, Any]]) 
     layout = _layout(len(panels) * PANEL_PX + 80)
     for number, panel in enumerate(panels):
         low, high = _domain(number, len(panels), gap=0.04)
-        axis = {"domain": [low, high], "anchor": "x", "title": {"text": f"{panel.title} [{panel.unit}]"}}
+        axis = {"domain": [low, high], "anchor": "x", "title": {"text": f"{panel.title} [{panel.unit}]".lstrip()}}
         drawn = [trace["y"] for trace in data if trace["yaxis"] == _axis("y", number)]
         narrow = _span(drawn, panel.least_span)
         if narrow[1] - narrow[0] <= panel.least_span:

@@ -1,7 +1,7 @@
 """Pages that open offline: a template, its figures and the library that draws them, in one HTML file.
 
-The only module that touches ``plotly``, and of it only the JavaScript, which goes into the page.  Whoever has something
-to show keeps its template, and extends ``base.html`` here.
+The only module that touches ``plotly``: its JavaScript, which goes into the page, and its figure, for a notebook.
+Whoever has something to show keeps its template, and extends ``base.html`` here.
 """
 
 from __future__ import annotations
@@ -43,6 +43,13 @@ def render(template: Path, path: Path, figures: dict[str, Any], **values: Any) -
             temporary.write_text(page, encoding="utf-8")
     except OSError as error:
         raise FlightError(f"{path}: {one_line(error)}") from error
+
+
+def drawn(figure: dict[str, Any]) -> Any:
+    """A figure as Plotly's own, which a notebook draws."""
+    from plotly.graph_objects import Figure
+
+    return Figure(figure)
 
 
 def figure_json(figure: dict[str, Any]) -> str:

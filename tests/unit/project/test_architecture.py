@@ -26,6 +26,7 @@ HOMES = {
     "websockets": ["groundstation/web/"],
     "distributed": ["campaign/workers/cluster.py"],
     "gymnasium": ["gym.py"],
+    "pandas": ["results/tables.py"],
 }
 
 # Blocks get values and return values: no files, clocks, environment or global randomness.

@@ -91,7 +91,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/own-engine.md": ("test_pages.py",),
     "docs/packages.md": ("marks", "test_package.py"),
     "docs/paper.md": ("marks", "test_reproduce.py"),
-    "docs/python.md": ("test_stepper.py", "test_gym.py"),
+    "docs/python.md": ("test_stepper.py", "test_gym.py", "test_tables.py"),
     "engines/README.md": ("test_pages.py",),
     "engines/edf/README.md": ("test_pages.py",),
     "engines/edf-as-flown/README.md": ("test_pages.py",),

@@ -1,0 +1,94 @@
+"""What a log is beside its columns: a mapping of them, a table of pandas, and what a notebook shows of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.base.protocols import Column
+from cosim.results.columns import known
+
+TIME = "time_s"
+
+
+class Columnar:
+    """A log of named columns: ``log["roll_rad"]`` is one, and ``dict(log)`` has all of them."""
+
+    columns: tuple[str, ...]
+    described: tuple[Column, ...]  # as far as that is known
+
+    def __len__(self) -> int:
+        raise NotImplementedError
+
+    def __getitem__(self, name: str) -> Array:
+        raise NotImplementedError
+
+    def blocks(self, names: tuple[str, ...]) -> Iterator[dict[str, Array]]:
+        raise NotImplementedError
+
+    def _read(self, names: Sequence[str]) -> dict[str, Array]:
+        """These columns, in one reading."""
+        parts = list(self.blocks(tuple(names)))
+        return {name: np.concatenate([np.empty(0), *[part[name] for part in parts]]) for name in names}
+
+    def keys(self) -> tuple[str, ...]:
+        """The columns' names."""
+        return self.columns
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    def table(self, *names: str) -> Any:
+        """The log as a ``pandas.DataFrame``, which the extra ``notebook`` brings.
+
+        Parameters
+        ----------
+        *names : str
+            The columns; all of them where none is named.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row a control step, the time [s] as its index; ``attrs`` has ``units``, ``frames`` and ``meanings`` of
+            the columns, by name.
+
+        Raises
+        ------
+        InputError
+            For a column that the log has not, and where pandas is not installed.
+        """
+        try:
+            from pandas import DataFrame, Index
+        except ModuleNotFoundError as error:
+            if error.name != "pandas":
+                raise
+            raise InputError(
+                "a table needs pandas, which is not installed: pip install 'hexjet-cosim[notebook]'"
+            ) from None
+        chosen = [known(name, self.columns) for name in names or self.columns]
+        values = self._read(list(dict.fromkeys([TIME, *chosen])))
+        frame = DataFrame(values, index=Index(values.pop(TIME), name=TIME))
+        said = {column.name: column for column in self.described if column.name in chosen}
+        frame.attrs = {
+            f"{what}s": {name: getattr(column, what) for name, column in said.items()}
+            for what in ("unit", "frame", "meaning")
+        }
+        return frame
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: every column, what it means, and from where to where it goes."""
+        said = {column.name: column for column in self.described}
+        rows = []
+        for name, values in self._read(self.columns).items():
+            column = said.get(name, Column(name, "", "", ""))
+            finite = values[np.isfinite(values)]
+            span = [f"{each:.6g}" for each in (finite.min(), finite.max())] if finite.size else ["", ""]
+            cells = (name, column.unit, column.frame, column.meaning, *span)
+            rows.append(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>")
+        head = "".join(f"<th>{each}</th>" for each in ("column", "unit", "frame", "meaning", "least", "greatest"))
+        return f"<p><b>{len(self)} steps</b></p><table><tr>{head}</tr>{''.join(rows)}</table>"
