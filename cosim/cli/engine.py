@@ -53,8 +53,15 @@ def fmu_compile(archive: Path, out: Path | None) -> int:
 @click.option(
     "--time-limit", type=Number(min=1.0), default=900.0, show_default=True, metavar="S", help="For each command."
 )
+@click.option(
+    "--page",
+    metavar="FILE.md",
+    type=click.Path(path_type=Path),
+    help="Write each row into this page as it is found, between the marks 'measured: engines' and 'end'; other rows "
+    "of its table stay.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
-def fmu_survey(engines: tuple[Path, ...], controller: str, time_limit: float, as_json: bool) -> int:
+def fmu_survey(engines: tuple[Path, ...], controller: str, time_limit: float, page: Path | None, as_json: bool) -> int:
     """One line for each of many engines: is it fit, is there a design for it, does that fly as promised.
 
     Checked, designed for and flown in processes of their own.  Status 1: a command of ours failed on one of them.
@@ -62,17 +69,22 @@ def fmu_survey(engines: tuple[Path, ...], controller: str, time_limit: float, as
     from dataclasses import asdict
 
     from cosim.cli.console import part_progress
-    from cosim.design.survey import FAULT, survey
+    from cosim.design.survey import COLUMNS, FAULT, MARK, add_to_page, survey
+    from cosim.results.report.marks import check_marks, table
 
+    if page:
+        check_marks(page, [MARK])
+    rows = []
     with part_progress("survey", quiet=as_json) as tell:
-        rows = survey(engines, controller, time_limit, lambda text: tell(text, 0, 1))
+        for number, row in enumerate(survey(engines, controller, time_limit), start=1):
+            tell(row.engine, number, len(engines))
+            rows.append(row)
+            if page:
+                add_to_page(page, row)
     if as_json:
         click.echo(json.dumps({"engines": [asdict(row) for row in rows]}))
     else:
-        click.echo("| engine | check | design | flights kept | verdict | s |\n| --- | --- | --- | --- | --- | --- |")
-        for row in rows:
-            cells = (row.engine, row.check, row.design, row.proof, row.verdict, f"{row.seconds:.0f}")
-            click.echo("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
+        click.echo(table(COLUMNS, [row.cells for row in rows], left=len(COLUMNS) - 1), nl=False)
     return FLIGHT_FAILED if any(row.verdict == FAULT for row in rows) else DONE
 
 

@@ -11,14 +11,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from cosim.engine.container import one_line
+from cosim.results.report import marks
 
 FLIES, NONE, UNFIT, REFUSED, FAULT = "flies as promised", "no design", "unfit", "refused", "FAULT OF OURS"
+MARK = "engines"  # of a page that has the table
+COLUMNS = ("engine", "check", "design", "flights kept", "verdict", "s")
 _MAIN = "from cosim.cli.main import main; main()"
 
 
@@ -33,17 +36,33 @@ class Row:
     verdict: str
     seconds: float
 
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """As :data:`COLUMNS`."""
+        return self.engine, self.check, self.design, self.proof, self.verdict, f"{self.seconds:.0f}"
 
-def survey(engines: Sequence[Path], controller: str, limit: float, say: Callable[[str], None]) -> list[Row]:
-    """Check, design and prove every engine; ``limit`` [s] for each of the two commands."""
-    rows = []
+
+def survey(engines: Sequence[Path], controller: str, limit: float) -> Iterator[Row]:
+    """Check, design and prove every engine, one after the other; ``limit`` [s] for each of the two commands."""
     for path in engines:
-        say(path.stem)
         begin = time.monotonic()
         with tempfile.TemporaryDirectory(prefix="hexjet-survey-") as folder:
             row = _one(path, controller, limit, Path(folder))
-        rows.append(Row(path.stem, *row, time.monotonic() - begin))
-    return rows
+        yield Row(path.stem, *row, time.monotonic() - begin)
+
+
+def add_to_page(page: Path, row: Row) -> None:
+    """Write a row into the table of a page, in the place of an earlier one of the same engine, else below the others.
+
+    Raises InputError for a page that cannot be read or written, or has no mark for the table.
+    """
+    marks.check_marks(page, [MARK])
+    before = marks.parts_of(page.read_text(encoding="utf-8"), page)[MARK].splitlines()[2:]
+    rows = {line.split("|")[1].strip(): line for line in before}
+    line = marks.row(row.cells)
+    rows[line.split("|")[1].strip()] = line
+    head = marks.table(COLUMNS, [], left=len(COLUMNS) - 1)
+    marks.write_marks(page, {MARK: head + "".join(f"{each}\n" for each in rows.values())})
 
 
 def _one(path: Path, controller: str, limit: float, folder: Path) -> tuple[str, str, str, str]:

@@ -215,7 +215,20 @@ def mapped(fmu: Path, *lines: str) -> Path:
     return path
 
 
+def kinds_table() -> str:
+    """What every kind is made of, in Markdown."""
+    from cosim.results.report.marks import table
+
+    rows = ([name, of, f"{fmi}.0", "; ".join(lines)] for name, (of, _, fmi, lines, _) in KINDS.items())
+    return table(("engine", "made of", "FMI", "mapping"), rows, left=4)
+
+
 if __name__ == "__main__":
     import sys
 
-    print(*write_kinds(Path(sys.argv[1])))
+    if sys.argv[1].endswith(".md"):
+        from cosim.results.report.marks import write_marks
+
+        write_marks(Path(sys.argv[1]), {"kinds": kinds_table()})
+    else:
+        print(*write_kinds(Path(sys.argv[1])))

@@ -355,10 +355,18 @@ def test_every_kind_is_read_and_measured_or_refused_in_one_line(tmp_path: Path) 
 
 def test_a_survey_tells_what_came_of_each(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
     refused = foreign(place, "furlong", "lag=0.2", change=('unit="N"', 'unit="furlong"'))
+    page = place / "page.md"
+    page.write_text(
+        "Before.\n<!-- measured: engines -->\n| engine | s |\n| --- | ---: |\n| other | 1 |\n| missing | 7 |\n<!-- end -->\n"
+    )
     with pytest.raises(SystemExit) as ended:
-        main(["fmu", "survey", str(refused), str(place / "missing.fmu")])
+        main(["fmu", "survey", str(refused), str(place / "missing.fmu"), "--page", str(page)])
     assert ended.value.code == 0
     out = capfd.readouterr().out.splitlines()
+    made = page.read_text().splitlines()
+    assert made[:3] == ["Before.", "<!-- measured: engines -->", out[0]]
+    assert [line.split("|")[1].strip() for line in made[4:-1]] == ["other", "missing", "furlong"]  # in their places
+    assert made[5] == out[3]
     assert re.match(r"\| furlong \| .*its thrust is in furlong.* \|  \|  \| refused \| \d+ \|", out[2])
     assert re.match(r"\| missing \| .*no such file \|  \|  \| refused \|", out[3])
 
