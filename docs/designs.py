@@ -169,7 +169,7 @@ def heavier(name: str) -> str:
     made = read_controller(path).design
     scenario, vehicle = make._scenario(made.engine, made.aircraft, ())
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
-    actuator = Actuator.of(spec.name, make._dynamics(make._identify(scenario, vehicle, spec, None)))
+    actuator = Actuator.of(spec.name, make.dynamics_of(make.identify_there(scenario, vehicle, spec, None)))
     begin = make._begin(path, channels(scenario, vehicle, spec, actuator), vehicle, spec)
     plan = load_vehicle(made.aircraft, read_controller(path).vehicle)[0].control.schedule
     assert plan

@@ -80,17 +80,17 @@ def searched(case: Case, out: Path) -> dict[str, Any]:
     from cosim.design.channel import Actuator, channels
     from cosim.design.design import (
         _axis,
-        _dynamics,
-        _identify,
         _scenario,
+        dynamics_of,
         engine_lead,
+        identify_there,
     )
     from cosim.engine import load_engine
 
     need = Requirements(noise_share=case.noise_share)
     flight, vehicle = _scenario(case.name, AIRCRAFT, ())
     spec = load_engine(case.name, {}, flight.step_s)
-    dynamics = Actuator.of(case.name, _dynamics(_identify(flight, vehicle, spec, None)))
+    dynamics = Actuator.of(case.name, dynamics_of(identify_there(flight, vehicle, spec, None)))
     channel = channels(flight, vehicle, spec, dynamics)["roll"]
     lead, predictor = engine_lead(channel), vehicle.control.predictor
     roll = _axis(channel, vehicle, spec, TRIED, need, case.name, predictor, lambda text: None, lead)
@@ -214,16 +214,16 @@ def predicted(engine: str, out: Path) -> dict[str, Any]:
     from cosim.design.channel import Actuator, channels
     from cosim.design.closed_loop import Closed, Points
     from cosim.design.design import (
-        _dynamics,
-        _identify,
         _scenario,
+        dynamics_of,
+        identify_there,
         shipped,
     )
     from cosim.engine import load_engine
 
     flight, vehicle = _scenario(engine, AIRCRAFT, ())
     spec = load_engine(engine, {}, flight.step_s)
-    dynamics = Actuator.of(engine, _dynamics(_identify(flight, vehicle, spec, None)))
+    dynamics = Actuator.of(engine, dynamics_of(identify_there(flight, vehicle, spec, None)))
     channel = channels(flight, vehicle, spec, dynamics)["roll"]
     points = Points(channel)
     loop = Closed(points, shipped(channel, vehicle, spec)).open_loop

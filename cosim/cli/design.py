@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -133,7 +134,8 @@ def design(
         noise_share=noise_share,
     )
     with part_progress("design", quiet=as_json) as tell:
-        found = make(
+        search = partial(
+            make,
             engine,
             aircraft,
             controller=controller,
@@ -146,7 +148,9 @@ def design(
             start=start,
             say=lambda text: tell(text, 0, 1),
         )
-        found = proved(found, lambda text: tell(text, 0, 1)) if proof else found
+        found = search()
+        if proof:
+            found = proved(found, lambda text: tell(text, 0, 1), lambda unsure: search(unsure=unsure))
     paths = write(found, out)
     if as_json:
         click.echo(json.dumps(to_dict(found, paths), allow_nan=False))

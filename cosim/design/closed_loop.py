@@ -3,8 +3,12 @@
 ``G_y``, ``G_m``, ``G_phi``: command to measured rate, to measured angle, to the angle.  ``K`` the attitude gain.
 
     inner = 1 + (C_e + D) P_u,  outer = (C_e + D) P_y G_y + C_e K G_m,  L = outer / inner
-    S = 1 / (1 + L)                                    sensitivity at the plant's input, both loops closed
+    S = 1 / (1 + L), T = L / (1 + L)                   sensitivity at the plant's input, both loops closed
     angle / set-point = C_e K G_phi / (inner + outer),  angle / load = G_phi S
+
+Where the actuator's model misfits by up to ``w`` (:attr:`cosim.design.dynamics.Dynamics.unsure`), the loop is any
+``L (1 + x)`` with ``|x| <= w``: it stays stable for all of them while ``w |T| < 1``, and the largest sensitivity among
+them is ``|S| / (1 - w |T|)`` (Skogestad and Postlethwaite, Multivariable Feedback Control, 2nd ed., section 7.5).
 
 A lead behind the PID multiplies ``C_e`` and ``D``; the predictor reads the command behind it.
 """
@@ -44,6 +48,8 @@ class Points:
         self.theta: Array = angles(self.z)
         self.rate, self.measured_angle, self.angle = channel.responses(self.z)
         self.measuring = channel.measuring(self.z) if channel.identified is None else np.ones_like(self.z)
+        hertz = self.theta / (2.0 * pi * channel.step)
+        self.unsure = channel.actuator.dynamics.uncertainty(hertz) if channel.identified is None else None
 
 
 class Closed:
@@ -81,8 +87,23 @@ class Closed:
 
     @property
     def peak_sensitivity(self) -> float:
-        """``max |S|``."""
-        return float(np.max(np.abs(self.inner / self.characteristic)))
+        """``max |S|``, the largest that the misfit of the model allows; infinite where it allows instability."""
+        if self.points.unsure is None:
+            return float(np.max(np.abs(self.inner / self.characteristic)))
+        return 1.0 / self.distance if self.distance > 0.0 else inf
+
+    @cached_property
+    def distance(self) -> float:
+        """Least distance of the loops that the misfit allows from the critical point; below 0 where it lies in them."""
+        unsure = 0.0 if self.points.unsure is None else self.points.unsure
+        left = np.abs(self.characteristic) - unsure * np.abs(self.outer)
+        return float(np.min(left / np.abs(self.inner)))
+
+    @property
+    def beyond_stability(self) -> float:
+        """``max w |T| - 1``: above 0 one of the loops that the misfit allows may be unstable."""
+        unsure = 0.0 if self.points.unsure is None else self.points.unsure
+        return float(np.max(unsure * np.abs(self.outer / self.characteristic))) - 1.0
 
     def tolerated(self, delay: float, gain: float) -> float:
         """By which factor the tolerances could grow until a gain and a delay inside them make a pole on the circle.
@@ -91,10 +112,16 @@ class Closed:
         ``g = |1 / L|`` and ``tau = -arg(-1 / L) / theta``: every frequency has one pair that matters, and the
         loop keeps its number of unstable poles for all pairs in the box while none of these is inside.  Above 1 with
         a stable nominal loop: stable for every gain and delay in the box, the fractions between samples included.
+        A misfit ``w`` of the model widens the box by what ``1 + x`` does to gain and phase.
         """
-        critical = -self.inner / self.outer
-        x = (np.abs(critical) - 1.0) / max(gain, 1e-9)
-        y = -np.angle(critical) / self.points.theta / max(delay, 1e-9)
+        critical, unsure = -self.inner / self.outer, self.points.unsure
+        if unsure is None:
+            x = (np.abs(critical) - 1.0) / max(gain, 1e-9)
+            y = -np.angle(critical) / self.points.theta / max(delay, 1e-9)
+        else:
+            turn = np.where(unsure < 1.0, np.arcsin(np.minimum(unsure, 1.0)), pi)
+            x = (np.abs(critical) - 1.0) / np.maximum(gain + unsure * (1.0 + gain), 1e-9)
+            y = -np.angle(critical) / np.maximum(delay * self.points.theta + turn, 1e-9)
         return _nearest(x, y, np.angle(critical))
 
     @property

@@ -64,6 +64,8 @@ class Purpose(Model):
     added_delay_samples: int = 0
     bank_inertia_kg_m2: float | None = None  # of a tilting bank; None in a file from before it was a part of a design
     model: str  # where the model comes from
+    misfit: float | None = None  # of the engine's model; None: below what a design carries, or an older file
+    unsure: list[tuple[float, float]] | None = None  # (Hz, share), by which the engine may answer otherwise
     requirements: Requirements
     axes: dict[str, AxisRecord]
     levels: list[LevelRecord] = Field(default_factory=list)

@@ -71,6 +71,7 @@ def controller_table(found: Design) -> dict[str, Any]:
             }
         }
     scenario, spec = found.scenario, found.engine
+    dynamics = found.axes["roll"].channel.actuator.dynamics
     purpose = Purpose(
         aircraft=found.vehicle.name,
         engine=spec.name,
@@ -83,6 +84,8 @@ def controller_table(found: Design) -> dict[str, Any]:
         added_delay_samples=scenario.added_delay_samples,
         bank_inertia_kg_m2=found.vehicle.servo.bank_inertia_kg_m2 if found.vehicle.servo else None,
         model=found.model_source,
+        misfit=_rounded(dynamics.misfit) if dynamics.unsure else None,
+        unsure=[(_rounded(at), _rounded(share)) for at, share in dynamics.unsure] or None,
         requirements=found.need,
         axes={axis: _record(each.after, each.candidates) for axis, each in found.axes.items() if each.after},
         levels=[

@@ -25,7 +25,7 @@ from cosim.design.channel import (
 )
 from cosim.design.closed_loop import Closed, Points
 from cosim.design.controller_file import read_controller
-from cosim.design.dynamics import Dynamics, fit_dynamics, lags
+from cosim.design.dynamics import Dynamics, fit_dynamics, lags, with_misfit
 from cosim.design.frequency import crossings, wrapped
 from cosim.design.identify import Identification, identify_engine
 from cosim.design.levels import AXES as LEVELLED
@@ -169,6 +169,7 @@ def design(
     lead: bool = True,
     scheduled: bool = True,
     start: Path | None = None,
+    unsure: tuple[tuple[float, float], ...] = (),
     say: Say = lambda text: None,
 ) -> Design:
     """Design controller, predictor and gains of an aircraft for an engine.
@@ -180,7 +181,8 @@ def design(
     at sea level.
 
     ``start`` a controller file: its candidate alone is searched for, from its gains on.  ``scheduled``: whether gains
-    may follow the thrust level where the vehicle burns fuel.
+    may follow the thrust level where the vehicle burns fuel.  ``unsure``: (Hz, share) by which the engine may differ
+    from its model, in place of what the model leaves of the sweep.
 
     Raises InputError for an unknown name, a vehicle that the engines do not lift, or an engine that does not answer.
     """
@@ -200,7 +202,7 @@ def design(
         )
     say(f"identifying {spec.name}")
     found = identify_there(scenario, vehicle, spec, amplitude)
-    dynamics = Actuator.of(spec.name, dynamics_of(found))
+    dynamics = Actuator.of(spec.name, dynamics_of(found, unsure))
     plants = channels(scenario, vehicle, spec, dynamics)
     given = read_models(model).get(spec.family, {}) if model else {}
     if model and not given:
@@ -218,7 +220,7 @@ def design(
     burning: list[LevelDesign] = []
     plan: Schedule | None = None
     if vehicle.fuel is not None and not reason and not model:
-        there = _levels(scenario, vehicle, spec, dynamics, amplitude, say)
+        there = _levels(scenario, vehicle, spec, dynamics, amplitude, unsure, say)
         plan, burning, reason = _burn(axes, there, need, begin, scheduled, say)
     return Design(spec, vehicle, scenario, need, found, source, axes, burning, plan, reason, allowing)
 
@@ -229,13 +231,19 @@ def needed(axis: str, need: Requirements) -> Requirements:
 
 
 def _levels(
-    scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, full: Actuator, amplitude: float | None, say: Say
+    scenario: Scenario,
+    vehicle: Vehicle,
+    spec: EngineSpec,
+    full: Actuator,
+    amplitude: float | None,
+    unsure: tuple[tuple[float, float], ...],
+    say: Say,
 ) -> list[Level]:
     def dynamics(there: Vehicle) -> Actuator:
         if there.mass_kg == vehicle.mass_kg:
             return full
         say(f"identifying {spec.name} at {there.mass_kg:.4g} kg")
-        return Actuator.of(spec.name, dynamics_of(identify_there(scenario, there, spec, amplitude)))
+        return Actuator.of(spec.name, dynamics_of(identify_there(scenario, there, spec, amplitude), unsure))
 
     return levels(scenario, vehicle, spec, dynamics)
 
@@ -374,12 +382,14 @@ def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, ampli
     )
 
 
-def dynamics_of(found: Identification) -> Dynamics:
-    """One lag and a delay, as identified; where that does not follow the response, what does."""
+def dynamics_of(found: Identification, unsure: tuple[tuple[float, float], ...] = ()) -> Dynamics:
+    """One lag and a delay, as identified; where that does not follow the response, what does, and what it leaves."""
     model = found.chosen.model
     if found.chosen.misfit <= MISFIT and model.rate > 0.0:
-        return replace(lags([1.0 / model.rate], model.delay_samples, model.step), misfit=found.chosen.misfit)
-    return fit_dynamics(found.response, model.delay_samples, 1.0 / max(model.rate, 0.01))
+        one = lags([1.0 / model.rate], model.delay_samples, model.step)
+        return replace(one, misfit=found.chosen.misfit, unsure=unsure)
+    fitted = fit_dynamics(found.response, model.delay_samples, 1.0 / max(model.rate, 0.01))
+    return replace(fitted, unsure=unsure) if unsure else with_misfit(fitted, found.response)
 
 
 def throttle_for(spec: EngineSpec, vehicle: Vehicle) -> float:
@@ -606,7 +616,9 @@ def _why_not(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
     for axis, found in axes.items():
         if found.after is None:
             bandwidth = f", {need.min_bandwidth_hz:g} Hz included" if axis in ("roll", "pitch") else ""
-            return f"{axis}: no gains keep the requirements{bandwidth}"
+            unsure = found.channel.actuator.dynamics.unsure_words()
+            misfit = f", for every engine that differs from the model by {unsure}" if unsure else ""
+            return f"{axis}: no gains keep the requirements{bandwidth}{misfit}"
     return ""
 
 

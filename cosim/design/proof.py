@@ -35,6 +35,7 @@ class Proof:
     sensitivity: float  # the greatest of the measured loops
     above: float  # greatest loop gain where nothing was measured
     flights: Sequence[Flown]
+    unsure: tuple[tuple[float, float], ...] = ()  # (Hz, share): how far the measured response was off; where it fails
 
     def lines(self) -> list[str]:
         """A sentence each."""

@@ -97,6 +97,7 @@ def _axis_dict(each: AxisDesign) -> dict[str, Any]:
         "actuator_poles_rad_s": [[p.real, p.imag] for p in channel.actuator.dynamics.poles],
         "actuator_zeros_rad_s": [[z.real, z.imag] for z in channel.actuator.dynamics.zeros],
         "actuator_misfit": channel.actuator.dynamics.misfit,
+        "actuator_unsure": [list(point) for point in channel.actuator.dynamics.unsure],
         "transport_delay_samples": channel.transport_samples,
         "all_delay_s": channel.slowness_s,
         "room": channel.room,
@@ -163,6 +164,11 @@ def _model_lines(found: Design) -> list[str]:
             f"the model is within {100.0 * dynamics.misfit:.2g} % of the response (1 % is 1 % or 0.6 deg), coherence "
             f"at least {found.identification.response.coherence.min():.4f}"
         )
+        if dynamics.unsure:
+            lines.append(
+                f"designed for every engine that differs from the model by {dynamics.unsure_words()}: peak |S| and "
+                "what is tolerated are the worst among them"
+            )
         lines += [f"note: {note}" for note in found.identification.notes]
     lines.append(
         f"roll: {roll.gain:.4g} rad/s^2 per unit of share, all delay {1e3 * roll.slowness_s:.4g} ms "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import inf, log
+from math import inf, log, log1p
 
 import numpy as np
 
@@ -79,8 +79,12 @@ def excess(closed: Closed, need: Requirements, spare: float = 0.0) -> float:
     channel = closed.points.channel
     step = STEP_M if channel.name == "altitude" else need.step_rad
     tolerated = closed.tolerated(need.delay_samples(channel), need.gain_tolerance)
+    largest = need.max_sensitivity * (1.0 - spare)
     parts = (
-        closed.peak_sensitivity / (need.max_sensitivity * (1.0 - spare)) - 1.0,
+        # far from robust against a misfit there is no sensitivity, and a search still needs a slope
+        closed.peak_sensitivity / largest - 1.0
+        if closed.points.unsure is None
+        else 1.0 - max(0.0, closed.distance) * largest + log1p(max(0.0, closed.beyond_stability)),
         (1.0 + spare) - tolerated if need.delay_tolerance or need.gain_tolerance else 0.0,
         closed.noise / (need.noise_share * channel.room * (1.0 - spare)) - 1.0,
         closed.overshoot / (need.max_overshoot * (1.0 - spare)) - 1.0,

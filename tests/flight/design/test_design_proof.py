@@ -15,9 +15,12 @@ from foreign_engines import foreign, mapped
 from cosim.design import design as making
 from cosim.design import prove as proving
 from cosim.design import tune as search
+from cosim.design.closed_loop import Closed, Points
+from cosim.design.controller_table import controller_table
 from cosim.design.design import Design, design
-from cosim.design.dynamics import fit_dynamics
+from cosim.design.dynamics import bounds, fit_dynamics, with_misfit
 from cosim.design.identify.response import FrequencyResponse
+from cosim.design.proof import Proof
 from cosim.design.prove import CORNER, fault_of, prove, proved
 from cosim.design.result import summary_lines, to_dict
 from cosim.design.tune import Requirements
@@ -79,9 +82,9 @@ def test_an_engine_that_trembles_is_swept_by_more_than_it_moves_itself(place: Pa
     path = mapped(foreign(place, "noisy", "lag=0.1,delay=0.04,noise=0.0025"), "[rest]", "thrust = 0.5")
     scenario, vehicle = making._scenario(str(path), "hexjet", ["engine_unchecked=true"])
     spec = load_engine(str(path), {}, STEP, unchecked=True)
-    found = making._identify(scenario, vehicle, spec, None)
+    found = making.identify_there(scenario, vehicle, spec, None)
     assert found.sweep.amplitude == pytest.approx(2.0 * 0.5 / 20.0, rel=0.01)
-    dynamics = making._dynamics(found)
+    dynamics = making.dynamics_of(found)
     assert dynamics.lag_s + dynamics.delay_samples * STEP == pytest.approx(0.14, rel=0.05)
 
 
@@ -90,12 +93,85 @@ def test_a_misfit_is_no_design(monkeypatch: pytest.MonkeyPatch, sound: Design) -
     assert made.ok
     roll = made.axes["roll"]
     actuator = roll.channel.actuator
-    wrong = replace(actuator, dynamics=replace(actuator.dynamics, misfit=0.37))
+    wrong = replace(actuator, dynamics=replace(actuator.dynamics, misfit=0.62))
     axes = {**made.axes, "roll": replace(roll, channel=replace(roll.channel, actuator=wrong))}
     monkeypatch.setattr(proving, "_fly_all", lambda *a: pytest.fail("flown all the same"))
     found = proved(replace(made, axes=axes))
     assert not found.ok
-    assert "the best one is 37 % off its response" in found.reason
+    assert "the best one is 62 % off its response" in found.reason
+
+
+def test_a_misfit_is_the_worst_engine_that_it_allows(sound: Design) -> None:
+    """The largest sensitivity among many engines ``1 + x``, and the least of the tolerances, against the formula."""
+    roll = sound.axes["roll"]
+    assert roll.after is not None
+    unsure = ((0.05, 0.02), (1.0, 0.1), (8.0, 0.6))
+    actuator = roll.channel.actuator
+    changed = replace(actuator, dynamics=replace(actuator.dynamics, unsure=unsure))
+    channel = replace(roll.channel, actuator=changed)
+    plain, wide = (Closed(Points(each, close=2000), roll.after.tuning) for each in (roll.channel, channel))
+    share = np.interp(np.log(plain.points.theta / (2.0 * np.pi * STEP)), np.log([0.05, 1.0, 8.0]), [0.02, 0.1, 0.6])
+    turns = np.exp(2j * np.pi * np.arange(360) / 360)
+    worst = max(float(np.max(np.abs(1.0 / (1.0 + (1.0 + share * x) * plain.open_loop)))) for x in turns)
+    assert wide.peak_sensitivity == pytest.approx(worst, rel=1e-3)
+    assert wide.peak_sensitivity > 1.05 * plain.peak_sensitivity
+    assert wide.distance == pytest.approx(1.0 / wide.peak_sensitivity)
+    assert plain.distance == pytest.approx(1.0 / plain.peak_sensitivity)
+    assert wide.tolerated(3.0, 0.3) < plain.tolerated(3.0, 0.3)
+    assert not search.acceptable(wide, sound.need)  # what the search keeps to
+    lost = replace(changed, dynamics=replace(actuator.dynamics, unsure=((1.0, 5.0),)))
+    beyond = Closed(Points(replace(channel, actuator=lost)), roll.after.tuning)
+    assert beyond.distance < 0.0
+    assert np.isinf(beyond.peak_sensitivity)
+    assert 0.0 < search.excess(beyond, sound.need) < 10.0  # a slope, for a search that comes from there
+
+
+def test_what_a_model_leaves_of_the_response_is_carried_into_the_controller_file(sound: Design) -> None:
+    """30 % too strong at the upper end; a model that follows carries nothing, and its file says nothing."""
+    exact = response(0.1)
+    model = fit_dynamics(exact, 5.0, 0.3)
+    assert with_misfit(model, exact).unsure == ()
+    bent = replace(exact, value=exact.value * np.geomspace(1.0, 1.3, 60))
+    carried = with_misfit(replace(model, misfit=0.1), bent)
+    middle = np.exp(np.mean(np.log(np.geomspace(1.0, 1.3, 60))))
+    assert carried.uncertainty(np.array([50.0]))[0] == pytest.approx(1.3 / middle - 1.0, rel=0.01)  # type: ignore[index]
+    assert "up to 14 %" in carried.unsure_words()
+    assert controller_table(sound)["design"].get("unsure") is None
+    axes = {
+        axis: replace(each, channel=replace(each.channel, actuator=replace(each.channel.actuator, dynamics=carried)))
+        for axis, each in sound.axes.items()
+    }
+    made = replace(sound, axes=axes)
+    assert len(controller_table(made)["design"]["unsure"]) == 60
+    assert any("designed for every engine that differs" in line for line in summary_lines(made))
+    assert len(to_dict(made)["axes"]["roll"]["actuator_unsure"]) == 60
+
+
+def test_no_narrow_mode_is_lost_between_the_points_of_a_bound() -> None:
+    hertz = np.linspace(0.1, 20.0, 4000)
+    off = 0.01 + 3.0 * (np.abs(hertz - 9.0) < 0.004)
+    points = np.array(bounds(hertz, off)).T
+    assert np.all(np.interp(np.log(hertz), np.log(points[0]), points[1]) >= off)
+    assert points[1].min() == pytest.approx(0.01)
+
+
+def test_a_response_too_far_from_its_model_is_searched_for_again(
+    monkeypatch: pytest.MonkeyPatch, sound: Design
+) -> None:
+    """Once, with what was measured; where nothing stands it, both reasons are told."""
+    far = Proof("the loop may be unstable", 9.0, 4.0, 3.0, 0.1, (), ((1.0, 0.5),))
+    fine = Proof("", 9.0, 0.1, 1.7, 0.1, ())
+    proofs = iter([far, fine, far])
+    monkeypatch.setattr(proving, "prove", lambda *a: next(proofs))
+    asked = []
+
+    def again(unsure: Any) -> Design:
+        asked.append(unsure)
+        return sound if len(asked) == 1 else replace(sound, reason="roll: no gains")
+
+    assert proved(sound, again=again).ok
+    assert asked == [((1.0, 0.5),)]
+    assert proved(sound, again=again).reason == "the loop may be unstable; with that in the search, roll: no gains"
 
 
 def test_a_sound_engine_is_proved_and_the_proof_is_told(sound: Design) -> None:

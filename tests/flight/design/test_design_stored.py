@@ -23,15 +23,15 @@ from cosim.design.design import (
     AXES,
     WITH_LEAD,
     _begin,
-    _dynamics,
-    _identify,
     _levels,
     _scenario,
     _simplest,
     assess,
     believed,
     design,
+    dynamics_of,
     engine_lead,
+    identify_there,
     lead_there,
     needed,
     shipped,
@@ -69,8 +69,8 @@ def today(name: str) -> tuple[Any, ...]:
     made = read_controller(path).design
     scenario, vehicle = _scenario(made.engine, made.aircraft, ())
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
-    found = _identify(scenario, vehicle, spec, None)
-    actuator = Actuator.of(spec.name, _dynamics(found))
+    found = identify_there(scenario, vehicle, spec, None)
+    actuator = Actuator.of(spec.name, dynamics_of(found))
     wanted = channels(scenario, vehicle, spec, actuator)
     return made, scenario, vehicle, spec, actuator, wanted, _begin(path, wanted, vehicle, spec), found.source
 
