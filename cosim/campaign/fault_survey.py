@@ -7,6 +7,7 @@ that the vehicle has a model for.  A flight is judged by where it ends: *held* (
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from math import degrees, nan
@@ -20,19 +21,23 @@ from cosim.base.signals import AXES
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
+from cosim.flight import copied_controller
 from cosim.results.columns import jets_in
 from cosim.results.metrics import wrap
 from cosim.results.report.marks import table, write_marks
 from cosim.results.report.page import render
+from cosim.spec.controller_name import label
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 
 if TYPE_CHECKING:
     from cosim.results.recorder import Log
+    from cosim.simulation.controllers.source import Source
 
 Verdict = Literal["held", "airborne", "lost"]
 Say = Callable[[str, int, int], None]
 
+WHOLE = "controller"  # a level: all of the cascade, the engine monitor with it
 STARTS = ("hover", "roll")
 TEMPLATE = Path(__file__).parent / "templates" / "survival.html"
 ROLL_DEG = 10.0
@@ -69,6 +74,7 @@ class Row:
     lost_m: float  # of height, from the fault on
     detected_s: float | None  # from the fault to the monitor's first verdict
     reason: str
+    controller_sha256: str | None = None  # of one from outside
 
 
 @dataclass(frozen=True)
@@ -105,12 +111,27 @@ class Survival:
     attainable: list[Attainable]
     moments: Moments | None  # of a vehicle whose engines have a known delay
     limits: list[Limit]  # empty if they were not asked for
+    own: tuple[Source, ...] = ()  # the controllers from outside
+
+    @property
+    def unwatched(self) -> list[str]:
+        """The controllers with which no monitor watches the engines: they have to see to it themselves."""
+        return [own.label for own in self.own if own.level == WHOLE]
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {
             "aircraft": self.aircraft,
             "engine": self.engine,
+            "own_controllers": [
+                {
+                    "name": own.name,
+                    "level": own.level,
+                    "sha256": own.sha256,
+                    "engine_monitor": own.level != "controller",
+                }
+                for own in self.own
+            ],
             "rows": [asdict(row) for row in self.rows],
             "attainable": [each._asdict() for each in self.attainable],
             "moments": None if self.moments is None else asdict(self.moments),
@@ -188,8 +209,16 @@ def survival(
         for start in STARTS
         for controller in controllers
     ]
-    for _, _, _, scenario in flights[: len(controllers)]:
-        build(scenario).close()  # wrong input is found here, before anything is spent on it
+    own: dict[str, Source] = {}
+    for _, _, controller, scenario in flights[: len(controllers)]:
+        with build(scenario) as simulation:  # wrong input is found here, before anything is spent on it
+            if simulation.own is not None:
+                own[controller] = simulation.own
+    # another file than the one that was looked at is refused by whoever flies it
+    flights = [
+        (case, start, name, scenario.replace(controller_sha256=own[name].sha256) if name in own else scenario)
+        for case, start, name, scenario in flights
+    ]
     with build(flights[0][3].replace(controller=BASELINE.name)) as simulation:
         hover, idle = simulation.cascade.allocator.hover, simulation.cascade.thrust_map.idle
         moments = _moments(vehicle, simulation.stations[0].delay)
@@ -203,7 +232,7 @@ def survival(
         found.append(limit)
         say(limit.quantity, len(found), len(scans))
     sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
-    return Survival(aircraft, engine, rows, sets, moments, found)
+    return Survival(aircraft, engine, rows, sets, moments, found, tuple(own.values()))
 
 
 def step_of(aircraft: str) -> float:
@@ -252,6 +281,7 @@ def _fly(flight: tuple[Case, str, str, Scenario]) -> Row:
         lost,
         None if detected is None or case.fault is None else (detected - begin + 1) * scenario.step_s,
         run.reason,
+        scenario.controller_sha256,
     )
 
 
@@ -313,12 +343,22 @@ def _moments(vehicle: Vehicle, delay: float | None) -> Moments | None:
 
 
 def write(found: Survival, folder: Path) -> dict[str, Path]:
-    """``survival.csv`` and ``survival.html`` in ``folder``.  Raises InputError if they cannot be written."""
+    """``survival.csv`` and ``survival.html`` in ``folder``, and the files of controllers from outside.
+
+    Raises InputError if they cannot be written.
+    """
     paths = {"table": folder / "survival.csv", "report": folder / "survival.html"}
     try:
         write_records(paths["table"], Row, found.rows)
         controllers, table = summary(found)
-        render(TEMPLATE, paths["report"], {}, found=found, controllers=controllers, table=table, starts=STARTS)
+        named = [label(name) for name in controllers]
+        render(TEMPLATE, paths["report"], {}, found=found, controllers=named, table=table, starts=STARTS)
+        files: dict[str, Path | bytes] = {}
+        for own in found.own:
+            copied_controller(own, files)
+        for name, source in files.items():
+            assert isinstance(source, Path)
+            shutil.copyfile(source, folder / name)
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror or error}") from error
     return paths

@@ -234,11 +234,12 @@ def print_survival(found: Survival, report: Path) -> None:
     from rich.table import Table
 
     from cosim.campaign.fault_survey import summary
+    from cosim.spec.controller_name import label
 
     console = terminal()
     controllers, rows = summary(found)
     table = Table(box=box.SIMPLE_HEAD)
-    for title in ("fault", "from", *controllers, "detected, s"):
+    for title in ("fault", "from", *map(label, controllers), "detected, s"):
         table.add_column(title, justify="left" if title in ("fault", "from") else "right")
     for kind, start, cells in rows:
         times = [time for cell in cells if cell.detected_s for time in cell.detected_s]
@@ -249,6 +250,8 @@ def print_survival(found: Survival, report: Path) -> None:
         "held at so many of the places where it can happen; the largest lean and the most height lost there",
         highlight=False,
     )
+    for name in found.unwatched:
+        console.print(f"no engine monitor with {name}: a whole controller sees to lost engines itself", highlight=False)
     if found.moments is not None:
         one = found.moments
         console.print(
@@ -259,8 +262,9 @@ def print_survival(found: Survival, report: Path) -> None:
     for limit in found.limits:
         held, airborne = (" ".join(f"{value:g}" for value in each) or "-" for each in (limit.held, limit.airborne))
         lost = "nowhere" if limit.lost_at is None else f"at {limit.lost_at:g}"
+        name = label(limit.controller)
         console.print(
-            f"{limit.quantity}, {limit.start}, {limit.controller}: held at {held}; airborne at {airborne}; lost {lost}",
+            f"{limit.quantity}, {limit.start}, {name}: held at {held}; airborne at {airborne}; lost {lost}",
             highlight=False,
             soft_wrap=True,
         )

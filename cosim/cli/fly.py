@@ -219,6 +219,12 @@ def print_run(run: Run) -> None:
             highlight=False,
             markup=False,
         )
+    if own is not None and own.level == "controller" and run.scenario.monitored:
+        console.print(
+            f"engines were not watched: {summary.controller} is a whole controller, and sees to lost ones itself",
+            highlight=False,
+            markup=False,
+        )
     for complaint in summary.complaints:
         console.print(f"not as expected: {complaint}", highlight=False)
     if run.folder is not None:

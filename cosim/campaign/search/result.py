@@ -10,6 +10,9 @@ from typing import Any
 from cosim.campaign.search.probe import Point
 from cosim.campaign.search.search import Found, Plan
 from cosim.campaign.study.keys import Value
+from cosim.simulation.build import find_controller
+from cosim.spec.controller_name import is_design
+from cosim.spec.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,7 @@ class Searched:
             "aircraft": base.aircraft,
             "engine": base.engine,
             "controllers": found.study.flown_with,
+            "controller_sha256": {name: _sha256(base, name) for name in found.study.flown_with},
             "criterion": found.criterion,
             **question(found.plan),
             "flights": found.flights,
@@ -57,6 +61,14 @@ class Searched:
             "cases": [asdict(case) for case in self.cases],
             "confirmed": self.confirmed,
         }
+
+
+def _sha256(base: Scenario, controller: str) -> str | None:
+    """Of a controller from outside."""
+    if is_design(controller):
+        return None
+    own = find_controller(base.replace(controller=controller))
+    return None if own is None else own.sha256
 
 
 def question(plan: Plan) -> dict[str, Any]:

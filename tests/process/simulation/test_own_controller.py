@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -19,7 +21,10 @@ from places import ROOT
 from cosim import InputError, Scenario, fly, open_run
 from cosim.base.protocols import Column, Parameter
 from cosim.base.signals import UNKNOWN3, Actuation, Unallocated
-from cosim.campaign.run import fly_again, run_campaign
+from cosim.campaign.fault_survey import survival
+from cosim.campaign.fault_survey import write as write_survey
+from cosim.campaign.run import fly_again, run_campaign, workers_at
+from cosim.campaign.search.folder import opened, run_search
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
@@ -366,6 +371,77 @@ def test_a_study_compares_it_with_ours_in_spawned_workers(mine: str, tmp_path: P
     again = fly_again(campaign, 2, report=False)
     assert not again.same
     assert any(line.startswith("mine.py was ") for line in again.otherwise)
+
+
+def test_a_search_and_a_survey_of_faults_fly_it_and_say_which_it_was(mine: str, tmp_path: Path) -> None:
+    """And the survey says where nothing watches the engines."""
+    whole = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
+    sha256 = {name: hashlib.sha256(Path(name.rpartition(":")[0]).read_bytes()).hexdigest() for name in (mine, whole)}
+    found = survival("hexjet", "edf-as-flown", (mine, whole), ("gyro bias",), workers=1)
+    assert {(row.controller, row.controller_sha256) for row in found.rows} == set(sha256.items())
+    by_start = {(row.start, row.controller): row for row in found.rows}
+    assert by_start["hover", mine].verdict == by_start["hover", whole].verdict == "held"
+    assert found.unwatched == ["cascade.py:Cascade"]
+    assert [each["engine_monitor"] for each in found.to_dict()["own_controllers"]] == [True, False]
+    out = tmp_path / "survey"
+    page = write_survey(found, out)["report"].read_text(encoding="utf-8")
+    assert "No engine monitor with cascade.py:Cascade" in page
+    assert (out / "mine.py").read_bytes() == Path(mine.removesuffix(":Mine")).read_bytes()
+
+    vary = ["controller_parameters.share=0.5:1:2"]
+    study, plan = opened("hover", vary=vary, controllers=[mine], settings=["duration_s=0.2"])
+    with workers_at(1, None, None) as workers:
+        searched = run_search(study, plan, tmp_path / "search", workers)
+    assert list(searched.to_dict()["controller_sha256"].values()) == [sha256[mine]]
+    journal = (tmp_path / "search" / "flights.jsonl").read_text(encoding="utf-8").splitlines()
+    assert {json.loads(line)["row"]["controller_sha256"] for line in journal if "row" in json.loads(line)} == {
+        sha256[mine]
+    }
+
+
+def test_a_killed_worker_costs_a_campaign_of_it_nothing(mine: str, tmp_path: Path) -> None:
+    """The file kills the first process beside this one that reads it: the flight is flown by the next."""
+    path = Path(mine.removesuffix(":Mine"))
+    note = tmp_path / "killed"
+    killing = (
+        "\n\nimport os, pathlib, signal\n"
+        f"note = pathlib.Path({str(note)!r})\n"
+        f"if os.getpid() != {os.getpid()} and not note.exists():\n"
+        "    note.touch()\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    path.write_text(path.read_text(encoding="utf-8") + killing, encoding="utf-8")
+    vary = ["controller_parameters.share=0,1"]
+    study = open_study("roll-doublet", vary=vary, controllers=[mine], settings=["duration_s=0.1"])
+    columns = run_campaign(study, tmp_path / "campaign", workers=1).columns
+    assert note.exists()
+    assert list(columns["outcome"]) == ["completed"] * 2
+    assert len({*columns["controller_sha256"]}) == 1
+
+
+def test_a_run_of_one_gets_its_page_again_and_says_that_nothing_watched(tmp_path: Path) -> None:
+    """From what is in the folder alone, the file that was flown being gone."""
+    whole = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
+    run = fly(SHORT.replace(controller=whole, monitor=True), tmp_path / "run", report=False)
+    Path(whole.removesuffix(":Cascade")).unlink()
+    again = hexjet(tmp_path, "report", "run")
+    assert again.returncode == 0, again.stderr
+    assert "engines were not watched: cascade.py:Cascade is a whole controller" in again.stdout
+    own = run.summary.own_controller
+    assert own is not None
+    assert own.sha256[:12] in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_ground_station_session_of_one_leaves_a_run_with_it(tmp_path: Path) -> None:
+    whole = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
+    done = hexjet(
+        tmp_path, "gcs", "--controller", whole, "--duration", "0.2", "--rtf", "0", "--params", "none", "--mavlink",
+        "udpout:127.0.0.1:9", "--out", "run", "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    own = json.loads(done.stdout)["runs"][0]["own_controller"]
+    assert own["level"] == "controller"
+    assert own["sha256"] == hashlib.sha256((tmp_path / "run" / "cascade.py").read_bytes()).hexdigest()
 
 
 def test_its_parameters_are_keys(mine: str) -> None:
