@@ -51,9 +51,8 @@ from cosim.spec.scenario import (
     Station,
     SticksCommand,
     TableCommand,
-    is_file,
 )
-from cosim.spec.vehicle import aircraft_names
+from cosim.spec.vehicle import VEHICLE, aircraft_names, as_read, is_file, is_own
 from cosim.vehicle.airframe import (
     IN_THE_AIR,
     METHODS,
@@ -207,6 +206,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
         controller = {"controller": copied_controller(own, files), "controller_sha256": own.sha256}
         told = own.values(scenario.controller_parameters, "controller_parameters")
         controller["controller_parameters"] = _floats(told)
+    aircraft, vehicle = copied_aircraft(simulation, files)
     engine = simulation.engine
     names = engine_files([engine, *simulation.stations], files)
     # each part was checked when the scenario was read, so nothing is checked once more
@@ -221,10 +221,49 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
                 for number, station in enumerate(simulation.stations, 1)
                 if station is not engine
             },
-            "vehicle": simulation.vehicle.model_dump(mode="json", exclude_none=True),
+            "aircraft": aircraft,
+            "expect": [
+                entry.model_copy(update={"aircraft": aircraft}) if entry.aircraft == scenario.aircraft else entry
+                for entry in scenario.expect
+            ],
+            "vehicle": vehicle,
             **({"requests": REQUESTS} if scenario.requests is not None else {}),
         }
     ), files
+
+
+def copied_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> tuple[str, dict[str, Any]]:
+    """What the aircraft is called beside a resolved scenario, and its numbers; its own files are added to ``files``.
+
+    Raises InputError where another file has the name of one of them.
+    """
+    scenario = simulation.flown
+    stated = simulation.vehicle.model_dump(mode="json", exclude_none=True)
+    if not is_own(scenario.aircraft):
+        return scenario.aircraft, stated
+    import tomli_w
+
+    _, folder = scenario.resolved_vehicle()
+    model = Path(simulation.vehicle.model).name
+    table = as_read(scenario.aircraft, scenario.folder) | {"model": model}
+    own: dict[str, Path | bytes] = {
+        VEHICLE: tomli_w.dumps(_written(table)).encode(),
+        model: folder / simulation.vehicle.model,
+    }
+    for name in own:
+        if name in files:
+            raise InputError(f"aircraft {scenario.aircraft_name}: another file of the flight has the name {name!r}")
+    files |= own
+    return VEHICLE, stated | {"model": model}
+
+
+def _written(table: Mapping[str, Any]) -> dict[str, Any]:
+    """A table without what TOML has no word for."""
+    return {
+        key: _written(value) if isinstance(value, Mapping) else value
+        for key, value in table.items()
+        if value is not None
+    }
 
 
 def _floats(values: Mapping[str, float]) -> dict[str, float]:
@@ -290,11 +329,13 @@ def _mapping(path: Path, archive: str) -> Path | bytes:
 
 def _setup(simulation: Simulation) -> Setup:
     scenario, engine = simulation.scenario, simulation.engine
+    model = simulation.vehicle.model
+    model = Path(model).name if is_own(scenario.aircraft) else model
     return Setup(
         scenario=scenario.name,
         title=scenario.title,
         description=scenario.description,
-        aircraft=scenario.aircraft,
+        aircraft=scenario.aircraft_name,
         engine=engine.name,
         controller=label(scenario.controller),
         own_controller=_own_controller(simulation),
@@ -312,8 +353,8 @@ def _setup(simulation: Simulation) -> Setup:
         expectation=expectation(scenario),
         versions=versions(),
         sha256={
-            simulation.vehicle.model: simulation.airframe.file_sha256,
-            f"{simulation.vehicle.model} as flown": simulation.airframe.sha256,
+            model: simulation.airframe.file_sha256,
+            f"{model} as flown": simulation.airframe.sha256,
             **_engine_hashes([engine, *simulation.stations]),
             **(simulation.own.hashes if simulation.own is not None else {}),
         },
@@ -388,7 +429,7 @@ def check_expected(scenario: Scenario) -> None:
         where = f"scenario {scenario.name}: expect.{index}"
         known = (
             ("controller", [entry.controller], _controllers_like(entry.controller)),
-            ("aircraft", [entry.aircraft], aircraft_names()),
+            ("aircraft", [] if is_own(entry.aircraft) else [entry.aircraft], aircraft_names()),
             ("metrics", list(entry.metrics), metric_names()),
         )
         for key, names, allowed in known:

@@ -25,10 +25,10 @@ from cosim.campaign.fault_survey import (
     verdict_of,
 )
 from cosim.campaign.workers.tasks import in_order
-from cosim.design.controller_file import ControllerFile, read_controller
+from cosim.design.controller_file import ControllerFile, purpose_of, read_controller
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.spec.vehicle import Vehicle, aircraft_name, load_vehicle
 
 if TYPE_CHECKING:
     from cosim.engine import EngineSpec
@@ -382,22 +382,22 @@ def _controller(aircraft: str, engine: str, designs: Path, say: Say) -> Controll
     from cosim.design.tune import Requirements
 
     name = Path(engine).name
-    for path in (designs / f"{name}.toml", designs / f"{name}-{aircraft}.toml"):
+    for path in (designs / f"{name}.toml", designs / f"{name}-{aircraft_name(aircraft)}.toml"):
         if path.is_file():
-            file = read_controller(path)
-            if (file.design.aircraft, Path(file.design.engine).name) == (aircraft, name):
-                return file
+            made = purpose_of(path)
+            if (made.aircraft, Path(made.engine).name) == (aircraft_name(aircraft), name):
+                return read_controller(path, aircraft)
     say(f"designing {aircraft} with {engine}", 0, 1)
     found = design(engine, aircraft, need=Requirements())
     if not found.ok:
         return f"no controller keeps the requirements of hexjet design: {found.reason}"
-    path = designs / f"{name}-{aircraft}.toml"
+    path = designs / f"{name}-{aircraft_name(aircraft)}.toml"
     try:
         designs.mkdir(parents=True, exist_ok=True)
         write_controller(found, path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
-    return read_controller(path)
+    return read_controller(path, aircraft)
 
 
 def _scenario(aircraft: str, engine: str, file: ControllerFile, jet: int, means: Means) -> Scenario:

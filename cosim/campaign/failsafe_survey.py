@@ -35,7 +35,7 @@ from cosim.control.predictors.registry import BASELINE, SMITH
 from cosim.results.report import marks
 from cosim.results.request_log import Entry
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import Vehicle, aircraft_names, load_vehicle
+from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, engine_of, load_vehicle
 
 if TYPE_CHECKING:
     from cosim.control.autopilot.autopilot import Autopilot
@@ -256,10 +256,10 @@ def failsafes(
         for one in in_order(fly_case, plan.flights, workers):
             flown.append(one)
             done += 1
-            say(f"{plan.aircraft}: {one.row.failsafe}, {one.row.start}", done, of)
+            say(f"{aircraft_name(plan.aircraft)}: {one.row.failsafe}, {one.row.start}", done, of)
         vehicle, _ = load_vehicle(plan.aircraft)
         limit = vehicle.limits.touchdown_m_s
-        yield Failsafes(plan.aircraft, plan.engine, plan.controller, limit, trip_speed(vehicle), flown)
+        yield Failsafes(aircraft_name(plan.aircraft), plan.engine, plan.controller, limit, trip_speed(vehicle), flown)
 
 
 def _plan(
@@ -274,8 +274,9 @@ def _plan(
     from cosim.simulation.build import build
     from cosim.simulation.with_autopilot import with_autopilot
 
+    aircraft = aircraft_seen_from(aircraft, Path())
     vehicle, _ = load_vehicle(aircraft)
-    engine = engine or vehicle.engine or Scenario.model_fields["engine"].default
+    engine = engine or engine_of(aircraft) or Scenario.model_fields["engine"].default
     step = step_of(aircraft)
     chosen = [case for case in cases(vehicle) if not kinds or case.name.startswith(tuple(kinds))]
     if not chosen:

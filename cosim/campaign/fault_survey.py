@@ -28,7 +28,7 @@ from cosim.results.report.marks import table, write_marks
 from cosim.results.report.page import render
 from cosim.spec.controller_name import label
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, load_vehicle
 
 if TYPE_CHECKING:
     from cosim.results.recorder import Log
@@ -195,8 +195,9 @@ def survival(
     """
     from cosim.simulation.build import build
 
+    aircraft = aircraft_seen_from(aircraft, Path())
     vehicle, _ = load_vehicle(aircraft)
-    engine = engine or vehicle.engine or Scenario.model_fields["engine"].default
+    engine = engine or engine_of(aircraft) or Scenario.model_fields["engine"].default
     step = step_of(aircraft)
     chosen = [case for case in cases(vehicle) if not kinds or case.kind.startswith(tuple(kinds))]
     if not chosen:
@@ -232,7 +233,7 @@ def survival(
         found.append(limit)
         say(limit.quantity, len(found), len(scans))
     sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
-    return Survival(aircraft, engine, rows, sets, moments, found, tuple(own.values()))
+    return Survival(vehicle.name, engine, rows, sets, moments, found, tuple(own.values()))
 
 
 def step_of(aircraft: str) -> float:

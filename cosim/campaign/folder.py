@@ -24,7 +24,8 @@ from cosim.simulation.build import build
 from cosim.simulation.controllers.source import find
 from cosim.simulation.step import Simulation
 from cosim.spec.controller_name import file_name, is_design
-from cosim.spec.scenario import Scenario, is_file
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import is_file
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
 FLIGHTS, JOURNAL, REPORT, CASES = "flights", "flights.jsonl", "report.html", "cases"

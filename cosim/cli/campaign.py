@@ -262,7 +262,7 @@ def print_search(searched: Searched) -> None:
 
     console, found = terminal(), searched.found
     base = found.study.base()
-    console.print(f"{base.name}: {base.aircraft}, engine {base.engine}; {found.flights} flights", highlight=False)
+    console.print(f"{base.name}: {base.aircraft_name}, engine {base.engine}; {found.flights} flights", highlight=False)
     console.print(found.criterion, highlight=False, markup=False, soft_wrap=True)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     titles, rows = edges(found)

@@ -105,7 +105,7 @@ def faults(
     with part_progress("faults", quiet=as_json) as say:
         named = [seen_from(each, Path()) for each in controllers]
         found = survival(aircraft, engine, named, kinds, workers, say, limits or page is not None)
-    paths = write(found, out if out is not None else new_folder(Path("runs"), f"faults-{aircraft}"))
+    paths = write(found, out if out is not None else new_folder(Path("runs"), f"faults-{found.aircraft}"))
     if page is not None:
         write_page(found, page)
     if as_json:
@@ -200,6 +200,7 @@ def failsafes(
     from cosim.campaign.failsafe_survey import failsafes as fly_all
     from cosim.flight import new_folder
     from cosim.results.report.marks import check_marks, write_marks
+    from cosim.spec.vehicle import aircraft_name
 
     if "all" in aircraft:
         if len(aircraft) > 1:
@@ -208,7 +209,7 @@ def failsafes(
     aircraft = tuple(dict.fromkeys(aircraft))
     several = len(aircraft) > 1
     if page is not None:
-        check_marks(page, [mark(each) for each in aircraft])
+        check_marks(page, [mark(aircraft_name(each)) for each in aircraft])
     found: list[Failsafes] = []
     folder = out
     with part_progress("failsafes", quiet=as_json) as say:

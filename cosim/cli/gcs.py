@@ -148,7 +148,7 @@ def print_gcs(session: Session, links: Links, to_stderr: bool) -> None:
     console = Console(stderr=True) if to_stderr else terminal()
     scenario, place = session.scenario, session.scenario.environment
     rows = [
-        ("vehicle", f"{scenario.aircraft}, engine {scenario.engine}, controller {scenario.controller}"),
+        ("vehicle", f"{scenario.aircraft_name}, engine {scenario.engine}, controller {scenario.controller}"),
         ("place", f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, {place.ground_m:g} m above the sea"),
         ("system", str(links.system)),
         *[("MAVLink", _where(url)) for url in links.urls],

@@ -78,7 +78,7 @@ def offer_to_compile(*engines: str) -> None:
 
 def warn_of_blemishes(*engines: str, folder: Path = Path()) -> None:
     """Tell on standard error what of a foreign FMU's description, seen from ``folder``, is not as FMI has it."""
-    from cosim.spec.scenario import is_file
+    from cosim.spec.vehicle import is_file
 
     for engine in dict.fromkeys(engines):
         if is_file(engine):
@@ -111,9 +111,10 @@ def load_scenario(
         scenario = Scenario.read(name, list(settings))
     changes: dict[str, Any] = {}
     if aircraft is not None:
-        from cosim.spec.vehicle import load_vehicle
+        from cosim.spec.vehicle import aircraft_seen_from, engine_of
 
-        changes |= {"aircraft": aircraft, "engine": load_vehicle(aircraft)[0].engine or scenario.engine}
+        aircraft = aircraft_seen_from(aircraft, Path())
+        changes |= {"aircraft": aircraft, "engine": engine_of(aircraft) or scenario.engine}
     if controller is not None:
         # a file on the command line is meant from here, one in the scenario from the scenario's folder
         changes["controller"] = seen_from(controller, Path())
@@ -138,7 +139,7 @@ def load_scenario(
 
 def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
     """``NAME`` or ``N=NAME`` texts as changes of a scenario.  Raises InputError if one is named twice."""
-    from cosim.spec.scenario import is_file
+    from cosim.spec.vehicle import is_file
 
     changes: dict[str, Any] = {}
     for text in texts:

@@ -39,7 +39,7 @@ def export_controller(
         raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
     if scenario.requests is not None:
         raise InputError(f"scenario {scenario.name}: is flown by an autopilot's requests; choose one with commands")
-    labels = Labels(name, f"{scenario.aircraft} with {scenario.controller}", licence, ())  # before the flight
+    labels = Labels(name, f"{scenario.aircraft_name} with {scenario.controller}", licence, ())  # before the flight
     with build(scenario) as simulation:
         form = form_of(simulation)
         origin = _origin(scenario, source, simulation.engine.name, simulation.engine.sha256)
@@ -61,7 +61,7 @@ def export_controller(
 
 def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[str, ...]:
     lines = [
-        f"aircraft {scenario.aircraft}, engine {engine} (sha256 {sha256[:16]}), controller {scenario.controller}"
+        f"aircraft {scenario.aircraft_name}, engine {engine} (sha256 {sha256[:16]}), controller {scenario.controller}"
         + (f" of {source}" if source else ""),
         f"test vectors: scenario {scenario.name}, seed {scenario.seed}, {scenario.duration_s:g} s",
     ]

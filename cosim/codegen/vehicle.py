@@ -57,7 +57,7 @@ def export_vehicle(
     """
     if sys.platform == "win32":
         raise InputError("export vehicle: the FMU starts a process as POSIX systems do; not on Windows")
-    labels = Labels(name, f"{scenario.aircraft}: scenario {scenario.name}", None, ())  # it checks the name
+    labels = Labels(name, f"{scenario.aircraft_name}: scenario {scenario.name}", None, ())  # it checks the name
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
     if system and not parts.controller:

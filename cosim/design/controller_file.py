@@ -20,7 +20,7 @@ from cosim.base.toml import (
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.tune import Requirements
 from cosim.spec.scenario import Scenario, find_scenario
-from cosim.spec.vehicle import load_vehicle
+from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
 
 class AxisRecord(Model):
@@ -79,25 +79,41 @@ class ControllerFile(Model):
     design: Purpose
 
 
-def read_controller(path: Path) -> ControllerFile:
-    """Read a controller file.  Raises InputError that names the file and what is wrong with it."""
+def purpose_of(path: Path) -> Purpose:
+    """What a controller file was made for.  Raises InputError as :func:`read_controller`."""
+    return validate(ControllerFile, read_toml(path), str(path)).design
+
+
+def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path()) -> ControllerFile:
+    """Read a controller file, for ``aircraft`` where one is named; a path is seen from ``folder``.
+
+    Raises InputError that names the file and what is wrong with it, also for one that was made for another aircraft.
+    """
     found = validate(ControllerFile, read_toml(path), str(path))
     PREDICTORS.find(found.controller, f"{path}: controller = {found.controller!r}")
-    load_vehicle(found.design.aircraft, found.vehicle, f"{path}: vehicle")
+    made_for = found.design.aircraft
+    if aircraft is not None and aircraft_name(aircraft, folder) != made_for:
+        flown = aircraft_name(aircraft, folder)
+        raise InputError(f"{path}: designed for aircraft {made_for!r}, not for {flown!r}")
+    if aircraft is None and made_for not in aircraft_names():
+        raise InputError(f"{path}: designed for aircraft {made_for!r}, which is not shipped: name its folder as well")
+    aircraft = aircraft or made_for
+    load_vehicle(aircraft, found.vehicle, f"{path}: vehicle", folder)
+    original, _ = load_vehicle(aircraft, folder=folder)
     control = found.vehicle.get("control", {})
-    if "schedule" not in control and load_vehicle(found.design.aircraft)[0].control.schedule:
+    if "schedule" not in control and original.control.schedule:
         # from before there were schedules: its gains are for every thrust, and the aircraft's own factors not for them
         without = merge(found.vehicle, {"control": {"schedule": False}})
         found = found.model_copy(update={"vehicle": without})
-    if _older_than_banks(found):
+    if _older_than_banks(found, original):
         without = merge(found.vehicle, {"servo": {"bank_inertia_kg_m2": 0.0}})
         found = found.model_copy(update={"vehicle": without})
     return found
 
 
-def _older_than_banks(file: ControllerFile) -> bool:
+def _older_than_banks(file: ControllerFile, original: Vehicle) -> bool:
     """Whether a file is from before the reaction of tilting banks, and its gains therefore not for it."""
-    servo = load_vehicle(file.design.aircraft)[0].servo
+    servo = original.servo
     stated = any("bank_inertia_kg_m2" in each.get("servo", {}) for each in (file.vehicle, file.design.vehicle_changes))
     return file.design.bank_inertia_kg_m2 is None and not stated and bool(servo and servo.bank_inertia_kg_m2)
 
@@ -109,12 +125,11 @@ def with_controller(
 
     Raises InputError for a file that was made for another aircraft or another control step.
     """
-    file = read_controller(path)
     source = find_scenario(name)
     table = read_toml(source)
-    flown = aircraft or table.get("aircraft", Scenario.model_fields["aircraft"].default)
-    if flown != file.design.aircraft:
-        raise InputError(f"{path}: designed for aircraft {file.design.aircraft!r}, not for {flown!r}")
+    stated = table.get("aircraft", Scenario.model_fields["aircraft"].default)
+    flown = aircraft_seen_from(stated, source.parent) if aircraft is None else aircraft_seen_from(aircraft, Path())
+    file = read_controller(path, flown)
     table = merge(table, {"aircraft": flown, "controller": file.controller, "vehicle": file.vehicle, "expect": []})
     for text in settings:
         key, value = parse_setting(text)
@@ -148,7 +163,8 @@ def differences(scenario: Scenario, path: Path) -> list[str]:
             f"{dict(scenario.engine_parameters) or 'its own'}"
         )
     flown, given = _airframe(scenario.vehicle), _airframe(made.vehicle_changes)
-    if _older_than_banks(file) and flown.get("servo", {}).get("bank_inertia_kg_m2") == 0.0:
+    original, _ = load_vehicle(scenario.aircraft, folder=scenario.folder)
+    if _older_than_banks(file, original) and flown.get("servo", {}).get("bank_inertia_kg_m2") == 0.0:
         found.append(f"designed when {made.aircraft} had no reaction of its tilting banks: flown without it, "
                      "servo.bank_inertia_kg_m2 = 0")  # fmt: skip
         servo = {key: value for key, value in flown["servo"].items() if key != "bank_inertia_kg_m2"}

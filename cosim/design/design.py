@@ -51,13 +51,15 @@ from cosim.design.tune import (
 )
 from cosim.design.tuning import Tuning, candidates, designable
 from cosim.engine import EngineSpec, load_engine
-from cosim.spec.scenario import Scenario, is_file
+from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (
     EngineLead,
     RateGains,
     RateModel,
     Schedule,
     Vehicle,
+    aircraft_seen_from,
+    file_seen_from,
     load_vehicle,
     read_models,
 )
@@ -210,7 +212,7 @@ def design(
     for axis, table in given.items():
         plants[axis] = replace(plants[axis], identified=RateModel(**table))
     source = f"{found.source}; with the airframe of {vehicle.name}"
-    begin = None if start is None else _begin(start, plants, vehicle, spec)
+    begin = None if start is None else _begin(start, plants, scenario.aircraft, vehicle, spec)
     if begin is None:
         axes = _axes(plants, vehicle, spec, names, need, source, say, lead)
     else:
@@ -291,14 +293,12 @@ def _burn(
 
 
 def _begin(
-    start: Path, plants: Mapping[str, Channel], vehicle: Vehicle, spec: EngineSpec
+    start: Path, plants: Mapping[str, Channel], aircraft: str, vehicle: Vehicle, spec: EngineSpec
 ) -> dict[str, dict[float, Tuning]]:
     """Where a search begins that goes on from a controller file: by axis, and by fuel."""
-    file = read_controller(start)
-    if file.design.aircraft != vehicle.name:
-        raise InputError(f"{start}: designed for aircraft {file.design.aircraft!r}, not for {vehicle.name!r}")
+    file = read_controller(start, aircraft)
     stated = merge(file.vehicle, {"mass_kg": vehicle.mass_kg})
-    designed, _ = load_vehicle(file.design.aircraft, stated, f"{start}: vehicle")
+    designed, _ = load_vehicle(aircraft, stated, f"{start}: vehicle")
     found: dict[str, dict[float, Tuning]] = {}
     for axis, channel in plants.items():
         own = shipped(channel, designed, spec)
@@ -355,8 +355,9 @@ def believed(channel: Channel, source: str) -> RateModel:
 
 def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scenario, Vehicle]:
     """Hover with this engine, at the sample time of the aircraft's own models."""
-    table: dict[str, Any] = {"name": "design", "duration_s": 1.0, "aircraft": aircraft}
-    table["engine"] = str(Path(engine).absolute()) if is_file(engine) else engine
+    table: dict[str, Any] = {"name": "design", "duration_s": 1.0}
+    table["aircraft"] = aircraft_seen_from(aircraft, Path())
+    table["engine"] = file_seen_from(engine, Path())
     for text in settings:
         key, value = parse_setting(text)
         set_path(table, key, value, "design: --set")

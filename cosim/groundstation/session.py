@@ -50,7 +50,8 @@ from cosim.simulation.pacing import Pace, PaceReport
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.controller_name import folder_name
-from cosim.spec.scenario import Scenario, is_file
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import is_file
 
 LONGEST_S = 86_400.0  # of one flight that has no planned end: a day
 # Chosen by us: a request costs some 10 us, a new predictor 3 ms, a step has 4 ms of which stepping takes a tenth.
@@ -155,7 +156,7 @@ class Session:
     def _folder(self, number: int) -> Path:
         """The run's folder, made, so that what is wrong with it is said before anybody connects."""
         if self._out is None:
-            return reserve_folder(Path("runs"), f"gcs-{self.scenario.aircraft}")
+            return reserve_folder(Path("runs"), f"gcs-{self.scenario.aircraft_name}")
         if number == 1:
             claim_folder(self._out)
             return self._out
@@ -580,7 +581,7 @@ def facts_of(
 def vehicle_key(scenario: Scenario) -> str:
     """What parameters are kept for: another engine or controller has other defaults."""
     engine = Path(scenario.engine).stem if is_file(scenario.engine) else scenario.engine
-    return f"{scenario.aircraft}-{engine}-{folder_name(scenario.controller)}"
+    return f"{scenario.aircraft_name}-{engine}-{folder_name(scenario.controller)}"
 
 
 @contextmanager

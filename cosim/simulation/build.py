@@ -52,8 +52,8 @@ from cosim.simulation.fault_schedule import FaultSchedule
 from cosim.simulation.mismatch import as_flown, engines_as_flown
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_places import PlacePilot, flies_to_places
-from cosim.spec.scenario import Scenario, Station, TorqueCommandDisturbance, is_file
-from cosim.spec.vehicle import RateModel, Vehicle
+from cosim.spec.scenario import Scenario, Station, TorqueCommandDisturbance
+from cosim.spec.vehicle import RateModel, Vehicle, is_file
 from cosim.vehicle.airframe import Airframe, start_height
 from cosim.vehicle.atmosphere import standard_air
 from cosim.vehicle.banks import Banks
@@ -158,7 +158,7 @@ def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
     for number in scenario.stations:
         if int(number) > jets:
             where = f"scenario {scenario.name}: stations.{number}"
-            raise InputError(f"{where}: {scenario.aircraft} has stations 1 to {jets}")
+            raise InputError(f"{where}: {scenario.aircraft_name} has stations 1 to {jets}")
     known: dict[tuple[str, frozenset[tuple[str, float]]], EngineSpec] = {}
 
     def load(engine: str, parameters: dict[str, float]) -> EngineSpec:

@@ -77,10 +77,10 @@ class FaultSchedule:
         name = f"scenario {self._scenario.name}: {where}"
         if isinstance(fault, ServoJam):
             if not self._servos:
-                raise InputError(f"{name}.servo: {self._scenario.aircraft} has no tilt servos")
+                raise InputError(f"{name}.servo: {self._scenario.aircraft_name} has no tilt servos")
         elif not isinstance(fault, (SensorBias, SensorDropout)) and max(fault.jet) > len(self._laws):
             raise InputError(
-                f"{name}.jet = {max(fault.jet)}: {self._scenario.aircraft} has jets 1 to {len(self._laws)}"
+                f"{name}.jet = {max(fault.jet)}: {self._scenario.aircraft_name} has jets 1 to {len(self._laws)}"
             )
         if isinstance(fault, FlameOut):
             unknown = [jet for jet in fault.jet if self._laws[jet - 1] is None]

@@ -28,7 +28,7 @@ from cosim.base.toml import (
     set_path,
     validate,
 )
-from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.spec.vehicle import Vehicle, is_own, load_vehicle
 
 SIGNALS = (
     "roll_deg",
@@ -481,7 +481,7 @@ class Scenario(Model):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     title: str = ""
     description: str = ""
-    aircraft: str = "hexjet"
+    aircraft: str = "hexjet"  # or the path of a folder with a vehicle.toml, from the folder of this file
     engine: str = "edf-as-flown"
     controller: str = "smith"
     controller_parameters: dict[str, float] = {}  # of a controller of one's own
@@ -549,9 +549,15 @@ class Scenario(Model):
         """
         known = self._resolved
         if known is None or known[0] != self.aircraft or known[1] is not self.vehicle:  # a copy may have another
-            found = load_vehicle(self.aircraft, self.vehicle, f"scenario {self.name}: vehicle")
+            where = f"scenario {self.name}: vehicle"
+            found = load_vehicle(self.aircraft, self.vehicle, where, self.folder)
             known = self._resolved = (self.aircraft, self.vehicle, found)
         return known[2]
+
+    @property
+    def aircraft_name(self) -> str:
+        """What the aircraft is called, also where it is named by a path."""
+        return self.resolved_vehicle()[0].name if is_own(self.aircraft) else self.aircraft
 
     @property
     def monitored(self) -> bool:
@@ -697,11 +703,6 @@ class Scenario(Model):
             }
         data = merge(data, changes)
         return self.from_table(data, self.folder, f"scenario {self.name}")
-
-
-def is_file(engine: str) -> bool:
-    """Whether an engine is given by a file: an FMU, or a mapping file that names one."""
-    return engine.lower().endswith((".fmu", ".toml")) or "/" in engine
 
 
 def scenario_names() -> list[str]:

@@ -27,6 +27,7 @@ from cosim.base.toml import (
 )
 from cosim.spec.scaling import scaled
 
+VEHICLE = "vehicle.toml"  # in an aircraft's folder
 Axis3 = tuple[NotNegative, NotNegative, NotNegative]
 Samples = Annotated[int, Field(ge=0, le=1000)]
 
@@ -502,26 +503,101 @@ def read_models(path: Path) -> dict[str, Any]:
 
 
 def aircraft_names() -> list[str]:
-    """Every aircraft that can be flown."""
-    return names_in("aircraft", "vehicle.toml")
+    """Every aircraft that is shipped."""
+    return names_in("aircraft", VEHICLE)
+
+
+def is_own(aircraft: str) -> bool:
+    """Whether an aircraft is named by a path: a folder with a ``vehicle.toml``, or such a file."""
+    return "/" in aircraft or aircraft.lower().endswith(".toml") or aircraft in (".", "..")
+
+
+def aircraft_seen_from(aircraft: str, folder: Path) -> str:
+    """The same with an absolute path where it is one, which is relative to ``folder`` otherwise."""
+    return str((folder / aircraft).absolute()) if is_own(aircraft) else aircraft
+
+
+def aircraft_name(aircraft: str, folder: Path = Path()) -> str:
+    """What it is called: by the library, or by its own file.  Raises InputError as :func:`load_vehicle`."""
+    return load_vehicle(aircraft, folder=folder)[0].name if is_own(aircraft) else aircraft
+
+
+def engine_of(aircraft: str, folder: Path = Path()) -> str | None:
+    """The engine that an aircraft is made for; a file is seen from the aircraft's folder.
+
+    Raises InputError as :func:`load_vehicle`.
+    """
+    vehicle, place = load_vehicle(aircraft, folder=folder)
+    return None if vehicle.engine is None else file_seen_from(vehicle.engine, place)
+
+
+def file_seen_from(engine: str, folder: Path) -> str:
+    """An engine with an absolute path where it is a file."""
+    return str((folder / engine).absolute()) if is_file(engine) else engine
+
+
+def is_file(engine: str) -> bool:
+    """Whether an engine is given by a file: an FMU, or a mapping file that names one."""
+    return engine.lower().endswith((".fmu", ".toml")) or "/" in engine
+
+
+def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:
+    """The ``vehicle.toml`` of an aircraft given by its name, or by a path that is relative to ``folder``.
+
+    Raises InputError for an unknown aircraft (lists the known ones) and for a path where none is.
+    """
+    if not is_own(aircraft):
+        if aircraft not in aircraft_names():
+            known = nearest(aircraft, aircraft_names())
+            raise InputError(f"unknown aircraft {aircraft!r}; {known}, or the path of a folder")
+        return data_folder("aircraft") / aircraft / VEHICLE
+    path = folder / aircraft
+    path = path / VEHICLE if path.is_dir() else path
+    if not path.is_file():
+        raise InputError(f"aircraft {aircraft}: {path}: no such file; name a folder with a {VEHICLE}, or such a file")
+    return path
 
 
 _known: Memory[tuple[dict[str, Any], Vehicle]] = Memory(32)
 
 
-def load_vehicle(name: str, overrides: dict[str, Any] | None = None, where: str = "vehicle") -> tuple[Vehicle, Path]:
+def load_vehicle(
+    name: str, overrides: dict[str, Any] | None = None, where: str = "vehicle", folder: Path = Path()
+) -> tuple[Vehicle, Path]:
     """Read an aircraft's ``vehicle.toml`` with ``overrides`` merged over it, and say which folder it is in.
 
-    Raises InputError for an unknown aircraft (lists the known ones) or a wrong key.
+    Parameters
+    ----------
+    name : str
+        Of an aircraft that is shipped, or a path: a folder, or a file.
+    overrides : dict or None
+        Written over what the file states.
+    where : str
+        What they are called, for the error.
+    folder : Path
+        What a relative path is seen from.
+
+    Returns
+    -------
+    tuple of Vehicle and Path
+        The vehicle, and the folder of its file.
+
+    Raises
+    ------
+    InputError
+        For an unknown aircraft (lists the known ones), a path where none is, or a wrong key.
     """
-    if name not in aircraft_names():
-        raise InputError(f"unknown aircraft {name!r}; {nearest(name, aircraft_names())}")
-    folder = data_folder("aircraft") / name
-    path = folder / "vehicle.toml"
+    path = find_aircraft(name, folder)
     stated, vehicle = _known.get((path, *_texts(path)), lambda: _read(path))
     if overrides:
         vehicle = validate(Vehicle, merge(stated, _with_own_banks(overrides)), where)
-    return vehicle, folder
+    return vehicle, path.parent
+
+
+def as_read(name: str, folder: Path = Path()) -> dict[str, Any]:
+    """What the file of an aircraft states, with all that it takes from another.  Raises as :func:`load_vehicle`."""
+    path = find_aircraft(name, folder)
+    return _known.get((path, *_texts(path)), lambda: _read(path))[0]
 
 
 def _with_own_banks(overrides: dict[str, Any]) -> dict[str, Any]:
@@ -536,13 +612,16 @@ def _texts(path: Path) -> list[bytes]:
     """The files that an aircraft is made from: its own, and that of the one that it is a scaled copy of."""
     law = read_toml(path).get("scaled")
     base = law.get("base") if isinstance(law, dict) else None
-    files = [path, *([data_folder("aircraft") / base / "vehicle.toml"] if base in aircraft_names() else [])]
+    files = [path, *([data_folder("aircraft") / base / VEHICLE] if base in aircraft_names() else [])]
     return [file.read_bytes() for file in files]
 
 
 def _read(path: Path) -> tuple[dict[str, Any], Vehicle]:
     stated = _stated(path)
-    return stated, validate(Vehicle, stated, str(path))
+    vehicle = validate(Vehicle, stated, str(path))
+    if path.parents[1] != data_folder("aircraft") and vehicle.name in aircraft_names():
+        raise InputError(f"{path}: name = {vehicle.name!r}: is the name of an aircraft that is shipped; choose another")
+    return stated, vehicle
 
 
 def _stated(path: Path) -> dict[str, Any]:
@@ -558,9 +637,12 @@ def _stated(path: Path) -> dict[str, Any]:
     folder = data_folder("aircraft") / law.base
     if law.base not in aircraft_names():
         raise InputError(f"{where}.base: unknown aircraft {law.base!r}; {nearest(law.base, aircraft_names())}")
-    base = read_toml(folder / "vehicle.toml")
+    base = read_toml(folder / VEHICLE)
     if "scaled" in base:
         raise InputError(f"{where}.base: {law.base} is a scaled copy itself; name the aircraft that it is made from")
-    original = validate(Vehicle, base, str(folder / "vehicle.toml")).model_dump(mode="json", exclude_none=True)
-    shared = {"model": f"../{law.base}/{original['model']}", "engine": None}
+    original = validate(Vehicle, base, str(folder / VEHICLE)).model_dump(mode="json", exclude_none=True)
+    model = f"../{law.base}/{original['model']}"
+    if path.parents[1] != data_folder("aircraft"):
+        model = str(folder / original["model"])
+    shared = {"model": model, "engine": None}
     return merge(scaled(original, law.mass_kg) | shared, stated)

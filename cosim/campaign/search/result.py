@@ -49,7 +49,7 @@ class Searched:
         return {
             "folder": str(self.folder),
             "scenario": base.name,
-            "aircraft": base.aircraft,
+            "aircraft": base.aircraft_name,
             "engine": base.engine,
             "controllers": found.study.flown_with,
             "controller_sha256": {name: _sha256(base, name) for name in found.study.flown_with},

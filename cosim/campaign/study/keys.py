@@ -27,8 +27,8 @@ from cosim.control.predictors.registry import PREDICTORS
 from cosim.simulation.controllers.source import find
 from cosim.simulation.controllers.source import names as own_controllers
 from cosim.spec.controller_name import is_design
-from cosim.spec.scenario import Scenario, is_file
-from cosim.spec.vehicle import PredictorTuning, aircraft_names, load_vehicle
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of, is_file
 
 if TYPE_CHECKING:
     from cosim.engine.archive import Archive
@@ -241,7 +241,7 @@ def _with_own_engine(scenario: Scenario, values: Mapping[str, Value]) -> Mapping
     aircraft = values.get("aircraft", scenario.aircraft)
     if aircraft == scenario.aircraft or "engine" in values:
         return values
-    return {**values, "engine": load_vehicle(str(aircraft))[0].engine or scenario.engine}
+    return {**values, "engine": engine_of(str(aircraft), scenario.folder) or scenario.engine}
 
 
 def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[dict[str, Any], Mapping[str, Value]]:
@@ -251,10 +251,7 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
         return {}, values
     from cosim.design.controller_file import read_controller
 
-    file = read_controller(Path(path))
-    aircraft = values.get("aircraft", scenario.aircraft)
-    if file.design.aircraft != aircraft:
-        raise InputError(f"{path}: designed for aircraft {file.design.aircraft!r}, not for {aircraft!r}")
+    file = read_controller(Path(path), str(values.get("aircraft", scenario.aircraft)), scenario.folder)
     if abs(float(values.get("step_s", scenario.step_s)) - file.design.step_s) > 1e-9:
         raise InputError(f"{path}: designed for steps of {file.design.step_s:g} s, not of {scenario.step_s:g} s")
     return {"vehicle": file.vehicle}, {**values, "controller": file.controller}

@@ -27,8 +27,8 @@ from cosim.engine import EngineSpec
 from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import total_samples
 from cosim.simulation.ending import Ending
-from cosim.spec.scenario import Scenario, is_file
-from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle, aircraft_seen_from, file_seen_from, load_vehicle
 
 LEAD_S = 1.0
 REST_S = 6.0  # after the sweep, for the loop to come to rest
@@ -74,7 +74,7 @@ def identify_axis(
     size = AMPLITUDE if amplitude is None else amplitude
     flight = _sweep(base, axis, Sweep(low, high, size, seconds), automatic=amplitude is None)
     sweep, family = flight.sweep, flight.engine.family
-    response, notes = _response(flight.record(), sweep, f"{base.aircraft} {axis}", lags)
+    response, notes = _response(flight.record(), sweep, f"{base.aircraft_name} {axis}", lags)
     own = flight.engine.delay if axis == "roll" else None  # pitch and yaw turn the jets, they do not throttle them
     fits = _fits(response, lags, hold, None if own is None else own / base.step_s)
     if fits[0].misfit > POOR:
@@ -84,7 +84,7 @@ def identify_axis(
         )
     return Identification(
         kind="axis",
-        subject=base.aircraft,
+        subject=base.aircraft_name,
         engine=family,
         channel=axis,
         command_unit=UNITS[axis],
@@ -93,7 +93,7 @@ def identify_axis(
         response=response,
         fits=fits,
         source=f"swept {low:g} to {high:g} Hz in flight, amplitude {sweep.amplitude:.3g}, "
-        f"{base.aircraft} with {family}; {fits[0].label}",
+        f"{base.aircraft_name} with {family}; {fits[0].label}",
         ledger_samples=flight.ledger_samples,
         reference=flight.vehicle.identified.get(family, {}).get(axis),  # type: ignore[call-overload]
         notes=tuple(notes),
@@ -156,10 +156,11 @@ def _scenario(
     settings: Sequence[str],
 ) -> Scenario:
     """Hover at the sample time of the aircraft's models; with the Smith predictor where there is one for the engine."""
-    data: dict[str, Any] = {"name": f"identify-{axis}", "duration_s": 1.0, "aircraft": aircraft}
+    data: dict[str, Any] = {"name": f"identify-{axis}", "duration_s": 1.0}
+    data["aircraft"] = aircraft_seen_from(aircraft, Path())
     given = {"controller": controller, "substeps": substeps, "seed": seed}
     if engine is not None:
-        given["engine"] = str(Path(engine).absolute()) if is_file(engine) else engine
+        given["engine"] = file_seen_from(engine, Path())
     data |= {key: value for key, value in given.items() if value is not None}
     for text in settings:
         key, value = parse_setting(text)
@@ -184,7 +185,7 @@ def _sweep(base: Scenario, axis: str, sweep: Sweep, automatic: bool) -> _Flight:
     flight = _fly(base, axis, sweep)
     if flight.fine:
         return flight
-    where = f"{base.aircraft} {axis} with {flight.engine.name}, controller {base.controller}"
+    where = f"{base.aircraft_name} {axis} with {flight.engine.name}, controller {base.controller}"
     smaller = flight
     for _ in range(TRIES):
         lost = smaller.ending.outcome != "completed"
