@@ -53,7 +53,7 @@ from cosim.simulation.mismatch import as_flown, engines_as_flown
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_places import PlacePilot, flies_to_places
 from cosim.spec.scenario import Scenario, Station, TorqueCommandDisturbance
-from cosim.spec.vehicle import RateModel, Vehicle, is_file
+from cosim.spec.vehicle import RateModel, Vehicle, aircraft_seen_from, is_file
 from cosim.vehicle.airframe import Airframe, start_height
 from cosim.vehicle.atmosphere import standard_air
 from cosim.vehicle.banks import Banks
@@ -417,10 +417,11 @@ def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec
     )
 
 
-def _one_command(vehicle: Vehicle, engine: EngineSpec) -> str:
+def _one_command(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> str:
     """What to do about an engine for which there is no model: design for it, and fly that."""
     what = engine.name if engine.library else str(engine.mapping or engine.path)
-    aircraft = "" if vehicle.name == "hexjet" else f" --aircraft {vehicle.name}"
+    named = aircraft_seen_from(scenario.aircraft, scenario.folder)
+    aircraft = "" if named == "hexjet" else f" --aircraft {named}"
     file = f"{vehicle.name}-{Path(what).stem}.toml"
     return (
         f"one is made, with gains to go with it, by: hexjet design --engine {what}{aircraft} --out {file} "
@@ -436,7 +437,7 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
         raise InputError(
             f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "
             f"{engine.family!r}; there are models for: {', '.join(sorted(vehicle.identified))}; "
-            + _one_command(vehicle, engine)
+            + _one_command(scenario, vehicle, engine)
         )
     believed = _believed(scenario, vehicle, engine)
     found: list[Predictor] = []

@@ -549,12 +549,13 @@ def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:
     if not is_own(aircraft):
         if aircraft not in aircraft_names():
             known = nearest(aircraft, aircraft_names())
-            raise InputError(f"unknown aircraft {aircraft!r}; {known}, or the path of a folder")
+            here = f"./{aircraft}" if (folder / aircraft / VEHICLE).is_file() else "the path of a folder"
+            raise InputError(f"unknown aircraft {aircraft!r}; {known}, or {here}")
         return data_folder("aircraft") / aircraft / VEHICLE
     path = folder / aircraft
     path = path / VEHICLE if path.is_dir() else path
     if not path.is_file():
-        raise InputError(f"aircraft {aircraft}: {path}: no such file; name a folder with a {VEHICLE}, or such a file")
+        raise InputError(f"aircraft {path}: no such file; name a folder with a {VEHICLE}, or such a file")
     return path
 
 

@@ -1,0 +1,129 @@
+"""An aircraft in a folder of one's own: named by its path, the same flight, copied into the run."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from command_tools import Hexjet
+from places import DESIGNS, ROOT
+
+from cosim import Run, Scenario, fly
+from cosim.base.toml import read_toml
+from cosim.results.digest import log_digest
+
+SHORT = {"controller": "baseline", "duration_s": 0.4, "expect": []}
+SCALED = 'name = "same"\ntitle = "a copy, at the same mass"\n[scaled]\nbase = "hexjet"\nmass_kg = 5.525\n'
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    """The Hex-Jet, by another name and from elsewhere."""
+    folder = tmp_path / "mine"
+    shutil.copytree(ROOT / "aircraft" / "hexjet", folder)
+    text = (folder / "vehicle.toml").read_text().replace('name = "hexjet"', 'name = "mine"')
+    (folder / "vehicle.toml").write_text(text)
+    return folder
+
+
+def flown(aircraft: str, out: Path | None = None) -> Run:
+    run = fly(Scenario.load("roll-doublet").replace(aircraft=aircraft, **SHORT), out)
+    assert run.outcome == "completed", run.reason
+    return run
+
+
+def test_it_flies_as_the_one_that_it_is_a_copy_of(mine: Path, tmp_path: Path) -> None:
+    run = flown(str(mine), tmp_path / "run")
+    assert log_digest(run.log) == log_digest(flown("hexjet").log)
+    assert run.summary.aircraft == "mine"
+
+
+def test_a_run_that_was_moved_flies_again_without_the_folder(mine: Path, tmp_path: Path) -> None:
+    first = flown(str(mine), tmp_path / "run")
+    digest = log_digest(first.log)
+    shutil.rmtree(mine)
+    moved = (tmp_path / "run").rename(tmp_path / "moved")
+    again = fly(moved / "scenario.toml", tmp_path / "again")
+    assert log_digest(again.log) == digest
+    assert again.summary.sha256 == first.summary.sha256
+    assert again.summary.aircraft == "mine"
+
+
+@pytest.mark.parametrize("named", ["../mine", "../mine/vehicle.toml"])
+def test_a_scenario_names_it_as_seen_from_its_own_folder(mine: Path, tmp_path: Path, named: str) -> None:
+    (tmp_path / "flights").mkdir()
+    scenario = tmp_path / "flights" / "short.toml"
+    scenario.write_text(f'name = "short"\naircraft = "{named}"\nduration_s = 0.1\n')
+    assert fly(scenario).summary.aircraft == "mine"
+
+
+def test_a_scaled_copy_of_a_shipped_one_is_copied_whole(tmp_path: Path) -> None:
+    """At the mass of what it is a copy of, it is what it is a copy of."""
+    (tmp_path / "same").mkdir()
+    (tmp_path / "same" / "vehicle.toml").write_text(SCALED)
+    run = flown(str(tmp_path / "same"), tmp_path / "run")
+    assert log_digest(run.log) == log_digest(flown("hexjet").log)
+    assert "scaled" not in read_toml(tmp_path / "run" / "vehicle.toml")
+    assert log_digest(fly(tmp_path / "run" / "scenario.toml").log) == log_digest(run.log)
+
+
+def test_its_own_engine_is_seen_from_its_own_folder(mine: Path, hexjet: Hexjet) -> None:
+    (mine / "motor.fmu").write_bytes((ROOT / "fmus" / "edf-as-flown.fmu").read_bytes())
+    replace_in(mine, 'engine = "edf-as-flown"', 'engine = "motor.fmu"')
+    done = hexjet(
+        "fly", "hover", "--aircraft", "./mine", "--set", "duration_s=0.1", "--controller", "baseline", "--out", "r"
+    )
+    assert done.status == 0, done.err
+    assert Path("r/motor.fmu").is_file()
+
+
+def test_a_study_of_it_flies_from_its_folder_alone(mine: Path, hexjet: Hexjet, tmp_path: Path) -> None:
+    Path("own.toml").write_text('name = "own"\naircraft = "./mine"\nduration_s = 0.1\n')
+    varied = ("--vary", "vehicle.mass_kg=5.5,5.6", "--workers", "1", "--out", "study")
+    assert hexjet("sweep", "own.toml", *varied).status == 0
+    shutil.rmtree(mine)
+    moved = Path("study").rename(tmp_path / "moved")
+    assert hexjet("fly", str(moved), "--flight", "1", "--out", "again").status == 0
+
+
+def test_what_was_designed_for_it_flies_it_and_no_other(mine: Path, hexjet: Hexjet) -> None:
+    design = DESIGNS / "edf-as-flown.toml"
+    text = design.read_text()
+    Path("own.toml").write_text(text.replace('aircraft = "hexjet"', 'aircraft = "mine"'))
+    fly_it = ("fly", "hover", "--set", "duration_s=0.1", "--engine", "edf-as-flown", "--controller")
+    assert hexjet(*fly_it, "own.toml", "--aircraft", "./mine").status == 0
+    done = hexjet(*fly_it, "own.toml")
+    assert (done.status, done.err) == (2, "hexjet: own.toml: designed for aircraft 'mine', not for 'hexjet'\n")
+    done = hexjet(*fly_it, str(design), "--aircraft", "./mine")
+    assert done.status == 2
+    assert "designed for aircraft 'hexjet', not for 'mine'" in done.err
+
+
+def replace_in(folder: Path, old: str, new: str) -> None:
+    text = (folder / "vehicle.toml").read_text()
+    assert old in text
+    (folder / "vehicle.toml").write_text(text.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("aircraft", "said"),
+    [
+        ("nowhere/", "nowhere: no such file; name a folder with a vehicle.toml, or such a file"),
+        ("nowhere.toml", "nowhere.toml: no such file"),
+        ("empty/", "empty/vehicle.toml: no such file"),
+        ("hexjett", "unknown aircraft 'hexjett'; did you mean 'hexjet'?"),
+        ("shipped", "allowed: hexjet, hexjet-100, hexjet-p220, quadrotor, or ./shipped"),
+        ("broken/", "broken/vehicle.toml"),
+        ("shipped/", "name = 'hexjet': is the name of an aircraft that is shipped; choose another"),
+    ],
+)
+def test_a_wrong_one_is_one_line(hexjet: Hexjet, aircraft: str, said: str) -> None:
+    Path("empty").mkdir()
+    Path("broken").mkdir()
+    Path("broken/vehicle.toml").write_text("name = [")
+    shutil.copytree(ROOT / "aircraft" / "hexjet", "shipped")
+    done = hexjet("fly", "hover", "--aircraft", aircraft)
+    assert done.status == 2
+    assert said in done.err
+    assert done.err.count("\n") == 1
