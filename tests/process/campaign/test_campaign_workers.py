@@ -246,8 +246,8 @@ def test_a_flight_that_takes_its_process_along_is_given_up(study: Study, rows: l
 
 
 def test_a_flight_that_does_not_end_is_ended(study: Study, rows: list[Row], notes: Path) -> None:
-    # fifty times what a flight here takes on a machine with nothing else to do
-    limit = round(stretched(5.0))
+    # twenty times what a flight here takes on a machine with nothing else to do, and twice that at least
+    limit = round(stretched(2.0))
     with LocalWorkers(2, time_limit_s=limit, fly=tools.hanging) as workers:
         found = by_number(workers.fly(study, flights(study)))
     assert found[TROUBLED]["reason"] == f"not finished within the time limit of {limit} s"

@@ -80,7 +80,7 @@ class Flight:
         if self.chance.random() >= self.loss:
             self.socket.send(data)
 
-    def wait(self, *kinds: str, seconds: float = 0.6) -> Any:
+    def wait(self, *kinds: str, seconds: float = 0.15) -> Any:
         """Step until a message of these kinds comes."""
         end = time.monotonic() + stretched(seconds)
         while time.monotonic() < end:
