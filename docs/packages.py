@@ -41,6 +41,7 @@ EXTRAS = {
     "bench": "hexjet bench: other ways to step FMUs, a multirotor simulator",
     "cluster": "hexjet sweep --cluster",
     "gym": "the Gymnasium environment",
+    "mpc": "hexjet fly --controller mpc",
     "notebook": "a log as a table of pandas",
     "serial": "hexjet gcs --mavlink serial:DEVICE",
     "dev": "make check, make test",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from math import hypot, inf
 from pathlib import Path
@@ -231,20 +231,7 @@ class _Plugged:
                 f"scenario {scenario.name}: added_delay_samples = {scenario.added_delay_samples}: is added to a rate "
                 f"loop's output, which controller {own.label} does not have; take mismatch.delay_samples"
             )
-        thrust_map, hover = _hovering(vehicle, engine, stations)
-        built_in = scenario.model_copy(update={"controller": BASELINE.name})
-        self._belief = Belief(
-            scenario.step_s,
-            vehicle,
-            _believed(scenario, vehicle, engine),
-            thrust_map,
-            hover,
-            parameters,
-            "",
-            scenario.initial.on_ground,
-            lambda: [engine_reference(spec, scenario.step_s) for spec in stations],
-            lambda name: predictors(built_in.model_copy(update={"controller": name}), vehicle, engine),
-        )
+        self._belief = _told(scenario, vehicle, engine, stations, parameters)
         if own.level == "controller":
             self.whole = GuardedController(self._made(self._belief), self._named, self._belief)
         elif own.level == "rate":
@@ -288,6 +275,37 @@ class _Plugged:
             if hasattr(block, "close"):
                 block.close()
         self._deadline.close()
+
+
+def belief_of(scenario: Scenario, parameters: Mapping[str, float]) -> Belief:
+    """What a controller with these parameters would be told in a scenario.  Raises InputError as :func:`build`."""
+    vehicle, _ = scenario.resolved_vehicle()
+    engine, *stations = _engines(scenario, vehicle)
+    return _told(scenario, vehicle, engine, stations, parameters)
+
+
+def _told(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    engine: EngineSpec,
+    stations: Sequence[EngineSpec],
+    parameters: Mapping[str, float],
+) -> Belief:
+    """What a controller from outside is told, with its own parameters."""
+    thrust_map, hover = _hovering(vehicle, engine, stations)
+    built_in = scenario.model_copy(update={"controller": BASELINE.name})
+    return Belief(
+        scenario.step_s,
+        vehicle,
+        _believed(scenario, vehicle, engine),
+        thrust_map,
+        hover,
+        parameters,
+        "",
+        scenario.initial.on_ground,
+        lambda: [engine_reference(spec, scenario.step_s) for spec in stations],
+        lambda name: predictors(built_in.model_copy(update={"controller": name}), vehicle, engine),
+    )
 
 
 def _believed(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:

@@ -19,6 +19,7 @@ PACKAGE = ROOT / "cosim"
 HOMES = {
     "jsbsim": ["vehicle/airframe.py"],
     "fmpy": ["engine/"],
+    "osqp": ["control/laws/mpc.py"],
     "pymavlink": ["groundstation/mavlink/"],
     "plotly": ["results/report/page.py"],
     "pyarrow": ["results/arrow.py"],

@@ -1,0 +1,199 @@
+"""What the laws here have in common: a law for every axis that engines answer, and numbers without units to tune it.
+
+An identified response ``G(z)`` is, at low frequency, an integrator with a delay: ``G = k e^(-s theta) / s``.  All
+parameters are stated in ``k`` and ``theta``, so one set of them is a tuning for every vehicle whose engines answer late
+in the same way; what they stand for is in each law.  Axes without an identified model (those that servos turn) keep the
+PID of the vehicle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import nan
+from typing import ClassVar, Protocol
+
+from cosim.base.errors import InputError
+from cosim.base.protocols import Parameter
+from cosim.base.signals import AXES, Vector3
+from cosim.control.belief import Belief
+from cosim.control.predictors.smith import NoPredictor
+from cosim.control.rate import RateAxis
+from cosim.spec.vehicle import RateModel
+
+
+class AxisLaw(Protocol):
+    """One axis of a rate loop.  It may have ``predicted``, the rate that it feeds back, for the log."""
+
+    def reset(self) -> None:
+        """At rest, nothing applied."""
+
+    def update(self, setpoint: float, measured: float, applied: float) -> float:
+        """The command of a step, from rates [rad/s] and what was applied of the command of the step before."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis as a law may believe it."""
+
+    belief: Belief
+    name: str
+    model: RateModel
+
+    @property
+    def step(self) -> float:
+        """Control step, s."""
+        return self.model.sample_time_s
+
+    @property
+    def slow(self) -> float:
+        """The pole that integrates, nearest to 1."""
+        return max(self.model.poles)
+
+    @property
+    def gain(self) -> float:
+        """``k``, rad/s^2 per command: what :attr:`slow` adds up, with everything faster at rest."""
+        value: complex = self.model.gain / self.step
+        for zero in self.model.all_zeros:
+            value *= 1.0 - zero
+        for pole in self._fast:
+            value /= 1.0 - pole
+        return value.real
+
+    @property
+    def delay(self) -> float:
+        """``theta``, s: transport, half a step of hold, and ``1 / (1 - p)`` samples of every faster pole (zeros: less).
+
+        ``arg(z - p)`` on the unit circle grows with ``1 / (1 - p)`` at its beginning.
+        """
+        samples: complex = self.model.delay_samples + 0.5
+        for pole in self._fast:
+            samples += 1.0 / (1.0 - pole)
+        for zero in self.model.all_zeros:
+            samples -= 1.0 / (1.0 - zero)
+        return samples.real * self.step
+
+    @property
+    def _fast(self) -> list[complex]:
+        poles = list(self.model.all_poles)
+        poles.remove(self.slow)
+        return poles
+
+
+class Actuators:
+    """What the commands become: ``A = (1 - p) z / (z - p) z^-1-n``, a lag of one pole behind a delay of ``n`` steps."""
+
+    def __init__(self, samples: int, pole: float) -> None:
+        self._pole, self.samples = pole, samples
+        powers = [pole**j for j in range(samples + 1)]
+        # summed over the delay: of where the lag is, and of each command on its way, the oldest first
+        self._of_lag = sum(powers[1:])
+        self._weights = [sum((1.0 - pole) * power for power in powers[: samples - i]) for i in range(samples)]
+        self.reset()
+
+    @classmethod
+    def of(cls, axis: Axis) -> Actuators:
+        """The transport delay of a model in whole steps, and one lag for all that is faster than its integrator."""
+        samples = max(1, round(axis.model.delay_samples))
+        lag = max(axis.delay / axis.step - 0.5 - samples, 0.0)  # in steps
+        return cls(samples, lag / (1.0 + lag))
+
+    def reset(self) -> None:
+        self._sent = [0.0] * (self.samples + 1)  # the oldest first
+        self.now = 0.0
+
+    def update(self, applied: float) -> float:
+        """What acted over the step that ends now, after the command of it."""
+        sent = self._sent
+        del sent[0]
+        sent.append(applied)
+        self.now = self._pole * self.now + (1.0 - self._pole) * sent[0]
+        return self.now
+
+    @property
+    def ahead(self) -> float:
+        """The sum of what will act over the steps of the delay."""
+        total = self._of_lag * self.now
+        for weight, command in zip(self._weights, self._sent[-self.samples :], strict=True):
+            total += weight * command
+        return total
+
+
+def tuned(name: str, value: float, meaning: str, least: float = 1e-3, most: float = 1e3) -> Parameter:
+    """A parameter without a unit, above 0."""
+    return Parameter(name, value, "", meaning, least, most)
+
+
+def angle(value: float) -> Parameter:
+    """The gain of the attitude loop above: of all that a law asks for, the one number that it does not apply itself."""
+    return tuned("angle", value, "gain of the attitude loop [1/s] times theta: set-points are scaled to have it")
+
+
+class RateLaw:
+    """A rate loop of :class:`AxisLaw`; see :class:`cosim.base.protocols.RateLoop`."""
+
+    level = "rate"
+    parameters: ClassVar[tuple[Parameter, ...]]
+
+    def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
+        """The law of one axis.  Raises InputError where its model does not do."""
+        raise NotImplementedError
+
+    def prepare(self, belief: Belief) -> None:
+        """A law for every axis with a model.  Raises InputError if there is none."""
+        if not belief.models:
+            raise InputError(
+                f"{type(self).__name__}: needs a model of how this engine turns {belief.vehicle.name}, and none is "
+                "identified at this step; hexjet identify makes one"
+            )
+        control, own = belief.vehicle.control, belief.parameters
+        self._laws: list[AxisLaw] = []
+        self._scales: list[float] = []
+        for index, name in enumerate(AXES):
+            model = belief.models.get(name)
+            if model is None:
+                self._laws.append(Pid(RateAxis(getattr(control.rate, name), NoPredictor(), belief.step_s)))
+                self._scales.append(1.0)
+            else:
+                axis = Axis(belief, name, model)
+                self._laws.append(self.on(axis, own))
+                self._scales.append(own["angle"] / axis.delay / control.attitude.gain_1_s[index])
+
+    def reset(self) -> None:
+        """At rest."""
+        for law in self._laws:
+            law.reset()
+
+    def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
+        """One step of all axes."""
+        (roll, pitch, yaw), (x, y, z) = self._laws, self._scales
+        return (
+            roll.update(x * setpoint[0], measured[0], applied[0]),
+            pitch.update(y * setpoint[1], measured[1], applied[1]),
+            yaw.update(z * setpoint[2], measured[2], applied[2]),
+        )
+
+    @property
+    def predicted(self) -> Vector3:
+        """The rates that are fed back, rad/s."""
+        x, y, z = (getattr(law, "predicted", nan) for law in self._laws)
+        return (x, y, z)
+
+
+class Pid:
+    """The built-in PID with its predictor, as an :class:`AxisLaw`."""
+
+    def __init__(self, axis: RateAxis) -> None:
+        self._axis, self._asked = axis, 0.0
+
+    def reset(self) -> None:
+        self._axis.reset()
+        self._asked = 0.0
+
+    def update(self, setpoint: float, measured: float, applied: float) -> float:
+        self._asked = self._axis.update(setpoint, measured, self._asked - applied)
+        return self._asked
+
+    @property
+    def predicted(self) -> float:
+        return self._axis.predicted

@@ -1,0 +1,73 @@
+"""The built-in PID with each of the built-in predictors, tuned as the other laws are.
+
+    u = p (r - y^) + i integral(r - y^) - d y^'
+
+with ``y^`` from the predictor: see :class:`cosim.control.rate.RateAxis`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from cosim.base.protocols import Parameter
+from cosim.control.laws.axis import Axis, AxisLaw, Pid, RateLaw, angle, tuned
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.control.rate import RateAxis
+
+
+def _gains(a: float, p: float, i: float, d: float) -> tuple[Parameter, ...]:
+    return (
+        angle(a),
+        tuned("p", p, "proportional gain times k theta"),
+        tuned("i", i, "integral over proportional gain [1/s] times theta", 0.0),
+        tuned("d", d, "derivative over proportional gain [s] over theta", 0.0),
+    )
+
+
+class Cascaded(RateLaw):
+    """PID without a predictor."""
+
+    predictor: ClassVar[str] = "baseline"
+    parameters = _gains(0.2414, 0.7053, 0.1938, 0.4911)
+
+    def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
+        """The PID, its derivative filtered at a tenth of what it leads by and no faster than a step."""
+        vehicle, theta = axis.belief.vehicle, axis.delay
+        p = own["p"] / (axis.gain * theta)
+        d = own["d"] * theta
+        gains = getattr(vehicle.control.rate, axis.name).model_copy(
+            update={"p": p, "i": p * own["i"] / theta, "d": p * d, "d_filter_s": max(axis.step, 0.1 * d)}
+        )
+        spec = PREDICTORS[self.predictor]
+        values = {each.name: own["predictor"] * each.scale(theta) for each in spec.parameters}
+        predictor = spec.predictor(axis.model, spec.tuned(vehicle.control.predictor, values))
+        return Pid(RateAxis(gains, predictor, axis.step))
+
+
+class Smith(Cascaded):
+    """With Smith's predictor (O. J. M. Smith, 1957), as in the paper."""
+
+    predictor = "smith"
+    parameters = _gains(0.4926, 2.305, 0.08939, 0.3639)
+
+
+class FilteredSmith(Cascaded):
+    """With Smith's predictor behind a robustness filter (Normey-Rico and Camacho, 2007)."""
+
+    predictor = "filtered-smith"
+    parameters = (*_gains(0.5, 0.8, 0.1, 0.1), tuned("predictor", 1.0, "time constant of the filter over theta"))
+
+
+class StatePredictor(Cascaded):
+    """With the paper's state predictor."""
+
+    predictor = "state"
+    parameters = (*_gains(0.5, 0.8, 0.1, 0.1), tuned("predictor", 5.0, "bandwidth of the observer times theta"))
+
+
+class StateDisturbance(Cascaded):
+    """With the state predictor that estimates a disturbance of the input (after Sanz et al., 2016)."""
+
+    predictor = "state-disturbance"
+    parameters = (*_gains(0.5, 0.8, 0.1, 0.1), tuned("predictor", 2.0, "bandwidth of the observer times theta"))

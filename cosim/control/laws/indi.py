@@ -1,0 +1,84 @@
+"""Incremental nonlinear dynamic inversion with an actuator model and a predictor.
+
+The angular acceleration is measured, and only its increment is asked of the model: from where the actuators were when
+it was measured, ``u_f``, to where they must be,
+
+    u = u_f + (v - a_f) / k,   v = w (r - y_p),
+    a_f = H(s) s y,  u_f = H(s) A(z) u,  H = w_f^2 / (s^2 + 1.1 w_f s + w_f^2)
+
+with ``A`` the actuators (:class:`cosim.control.laws.axis.Actuators`), so that both sides are late alike.  The rate that
+``v`` corrects is predicted over the delay by the same increments: ``y_p = y + T sum_j (a_f + k (x_j - u_f))``, with
+``x_j`` the actuators j steps ahead, which the commands on their way decide.
+
+Sources: Smeur, Chu and de Croon, "Adaptive incremental nonlinear dynamic inversion for attitude control of micro air
+vehicles", Journal of Guidance, Control, and Dynamics 39 (2016) (the law, ``H`` with its damping of 0.55, the filtered
+actuator model).  The prediction by increments is ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import cos, exp, sin, sqrt
+
+from cosim.control.laws.axis import Actuators, Axis, AxisLaw, RateLaw, angle, tuned
+
+DAMPING = 0.55
+
+
+class SecondOrder:
+    """``H`` held and sampled, exactly: value and slope of a continuous filter whose input is held over a step."""
+
+    def __init__(self, natural: float, step: float) -> None:
+        decay, turn = DAMPING * natural, natural * sqrt(1.0 - DAMPING * DAMPING)
+        e, c, s = exp(-decay * step), cos(turn * step), sin(turn * step)
+        # x' = A (x - input), of value and slope
+        self._a = (e * (c + decay / turn * s), e * s / turn)
+        self._b = (-e * natural * natural / turn * s, e * (c - decay / turn * s))
+        self.reset()
+
+    def reset(self) -> None:
+        self.value = self.slope = 0.0
+
+    def update(self, value: float) -> None:
+        off, slope = self.value - value, self.slope
+        self.value = value + self._a[0] * off + self._a[1] * slope
+        self.slope = self._b[0] * off + self._b[1] * slope
+
+
+class IndiAxis:
+    """One axis: ``gain`` rad/s^2 per command, bandwidths in rad/s."""
+
+    def __init__(self, gain: float, actuators: Actuators, speed: float, filtered: float, step: float) -> None:
+        self._gain, self._actuators, self._speed, self._step = gain, actuators, speed, step
+        self._of_rate, self._of_actuator = SecondOrder(filtered, step), SecondOrder(filtered, step)
+        self.reset()
+
+    def reset(self) -> None:
+        self.predicted = 0.0
+        for part in (self._actuators, self._of_rate, self._of_actuator):
+            part.reset()
+
+    def update(self, setpoint: float, measured: float, applied: float) -> float:
+        actuators, gain = self._actuators, self._gain
+        self._of_rate.update(measured)
+        self._of_actuator.update(actuators.update(applied))
+        acceleration, there = self._of_rate.slope, self._of_actuator.value
+        ahead = actuators.samples * (acceleration - gain * there) + gain * actuators.ahead
+        self.predicted = measured + self._step * ahead
+        wanted = self._speed * (setpoint - self.predicted)
+        return there + (wanted - acceleration) / gain
+
+
+class Indi(RateLaw):
+    """INDI on every axis that engines answer."""
+
+    parameters = (
+        angle(0.25),
+        tuned("speed", 0.5, "gain of the rate's error [1/s] times theta"),
+        tuned("filter", 20.0, "natural frequency of the filter H [rad/s] times theta"),
+    )
+
+    def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
+        """The law of one axis."""
+        theta = axis.delay
+        return IndiAxis(axis.gain, Actuators.of(axis), own["speed"] / theta, own["filter"] / theta, axis.step)

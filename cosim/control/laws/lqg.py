@@ -1,0 +1,126 @@
+"""LQG with the delay in the model: a regulator of all states, commands on their way among them, and a Kalman filter.
+
+    xi = (x, u_k-n, ..., u_k-1),  x' = A x + B (u_k-n + d),  y = C x
+    u = -K xi + N r - d^,         K least sum (y - r)^2 + rho u^2,   N so that y = r at rest
+
+``d`` is a disturbance of the input, a random walk; the filter estimates it with ``x`` and the regulator takes it off.
+The commands on their way are known, so the filter has ``x`` and ``d`` alone.  Both gains are steady-state solutions of
+Riccati's equation.  Weights are stated by what they come to on an integrator, ``y' = k u``: the regulator's pole is at
+``k / sqrt(rho)``, the filter's poles at ``(k^2 q / r)^(1/4)`` with ``q`` and ``r`` the intensities of walk and noise.
+
+Sources: Astrom and Wittenmark, "Computer-Controlled Systems", 3rd edition (1997), chapters 3 (a delay as states) and 11
+(LQG); Franklin, Powell and Workman, "Digital Control of Dynamic Systems" (disturbance estimated and taken off).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, angle, tuned
+from cosim.control.predictors.linear import cascade
+from cosim.spec.vehicle import RateModel
+
+
+def delayed(A: Array, B: Array, samples: int) -> tuple[Array, Array]:
+    """A model with so many commands on their way as states, the oldest first."""
+    n = len(A)
+    late = np.zeros((n + samples, n + samples))
+    late[:n, :n] = A
+    if not samples:
+        return late, B.copy()
+    late[:n, n] = B
+    late[n:-1, n + 1 :] = np.eye(samples - 1)
+    return late, np.eye(n + samples)[:, -1]
+
+
+def regulator(A: Array, B: Array, C: Array, rho: float) -> tuple[Array, float]:
+    """``K`` and ``N``: least ``sum y^2 + rho u^2``, and ``y`` at the set-point at rest."""
+    from scipy.linalg import solve_discrete_are
+
+    b = B[:, None]
+    P = solve_discrete_are(A, b, np.outer(C, C), np.array([[rho]]))
+    K = np.linalg.solve(b.T @ P @ b + rho, b.T @ P @ A)[0]
+    return K, float(1.0 / (C @ np.linalg.solve(np.eye(len(A)) - A + np.outer(B, K), B)))
+
+
+class Filter:
+    """Kalman's, at rest, of a model with a random walk ``d`` added to its input; ``walk`` over the noise's variance."""
+
+    def __init__(self, A: Array, B: Array, C: Array, walk: float) -> None:
+        from scipy.linalg import solve_discrete_are
+
+        n = len(A)
+        F = np.eye(n + 1)
+        F[:n, :n], F[:n, n] = A, B
+        H = np.append(C, 0.0)
+        Q = np.zeros((n + 1, n + 1))
+        Q[n, n] = walk
+        P = solve_discrete_are(F.T, H[:, None], Q, np.array([[1.0]]))
+        self.gain: Array = P @ H / (H @ P @ H + 1.0)
+        self.F, self.H, self._B = F, H, np.append(B, 0.0)
+        self.reset()
+
+    def reset(self) -> None:
+        self.state: Array = np.zeros(len(self.F))
+
+    def update(self, measured: float, arrives: float) -> Array:
+        """Model states and disturbance, after the command ``arrives`` has acted for a step and this was measured."""
+        ahead = self.F @ self.state + self._B * arrives
+        self.state = ahead + self.gain * (measured - self.H @ ahead)
+        return self.state
+
+
+def believed(axis: Axis) -> tuple[Array, Array, Array, int]:
+    """The model of an axis and its delay in whole steps; a fraction goes to the nearest."""
+    model: RateModel = axis.model
+    return *cascade(model), round(model.delay_samples)
+
+
+def filtered(axis: Axis, observer: float) -> Filter:
+    """The filter of an axis with this bandwidth, rad/s."""
+    A, B, C, _ = believed(axis)
+    return Filter(A, B, C, (observer**4 * axis.step**2) / axis.gain**2)
+
+
+class LqgAxis:
+    """One axis."""
+
+    def __init__(self, axis: Axis, speed: float, observer: float) -> None:
+        A, B, C, samples = believed(axis)
+        self._filter = filtered(axis, observer)
+        self.gain, self.forward = regulator(*delayed(A, B, samples), np.append(C, np.zeros(samples)),
+                                            (axis.gain / speed) ** 2)  # fmt: skip
+        self._of_state, self._of_sent = self.gain[: len(A)], self.gain[len(A) :]
+        self._of_disturbance = 1.0 + float(self._of_sent.sum())
+        self._late = samples
+        self.reset()
+
+    def reset(self) -> None:
+        self._filter.reset()
+        self._sent: Array = np.zeros(self._late + 1)  # the oldest first
+
+    def update(self, setpoint: float, measured: float, applied: float) -> float:
+        sent = self._sent
+        sent[:-1] = sent[1:]
+        sent[-1] = applied
+        state = self._filter.update(measured, float(sent[0]))
+        answer = self.forward * setpoint - self._of_state @ state[:-1] - self._of_sent @ sent[1:]
+        return float(answer - self._of_disturbance * state[-1])
+
+
+class Lqg(RateLaw):
+    """LQG on every axis that engines answer."""
+
+    parameters = (
+        angle(0.5),
+        tuned("speed", 1.5, "bandwidth of the regulator k / sqrt(rho) [rad/s] times theta"),
+        tuned("observer", 2.0, "bandwidth of the Kalman filter [rad/s] times theta"),
+    )
+
+    def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
+        """The law of one axis."""
+        theta = axis.delay
+        return LqgAxis(axis, own["speed"] / theta, own["observer"] / theta)

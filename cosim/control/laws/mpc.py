@@ -1,0 +1,128 @@
+"""Linear model predictive control: the delay as states, the command within what the throttles can give.
+
+    least  sum_j=1..N (y_k+n+j - r)^2 + lambda sum (change of u)^2   within   -room <= u <= room
+
+over the next commands, the first that still can be chosen; those on their way are in the prediction.  Commands are
+kept for ever longer blocks of steps, the horizon ``N`` is twice ``theta``.  State and disturbance come from the Kalman
+filter of :mod:`cosim.control.laws.lqg`.  While the unconstrained optimum is within the limits it is the optimum, and
+the law is linear; else OSQP solves the quadratic programme.
+
+``lambda = k^2 / (w^4 T^2)``: on an integrator it puts the loop's poles at ``w``.
+
+Sources: Maciejowski, "Predictive Control with Constraints" (2002), chapters 2 and 3; Pannocchia and Rawlings,
+"Disturbance models for offset-free model-predictive control", AIChE Journal 49 (2003); Stellato et al., "OSQP: an
+operator splitting solver for quadratic programs", Mathematical Programming Computation 12 (2020).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import FlightError, InputError
+from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, angle, tuned
+from cosim.control.laws.lqg import believed, filtered
+
+BLOCKS = (1, 1, 1, 2, 2, 3, 4, 6, 8, 12)  # steps for which each command is kept; the last until the end
+SURE = 1e-9  # of the command, within which OSQP has to keep its answer
+
+
+def osqp() -> Any:
+    """The solver.  Raises InputError where it is not installed."""
+    try:
+        import osqp
+    except ImportError:
+        raise InputError("mpc needs the package osqp: pip install 'hexjet-cosim[mpc]'") from None
+    return osqp
+
+
+class MpcAxis:
+    """One axis; ``room`` is how far the command may go either way."""
+
+    def __init__(self, axis: Axis, speed: float, observer: float, room: float) -> None:
+        A, B, C, samples = believed(axis)
+        self._filter, self._room, self._late = filtered(axis, observer), room, samples
+        horizon, moves, n = round(2.0 * axis.delay / axis.step), len(BLOCKS), len(A)
+        weight = axis.gain**2 / (speed**4 * axis.step**2)
+        # state when the first command that can be chosen acts: from the state now, and from the commands on their way
+        powers = [np.eye(n)]
+        for _ in range(max(samples, horizon)):
+            powers.append(A @ powers[-1])
+        self._of_state = powers[samples]
+        self._of_sent = np.stack([powers[samples - 1 - i] @ B for i in range(samples)], axis=1)
+        answers = np.array([C @ power @ B for power in powers[:horizon]])  # of y to a command, step by step
+        block = np.minimum(np.searchsorted(np.cumsum(BLOCKS), np.arange(horizon), side="right"), moves - 1)
+        forced = np.zeros((horizon, moves))
+        for j in range(horizon):
+            for m in range(j + 1):
+                forced[j, block[m]] += answers[j - m]
+        free = np.stack([C @ power for power in powers[1 : horizon + 1]])
+        change = np.eye(moves) - np.eye(moves, k=-1)
+        self.hessian: Array = forced.T @ forced + weight * change.T @ change
+        last = weight * change.T @ np.eye(moves)[:, 0]
+        # gradient = of_late state_late - of_setpoint r - last u_k-1
+        self._gradient = (forced.T @ free, forced.T @ np.ones(horizon), last)
+        self._solution = -np.linalg.inv(self.hessian)
+        self._osqp = osqp()
+        self.reset()
+
+    def reset(self) -> None:
+        self._filter.reset()
+        self._sent: Array = np.zeros(self._late + 1)  # the oldest first
+        self._solver: Any = None  # another flight begins with another solver: its answers remember the last ones
+
+    def update(self, setpoint: float, measured: float, applied: float) -> float:
+        sent = self._sent
+        sent[:-1] = sent[1:]
+        sent[-1] = applied
+        state = self._filter.update(measured, float(sent[0]))
+        disturbance = float(state[-1])
+        late = self._of_state @ state[:-1] + self._of_sent @ (sent[1:] + disturbance)
+        of_late, of_setpoint, of_last = self._gradient
+        gradient = of_late @ late - of_setpoint * setpoint - of_last * (applied + disturbance)
+        plan = self._solution @ gradient  # of command and disturbance together
+        if np.abs(plan - disturbance).max() > self._room:
+            plan = self.bounded(gradient, disturbance)
+        return float(plan[0]) - disturbance
+
+    def bounded(self, gradient: Array, disturbance: float) -> Array:
+        """The plan within the limits.  Raises FlightError where the solver finds none."""
+        from scipy.sparse import csc_matrix
+
+        moves = len(gradient)
+        low, high = np.full(moves, disturbance - self._room), np.full(moves, disturbance + self._room)
+        # in units of the largest curvature, which is of 1e-3 and less otherwise
+        size = float(np.abs(self.hessian).max())
+        if self._solver is None:
+            self._solver = self._osqp.OSQP()
+            # a step length that is adapted by the clock would make flights differ
+            self._solver.setup(
+                csc_matrix(np.triu(self.hessian / size)), gradient / size, csc_matrix(np.eye(moves)), low, high,
+                verbose=False, eps_abs=SURE, eps_rel=SURE, adaptive_rho=False, rho=1.0, max_iter=20000, polishing=True,
+            )  # fmt: skip
+        else:
+            self._solver.update(q=gradient / size, l=low, u=high)
+        found = self._solver.solve(raise_error=False)
+        if found.info.status not in ("solved", "solved inaccurate"):
+            raise FlightError(f"OSQP: {found.info.status} after {found.info.iter} rounds")
+        plan: Array = np.clip(found.x, low, high)
+        return plan
+
+
+class Mpc(RateLaw):
+    """Model predictive control on every axis that engines answer."""
+
+    parameters = (
+        angle(0.5),
+        tuned("speed", 2.0, "bandwidth that the weight on changes comes to [rad/s], times theta"),
+        tuned("observer", 2.0, "bandwidth of the Kalman filter [rad/s] times theta"),
+    )
+
+    def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
+        """The law of one axis; its room is what hover leaves of the throttles, either way."""
+        theta, limits, hover = axis.delay, axis.belief.vehicle.control.allocation, axis.belief.hover
+        room = min(hover - limits.throttle_min, limits.throttle_max - hover)
+        return MpcAxis(axis, own["speed"] / theta, own["observer"] / theta, room)
