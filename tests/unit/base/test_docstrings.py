@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import inspect
 import re
+import runpy
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from places import DOCS
 
 import cosim
-from cosim.base import protocols
+from cosim.base import protocols, signals
+from cosim.results.report.marks import parts_of
 
 
 def documented() -> Iterator[tuple[str, Any]]:
@@ -78,3 +81,13 @@ def test_a_docstring_has_every_parameter(name: str) -> None:
 )
 def test_what_is_raised_is_said(name: str) -> None:
     assert "InputError" in sections(inspect.getdoc(EACH[name]) or "")["Raises"]
+
+
+def test_the_reference_is_made_of_them() -> None:
+    """docs/api.md; after a change of a docstring in it: python docs/api.py."""
+    made = runpy.run_path(str(DOCS / "api.py"))["parts"]()
+    assert parts_of((DOCS / "api.md").read_text(encoding="utf-8"), "docs/api.md") == made, "run: python docs/api.py"
+    for name in (each for each in EACH if "." not in each):
+        assert f"### `{name}`" in "".join(made.values()), name
+    for record in (signals.Measured, signals.Command, signals.Sample, protocols.Applied, protocols.Parameter):
+        assert all(f"| `{field}` | `" in made["api: records"] for field in record._fields)

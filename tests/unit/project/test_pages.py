@@ -67,6 +67,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "aircraft/quadrotor/README.md": ("test_pages.py", "test_quadrotor.py"),
     "benchmarks/README.md": ("test_pages.py",),
     "docs/accuracy.md": ("marks", "test_accuracy.py"),
+    "docs/api.md": ("marks", "test_docstrings.py"),
     "docs/benchmarks.md": ("marks", "test_bench.py"),
     "docs/campaigns.md": ("test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py"),
     "docs/control-design.md": ("marks", "test_pages.py"),

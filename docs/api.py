@@ -1,0 +1,112 @@
+"""Writes docs/api.md from the docstrings: ``python docs/api.py``.
+
+In it is what a program calls, the exports of ``cosim``; what it may write for a flight, the protocols with what they
+are told; and the records that travel between them.  Docstrings have the sections of numpydoc; a field's comment is
+its meaning.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import cosim
+from cosim.base import protocols
+from cosim.control.belief import Belief
+from cosim.results.report.marks import write_marks
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "api.md"
+SECTION = re.compile(r"^(\w+)\n-{3,}\n", re.MULTILINE)
+ENTRY = re.compile(r"^(\S[^\n]*)\n((?:    [^\n]*\n?|\n(?=    ))+)", re.MULTILINE)
+RECORDS = ("cosim/base/signals.py", "cosim/base/protocols.py")
+
+
+def parts() -> dict[str, str]:
+    """The page's three parts."""
+    exports = {name: getattr(cosim, name) for name in cosim.__all__}
+    blocks = {name: each for name, each in vars(protocols).items() if getattr(each, "_is_protocol", False)}
+    del exports["Command"], blocks["Protocol"]  # a record; and typing's
+    text = {
+        "calls": [_about(name, each) for name, each in exports.items()],
+        "protocols": [_about(name, each) for name, each in (blocks | {"Belief": Belief}).items()],
+        "records": [_record(each, lines) for module in RECORDS for each, lines in _records(ROOT / module)],
+    }
+    return {f"api: {name}": "\n".join(each).rstrip() + "\n" for name, each in text.items()}
+
+
+def _about(name: str, each: Any) -> str:
+    """A function; or a class, with what it has."""
+    if not inspect.isclass(each):
+        return f"### `{name}`\n\n{_signature(name, each)}{_body(each)}"
+    shown = f"### `{name}`\n\n{_body(each)}"
+    for member, value in vars(each).items():
+        found = value.__func__ if isinstance(value, (classmethod, staticmethod)) else value
+        if member.startswith("_") or not inspect.getdoc(found):
+            continue
+        if isinstance(found, property):
+            shown += f"\n**`{name}.{member}`** {_prose(inspect.getdoc(found) or '')}\n"
+        elif inspect.isroutine(found) and str(getattr(found, "__module__", "")).startswith("cosim"):
+            shown += f"\n{_signature(f'{name}.{member}', found)}{_body(found)}"
+    return shown
+
+
+def _signature(name: str, each: Any) -> str:
+    found = inspect.signature(each)
+    told = [
+        parameter.replace(annotation=inspect.Parameter.empty)
+        for parameter in found.parameters.values()
+        if parameter.name not in ("self", "cls")
+    ]
+    plain = str(found.replace(parameters=told, return_annotation=inspect.Signature.empty))
+    plain = re.sub(r"<function (\w+) at [^>]*>", r"\1", plain)
+    return f"```python\n{name}{plain}\n```\n\n"
+
+
+def _body(each: Any) -> str:
+    """A docstring: its prose, and the entries of its sections as a list."""
+    text = inspect.getdoc(each) or ""
+    prose, *sections = SECTION.split(text)
+    shown = f"{_prose(prose)}\n"
+    for title, body in zip(sections[::2], sections[1::2], strict=True):
+        shown += f"\n{title}:\n\n"
+        for head, said in ENTRY.findall(f"{body.rstrip()}\n"):
+            what, _, kind = head.partition(" : ")
+            shown += f"- `{what}`{f' ({kind})' if kind else ''}: {_prose(said)}\n"
+    return shown
+
+
+def _records(path: Path) -> Iterator[tuple[ast.ClassDef, list[str]]]:
+    """The named tuples of a module, from its text: a compiled class has none."""
+    text = path.read_text(encoding="utf-8")
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.ClassDef) and any(ast.unparse(base) == "NamedTuple" for base in node.bases):
+            yield node, text.splitlines()
+
+
+def _record(node: ast.ClassDef, lines: Sequence[str]) -> str:
+    """A named tuple: its fields with type, default and meaning."""
+    rows = []
+    for each in node.body:
+        if isinstance(each, ast.AnnAssign):
+            default = "" if each.value is None else f"`{ast.unparse(each.value)}`"
+            meaning = lines[(each.end_lineno or each.lineno) - 1][each.end_col_offset or 0 :].partition("# ")[2]
+            kind = ast.unparse(each.annotation).replace("|", "\\|")
+            said = _prose(meaning).replace("|", "\\|")
+            rows.append(f"| `{ast.unparse(each.target)}` | `{kind}` | {default} | {said} |\n")
+    head = "| field | type | default | meaning |\n| --- | --- | --- | --- |\n"
+    return f"### `{node.name}`\n\n{_prose(ast.get_docstring(node) or '')}\n\n{head}{''.join(rows)}"
+
+
+def _prose(text: str) -> str:
+    """A docstring's text on one line a paragraph, its roles and literals as Markdown's code."""
+    text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text.replace("``", "`"))
+    return "\n\n".join(" ".join(part.split()) for part in inspect.cleandoc(text).split("\n\n")).strip()
+
+
+if __name__ == "__main__":
+    write_marks(PAGE, parts())
