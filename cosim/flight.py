@@ -407,7 +407,7 @@ def reach(simulation: Simulation) -> Reach:
 
 def _station(spec: EngineSpec, reference: EngineSpec) -> StationEngine:
     curve = () if spec is reference else tuple(zip(spec.curve.throttle, spec.curve.thrust, strict=True))
-    return StationEngine(engine=spec.name, sha256=spec.sha256, curve=curve)
+    return StationEngine(engine=spec.name, sha256=spec.sha256, curve=curve, apart=spec.misbehaves)
 
 
 def _engine_hashes(specs: Sequence[EngineSpec]) -> dict[str, str]:

@@ -212,6 +212,9 @@ def print_run(run: Run) -> None:
     _print_whole(run)
     for text in summary.exceeded:
         console.print(f"beyond its limit: {text}", highlight=False)
+    for engine, why in dict.fromkeys((each.engine, each.apart) for each in summary.stations if each.apart):
+        text = f"engines in a process of their own, because {engine} {why}"
+        console.print(text, highlight=False, markup=False, soft_wrap=True)
     own = summary.own_controller
     if own is not None and own.repeatable is False:
         console.print(

@@ -7,6 +7,7 @@ that it is without, bit for bit; what it costs is two passages through a socket 
 
 from __future__ import annotations
 
+import os
 import pickle
 import signal
 import socket
@@ -28,6 +29,8 @@ from cosim.engine.spec import EngineSpec
 HANG_S = 4.0  # for one step of all engines; chosen by us: a thousand control steps
 START_S = 120.0  # to be loaded, started and run up, which a flight does once
 CLOSE_S = 2.0  # to be freed
+MOST_MB = 1024.0  # resident, of the engines' process: as a check allows (cosim.engine.qualify.supervisor.Limits)
+LOOKED_AT = 250  # steps between two looks at that: a second
 _SERVE = "import sys; from cosim.engine.isolated import serve; serve(int(sys.argv[1]))"
 
 
@@ -132,6 +135,7 @@ def _frames(count: int) -> tuple[struct.Struct, struct.Struct]:
 def serve(number: int) -> None:
     """The child: make a bank and do with it what is asked for, until nobody asks any more."""
     from cosim.engine.qualify.child import die_with_parent
+    from cosim.engine.qualify.supervisor import megabytes
 
     die_with_parent()
     pipe = Connection(number)
@@ -149,7 +153,11 @@ def serve(number: int) -> None:
                 values = row.unpack(data[9:])
                 air = values[count:]
                 ambient = Ambient(air[1], air[2], air[3:]) if air[0] else None
-                output = bank.step(struct.unpack("<q", data[1:9])[0], values[:count], ambient)
+                k = struct.unpack("<q", data[1:9])[0]
+                output = bank.step(k, values[:count], ambient)
+                if k % LOOKED_AT == 0 and (size := megabytes(os.getpid())) > MOST_MB:
+                    much = f"takes {size:.0f} MB of memory at step {k}, {MOST_MB:g} MB at most: it leaks"
+                    raise EngineError(f"engines: their process {much}")
                 pipe.send_bytes(b"s" + answer.pack(*(value for each in output for value in each)))
                 continue
             what, *given = pickle.loads(data[1:])

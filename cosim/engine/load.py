@@ -83,7 +83,7 @@ def load_unchecked(
         window=window_for(measured.response.delay),
         quiet=measured.quiet,
         air=air,
-        isolated=mapping.isolated,
+        isolated=bool(mapping.isolated),
     )
 
 

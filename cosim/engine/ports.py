@@ -428,7 +428,7 @@ class MappingFile(Model):
 
     fmu: str = Field(min_length=1)
     title: str = ""
-    isolated: bool = False  # flown in a process of its own
+    isolated: bool | None = None  # flown in a process of its own; None: where a check found that it needs one
     ports: _Ports = _Ports()
     units: _Units = _Units()
     range: _Range = _Range()

@@ -61,6 +61,7 @@ class EngineSpec:
     quiet: float = field(default=NO_CHANGE, repr=False)  # to what share of itself the thrust stands still at rest
     air: Air = STANDARD_AIR  # in which the curve was measured
     isolated: bool = False  # it asks for a process of its own
+    misbehaves: str = ""  # what a check found that it does to its process, for which it has one of its own
 
     @property
     def identity(self) -> str:

@@ -94,6 +94,7 @@ class StationEngine(Record):
     engine: str
     sha256: str  # of its archive
     curve: tuple[tuple[float, float], ...] = ()
+    apart: str = ""  # what it was found to do to its process, for which the flight's engines had one of their own
 
 
 class Integration(Record):

@@ -3,12 +3,16 @@
  * A delay, two lags, a zero, a weak mode, a sampler, a limit on the acceleration, noise, a start: each off unless named.
  * FMI 2.0, or 3.0 with -DFMI=3.  Up to six engines in one.  Functions that are not written here the tests add as stubs.
  */
+#define _GNU_SOURCE
+#include <dlfcn.h>
 #include <math.h>
+#include <pthread.h>
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <stdio.h>
 #include <string.h>
+#include <unistd.h>
 
 #ifndef FMI
 #define FMI 2
@@ -31,7 +35,8 @@ typedef struct {
 #define PARTS(X) X(pulse, 0.0) X(start, 0.0) X(modes, 0.0) X(valve, 0.0) X(delay, 0.0) X(delay_down, -1.0) X(sampled, 0.0) \
     X(delay_full, -1.0) X(lag, 0.1) X(lag2, 0.0) X(accelerates, 0.0) X(zero, 0.0) X(mode, 0.0) X(mode_hz, 9.0) \
     X(damping, 0.01) X(soak, 0.0) X(hunts, 0.0) X(noise, 0.0) X(flat, 1.0) X(exponent, 1.0) X(air, 0.0) X(idle, \
-    0.0) X(sign, 1.0) X(drag, 0.0) X(crashes, 0.0) X(hangs, 0.0) X(floods, 0.0) X(engines, 1.0)
+    0.0) X(sign, 1.0) X(drag, 0.0) X(crashes, 0.0) X(hangs, 0.0) X(floods, 0.0) X(engines, 1.0) \
+    X(prints, 0.0) X(threads, 0.0) X(dies, 0.0) X(leaks, 0.0)
 
 typedef struct {
     PARTS(FIELD)
@@ -158,6 +163,9 @@ static int advance(Engine *e, double t, double h)
             part(e, &e->one[i], on ? command(e, i) : 0.0);
     }
     if (alive >= MOST && e->time > 3.0) { /* in a flight, and in no trial */
+        volatile char *lost = e->of.leaks > 0.0 ? malloc((size_t)(e->of.leaks * 1048576.0)) : NULL; /* MB a step */
+        for (size_t at = 0; lost && (double)at < e->of.leaks * 1048576.0; at += 4096)
+            lost[at] = 1;
         if (e->of.crashes > 0.0)
             *(volatile int *)0 = 1;
         for (volatile double spin = 0.0; e->of.hangs > 0.0; spin += 1.0)
@@ -169,6 +177,12 @@ static int advance(Engine *e, double t, double h)
     return OK;
 }
 
+static void *wait_for_ever(void *nothing)
+{
+    pause();
+    return nothing;
+}
+
 static Engine *create(const char *token)
 {
     Engine *e = calloc(1, sizeof *e);
@@ -176,6 +190,18 @@ static Engine *create(const char *token)
     e->random = 12345;
 #define READ(name, otherwise) e->of.name = read_part(e, #name, otherwise);
     PARTS(READ)
+    Dl_info self;
+    if (e->of.threads > 0.0 && dladdr((void *)&alive, &self))
+        dlopen(self.dli_fname, RTLD_NOW | RTLD_NODELETE); /* threads outlive the instance */
+    for (int i = 0; i < (int)e->of.threads; i++) {
+        pthread_t thread;
+        pthread_create(&thread, NULL, wait_for_ever, NULL);
+        pthread_detach(thread);
+    }
+    if (e->of.dies > 0.0)
+        *(volatile int *)0 = 1;
+    if (e->of.prints > 0.0)
+        puts("a banner");
     e->count = (int)e->of.engines;
     e->value[PULSE] = 1000.0;
     e->value[DENSITY] = 1.225;

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import sys
-import tempfile
 import time
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
@@ -32,7 +30,8 @@ from cosim.engine.ports import (
     Variable,
     plain,
 )
-from cosim.engine.qualify.supervisor import Apart, Limits, run_apart
+from cosim.engine.qualify.remembered import cache_folder, misbehaves, remember_misbehaviour, write
+from cosim.engine.qualify.supervisor import READ, STARTED, Apart, Limits, run_apart
 from cosim.engine.response import (
     NO_CHANGE,
     Curve,
@@ -99,6 +98,7 @@ class CheckReport:
     microseconds_per_step: float | None = None
     bytes_per_instance: float | None = None  # resident, without the library itself
     bytes_per_step: float | None = None  # that are not given back
+    apart: str | None = None  # what it does to the process that it runs in, for which flights give it one of its own
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -162,6 +162,8 @@ class CheckReport:
             rows.append(("one instance takes", f"{self.bytes_per_instance / 1024.0:.0f} kB"))
         if self.bytes_per_step is not None:
             rows.append(("a step leaves behind", f"{self.bytes_per_step:.0f} bytes"))
+        if self.apart:
+            rows.append(("flown", f"in a process of its own: it {self.apart}"))
         return rows
 
 
@@ -249,7 +251,10 @@ def _check(
     # the child runs in a folder of its own
     name = name_or_path if source.engine else str(Path(name_or_path).absolute())
     task = {"name": name, "parameters": dict(parameters), "step": step, "air": list(air)}
-    return report, _Trying(task, limits, report).all(parts)
+    measured = _Trying(task, limits, report).all(parts)
+    if source.engine is None and (report.apart or (tuple(parts) == PARTS and report.ok)):
+        remember_misbehaviour(archive.sha256, report.apart or "")
+    return report, measured
 
 
 class _Trying:
@@ -272,6 +277,8 @@ class _Trying:
                 break
             parts = parts[parts.index(last) + 1 :]  # a crash in one part need not hide what the others have to say
         measured = self._fill()
+        if self._found.get("own"):
+            self._misbehaves(self._found["own"])
         if "digest" in self._found and self._end > time.monotonic() and not self._report.problems:
             self._again()
         if self._printed > MOST_PRINTED:
@@ -280,7 +287,13 @@ class _Trying:
             self._report.notes.append(
                 f"prints to standard output or standard error ({self._printed} bytes in the trial)"
             )
+        if self._printed:
+            self._misbehaves("prints to standard output or standard error")
         return measured
+
+    def _misbehaves(self, what: str) -> None:
+        """Remember the first thing, for flights: the worst comes first."""
+        self._report.apart = self._report.apart or what
 
     def _run(self, parts: Sequence[str]) -> Apart:
         limits = replace(self._limits, seconds=max(0.1, self._end - time.monotonic()))
@@ -293,8 +306,11 @@ class _Trying:
             self._add(message.get("problems", []))
         if apart.end is not None:
             self._add([apart.end])
+            if (apart.crashed or apart.hung) and apart.moment not in (STARTED, READ):
+                self._misbehaves(apart.end)
         if apart.left_behind:
             self._add(["leaves processes behind"])
+            self._misbehaves("leaves processes behind")
         self._printed += apart.printed
         return apart
 
@@ -415,13 +431,33 @@ def measure_apart(name_or_path: str, parameters: Mapping[str, float], step: floa
     tried = content in _fit
     place = _memory(source, parameters, step, air)
     known = _recall(place)
-    if known is None and tried:
+    if known is None and tried and not misbehaves(source.archive.sha256):
         return _measure_here(source, parameters, step, air)
     measured = known or _measure_apart(name_or_path, source, parameters, step, air)
     if known is None:
         _remember(place, measured)
     _fit.add(content)
     return measured
+
+
+_apart: dict[Path, Measured] = {}  # measured in this process's children without being judged
+
+
+def measure_unjudged(
+    name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR
+) -> Measured:
+    """As :func:`measure_apart`, of an engine that flies unchecked: what it may do to a process it does to another.
+
+    Raises InputError if it cannot be measured at all.
+    """
+    source = find_source(name_or_path)
+    place = _memory(source, parameters, step, air)
+    if place not in _apart:
+        report, measured = _check(name_or_path, step, parameters, LIMITS, ("measure",), air)
+        if measured is None:
+            raise InputError(f"{source.path}: {report.problems[0]}")
+        _apart[place] = measured
+    return _apart[place]
 
 
 def _measure_here(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> Measured:
@@ -467,14 +503,7 @@ def _memory(source: EngineSource, parameters: Mapping[str, float], step: float, 
         "code": _code(),
     }
     name = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
-    return _cache_folder() / "engines" / f"{name}.json"
-
-
-def _cache_folder() -> Path:
-    stated = os.environ.get("XDG_CACHE_HOME")
-    if stated and Path(stated).is_absolute():
-        return Path(stated) / "hexjet"
-    return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "hexjet"
+    return cache_folder() / "engines" / f"{name}.json"
 
 
 @cache
@@ -504,11 +533,4 @@ def _remember(place: Path, measured: Measured) -> None:
         "start": measured.start,
         "quiet": measured.quiet,
     }
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=place.parent)
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            json.dump(data, stream)
-        os.replace(name, place)
-    except OSError:
-        pass  # it is tried again next time
+    write(place, json.dumps(data))

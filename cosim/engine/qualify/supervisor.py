@@ -27,6 +27,8 @@ from cosim.engine.container import one_line
 POLL_S = 0.02  # how often time and memory are looked at
 MOST_MESSAGES = 2**24  # bytes; a check says less than 100 kB
 KEPT_OUTPUT = 2000  # bytes of what the FMU printed last
+HANGS = "hangs"
+STARTED, READ = "while its process started", "while its archive was read"  # before the FMU is called
 TO_VANISH_S = 0.3  # for the processes of a child that has ended
 BACKSTOP_S = 10.0  # after the parent's limit the child's own alarm ends it, should the parent be gone
 
@@ -46,8 +48,9 @@ class Apart:
 
     messages: list[dict[str, Any]] = field(default_factory=list)
     end: str | None = None
+    hung: bool = False  # did not answer, and was ended
     crashed: bool = False  # or left by itself: another child may try what comes behind
-    moment: str = "while its process started"  # what the FMU was asked for last
+    moment: str = STARTED  # what the FMU was asked for last
     printed: int = 0  # bytes
     last_words: str = ""
     left_behind: bool = False  # processes that it did not end
@@ -64,6 +67,7 @@ def run_apart(task: Mapping[str, Any], limits: Limits) -> Apart:
         assert child.stdout is not None
         readers = {pipe: _lines_into(apart), child.stdout.fileno(): _output_into(apart)}
         apart.end = _watch(child, readers, limits)
+        apart.hung = apart.end is not None and apart.end.startswith(HANGS)
         for descriptor, take in readers.items():
             _drain(descriptor, take)
         done = any("done" in message for message in apart.messages)
@@ -133,8 +137,8 @@ def _watch(
             if now - begin > limits.seconds:
                 return f"takes too long: was not done within {limits.seconds:.3g} s, and ended {{moment}}"
             if now - heard > limits.silence:
-                return f"hangs {{moment}}: no answer within {limits.silence:g} s"
-            if _megabytes(child.pid) > limits.megabytes:
+                return f"{HANGS} {{moment}}: no answer within {limits.silence:g} s"
+            if megabytes(child.pid) > limits.megabytes:
                 return f"took more than {limits.megabytes:g} MB of memory {{moment}}"
     return None
 
@@ -192,7 +196,7 @@ def _ended(code: int | None) -> str:
     return f"ended its process {{moment}} (exit status {code})"
 
 
-def _megabytes(process: int) -> float:
+def megabytes(process: int) -> float:
     """Resident memory; 0 where there is no ``/proc`` to tell."""
     try:
         pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])

@@ -6,6 +6,7 @@ import ctypes
 import hashlib
 import locale
 import os
+import re
 import resource
 import struct
 import sys
@@ -28,6 +29,7 @@ from cosim.engine.load import load_unchecked
 from cosim.engine.measure import Measured, measure
 from cosim.engine.ports import STANDARD_AIR, Air
 from cosim.engine.qualify.check import NEEDED
+from cosim.engine.qualify.supervisor import READ
 from cosim.engine.response import (
     NO_CHANGE,
     Hold,
@@ -61,6 +63,7 @@ GROWTH_STEPS = 10_000  # after which memory is read, three times
 WRONG_WAY = 0.02  # of the change of thrust, chosen by us: less is what a solver or a sample leaves
 UNEVEN = 2  # samples between the dead times up and down; a step of the throttle meets the FMU's own step anywhere
 LEAST_LEAK = 16.0  # bytes a step: the smallest block that malloc hands out, so that a leak in every step is more
+RUNTIMES = re.compile(r"lib(?:python3|jvm|mono|coreclr|julia|mwmclmcr|mwmcr|octave|R\.so|node)[^/]*")
 MOST_POINTS = 2000  # points of a step response that are drawn
 
 FEATURES = {
@@ -168,7 +171,7 @@ def zigzag(k: int) -> float:
 def perform(order: Mapping[str, Any], say: Say) -> None:
     """Do the parts that a task asks for; say ``part`` before each, ``found`` and ``problems`` after it."""
     task = Task(**order)
-    say({"at": "while its archive was read"})
+    say({"at": READ})
     source = find_source(task.name)
     with unpack(source.archive) as folder:
         trial = Trial(source, task, folder, say)
@@ -264,11 +267,36 @@ def _load(trial: Trial) -> Found:
 
 
 def _start(trial: Trial) -> Found:
-    """One instance and one step."""
-    before = _surroundings()
+    """One instance and one step; what it brings into its process beside itself."""
+    import fmpy.fmi2  # type: ignore[import-untyped]
+    import fmpy.fmi3  # type: ignore[import-untyped] # noqa: F401 - these start threads of numpy
+
+    before, threads, libraries = _surroundings(), _threads(), _libraries()
     with trial.slave() as slave:
         trial.zigzag(slave, 0, 1)
-    return {}, _changes(before)
+        runtimes = sorted({match[0] for name in _libraries() - libraries if (match := RUNTIMES.match(name))})
+        more = _threads() - threads
+    own = f"brings a run time of its own ({', '.join(runtimes)})" if runtimes else ""
+    if more > 0 and not own:
+        own = f"starts {more} thread{'s' if more > 1 else ''} of its own"
+    return ({"own": own} if own else {}), _changes(before)
+
+
+def _threads() -> int:
+    """Of this process; 0 where there is no ``/proc`` to tell."""
+    try:
+        return len(os.listdir("/proc/self/task"))
+    except OSError:
+        return 0
+
+
+def _libraries() -> set[str]:
+    """Names of the files that this process has mapped."""
+    try:
+        with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
+            return {os.path.basename(line.split()[-1]) for line in maps if "/" in line}
+    except OSError:
+        return set()
 
 
 def _run(trial: Trial) -> Found:

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from campaign_tools import study, without_chance
 from engine_tools import STEP
 from foreign_engines import foreign, mapped
 
 from cosim import Scenario, fly
 from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient
+from cosim.campaign.study.plan import flights
+from cosim.campaign.workers.flight_row import fly_one
 from cosim.engine import EngineBank, IsolatedBank, isolated, load_engine
+from cosim.engine.qualify import check
+from cosim.engine.qualify.supervisor import Apart
 from cosim.results.digest import log_digest
 
 
@@ -73,6 +79,33 @@ def test_what_an_fmu_does_to_its_process_ends_the_flight_and_nothing_else(
     assert (tmp_path / "run" / "flight.parquet").is_file()
 
 
+IN_FLIGHT = {
+    "crashes=1": r"its process crashed \(SIGSEGV\) at step \d+",
+    "hangs=1": "no answer within 0.5 s at step",
+    "leaks=0.5": r"their process takes \d+ MB of memory at step 250, 150 MB at most: it leaks",
+    "floods=1": "",
+    "threads=3": "",
+}
+
+
+def test_other_flights_of_a_campaign_are_unharmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One worker flies a sound engine, those that misbehave, and the sound one again: the same row as before."""
+    monkeypatch.setattr(isolated, "HANG_S", 0.5)
+    less = "import cosim.engine.isolated as it; it.MOST_MB = 150.0; serve("
+    monkeypatch.setattr(isolated, "_SERVE", isolated._SERVE.replace("serve(int", less + "int"))
+    sound = study(runs=1, duration=0.1, controllers=["baseline"])
+    before = fly_one(sound, flights(sound)[0])
+    for made_of, reason in IN_FLIGHT.items():
+        path = mapped(foreign(tmp_path, made_of.partition("=")[0], f"lag=0.1,{made_of}"), "isolated = true")
+        fixed = [f"engine='{path}'", "engine_unchecked=true"]
+        duration = 1.2 if "leaks" in made_of else 0.5
+        bad = study(runs=1, duration=duration, fixed=fixed, controllers=["baseline"])
+        row = fly_one(bad, flights(bad)[0])
+        assert row["outcome"] == ("failed" if reason else "completed"), row["reason"]
+        assert re.search(reason, str(row["reason"]))
+    assert without_chance(fly_one(sound, flights(sound)[0])) == without_chance(before)
+
+
 def test_a_flood_reaches_nobody(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = mapped(foreign(tmp_path, "floods", "lag=0.1,floods=1"), "isolated = true")
     scenario = Scenario.load("hover").replace(
@@ -80,6 +113,76 @@ def test_a_flood_reaches_nobody(tmp_path: Path, capfd: pytest.CaptureFixture[str
     )
     assert fly(scenario).outcome == "completed"
     assert "no use to anybody" not in capfd.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("made_of", "why"),
+    [
+        ("lag=0.1,prints=1", "prints to standard output or standard error"),
+        ("lag=0.1,threads=2", "starts 2 threads of its own"),
+        ("lag=0.1", ""),
+    ],
+)
+def test_what_a_check_finds_is_remembered_and_the_flight_takes_it_apart(
+    made_of: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the archive's contents: under another name, and not where its mapping file says that it is harmless."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    path = foreign(tmp_path, "mine", made_of)
+    parts = ("start", "measure")
+    report, _ = check._check(str(path), STEP, {}, check.LIMITS, parts)
+    assert (report.apart or "") == why
+    if not why:
+        check.remember_misbehaviour(report.sha256, "crashed once")
+        check._check(str(path), STEP, {}, check.LIMITS, parts)
+        assert check.misbehaves(report.sha256)  # a part of a check clears nobody
+        return
+    assert ("flown", f"in a process of its own: it {why}") in report.lines()
+    other = shutil.copy(path, tmp_path / "other.fmu")
+    spec = load_engine(str(other), {}, STEP, unchecked=True)
+    assert (spec.isolated, spec.misbehaves) == (True, why)
+    harmless = load_engine(str(mapped(path, "isolated = false")), {}, STEP, unchecked=True)
+    assert (harmless.isolated, harmless.misbehaves) == (False, "")
+    scenario = Scenario.load("hover").replace(
+        engine=str(other), controller="baseline", engine_unchecked=True, duration_s=0.1, expect=[]
+    )
+    run = fly(scenario)
+    assert {each.apart for each in run.summary.stations} == {why}
+
+
+def test_a_crash_in_a_check_is_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    path = foreign(tmp_path, "dies", "dies=1")
+    report, _ = check._check(str(path), STEP, {}, check.LIMITS, ("start",))
+    assert check.misbehaves(report.sha256).startswith("crashed when it was instantiated")
+    with pytest.raises(
+        InputError, match="crashed while its thrust"
+    ):  # it is not loaded here to be measured, unchecked or not
+        load_engine(str(path), {}, STEP, unchecked=True)
+
+
+@pytest.mark.parametrize(
+    ("moment", "remembered"), [("when it was instantiated", True), ("while its process started", False)]
+)
+def test_a_hang_is_the_engines_only_where_the_engine_was_called(
+    moment: str, remembered: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A machine that is busy may take as long to start a process."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    ended = Apart(end=f"hangs {moment}", hung=True, moment=moment)
+    monkeypatch.setattr(check, "run_apart", lambda task, limits: ended)
+    report, _ = check._check(str(foreign(tmp_path, "stays", "lag=0.1")), STEP, {}, check.LIMITS)
+    assert check.misbehaves(report.sha256) == (f"hangs {moment}" if remembered else "")
+
+
+def test_a_whole_check_without_a_finding_forgives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(check._Trying, "all", lambda self, parts: None)
+    path = foreign(tmp_path, "mine", "lag=0.1")
+    digest = check._check(str(path), STEP, {}, check.LIMITS)[0].sha256
+    check.remember_misbehaviour(digest, "printed once")
+    check._check(str(path), STEP, {}, check.LIMITS)
+    assert not check.misbehaves(digest)
 
 
 def test_an_engine_that_cannot_be_made_says_so_from_over_there(tmp_path: Path) -> None:
