@@ -203,7 +203,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
     own = simulation.own
     controller: dict[str, Any] = {}
     if own is not None:
-        controller = {"controller": copied_controller(own, files), "controller_sha256": own.sha256}
+        controller = {"controller": copied_controller(own, files), "controller_sha256": own.sha256 or None}
         told = own.values(scenario.controller_parameters, "controller_parameters")
         controller["controller_parameters"] = _floats(told)
     aircraft, vehicle = copied_aircraft(simulation, files)

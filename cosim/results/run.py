@@ -124,7 +124,9 @@ class OwnController(Record):
 
     name: str
     level: str  # predictor, rate, attitude or controller
-    sha256: str  # of its files, the one that it is where there is one; as in controller_sha256 of the scenario
+    sha256: (
+        str  # of its files, or its text; as in controller_sha256 of the scenario; empty: nothing was to be had of it
+    )
     files: dict[str, str]  # SHA-256 by name
     version: str = ""  # of the package that it is in
     parameters: dict[str, float]
@@ -258,6 +260,8 @@ class Run:
         )
         flown = f"{summary.aircraft}, engine {summary.engine}, controller {summary.controller}, seed {summary.seed}"
         flown += f"; {summary.by_hand} steps by hand" if summary.by_hand else ""
+        own = summary.own_controller
+        flown += "; an object of a program, which no file makes again" if own is not None and not own.again else ""
         rows = "".join(
             f"<tr><td>{escape(name)}</td><td>{value:.6g}</td></tr>"
             for name, value in summary.flat_metrics.items()

@@ -9,21 +9,23 @@ point of an installed package::
 
 from __future__ import annotations
 
+import ast
 import copy
 import hashlib
 import importlib
 import inspect
+import linecache
 import pickle
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, packages_distributions, version
 from math import isfinite
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import CodeType, ModuleType, SimpleNamespace
 from typing import Any
 
 from cosim.base.cache import Memory
@@ -72,6 +74,7 @@ class Source:
     columns: Sequence[Column] = ()
     copied: bool = True  # its files go into a run's folder
     repeats: bool = True  # it is code of this process; else it is found out whether it answers the same again
+    text: str = ""  # of a class that no file holds, where it is to be had
 
     @property
     def label(self) -> str:
@@ -80,12 +83,16 @@ class Source:
 
     @cached_property
     def hashes(self) -> dict[str, str]:
-        """SHA-256 of each file."""
+        """SHA-256 of each file, or of a text that is in none."""
+        if self.text:
+            return {f"{self.label}, its source": hashlib.sha256(self.text.encode()).hexdigest()}
         return {name: _sha256(path) for name, path in self.files.items()}
 
     @property
     def sha256(self) -> str:
-        """One hash for all: that of its file where it is one."""
+        """One hash for all: that of its file where it is one; empty where there is nothing to be had of it."""
+        if not self.hashes:
+            return ""
         if len(self.hashes) == 1:
             return next(iter(self.hashes.values()))
         return hashlib.sha256("".join(f"{value}  {name}\n" for name, value in self.hashes.items()).encode()).hexdigest()
@@ -152,7 +159,7 @@ def of_object(given: Any) -> Source:
     """A class or an object of a program.  Raises InputError for one that is no controller.
 
     A class of a file flies again from that file, and so does an object that is as its class makes it without being told
-    anything.
+    anything.  Of one of a notebook's cell the text is hashed, where it is to be had.
     """
     made = given if isinstance(given, type) else type(given)
     label = f"{made.__module__}.{made.__qualname__}"
@@ -162,7 +169,8 @@ def of_object(given: Any) -> Source:
     again = path is not None and path.suffix == ".py" and made.__qualname__.isidentifier()
     if again and (isinstance(given, type) or _as_made(given, made)):
         return _stated(f"{path}:{made.__name__}", given, make, files)
-    return _stated(f"{OBJECT}{label}", given, make, files, copied=False)
+    found = _stated(f"{OBJECT}{label}", given, make, files, copied=False)
+    return found if files else replace(found, text=_text_of(made))
 
 
 def _copies(given: Any) -> Callable[[], Any]:
@@ -177,12 +185,37 @@ def _as_made(given: Any, made: type) -> bool:
 
 
 def _file_of(made: type) -> Path | None:
+    """The file that a class is in; not that of the module into which its text was executed."""
     try:
         found = inspect.getsourcefile(made)
     except (TypeError, OSError):
         return None
     path = None if found is None else Path(found)
-    return path if path is not None and path.is_file() else None
+    if path is None or not path.is_file():
+        return None
+    codes = _codes(made)
+    return path if not codes or any(Path(code.co_filename) == path for code in codes) else None
+
+
+def _codes(made: type) -> list[CodeType]:
+    """Of the functions that its own text defines."""
+    return [inspect.unwrap(each).__code__ for each in vars(made).values() if inspect.isfunction(each)]
+
+
+def _text_of(made: type) -> str:
+    """The text of a class that no file holds, as a notebook keeps it for its tracebacks; empty where nobody does."""
+    for code in _codes(made):
+        text = "".join(linecache.getlines(code.co_filename))
+        try:
+            tree = ast.parse(text)
+        except SyntaxError:  # a cell with commands of the notebook's own
+            continue
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.ClassDef) or node.name != made.__name__:
+                continue
+            if node.lineno <= code.co_firstlineno <= (node.end_lineno or 0):
+                return ast.get_source_segment(text, node) or ""
+    return ""
 
 
 _known: Memory[Source] = Memory(32)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import linecache
 import os
 import re
 import shutil
@@ -349,6 +350,30 @@ def test_an_object_with_values_of_its_own_is_not_flown_again_by_a_file(tmp_path:
     assert run.summary.own_controller is not None
     assert run.summary.own_controller.again
     assert (tmp_path / "class" / Path(__file__).name).read_bytes() == Path(__file__).read_bytes()
+
+
+def test_of_a_class_in_a_notebooks_cell_the_text_is_hashed(tmp_path: Path) -> None:
+    """IPython keeps a cell's lines for its tracebacks; where nobody keeps them the run says that there is no hash."""
+    body = """    level = "rate"
+    def reset(self): ...
+    def update(self, setpoint, measured, applied):
+        return [0.0] * 3"""
+    cell = f"import math\nclass Mine:\n{body}\nx = 1\n"
+    said = {}
+    for name, lines in (("<cell>", cell.splitlines(keepends=True)), ("<stdin>", None)):
+        if lines:
+            linecache.cache[name] = (len(cell), None, lines, name)
+        told: dict[str, Any] = {"__name__": "__main__"}  # whose file, pytest's, is not the class's
+        exec(compile(cell, name, "exec"), told)
+        run = fly(SHORT, tmp_path / name.strip("<>"), controller=told["Mine"]())
+        own = run.summary.own_controller
+        assert own is not None
+        assert (own.again, own.name) == (False, "python:__main__.Mine")
+        assert "an object of a program, which no file makes again" in run._repr_html_()
+        assert "an object of a program" in (tmp_path / name.strip("<>") / "report.html").read_text(encoding="utf-8")
+        said[name] = own.sha256
+    linecache.cache.pop("<cell>")
+    assert said == {"<cell>": hashlib.sha256(f"class Mine:\n{body}".encode()).hexdigest(), "<stdin>": ""}
 
 
 def test_a_study_compares_it_with_ours_in_spawned_workers(mine: str, tmp_path: Path) -> None:
