@@ -20,7 +20,7 @@ import psutil
 import pyarrow.dataset as ds
 import pytest
 from campaign_tools import NOTES, without_chance
-from patience import PATIENCE
+from patience import FLIGHT_PATIENCE, PATIENCE
 from places import TOOLS
 
 from cosim.base.errors import FlightError, InputError
@@ -383,7 +383,7 @@ def test_ten_kills_at_random_moments_lose_nothing_and_double_nothing(
             main.wait()
             assert not reader.problems
             main = psutil.Popen(command)
-        assert main.wait(timeout=PATIENCE) == 0
+        assert main.wait(timeout=FLIGHT_PATIENCE) == 0
     finally:
         if main.poll() is None:
             main.kill()
