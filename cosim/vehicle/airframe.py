@@ -77,13 +77,19 @@ _MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the spools, body; a property o
 
 
 Node = Callable[[str], jsbsim.FGPropertyNode]  # a property by its name
+Get = Callable[[], float]
+Set = Callable[[float], object]
 
 
 class _Read:
     """Three properties of JSBSim, ``name`` with each of ``parts`` in it, as a vector in SI units."""
 
     def __init__(self, node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> None:
-        self._x, self._y, self._z = (node(name.format(part)).get_double_value for part in parts)
+        # stated as what gives a float: else compiled code makes an object of the unit, too, to multiply with
+        x, y, z = [node(name.format(part)).get_double_value for part in parts]
+        self._x: Get = x
+        self._y: Get = y
+        self._z: Get = z
         self._unit = unit
 
     def get(self) -> Vector3:
@@ -95,7 +101,10 @@ class _Write:
     """The same for writing."""
 
     def __init__(self, node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> None:
-        self._x, self._y, self._z = (node(name.format(part)).set_double_value for part in parts)
+        x, y, z = [node(name.format(part)).set_double_value for part in parts]
+        self._x: Set = x
+        self._y: Set = y
+        self._z: Set = z
         self._unit = unit
 
     def put(self, x: float, y: float, z: float) -> None:
@@ -172,10 +181,13 @@ class Airframe:
         self._euler = _Read(node, "attitude/{}-rad", ("phi", "theta", "psi"))
         self._rate = _Read(node, "velocities/{}-rad_sec", "pqr")
         self._felt = _Read(node, "accelerations/a-pilot-{}-ft_sec2", "xyz", FOOT)
-        self._height: Callable[[], float] = node("position/h-agl-ft").get_double_value
+        # JSBSim's height above the ground is this less the ground's, to the last bit; asked for that it works out the
+        # place on the ground below as well, which takes a sixth of one of its runs
+        self._over_ellipsoid: Get = node("position/geod-alt-ft").get_double_value
+        self._ground = self._environment.ground_m / FOOT
         self._wind = _Read(node, "atmosphere/total-wind-{}-fps", _NED, FOOT)
         self._air_rate = _Read(node, "atmosphere/{}-turb-rad_sec", "pqr")
-        self._get_mass: Callable[[], float] = node("inertia/mass-slugs").get_double_value
+        self._get_mass: Get = node("inertia/mass-slugs").get_double_value
         names = [f"external_reactions/jet{jet}" for jet in range(1, len(self._vehicle.jets) + 1)]
         self._jets = [_Write(node, f"{name}/{{}}", "xyz", POUND_FORCE) for name in names]
         self._push = _Write(node, "external_reactions/push/{}", "xyz", POUND_FORCE)
@@ -192,12 +204,12 @@ class Airframe:
         self._set_payload = node("inertia/pointmass-weight-lbs").set_double_value
         self._payload_place = _Write(node, "inertia/pointmass-location-{}-inches", "XYZ")
         self._momentum = _Write(node, _MOMENTUM, "xyz", SLUG_FT2) if self._spools else None
-        self._pressure: Callable[[], float] = node("atmosphere/P-psf").get_double_value
-        self._temperature: Callable[[], float] = node("atmosphere/T-R").get_double_value
+        self._pressure: Get = node("atmosphere/P-psf").get_double_value
+        self._temperature: Get = node("atmosphere/T-R").get_double_value
         if self._vehicle.fuel:
             self._set_burnt = node(f"inertia/pointmass-weight-lbs[{self._last_point_mass()}]").set_double_value
 
-    def _contacts(self, kind: str) -> list[Callable[[], float]]:
+    def _contacts(self, kind: str) -> list[Get]:
         """What says whether each contact of this kind touches."""
         kinds = enumerate(contact.kind for contact in self._vehicle.contacts)
         return [self._node(f"contact/unit[{unit}]/WOW").get_double_value for unit, each in kinds if each == kind]
@@ -307,30 +319,37 @@ class Airframe:
         """Let these act from the end of the next run on: of the jets, and at the centre of gravity as built."""
         for number, jet in enumerate(self._jets):
             x, y, z = forces[number]
-            if y != 0.0 or self._sideways:
-                # jets tilt about y, so most vehicles never get here
-                self._sideways = True
-                jet.put(x, y, z)
-            else:
-                jet.put_in_plane(x, z)
-        if push != self._pushed:
-            self._push.put(*push)
-        if twist != self._twisted:
-            self._twist.put(*twist)
-        self._forces, self._pushed, self._twisted = forces, push, twist
+            self._put(jet, x, y, z)
+        self._act_beside(push, twist)
+        self._forces = forces
 
     def _act_with(self, forces: list[Vector3], push: Vector3, twist: Vector3, share: float) -> None:
-        """The same, with ``share`` of the change since the last on top."""
+        """The same, with ``share`` of the change since the last on top; of the jets the last stay those that were."""
         old = self._forces
-        ahead: list[Vector3] = []
-        for number, (x, y, z) in enumerate(forces):
+        for number, jet in enumerate(self._jets):
+            x, y, z = forces[number]
             a, b, c = old[number]
-            ahead.append((x + share * (x - a), y + share * (y - b), z + share * (z - c)))
+            self._put(jet, x + share * (x - a), y + share * (y - b), z + share * (z - c))
         if push != self._pushed:
             push = _beyond(push, self._pushed, share)
         if twist != self._twisted:
             twist = _beyond(twist, self._twisted, share)
-        self._act(ahead, push, twist)
+        self._act_beside(push, twist)
+
+    def _put(self, jet: _Write, x: float, y: float, z: float) -> None:
+        if y != 0.0 or self._sideways:
+            # jets tilt about y, so most vehicles never get here
+            self._sideways = True
+            jet.put(x, y, z)
+        else:
+            jet.put_in_plane(x, z)
+
+    def _act_beside(self, push: Vector3, twist: Vector3) -> None:
+        if push != self._pushed:
+            self._push.put(*push)
+        if twist != self._twisted:
+            self._twist.put(*twist)
+        self._pushed, self._twisted = push, twist
 
     def _apply(self, disturbance: Disturbance) -> None:
         """Hand over what differs from the step before, but for force and moment."""
@@ -398,7 +417,7 @@ class Airframe:
         velocity = vn, ve, vd = self._velocity.get()
         roll, pitch, yaw = self._euler.get()
         rate = p, q, r = self._rate.get()
-        height = self._height() * FOOT
+        height = (self._over_ellipsoid() - self._ground) * FOOT
         total = north + east + up + vn + ve + vd + roll + pitch + yaw + p + q + r
         if total - total != 0.0:  # NaN or infinite
             raise FlightError("the airframe's state is not finite")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from math import inf
 from typing import NamedTuple
 
 from cosim.base.errors import InputError
@@ -104,15 +105,25 @@ class Inverse:
 
     def __init__(self, throttles: Sequence[float], thrusts: Sequence[float], slopes: Sequence[float]) -> None:
         self.throttles, self.thrusts, self.slopes = list(throttles), list(thrusts), list(slopes)
+        self._use(0)
+
+    def _use(self, line: int) -> None:
+        """Keep the line that answers, because mostly it is the next one too: which thrusts it answers, above and to."""
+        thrusts, last = self.thrusts, len(self.slopes) - 1
+        self._throttle, self._thrust, self._slope = self.throttles[line], thrusts[line], self.slopes[line]
+        self._above = thrusts[line] if line > 0 else -inf
+        self._to = thrusts[line + 1] if line < last else inf
 
     def __call__(self, thrust: float) -> float:
-        thrusts = self.thrusts
-        # bisect_left of the points between the ends; called once a step
-        i, end = 0, len(thrusts) - 2
-        while i < end:
-            middle = (i + end) >> 1
-            if thrusts[middle + 1] < thrust:
-                i = middle + 1
-            else:
-                end = middle
-        return self.throttles[i] + self.slopes[i] * (thrust - thrusts[i])
+        if not self._above < thrust <= self._to:
+            thrusts = self.thrusts
+            # bisect_left of the points between the ends
+            i, end = 0, len(thrusts) - 2
+            while i < end:
+                middle = (i + end) >> 1
+                if thrusts[middle + 1] < thrust:
+                    i = middle + 1
+                else:
+                    end = middle
+            self._use(i)
+        return self._throttle + self._slope * (thrust - self._thrust)

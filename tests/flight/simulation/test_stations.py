@@ -57,6 +57,19 @@ def test_one_straight_curve_is_left_alone() -> None:
     assert thrust_map.share(7.3) == inverted(LINE)(7.3)
 
 
+def test_what_a_curve_answers_does_not_depend_on_what_it_was_asked_before() -> None:
+    """It keeps the line that answered last: at every point, beside it and beyond the ends, in any order."""
+    curve = StaticCurve("bent", (0.0, 0.2, 0.5, 0.6, 1.0), (1.0, 2.0, 7.0, 7.5, 12.0))
+    asked = [f + d for f in curve.thrust for d in (-0.3, 0.0, 0.3)] + [-5.0, 20.0]
+    kept = inverted(curve)
+    for one in asked:
+        for other in asked:
+            kept(one)
+            assert kept(other) == inverted(curve)(other)
+    for thrust, throttle in zip(curve.thrust, curve.throttle, strict=True):
+        assert kept(thrust) == pytest.approx(throttle, abs=1e-15)
+
+
 @pytest.mark.parametrize("name", ["edf", "edf-as-flown", "turbojet", "motor"])
 def test_the_papers_engines_are_straight(name: str) -> None:
     curve = StaticCurve(name, *load_engine(name, {}, 0.0025 if name == "motor" else STEP).curve)

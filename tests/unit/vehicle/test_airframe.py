@@ -391,6 +391,16 @@ def test_falls_over_onto_its_hull() -> None:
         assert state.hull_contact
 
 
+@pytest.mark.parametrize(("latitude", "ground"), [(-70.3, -12.3), (0.0, 2500.1), (48.2, 433.7), (89.0, 0.1)])
+def test_the_height_is_jsbsims_own_to_the_last_bit(latitude: float, ground: float) -> None:
+    """What is asked for in its place, the height over the ellipsoid less the ground's, costs a fraction of it."""
+    with airframe(environment=Environment(latitude_deg=latitude, ground_m=ground)) as (frame, _):
+        frame.reset(Initial(altitude_m=25.0, velocity_ned_m_s=(30.0, 20.0, -5.0)), OFF, ZERO3)
+        for _ in range(25):
+            state = frame.step(OFF, CALM)
+            assert state.altitude == frame._fdm.get_property_value("position/h-agl-ft") * 0.3048
+
+
 def test_position_is_counted_from_the_ground_below_the_start() -> None:
     place = Environment(ground_m=1200.0)
     with airframe(environment=place) as (frame, _):
