@@ -39,13 +39,12 @@ def paper(out: Path, workers: int, pages: tuple[Path, ...], as_json: bool) -> in
 
     Leaves comparison.csv, comparison.json and report.html in DIR.  An interrupted call goes on where it ended.
     """
-    from cosim.paper.pages import write_page
+    from cosim.paper.pages import check_page, write_page
     from cosim.paper.reproduce import reproduce
     from cosim.paper.result import DATA, REPORT
-    from cosim.results.report.marks import check_marks
 
     for page in pages:
-        check_marks(page, ())
+        check_page(page)
     with part_progress("paper", quiet=as_json) as say:
         found = reproduce(out, say, workers)
     for page in pages:

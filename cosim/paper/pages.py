@@ -7,12 +7,13 @@ from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cosim.base.errors import InputError
 from cosim.paper import numbers
 from cosim.paper.claims import ClaimRow, Evidence, Judged
 from cosim.paper.experiments import Metrics, Result
 from cosim.paper.figures import FIDELITIES, NAMES
 from cosim.paper.page import counts_in_words
-from cosim.results.report.marks import parts_of, table, write_marks
+from cosim.results.report.marks import check_marks, parts_of, table, write_marks
 
 if TYPE_CHECKING:
     from cosim.paper.result import Reproduction
@@ -21,6 +22,15 @@ COUNTS, DOUBLET, HELD, DIFFERS, CONSTRUCTED, TURBOJET = (
     "paper: " + part for part in ("counts", "doublet", "held", "differs", "by construction", "turbojet")
 )
 NAMED = (COUNTS, DOUBLET, HELD, DIFFERS, CONSTRUCTED, TURBOJET)
+
+
+def check_page(path: Path) -> None:
+    """Before the flights: raises InputError for a page that cannot be written, or that has a mark for none of the parts."""
+    check_marks(path, ())
+    present = parts_of(path.read_text(encoding="utf-8"), path)
+    if not present.keys() & set(NAMED):
+        allowed = ", ".join(f"<!-- measured: {name} -->" for name in NAMED)
+        raise InputError(f"{path}: it has no mark that this command fills; there are {allowed}")
 
 
 def write_page(path: Path, found: Reproduction) -> None:
