@@ -29,6 +29,7 @@ from cosim.bench.measures.growth import (
     measure_log_rates,
 )
 from cosim.bench.measures.others import Others, measure_others
+from cosim.bench.measures.own_blocks import OwnBlocks, measure_own_blocks
 from cosim.bench.measures.process import (
     Memory,
     Startup,
@@ -40,11 +41,11 @@ from cosim.bench.peers.multirotor import Multirotor, measure_multirotor
 from cosim.bench.peers.peers import Peers, measure_peers
 from cosim.bench.timing import Cost
 
-STEP, BLOCKS, OTHERS, PEERS, ROTORPY = "step", "blocks", "others", "peers", "rotorpy"
+STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY = "step", "blocks", "others", "own", "peers", "rotorpy"
 TIME, ENGINES, LOG = "time", "engines", "log"
 START, MEMORY, CAMPAIGN = "start", "memory", "campaign"
-PARTS = (STEP, BLOCKS, OTHERS, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN)
-QUICK = (STEP, BLOCKS, OTHERS, PEERS, ROTORPY, TIME, ENGINES, LOG, START)  # less than a minute
+PARTS = (STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN)
+QUICK = (STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, START)  # less than a minute
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,7 @@ class Result:
     step: dict[int, dict[str, Cost]] | None = None
     blocks: Breakdown | None = None
     others: Others | None = None
+    own: OwnBlocks | None = None
     peers: Peers | None = None
     rotorpy: Multirotor | None = None
     time: Lengths | None = None
@@ -169,6 +171,7 @@ def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], o
         STEP: (partial(measure_speed, steps, rounds, folder), rounds),
         BLOCKS: (partial(measure_blocks, steps, rounds, folder), rounds),
         OTHERS: (partial(measure_others, plan.others_s, rounds, folder), rounds),
+        OWN: (partial(measure_own_blocks, plan.others_s, rounds, folder), rounds),
         PEERS: (partial(measure_peers, steps, rounds, folder), rounds),
         ROTORPY: (partial(measure_multirotor, plan.hover_s, rounds, folder), rounds),
         TIME: (

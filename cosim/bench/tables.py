@@ -9,6 +9,7 @@ from cosim.bench.measures.blocks import Breakdown
 from cosim.bench.measures.campaign import EARLY, PROCESSES, CampaignCost
 from cosim.bench.measures.growth import EngineCounts, Lengths, LogRates
 from cosim.bench.measures.others import Others
+from cosim.bench.measures.own_blocks import BASELINE, OwnBlocks
 from cosim.bench.measures.process import Memory, Startup
 from cosim.bench.measures.speed import BARE
 from cosim.bench.peers.multirotor import Multirotor
@@ -20,6 +21,7 @@ from cosim.bench.suite import (
     LOG,
     MEMORY,
     OTHERS,
+    OWN,
     PEERS,
     ROTORPY,
     START,
@@ -31,7 +33,7 @@ from cosim.bench.targets import judge, runs_a_step
 from cosim.bench.timing import Cost, Spread
 
 ASKED, MACHINE = "asked", "machine"
-KEYS = (ASKED, STEP, BLOCKS, OTHERS, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN, MACHINE)
+KEYS = (ASKED, STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN, MACHINE)
 
 Row = tuple[str, ...]
 
@@ -55,6 +57,8 @@ def tables(result: Result) -> dict[str, list[Table]]:
         found[BLOCKS] = [_blocks(result.blocks)]
     if result.others:
         found[OTHERS] = [_others(result.others)]
+    if result.own:
+        found[OWN] = [_own(result.own)]
     if result.peers:
         found[PEERS] = [_peers(result.peers)]
     if result.rotorpy:
@@ -124,6 +128,16 @@ def _others(found: Others) -> Table:
     rows = [(name, *(spread(cost.units) for cost in costs.values())) for name, costs in found.outside.items()]
     columns = tuple(map(runs_a_step, next(iter(found.outside.values()))))
     return Table("not JSBSim, recorded to disk, in other flights; units", columns, rows)
+
+
+def _own(found: OwnBlocks) -> Table:
+    """By both clocks: what waits for a process takes none of the processor's time."""
+    rows = [
+        (f"{BASELINE}, what is not JSBSim", *_cost(found.ours), spread(found.ours.units_wall)),
+        *((f"more by {name}", *_cost(cost), spread(cost.units_wall)) for name, cost in found.more.items()),
+    ]
+    notes = [] if found.missing is None else [_missing("a whole controller, as an FMU", found.missing)]
+    return Table("a hover with blocks of one's own, 1 run a step", (*US, "units of wall time"), rows, notes)
 
 
 def _peers(peers: Peers) -> Table:

@@ -6,14 +6,17 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from cosim.bench.measures.own_blocks import CLASSES
 from cosim.bench.measures.speed import ENGINES, OUTSIDE, RECORDED
 from cosim.bench.suite import Result
 from cosim.bench.timing import Spread
 
 RUNS = "JSBSim runs"
-OUTSIDE_UNITS = 3.5  # JSBSim runs, a control step
+OUTSIDE_UNITS = 1.5  # JSBSim runs, a control step of the standard flight
+DEAREST_UNITS = 3.5  # of any other flight that is measured
 BY_BARE = {1: 4.5, 4: 2.0}  # whole flight by bare JSBSim, by runs a step
 ENGINE_UNITS = 1.5  # JSBSim runs: six engine FMUs, a control step
+CLASS_UNITS = 1.5  # JSBSim runs more: a controller from outside, as a class
 FIRST_STEP_S = 1.5
 STEP_GROWTH = 1.05  # the step of the longest flight by that of the shortest: what a quiet machine can tell from 1
 FLIGHT_GROWTH_MB = 2.0  # from the first quarter of a long flight to its end: blocks of the log come and go
@@ -65,7 +68,10 @@ def _step(result: Result) -> Iterator[Judged]:
     if result.others:
         units = [cost.units for costs in result.others.outside.values() for cost in costs.values()]
         dearest = max(units, key=lambda each: each.median)
-        yield Judged("the dearest of the other flights, recorded in full", dearest, OUTSIDE_UNITS, RUNS)
+        yield Judged("the dearest of the other flights, recorded in full", dearest, DEAREST_UNITS, RUNS)
+    if result.own:
+        for name in CLASSES:
+            yield Judged(f"more by {name}", result.own.more[name].units, CLASS_UNITS, RUNS)
     if result.time:
         shortest, longest = min(result.time.steps), max(result.time.steps)
         name = f"a step of {longest} s flown by one of {shortest} s"

@@ -8,15 +8,17 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from itertools import repeat, starmap
+from operator import sub
 from pathlib import Path
 from tempfile import mkdtemp
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError
 from cosim.base.protocols import Engines, Observer
-from cosim.base.signals import JETS, ZERO3, Sample
+from cosim.base.signals import JETS, ZERO3, Sample, Vector3
 from cosim.bench.timing import (
     Action,
+    Clocked,
     Cost,
     Job,
     Pair,
@@ -28,6 +30,7 @@ from cosim.results.run import Recording
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
+from cosim.vehicle.airframe import ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_3, IN_THE_AIR, MAKE_UP, RECTANGULAR
 
 SUBSTEPS = (1, 4)
 UNIT_RUNS = 2000  # timed before and after every job
@@ -36,8 +39,19 @@ BARE = "one bare JSBSim run()"
 ENGINES = "six engine FMUs"
 FLOWN = "whole step, no observer"
 RECORDED = "whole step, recorded to disk"
+AIRFRAME = "airframe: forces in, runs, state out"
+PLAIN = "the same by JSBSim's own integrators, forces in once"
+PRICE = "price of the better integrators"
 OUTSIDE_FLOWN = "not JSBSim, no observer"
 OUTSIDE = "not JSBSim, recorded to disk"
+
+# what JSBSim takes where a model's file names none
+JSBSIMS_OWN = {
+    "rate/rotational": RECTANGULAR,
+    "rate/translational": ADAMS_BASHFORTH_2,
+    "position/rotational": RECTANGULAR,
+    "position/translational": ADAMS_BASHFORTH_3,
+}
 
 Pairs = dict[tuple[int, str], list[Pair]]  # of the rounds, by JSBSim runs a step and name
 
@@ -140,6 +154,8 @@ class Flights:
             Job(ENGINES, substeps, self.steps, partial(self._step_engines, substeps)),
             self._whole[substeps].plain(FLOWN),
             self.recorded(substeps),
+            Job(AIRFRAME, substeps, self.steps, partial(self._fly_airframe, substeps, False)),
+            Job(PLAIN, substeps, self.steps, partial(self._fly_airframe, substeps, True)),
         ]
 
     def recorded(self, substeps: int) -> Job:
@@ -149,6 +165,9 @@ class Flights:
     def _run_bare(self, substeps: int) -> Action:
         return bare(self._bare[substeps], UNIT_RUNS)
 
+    def _fly_airframe(self, substeps: int, plain: bool) -> Action:
+        return airframe_alone(self._bare[substeps], self.steps, plain)
+
     def _step_engines(self, substeps: int) -> Action:
         simulation = self._whole[substeps].simulation
         return step_bank(simulation.propulsion.engines, JETS, simulation.cascade.allocator.hover, self.steps)
@@ -156,14 +175,51 @@ class Flights:
 
 def bare(simulation: Simulation, runs: int) -> Action:
     """Nothing but JSBSim: so many runs of the airframe in hover in the air, forces held."""
-    jets = len(simulation.vehicle.jets)
-    lift = (0.0, 0.0, -simulation.vehicle.mass_kg * GRAVITY / jets)
-    simulation.airframe.reset(simulation.scenario.initial, [lift] * jets, ZERO3)
+    _begin(simulation)
     run = simulation.airframe.bare_run()
 
     def action() -> None:
         for _ in repeat(None, runs):
             run()
+
+    return action
+
+
+def _begin(simulation: Simulation, more: float = 0.0) -> list[Vector3]:
+    """Reset the airframe to hover; the jets' forces that hold it up, and so much ``more`` of them."""
+    jets = len(simulation.vehicle.jets)
+    lift = -simulation.vehicle.mass_kg * GRAVITY / jets
+    simulation.airframe.reset(simulation.scenario.initial, [(0.0, 0.0, lift)] * jets, ZERO3)
+    return [(0.0, 0.0, (1.0 + more) * lift)] * jets
+
+
+def airframe_alone(simulation: Simulation, steps: int, plain: bool) -> Action:
+    """The airframe's part of so many control steps, forces changing in each, as :meth:`Airframe.step` has it.
+
+    ``plain``: by the integrators that JSBSim has where nobody chooses, and without what the first run makes up.
+    """
+    moving = [_begin(simulation, more) for more in (0.01, -0.01)]
+    frame = simulation.airframe
+    if plain:
+        for name, method in JSBSIMS_OWN.items():
+            frame._set(f"simulation/integrator/{name}", method)
+    run, more = frame.bare_run(), frame.substeps - 1
+    twice = more > 0 and not plain
+    share, write, write_ahead, read = MAKE_UP[IN_THE_AIR], frame._act, frame._act_with, frame._read
+
+    def action() -> None:
+        for k in range(steps):
+            forces = moving[k % 2]
+            if twice:
+                write_ahead(forces, ZERO3, ZERO3, share)
+                run()
+                write(forces, ZERO3, ZERO3)
+            else:
+                write(forces, ZERO3, ZERO3)
+                run()
+            for _ in range(more):
+                run()
+            read()
 
     return action
 
@@ -211,6 +267,11 @@ def collect(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int, on_round
     return found
 
 
+def differences(ours: Sequence[Pair], theirs: Sequence[Pair]) -> list[Pair]:
+    """What a step of one costs more than a step of the other, round by round, in the unit around the first."""
+    return [Pair(Clocked(*map(sub, one.step, other.step)), one.unit) for one, other in zip(ours, theirs, strict=True)]
+
+
 def measure_speed(steps: int, rounds: int, folder: Path, on_round: Callable[[], object]) -> dict[int, dict[str, Cost]]:
     """Costs by the number of JSBSim runs a step and by name; flights are recorded below ``folder``."""
     with Flights(steps, folder) as flights:
@@ -223,6 +284,7 @@ def measure_speed(steps: int, rounds: int, folder: Path, on_round: Callable[[], 
         costs[substeps] = {
             BARE: Cost.of([Pair(unit, unit) for unit in units]),
             **{name: Cost.of(rows) for name, rows in pairs.items()},
+            PRICE: Cost.of(differences(pairs[AIRFRAME], pairs[PLAIN])),
             OUTSIDE_FLOWN: Cost.of(pairs[FLOWN], less=substeps),
             OUTSIDE: Cost.of(pairs[RECORDED], less=substeps),
         }
