@@ -16,8 +16,8 @@ Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 PerJet = tuple[float, ...]  # jet 1 first
 
-ZERO3: Final[Vector3] = (0.0, 0.0, 0.0)
-UNKNOWN3: Final[Vector3] = (nan, nan, nan)
+ZERO3: Vector3 = (0.0, 0.0, 0.0)
+UNKNOWN3: Vector3 = (nan, nan, nan)
 JETS = 6  # columns that every log has of what a jet has, so that logs can be laid side by side
 MOST_JETS = 12  # as many motors as a ULog's actuator_motors takes
 ALL_WELL: Final[PerJet] = (1.0,) * MOST_JETS  # of engines that nobody watches, or that do as they are told
