@@ -16,6 +16,7 @@ from cosim.base.toml import read_toml
 from cosim.control.cascade import Cascade
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec, engine_names
+from cosim.engine.spec import find_source
 from cosim.results.autopilot_record import PilotRecord
 from cosim.results.columns import log_columns
 from cosim.results.limits import yardstick
@@ -318,9 +319,12 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) ->
 
 
 def _mapping(path: Path, archive: str) -> Path | bytes:
-    """A mapping file as it is, or, if it names its archive otherwise, written anew."""
+    """A mapping file as it is, or written anew: if it names its archive otherwise, and with a parameter set in it."""
     stated = read_toml(path)
-    if stated["fmu"] == archive:
+    if "parameter_set" in stated:
+        del stated["parameter_set"]
+        stated["parameters"] = find_source(str(path)).mapping.parameters
+    elif stated["fmu"] == archive:
         return path
     import tomli_w
 

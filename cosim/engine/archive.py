@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 from cosim.base.cache import Memory
@@ -35,13 +35,66 @@ from cosim.engine.ports import (
     Variable,
     find_ports,
 )
-from cosim.engine.starting import Starting, starting
+from cosim.engine.starting import Setting, Starting, starting
 from cosim.engine.units import Unit
 
 TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}
 LARGEST_ARRAY = 10_000  # elements that are listed one by one
 
 _archives: Memory[Archive] = Memory(64)
+
+
+class Feed(NamedTuple):
+    """An input of a component and where its value is from: ``factor * value + offset``."""
+
+    part: int
+    variable: Variable
+    source: int  # the component
+    output: Variable
+    factor: float
+    offset: float
+    late: bool  # it is that of the step's beginning, because the source is stepped later
+
+
+class Place(NamedTuple):
+    """A variable of a system: that of a component, and on the way there or from there ``factor * value + offset``."""
+
+    part: int
+    variable: Variable
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Part:
+    """A component of a system: an FMU in its archive."""
+
+    name: str
+    file: str
+    archive: Archive
+    settings: tuple[Setting, ...]
+
+
+@dataclass(frozen=True)
+class System:
+    """Components in the order in which they are stepped, and how they are joined.
+
+    ``places``: by the reference of a variable of the system; an input may be several components'.
+    """
+
+    parts: tuple[Part, ...]
+    feeds: tuple[Feed, ...]
+    places: tuple[tuple[Place, ...], ...]
+
+    @property
+    def late(self) -> list[str]:
+        """The connections that are exchanged a step late, in words."""
+        parts = self.parts
+        return [
+            f"{parts[each.source].name}.{each.output.name} to {parts[each.part].name}.{each.variable.name}"
+            for each in self.feeds
+            if each.late
+        ]
 
 
 @dataclass(frozen=True)
@@ -70,6 +123,7 @@ class Archive:
     saves_state: bool
     serializes_state: bool
     starting: Starting = field(default_factory=Starting)  # what is done with an instance before it is asked for thrust
+    system: System | None = field(default=None, repr=False)  # of a system of FMUs: what it is made of
 
     @property
     def throttle(self) -> Variable:
@@ -106,8 +160,15 @@ def platform_folder(fmi: int) -> str:
     return str(fmpy.platform if fmi == 2 else fmpy.platform_tuple)
 
 
+def libraries_of(archive: Archive) -> list[str]:
+    """The names of this machine's libraries where an archive is unpacked."""
+    if archive.system is None:
+        return [library_of(archive)]
+    return [f"{number}/{library_of(part.archive)}" for number, part in enumerate(archive.system.parts)]
+
+
 def library_of(archive: Archive) -> str:
-    """The name of this machine's library in an archive."""
+    """The name of this machine's library in an archive of one FMU."""
     import fmpy
 
     return f"binaries/{platform_folder(archive.fmi)}/{archive.identifier}{fmpy.sharedLibraryExtension}"
@@ -120,7 +181,12 @@ def validate(path: Path) -> list[str]:
     return [one_line(problem) for problem in validate_fmu(str(path))]
 
 
-def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
+def read_component(path: Path, data: bytes) -> Archive:
+    """An FMU that is a component of a system: without ports.  Raises UnusableError."""
+    return _read(path, data, hashlib.sha256(data).hexdigest(), None)
+
+
+def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archive:
     names, xml = open_archive(data)
     root = parse(xml)
     fmi = fmi_of(root)
@@ -133,9 +199,14 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
     inputs, outputs, parameters = (
         tuple(v for v in elements if v.causality == causality) for causality in ("input", "output", "parameter")
     )
+    ports: dict[str, Port] = {}
+    notes: list[str] = []
+    begin = Starting()
     try:
-        ports, notes = find_ports([*inputs, *outputs, *parameters], stated)
-        begin = starting(stated, inputs, outputs, ports)
+        if stated is not None:
+            ports, notes = find_ports([*inputs, *outputs, *parameters], stated)
+            begin = starting(stated, inputs, outputs, ports)
+            notes += left_alone(inputs, ports, begin)
     except PortError as error:
         raise UnusableError(str(error)) from error
     experiment = description.defaultExperiment
@@ -149,7 +220,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
         identifier=slave.modelIdentifier,
         token=description.instantiationToken,
         ports=ports,
-        port_notes=(*notes, *_left_alone(inputs, ports, begin)),
+        port_notes=tuple(notes),
         blemishes=blemishes,
         inputs=inputs,
         outputs=outputs,
@@ -158,6 +229,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
         preferred_step=_positive(experiment.stepSize if experiment else None),
         once_per_process=slave.canBeInstantiatedOnlyOncePerProcess,
         event_mode=slave.hasEventMode
+        and stated is not None
         and all(p.variable.variability == "continuous" for p in ports.values() if p.variable.causality == "input"),
         returns_early=slave.mightReturnEarlyFromDoStep,
         saves_state=slave.canGetAndSetFMUstate,
@@ -190,7 +262,7 @@ def own_sources(data: bytes) -> list[tuple[str, bytes]]:
         return [(name, fmu.read(name)) for name in names if name.startswith("sources/")]
 
 
-def _left_alone(inputs: Sequence[Variable], ports: Mapping[str, Port], begin: Starting) -> list[str]:
+def left_alone(inputs: Sequence[Variable], ports: Mapping[str, Port], begin: Starting) -> list[str]:
     """A note on inputs that nobody sets."""
     set_ = {port.variable.name for port in ports.values()} | {
         v.name for each in (begin.constants, *(stage.settings for stage in begin.stages)) for v, _ in each

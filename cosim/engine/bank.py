@@ -12,6 +12,7 @@ from cosim.engine.instance import Slave, SlaveError
 from cosim.engine.ports import AMBIENT, Air
 from cosim.engine.response import ResponseError, settle
 from cosim.engine.spec import EngineSpec
+from cosim.engine.system_slave import make_slave
 from cosim.engine.unpacked import Unpacked, unpack
 
 
@@ -44,7 +45,7 @@ class EngineBank:
             if key not in self._folders:
                 self._folders[key] = unpack(spec.archive)
             try:
-                self._slaves.append(Slave(spec.archive, self._folders[key].path, f"engine {index + 1}"))
+                self._slaves.append(make_slave(spec.archive, self._folders[key].path, f"engine {index + 1}"))
             except SlaveError as error:
                 raise EngineError(f"{self._label(index)}: {error}") from error
         self._hand_over()

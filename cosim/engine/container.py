@@ -60,31 +60,31 @@ def read_bytes(path: Path) -> bytes:
         raise UnusableError(getattr(error, "strerror", None) or str(error)) from error
 
 
-def open_archive(data: bytes) -> tuple[list[str], bytes]:
-    """The names of the files in an archive and its model description, after everything in it was found harmless.
+def open_archive(data: bytes, main: str = DESCRIPTION, kind: str = "FMU") -> tuple[list[str], bytes]:
+    """The names of the files in an archive and its ``main`` one, after everything in it was found harmless.
 
-    Raises UnusableError for what is no FMU, and for what could do harm when unpacked or parsed: paths that lead out of
-    the folder, links, names that stand twice, encryption, strange compression, sizes beyond the limits above, document
-    types and entities in XML.
+    Raises UnusableError for what is none of its kind, and for what could do harm when unpacked or parsed: paths that
+    lead out of the folder, links, names that stand twice, encryption, strange compression, sizes beyond the limits
+    above, document types and entities in XML.
     """
     if not data:
         raise UnusableError("is empty")
     if not data.startswith(b"PK"):
-        raise UnusableError("is not an FMU: not a zip archive")
+        raise UnusableError(f"is not an {kind}: not a zip archive")
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as fmu:
             entries = fmu.infolist()
             _need_harmless_sizes(entries, len(data))
             _need_harmless_entries(entries)
             names = [entry.filename for entry in entries]
-            if DESCRIPTION not in names:
-                raise UnusableError(f"is not an FMU: it has no {DESCRIPTION}")
-            for name in (DESCRIPTION, BUILD_DESCRIPTION):
+            if main not in names:
+                raise UnusableError(f"is not an {kind}: it has no {main}")
+            for name in (main, BUILD_DESCRIPTION, *(name for name in names if name.lower().endswith(".ssv"))):
                 if name in names:
                     if fmu.getinfo(name).file_size > MOST_XML:
                         raise UnusableError(f"{name} is larger than {_size(MOST_XML)}")
-                    _need_harmless_xml(name, fmu.read(name))
-            return names, fmu.read(DESCRIPTION)
+                    need_harmless_xml(name, fmu.read(name))
+            return names, fmu.read(main)
     except DAMAGE as error:
         raise UnusableError(f"is damaged or truncated: {one_line(error)}") from error
     except NotImplementedError as error:  # a version of the zip format that Python does not know
@@ -166,7 +166,7 @@ def _need_harmless_entries(entries: list[zipfile.ZipInfo]) -> None:
             )
 
 
-def _need_harmless_xml(name: str, xml: bytes) -> None:
+def need_harmless_xml(name: str, xml: bytes) -> None:
     """Refuse what FMI has no use for: document types, and with them every entity; deep nesting; odd encodings."""
     depth = 0
 

@@ -7,7 +7,7 @@ import importlib
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import lru_cache
 from pathlib import Path
@@ -70,7 +70,7 @@ class Slave:
     Raises SlaveError if the library does not load or the FMU refuses to be instantiated.
     """
 
-    def __init__(self, archive: Archive, folder: Path, name: str) -> None:
+    def __init__(self, archive: Archive, folder: Path, name: str, load: Callable[[], Any] | None = None) -> None:
         self.archive = archive
         self._resources = folder / "resources"
         self._python = any(self._resources.rglob("*.py"))
@@ -79,7 +79,7 @@ class Slave:
         self._dead = False
         self._done = 0  # communication steps of the start
         self._inputs = _canonical(0.0, STANDARD_AIR)  # what they were set to
-        self.fmu: Any = _load(archive, folder, name)
+        self.fmu: Any = load() if load is not None else _load(archive, folder, name)
         try:
             with _modules_of_its_own(self._resources) if self._python else nullcontext():
                 self._instantiate()

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cosim.engine._bank as _bank
 from cosim.base.cache import Memory
 from cosim.engine.archive import Archive
-from cosim.engine.instance import Slave, SlaveError
+from cosim.engine.instance import SlaveError
 from cosim.engine.ports import STANDARD_AIR, Air
 from cosim.engine.response import (
     LITTLE_CHANGE,
@@ -24,6 +24,7 @@ from cosim.engine.response import (
 )
 from cosim.engine.spec import behaviour_of
 from cosim.engine.starting import Setting
+from cosim.engine.system_slave import make_slave
 from cosim.engine.unpacked import unpack
 
 
@@ -77,7 +78,7 @@ def _measure(
     air: Air,
 ) -> Measured:
     with unpack(archive) as folder:
-        slave = Slave(archive, folder, "measured")
+        slave = make_slave(archive, folder, "measured")
         try:
             slave.initialize(settings, 0.0, air, step=step)
             native = _bank.Bank([slave.row()], step)
@@ -111,7 +112,7 @@ def _starts_level(
     """Whether the start parameter starts the engine on its static curve and keeps it there, tried at half throttle."""
     middle = len(curve.throttle) // 2
     throttle, thrust = curve.throttle[middle], curve.thrust[middle]
-    slave = Slave(archive, folder, "started")
+    slave = make_slave(archive, folder, "started")
     try:
         port = archive.ports["start"]
         first = slave.initialize([*settings, (port.variable, port.value(throttle))], throttle, air, step=step)

@@ -440,6 +440,7 @@ class MappingFile(Model):
     rotor: _Rotor = _Rotor()
     flame_out: _FlameOut | None = None
     ledger: _Ledger = _Ledger()
+    parameter_set: str | None = Field(default=None, min_length=1)  # a file (SSV) beside it; [parameters] go before it
 
 
 @dataclass(frozen=True)

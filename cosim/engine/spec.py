@@ -15,6 +15,7 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.paths import data_folder
 from cosim.engine import build
 from cosim.engine.archive import Archive, read_archive
+from cosim.engine.parameter_set import read_parameter_set
 from cosim.engine.ports import (
     INTEGERS,
     STANDARD_AIR,
@@ -29,6 +30,7 @@ from cosim.engine.ports import (
 from cosim.engine.response import NO_CHANGE, Curve, rising
 from cosim.engine.rundown import FlameOutLaw
 from cosim.engine.starting import Setting
+from cosim.engine.system import SUFFIX, is_system, read_system
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,10 @@ def build_engines(names: list[str] | None = None) -> list[Path]:
         raise InputError(str(error)) from error
 
 
+def _read(path: Path, ports: PortMap | None = None) -> Archive:
+    return read_system(path, ports) if is_system(path) else read_archive(path, ports)
+
+
 _definitions: Memory[build.Engine] = Memory(64)
 
 
@@ -164,23 +170,27 @@ def find_source(name_or_path: str) -> EngineSource:
     if is_mapping(path):
         mapping, fmu, ports = read_mapping(path)
         try:
-            return EngineSource(path, read_archive(fmu, ports), None, mapping)
+            archive = _read(fmu, ports)
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
-    if path.suffix.lower() == ".fmu" or len(path.parts) > 1 or path.is_file():
-        return EngineSource(path, read_archive(path), None, MappingFile(fmu=path.name))
+        if mapping.parameter_set is not None:
+            stated = read_parameter_set(path.parent / mapping.parameter_set, archive)
+            mapping = mapping.model_copy(update={"parameters": stated | mapping.parameters})
+        return EngineSource(path, archive, None, mapping)
+    if path.suffix.lower() in (".fmu", SUFFIX) or len(path.parts) > 1 or path.is_file():
+        return EngineSource(path, _read(path), None, MappingFile(fmu=path.name))
     name = name_or_path.removesuffix(build.FMI2_SUFFIX)
     if name not in engine_names():
         allowed = nearest(name, engine_names())
         raise InputError(
-            f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu, or of a .toml that maps one"
+            f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu or .ssp, or of a .toml that maps one"
         )
     engine = _definition(data_folder("engines") / name)
     path = build.archive_path(data_folder("fmus"), name, 2 if name_or_path != name else 3)
     if not path.is_file():
         raise InputError(f"engine {name_or_path}: {path} has not been built; run: hexjet fmu build")
-    stated = PortMap(ports=engine.ports, search=False)
-    return EngineSource(path, read_archive(path, stated), engine, MappingFile(fmu=path.name))
+    known = PortMap(ports=engine.ports, search=False)
+    return EngineSource(path, read_archive(path, known), engine, MappingFile(fmu=path.name))
 
 
 def _definition(folder: Path) -> build.Engine:
@@ -195,6 +205,9 @@ def _definition(folder: Path) -> build.Engine:
 
 def need_whole_steps(archive: Archive, engine: build.Engine | None, step: float) -> None:
     """Refuse a communication step that the engine states it cannot make."""
+    if archive.system is not None:
+        for part in archive.system.parts:
+            need_whole_steps(part.archive, None, step)
     internal = engine.internal_step if engine else archive.internal_step
     if internal is None:
         return

@@ -14,7 +14,7 @@ from types import TracebackType
 
 from cosim.base.errors import InputError
 from cosim.base.scratch import scratch
-from cosim.engine.archive import Archive, library_of, platform_folder
+from cosim.engine.archive import Archive, libraries_of, platform_folder
 from cosim.engine.container import (
     DAMAGE,
     UnusableError,
@@ -32,12 +32,14 @@ class Unpacked:
     def __init__(self, archive: Archive, data: bytes) -> None:
         self.sha256 = archive.sha256
         self.path = Path(tempfile.mkdtemp(prefix="engine-", dir=scratch()))
-        self._library = self.path / library_of(archive)
+        self._libraries = [self.path / name for name in libraries_of(archive)]
         try:
-            with zipfile.ZipFile(io.BytesIO(data)) as fmu:
-                for name in fmu.namelist():
-                    if name.startswith((f"binaries/{platform_folder(archive.fmi)}/", "resources/")):
-                        fmu.extract(name, self.path)
+            if archive.system is None:
+                _extract(archive, data, self.path)
+            else:
+                with zipfile.ZipFile(io.BytesIO(data)) as ssp:
+                    for number, part in enumerate(archive.system.parts):
+                        _extract(part.archive, ssp.read(part.file), self.path / str(number))
         except BaseException:
             self.remove()
             raise
@@ -47,7 +49,7 @@ class Unpacked:
     def untouched(self) -> bool:
         """Whether it is what it was when it was unpacked, and nothing of its library is left in this process."""
         try:
-            return not _is_loaded(self._library) and contents(self.path) == self._contents
+            return not any(map(_is_loaded, self._libraries)) and contents(self.path) == self._contents
         except OSError:
             return False
 
@@ -67,6 +69,13 @@ class Unpacked:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _extract(archive: Archive, data: bytes, folder: Path) -> None:
+    with zipfile.ZipFile(io.BytesIO(data)) as fmu:
+        for name in fmu.namelist():
+            if name.startswith((f"binaries/{platform_folder(archive.fmi)}/", "resources/")):
+                fmu.extract(name, folder)
 
 
 def unpack(archive: Archive) -> Unpacked:

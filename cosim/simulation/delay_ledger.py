@@ -53,6 +53,7 @@ def delay_ledger(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineS
         *(unknown if later else []),
         LedgerRow("transport delay", owner, "transport", _mean(delays, levers)),
         LedgerRow("spool lag, 1/(1 - a) at one internal step a control step", owner, "lag", _mean(lags, levers)),
+        *_loops(engines),
         LedgerRow("thrust of the step's end acts over all of it", "engines, then airframe", "exchange", -1.0),
         LedgerRow("force acts from the step's beginning", "JSBSim", "transport", 0.0)
         if scenario.substeps > 1
@@ -66,6 +67,15 @@ def total_samples(rows: list[LedgerRow]) -> float | None:
     """The sum in control steps; None if any element is unknown."""
     samples = [row.samples for row in rows]
     return None if any(value is None for value in samples) else sum(value for value in samples if value is not None)
+
+
+def _loops(engines: Sequence[EngineSpec]) -> list[LedgerRow]:
+    """What a system of FMUs exchanges a step late inside itself: part of its own answer, and nothing on top of that."""
+    return [
+        LedgerRow(f"{text}, a step late in a loop: within the engine's own", f"engine {name}", "exchange", 0.0)
+        for name, late in {each.name: each.archive.system.late for each in engines if each.archive.system}.items()
+        for text in late
+    ]
 
 
 def _owner(engines: Sequence[EngineSpec]) -> str:

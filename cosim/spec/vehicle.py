@@ -537,8 +537,8 @@ def file_seen_from(engine: str, folder: Path) -> str:
 
 
 def is_file(engine: str) -> bool:
-    """Whether an engine is given by a file: an FMU, or a mapping file that names one."""
-    return engine.lower().endswith((".fmu", ".toml")) or "/" in engine
+    """Whether an engine is given by a file: an FMU, a system of them (SSP), or a mapping file that names one."""
+    return engine.lower().endswith((".fmu", ".ssp", ".toml")) or "/" in engine
 
 
 def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:

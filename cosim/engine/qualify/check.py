@@ -111,11 +111,16 @@ class CheckReport:
         """Plain lists, numbers and strings, for JSON."""
         return {"ok": self.ok, **asdict(self)}
 
+    @property
+    def standard(self) -> str:
+        """What it keeps to, with its version."""
+        return self.fmi_version if self.fmi_version.startswith("SSP") else f"FMI {self.fmi_version}"
+
     def lines(self) -> list[tuple[str, str]]:
         """What to tell a reader, label and text, problems left out."""
         rows = [
             ("file", self.path),
-            ("model", f"{self.name}, FMI {self.fmi_version}, sha256 {self.sha256[:12]}"),
+            ("model", f"{self.name}, {self.standard}, sha256 {self.sha256[:12]}"),
             *((each["port"].replace("_", " "), _port_text(each)) for each in self.ports),
             *(("input", _variable_text(v)) for v in self._unused(self.inputs)),
             *(("output", _variable_text(v)) for v in self._unused(self.outputs)),

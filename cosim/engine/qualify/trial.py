@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import cosim.engine._bank as _bank
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import EngineOutput
-from cosim.engine.archive import library_of, validate
+from cosim.engine.archive import libraries_of, validate
 from cosim.engine.bank import EngineBank
 from cosim.engine.description import is_blemish
 from cosim.engine.instance import Slave, SlaveError
@@ -48,6 +48,7 @@ from cosim.engine.spec import (
     find_source,
     resolve_parameters,
 )
+from cosim.engine.system_slave import make_slave
 from cosim.engine.unpacked import contents, unpack
 
 Say = Callable[[dict[str, Any]], None]
@@ -107,7 +108,7 @@ class Trial:
     def slave(self, throttle: float = 0.0) -> Iterator[Slave]:
         """A fresh instance, initialized at a throttle and freed afterwards, with a word before each of these."""
         self.say({"at": "when it was instantiated"})
-        slave = Slave(self.archive, self.folder, "checked")
+        slave = make_slave(self.archive, self.folder, "checked")
         try:
             self.initialize(slave, throttle)
             yield slave
@@ -222,6 +223,8 @@ def _validate(trial: Trial) -> Found:
     from fmpy import read_model_description  # type: ignore[import-untyped]
 
     trial.say({"at": "while its description was validated"})
+    if trial.archive.system is not None:  # what a component's has to say was said when it was read
+        return {"features": [f"{part.name}: {part.file}" for part in trial.archive.system.parts]}, []
     # with blemishes it was judged when it was read
     complaints = [] if trial.archive.blemishes else validate(trial.archive.path)
     remarks = [text for text in complaints if is_blemish(text)]
@@ -246,11 +249,16 @@ def _features(description: Any) -> list[str]:
 
 
 def _load(trial: Trial) -> Found:
-    """The library alone, before it is asked for anything."""
+    """The library alone, before it is asked for anything; of a system those of its components, one after the other."""
+    before = _surroundings()
+    for library in libraries_of(trial.archive):
+        _load_library(trial, trial.folder / library)
+    return {}, _changes(before)
+
+
+def _load_library(trial: Trial, library: Path) -> None:
     import fmpy
 
-    library = trial.folder / library_of(trial.archive)
-    before = _surroundings()
     here = Path.cwd()
     trial.say({"at": "when its shared library was loaded"})
     os.chdir(library.parent)  # as FMPy does, for libraries that lie beside it
@@ -263,7 +271,6 @@ def _load(trial: Trial) -> Found:
         os.chdir(here)
     trial.say({"at": "when its shared library was unloaded"})
     fmpy.freeLibrary(handle)
-    return {}, _changes(before)
 
 
 def _start(trial: Trial) -> Found:

@@ -200,7 +200,7 @@ def test_unknown_engine_lists_the_known_ones() -> None:
     assert refusal("turbo") == (
         "unknown engine 'turbo'; did you mean 'turbojet'? allowed: edf, edf-as-flown, motor, p220, "
         "p220-2025, "
-        "turbine-100, turbine-20, turbine-220, turbojet, or the path of an .fmu, or of a .toml that maps one"
+        "turbine-100, turbine-20, turbine-220, turbojet, or the path of an .fmu or .ssp, or of a .toml that maps one"
     )
 
 

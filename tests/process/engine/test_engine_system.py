@@ -1,0 +1,221 @@
+"""A system of FMUs (SSP) as one engine: stepped as by hand, judged, flown, and refused in one line where it is wrong."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import systems
+from systems import LINES, STEP, by_hand, line, pack, parameter_set, structure
+
+import cosim.engine._bank as native
+from cosim.base.errors import InputError
+from cosim.codegen import measure
+from cosim.engine import EngineBank, load_engine
+from cosim.engine.archive import Archive
+from cosim.engine.instance import Slave
+from cosim.engine.qualify.trial import perform
+from cosim.engine.spec import find_source
+from cosim.engine.structure import order
+from cosim.engine.system_slave import make_slave
+from cosim.engine.unpacked import unpack
+from cosim.flight import fly
+from cosim.spec.scenario import Scenario
+
+pytestmark = pytest.mark.skipif(measure.compiler() is None, reason="no C compiler")
+THROTTLE = [0.5] * 20 + [1.0] * 80 + [0.2] * 60
+
+
+@pytest.fixture(scope="module")
+def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    return systems.components(tmp_path_factory.mktemp("components"))
+
+
+@pytest.fixture
+def mine(tmp_path: Path, fmus: dict[str, bytes]) -> Path:
+    return pack(tmp_path / "mine.ssp", structure(), fmus)
+
+
+@contextmanager
+def stepped(path: Path, **settings: float) -> Iterator[tuple[Archive, Slave, native.Bank]]:
+    archive = find_source(str(path)).archive
+    with unpack(archive) as folder:
+        slave = make_slave(archive, folder, "tried")
+        try:
+            named = [(archive.parameter(name.replace("__", ".")), value) for name, value in settings.items()]
+            slave.initialize(named, 0.0, step=STEP)
+            yield archive, slave, native.Bank((slave.row(),), STEP)
+        finally:
+            slave.close()
+
+
+def thrusts(path: Path, **settings: float) -> list[float]:
+    with stepped(path, **settings) as (_, _, bank):
+        return [bank.hold(0, throttle, 1)[0] for throttle in THROTTLE]
+
+
+def test_it_is_stepped_as_by_hand_to_the_last_bit(mine: Path) -> None:
+    assert thrusts(mine) == by_hand(THROTTLE)
+    assert thrusts(mine, governor__gain=0.1) == by_hand(THROTTLE, 0.1)
+    archive = find_source(str(mine)).archive
+    assert [part.name for part in archive.system.parts] == ["governor", "pump", "core"]
+    assert archive.system.late == ["core.n to governor.speed"]
+    assert pickle.loads(pickle.dumps(archive)).system == archive.system
+
+
+def test_the_order_is_that_of_the_connections_and_not_of_the_file(tmp_path: Path, fmus: dict[str, bytes]) -> None:
+    """Without the loop: whatever is listed first, nothing is late."""
+    open_loop = tuple(
+        each for each in LINES if "governor.speed" not in each and 'startElement="core" startConnector="n"' not in each
+    )
+    path = pack(tmp_path / "open.ssp", structure(open_loop, ("core", "pump", "governor"), version="2.0"), fmus)
+    archive = find_source(str(path)).archive
+    assert archive.system.late == []
+    assert [part.name for part in archive.system.parts] == ["governor", "pump", "core"]
+    a, b, c = ("a",), ("b",), ("c",)
+    assert order([a, b, c], {a: {c}, b: {a}, c: {b}}) == ([a, b, c], {(c, a)})
+    assert order([a, b], {a: {a}}) == ([a, b], {(a, a)})
+
+
+def test_parameter_sets_inside_and_outside_and_in_a_file(tmp_path: Path, fmus: dict[str, bytes]) -> None:
+    bound = "<ssd:ParameterBindings><ssd:ParameterBinding{}</ssd:ParameterBinding></ssd:ParameterBindings>"
+    inline = bound.format(f"><ssd:ParameterValues>{parameter_set({'governor.gain': 0.2})}</ssd:ParameterValues>")
+    path = pack(tmp_path / "inline.ssp", structure(more=inline), fmus)
+    assert thrusts(path) == by_hand(THROTTLE, 0.2)
+    assert load_engine(str(path), {}, STEP, unchecked=True).parameters == {"governor.gain": 0.2}
+    from_file = structure(more=bound.format(' source="resources/set.ssv">'))
+    path = pack(tmp_path / "file.ssp", from_file, fmus, **{"resources/set.ssv": parameter_set({"governor.gain": 0.3})})
+    assert thrusts(path) == by_hand(THROTTLE, 0.3)
+    # one of a scenario's, beside a mapping file
+    (tmp_path / "hot.ssv").write_text(parameter_set({"governor.gain": 0.4}))
+    mapping = tmp_path / "hot.toml"
+    mapping.write_text('fmu = "file.ssp"\nparameter_set = "hot.ssv"\n')
+    assert find_source(str(mapping)).mapping.parameters == {"governor.gain": 0.4}
+    mapping.write_text('fmu = "file.ssp"\nparameter_set = "hot.ssv"\n[parameters]\ngovernor.gain = 0.6\n')
+    assert find_source(str(mapping)).mapping.parameters == {"governor.gain": 0.6}
+    (tmp_path / "hot.ssv").write_text(parameter_set({"governor.gian": 0.4}))
+    with pytest.raises(InputError, match=r"hot.ssv: governor.gian: file.ssp has no such parameter; did you mean"):
+        find_source(str(mapping))
+
+
+def test_systems_in_systems_and_units_that_differ(tmp_path: Path, fmus: dict[str, bytes]) -> None:
+    """The core in a system of its own whose outlet is in newtons; the system's in pounds-force, by its units."""
+    uri = "http://ssp-standard.org/SSP1/SystemStructure"
+    inner = (
+        '<ssd:System name="hot"><ssd:Connectors><ssd:Connector name="in" kind="input"/>'
+        '<ssd:Connector name="push" kind="output"><ssc:Real unit="N"/></ssd:Connector></ssd:Connectors>'
+        '<ssd:Elements><ssd:Component name="core" source="resources/core.fmu"/></ssd:Elements><ssd:Connections>'
+        + line("in", "core.fuel") + line("core.thrust_kN", "push", systems.KILO) + "</ssd:Connections></ssd:System>"
+    )  # fmt: skip
+    lbf = '<ssc:Unit name="lbf"><ssc:BaseUnit kg="1" m="1" s="-2" factor="4.4482216152605"/></ssc:Unit></ssd:Units>'
+    connectors = systems.CONNECTORS.replace('unit="N"', 'unit="lbf"')
+    lines = (line("throttle", "pump.command"), line("pump.flow", "hot.in"), line("hot.push", "thrust"))
+    text = structure(lines, ("pump",), connectors=connectors).replace("</ssd:Elements>", f"{inner}</ssd:Elements>", 1)
+    # the replacement above hits the inner list first where it comes first; the outer one is meant
+    text = text.replace("</ssd:Units>", lbf)
+    assert uri in text
+    archive = find_source(str(pack(tmp_path / "deep.ssp", text, fmus))).archive
+    assert [part.name for part in archive.system.parts] == ["pump", "hot.core"]
+    assert (archive.thrust.unit, archive.system.places[archive.thrust.reference][0].factor) == (
+        "lbf",
+        1000.0 / 4.4482216152605,
+    )
+    assert archive.ports["thrust"].scale == 4.4482216152605
+
+
+def test_the_check_tries_it_as_any_engine(mine: Path) -> None:
+    """The parts of hexjet fmu check that are not one more run, in this process."""
+    parts = ("validate", "load", "start", "repeat", "reset", "restore", "serialize")
+    said: list[dict[str, Any]] = []
+    perform({"name": str(mine), "parameters": {}, "step": STEP, "parts": parts}, said.append)
+    found = {each["of"]: each for each in said if "of" in each}
+    assert [each["problems"] for each in found.values()] == [[]] * len(parts)
+    assert found["validate"]["found"]["features"][0] == "governor: resources/governor.fmu"
+    answers = {key: value for part in parts[4:] for key, value in found[part]["found"].items()}
+    assert answers == {"reset_restores_start": True, "state_restores": True, "serialized_state_restores": True}
+
+
+def test_it_flies_and_flies_again_from_the_run_in_a_process_of_its_own(mine: Path, tmp_path: Path) -> None:
+    (tmp_path / "slow.ssv").write_text(parameter_set({"governor.gain": 0.2}))
+    mapping = tmp_path / "slow.toml"
+    mapping.write_text('fmu = "mine.ssp"\nparameter_set = "slow.ssv"\n')
+    changes = {"engine": str(mapping), "engine_unchecked": True, "controller": "baseline", "duration_s": 0.2}
+    run = fly(Scenario.load("hover").replace(**changes, expect=[]), tmp_path / "run", report=False)
+    assert run.outcome == "completed"
+    assert [row.samples for row in run.summary.delay_ledger if "core.n to governor.speed" in row.element] == [0.0]
+    kept = Scenario.read(tmp_path / "run" / "scenario.toml")
+    assert kept.engine_parameters == {"governor.gain": 0.2}
+    again = fly(kept.replace(engine_isolated=True), report=False)
+    assert again.log["thrust_1_N"].tolist() == run.log["thrust_1_N"].tolist()
+
+
+def test_a_component_that_fails_is_named_with_its_file(mine: Path) -> None:
+    with stepped(mine) as (_, slave, bank):
+        bank.hold(0, 0.5, 1)
+        slave.fmu._slaves[1].call("terminate")  # the pump, behind its back
+        with pytest.raises(native.FailureError) as failure:
+            bank.hold(0, 0.5, 1)
+        said = slave.explain(failure.value, "at step 1")
+        assert "component pump (resources/pump.fmu): " in said
+        slave.fmu._slaves[1]._stepping = False
+
+
+def test_one_bank_with_systems_and_fmus(mine: Path) -> None:
+    specs = [load_engine(str(mine), {}, STEP, unchecked=True), load_engine("edf", {}, STEP)]
+    with EngineBank(specs, 2, STEP) as bank:
+        first = bank.reset(0.5)
+        assert first.thrust[0] == pytest.approx(10.0, abs=1e-6)
+        assert bank.step(0, (0.5, 0.5)).thrust[0] == pytest.approx(10.0, abs=1e-6)
+
+
+WRONG = {
+    "no structure": (None, "is not an SSP: it has no SystemStructure.ssd"),
+    "version": (lambda t: t.replace('version="1.0" name', 'version="0.9" name'), "SSP version 0.9 is not supported"),
+    "component": (lambda t: t.replace("pump.fmu", "pumps.fmu"), "component pump: there is no resources/pumps.fmu"),
+    "variable": (
+        lambda t: t.replace('endConnector="command"', 'endConnector="comand"'),
+        "component pump (resources/pump.fmu): has no variable comand; did you mean 'command'?",
+    ),
+    "element": (lambda t: t.replace('endElement="pump"', 'endElement="pomp"'), "ends at pomp.command, and there is no"),
+    "kind": (lambda t: t.replace('kind="input"', 'kind="inout"'), "connector throttle: kind 'inout' is not supported"),
+    "transformation": (
+        lambda t: t.replace("LinearTransformation", "BooleanMappingTransformation"),
+        "the connection to thrust has a BooleanMappingTransformation, which is not supported",
+    ),
+    "twice": (lambda t: t.replace('endConnector="speed"', 'endConnector="demand"'), "governor.demand is connected to both"),
+    "script": (
+        lambda t: t.replace("x-fmu-sharedlibrary", "x-python", 1),
+        "component governor (resources/governor.fmu, application/x-python) is no FMU",
+    ),
+    "no thrust": (lambda t: t.replace('"thrust"', '"noise"').replace('unit="N"', 'unit="1"'), "known as its thrust"),
+    "entity": (lambda t: t.replace("?>", "?><!DOCTYPE x>", 1), "declares a document type"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_one_line_with_the_file(case: str, tmp_path: Path, fmus: dict[str, bytes]) -> None:
+    change, said = WRONG[case]
+    path = tmp_path / "wrong.ssp"
+    if change is None:
+        import zipfile
+
+        with zipfile.ZipFile(path, "w") as ssp:
+            ssp.writestr("readme.txt", "nothing")
+    else:
+        pack(path, change(structure()), fmus)
+    with pytest.raises(InputError) as refused:
+        find_source(str(path))
+    text = str(refused.value)
+    assert text.startswith(f"{path}: ")
+    assert said in text
+    assert "\n" not in text
+
+
+def test_a_component_that_is_no_fmu_is_named(tmp_path: Path, fmus: dict[str, bytes]) -> None:
+    path = pack(tmp_path / "wrong.ssp", structure(), fmus | {"core": b"nothing"})
+    with pytest.raises(InputError, match=r"wrong.ssp: component core \(resources/core.fmu\): is not an FMU"):
+        find_source(str(path))
