@@ -193,6 +193,11 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         super().reset(seed=seed)
         noise = int(self.np_random.integers(2**31))
         scenario = self._scenario if self._vary is None else self._vary(self._scenario, self.np_random)
+        for key in ("aircraft", "step_s"):
+            if getattr(scenario, key) != getattr(self._scenario, key):
+                raise InputError(
+                    f"vary: {key} = {getattr(scenario, key)!r}: must stay {getattr(self._scenario, key)!r}"
+                )
         self.flight.reset(noise, scenario)
         _check(self.flight)
         simulation = self.flight.simulation
@@ -203,20 +208,23 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         return self._seen.copy(), {"time_s": 0.0}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Hold an action, from what is beyond its bounds the bound.  Raises InputError for one that is not finite."""
+        """Hold an action; of what is beyond its bounds the bound.
+
+        Raises InputError for one that is not finite, FlightError where the episode is over.
+        """
         given = np.asarray(action, dtype=float)
         if given.shape != self._scale.shape or not np.isfinite(given).all():
             raise InputError(f"action = {given.tolist()}: must be {len(self._scale)} finite numbers")
         values = np.clip(given, self.action_space.low, self.action_space.high) * self._scale
         flight, total = self.flight, 0.0
+        if flight.ending is not None:
+            raise FlightError(f"the episode is over ({flight.ending.outcome}): reset begins another")
         for _ in range(self._hold):
             wanted = flight.command
             try:
                 sample = self._fly(values.tolist(), wanted)
-            except FlightError:
-                if flight.ending is None or flight.ending.outcome != "failed":
-                    raise  # it was over before
-                break  # an engine or a controller failed, and nothing of this step is to be seen
+            except FlightError:  # an engine or a controller failed, and nothing of this step is to be seen
+                break
             told = sample.actuation.throttle + (sample.actuation.tilt if flight.simulation.vehicle.servo else ())
             self._told.appendleft(told)
             total += self._reward(flight, sample, wanted)

@@ -126,8 +126,7 @@ class Stepper:
                 "actuators = True: throttles and tilts are given by hand, so there is no controller to name"
             )
         found, self._own = opened(scenario, controller)
-        if found.requests is not None:
-            raise InputError(f"scenario {found.name}: requests: an autopilot flies it, and is not stepped by hand")
+        _refuse_autopilot(found)
         if self._hand is not None:
             hand, name = self._hand, f"{OBJECT}by hand"
             self._own = Source(name, "controller", lambda: hand, {}, copied=False)
@@ -264,10 +263,16 @@ class Stepper:
         -------
         Measured
             What the sensors say at the start.
+
+        Raises
+        ------
+        InputError
+            If the scenario cannot be flown; the flight stays where it is.
         """
         wanted = self._scenario if scenario is None else scenario.replace(controller=self._scenario.controller)
         if seed is not None and seed != wanted.seed:
             wanted = wanted.replace(seed=seed)
+        _refuse_autopilot(wanted)
         broken = self.ending is not None and self.ending.outcome == "failed"
         if wanted is not self._scenario or broken:
             simulation = build(wanted, self._own)
@@ -382,6 +387,11 @@ class Stepper:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _refuse_autopilot(scenario: Scenario) -> None:
+    if scenario.requests is not None:
+        raise InputError(f"scenario {scenario.name}: requests: an autopilot flies it, and is not stepped by hand")
 
 
 def _numbers(values: Sequence[float], count: int, what: str) -> tuple[float, ...]:

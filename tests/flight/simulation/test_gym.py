@@ -6,13 +6,14 @@ import re
 import subprocess
 import sys
 from math import acos, exp, nan, pi, radians
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from places import ROOT
 
-from cosim import Command, InputError, Scenario, Stepper, fly
+from cosim import Command, FlightError, InputError, Scenario, Stepper, fly
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed: make setup")
 
@@ -176,10 +177,36 @@ def test_what_is_lost_is_terminated_and_worth_nothing() -> None:
     assert not truncated
     assert (reward, info["outcome"]) == (0.0, "diverged")
     assert "turned faster" in info["reason"] or "leaned past" in info["reason"]
+    with pytest.raises(FlightError, match=r"the episode is over \(diverged\): reset begins another"):
+        env.step(env.action_space.high)
+    env.close()
+
+
+def test_a_controller_that_fails_terminates_with_what_was_seen_last(tmp_path: Path) -> None:
+    """Nothing of the step in which it failed is to be seen, nor of one that is not flown any more."""
+    (tmp_path / "wrong.py").write_text(
+        "class Wrong:\n    level = 'rate'\n    def reset(self): self.k = 0\n"
+        "    def update(self, *told):\n        self.k += 1\n        return [0.0 if self.k < 3 else float('nan')] * 3\n"
+    )
+    env = HexJetEnv(QUICK.replace(controller=f"{tmp_path / 'wrong.py'}:Wrong"), act="rates")
+    env.reset(seed=0)
+    action = np.array([0.0, 0.0, 0.0, 0.5])
+    env.step(action)
+    seen = env.step(action)[0]
+    observation, reward, terminated, truncated, info = env.step(action)
+    assert np.array_equal(observation, seen)
+    assert (reward, terminated, truncated, info["outcome"]) == (0.0, True, False, "failed")
+    assert "the answer for roll = nan: must be finite at step 2 (0.008 s)" in info["reason"]
+    env.reset()
+    assert not env.step(action)[2]
     env.close()
 
 
 def test_what_cannot_be_is_one_line() -> None:
+    other = HexJetEnv(QUICK, vary=lambda scenario, generator: scenario.replace(step_s=0.002))
+    with pytest.raises(InputError, match=r"vary: step_s = 0\.002: must stay 0\.004"):
+        other.reset()
+    other.close()
     with pytest.raises(InputError, match="act = 'throttle': allowed: actuators, attitude, rates"):
         HexJetEnv(act="throttle")
     with pytest.raises(InputError, match="hold = 0: must be a whole number from 1"):

@@ -230,3 +230,8 @@ def test_the_page_steps_and_goes_back() -> None:
 def test_an_autopilots_flight_is_not_stepped() -> None:
     with pytest.raises(InputError, match="requests: an autopilot flies it"):
         Stepper(Scenario.load("hover").replace(requests="requests.jsonl"))
+    with Stepper("hover", log=False) as flight:
+        flight.step()
+        with pytest.raises(InputError, match="requests: an autopilot flies it"):
+            flight.reset(scenario=Scenario.load("hover").replace(requests="requests.jsonl"))
+        assert flight.step().k == 1
