@@ -26,6 +26,7 @@ from cosim.results.request_log import REQUESTS, Replay, read_requests
 from cosim.results.run import (
     AUTOPILOT,
     REPORT,
+    BroughtBlock,
     DelayRow,
     Integration,
     OwnController,
@@ -37,6 +38,7 @@ from cosim.results.run import (
     now,
     versions,
 )
+from cosim.simulation.brought import Brought, metrics_of
 from cosim.simulation.build import build
 from cosim.simulation.controllers.source import OBJECT, Source, of_object
 from cosim.simulation.controllers.source import names as own_controllers
@@ -44,7 +46,7 @@ from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_autopilot import with_autopilot
-from cosim.spec.controller_name import file_name, label, seen_from
+from cosim.spec.controller_name import FileName, file_name, label, seen_from
 from cosim.spec.scenario import (
     CommandEntry,
     Expectation,
@@ -119,13 +121,16 @@ def fly(
         recording = record(simulation, folder, sink=sink)
         noting = PilotRecord(pilot, folder / AUTOPILOT, simulation.dt) if pilot is not None and folder else None
         pace = Pace(simulation.dt, realtime_factor)
-        watching = [*observers, *([noting] if noting else [])]
+        watching = [*simulation.brought.observers, *observers, *([noting] if noting else [])]
         watching += [watch(simulation, pace, folder, realtime_factor)] if watch else []
         begin = time.perf_counter()
         try:
             ending = simulation.run([recording, *watching], pace if realtime_factor or watch else None, replay)
             if noting is not None:
                 noting.close()
+            for each in simulation.brought.observers:
+                if hasattr(each, "close"):
+                    each.close()
         except FlightError as error:  # the log cannot be written: the disk is full, say
             ending = Ending("failed", str(error))
         except KeyboardInterrupt:
@@ -184,7 +189,9 @@ def record(
     """
     resolved, files = resolve(simulation)
     columns = log_columns(len(simulation.vehicle.jets), simulation.columns)
-    return begin_run(_setup(simulation), resolved, folder, files | dict(contents or {}), background, sink, columns)
+    files |= dict(contents or {})
+    metrics = simulation.brought.metrics
+    return begin_run(_setup(simulation), resolved, folder, files, background, sink, columns, metrics)
 
 
 def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
@@ -202,9 +209,9 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
             entry = entry.model_copy(update={"file": name})
         commands.append(entry)
     own = simulation.own
-    controller: dict[str, Any] = {}
+    controller: dict[str, Any] = _brought(simulation.brought, files)
     if own is not None:
-        controller = {"controller": copied_controller(own, files), "controller_sha256": own.sha256 or None}
+        controller |= {"controller": copied_controller(own, files), "controller_sha256": own.sha256 or None}
         told = own.values(scenario.controller_parameters, "controller_parameters")
         controller["controller_parameters"] = _floats(told)
     aircraft, vehicle = copied_aircraft(simulation, files)
@@ -267,6 +274,17 @@ def _written(table: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def _brought(brought: Brought, files: dict[str, Path | bytes]) -> dict[str, Any]:
+    """What is brought beside the controller, by what it is called beside a resolved scenario, and its hashes."""
+    stated: dict[str, Any] = {}
+    hashes: dict[str, str] = {}
+    for key, sources in brought.sources.items():
+        names = [copied_controller(source, files) for source in sources]
+        stated[key] = names if key in ("metrics", "observers") else names[0]
+        hashes |= {name: source.sha256 for name, source in zip(names, sources, strict=True)}
+    return stated | ({"own_sha256": hashes} if hashes else {})
+
+
 def _floats(values: Mapping[str, float]) -> dict[str, float]:
     return {name: float(value) for name, value in values.items()}
 
@@ -276,8 +294,8 @@ def copied_controller(own: Source, files: dict[str, Path | bytes]) -> str:
 
     Raises InputError where another file has the name of one that it imports.
     """
-    named = file_name(own.name)
-    if named is None or not own.copied:
+    named = file_name(own.name) or FileName("", own.name, "") if own.files and own.copied else None
+    if named is None:
         return own.name
     first, *others = own.files.items()
     name, number = first[0], len(files)
@@ -286,7 +304,7 @@ def copied_controller(own: Source, files: dict[str, Path | bytes]) -> str:
     files[name] = first[1]
     for each, path in others:
         if files.setdefault(each, path) != path:
-            raise InputError(f"controller {own.label}: imports {each}, and another file has this name already")
+            raise InputError(f"{own.label}: imports {each}, and another file has this name already")
     return named._replace(file=name).text
 
 
@@ -343,6 +361,11 @@ def _setup(simulation: Simulation) -> Setup:
         engine=engine.name,
         controller=label(scenario.controller),
         own_controller=_own_controller(simulation),
+        brought=[
+            BroughtBlock(key=key, name=source.label, sha256=source.sha256, files=source.hashes, version=source.version)
+            for key, sources in simulation.brought.sources.items()
+            for source in sources
+        ],
         seed=scenario.seed,
         step_s=scenario.step_s,
         integration=integration(scenario),
@@ -361,6 +384,12 @@ def _setup(simulation: Simulation) -> Setup:
             f"{model} as flown": simulation.airframe.sha256,
             **_engine_hashes([engine, *simulation.stations]),
             **(simulation.own.hashes if simulation.own is not None else {}),
+            **{
+                n: h
+                for each in simulation.brought.sources.values()
+                for source in each
+                for n, h in source.hashes.items()
+            },
         },
     )
 
@@ -429,12 +458,13 @@ def _engine_hashes(specs: Sequence[EngineSpec]) -> dict[str, str]:
 
 def check_expected(scenario: Scenario) -> None:
     """Refuse expectations that nothing could meet: of an unknown controller, engine or metric (InputError)."""
+    allowed_metrics = known_metrics(scenario)
     for index, entry in enumerate(scenario.expect):
         where = f"scenario {scenario.name}: expect.{index}"
         known = (
             ("controller", [entry.controller], _controllers_like(entry.controller)),
             ("aircraft", [] if is_own(entry.aircraft) else [entry.aircraft], aircraft_names()),
-            ("metrics", list(entry.metrics), metric_names()),
+            ("metrics", list(entry.metrics), allowed_metrics),
         )
         for key, names, allowed in known:
             for name in names:
@@ -444,6 +474,11 @@ def check_expected(scenario: Scenario) -> None:
             plain = entry.engine.removesuffix("-fmi2")
             if plain not in engine_names():
                 raise InputError(f"{where}.engine: unknown {entry.engine!r}; {nearest(plain, engine_names())}")
+
+
+def known_metrics(scenario: Scenario) -> list[str]:
+    """The names of the built-in metrics and of the scenario's own.  Raises InputError."""
+    return [*metric_names(), *(name for metric in metrics_of(scenario) for name in metric.names)]
 
 
 def _controllers_like(controller: str) -> list[str]:

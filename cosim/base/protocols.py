@@ -538,6 +538,74 @@ class Metric(Protocol):
         """
 
 
+class OwnSensors(Protocol):
+    """Sensors of one's own behind the built-in ones, as a scenario's ``sensors`` names them.
+
+    It may have ``prepare(told)``, called once: ``told.step_s``, ``told.vehicle`` and ``told.random()``, a generator
+    that nobody else draws from and that is the same at every call; and, as :class:`Shows` says, ``columns`` and
+    ``shown``.
+    """
+
+    def reset(self, state: State, measured: Measured) -> Measured:
+        """A new flight begins.
+
+        Parameters
+        ----------
+        state : State
+            The truth.
+        measured : Measured
+            What the built-in sensors say of it.
+
+        Returns
+        -------
+        Measured
+            What is measured before step 0.
+        """
+
+    def sample(self, state: State, measured: Measured) -> Measured:
+        """One measurement, once a step; the parameters are those of :meth:`reset`.
+
+        Parameters
+        ----------
+        state : State
+            The truth at ``t_k+1``.
+        measured : Measured
+            What the built-in sensors say of it.
+
+        Returns
+        -------
+        Measured
+            What is measured there.
+        """
+
+
+class Wind(Protocol):
+    """A wind of one's own over time and place, as a scenario's ``wind`` names it, beside that of the environment.
+
+    It may have ``prepare(told)`` as :class:`OwnSensors`, and ``reset()``, called before every flight.
+    """
+
+    def velocity(self, time: float, north: float, east: float, height: float) -> Vector3:
+        """Of the air, asked once a step for the vehicle's centre of gravity and for every engine's station.
+
+        Parameters
+        ----------
+        time : float
+            ``t_k`` [s].
+        north : float
+            From the starting point [m].
+        east : float
+            From the starting point [m].
+        height : float
+            Above the ground [m].
+
+        Returns
+        -------
+        Vector3
+            Where the air moves to [m/s, NED].
+        """
+
+
 Study = TypeVar("Study", contravariant=True)
 Flight = TypeVar("Flight", contravariant=True)
 Row = TypeVar("Row", covariant=True)

@@ -13,7 +13,7 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.cli.console import output_to_stderr, part_progress, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, terminated_as_interrupted
+from cosim.cli.options import DONE, FLIGHT_FAILED, Number, brought_settings, example, terminated_as_interrupted
 
 if TYPE_CHECKING:
     from cosim.campaign.search.result import Searched
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 )
 @click.option("--correlate", metavar="KEY,KEY=R", multiple=True, help="Rank correlation of what is drawn for two keys.")
 @click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
+@click.option("metrics", "--metric", metavar="NAME", multiple=True, help="One of yours, as in hexjet fly.")
+@click.option("--wind", metavar="NAME|FILE.csv", help="Yours, as in hexjet fly.")
 @click.option("--success", metavar="METRIC<=X", multiple=True, help="What a completed flight must keep to count.")
 @click.option("--seed", type=int, help="Of the draws.")
 @click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes.  [default: one a processor]")
@@ -63,6 +65,8 @@ def sweep(
     resume: bool,
     keys: str | None,
     as_json: bool,
+    metrics: tuple[str, ...],
+    wind: str | None,
     **options: Any,
 ) -> int:
     """Fly a scenario many times with what varies drawn for each flight, or a study, or go on with a campaign in DIR.
@@ -74,6 +78,7 @@ def sweep(
     from cosim.campaign.analysis.summary import campaign_summary
     from cosim.campaign.run import opened, run_campaign, workers_at
 
+    options["settings"] = [*options["settings"], *brought_settings(metrics, wind)]
     if keys is not None:
         return _list_keys(name, options["settings"], keys, as_json)
     study, folder = opened(name, out, resume, **options)
@@ -132,6 +137,8 @@ def _list_keys(name: str, settings: tuple[str, ...], pattern: str, as_json: bool
     "--budget", type=click.IntRange(min=1), default=1000, show_default=True, help="Flights for keys together."
 )
 @click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
+@click.option("metrics", "--metric", metavar="NAME", multiple=True, help="One of yours, as in hexjet fly.")
+@click.option("--wind", metavar="NAME|FILE.csv", help="Yours, as in hexjet fly.")
 @click.option("--seed", type=int, help="Of the first flight of a point.  [default: the scenario's]")
 @click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes.  [default: one a processor]")
 @click.option("--cluster", metavar="ADDRESS|local", help="As in hexjet sweep.")
@@ -147,6 +154,8 @@ def search(
     out: Path | None,
     resume: bool,
     as_json: bool,
+    metrics: tuple[str, ...],
+    wind: str | None,
     **options: Any,
 ) -> int:
     """Find the smallest change that breaks a controller: of a delay, a gain, a payload, a gust, or any other key.
@@ -158,6 +167,7 @@ def search(
     from cosim.campaign.search.folder import opened, run_search
     from cosim.flight import new_folder
 
+    options["settings"] = [*options["settings"], *brought_settings(metrics, wind)]
     study, plan = opened(name, **options)
     if resume and out is None:
         raise InputError("--resume: give the folder of the search with --out")

@@ -17,6 +17,7 @@ from cosim.cli.options import (
     DONE,
     FLIGHT_FAILED,
     Number,
+    brought_changes,
     example,
     load_scenario,
     offer_to_compile,
@@ -70,6 +71,11 @@ if TYPE_CHECKING:
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="The run's folder.  [default: a new one in runs/]"
 )
 @click.option("--seed", type=int, help="Overrides the scenario's seed.")
+@click.option("metrics", "--metric", metavar="NAME", multiple=True,
+              help="One of yours beside the built-in ones: FILE.py:Name, package.module:Name, an entry.")  # fmt: skip
+@click.option("own_observers", "--observer", metavar="NAME", multiple=True, help="One of yours, the same way.")
+@click.option("--sensors", metavar="NAME", help="Yours behind the built-in ones, the same way.")
+@click.option("--wind", metavar="NAME|FILE.csv", help="Yours over time and place, the same way, or a table over time.")
 @click.option("--unchecked-engine", is_flag=True, help="Fly an FMU that hexjet fmu check finds unfit, or has not seen.")
 @click.option("--realtime", is_flag=True, help="Pace the flight in real time; the same as --rtf 1.")
 @click.option(
@@ -98,6 +104,10 @@ def fly(
     model: Path | None,
     out: Path | None,
     seed: int | None,
+    metrics: tuple[str, ...],
+    own_observers: tuple[str, ...],
+    sensors: str | None,
+    wind: str | None,
     unchecked_engine: bool,
     realtime: bool,
     rtf: float | None,
@@ -126,6 +136,8 @@ def fly(
     finish_killed(Path(scenario))
     offer_to_compile(*engines)
     flown = load_scenario(scenario, controller, engines, seed, settings, model, aircraft)
+    brought = brought_changes(metrics, own_observers, sensors, wind)
+    flown = flown.replace(**brought, **({"expect": []} if sensors or wind else {})) if brought else flown
     if unchecked_engine:
         flown = flown.replace(engine_unchecked=True)
     if controller is not None and is_design(controller):
@@ -228,6 +240,8 @@ def print_run(run: Run) -> None:
             highlight=False,
             markup=False,
         )
+    for line in summary.own_metrics_failed:
+        console.print(line, highlight=False, markup=False)
     for complaint in summary.complaints:
         console.print(f"not as expected: {complaint}", highlight=False)
     if run.folder is not None:

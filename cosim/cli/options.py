@@ -137,6 +137,27 @@ def load_scenario(
     return scenario
 
 
+def brought_changes(
+    metrics: tuple[str, ...], observers: tuple[str, ...] = (), sensors: str | None = None, wind: str | None = None
+) -> dict[str, Any]:
+    """Blocks of the user's as changes of a scenario; a file on the command line is meant from here."""
+    from cosim.spec.controller_name import seen_from
+
+    def here(name: str) -> str:
+        return str(Path(name).absolute()) if name.lower().endswith(".csv") else seen_from(name, Path())
+
+    changes: dict[str, Any] = {"metrics": [here(name) for name in metrics]} if metrics else {}
+    changes |= {"observers": [here(name) for name in observers]} if observers else {}
+    return changes | {key: here(name) for key, name in (("sensors", sensors), ("wind", wind)) if name is not None}
+
+
+def brought_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[str]:
+    """The same as settings of a study, ``KEY=VALUE``."""
+    import json
+
+    return [f"{key}={json.dumps(value)}" for key, value in brought_changes(metrics, wind=wind).items()]
+
+
 def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
     """``NAME`` or ``N=NAME`` texts as changes of a scenario.  Raises InputError if one is named twice."""
     from cosim.spec.vehicle import is_file

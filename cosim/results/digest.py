@@ -53,18 +53,19 @@ class DigestSink:
     """For a flight of which little is wanted: keeps the columns of some ``names``, and the :class:`Digest` of all.
 
     The 50 columns that metrics and limits need (:func:`cosim.results.metrics.columns`) come to 0.36 GB an hour at
-    250 Hz, all to 0.9 GB.
+    250 Hz, all to 0.9 GB, which are kept if ``whole``.
     """
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = tuple(names)
+    def __init__(self, names: Sequence[str], whole: bool = False) -> None:
+        self._names, self._whole = tuple(names), whole
         self._kept: list[Array] = []
         self.begin(log_columns(jets_in(self._names)))
 
     def begin(self, columns: Sequence[Column]) -> None:
         """See :class:`cosim.results.recorder.KeepingSink`."""
         names = [column.name for column in columns]
-        self._indices = [names.index(known(name, names)) for name in self._names]
+        wanted = names if self._whole else [known(name, names) for name in self._names]
+        self._indices = [names.index(name) for name in wanted]
         self._described = tuple(columns[index] for index in self._indices)
         self._digest = Digest(names)
 

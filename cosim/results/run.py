@@ -59,6 +59,7 @@ from cosim.results.recorder import (
     MemorySink,
     Recorder,
 )
+from cosim.simulation.brought import OwnMetric, metrics_of
 from cosim.simulation.pacing import PaceReport
 from cosim.spec.scenario import Expectation, Scenario
 
@@ -134,6 +135,16 @@ class OwnController(Record):
     repeatable: bool | None = None  # asked again with the same inputs it answered the same; None: not asked
 
 
+class BroughtBlock(Record):
+    """A metric, an observer, sensors or a wind of the user's, as it flew."""
+
+    key: str  # of the scenario
+    name: str
+    sha256: str
+    files: dict[str, str]  # SHA-256 by name
+    version: str = ""  # of the package that it is in
+
+
 class Setup(BaseModel):
     """What is known of a run before its first step."""
 
@@ -146,6 +157,7 @@ class Setup(BaseModel):
     engine: str
     controller: str
     own_controller: OwnController | None = None  # None: a built-in one
+    brought: list[BroughtBlock] = []  # what else is the user's
     seed: int
     step_s: float
     integration: Integration | None = None  # None: of a run from before it was written down
@@ -192,6 +204,8 @@ class Summary(Setup):
     speed: SpeedMetrics = SpeedMetrics()
     effort: EffortMetrics = EffortMetrics()
     fuel_burnt_kg: float | None = None
+    own_metrics: dict[str, float | None] = {}  # of the user's, each with "own." before its name
+    own_metrics_failed: list[str] = []  # a line for each that could not say anything
     limits: dict[str, float] = {}  # the most that a metric may be, by its name
     beyond: list[str] = []  # the metrics that are above that
     expectations_met: bool | None = None  # None: nothing is expected
@@ -200,16 +214,19 @@ class Summary(Setup):
     @property
     def flat_metrics(self) -> dict[str, float | None]:
         """Every metric under the name that an expectation uses, such as ``roll.rmse_rad``."""
-        return flatten(
-            Metrics(
-                axes=self.metrics,
-                altitude=self.altitude,
-                touchdown_m_s=self.touchdown_m_s,
-                position=self.position,
-                speed=self.speed,
-                effort=self.effort,
-                fuel_burnt_kg=self.fuel_burnt_kg,
+        return (
+            flatten(
+                Metrics(
+                    axes=self.metrics,
+                    altitude=self.altitude,
+                    touchdown_m_s=self.touchdown_m_s,
+                    position=self.position,
+                    speed=self.speed,
+                    effort=self.effort,
+                    fuel_burnt_kg=self.fuel_burnt_kg,
+                )
             )
+            | self.own_metrics
         )
 
     @property
@@ -299,7 +316,9 @@ class Recording:
         sink: KeepingSink | StreamSink,
         background: bool = False,
         columns: Sequence[Column] = COLUMNS,
+        metrics: Sequence[OwnMetric] = (),
     ) -> None:
+        self._metrics = metrics
         self._setup = setup
         self._scenario = scenario
         self._sink = sink
@@ -347,7 +366,9 @@ class Recording:
         if not isinstance(self._sink, StreamSink):
             self._recorder.flush()
             log = self._sink.log()
-            return Run(summarize(self._setup, log, outcome, reason, wall_s, pace), log, None, self._scenario)
+            return Run(
+                summarize(self._setup, log, outcome, reason, wall_s, pace, self._metrics), log, None, self._scenario
+            )
         try:
             self._recorder.flush()
             if self._behind is not None:
@@ -357,7 +378,7 @@ class Recording:
             outcome, reason = "failed", str(error)
         folder = self._sink.path.parent
         try:
-            summary, log = _settle(folder, self._setup, outcome, reason, wall_s, pace)
+            summary, log = _settle(folder, self._setup, outcome, reason, wall_s, pace, self._metrics)
         finally:
             self._sink.close()
         self._sink.path.unlink()
@@ -372,17 +393,19 @@ def begin_run(
     background: bool = False,
     sink: KeepingSink | None = None,
     columns: Sequence[Column] = COLUMNS,
+    metrics: Sequence[OwnMetric] = (),
 ) -> Recording:
     """Begin a run, in ``folder`` or in memory, where ``sink`` may keep less than all.
 
     ``scenario`` is resolved: what is written to ``scenario.toml`` flies as it is.  ``files``, or contents, are put
-    beside it under their keys.  ``background``: a thread writes the rows.  ``columns``: of the log.  Raises InputError
+    beside it under their keys.  ``background``: a thread writes the rows.  ``columns``: of the log.  ``metrics``: of
+    the user's, beside the built-in ones.  Raises InputError
     if the folder already holds a run or cannot be written to.
     """
     if folder is None:
         sink = sink or MemorySink()
         sink.begin(columns)
-        return Recording(setup, scenario, sink, columns=columns)
+        return Recording(setup, scenario, sink, columns=columns, metrics=metrics)
     claim_folder(folder, files or {})
     stream = StreamSink(folder / STREAM, setup.model_dump_json(), columns)
     try:
@@ -393,7 +416,7 @@ def begin_run(
         stream.close()
         stream.path.unlink(missing_ok=True)
         raise InputError(str(error)) from error
-    return Recording(setup, scenario, stream, background, columns)
+    return Recording(setup, scenario, stream, background, columns, metrics)
 
 
 def claim_folder(folder: Path, files: Mapping[str, Path | bytes] | None = None) -> None:
@@ -453,11 +476,18 @@ def finish_killed(scenario: Path) -> None:
 
 
 def summarize(
-    setup: Setup, log: Log, outcome: Outcome, reason: str, wall_s: float | None, pace: PaceReport | None = None
+    setup: Setup,
+    log: Log,
+    outcome: Outcome,
+    reason: str,
+    wall_s: float | None,
+    pace: PaceReport | None = None,
+    own: Sequence[OwnMetric] = (),
 ) -> Summary:
-    """The summary of a flight from its log."""
+    """The summary of a flight from its log; ``own`` are the user's metrics, beside the built-in ones."""
     metrics = flight_metrics(log, setup.step_s, setup.reach)
-    flat = flatten(metrics)
+    said, failed = _own(own, log, setup.step_s)
+    flat = flatten(metrics) | said
     steps = len(log)
     duration = steps * setup.step_s
     limits = flight_limits(setup.yardstick, log, setup.step_s) if setup.yardstick is not None and steps else {}
@@ -495,11 +525,25 @@ def summarize(
         speed=metrics.speed,
         effort=metrics.effort,
         fuel_burnt_kg=metrics.fuel_burnt_kg,
+        own_metrics=said,
+        own_metrics_failed=failed,
         limits=limits,
         beyond=above,
         expectations_met=None if setup.expectation is None else not complaints,
         complaints=complaints,
     )
+
+
+def _own(metrics: Sequence[OwnMetric], log: Log, step_s: float) -> tuple[dict[str, float | None], list[str]]:
+    """What metrics of the user's say, and a line for each that could not; without a step they say nothing."""
+    found: dict[str, float | None] = {name: None for each in metrics for name in each.names}
+    failed = []
+    for each in metrics if len(log) else ():
+        try:
+            found |= each.of(log, step_s)
+        except (FlightError, InputError) as error:
+            failed.append(str(error))
+    return found, failed
 
 
 def versions() -> dict[str, str]:
@@ -539,12 +583,13 @@ def _settle(
     reason: str,
     wall_s: float | None,
     pace: PaceReport | None = None,
+    own: Sequence[OwnMetric] = (),
 ) -> tuple[Summary, ParquetLog]:
     """Make Parquet and summary of a stream, and leave the stream."""
     try:
         stream_to_parquet(folder / STREAM, folder / LOG)
         log = ParquetLog(folder / LOG)
-        summary = summarize(setup, log, outcome, reason, wall_s, pace)
+        summary = summarize(setup, log, outcome, reason, wall_s, pace, own)
         _write(folder / SUMMARY, _json(summary).encode())
     except FlightError as error:
         raise FlightError(
@@ -565,7 +610,8 @@ def _recover(folder: Path) -> None:
                 setup = Setup.model_validate_json(note)
             except ValidationError as error:
                 raise InputError(f"{stream}: not a stream of this program") from error
-            summary, log = _settle(folder, setup, "failed", "interrupted", None)
+            own = metrics_of(Scenario.read(folder / SCENARIO)) if (folder / SCENARIO).is_file() else []
+            summary, log = _settle(folder, setup, "failed", "interrupted", None, own=own)
             _shorten(folder, summary, len(log))
         elif not (folder / LOG).is_file():
             stream_to_parquet(stream, folder / LOG)

@@ -10,7 +10,7 @@ from typing import Any
 
 from cosim.base.constants import GRAVITY, SERVOS
 from cosim.base.errors import FlightError, InputError
-from cosim.base.protocols import Predictor
+from cosim.base.protocols import Predictor, Sensors
 from cosim.base.signals import AXES
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.engine_monitor import EngineMonitor
@@ -33,6 +33,7 @@ from cosim.engine import (
     load_engine,
 )
 from cosim.engine.wrappers import EngineChain
+from cosim.simulation.brought import bring
 from cosim.simulation.commander import Commander
 from cosim.simulation.controllers.deadline import Deadline
 from cosim.simulation.controllers.guard import (
@@ -74,6 +75,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
     if own is None:
         own = find_controller(scenario)
     told = own_parameters(scenario, own)
+    brought = bring(scenario)
     scenario.count(scenario.duration_s, "duration_s")
     vehicle, folder = scenario.resolved_vehicle()
     _need_tank(scenario, vehicle)
@@ -112,8 +114,10 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             GroundJets(vehicle.ground_effect, flown.jets) if vehicle.ground_effect else None,
             airframe.air,
         )
-        sensors = FaultySensors(SensorSuite(vehicle.sensors, step, scenario.seed, scenario.sensor_noise))
-        commander = Commander(scenario, start_height(flown, initial))
+        suite: Sensors = SensorSuite(vehicle.sensors, step, scenario.seed, scenario.sensor_noise)
+        sensors = FaultySensors(suite if brought.sensors is None else brought.sensors(suite))
+        height = start_height(flown, initial)
+        commander = Commander(scenario, height)
         simulation = Simulation(
             scenario,
             vehicle,
@@ -134,6 +138,8 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             end,
             None if plugged is None else plugged.repeats,
             None if plugged is None or plugged.whole is None else controller,
+            brought,
+            None if brought.wind is None else brought.wind(flown, step, height),
         )
         made.pop_all()
         return simulation

@@ -25,12 +25,14 @@ from cosim.base.signals import (
 )
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
+from cosim.simulation.brought import Brought
 from cosim.simulation.commander import Commander
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.delay_ledger import LedgerRow
 from cosim.simulation.ending import Ending, Judge
 from cosim.simulation.fault_schedule import FaultSchedule
 from cosim.simulation.pacing import Pace
+from cosim.simulation.wind import FieldWind
 from cosim.spec.scenario import Fault, Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.airframe import Airframe
@@ -69,10 +71,14 @@ class Simulation:
         end: Callable[[], None] | None = None,
         repeats: Callable[[], bool | None] | None = None,
         beside: Cascade | None = None,
+        brought: Brought | None = None,
+        wind: FieldWind | None = None,
     ) -> None:
         self._repeats = repeats
         self.beside = beside  # the built-in one that a whole controller from outside flies in place of
         self.own = own  # where a controller from outside comes from
+        self.brought = brought or Brought()  # what the scenario brings of the user's beside the controller
+        self._field = wind
         self._end = end  # what a controller from outside holds is given free by it
         self.scenario = scenario
         self.vehicle = vehicle
@@ -93,6 +99,9 @@ class Simulation:
         self.faults.reset()
         propulsion, airframe, initial = self.propulsion, self.airframe, self.scenario.initial
         wind = self.disturber.at(0).wind
+        if self._field is not None:
+            wind = self._field.reset(wind)
+            propulsion.gusts = []
         propulsion.refuel()
         self.standing = throttle = self.controller.reset(initial.on_ground, propulsion.burnt)  # before the first step
         # the air at the start is known once the airframe stands there, the thrust only in that air
@@ -117,6 +126,9 @@ class Simulation:
             self.faults.change(k, measured)
         command, seen, engines = self._command(k) if given is None else (given, measured, _FLY)
         disturbance = self.disturber.at(k)
+        if self._field is not None:
+            disturbance = self._field.blown(k, state, disturbance)
+            propulsion.gusts = self._field.at_jets
         actuation = self.controller.update(command, seen, disturbance, engines)
         forces, moment = propulsion.step(k, actuation, state)
         health = self.controller.watch(propulsion.output, propulsion.burnt)

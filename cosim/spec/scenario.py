@@ -507,6 +507,11 @@ class Scenario(Model):
     engine_isolated: bool = False  # the engines run in a process of their own
     stations: dict[StationNumber, Station] = {}  # by the number of the jet
     requests: str | None = None  # a file of what is asked of the autopilot, which flies then
+    metrics: list[str] = []  # of one's own, beside the built-in ones: FILE.py:Name, package.module:Name, entry points
+    observers: list[str] = []  # of one's own, the same way, as the next two
+    sensors: str | None = None  # behind the built-in ones
+    wind: str | None = None  # over time and place, beside the environment's; or a table over time, FILE.csv
+    own_sha256: dict[str, str] = {}  # of the four above, by name: they fly only if they are these still
     vehicle: dict[str, Any] = {}
     limits: FlightLimits = FlightLimits()
     expect: list[Expectation] = []

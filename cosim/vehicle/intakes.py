@@ -36,9 +36,17 @@ class IntakeDrag:
         self._left = [jet.servo == "left" for jet in jets]
 
     def act(
-        self, forces: list[Vector3], thrust: PerJet, tilt: tuple[float, float], state: State
+        self,
+        forces: list[Vector3],
+        thrust: PerJet,
+        tilt: tuple[float, float],
+        state: State,
+        gusts: Sequence[Vector3] = (),
     ) -> tuple[list[Vector3], Vector3]:
-        """``forces`` [N, body, at the stations] with the streams' added, and what these have in moment beyond r x F."""
+        """``forces`` [N, body, at the stations] with the streams' added, and what these have in moment beyond r x F.
+
+        ``gusts``: the wind at each station beyond that at the centre of gravity [m/s, NED]; none: it is the same.
+        """
         vx, vy, vz = state.velocity
         wx, wy, wz = state.wind
         through_air = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
@@ -52,7 +60,11 @@ class IntakeDrag:
             e = left if self._left[i] else right
             flow = self._flow * (newton / self._thrust) ** self._exponent if newton > 0.0 else 0.0
             outlet = (x + b * e[0], y + b * e[1], z + b * e[2])
-            drag = _across(through_air, e, -flow)
+            here = through_air
+            if gusts:
+                gx, gy, gz = rotate(conjugate(state.attitude), gusts[i])
+                here = (through_air[0] - gx, through_air[1] - gy, through_air[2] - gz)
+            drag = _across(here, e, -flow)
             damping = _across(cross(state.rate, outlet), e, -flow)
             added.append((fx + drag[0] + damping[0], fy + drag[1] + damping[1], fz + drag[2] + damping[2]))
             # both pushes are handed over at the station

@@ -68,6 +68,7 @@ class Propulsion:
         self._reactions = tuple(jet.reaction_m for jet in jets)
         self._reacting = any(self._reactions)
         self._wind = ZERO3
+        self.gusts: list[Vector3] = []  # m/s NED, of the wind at each jet beyond that at the vehicle; none: it is one
         self._forget()
 
     def _forget(self) -> None:
@@ -143,7 +144,7 @@ class Propulsion:
             forces, more = self._suckdown.act(forces, state)
             moment = _plus(moment, more)
         if self.streams is not None:
-            forces, more = self.streams.act(forces, output.thrust, tilt, state)
+            forces, more = self.streams.act(forces, output.thrust, tilt, state, self.gusts)
             moment = _plus(moment, more)
         if self.banks is not None:
             forces, more = self.banks.act(forces, tilt, state.rate)
@@ -181,21 +182,29 @@ class Propulsion:
         """The air at the engines: the vehicle's, and what blows into each intake along its jet as it stands.
 
         The intake moves with the vehicle's velocity and its rates; ``wind`` (m/s NED, gusts and turbulence included)
-        is that at the vehicle.
+        is that at the vehicle, :attr:`gusts` what each engine has beyond it.
         """
         vx, vy, vz = state.velocity
         wx, wy, wz = wind
         u, v, w = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
         banks: list[tuple[float, Vector3]] = []
+        banks_axes: list[Vector3] = []
         for tilt in self.tilt:
             x, y, z = axis = jet_axis(tilt)
             banks.append((u * x + v * y + w * z, cross(axis, state.rate)))
+            banks_axes.append(axis)
         left, right = banks
         speeds: list[float] = []
         for (x, y, z), on_left in zip(self._places, self._left, strict=True):
             # (velocity + rate x place) . axis = velocity . axis + place . (axis x rate)
             along, (by_x, by_y, by_z) = left if on_left else right
             speeds.append(along + by_x * x + by_y * y + by_z * z)
+        if self.gusts:
+            back = conjugate(state.attitude)
+            for jet, gust in enumerate(self.gusts):
+                a, b, c = rotate(back, gust)
+                x, y, z = banks_axes[0] if self._left[jet] else banks_axes[1]
+                speeds[jet] -= a * x + b * y + c * z
         pressure, temperature = self._air()
         if self._hot_gas is not None:
             temperature += self._hot_gas.rise(state.altitude)

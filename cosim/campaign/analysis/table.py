@@ -15,6 +15,7 @@ from cosim.campaign.analysis.statistics import Counts
 from cosim.campaign.study.plan import controllers as controllers_of
 from cosim.results.metrics import metric_names
 from cosim.results.wording import Metric, metric
+from cosim.simulation.brought import PREFIX
 from cosim.spec.controller_name import short_name
 
 if TYPE_CHECKING:
@@ -109,7 +110,8 @@ def read(campaign: Campaign) -> Flown:
     controllers = list(stated or dict.fromkeys(flown_with) or study.flown_with)
     place_of = {name: place for place, name in enumerate(controllers)}
     completed = kind <= KINDS.index("missed")
-    values = {name: np.where(completed, numbers(columns[name]), np.nan) for name in metric_names() if name in columns}
+    known = [*metric_names(), *(name for name in columns if name.startswith(PREFIX))]
+    values = {name: np.where(completed, numbers(columns[name]), np.nan) for name in known if name in columns}
     return Flown(
         flight=np.array(columns.get("flight", []), dtype=np.intp),
         draw=np.array(columns.get("draw", []), dtype=np.intp),
@@ -181,13 +183,14 @@ def short_names(paths: Sequence[str]) -> list[str]:
 
 
 def telling(values: Mapping[str, Array], asked: Sequence[str]) -> list[str]:
-    """The metrics to show, at most ``MOST_METRICS``: those of the study's success, then of axes that were commanded in
-    steps, then the errors of the other axes and of height.  Beside them where the vehicles went and by what means.
-    What no flight has, or all have alike, tells nothing.
+    """The metrics to show, at most ``MOST_METRICS``: those of the study's success, the user's own, then of axes that
+    were commanded in steps, then the errors of the other axes and of height.  Beside them where the vehicles went and
+    by what means.  What no flight has, or all have alike, tells nothing.
     """
     stepped = [axis for axis in AXES if np.isfinite(values.get(f"{axis}.overshoot_percent", np.empty(0))).any()]
     order = [
         *asked,
+        *(name for name in values if name.startswith(PREFIX)),
         *(f"{axis}.{last}" for axis in stepped for last in OF_AXES),
         *(f"{axis}.max_abs_error_rad" for axis in AXES),
         "altitude.max_abs_error_m",

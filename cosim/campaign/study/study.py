@@ -32,6 +32,7 @@ from cosim.campaign.study.keys import (
     with_values,
 )
 from cosim.campaign.study.values import check_vary
+from cosim.simulation.brought import metrics_of
 from cosim.simulation.controllers.source import find
 from cosim.spec.controller_name import is_design, seen_from
 from cosim.spec.scenario import Range, Scenario, find_scenario
@@ -274,9 +275,10 @@ def check(study: Study, where: str) -> None:
     for name in study.controllers:
         if not is_design(name):
             find(name, study.folder, f"{where}: controllers: unknown controller {name!r}")
+    known = [*metric_names(), *(name for metric in metrics_of(study.base()) for name in metric.names)]
     for name in study.success:
-        if name not in metric_names():
-            raise InputError(f"{where}: success: unknown metric {name!r}; {nearest(name, metric_names())}")
+        if name not in known:
+            raise InputError(f"{where}: success: unknown metric {name!r}; {nearest(name, known)}")
     seen: set[str] = set()
     for vary in study.vary:
         if vary.key in OWN_COLUMNS:

@@ -20,10 +20,12 @@ from cosim.flight import fly
 from cosim.results import metrics
 from cosim.results.digest import DigestSink
 from cosim.results.metrics import check_expectations, metric_names
+from cosim.simulation.brought import metrics_of
 
 if TYPE_CHECKING:
     from cosim.campaign.study.study import Study
     from cosim.results.run import Run
+    from cosim.spec.scenario import Scenario
 
 Value = float | int | str | bool | None
 Row = dict[str, Value]
@@ -50,7 +52,7 @@ def kinds(study: Study) -> Kinds:
     have a value.
     """
     varied = {vary.key: _kind(study, vary.key) for vary in study.vary}
-    return _FIRST | varied | _OUTCOME | dict.fromkeys(_metrics(), float) | _LAST
+    return _FIRST | varied | _OUTCOME | dict.fromkeys([*_metrics(), *own_names(study)], float) | _LAST | _brought(study)
 
 
 def fly_one(study: Study, flight: Flight) -> Row:
@@ -61,7 +63,7 @@ def fly_one(study: Study, flight: Flight) -> Row:
     begin = time.perf_counter()
     try:
         scenario = scenario_of(study, flight)
-        sink = DigestSink(metrics.columns(len(scenario.resolved_vehicle()[0].jets)))
+        sink = _sink(scenario)
         flown = _flown(study, fly(scenario, sink=sink), sink.hexdigest())
     except Exception as error:
         trouble = _machine_trouble(error)
@@ -71,6 +73,26 @@ def fly_one(study: Study, flight: Flight) -> Row:
         reason = str(error) if told else ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
         flown = {"reason": reason}
     return failed_row(study, flight, "") | flown | {"wall_s": time.perf_counter() - begin, "worker": _worker()}
+
+
+def own_names(study: Study) -> list[str]:
+    """The metrics of the user's that a study's rows have."""
+    return [name for metric in metrics_of(study.base()) for name in metric.names]
+
+
+def _brought(study: Study) -> Kinds:
+    """A column where a study brings anything beside its controllers."""
+    base = study.base()
+    return {"brought_sha256": str} if base.metrics or base.observers or base.sensors or base.wind else {}
+
+
+def _sink(scenario: Scenario) -> DigestSink:
+    """Keeps what metrics read, everything where one of the user's does not say what it reads."""
+    names = list(metrics.columns(len(scenario.resolved_vehicle()[0].jets)))
+    own = metrics_of(scenario)
+    said = [name for each in own for name in each.columns or ()]
+    return DigestSink([*names, *(name for name in dict.fromkeys(said) if name not in names)],
+                      whole=any(each.columns is None for each in own))  # fmt: skip
 
 
 def failed_row(study: Study, flight: Flight, reason: str) -> Row:
@@ -111,7 +133,13 @@ def _flown(study: Study, run: Run, digest: str) -> Row:
         "log_sha256": digest,
         "inputs_sha256": inputs_sha256(run),
         "inputs": inputs(run),
+        **({"brought_sha256": _brought_sha256(run)} if summary.brought else {}),
     }
+
+
+def _brought_sha256(run: Run) -> str:
+    """One line for every block of the user's beside the controller."""
+    return "; ".join(f"{each.key} {each.name} {each.sha256}" for each in run.summary.brought)
 
 
 def _kind(study: Study, key: str) -> type[Value]:

@@ -12,7 +12,7 @@ from typing import Any
 from cosim.base.signals import AXES
 from cosim.results.columns import own_columns
 from cosim.results.events import Event, events_of
-from cosim.results.metrics import AxisMetrics, metric_names
+from cosim.results.metrics import AxisMetrics
 from cosim.results.report.flight_figures import comparison_figures, run_colour, run_figures
 from cosim.results.report.page import TEMPLATES, render
 from cosim.results.run import (
@@ -156,6 +156,10 @@ def whole_rows(summary: Summary) -> list[dict[str, Any]]:
             rows.append(
                 {"label": label, "value": cell, "unit": of.unit, "limit": limit, "beyond": name in summary.beyond}
             )
+    for name, value in summary.own_metrics.items():
+        of = metric(name)
+        cell = NONE if value is None else f"{of.factor * value:.4g}"
+        rows.append({"label": of.label.capitalize(), "value": cell, "unit": of.unit, "limit": "", "beyond": False})
     return rows
 
 
@@ -184,7 +188,8 @@ def comparison_rows(summaries: Sequence[Summary]) -> list[dict[str, Any]]:
                 values = [getattr(metrics, key) for metrics in found]
                 rows.append({"axis": axis, "title": title, "unit": unit, "cells": _marked(texts, values)})
     whole = [summary.flat_metrics for summary in summaries]
-    for name, digits in WHOLE_ROWS:
+    own = dict.fromkeys(name for summary in summaries for name in summary.own_metrics)
+    for name, digits in [*WHOLE_ROWS, *((name, 4) for name in own)]:
         of = metric(name)
         values = [flat.get(name) for flat in whole]
         texts = [shown(value, of.factor, digits) for value in values]
@@ -222,7 +227,7 @@ def expectation_rows(summary: Summary) -> list[dict[str, Any]]:
         bounds += [f"≤ {allowed.max:g}"] if allowed.max is not None else []
         rows.append(
             {
-                "what": name if name in metric_names() else f"{name} (unknown)",
+                "what": name if name in flat else f"{name} (unknown)",
                 "expected": " and ".join(bounds),
                 "found": NONE if value is None else f"{value:.4g}",
                 "met": not any(

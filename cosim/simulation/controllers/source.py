@@ -163,7 +163,7 @@ def of_object(given: Any) -> Source:
     """
     made = given if isinstance(given, type) else type(given)
     label = f"{made.__module__}.{made.__qualname__}"
-    path = _file_of(made)
+    path = file_of(made)
     files = {} if path is None else {path.name: path}
     make = None if isinstance(given, type) else _copies(given)
     again = path is not None and path.suffix == ".py" and made.__qualname__.isidentifier()
@@ -184,8 +184,8 @@ def _as_made(given: Any, made: type) -> bool:
         return False
 
 
-def _file_of(made: type) -> Path | None:
-    """The file that a class is in; not that of the module into which its text was executed."""
+def file_of(made: Any) -> Path | None:
+    """The file that a class or a function is in; not that of the module into which its text was executed."""
     try:
         found = inspect.getsourcefile(made)
     except (TypeError, OSError):
@@ -225,7 +225,7 @@ def _of_file(controller: str, path: Path, name: str) -> Source:
     held = [(each, _sha256(each)) for each in _last_files.get(path, [path]) if each.is_file()]
 
     def load() -> Source:
-        module, neighbours = _executed(path, controller)
+        module, neighbours = executed(path, f"controller {controller}")
         _last_files[path] = [path, *neighbours]
         files = {each.name: each for each in (path, *neighbours)}
         return _stated(controller, _class(module, name, controller, path), None, files)
@@ -236,7 +236,7 @@ def _of_file(controller: str, path: Path, name: str) -> Source:
 _last_files: dict[Path, list[Path]] = {}  # by path what it was made of when it was last read
 
 
-def _executed(path: Path, controller: str) -> tuple[ModuleType, list[Path]]:
+def executed(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
     """The module of a file, and the files beside it that it imports.  Raises InputError."""
     folder = path.resolve().parent
     module = ModuleType(f"{_OURS}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}")
@@ -247,12 +247,12 @@ def _executed(path: Path, controller: str) -> tuple[ModuleType, list[Path]]:
             exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
     except Exception as error:
         line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
-        raise InputError(f"controller {controller}: {path}{line}: {described(error)}") from error
+        raise InputError(f"{where}: {path}{line}: {described(error)}") from error
     deep = [each for each in imported if each.parent != folder]
     if deep:
         raise InputError(
-            f"controller {controller}: imports {deep[0]}, which is in a package beside it: install that, and name the "
-            "controller as package.module:Class"
+            f"{where}: imports {deep[0]}, which is in a package beside it: install that, and name it as "
+            "package.module:Class"
         )
     return module, sorted(imported)
 
@@ -361,7 +361,7 @@ def _of_module(controller: str) -> Source:
     path = Path(module.__file__ or "")
     found = _class(module, name, controller, path)
     files = {path.name: path} if path.is_file() else {}
-    return _stated(controller, found, None, files, _version_of(module_name), copied=False)
+    return _stated(controller, found, None, files, version_of(module_name), copied=False)
 
 
 def _of_entry(entry: EntryPoint) -> Source:
@@ -372,13 +372,14 @@ def _of_entry(entry: EntryPoint) -> Source:
         found = entry.load()
     except Exception as error:
         raise InputError(f"{where}: {entry.value} cannot be loaded: {described(error)}") from error
-    path = _file_of(found) if isinstance(found, type) else None
+    path = file_of(found) if isinstance(found, type) else None
     files = {} if path is None else {path.name: path}
     package = "" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
     return _stated(entry.name, found, None, files, package, copied=False)
 
 
-def _version_of(module: str) -> str:
+def version_of(module: str) -> str:
+    """Name and version of the installed package that a module belongs to; empty where it belongs to none."""
     top = module.split(".")[0]
     for package in packages_distributions().get(top, []):
         try:

@@ -1,0 +1,426 @@
+"""Blocks of the user's beside the controller: metrics, observers, sensors and a wind, found by their names.
+
+A name is ``FILE.py:Name``, ``package.module:Name`` or that of an entry point of an installed package, in the groups
+``hexjet.metrics``, ``hexjet.observers``, ``hexjet.sensors`` and ``hexjet.winds``; a wind may be a table, ``FILE.csv``.
+Whatever one of them raises or gives back wrongly ends the flight as a :class:`FlightError` that names it; a metric's
+error is the metric's, the flight is over by then.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import importlib
+import re
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+from io import StringIO
+from math import isfinite
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from cosim.base.cache import Memory
+from cosim.base.errors import FlightError, InputError, nearest
+from cosim.base.protocols import Column, Columns, Observer, Sensors
+from cosim.base.signals import Measured, Sample, State, Vector3
+from cosim.simulation.controllers.guard import columns_from, described
+from cosim.simulation.controllers.source import Source, check_method, executed, file_of, version_of
+from cosim.simulation.wind import FieldWind
+from cosim.spec.controller_name import file_name
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    import numpy as np
+
+GROUPS = {
+    "metric": "hexjet.metrics",
+    "observer": "hexjet.observers",
+    "sensors": "hexjet.sensors",
+    "wind": "hexjet.winds",
+}
+# The methods that a block must have, and what each is told; a metric is called itself.
+METHODS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
+    "metric": (("__call__", ("log", "step_s")),),
+    "observer": (("observe", ("sample",)),),
+    "sensors": (("reset", ("state", "measured")), ("sample", ("state", "measured"))),
+    "wind": (("velocity", ("time", "north", "east", "height")),),
+}
+PREFIX = "own."  # of a metric of one's own, before its name
+TABLE = ("time_s", "north_m_s", "east_m_s", "down_m_s")
+_KEYS = {"observer": 2, "sensors": 3, "wind": 4}  # of the random numbers of each; 0 and 1 are the built-in sensors'
+_MODULE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+_NAME = re.compile(r"[A-Za-z_]\w*")
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a block of the user's is told in ``prepare``, where it has one.  It is none of it the controller's."""
+
+    step_s: float
+    vehicle: Vehicle  # as stated
+    _seed: int
+    _key: tuple[int, int]
+
+    def random(self) -> np.random.Generator:
+        """Random numbers that nobody else draws from, the same at every call: for ``reset``, or for each flight."""
+        import numpy as np
+
+        return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=self._key))
+
+
+@dataclass(frozen=True)
+class OwnMetric:
+    """A metric of the user's: what it says, what it reads (None: anything), and itself."""
+
+    source: Source
+    names: tuple[str, ...]  # with PREFIX
+    columns: tuple[str, ...] | None
+
+    def of(self, log: Columns, step_s: float) -> dict[str, float | None]:
+        """Its numbers, None for what this flight cannot tell.  Raises FlightError."""
+        where = f"metric {self.source.label}"
+        try:
+            answer = self.source.make()(log, step_s)
+        except (FlightError, InputError) as error:
+            raise FlightError(f"{where}: {error}") from error
+        except Exception as error:
+            raise FlightError(f"{where}: raised {described(error)}") from error
+        own = [name.removeprefix(PREFIX) for name in self.names]
+        if not isinstance(answer, Mapping):
+            if len(own) != 1:
+                raise FlightError(f"{where}: gave {answer!r}: must be a mapping with {', '.join(own)}")
+            answer = {own[0]: answer}
+        if set(answer) != set(own):
+            raise FlightError(f"{where}: gave {', '.join(map(str, answer))}: must be {', '.join(own)}")
+        found: dict[str, float | None] = {}
+        for name in own:
+            value = answer[name]
+            try:
+                number = None if value is None else float(value)
+            except (TypeError, ValueError) as error:
+                raise FlightError(f"{where}: {name} = {value!r}: must be a number or None") from error
+            found[PREFIX + name] = number if number is not None and isfinite(number) else None
+        return found
+
+
+@dataclass(frozen=True)
+class Brought:
+    """What a scenario brings beside its controller, ready to fly."""
+
+    metrics: tuple[OwnMetric, ...] = ()
+    observers: tuple[Observer, ...] = ()
+    sensors: Callable[[Sensors], Sensors] | None = None  # around the built-in ones
+    wind: Callable[[Vehicle, float, float], FieldWind] | None = None
+    sources: Mapping[str, Sequence[Source]] = field(default_factory=dict)  # by the scenario's key
+
+
+def find_block(kind: str, name: str, folder: Path) -> Source:
+    """A block of that name, a file seen from ``folder``.  Raises InputError."""
+    named = file_name(name)
+    if named is not None and named.after and not named.before:
+        return _of_file(kind, name, Path(named.seen_from(folder).file), named.after[1:])
+    where = f"{kind} {name}"
+    if _MODULE.fullmatch(name):
+        module_name, _, attribute = name.partition(":")
+        try:
+            module = importlib.import_module(module_name)
+        except Exception as error:
+            raise InputError(f"{where}: {module_name} cannot be imported: {described(error)}") from error
+        path = Path(module.__file__ or "")
+        found = _attribute(module, attribute, where, path)
+        files = {path.name: path} if path.is_file() else {}
+        return _stated(kind, name, found, files, version_of(module_name), copied=False)
+    entries = {entry.name: entry for entry in entry_points(group=GROUPS[kind])}
+    if name not in entries:
+        ways = f"FILE.py:Name, package.module:Name or an entry point of {GROUPS[kind]}"
+        more = f" ({nearest(name, entries)})" if entries else ""
+        raise InputError(f"{where}: must be {'FILE.csv, ' if kind == 'wind' else ''}{ways}{more}")
+    entry = entries[name]
+    try:
+        found = entry.load()
+    except Exception as error:
+        raise InputError(f"{where}: {entry.value} cannot be loaded: {described(error)}") from error
+    path_of = file_of(found)
+    package = "" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
+    return _stated(kind, name, found, {} if path_of is None else {path_of.name: path_of}, package, copied=False)
+
+
+_known: Memory[Source] = Memory(32)
+_files: dict[Path, list[Path]] = {}  # by path what it was made of when it was last read
+
+
+def _of_file(kind: str, name: str, path: Path, attribute: str) -> Source:
+    where = f"{kind} {name}"
+    if not path.is_file():
+        raise InputError(f"{where}: {path}: no such file")
+    held = [
+        (each, hashlib.sha256(each.read_bytes()).hexdigest()) for each in _files.get(path, [path]) if each.is_file()
+    ]
+
+    def load() -> Source:
+        module, neighbours = executed(path, where)
+        _files[path] = [path, *neighbours]
+        found = _attribute(module, attribute, where, path)
+        return _stated(kind, name, found, {each.name: each for each in (path, *neighbours)})
+
+    return _known.get((kind, name, str(path), tuple(held)), load)
+
+
+def _attribute(module: Any, name: str, where: str, path: Path) -> Any:
+    found = getattr(module, name, None)
+    if found is None:
+        there = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
+        raise InputError(f"{where}: {path.name} has no {name!r}; {nearest(name, there)}")
+    return found
+
+
+def _stated(
+    kind: str, name: str, block: Any, files: Mapping[str, Path], package: str = "", copied: bool = True
+) -> Source:
+    where = f"{kind} {name}"
+    function = kind == "metric" and callable(block) and not isinstance(block, type)
+    if not function and not isinstance(block, type):
+        raise InputError(f"{where}: must be a class{' or a function' if kind == 'metric' else ''}")
+    for method, told in METHODS[kind]:
+        check_method(SimpleNamespace(__call__=block) if function else block, method, told, where)
+
+    def make() -> Any:
+        if function:
+            return block
+        try:
+            return block()
+        except Exception as error:
+            raise InputError(f"{where}: cannot be made without arguments: {described(error)}") from error
+
+    found = Source(name, kind, make, files, package, copied=copied)
+    found.hashes  # noqa: B018  of what was read just now
+    return found
+
+
+def bring(scenario: Scenario) -> Brought:
+    """Everything that a scenario brings beside its controller.
+
+    Raises InputError for a name, a file or a table that does not do, and for another file than the one that flew.
+    """
+    asked = {"metrics": scenario.metrics, "observers": scenario.observers}
+    asked |= {key: [name] for key, name in (("sensors", scenario.sensors), ("wind", scenario.wind)) if name}
+    kinds = {"metrics": "metric", "observers": "observer"}
+    sources = {
+        key: [_source(kinds.get(key, key), name, scenario) for name in names] for key, names in asked.items() if names
+    }
+    vehicle = scenario.resolved_vehicle()[0] if sources else None
+    found: dict[str, Any] = {}
+    if vehicle is not None:
+        taken: set[str] = set()
+        metrics = []
+        for source in sources.get("metrics", []):
+            metrics.append(own_metric(source))
+            for each in metrics[-1].names:
+                if each in taken:
+                    raise InputError(f"metric {source.label}: {each} is said by another one already")
+                taken.add(each)
+        found["metrics"] = tuple(metrics)
+        found["observers"] = tuple(
+            [_Watching(s, _made(s, scenario, vehicle, n)) for n, s in enumerate(sources.get("observers", []))]
+        )
+        for source in sources.get("sensors", []):
+            block = _made(source, scenario, vehicle, 0)
+            found["sensors"] = lambda inner: OwnSensors(source, block, inner)  # noqa: B023  there is one
+        for source in sources.get("wind", []):
+            found["wind"] = _wind(source, scenario, vehicle)
+    return Brought(sources=sources, **found)
+
+
+def _source(kind: str, name: str, scenario: Scenario) -> Source:
+    if kind == "wind" and name.lower().endswith(".csv"):
+        path = (scenario.folder / name).absolute()
+        if not path.is_file():
+            raise InputError(f"wind {name}: {path}: no such file")
+        table = WindTable.read(path)
+        source = Source(name, kind, lambda: table, {path.name: path})
+    else:
+        source = find_block(kind, name, scenario.folder)
+    then = scenario.own_sha256.get(name)
+    if then is not None and then != source.sha256:
+        raise InputError(
+            f"scenario {scenario.name}: {kind} {source.label} is not the one that was flown: its sha256 is "
+            f"{source.sha256[:12]}, then it was {then[:12]}; leave out own_sha256 to fly what is there now"
+        )
+    return source
+
+
+def own_metric(source: Source) -> OwnMetric:
+    """What a metric states of itself.  Raises InputError."""
+    where, block = f"metric {source.label}", source.make()
+    plain = getattr(block, "__name__", type(block).__name__).lower()
+    names = getattr(block, "names", (plain,))
+    if isinstance(names, str) or not names or not all(isinstance(n, str) and _NAME.fullmatch(n) for n in names):
+        raise InputError(f"{where}: names = {names!r}: must be names of letters, digits and _, no digit first")
+    if len({*names}) < len(names):
+        raise InputError(f"{where}: names = {names!r}: one is there twice")
+    columns = getattr(block, "columns", None)
+    if columns is not None and (isinstance(columns, str) or not all(isinstance(each, str) for each in columns)):
+        raise InputError(f"{where}: columns = {columns!r}: must be names of columns of the log")
+    return OwnMetric(source, tuple(PREFIX + n for n in names), None if columns is None else tuple(columns))
+
+
+def metrics_of(scenario: Scenario) -> list[OwnMetric]:
+    """The metrics alone.  Raises InputError."""
+    return [own_metric(_source("metric", name, scenario)) for name in scenario.metrics]
+
+
+def _made(source: Source, scenario: Scenario, vehicle: Vehicle, number: int) -> Any:
+    block = source.make()
+    if hasattr(block, "prepare"):
+        check_method(block, "prepare", ("told",), f"{source.level} {source.label}")
+        told = Told(scenario.step_s, vehicle, scenario.seed, (_KEYS[source.level], number))
+        try:
+            _called(source, "prepare", block.prepare, told)
+        except FlightError as error:
+            raise InputError(str(error)) from error
+    return block
+
+
+def _called(source: Source, what: str, method: Callable[..., Any], *told: Any) -> Any:
+    try:
+        return method(*told)
+    except FlightError as error:
+        raise FlightError(f"{source.level} {source.label}: {error}") from error
+    except Exception as error:
+        raise FlightError(f"{source.level} {source.label}: {what} raised {described(error)}") from error
+
+
+class _Watching:
+    """An observer of the user's."""
+
+    def __init__(self, source: Source, block: Any) -> None:
+        self._source, self._block = source, block
+
+    def observe(self, sample: Sample) -> None:
+        _called(self._source, "observe", self._block.observe, sample)
+
+    def close(self) -> None:
+        """The flight is over, and the log complete."""
+        if hasattr(self._block, "close"):
+            _called(self._source, "close", self._block.close)
+
+
+class OwnSensors:
+    """Sensors of the user's behind the built-in ones: told the truth and what these say, they say what is measured."""
+
+    def __init__(self, source: Source, block: Any, inner: Sensors) -> None:
+        self._source, self._block, self._inner = source, block, inner
+        self._columns = columns_from(block)
+
+    def reset(self, state: State) -> Measured:
+        return self._answer("reset", self._block.reset, state, self._inner.reset(state))
+
+    def sample(self, state: State) -> Measured:
+        return self._answer("sample", self._block.sample, state, self._inner.sample(state))
+
+    def _answer(self, what: str, method: Callable[..., Any], state: State, measured: Measured) -> Measured:
+        found = _called(self._source, what, method, state, measured)
+        where = f"sensors {self._source.label}"
+        if not isinstance(found, Measured):
+            raise FlightError(f"{where}: {what} gave {type(found).__name__}: must be a Measured")
+        values: list[Any] = []
+        for name, part in zip(Measured._fields, found, strict=True):
+            given: Any = (part,) if name == "altitude" else part
+            try:
+                numbers = [float(value) for value in given]
+            except (TypeError, ValueError):
+                raise FlightError(f"{where}: {name} = {part!r}: must be numbers") from None
+            if len(numbers) != (1 if name == "altitude" else 4 if name == "attitude" else 3):
+                raise FlightError(f"{where}: {name} has {len(numbers)} numbers")
+            if name != "specific_force" and not all(isfinite(value) for value in numbers):
+                raise FlightError(f"{where}: {name} = {part}: must be finite")
+            values.append(numbers[0] if name == "altitude" else tuple(numbers))
+        return Measured(*values)
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        return self._columns
+
+    @property
+    def shown(self) -> tuple[float, ...]:
+        return tuple([float(value) for value in _called(self._source, "shown", lambda: self._block.shown)])
+
+
+# ---- wind
+
+
+def _wind(source: Source, scenario: Scenario, vehicle: Vehicle) -> Callable[[Vehicle, float, float], FieldWind]:
+    block = _made(source, scenario, vehicle, 0)
+
+    def reset() -> None:
+        if hasattr(block, "reset"):
+            _called(source, "reset", block.reset)
+
+    def velocity(time: float, north: float, east: float, height: float) -> Vector3:
+        answer = _called(source, "velocity", block.velocity, time, north, east, height)
+        try:
+            x, y, z = [float(value) for value in answer]
+        except (TypeError, ValueError):
+            raise FlightError(f"wind {source.label}: velocity gave {answer!r}: must be three numbers") from None
+        if not (isfinite(x) and isfinite(y) and isfinite(z)):
+            raise FlightError(f"wind {source.label}: velocity gave {(x, y, z)}: must be finite")
+        return (x, y, z)
+
+    places = () if isinstance(block, WindTable) else tuple(jet.position_m for jet in vehicle.jets)
+    return lambda flown, step, height: FieldWind(
+        velocity, reset, step, () if not places else tuple(jet.position_m for jet in flown.jets), height
+    )
+
+
+class WindTable:
+    """A wind that is the same everywhere: rows of time [s] and velocity [m/s, NED], straight lines between them.
+
+    Before the first row the first holds, after the last the last.
+    """
+
+    def __init__(self, times: Sequence[float], velocities: Sequence[Vector3]) -> None:
+        self._times, self._velocities = list(times), list(velocities)
+
+    @classmethod
+    def read(cls, path: Path) -> WindTable:
+        """A file with a line of :data:`TABLE` above its rows.  Raises InputError: file, line, what is allowed."""
+        try:
+            lines = list(csv.reader(StringIO(path.read_text(encoding="utf-8-sig"))))
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+        if not lines or tuple(each.strip() for each in lines[0]) != TABLE:
+            raise InputError(f"{path}: line 1: must be {','.join(TABLE)}")
+        times: list[float] = []
+        velocities: list[Vector3] = []
+        for number, line in enumerate(lines[1:], 2):
+            if not line:
+                continue
+            try:
+                time, north, east, down = (float(each) for each in line)
+            except ValueError:
+                raise InputError(f"{path}: line {number}: must be {len(TABLE)} numbers") from None
+            if not all(isfinite(each) for each in (time, north, east, down)):
+                raise InputError(f"{path}: line {number}: must be finite")
+            if times and time <= times[-1]:
+                raise InputError(f"{path}: line {number}: time_s = {time:g}: must be later than the row before")
+            times.append(time)
+            velocities.append((north, east, down))
+        if not times:
+            raise InputError(f"{path}: holds no row")
+        return cls(times, velocities)
+
+    def velocity(self, time: float, north: float, east: float, height: float) -> Vector3:
+        """Of the air at that time, wherever."""
+        after = bisect_right(self._times, time)
+        if after == 0:
+            return self._velocities[0]
+        if after == len(self._times):
+            return self._velocities[-1]
+        first, last = self._times[after - 1], self._times[after]
+        share = (time - first) / (last - first)
+        (a, b, c), (x, y, z) = self._velocities[after - 1], self._velocities[after]
+        return (a + share * (x - a), b + share * (y - b), c + share * (z - c))

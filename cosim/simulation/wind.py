@@ -1,0 +1,47 @@
+"""A wind over time and place, beside what the scenario's own disturbances blow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from cosim.base.frames import rotate
+from cosim.base.signals import Disturbance, State, Vector3
+
+Velocity = Callable[[float, float, float, float], Vector3]  # s, then north, east and height [m]: m/s NED
+
+
+class FieldWind:
+    """What a field blows at the vehicle over a step, held from its beginning, and how much else at each engine.
+
+    The airframe flies in the air at its centre of gravity; an engine's intake, and what its stream does to the
+    vehicle, in the air at its station.  ``places``: the stations [m, body], none where the wind is the same everywhere.
+    """
+
+    def __init__(
+        self, velocity: Velocity, reset: Callable[[], None], step: float, places: Sequence[Vector3], height: float
+    ) -> None:
+        self._velocity, self._reset, self._step = velocity, reset, step
+        self._places, self._height = tuple(places), height
+        self.at_jets: list[Vector3] = []  # m/s NED, beyond the wind at the centre of gravity
+
+    def reset(self, wind: Vector3) -> Vector3:
+        """The wind at the start, where the disturbances blow ``wind``."""
+        self._reset()
+        self.at_jets = []
+        x, y, z = self._velocity(0.0, 0.0, 0.0, self._height)
+        return (wind[0] + x, wind[1] + y, wind[2] + z)
+
+    def blown(self, k: int, state: State, disturbance: Disturbance) -> Disturbance:
+        """The disturbance of step ``k`` with the field's wind in it."""
+        time = k * self._step
+        north, east, _ = state.position
+        height = state.altitude
+        x, y, z = self._velocity(time, north, east, height)
+        at_jets: list[Vector3] = []
+        for place in self._places:
+            ahead, right, below = rotate(state.attitude, place)
+            u, v, w = self._velocity(time, north + ahead, east + right, height - below)
+            at_jets.append((u - x, v - y, w - z))
+        self.at_jets = at_jets
+        a, b, c = disturbance.wind
+        return disturbance._replace(wind=(a + x, b + y, c + z))

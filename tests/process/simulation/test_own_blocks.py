@@ -1,0 +1,301 @@
+"""Metrics, winds, sensors and observers of the user's: exact where they can be, recorded, refused in one line."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_tools import Hexjet
+from places import ROOT
+
+from cosim import InputError, Scenario, fly
+from cosim.base.frames import conjugate, jet_axis, rotate
+from cosim.campaign.run import run_campaign
+from cosim.campaign.search.search import why
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.plan import flights
+from cosim.campaign.workers.flight_row import fly_one
+from cosim.results.report.flight import comparison_rows
+from cosim.simulation.brought import GROUPS, METHODS, WindTable, find_block
+from cosim.simulation.build import build
+
+PAGE = ROOT / "docs" / "own-blocks.md"
+SHORT = Scenario.load("roll-doublet").replace(duration_s=0.2, expect=[])
+STEADY = (2.0, -3.0, 0.5)
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> str:
+    """The file that a reader copies from the page."""
+    found = re.search(
+        r"<!-- blocks -->\n```python\n(.*?)```\n<!-- /blocks -->", PAGE.read_text(encoding="utf-8"), re.DOTALL
+    )
+    assert found is not None
+    (tmp_path / "mine.py").write_text(found[1], encoding="utf-8")
+    return str(tmp_path / "mine.py")
+
+
+def bits(run: Any) -> dict[str, bytes]:
+    return {name: run.log[name].tobytes() for name in run.log.columns}
+
+
+# ---- wind
+
+
+def test_a_wind_that_is_the_same_everywhere_is_the_environments_to_the_last_bit(tmp_path: Path) -> None:
+    (tmp_path / "steady.csv").write_text("time_s,north_m_s,east_m_s,down_m_s\n0,2,-3,0.5\n", encoding="utf-8")
+    (tmp_path / "field.py").write_text(
+        "class Steady:\n    def velocity(self, time, north, east, height):\n        return (2.0, -3.0, 0.5)\n"
+    )
+    base = Scenario.load("full-scale-hover").replace(duration_s=0.2, expect=[])  # its engines feel the air
+    ours = bits(fly(base.replace(environment={"wind_ned_m_s": STEADY})))
+    assert ours != bits(fly(base))
+    for name in ("steady.csv", "field.py:Steady"):
+        assert bits(fly(base.replace(wind=str(tmp_path / name)))) == ours
+
+
+def test_each_engine_feels_the_wind_at_its_own_place(mine: str) -> None:
+    """The air into each intake is that of the field there, and so is the drag: against the law, jet by jet."""
+    scenario = Scenario.load("full-scale-hover").replace(duration_s=1.0, expect=[], wind=f"{mine}:Shear")
+    with build(scenario) as simulation:
+        for _ in range(3):
+            simulation.step()
+        state, propulsion = simulation.state, simulation.propulsion
+        simulation.step()
+        air = propulsion.ambient(state, state.wind).air_speed
+        for speed, jet in zip(air, simulation.vehicle.jets, strict=True):
+            _, east, down = (a + b for a, b in zip(state.position, rotate(state.attitude, jet.position_m), strict=True))
+            height = state.altitude - (down - state.position[2])
+            blows = (0.2 * height, 0.0, 0.5 * east)
+            # state.wind is the field at the centre of gravity, a step ago: what was added there counts
+            there = [
+                w + b - a
+                for w, b, a in zip(state.wind, blows, (0.2 * state.altitude, 0.0, 0.5 * state.position[1]), strict=True)
+            ]
+            through = rotate(
+                conjugate(state.attitude), tuple(v - w for v, w in zip(state.velocity, there, strict=True))
+            )
+            axis = jet_axis(propulsion.tilt[jet.servo == "right"])
+            x, y, z = jet.position_m
+            p, q, r = state.rate
+            turning = (q * z - r * y, r * x - p * z, p * y - q * x)
+            assert speed == pytest.approx(
+                sum((a + b) * e for a, b, e in zip(through, turning, axis, strict=True)), abs=1e-9
+            )
+        left, right = (
+            np.mean([s for s, j in zip(air, simulation.vehicle.jets, strict=True) if j.servo == side])
+            for side in ("left", "right")
+        )
+        assert abs(left - right) > 0.1
+
+
+def test_a_table_is_straight_between_its_rows_and_held_at_its_ends(tmp_path: Path) -> None:
+    path = tmp_path / "gusts.csv"
+    path.write_text("time_s,north_m_s,east_m_s,down_m_s\n1,0,2,0\n3,4,0,-1\n", encoding="utf-8")
+    table = WindTable.read(path)
+    for time, velocity in (
+        (0.0, (0, 2, 0)),
+        (1.0, (0, 2, 0)),
+        (2.0, (2, 1, -0.5)),
+        (3.0, (4, 0, -1)),
+        (9.0, (4, 0, -1)),
+    ):
+        assert table.velocity(time, 0.0, 0.0, 0.0) == velocity
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,north\n", "line 1: must be time_s,north_m_s,east_m_s,down_m_s"),
+        ("time_s,north_m_s,east_m_s,down_m_s\n", "holds no row"),
+        ("time_s,north_m_s,east_m_s,down_m_s\n0,1,2\n", "line 2: must be 4 numbers"),
+        ("time_s,north_m_s,east_m_s,down_m_s\n0,1,2,nan\n", "line 2: must be finite"),
+        ("time_s,north_m_s,east_m_s,down_m_s\n1,0,0,0\n1,0,0,0\n", "line 3: time_s = 1: must be later"),
+    ],
+)
+def test_a_table_that_does_not_do_is_one_line(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "w.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=re.escape(message)):
+        build(SHORT.replace(wind=str(tmp_path / "w.csv")))
+
+
+# ---- sensors and observers
+
+
+def test_sensors_change_what_is_measured_and_no_other_noise(mine: str) -> None:
+    run, plain = (fly(SHORT.replace(controller="baseline", sensors=name)) for name in (f"{mine}:Drifting", None))
+    drift = run.log["barometer_drift_m"]
+    assert drift.std() > 0.0
+    # row 1 is measured before anything could follow from the drift: the gyro's noise is what it was
+    assert run.log["rate_p_measured_rad_s"][:2].tolist() == plain.log["rate_p_measured_rad_s"][:2].tolist()
+    assert bits(fly(SHORT.replace(controller="baseline", sensors=f"{mine}:Drifting"))) == bits(run)
+
+
+def test_an_observer_sees_every_step_and_changes_none(mine: str, capsys: pytest.CaptureFixture[str]) -> None:
+    run = fly(SHORT.replace(observers=[f"{mine}:Highest"]))
+    assert bits(run) == bits(fly(SHORT))
+    assert capsys.readouterr().out == f"highest at {run.log['altitude_m'].max():.2f} m\n"
+
+
+# ---- metrics
+
+
+def test_a_metric_is_in_summary_expectations_and_comparison(mine: str) -> None:
+    expect = [{"controller": "smith", "engine": "edf-as-flown", "metrics": {"own.swing_rad": {"max": -1.0}}}]
+    run = fly(SHORT.replace(metrics=[f"{mine}:Swing"], expect=expect))
+    roll = np.abs(run.log["roll_rad"])
+    assert run.summary.own_metrics == {"own.swing_rad": roll.max(), "own.swing_at_s": run.log["time_s"][roll.argmax()]}
+    assert run.summary.verdict == "not as expected"
+    assert run.summary.complaints == [f"own.swing_rad = {roll.max():.6g}, expected at most -1"]
+    assert "Own swing" in [row["title"] for row in comparison_rows([run.summary])]
+    expect[0]["metrics"] = {"own.swing": {"max": 1.0}}
+    with pytest.raises(InputError, match=r"unknown 'own\.swing'; did you mean 'own\.swing_rad'"):
+        fly(SHORT.replace(metrics=[f"{mine}:Swing"], expect=expect))
+
+
+def test_a_campaign_has_it_in_every_row_and_counts_by_it(mine: str, tmp_path: Path) -> None:
+    settings = ["duration_s=0.2", f"metrics={json.dumps([mine + ':Swing'])}"]
+    study = open_study("roll-doublet", vary=["vehicle.mass_kg=5,6"], settings=settings, success=["own.swing_rad<=1e-9"])
+    campaign = run_campaign(study, tmp_path / "campaign", workers=1)
+    Path(mine).unlink()  # it has a copy
+    row = fly_one(campaign.study, flights(campaign.study)[1])
+    there = campaign.columns
+    assert there["own.swing_rad"][1] == row["own.swing_rad"] > 0.0
+    assert not any(there["success"])
+    assert "own.swing_rad = " in why(study, row)
+    assert re.fullmatch("metrics mine.py:Swing [0-9a-f]{64}", str(row["brought_sha256"]))
+
+
+def test_a_metric_that_fails_says_so_and_the_flight_stands(tmp_path: Path) -> None:
+    (tmp_path / "bad.py").write_text(
+        "def raises(log, step_s):\n    return log['nothing']\n\n\ndef two(log, step_s):\n    return {'two': 1.0, 'three': 2.0}\n\n\n"
+        "def good(log, step_s):\n    return float('inf')\n"
+    )
+    names = [f"{tmp_path / 'bad.py'}:{name}" for name in ("raises", "two", "good")]
+    run = fly(SHORT.replace(metrics=names))
+    assert run.outcome == "completed"
+    assert run.summary.own_metrics == {"own.raises": None, "own.two": None, "own.good": None}
+    first, second = run.summary.own_metrics_failed
+    assert first.startswith("metric bad.py:raises: ")
+    assert second == "metric bad.py:two: gave two, three: must be two"
+
+
+# ---- what is written down, and what is refused
+
+
+def test_a_run_has_the_files_and_flies_them_again_or_says_what_is_another(mine: str, tmp_path: Path) -> None:
+    names = {
+        "metrics": [f"{mine}:Swing"],
+        "observers": [f"{mine}:Highest"],
+        "sensors": f"{mine}:Drifting",
+        "wind": f"{mine}:Shear",
+    }
+    run = fly(SHORT.replace(**names), tmp_path / "run", report=False)
+    Path(mine).unlink()
+    assert [each.key for each in run.summary.brought] == ["metrics", "observers", "sensors", "wind"]
+    again = fly(tmp_path / "run" / "scenario.toml")
+    assert bits(again) == bits(run)
+    assert again.summary.own_metrics == run.summary.own_metrics
+    copy = tmp_path / "run" / "mine.py"
+    copy.write_text(copy.read_text(encoding="utf-8") + "# edited\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"metric mine\.py:Swing is not the one that was flown"):
+        fly(tmp_path / "run" / "scenario.toml")
+
+
+WRONG = """
+class Wind:
+    def velocity(self, time, north, east, height):
+        return (0.0, 1.0 / (0.0 if time > 0.01 else 1.0), 0.0)
+
+class Few:
+    def velocity(self, time, north, east, height):
+        return (0.0, 1.0)
+
+class Blind:
+    def observe(self, sample):
+        raise ValueError("no")
+
+class Nothing:
+    def reset(self, state, measured):
+        return measured
+    def sample(self, state, measured):
+        return None
+
+class Nan(Nothing):
+    def sample(self, state, measured):
+        return measured._replace(altitude=float("nan"))
+"""
+
+
+@pytest.mark.parametrize(
+    ("key", "name", "reason"),
+    [
+        ("wind", "Wind", "wind wrong.py:Wind: velocity raised ZeroDivisionError"),
+        ("sensors", "Nothing", "sensors wrong.py:Nothing: sample gave NoneType: must be a Measured"),
+        ("sensors", "Nan", "sensors wrong.py:Nan: altitude = nan: must be finite"),
+        ("observers", "Blind", "observer wrong.py:Blind: observe raised ValueError: no"),
+    ],
+)
+def test_what_goes_wrong_in_flight_ends_it_and_is_named(tmp_path: Path, key: str, name: str, reason: str) -> None:
+    (tmp_path / "wrong.py").write_text(WRONG, encoding="utf-8")
+    given = f"{tmp_path / 'wrong.py'}:{name}"
+    run = fly(SHORT.replace(**{key: [given] if key == "observers" else given}))
+    assert run.outcome == "failed"
+    assert reason in run.reason
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"metrics": ["nobody"]},
+            "metric nobody: must be FILE.py:Name, package.module:Name or an entry point of hexjet.metrics",
+        ),
+        ({"wind": "nobody"}, "wind nobody: must be FILE.csv, FILE.py:Name"),
+        ({"wind": "none.csv"}, "no such file"),
+        ({"wind": "none.py:Wind"}, "no such file"),
+        ({"metrics": ["math:nothing"]}, "has no 'nothing'"),
+        ({"metrics": ["cosim.nothing:x"]}, "cosim.nothing cannot be imported"),
+        ({"observers": ["cosim.results.metrics:wrap"]}, "observer cosim.results.metrics:wrap: must be a class"),
+        ({"sensors": "fractions:Fraction"}, "has no reset(state, measured)"),
+        ({"metrics": ["cosim.results.metrics:wrap"]}, "must take (log, step_s)"),
+    ],
+)
+def test_wrong_names_are_one_line(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as error:
+        build(SHORT.replace(**changes))
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_the_command_takes_them_from_here(
+    mine: str, hexjet: Hexjet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = hexjet("fly", "roll-doublet", "--set", "duration_s=0.1", "--metric", "mine.py:Swing", "--wind", "mine.py:Shear",
+                  "--out", "run", "--json")  # fmt: skip
+    assert done.status == 0, done.err
+    assert list(json.loads(done.out)["own_metrics"]) == ["own.swing_rad", "own.swing_at_s"]
+    done = hexjet("fly", "roll-doublet", "--metric", "mine.py:Swings")
+    assert (done.status, done.err.count("\n")) == (2, 1)
+    assert "did you mean" in done.err
+
+
+def test_an_entry_point_brings_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mine: str) -> None:
+    info = tmp_path / "my_blocks-1.2.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-blocks\nVersion: 1.2\n")
+    (info / "entry_points.txt").write_text("[hexjet.winds]\nshear = mine:Shear\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    found = find_block("wind", "shear", tmp_path)
+    assert (found.version, list(found.files), found.copied) == ("my-blocks 1.2", ["mine.py"], False)
+
+
+def test_the_page_names_what_there_is() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    assert all(f"`{group}`" in page for group in GROUPS.values())
+    assert set(METHODS) == set(GROUPS)
