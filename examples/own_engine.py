@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 from cosim import Scenario, fly
-from cosim.engine import load_engine
 from cosim.flight import new_folder
 
 SOURCE = '''
@@ -43,17 +42,14 @@ subprocess.run(
 )
 fmu = folder / "Mine.fmu"
 
-# %% Its ports are found by name, and its thrust at rest is measured
+# %% Its ports are found by name, its thrust at rest is measured: fly on six of it, and on five of ours and one of it
+mine = str(fmu.absolute())
 hover = Scenario.load("hover").replace(controller="baseline", duration_s=0.4, expect=[])
-engine = load_engine(str(fmu), {}, hover.step_s)
-print(
-    f"{fmu.name}: throttle 0.5 gives {engine.thrust_at(0.5):.2f} N at rest, full throttle {engine.thrust_at(1.0):.2f} N"
-)
-
-# %% Fly on six of it, and on five of ours and one of it
-mixed = hover.replace(engine="edf", stations={"3": {"engine": str(fmu.absolute())}})
-for name, scenario in (("six of it", hover.replace(engine=str(fmu.absolute()))), ("one of it at station 3", mixed)):
-    run = fly(scenario)
+six = fly(hover.replace(engine=mine))
+one = fly(hover.replace(engine="edf", stations={"3": {"engine": mine}}))
+throttle, thrust = six.summary.engine_curve[-1]
+print(f"{fmu.name}: {thrust:.2f} N at throttle {throttle:g}")
+for name, run in (("six of it", six), ("one of it at station 3", one)):
     throttle, error = run.log["throttle_3"][-1], run.summary.altitude.max_abs_error_m
     print(f"{name}: {run.outcome}, throttle 3 in hover {throttle:.3f}, greatest error of the height {error:.3f} m")
 print(f"next: hexjet fmu check {fmu}, and hexjet design --engine {fmu} for a predictor and gains with stated margins")

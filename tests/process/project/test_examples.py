@@ -15,7 +15,7 @@ from cosim.codegen import measure
 EXAMPLES = ROOT / "examples"
 SAYS = {
     "first_flight": r"smith     completed \(flew 3000 steps\), greatest roll error 0\.348 rad\nbaseline  diverged \(leaned",
-    "own_engine": r"full throttle 25\.00 N\nsix of it: completed.*\none of it at station 3: completed",
+    "own_engine": r"Mine\.fmu: 25\.00 N at throttle 1\nsix of it: completed.*\none of it at station 3: completed",
     "own_controller": r"Ahead +completed.*\nAhead, half believed +completed.*\nsmith +completed.*\nbaseline",
     "campaign": r"smith +\d of 6 succeed: .*\nbaseline +\d of 6 succeed: .*\nflight \d+ with \w+: .*\nmass factor .*\nthe same log again, bit for bit: True",
     "c_export": r"350 steps of the flight: the same bits\nvoid ours_reset\(.*\nvoid ours_step\(",
