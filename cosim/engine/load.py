@@ -58,7 +58,7 @@ def load_unchecked(
         if measured is None and foreign is not None and engine is None:
             measured = foreign(name_or_path, parameters, step, air)
         elif measured is None:
-            measured = measure_once(archive, settings, start, step, air)
+            measured = measure_once(archive, settings, start, step, air, small=engine is None)
     except (SlaveError, ResponseError) as error:
         raise InputError(f"{archive.path}: {error}") from error
     return EngineSpec(
@@ -84,6 +84,7 @@ def load_unchecked(
         quiet=measured.quiet,
         air=air,
         isolated=bool(mapping.isolated),
+        small=measured.small,
     )
 
 

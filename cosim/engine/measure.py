@@ -15,8 +15,11 @@ from cosim.engine.response import (
     LITTLE_CHANGE,
     NO_CHANGE,
     Curve,
+    Hold,
     Response,
+    ResponseError,
     RestlessError,
+    Small,
     settle,
     static_curve,
     step_response,
@@ -27,6 +30,9 @@ from cosim.engine.starting import Setting
 from cosim.engine.system_slave import make_slave
 from cosim.engine.unpacked import unpack
 
+AROUND, BY = 0.5, 0.05  # of the throttle, a small step: about where an engine hovers, and what no limit of it sees
+CLEAR = 5.0  # times its own movement at rest, that the small step has to change the thrust
+
 
 class Measured(NamedTuple):
     """What stepping an engine tells about it."""
@@ -35,17 +41,25 @@ class Measured(NamedTuple):
     response: Response  # to the throttle opened from 0 to 1
     start: str | None  # the start parameter, if it does what it should
     quiet: float  # to what share of itself the thrust stands still at rest
+    small: Small | None = (
+        None  # None: of the library, which states its own, or drowned in what the thrust moves by itself
+    )
 
 
 _measured: Memory[Measured] = Memory(256)
 
 
 def measure_once(
-    archive: Archive, settings: tuple[Setting, ...], start: str | None, step: float, air: Air = STANDARD_AIR
+    archive: Archive,
+    settings: tuple[Setting, ...],
+    start: str | None,
+    step: float,
+    air: Air = STANDARD_AIR,
+    small: bool = True,
 ) -> Measured:
     """As :func:`measure`, once per process for the same contents of the archive and the same question."""
-    key = (*behaviour_of(archive, settings, air), start, step)
-    return _measured.get(key, lambda: measure(archive, settings, start, step, air=air))
+    key = (*behaviour_of(archive, settings, air), start, step, small)
+    return _measured.get(key, lambda: measure(archive, settings, start, step, air=air, small=small))
 
 
 def measure(
@@ -55,17 +69,20 @@ def measure(
     step: float,
     alive: Callable[[], object] = lambda: None,
     air: Air = STANDARD_AIR,
+    small: bool = True,
 ) -> Measured:
     """Static curve and step response of an engine in ``air``, and its start parameter if that does what it should.
+
+    ``small``: whether a small step is measured too.
 
     An engine that goes on trembling at rest is measured once more with more patience.  ``alive`` is called every now
     and then while it lasts.
     Raises SlaveError or ResponseError if it fails, never settles or never answers.
     """
     try:
-        return _measure(archive, settings, start, step, alive, NO_CHANGE, air)
+        return _measure(archive, settings, start, step, alive, NO_CHANGE, air, small)
     except RestlessError:
-        return _measure(archive, settings, start, step, alive, LITTLE_CHANGE, air)
+        return _measure(archive, settings, start, step, alive, LITTLE_CHANGE, air, small)
 
 
 def _measure(
@@ -76,6 +93,7 @@ def _measure(
     alive: Callable[[], object],
     quiet: float,
     air: Air,
+    small: bool,
 ) -> Measured:
     with unpack(archive) as folder:
         slave = make_slave(archive, folder, "measured")
@@ -91,13 +109,33 @@ def _measure(
             at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet, rest)
             response = step_response(hold, at_rest, 1.0, step, quiet, rest)
             curve = static_curve(hold, window_for(response.delay), step, quiet, rest)
+            little = _small(hold, window_for(response.delay), step, quiet, rest) if small else None
         except _bank.FailureError as failure:
             raise SlaveError(slave.explain(failure, "while its thrust was measured")) from failure
         finally:
             slave.close()
         if start is not None and not _starts_level(archive, folder, settings, step, curve, response, air):
             start = None
-    return Measured(curve, response, start, quiet)
+    return Measured(curve, response, start, quiet, little)
+
+
+def _small(hold: Hold, window: int, step: float, quiet: float, rest: float) -> Small | None:
+    course: list[float] = []
+
+    def recorded(throttle: float, steps: int) -> list[float]:
+        thrusts = list(hold(throttle, steps))
+        course.extend(thrusts)
+        return thrusts
+
+    try:
+        before = settle(hold, AROUND, window, step, quiet, rest)
+        found = step_response(recorded, before, AROUND + BY, step, quiet, rest)
+    except ResponseError:
+        return None
+    change = found.after - found.before
+    if abs(change) < CLEAR * rest:
+        return None
+    return Small(found.delay, sum((found.after - thrust) / change for thrust in course))
 
 
 def _starts_level(

@@ -39,6 +39,18 @@ class Response(NamedTuple):
     after: float  # N
 
 
+class Small(NamedTuple):
+    """A small step of the throttle around its middle, in communication steps."""
+
+    delay: int  # in which nothing moves
+    late: float  # all delay at low frequency, from the throttle's move: sum of what is missing from the change
+
+    @property
+    def lag(self) -> float:
+        """What is not transport: 1 / (1 - a) of a single pole a, whose thrust at a step's end counts for the step."""
+        return self.late - self.delay + 1.0
+
+
 class Curve(NamedTuple):
     """Steady thrust [N] at throttles from 0 to 1."""
 

@@ -27,7 +27,7 @@ from cosim.engine.ports import (
     is_mapping,
     read_mapping,
 )
-from cosim.engine.response import NO_CHANGE, Curve, rising
+from cosim.engine.response import NO_CHANGE, Curve, Small, rising
 from cosim.engine.rundown import FlameOutLaw
 from cosim.engine.starting import Setting
 from cosim.engine.system import SUFFIX, is_system, read_system
@@ -63,6 +63,7 @@ class EngineSpec:
     quiet: float = field(default=NO_CHANGE, repr=False)  # to what share of itself the thrust stands still at rest
     air: Air = STANDARD_AIR  # in which the curve was measured
     isolated: bool = False  # it asks for a process of its own
+    small: Small | None = None  # how late it is to a small step, as measured at the control step; None: see Measured
     misbehaves: str = ""  # what a check found that it does to its process, for which it has one of its own
 
     @property

@@ -9,6 +9,10 @@ Where different engines stand at different stations, each row of theirs states t
 their share of the roll moment: in that limit this is the delay of the vehicle's roll, while the slowest engine alone
 would state more than can be measured.  All stations give the same thrust for the same command, so the shares are the
 levers.
+
+An engine that states neither delay nor pole has both measured, with a small step of its throttle around the middle
+(:class:`cosim.engine.measure.Small`), and the rows say so; the mapping file's ``[ledger] delay_s`` goes before the
+measured delay, of which what is left counts as lag.
 """
 
 from __future__ import annotations
@@ -20,6 +24,8 @@ from math import exp
 from cosim.engine import EngineSpec
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
+
+MEASURED = ", measured with a small step around half throttle"
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,8 @@ def delay_ledger(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineS
     """The rows in the order in which the signal passes them; ``engines``: one per station."""
     gyro = vehicle.sensors.gyro
     owner, levers = _owner(engines), [abs(jet.position_m[1]) for jet in vehicle.jets]
-    delays = [_ratio(each.delay, scenario.step_s) for each in engines]
+    delays = [_delay(each, scenario.step_s) for each in engines]
+    how = MEASURED if any(each.pole is None and each.small is not None for each in engines) else ""
     lags = [_lag(each, scenario.step_s) for each in engines]
     pole = exp(-scenario.step_s / gyro.filter_s) if gyro.filter_s > 0.0 else 0.0
     later = scenario.mismatch.delay_samples
@@ -51,8 +58,10 @@ def delay_ledger(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineS
             "delay added to the roll output", "added_delay_samples", "transport", float(scenario.added_delay_samples)
         ),
         *(unknown if later else []),
-        LedgerRow("transport delay", owner, "transport", _mean(delays, levers)),
-        LedgerRow("spool lag, 1/(1 - a) at one internal step a control step", owner, "lag", _mean(lags, levers)),
+        LedgerRow(f"transport delay{how}", owner, "transport", _mean(delays, levers)),
+        LedgerRow(
+            f"spool lag{how or ', 1/(1 - a) at one internal step a control step'}", owner, "lag", _mean(lags, levers)
+        ),
         *_loops(engines),
         LedgerRow("thrust of the step's end acts over all of it", "engines, then airframe", "exchange", -1.0),
         LedgerRow("force acts from the step's beginning", "JSBSim", "transport", 0.0)
@@ -93,8 +102,11 @@ def _mean(values: Sequence[float | None], weights: Sequence[float]) -> float | N
     return sum(value * weight for value, weight in zip(known, weights, strict=True)) / sum(weights)
 
 
-def _ratio(seconds: float | None, step: float) -> float | None:
-    return None if seconds is None else seconds / step
+def _delay(engine: EngineSpec, step: float) -> float | None:
+    """Transport delay in control steps, as stated or measured."""
+    if engine.delay is not None:
+        return engine.delay / step
+    return None if engine.small is None else float(engine.small.delay)
 
 
 def _lag(engine: EngineSpec, step: float) -> float | None:
@@ -105,7 +117,8 @@ def _lag(engine: EngineSpec, step: float) -> float | None:
     ``d + 1 / (1 - a) - 1``.
     """
     if engine.pole is None or engine.internal_step is None or engine.delay_samples is None:
-        return None
+        delay = _delay(engine, step)
+        return None if engine.small is None or delay is None else engine.small.late - delay + 1.0
     m = round(step / engine.internal_step)
     q = engine.delay_samples // m
     both = q + engine.pole ** (m * (q + 1) - engine.delay_samples) / (1.0 - engine.pole**m)

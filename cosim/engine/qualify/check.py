@@ -36,6 +36,7 @@ from cosim.engine.response import (
     NO_CHANGE,
     Curve,
     Response,
+    Small,
     curve_problems,
 )
 from cosim.engine.spec import (
@@ -354,7 +355,8 @@ class _Trying:
 
 def _measured(data: Mapping[str, Any]) -> Measured:
     curve = Curve(tuple(data["throttle"]), tuple(data["thrust"]))
-    return Measured(curve, Response(**data["response"]), data["start"], float(data["quiet"]))
+    small = Small(**data["small"]) if data["small"] else None
+    return Measured(curve, Response(**data["response"]), data["start"], float(data["quiet"]), small)
 
 
 def _described(variables: Iterable[Variable]) -> list[dict[str, Any]]:
@@ -537,5 +539,6 @@ def _remember(place: Path, measured: Measured) -> None:
         "response": measured.response._asdict(),
         "start": measured.start,
         "quiet": measured.quiet,
+        "small": measured.small._asdict() if measured.small else None,
     }
     write(place, json.dumps(data))

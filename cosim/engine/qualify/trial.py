@@ -327,6 +327,7 @@ def _measure(trial: Trial) -> Found:
     )
     curve = found.curve._asdict()
     measured = {**curve, "response": found.response._asdict(), "start": found.start, "quiet": found.quiet}
+    measured["small"] = found.small._asdict() if found.small else None
     problems = curve_problems(found.curve, found.quiet, trial.archive.starting.rest_n)
     notes = flat_notes(found.curve, found.quiet, trial.archive.starting.rest_n)
     return {**curve, "up": found.response._asdict(), "measured": measured, "notes": notes}, problems

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 import zipfile
 from pathlib import Path
 
@@ -24,24 +25,29 @@ from foreign_engines import (
     description,
     force,
     foreign,
+    kinds_table,
     lever,
     library,
     mapped,
     write_kinds,
 )
+from places import ROOT
 
 from cosim import Scenario, fly
 from cosim.base.errors import InputError
 from cosim.base.signals import Ambient
 from cosim.base.toml import parse_setting
 from cosim.cli.main import main
-from cosim.design.survey import FLIES, NONE, judged
+from cosim.design.survey import FLIES, MARK, NONE, REFUSED, UNFIT, judged
 from cosim.engine import EngineBank, EngineSpec, load_engine
 from cosim.engine.archive import read_archive, validate
 from cosim.engine.compile import compile_archive, needs_compiling
 from cosim.engine.description import is_blemish
 from cosim.engine.ports import Air
 from cosim.engine.response import flat_notes
+from cosim.results.report import marks
+from cosim.simulation.delay_ledger import LedgerRow, delay_ledger
+from cosim.spec.vehicle import load_vehicle
 
 
 @pytest.fixture(scope="module")
@@ -378,3 +384,41 @@ def test_nothing_is_said_to_fly_that_did_not(faults: list[str], ok: bool, verdic
     roll = {"after": {"bandwidth_hz": 1.0, "peak_sensitivity": 1.7}}
     made = {"ok": ok, "reason": "" if ok else "swings", "controller": "smith", "axes": {"roll": roll}}
     assert judged(made | {"proof": {"flights": [{"fault": each} for each in faults]}})[2] == verdict
+
+
+def test_the_delay_ledger_has_what_was_measured(place: Path, tmp_path: Path) -> None:
+    """A library engine under a file's name, of which nothing is stated: the same rows; else what its parts add up to."""
+    vehicle = load_vehicle("hexjet")[0]
+    scenario = Scenario.load("hover")
+
+    def rows(engine: str) -> list[LedgerRow]:
+        spec = load_engine(engine, {}, 0.004, unchecked=True)
+        return [row for row in delay_ledger(scenario, vehicle, [spec] * 6) if row.owner.startswith("engine ")]
+
+    copied = shutil.copy(load_engine("edf-as-flown", {}, 0.004).path, tmp_path / "mine.fmu")
+    stated, measured = rows("edf-as-flown"), rows(str(copied))
+    assert [row.samples for row in measured] == pytest.approx([row.samples for row in stated], rel=1e-6)
+    assert all("measured with a small step" in row.element for row in measured)
+    delay, lag = rows(str(foreign(place, "two-lags", "lag=0.2,lag2=0.08,delay=0.04")))
+    assert delay.samples == 10.0
+    # behind a hold of a step, thrust at its end: half a step less than the continuous lags, and the ledger's one more
+    assert lag.samples == pytest.approx((0.2 + 0.08) / 0.004 + 0.5, abs=0.3)
+    path = mapped(foreign(place, "stated", "lag=0.2,delay=0.04"), "[ledger]", "delay_s = 0.02")
+    assert [row.samples for row in rows(str(path))] == pytest.approx([5.0, 5.0 + 0.2 / 0.004 + 0.5], abs=0.3)
+    noisy = mapped(foreign(place, "restless", "lag=0.1,noise=0.0025"), "[rest]", "thrust = 0.5")
+    assert [row.samples for row in rows(str(noisy))] == [None, None]  # 1 N of change, and half of it by itself
+
+
+def test_the_page_of_kinds_is_what_the_survey_wrote() -> None:
+    """Every row a kind that there is, and a verdict with what it rests on; what they are made of, as they are."""
+    page = ROOT / "docs" / "engine-kinds.md"
+    parts = marks.parts_of(page.read_text(encoding="utf-8"), page)
+    assert parts["kinds"] == kinds_table()
+    rows = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in parts[MARK].splitlines()[2:]]
+    assert {row[0] for row in rows} <= set(KINDS)
+    for _, check, design, kept, verdict, seconds in rows:
+        assert verdict in (FLIES, NONE, UNFIT, REFUSED)  # never a fault of ours
+        assert float(seconds) > 0.0
+        assert (check == "fit") == (design != "")
+        if verdict == FLIES:
+            assert re.fullmatch(r"(\d+) of \1", kept)
