@@ -68,9 +68,11 @@ class _Made:
         """Of a component's connector.  Raises UnusableError where its FMU has none of that name."""
         path, name = node
         known = self._known[path]
+        where = f"component {'.'.join(path)} ({self.structure.components[path]})"
         if name not in known:
-            where = f"component {'.'.join(path)} ({self.structure.components[path]})"
             raise UnusableError(f"{where}: has no variable {name}; {nearest(name, list(known))}")
+        if known[name].is_array:
+            raise UnusableError(f"{where}: {name} is part of an array, which cannot be connected")
         return known[name]
 
     def unit(self, node: Node) -> Unit | None:

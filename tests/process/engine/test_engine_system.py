@@ -6,8 +6,10 @@ import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import foreign_engines
 import pytest
 import systems
 from systems import LINES, STEP, by_hand, line, pack, parameter_set, structure
@@ -15,6 +17,7 @@ from systems import LINES, STEP, by_hand, line, pack, parameter_set, structure
 import cosim.engine._bank as native
 from cosim.base.errors import InputError
 from cosim.codegen import measure
+from cosim.codegen.ssp import write_ssp
 from cosim.engine import EngineBank, load_engine
 from cosim.engine.archive import Archive
 from cosim.engine.instance import Slave
@@ -170,6 +173,36 @@ def test_one_bank_with_systems_and_fmus(mine: Path) -> None:
         first = bank.reset(0.5)
         assert first.thrust[0] == pytest.approx(10.0, abs=1e-6)
         assert bank.step(0, (0.5, 0.5)).thrust[0] == pytest.approx(10.0, abs=1e-6)
+
+
+def test_it_is_not_exported_as_a_component(mine: Path, tmp_path: Path) -> None:
+    spec = load_engine(str(mine), {}, STEP, unchecked=True)
+    flight = SimpleNamespace(simulation=SimpleNamespace(stations=[spec]))
+    with pytest.raises(InputError, match=r"engine of jet 1 \(mine.ssp\): is a system itself"):
+        write_ssp(flight, tmp_path / "vehicle.fmu", tmp_path / "out.ssp", 3, 1.0)
+
+
+def test_a_lever_in_whole_numbers_is_rounded_as_that_of_an_fmu(tmp_path: Path) -> None:
+    fmu = foreign_engines.foreign(tmp_path, "servo", "lag=0.2,pulse=1", [foreign_engines.PULSE, foreign_engines.force()])
+    pulse = '<ssc:LinearTransformation factor="1000.0" offset="1000.0"/>'
+    text = structure((line("throttle", "servo.esc_us", pulse), line("servo.thrust", "thrust")), ("servo",))
+    path = pack(tmp_path / "servo.ssp", text, {"servo": fmu.read_bytes()})
+    throttle = [0.1234, 0.5678, 1.0]
+    found = []
+    for each in (fmu, path):
+        with stepped(each) as (_, _, bank):
+            found.append([bank.hold(0, value, 3) for value in throttle])
+    assert found[0] == found[1]
+    assert found[0][0][-1] > 0.0
+
+
+def test_part_of_an_array_is_not_connected(tmp_path: Path) -> None:
+    rows = [foreign_engines.lever(), ("thrusts", "thrusts", "output", 'size="2" unit="N"')]
+    fmu = foreign_engines.foreign(tmp_path, "array", "lag=0.1", rows, fmi=3)
+    text = structure((line("throttle", "array.throttle"), line("array.thrusts[1]", "thrust")), ("array",))
+    path = pack(tmp_path / "array.ssp", text, {"array": fmu.read_bytes()})
+    with pytest.raises(InputError, match=r"component array .*: thrusts\[1\] is part of an array"):
+        find_source(str(path))
 
 
 WRONG = {
