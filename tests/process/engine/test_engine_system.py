@@ -183,7 +183,9 @@ def test_it_is_not_exported_as_a_component(mine: Path, tmp_path: Path) -> None:
 
 
 def test_a_lever_in_whole_numbers_is_rounded_as_that_of_an_fmu(tmp_path: Path) -> None:
-    fmu = foreign_engines.foreign(tmp_path, "servo", "lag=0.2,pulse=1", [foreign_engines.PULSE, foreign_engines.force()])
+    fmu = foreign_engines.foreign(
+        tmp_path, "servo", "lag=0.2,pulse=1", [foreign_engines.PULSE, foreign_engines.force()]
+    )
     pulse = '<ssc:LinearTransformation factor="1000.0" offset="1000.0"/>'
     text = structure((line("throttle", "servo.esc_us", pulse), line("servo.thrust", "thrust")), ("servo",))
     path = pack(tmp_path / "servo.ssp", text, {"servo": fmu.read_bytes()})
