@@ -62,6 +62,7 @@ from cosim.vehicle.airframe import (
     ON_THE_GROUND,
     POSITIONS,
 )
+from cosim.vehicle.jsbsim_model import read_model
 
 
 def fly(
@@ -252,17 +253,18 @@ def copied_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> t
     import tomli_w
 
     _, folder = scenario.resolved_vehicle()
-    model = Path(simulation.vehicle.model).name
-    table = as_read(scenario.aircraft, scenario.folder) | {"model": model}
-    own: dict[str, Path | bytes] = {
-        VEHICLE: tomli_w.dumps(_written(table)).encode(),
-        model: folder / simulation.vehicle.model,
-    }
+    table, own = as_read(scenario.aircraft, scenario.folder), dict[str, Path | bytes]()
+    model = simulation.vehicle.model
+    if model is not None:
+        own[Path(model).name] = read_model(folder / model)
+        renamed = {"model": Path(model).name}
+        table, stated = table | renamed, stated | renamed
+    own[VEHICLE] = tomli_w.dumps(_written(table)).encode()
     for name in own:
         if name in files:
             raise InputError(f"aircraft {scenario.aircraft_name}: another file of the flight has the name {name!r}")
     files |= own
-    return VEHICLE, stated | {"model": model}
+    return VEHICLE, stated
 
 
 def _written(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -351,7 +353,7 @@ def _mapping(path: Path, archive: str) -> Path | bytes:
 
 def _setup(simulation: Simulation) -> Setup:
     scenario, engine = simulation.scenario, simulation.engine
-    model = simulation.vehicle.model
+    model = simulation.vehicle.model or f"{simulation.vehicle.name}.xml"
     model = Path(model).name if is_own(scenario.aircraft) else model
     return Setup(
         scenario=scenario.name,

@@ -21,14 +21,8 @@ from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Disturbance, Vector3
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
-from cosim.vehicle.airframe import (
-    FOOT,
-    POUND_FOOT,
-    POUND_FORCE,
-    SLUG,
-    SLUG_FT2,
-    Airframe,
-)
+from cosim.vehicle.airframe import Airframe
+from cosim.vehicle.jsbsim_units import FOOT, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2
 
 EARTH_RATE = 7.292115e-5  # rad/s
 SECONDS, EVERY = 30.0, 0.1  # of the trajectories that are compared, and between their rows

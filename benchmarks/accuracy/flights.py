@@ -30,10 +30,10 @@ from cosim.vehicle.airframe import (
     ADAMS_BASHFORTH_2,
     ADAMS_BASHFORTH_3,
     BUSS_2,
-    FOOT,
     RECTANGULAR,
     Airframe,
 )
+from cosim.vehicle.jsbsim_units import FOOT
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from typing import Any
 PACKAGE = Path(__file__).resolve().parents[1]
 MODULES = (
     "vehicle/airframe.py",
+    "vehicle/jsbsim_units.py",
     "vehicle/intakes.py",
     "vehicle/banks.py",
     "simulation/commander.py",

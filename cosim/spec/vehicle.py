@@ -422,7 +422,7 @@ class Vehicle(Model):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
     title: str
-    model: str  # the JSBSim model's file, beside vehicle.toml
+    model: str | None = None  # the JSBSim model's file, beside vehicle.toml; None: all is stated in that
     engine: str | None = None  # what it is made for, and flies with where only the aircraft is named
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]
@@ -642,8 +642,7 @@ def _stated(path: Path) -> dict[str, Any]:
     if "scaled" in base:
         raise InputError(f"{where}.base: {law.base} is a scaled copy itself; name the aircraft that it is made from")
     original = validate(Vehicle, base, str(folder / VEHICLE)).model_dump(mode="json", exclude_none=True)
-    model = f"../{law.base}/{original['model']}"
-    if path.parents[1] != data_folder("aircraft"):
-        model = str(folder / original["model"])
+    near = path.parents[1] == data_folder("aircraft")
+    model = f"../{law.base}/{original['model']}" if near else str(folder / original["model"])
     shared = {"model": model, "engine": None}
     return merge(scaled(original, law.mass_kg) | shared, stated)

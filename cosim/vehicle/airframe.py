@@ -1,7 +1,7 @@
 """The airframe: JSBSim behind SI units, FRD body axes and NED.
 
-The only module that imports ``jsbsim`` and the only place with lbf, ft and slug.  One control step is ``substeps``
-runs of JSBSim with every input held.
+The only module that imports ``jsbsim``, and with :mod:`cosim.vehicle.jsbsim_model` the only place with lbf, ft and
+slug.  One control step is ``substeps`` runs of JSBSim with every input held.
 
 JSBSim moves the state first and evaluates forces after, so a force that is written before a step is first felt in the
 run after the next: the method from acceleration to velocity makes up half a run of this (Adams and Bashforth) or none
@@ -16,7 +16,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import os
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
 from math import pi, radians
 from pathlib import Path
@@ -26,13 +25,11 @@ os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner to standard
 
 import jsbsim
 
-from cosim.base.cache import Memory
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import from_euler
 from cosim.base.scratch import scratch
 from cosim.base.signals import (
-    AXES,
     ZERO3,
     Disturbance,
     State,
@@ -40,14 +37,8 @@ from cosim.base.signals import (
 )
 from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import Vehicle
-
-FOOT: Final = 0.3048  # m, exact
-INCH: Final = 0.0254  # m, exact
-POUND_FORCE: Final = 4.4482216152605  # N, exact
-SLUG: Final = POUND_FORCE / FOOT  # kg
-SLUG_FT2: Final = SLUG * FOOT**2  # kg m^2
-POUND_FOOT: Final = POUND_FORCE * FOOT  # N m
-JSBSIM_POUNDS_PER_SLUG: Final = 32.174049  # the constant with which JSBSim turns weights into masses
+from cosim.vehicle.jsbsim_model import MOMENTUM, read_model, render, structural
+from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2
 
 NEAR_GROUND: Final = 2.0  # m: below this height the contacts are looked at
 # JSBSim's methods, by the end of their property's name and its number for them
@@ -73,7 +64,6 @@ _POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
 _RANKINE: Final = 5.0 / 9.0  # K, exact
 _NED = ("north", "east", "down")
 _number = itertools.count()  # of the airframes of this process
-_MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the spools, body; a property of our own in the model
 
 
 Node = Callable[[str], jsbsim.FGPropertyNode]  # a property by its name
@@ -143,13 +133,13 @@ class Airframe:
         self._vehicle = vehicle
         self._environment = environment
         self._file = scratch() / f"{vehicle.name}-{next(_number)}.xml"
-        self._source = folder / vehicle.model
+        self._source = None if vehicle.model is None else folder / vehicle.model
         self._dt = step / substeps
         self._seed = float(seed % 2**31)  # JSBSim keeps it in a C int
         try:
             xml = render(vehicle, self._source, spools)
             self.sha256 = hashlib.sha256(xml).hexdigest()  # of the model with the vehicle's numbers in it
-            self.file_sha256 = hashlib.sha256(self._source.read_bytes()).hexdigest()
+            self.file_sha256 = hashlib.sha256(read_model(self._source)).hexdigest()
             self._file.write_bytes(xml)
             self._load()
         except BaseException:
@@ -162,7 +152,7 @@ class Airframe:
         fdm.set_aircraft_path(".")
         # load_model answers False instead of raising
         if not fdm.load_model(self._file.stem, add_model_to_path=False):
-            raise InputError(f"{self._source}: JSBSim could not load the model")
+            raise InputError(f"{self._source or self._vehicle.name}: JSBSim could not load the model")
         fdm.set_dt(self._dt)
         self._fdm = fdm
         self._run: Callable[[], bool] = fdm.run if self.moving else _stand_still
@@ -203,7 +193,7 @@ class Airframe:
         self._set_wind = _Write(node, "atmosphere/wind-{}-fps", _NED, FOOT)
         self._set_payload = node("inertia/pointmass-weight-lbs").set_double_value
         self._payload_place = _Write(node, "inertia/pointmass-location-{}-inches", "XYZ")
-        self._momentum = _Write(node, _MOMENTUM, "xyz", SLUG_FT2) if self._spools else None
+        self._momentum = _Write(node, MOMENTUM, "xyz", SLUG_FT2) if self._spools else None
         self._pressure: Get = node("atmosphere/P-psf").get_double_value
         self._temperature: Get = node("atmosphere/T-R").get_double_value
         if self._vehicle.fuel:
@@ -218,7 +208,7 @@ class Airframe:
         # JSBSim silently creates a property that is written but does not exist, so every name is resolved first
         found = self._fdm.get_property_manager().get_node(name)
         if found is None:
-            raise InputError(f"{self._vehicle.model}: this JSBSim model has no property {name}")
+            raise InputError(f"{self._source or self._vehicle.name}: this JSBSim model has no property {name}")
         return found
 
     def _last_point_mass(self) -> int:
@@ -366,7 +356,7 @@ class Airframe:
     def _apply_payload(self, payload: tuple[float, float, float, float]) -> None:
         mass, x, y, z = payload
         self._set_payload(mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
-        self._payload_place.put(*_structural((x, y, z)))
+        self._payload_place.put(*structural((x, y, z)))
         self._full = sum((self._vehicle.mass_kg, mass))
         self._mass = self._full - self._burnt
 
@@ -495,109 +485,3 @@ def standing_height(vehicle: Vehicle) -> float:
 def start_height(vehicle: Vehicle, initial: Initial) -> float:
     """Height of the centre of gravity above the ground (m) at the start of a flight."""
     return standing_height(vehicle) if initial.on_ground else initial.altitude_m
-
-
-def _structural(body: Vector3) -> tuple[float, float, float]:
-    """A body-frame place (m, FRD) in JSBSim's structural frame: inches, x aft, y right, z up."""
-    x, y, z = body
-    return (-x / INCH, y / INCH, -z / INCH)
-
-
-_RENDERED = {"mass_kg", "inertia_kg_m2", "aero", "jets", "contacts", "fuel"}  # what render reads of a vehicle
-_rendered: Memory[bytes] = Memory(64)
-
-
-def render(vehicle: Vehicle, model: Path, spools: bool = False) -> bytes:
-    """The JSBSim model with the vehicle's numbers written over the ones in the file, in JSBSim's own units.
-
-    A vehicle with a tank gets a point mass for the fuel that is burnt, and with ``spools`` a gyroscopic moment.
-
-    Raises InputError if the file cannot be read or lacks an element.
-    """
-    try:
-        text = model.read_bytes()
-    except OSError as error:
-        raise InputError(f"{model}: {error.strerror or error}") from error
-    return _rendered.get(
-        (model, text, vehicle.model_dump_json(include=_RENDERED), spools),
-        lambda: _render(vehicle, model, text, spools),
-    )
-
-
-def _render(vehicle: Vehicle, model: Path, text: bytes, spools: bool) -> bytes:
-    try:
-        root = ET.fromstring(text)
-    except ET.ParseError as error:
-        raise InputError(f"{model}: not valid XML: {error}") from error
-
-    def find(path: str) -> ET.Element:
-        element = root.find(path)
-        if element is None:
-            raise InputError(f"{model}: the model has no element {path}")
-        return element
-
-    def write(path: str, value: float, unit: str) -> None:
-        element = find(path)
-        element.text = repr(float(value))
-        element.set("unit", unit)
-
-    def place(path: str, body: Vector3) -> None:
-        find(path).set("unit", "IN")
-        for axis, value in zip("xyz", _structural(body), strict=True):
-            find(f"{path}/{axis}").text = repr(value + 0.0)
-
-    write("mass_balance/emptywt", vehicle.mass_kg / SLUG * JSBSIM_POUNDS_PER_SLUG, "LBS")
-    for axis, inertia in zip(("ixx", "iyy", "izz"), vehicle.inertia_kg_m2, strict=True):
-        write(f"mass_balance/{axis}", inertia / SLUG_FT2, "SLUG*FT2")
-    write("metrics/wingspan", vehicle.aero.span_m, "M")
-    place("metrics/location[@name='AERORP']", vehicle.aero.centre_m)
-    for number, jet in enumerate(vehicle.jets, 1):
-        place(f"external_reactions/force[@name='jet{number}']/location", jet.position_m)
-    if len(root.findall("ground_reactions/contact")) != len(vehicle.contacts):
-        raise InputError(f"{model}: the model and vehicle.toml do not have the same number of contacts")
-    for contact in vehicle.contacts:
-        path = f"ground_reactions/contact[@name='{contact.name}']"
-        place(f"{path}/location", contact.position_m)
-        write(f"{path}/spring_coeff", contact.spring_n_m, "N/M")
-        write(f"{path}/damping_coeff", contact.damping_n_s_m, "N/M/SEC")
-        find(f"{path}/static_friction").text = repr(contact.friction_static)
-        find(f"{path}/dynamic_friction").text = repr(contact.friction_dynamic)
-    constants = {element.text: element for element in root.findall("flight_control/property")}
-    values = {
-        f"aero/drag-area-{axis}-ft2": area / FOOT**2
-        for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True)
-    }
-    for axis, damping in zip(AXES, vehicle.aero.damping_n_m_s, strict=True):
-        values[f"aero/damping-{axis}-lbf_ft_s"] = damping / POUND_FOOT
-    for name, value in values.items():
-        if name not in constants:
-            raise InputError(f"{model}: the model has no constant {name}")
-        constants[name].set("value", repr(value))
-    if vehicle.fuel:
-        burnt = ET.SubElement(find("mass_balance"), "pointmass", name="burnt fuel")
-        ET.SubElement(burnt, "weight", unit="LBS").text = "0"
-        at = ET.SubElement(burnt, "location", unit="IN")
-        for axis, inches in zip("xyz", _structural(vehicle.fuel.position_m), strict=True):
-            ET.SubElement(at, axis).text = repr(inches + 0.0)
-    if spools:
-        for axis in "xyz":
-            ET.SubElement(find("flight_control"), "property", value="0").text = _MOMENTUM.format(axis)
-        for axis, turn in zip(("ROLL", "PITCH", "YAW"), ("xyz", "yzx", "zxy"), strict=True):
-            find(f"aerodynamics/axis[@name='{axis}']").append(_gyroscopic(*turn))
-    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
-
-
-def _gyroscopic(axis: str, second: str, third: str) -> ET.Element:
-    """JSBSim's function for one component of ``H x omega``: ``H_second omega_third - H_third omega_second``."""
-
-    def product(momentum: str, rate: str) -> str:
-        letter = "pqr"["xyz".index(rate)]
-        return (
-            f"<product><property>{_MOMENTUM.format(momentum)}</property>"
-            f"<property>velocities/{letter}i-rad_sec</property></product>"
-        )
-
-    return ET.fromstring(
-        f'<function name="rotors/gyroscopic-moment-{axis}-lbf_ft">'
-        f"<difference>{product(second, third)}{product(third, second)}</difference></function>"
-    )

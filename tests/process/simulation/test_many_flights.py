@@ -48,8 +48,8 @@ from cosim.results.run import Run
 from cosim.spec import vehicle
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
-from cosim.vehicle import airframe
-from cosim.vehicle.airframe import render
+from cosim.vehicle import jsbsim_model
+from cosim.vehicle.jsbsim_model import render
 
 STEP = 0.004
 SOMETHING = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.1, "amplitude": 10.0, "width_s": 0.2}
@@ -216,14 +216,14 @@ def test_a_changed_engine_is_another(house: Path) -> None:
 
 def test_the_model_is_made_of_what_it_is_remembered_by() -> None:
     """Else a vehicle that differs in something else would fly with the model of another."""
-    tree = ast.parse((Path(cosim.__file__).parent / "vehicle" / "airframe.py").read_text())
+    tree = ast.parse((Path(cosim.__file__).parent / "vehicle" / "jsbsim_model.py").read_text())
     (made,) = (node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "_render")
     names = {
         node.attr
         for node in ast.walk(made)
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "vehicle"
     }
-    assert names == airframe._RENDERED
+    assert names == jsbsim_model._RENDERED
     assert names <= set(Vehicle.model_fields)
 
 

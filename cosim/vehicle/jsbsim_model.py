@@ -1,0 +1,330 @@
+"""The JSBSim model of a vehicle: the user's file, completed by what we need in it, with the vehicle's numbers in it.
+
+A file may state as little as ``<fdm_config/>``, or have an aerodynamics of its own, systems, tables and files that it
+takes them from.  What a flight needs beside that is added: mass and inertia, contacts, one external force per jet, a
+force and a moment for what disturbs it, a point mass for a payload, and drag and damping as ``vehicle.toml`` states
+them where the file has no aerodynamics.
+"""
+
+from __future__ import annotations
+
+import copy
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from cosim.base.cache import Memory
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES, Vector3
+from cosim.spec.vehicle import Vehicle
+from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, SLUG, SLUG_FT2
+
+MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the spools, body; a property of our own in the model
+
+_RENDERED = {"mass_kg", "inertia_kg_m2", "aero", "jets", "contacts", "fuel"}  # what render reads of a vehicle
+_rendered: Memory[bytes] = Memory(64)
+PAYLOAD = "payload"
+_INCHES = {"IN": 1.0, "FT": 12.0, "M": 1.0 / INCH}  # in a unit of JSBSim's for places
+# parts in the order in which JSBSim's schema has them; it reads them in any
+_PARTS = (
+    "metrics", "mass_balance", "ground_reactions", "external_reactions", "propulsion", "flight_control", "aerodynamics",
+)  # fmt: skip
+
+
+def structural(body: Vector3) -> tuple[float, float, float]:
+    """A body-frame place (m, FRD) in JSBSim's structural frame: inches, x aft, y right, z up."""
+    x, y, z = body
+    return (-x / INCH, y / INCH, -z / INCH)
+
+
+def read_model(model: Path | None) -> bytes:
+    """A model's file, with the parts that it takes from other files in their places; without one, all is added.
+
+    Raises InputError if one of them cannot be read.
+    """
+    if model is None:
+        return b"<fdm_config/>"
+    try:
+        text = model.read_bytes()
+    except OSError as error:
+        raise InputError(f"{model}: {error.strerror or error}") from error
+    if not re.search(rb"\sfile\s*=", text):
+        return text
+    root = _parsed(model, text)
+    named = [part for part in root if part.get("file")]
+    if not named:
+        return text
+    for part in named:
+        if part.tag in ("output", "input"):  # neither is a part of what flies
+            root.remove(part)
+            continue
+        root[list(root).index(part)] = _part(model, part)
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _part(model: Path, part: ET.Element) -> ET.Element:
+    """What a part is taken from: beside the model or in ``Systems``, as JSBSim looks for it."""
+    name = part.attrib["file"]
+    places = [
+        model.parent / folder / f"{name}{ending}" for folder in ("", "Systems", "systems") for ending in ("", ".xml")
+    ]
+    for place in places:
+        if place.is_file():
+            other = _parsed(place, place.read_bytes())
+            if other.tag != part.tag:
+                raise InputError(f"{place}: is a {other.tag}, where {model.name} takes a {part.tag} from it")
+            return other
+    raise InputError(f"{model}: {part.tag} file={name!r}: {places[0]}: no such file")
+
+
+def _parsed(path: Path, text: bytes) -> ET.Element:
+    try:
+        return ET.fromstring(text)
+    except ET.ParseError as error:
+        raise InputError(f"{path}: not valid XML: {error}") from error
+
+
+def render(vehicle: Vehicle, model: Path | None, spools: bool = False) -> bytes:
+    """The JSBSim model with the vehicle's numbers written over the ones in the file, in JSBSim's own units.
+
+    A vehicle with a tank gets a point mass for the fuel that is burnt, and with ``spools`` a gyroscopic moment.
+
+    Raises InputError if the file cannot be read or has what a vehicle here cannot have.
+    """
+    text = read_model(model)
+    return _rendered.get(
+        (model, text, vehicle.model_dump_json(include=_RENDERED), spools),
+        lambda: _render(vehicle, model or Path(vehicle.name), text, spools),
+    )
+
+
+def _render(vehicle: Vehicle, model: Path, text: bytes, spools: bool) -> bytes:
+    root = _parsed(model, text)
+    if root.tag != "fdm_config":
+        raise InputError(f"{model}: is no JSBSim model: its root is {root.tag}, not fdm_config")
+    own_aerodynamics = complete(root, vehicle, model)
+
+    def find(path: str) -> ET.Element:
+        element = root.find(path)
+        assert element is not None, path
+        return element
+
+    def write(path: str, value: float, unit: str) -> None:
+        element = find(path)
+        element.text = repr(float(value))
+        element.set("unit", unit)
+
+    def place(path: str, body: Vector3) -> None:
+        find(path).set("unit", "IN")
+        for axis, value in zip("xyz", structural(body), strict=True):
+            find(f"{path}/{axis}").text = repr(value + 0.0)
+
+    write("mass_balance/emptywt", vehicle.mass_kg / SLUG * JSBSIM_POUNDS_PER_SLUG, "LBS")
+    for axis, inertia in zip(("ixx", "iyy", "izz"), vehicle.inertia_kg_m2, strict=True):
+        write(f"mass_balance/{axis}", inertia / SLUG_FT2, "SLUG*FT2")
+    for number, jet in enumerate(vehicle.jets, 1):
+        place(f"external_reactions/force[@name='jet{number}']/location", jet.position_m)
+    for contact in vehicle.contacts:
+        path = f"ground_reactions/contact[@name='{contact.name}']"
+        place(f"{path}/location", contact.position_m)
+        write(f"{path}/spring_coeff", contact.spring_n_m, "N/M")
+        write(f"{path}/damping_coeff", contact.damping_n_s_m, "N/M/SEC")
+        find(f"{path}/static_friction").text = repr(contact.friction_static)
+        find(f"{path}/dynamic_friction").text = repr(contact.friction_dynamic)
+    if not own_aerodynamics:
+        write("metrics/wingspan", vehicle.aero.span_m, "M")
+        place("metrics/location[@name='AERORP']", vehicle.aero.centre_m)
+        constants = {element.text: element for element in root.findall("flight_control/property")}
+        values = {
+            f"aero/drag-area-{axis}-ft2": area / FOOT**2
+            for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True)
+        }
+        for axis, damping in zip(AXES, vehicle.aero.damping_n_m_s, strict=True):
+            values[f"aero/damping-{axis}-lbf_ft_s"] = damping / POUND_FOOT
+        for name, value in values.items():
+            if name not in constants:
+                raise InputError(f"{model}: the model has no constant {name}")
+            constants[name].set("value", repr(value))
+    if vehicle.fuel:
+        burnt = ET.SubElement(find("mass_balance"), "pointmass", name="burnt fuel")
+        ET.SubElement(burnt, "weight", unit="LBS").text = "0"
+        at = ET.SubElement(burnt, "location", unit="IN")
+        for axis, inches in zip("xyz", structural(vehicle.fuel.position_m), strict=True):
+            ET.SubElement(at, axis).text = repr(inches + 0.0)
+    if spools:
+        for axis in "xyz":
+            ET.SubElement(find("flight_control"), "property", value="0").text = MOMENTUM.format(axis)
+        for axis, turn in zip(("ROLL", "PITCH", "YAW"), ("xyz", "yzx", "zxy"), strict=True):
+            find(f"aerodynamics/axis[@name='{axis}']").append(_gyroscopic(*turn))
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def complete(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
+    """Add to a model what a flight needs in it, and say whether its aerodynamics is its own.
+
+    The origin of the structural frame becomes the centre of gravity, where it is not.  Raises InputError for engines,
+    contacts and point masses of its own: engines are FMUs, and the others are stated in ``vehicle.toml``.
+    """
+    for at, tag in enumerate(_PARTS):
+        if root.find(tag) is None:
+            before = [list(root).index(part) for earlier in _PARTS[:at] for part in root.findall(earlier)]
+            part = ET.Element(tag, {"name": "constants"} if tag == "flight_control" else {})
+            root.insert(max(before, default=len(root.findall("fileheader")) - 1) + 1, part)
+    _metrics(_one(root, "metrics"))
+    _mass_balance(_one(root, "mass_balance"), model)
+    _shift(root)
+    _contacts(_one(root, "ground_reactions"), vehicle, model)
+    _forces(_one(root, "external_reactions"), len(vehicle.jets))
+    if root.find("propulsion/engine") is not None:
+        raise InputError(f"{model}: propulsion/engine: engines are FMUs here, named by the scenario; leave it out")
+    stated = {element.text or "" for element in root.findall("flight_control/property")}
+    own = root.find("aerodynamics/axis") is not None and not any(name.startswith("aero/drag-area-") for name in stated)
+    aerodynamics = _one(root, "aerodynamics")
+    if not own and root.find("aerodynamics/axis") is None:
+        _drag(_one(root, "flight_control"), aerodynamics)
+    for name in ("ROLL", "PITCH", "YAW"):
+        _named(aerodynamics, "axis", name)
+    return own
+
+
+def _one(root: ET.Element, tag: str) -> ET.Element:
+    element = root.find(tag)
+    assert element is not None, tag
+    return element
+
+
+def _named(parent: ET.Element, tag: str, name: str) -> ET.Element:
+    """The part of this name, added where there is none."""
+    element = parent.find(f"{tag}[@name='{name}']")
+    return element if element is not None else ET.SubElement(parent, tag, name=name)
+
+
+def _placed(element: ET.Element) -> ET.Element:
+    """The same with a place, the origin where it has none."""
+    location = element if element.tag == "location" else element.find("location")
+    if location is None:
+        location = ET.SubElement(element, "location", unit="IN")
+    for axis in "xyz":
+        if location.find(axis) is None:
+            ET.SubElement(location, axis).text = "0"
+    return element
+
+
+def _metrics(metrics: ET.Element) -> None:
+    for tag, unit in (("wingarea", "M2"), ("wingspan", "M"), ("chord", "M")):
+        if metrics.find(tag) is None:
+            ET.SubElement(metrics, tag, unit=unit).text = "1"
+    for name in ("AERORP", "EYEPOINT", "VRP"):
+        _placed(_named(metrics, "location", name))
+
+
+def _mass_balance(masses: ET.Element, model: Path) -> None:
+    for tag, unit in (("ixx", "KG*M2"), ("iyy", "KG*M2"), ("izz", "KG*M2"), ("emptywt", "KG")):
+        if masses.find(tag) is None:
+            ET.SubElement(masses, tag, unit=unit).text = "0"
+    _placed(_named(masses, "location", "CG"))
+    for mass in masses.findall("pointmass"):
+        if mass.get("name") != PAYLOAD and float(mass.findtext("weight") or 0.0):
+            raise InputError(
+                f"{model}: pointmass {mass.get('name')}: mass_kg in vehicle.toml is the whole vehicle's; leave it out"
+            )
+    payload = masses.find("pointmass")
+    if payload is None or payload.get("name") != PAYLOAD:  # the first, by whose number it is known
+        payload = ET.Element("pointmass", name=PAYLOAD)
+        ET.SubElement(payload, "weight", unit="KG").text = "0"
+        first = masses.find("pointmass")
+        masses.insert(len(masses) if first is None else list(masses).index(first), payload)
+    _placed(payload)
+
+
+def _shift(root: ET.Element) -> None:
+    """Put the origin of every place in the model at its centre of gravity, and what is felt there."""
+    cg = copy.deepcopy(_one(root, "mass_balance/location[@name='CG']"))
+    unit = _INCHES[cg.get("unit", "IN").upper()]
+    origin = [float(cg.findtext(axis) or 0.0) * unit for axis in "xyz"]
+    felt = [_one(root, f"metrics/location[@name='{name}']") for name in ("EYEPOINT", "VRP")]
+    if not any(origin) and not any(float(element.text or 0.0) for location in felt for element in location):
+        return
+    for location in root.iter("location"):
+        scale = _INCHES[location.get("unit", "IN").upper()]
+        location.set("unit", "IN")
+        for axis, shift in zip("xyz", origin, strict=True):
+            element = location.find(axis)
+            if element is not None:
+                element.text = repr(float(element.text or 0.0) * scale - shift)
+    for element in (element for location in felt for element in location):
+        element.text = "0"
+
+
+def _contacts(ground: ET.Element, vehicle: Vehicle, model: Path) -> None:
+    """One for each that ``vehicle.toml`` states, in its order, by which JSBSim numbers them."""
+    stated = [contact.name for contact in vehicle.contacts]
+    there = {contact.get("name", ""): contact for contact in ground.findall("contact")}
+    for name in there:
+        if name not in stated:
+            known = ", ".join(stated)
+            raise InputError(f"{model}: contact {name}: vehicle.toml states none of this name; there are: {known}")
+    if list(there) != stated:
+        for contact in there.values():
+            ground.remove(contact)
+        there = {name: there.get(name, ET.Element("contact", type="STRUCTURE", name=name)) for name in stated}
+        ground.extend(there.values())
+    for contact in there.values():
+        _placed(contact)
+        for tag in ("static_friction", "dynamic_friction", "spring_coeff", "damping_coeff"):
+            if contact.find(tag) is None:
+                ET.SubElement(contact, tag).text = "0"
+
+
+def _forces(reactions: ET.Element, jets: int) -> None:
+    for name in (*(f"jet{number}" for number in range(1, jets + 1)), "push"):
+        force = _named(reactions, "force", name)
+        force.set("frame", "BODY")
+        _placed(force)
+        _directed(force, "z", "-1")
+    twist = _named(reactions, "moment", "twist")
+    twist.set("frame", "BODY")
+    _directed(twist, "x", "1")
+
+
+def _directed(element: ET.Element, along: str, value: str) -> None:
+    if element.find("direction") is None:
+        direction = ET.SubElement(element, "direction")
+        for axis in "xyz":
+            ET.SubElement(direction, axis).text = value if axis == along else "0"
+
+
+def _drag(constants: ET.Element, aerodynamics: ET.Element) -> None:
+    """Force ``-0.5 rho CdA |v| v`` along each body axis at the aerodynamic reference point, moment ``-damping w``."""
+    for axis, speed in zip("xyz", "uvw", strict=True):
+        name = f"aero/drag-area-{axis}-ft2"
+        ET.SubElement(constants, "property", value="0").text = name
+        seen = f"<property>velocities/{speed}-aero-fps</property>"
+        product = f"<property>atmosphere/rho-slugs_ft3</property><property>{name}</property><abs>{seen}</abs>{seen}"
+        _function(aerodynamics, axis.upper(), f"aero/force/drag-{axis}", f"<value>-0.5</value>{product}")
+    for axis, rate in zip(AXES, "pqr", strict=True):
+        name = f"aero/damping-{axis}-lbf_ft_s"
+        ET.SubElement(constants, "property", value="0").text = name
+        product = f"<property>{name}</property><property>velocities/{rate}-aero-rad_sec</property>"
+        _function(aerodynamics, axis.upper(), f"aero/moment/damping-{axis}", f"<value>-1</value>{product}")
+
+
+def _function(aerodynamics: ET.Element, axis: str, name: str, product: str) -> None:
+    text = f'<function name="{name}"><product>{product}</product></function>'
+    _named(aerodynamics, "axis", axis).append(ET.fromstring(text))
+
+
+def _gyroscopic(axis: str, second: str, third: str) -> ET.Element:
+    """JSBSim's function for one component of ``H x omega``: ``H_second omega_third - H_third omega_second``."""
+
+    def product(momentum: str, rate: str) -> str:
+        letter = "pqr"["xyz".index(rate)]
+        return (
+            f"<product><property>{MOMENTUM.format(momentum)}</property>"
+            f"<property>velocities/{letter}i-rad_sec</property></product>"
+        )
+
+    return ET.fromstring(
+        f'<function name="rotors/gyroscopic-moment-{axis}-lbf_ft">'
+        f"<difference>{product(second, third)}{product(third, second)}</difference></function>"
+    )
