@@ -13,6 +13,7 @@ from cosim.cli.options import DONE, FLIGHT_FAILED, WRONG_INPUT, Terminated
 
 INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
 COMMANDS = {  # where each is, so that none is read for another
+    "aircraft": "aircraft:aircraft",
     "bench": "bench:bench",
     "design": "design:design",
     "export": "export:export",

@@ -165,6 +165,8 @@ def complete(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
     The origin of the structural frame becomes the centre of gravity, where it is not.  Raises InputError for engines,
     contacts and point masses of its own: engines are FMUs, and the others are stated in ``vehicle.toml``.
     """
+    for key, value in (("name", vehicle.name), ("version", "2.0"), ("release", "ALPHA")):
+        root.attrib.setdefault(key, value)
     for at, tag in enumerate(_PARTS):
         if root.find(tag) is None:
             before = [list(root).index(part) for earlier in _PARTS[:at] for part in root.findall(earlier)]

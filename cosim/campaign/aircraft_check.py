@@ -1,0 +1,304 @@
+"""Is a ``vehicle.toml`` what its author meant: frames, signs, units, inertia, hover, authority, and a flight.
+
+Force and moment of every jet are read back from JSBSim and compared with ``r x F`` by hand.  Authority is computed by
+linear programs: the largest moment about one axis while the weight is held and the other two moments are zero, over all
+throttles within their limits and over pairs of tilts on a grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from math import inf, sqrt
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import FlightError, InputError
+from cosim.base.files import one_line, replacing
+from cosim.base.frames import jet_axis
+from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
+from cosim.flight import fly
+from cosim.results.report.three_views import three_views
+from cosim.simulation.build import build
+from cosim.simulation.step import Simulation
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from
+
+HEIGHT_M, FLIGHT_S = 10.0, 5.0
+ALIKE = 1e-9  # how well JSBSim and r x F must agree, of the larger one: rounding
+TILTS = 7  # of the grid, each way of either servo
+LIFT = 1.15  # thrust over weight with less than which height and attitude fight for thrust; chosen by us
+HEIGHT_ERROR_M, LEAN_DEG = 1.0, 10.0  # in a calm hover; chosen by us
+# the radius of gyration about an axis over the farthest part from it: of a thin ring 1, of a dense core little
+GYRATION = (0.05, 1.0)
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Line:
+    """One thing that was looked at."""
+
+    name: str
+    said: str
+    fault: str = ""  # why it is not as it must be
+
+
+class Authority(NamedTuple):
+    """The largest moments either way [N m, the smaller of the two], with these jets lost; None: it falls."""
+
+    lost: tuple[int, ...]
+    lift: float  # most thrust in balance over the weight
+    moment: Vector3 | None
+
+
+@dataclass(frozen=True)
+class AircraftCheck:
+    """What was found out about an aircraft with its engine."""
+
+    aircraft: str
+    title: str
+    engine: str
+    lines: list[Line]
+    authority: list[Authority]
+    inertia: Vector3
+    drawing: Path | None = None
+
+    @property
+    def fit(self) -> bool:
+        """Whether nothing is at fault."""
+        return not any(line.fault for line in self.lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "aircraft": self.aircraft,
+            "engine": self.engine,
+            "fit": self.fit,
+            "checks": [asdict(line) for line in self.lines],
+            "authority": [each._asdict() for each in self.authority],
+            "inertia_kg_m2": self.inertia,
+            "drawing": None if self.drawing is None else str(self.drawing),
+        }
+
+
+def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = None) -> AircraftCheck:
+    """Look an aircraft over, and draw it into ``out`` if given.
+
+    Parameters
+    ----------
+    aircraft : str
+        The name of one that is shipped, or the path of a folder or a ``vehicle.toml``.
+    engine : str or None
+        In place of the one that it is made for.
+    out : Path or None
+        The folder for ``aircraft.svg``; made if need be.
+
+    Returns
+    -------
+    AircraftCheck
+        Every check, whatever it found.
+
+    Raises
+    ------
+    InputError
+        If the vehicle or the engine cannot be read.
+    FlightError
+        If the drawing cannot be written.
+    """
+    aircraft = aircraft_seen_from(aircraft, Path())
+    engine = file_seen_from(engine, Path()) if engine else engine_of(aircraft)
+    if engine is None:
+        raise InputError(f"{aircraft}: vehicle.toml names no engine: name one with --engine")
+    table = {
+        "name": "check",
+        "aircraft": aircraft,
+        "engine": engine,
+        "controller": "baseline",
+        "duration_s": FLIGHT_S,
+        "initial": {"altitude_m": HEIGHT_M},
+    }
+    scenario = Scenario.from_table(table, Path(), "aircraft check")
+    vehicle, _ = scenario.resolved_vehicle()
+    steps = {model.sample_time_s for models in vehicle.identified.values() for model in models.values()}
+    scenario = scenario.replace(step_s=min(steps, default=scenario.step_s))
+    with build(scenario) as simulation:
+        lines = [_forces(simulation), _masses(simulation), *_sizes(vehicle)]
+        least, most = _thrust(simulation)
+        weight = vehicle.mass_kg * GRAVITY
+        count = len(vehicle.jets)
+        losses: list[tuple[int, ...]] = [(), *((jet,) for jet in range(1, count + 1))]
+        authority = [authority_of(vehicle, least, most, weight, lost) for lost in losses]
+        engine_name = simulation.engine.name
+    lines += [_lift(authority[0]), *_axes(authority, vehicle), _flight(scenario)]
+    return AircraftCheck(
+        vehicle.name,
+        vehicle.title,
+        engine_name,
+        lines,
+        authority,
+        vehicle.inertia_kg_m2,
+        None if out is None else _draw(vehicle, out),
+    )
+
+
+def _forces(simulation: Simulation) -> Line:
+    """Each jet alone, upright and at both ends of its tilt: force and moment in JSBSim against ``r x F``."""
+    vehicle, frame = simulation.vehicle, simulation.airframe
+    reach = vehicle.servo.range_rad if vehicle.servo else 0.0
+    thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
+    worst = 0.0
+    for number, jet in enumerate(vehicle.jets):
+        for tilt in {-reach, 0.0, reach}:
+            x, y, z = jet_axis(tilt)
+            forces = [ZERO3] * len(vehicle.jets)
+            forces[number] = (thrust * x, thrust * y, thrust * z)
+            frame.reset(simulation.scenario.initial, forces, ZERO3)
+            frame.step(forces, Disturbance())
+            force, moment = frame.external_wrench()
+            expected = np.concatenate([forces[number], np.cross(jet.position_m, forces[number])])
+            worst = max(worst, float(np.max(np.abs(np.concatenate([force, moment]) - expected))) / thrust)
+    said = f"JSBSim and r x F differ by {worst:.1e} of a jet's thrust, upright and tilted"
+    return Line("forces", said, "" if worst <= ALIKE else f"more than {ALIKE:g}")
+
+
+def _masses(simulation: Simulation) -> Line:
+    """Mass, centre of gravity and moments of inertia in JSBSim against those stated."""
+    vehicle, frame = simulation.vehicle, simulation.airframe
+    frame.reset(simulation.scenario.initial, [ZERO3] * len(vehicle.jets), ZERO3)
+    mass, cg, inertia = frame.mass_properties()
+    size = sqrt(max(vehicle.inertia_kg_m2) / vehicle.mass_kg)
+    worst = max(
+        abs(mass / vehicle.mass_kg - 1.0),
+        *(abs(value) / size for value in cg),
+        *(abs(own / stated - 1.0) for own, stated in zip(inertia, vehicle.inertia_kg_m2, strict=True)),
+    )
+    said = f"{mass:.4g} kg, inertia {', '.join(f'{value:.4g}' for value in inertia)} kg m^2"
+    return Line("mass and inertia", said, "" if worst <= 1e-6 else f"JSBSim has others by {worst:.1e}")
+
+
+def _sizes(vehicle: Vehicle) -> list[Line]:
+    """Radii of gyration beside how far the parts are from each axis: a wrong unit is far off."""
+    places = np.array(
+        [*(jet.position_m for jet in vehicle.jets), *(contact.position_m for contact in vehicle.contacts)]
+    )
+    lines = []
+    for number, (axis, moment) in enumerate(zip("xyz", vehicle.inertia_kg_m2, strict=True)):
+        radius = sqrt(moment / vehicle.mass_kg)
+        across = np.delete(places, number, axis=1)
+        farthest = float(np.max(np.linalg.norm(across, axis=1)))
+        low, high = GYRATION
+        share = radius / farthest if farthest else inf
+        fault = (
+            "" if low <= share <= high else f"is {share:.2g} of it, and bodies have {low:g} to {high:g}: which unit?"
+        )
+        said = f"radius of gyration {radius:.3g} m, the farthest part {farthest:.3g} m from the axis"
+        lines.append(Line(f"inertia about {axis}", said, fault))
+    return lines
+
+
+def _thrust(simulation: Simulation) -> tuple[Array, Array]:
+    """What each engine gives at the allocation's limits, N."""
+    limits, count = simulation.vehicle.control.allocation, len(simulation.vehicle.jets)
+    ends = []
+    for share in (limits.throttle_min, limits.throttle_max):
+        throttle = simulation.cascade.thrust_map.throttle((share,) * count)
+        curves = [spec.curve for spec in simulation.stations]
+        ends.append(
+            np.array([np.interp(u, curve.throttle, curve.thrust) for u, curve in zip(throttle, curves, strict=True)])
+        )
+    return ends[0], ends[1]
+
+
+def wrench_of(vehicle: Vehicle, tilt: Sequence[float]) -> Array:
+    """Body force and moment of each jet per thrust, with the left and the right servo at ``tilt`` [rad]: (6, jets)."""
+    columns = []
+    for jet in vehicle.jets:
+        angle = 0.0 if jet.servo is None else tilt[("left", "right").index(jet.servo)]
+        axis = jet_axis(angle)
+        roll, pitch, yaw = np.cross(jet.position_m, axis)
+        columns.append([*axis, roll, pitch, yaw + jet.reaction_m])
+    return np.array(columns).T
+
+
+def authority_of(vehicle: Vehicle, least: Array, most: Array, weight: float, lost: Sequence[int] = ()) -> Authority:
+    """Lift and moments that are left without the jets ``lost``, numbered from 1.
+
+    ``least`` and ``most``: thrust of each engine at its limits, N; ``weight`` N.
+    """
+    from scipy.optimize import linprog
+
+    reach = vehicle.servo.range_rad if vehicle.servo else 0.0
+    angles = np.linspace(-reach, reach, TILTS) if reach else np.zeros(1)
+    dead = [jet - 1 for jet in lost]
+    low, high = least.copy(), most.copy()
+    low[dead] = high[dead] = 0.0
+    bounds = list(zip(low, high, strict=True))
+    lift, ends = 0.0, np.full((3, 2), -inf)
+    for left in angles:
+        for right in angles:
+            wrench = wrench_of(vehicle, (float(left), float(right)))
+            up, moments = -wrench[2], wrench[3:]
+            best = linprog(-up, A_eq=moments, b_eq=np.zeros(3), bounds=bounds, method="highs")
+            if best.status == 0:
+                lift = max(lift, -best.fun / weight)
+            for axis in range(3):
+                others = np.delete(moments, axis, axis=0)
+                held = np.vstack([up, others])
+                for side, sign in enumerate((1.0, -1.0)):
+                    end = linprog(
+                        -sign * moments[axis], A_eq=held, b_eq=[weight, 0.0, 0.0], bounds=bounds, method="highs"
+                    )
+                    if end.status == 0:
+                        ends[axis, side] = max(ends[axis, side], -end.fun)
+    roll, pitch, yaw = (float(value) for value in ends.min(axis=1))
+    holds = min(roll, pitch, yaw) > -inf and lift >= 1.0
+    return Authority(tuple(lost), lift, (max(roll, 0.0), max(pitch, 0.0), max(yaw, 0.0)) if holds else None)
+
+
+def _lift(whole: Authority) -> Line:
+    said = f"thrust in balance {whole.lift:.2f} times the weight"
+    if whole.lift < 1.0:
+        return Line("hover", said, "it does not lift off")
+    return Line("hover", said, "" if whole.lift >= LIFT else f"less than {LIFT:g}: height and attitude fight for it")
+
+
+def _axes(authority: Sequence[Authority], vehicle: Vehicle) -> list[Line]:
+    whole, lines = authority[0].moment, []
+    for number, axis in enumerate(AXES):
+        moment = 0.0 if whole is None else whole[number]
+        turn = moment / vehicle.inertia_kg_m2[number]
+        fault = "" if moment > 0.0 else "nothing turns it while the weight is held"
+        lines.append(Line(f"{axis} authority", f"{moment:.3g} N m either way in hover, {turn:.3g} rad/s^2", fault))
+    held = [each.lost[0] for each in authority[1:] if each.moment is not None and min(each.moment) > 0.0]
+    said = f"balanced, with authority about every axis, without any one of: {', '.join(map(str, held)) or 'none'}"
+    return [*lines, Line("one engine lost", said)]
+
+
+def _flight(scenario: Scenario) -> Line:
+    """A calm hover with its own gains and sensor noise."""
+    run = fly(scenario)
+    if run.outcome != "completed":
+        return Line("a calm hover", f"{run.outcome}: {run.reason}", "does not hover with its own gains")
+    log = run.log
+    height = float(np.max(np.abs(log["altitude_m"] - HEIGHT_M)))
+    lean = float(np.degrees(np.max(np.hypot(log["roll_rad"], log["pitch_rad"]))))
+    fault = (
+        "" if height <= HEIGHT_ERROR_M and lean <= LEAN_DEG else f"more than {HEIGHT_ERROR_M:g} m or {LEAN_DEG:g} deg"
+    )
+    said = f"{FLIGHT_S:g} s with sensor noise, controller baseline: {height:.2g} m off, leans {lean:.2g} deg"
+    return Line("a calm hover", said, fault)
+
+
+def _draw(vehicle: Vehicle, out: Path) -> Path:
+    path = out / "aircraft.svg"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as temporary:
+            temporary.write_text(three_views(vehicle), encoding="utf-8")
+    except OSError as error:
+        raise FlightError(f"{path}: {one_line(error)}") from error
+    return path

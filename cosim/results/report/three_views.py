@@ -1,0 +1,174 @@
+"""A vehicle from above, from the right and from the front, as a drawing in SVG: drawn from its ``vehicle.toml``."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from math import hypot
+
+from cosim.base.frames import jet_axis
+from cosim.base.signals import Vector3
+from cosim.spec.vehicle import Vehicle
+
+VIEW, MARGIN, TITLE = 300.0, 34.0, 44.0  # px
+# body axes that a view has to its right and downwards, with their signs
+VIEWS = (
+    ("from above", (1, 1.0), (0, -1.0)),
+    ("from the right", (0, 1.0), (2, 1.0)),
+    ("from the front", (1, -1.0), (2, 1.0)),
+)
+STYLE = (
+    "text { font: 11px system-ui, sans-serif; fill: #222; } .name { font-weight: 600; } .dim { fill: #666; }"
+    " .leg { stroke: #888; stroke-width: 2; fill: none; } .hull { fill: #888; } .jet { fill: #fff; stroke: #1f4e79;"
+    " stroke-width: 1.6; } .thrust { stroke: #c0392b; stroke-width: 1.6; marker-end: url(#tip); }"
+    " .reach { stroke: #c0392b; stroke-width: 0.8; stroke-dasharray: 3 3; } .body { fill: #1f4e79; fill-opacity: 0.08;"
+    " stroke: #1f4e79; stroke-opacity: 0.4; } .cg { stroke: #000; stroke-width: 1.2; } .frame { fill: #fff; }"
+)
+
+
+def three_views(vehicle: Vehicle) -> str:
+    """The drawing: jets with their numbers, thrust and reach of their tilt, legs, hull, centre of gravity, a scale.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        What is drawn; places in m, body.
+
+    Returns
+    -------
+    str
+        A whole SVG document.
+    """
+    places = _places(vehicle)
+    reach = max(max(map(abs, place)) for place in places) or 1.0
+    scale = (VIEW / 2.0 - MARGIN) / reach
+    root = ET.Element(
+        "svg", xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {VIEW * len(VIEWS):g} {VIEW + 2 * TITLE:g}",
+        role="img",
+    )  # fmt: skip
+    ET.SubElement(root, "title").text = f"{vehicle.name}: three views"
+    ET.SubElement(root, "style").text = STYLE
+    tip = ET.SubElement(
+        ET.SubElement(root, "defs"), "marker", id="tip", viewBox="0 0 6 6", refX="5", refY="3", markerWidth="6",
+        markerHeight="6", orient="auto",
+    )  # fmt: skip
+    ET.SubElement(tip, "path", d="M0,0 L6,3 L0,6 z", fill="#c0392b")
+    ET.SubElement(root, "rect", {"class": "frame", "width": "100%", "height": "100%"})
+    _text(root, 12, 22, vehicle.title, "name")
+    _text(
+        root,
+        12,
+        38,
+        f"{vehicle.mass_kg:g} kg; {len(vehicle.jets)} jets, with their numbers; seen from above, forward is up",
+        "dim",
+    )
+    for number, (name, right, down) in enumerate(VIEWS):
+        view = _View(root, number * VIEW + VIEW / 2.0, TITLE + VIEW / 2.0, scale, right, down)
+        _text(root, number * VIEW + 12, TITLE + VIEW + 12, name, "dim")
+        _one(view, vehicle, reach)
+    _ruler(root, scale, reach)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+class _View:
+    """One projection: places of the body to the drawing."""
+
+    def __init__(
+        self, root: ET.Element, x: float, y: float, scale: float, right: tuple[int, float], down: tuple[int, float]
+    ) -> None:
+        self.root, self._x, self._y, self._scale = root, x, y, scale
+        self._right, self._down = right, down
+
+    def at(self, place: Sequence[float]) -> tuple[float, float]:
+        """Where a place is drawn, px."""
+        (right, to_right), (down, downwards) = self._right, self._down
+        return (
+            round(self._x + self._scale * to_right * place[right], 2),
+            round(self._y + self._scale * downwards * place[down], 2),
+        )
+
+    def line(self, kind: str, start: Sequence[float], end: Sequence[float]) -> None:
+        """From a place to a place."""
+        (a, b), (c, d) = self.at(start), self.at(end)
+        ET.SubElement(
+            self.root, "line", {"class": kind, "x1": f"{a:g}", "y1": f"{b:g}", "x2": f"{c:g}", "y2": f"{d:g}"}
+        )
+
+    def circle(self, kind: str, place: Sequence[float], radius: float) -> None:
+        """Around a place, its radius in px."""
+        x, y = self.at(place)
+        ET.SubElement(self.root, "circle", {"class": kind, "cx": f"{x:g}", "cy": f"{y:g}", "r": f"{radius:g}"})
+
+
+def _places(vehicle: Vehicle) -> list[Vector3]:
+    return [*(jet.position_m for jet in vehicle.jets), *(contact.position_m for contact in vehicle.contacts)]
+
+
+def _one(view: _View, vehicle: Vehicle, reach: float) -> None:
+    corners = _hull([view.at(place) for place in _places(vehicle)])
+    points = " ".join(f"{x:g},{y:g}" for x, y in corners)
+    ET.SubElement(view.root, "polygon", {"class": "body", "points": points})
+    for contact in vehicle.contacts:
+        x, y, z = contact.position_m
+        if contact.kind == "leg":
+            view.line("leg", (x, y, min(0.0, z)), contact.position_m)
+        view.circle("hull", contact.position_m, 2.5 if contact.kind == "leg" else 1.5)
+    # a jet in front hides the one behind it, so the names of both are written in one place
+    named: dict[tuple[float, float], list[str]] = {}
+    for number, jet in enumerate(vehicle.jets, 1):
+        tilts = (
+            [0.0]
+            if vehicle.servo is None or jet.servo is None
+            else [-vehicle.servo.range_rad, 0.0, vehicle.servo.range_rad]
+        )
+        for tilt in tilts:
+            end = _along(jet.position_m, jet_axis(tilt), 0.45 * reach)
+            start, seen = view.at(jet.position_m), view.at(end)
+            if hypot(seen[0] - start[0], seen[1] - start[1]) > 3.0:
+                view.line("reach" if tilt else "thrust", jet.position_m, end)
+        view.circle("jet", jet.position_m, 9.0)
+        named.setdefault(view.at(jet.position_m), []).append(str(number))
+    for (x, y), numbers in named.items():
+        _text(view.root, x, y + (4 if len(numbers) == 1 else 22), ", ".join(numbers), "name", "middle")
+    x, y = view.at((0.0, 0.0, 0.0))
+    for dx, dy in ((5, 0), (0, 5)):
+        ET.SubElement(
+            view.root, "line",
+            {"class": "cg", "x1": f"{x - dx:g}", "y1": f"{y - dy:g}", "x2": f"{x + dx:g}", "y2": f"{y + dy:g}"},
+        )  # fmt: skip
+
+
+def _along(place: Vector3, axis: Vector3, length: float) -> Vector3:
+    x, y, z = (p + length * a for p, a in zip(place, axis, strict=True))
+    return (x, y, z)
+
+
+def _hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The convex polygon around points, by Andrew's monotone chain."""
+    ordered = sorted(set(points))
+
+    def half(part: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+        chain: list[tuple[float, float]] = []
+        for x, y in part:
+            while len(chain) > 1 and (chain[-1][0] - chain[-2][0]) * (y - chain[-2][1]) <= (
+                chain[-1][1] - chain[-2][1]
+            ) * (x - chain[-2][0]):
+                chain.pop()
+            chain.append((x, y))
+        return chain[:-1]
+
+    return half(ordered) + half(ordered[::-1]) if len(ordered) > 2 else ordered
+
+
+def _ruler(root: ET.Element, scale: float, reach: float) -> None:
+    """A length that is easily read, drawn to scale."""
+    length = max(step for step in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if step <= max(reach, 0.01))
+    y = TITLE + VIEW + TITLE - 14
+    ET.SubElement(
+        root, "line", {"class": "cg", "x1": "12", "y1": f"{y:g}", "x2": f"{12 + length * scale:.2f}", "y2": f"{y:g}"}
+    )
+    _text(root, 18 + length * scale, y + 4, f"{length:g} m", "dim")
+
+
+def _text(root: ET.Element, x: float, y: float, text: str, kind: str, anchor: str = "start") -> None:
+    ET.SubElement(root, "text", {"class": kind, "x": f"{x:g}", "y": f"{y:g}", "text-anchor": anchor}).text = text

@@ -1,0 +1,65 @@
+"""The folder of an aircraft of one's own, begun as a copy of one that is shipped."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.files import one_line
+from cosim.spec.vehicle import VEHICLE, aircraft_names, find_aircraft, load_vehicle
+
+HEAD = """\
+# {name}: begun as a copy of {base}.  Every number here is yours to change; hexjet aircraft check looks it over.
+# Units are SI, or in the key's name.  Body frame: x forward, y right, z down, origin at the centre of gravity of the
+# vehicle as built.  A JSBSim model of your own may stand beside this file, with the wings and tables that it has:
+#   model = "mine.xml"
+
+"""
+
+
+def new_aircraft(name: str, base: str, folder: Path) -> Path:
+    """Write ``vehicle.toml`` of an aircraft that flies as ``base`` does.
+
+    Parameters
+    ----------
+    name : str
+        What it is called: letters, digits, - and _.
+    base : str
+        One that is shipped.
+    folder : Path
+        Made if need be; it must not hold an aircraft already.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        For a name that cannot be one, an unknown base, or a folder that is used or cannot be written.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
+        raise InputError(f"{name!r} is no name for an aircraft: letters, digits, - and _, a letter or digit first")
+    if name in aircraft_names():
+        raise InputError(f"{name}: is the name of an aircraft that is shipped; choose another")
+    if base not in aircraft_names():
+        find_aircraft(base)  # says which there are
+        raise InputError(f"--from {base}: must be one that is shipped: {', '.join(aircraft_names())}")
+    source = find_aircraft(base)
+    stated, path = load_vehicle(base)[0], folder / VEHICLE
+    text = source.read_text(encoding="utf-8")
+    begin = text.index("\nname = ") + 1
+    text = HEAD.format(name=name, base=base) + text[begin:]
+    text = text.replace(f'name = "{stated.name}"', f'name = "{name}"', 1)
+    text = text.replace(f'title = "{stated.title}"', f'title = "{name}, begun as a copy of {base}"', 1)
+    text = re.sub(r'^model = ".*"\n', "", text, flags=re.MULTILINE)
+    if path.exists():
+        raise InputError(f"{path}: is there already; choose another name, or another folder with --out")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {one_line(error)}") from error
+    return path
