@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_tools import Hexjet
+from places import DOCS
 
 from cosim import InputError, Scenario, fly
+from cosim.base.signals import MOST_JETS
 from cosim.campaign.aircraft_check import AircraftCheck, authority_of, check_aircraft, wrench_of
 from cosim.results.digest import log_digest
 from cosim.spec.vehicle import load_vehicle
@@ -118,3 +120,11 @@ def test_a_wrong_call_is_one_line(hexjet: Hexjet, arguments: tuple[str, ...], sa
     assert done.status == 2
     assert said in done.err
     assert done.err.count("\n") == 1
+
+
+def test_the_page_has_the_commands_and_the_number_of_jets() -> None:
+    page = (DOCS / "own-aircraft.md").read_text()
+    assert "    hexjet aircraft new mine " in page
+    assert "    hexjet aircraft check ./mine " in page
+    assert MOST_JETS == 12
+    assert "Four to twelve jets" in page
