@@ -140,6 +140,7 @@ class Stepper:
         self.ending: Ending | None = None
         self._given: list[Given] = []
         self._by_hand = 0
+        self._watching = self.simulation.brought.observers
         self._recording = record(self.simulation, None) if self._log else None
 
     @property
@@ -238,16 +239,34 @@ class Stepper:
             self.ending = Ending("failed", f"{error} at step {self.k} ({self.time:.3f} s)")
             raise FlightError(self.ending.reason) from error
         self._by_hand += command is not None or self._hand is not None
+        self._show(sample)
         self.ending = simulation.judge.look(simulation.state, self.time)
-        if self._recording is not None:
-            self._recording.observe(sample)
-            if self.ending is not None:  # as at the end of a flight that fly flew
-                self._recording.observe(
-                    sample._replace(k=self.k, time=self.time, state=simulation.state, measured=simulation.measured)
-                )
+        if self.ending is not None:  # as at the end of a flight that fly flew
+            self._show(sample._replace(k=self.k, time=self.time, state=simulation.state, measured=simulation.measured))
         if self.ending is None and self.k >= self._scenario.steps:
             self.ending = Ending("completed", f"flew {self.k} steps")
         return sample
+
+    def _show(self, sample: Sample) -> None:
+        """To the log, and to the observers that the scenario brings."""
+        if self._recording is not None:
+            self._recording.observe(sample)
+        try:
+            for observer in self.simulation.brought.observers:
+                observer.observe(sample)
+        except FlightError as error:
+            self.ending = Ending("failed", str(error))
+            raise
+
+    def _let_go(self) -> None:
+        """Of a flight that goes on no more, and of what watched it."""
+        watching, self._watching = self._watching, ()
+        try:
+            for observer in watching:
+                if hasattr(observer, "close"):
+                    observer.close()
+        finally:
+            self.simulation.close()
 
     def reset(self, seed: int | None = None, scenario: Scenario | None = None) -> Measured:
         """Back to ``t = 0``.
@@ -274,9 +293,9 @@ class Stepper:
             wanted = wanted.replace(seed=seed)
         _refuse_autopilot(wanted)
         broken = self.ending is not None and self.ending.outcome == "failed"
-        if wanted is not self._scenario or broken:
+        if wanted is not self._scenario or broken or self._watching:  # observers are for one flight
             simulation = build(wanted, self._own)
-            self.simulation.close()
+            self._let_go()
             self.simulation, self._scenario = simulation, wanted
         else:
             self.simulation.reset()
@@ -354,6 +373,7 @@ class Stepper:
             simulation.airframe.sha256,
             *[spec.sha256 for spec in simulation.stations],
             "" if own is None else own.sha256,
+            *[source.sha256 for sources in simulation.brought.sources.values() for source in sources],
         )
         return sha256("\n".join(parts).encode()).hexdigest()
 
@@ -377,8 +397,8 @@ class Stepper:
         return self._recording.finish(ending.outcome, ending.reason)
 
     def close(self) -> None:
-        """Free engines, airframe and controller; may be called twice."""
-        self.simulation.close()
+        """Free engines, airframe, controller and observers; may be called twice."""
+        self._let_go()
 
     def __enter__(self) -> Stepper:
         return self

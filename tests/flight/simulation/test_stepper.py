@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -79,19 +80,52 @@ def flown(flight: Stepper, how: Callable[[Stepper], Sample], seconds: float) -> 
     ids=["rough", "commands", "own controller", "actuators", "turbines with tank and spools", "on its legs"],
 )
 def test_two_seconds_one_and_that_one_again(scenario: Scenario, more: dict[str, Any], how: Any) -> None:
+    share = 1.0 if scenario.fault else 0.2  # of the time: the rough flight has something to happen in all of it
     with Stepper(scenario, **more) as flight:
-        flown(flight, how, 2.0)
+        flown(flight, how, 2.0 * share)
         here, log = flight.snapshot(), flight.run().log
-        assert here.k == round(2.0 / scenario.step_s)
-        first = flown(flight, how, 1.0)
+        assert here.k == round(2.0 * share / scenario.step_s)
+        first = flown(flight, how, share)
         whole = flight.run().log
         measured = flight.restore(pickle.loads(pickle.dumps(here)))
         assert (flight.k, measured) == (here.k, flight.measured)
         assert flight.snapshot() == here
-        assert flown(flight, how, 1.0) == first
+        assert flown(flight, how, share) == first
         again = flight.run().log
-    assert (len(log), len(whole)) == (here.k, round(3.0 / scenario.step_s))  # what came later is not in the first
+    assert (len(log), len(whole)) == (
+        here.k,
+        round(3.0 * share / scenario.step_s),
+    )  # what came later is not in the first
     assert all(whole[name].tobytes() == again[name].tobytes() for name in whole.columns)
+
+
+def test_blocks_of_the_users_go_back_too_and_observers_see_each_flight(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A wind over place, sensors with random numbers, a metric; an observer is of one flight, and closed after it."""
+    page = (ROOT / "docs" / "own-blocks.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"<!-- blocks -->\n```python\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "mine.py").write_text(code)
+    mine = {key: f"{tmp_path / 'mine.py'}:{name}" for key, name in (("wind", "Shear"), ("sensors", "Drifting"))}
+    more = {key: [f"{tmp_path / 'mine.py'}:{name}"] for key, name in (("metrics", "Swing"), ("observers", "Highest"))}
+    scenario = DOUBLET.replace(**mine, **more, duration_s=0.4)
+    with Stepper(scenario) as flight:
+        flown(flight, nothing, 0.1)
+        here = flight.snapshot()
+        first = flown(flight, leaning, 0.1)
+        flight.restore(here)
+        assert flown(flight, leaning, 0.1) == first
+        assert flight.run().summary.own_metrics["own.swing_at_s"] is not None
+        assert capsys.readouterr().out.count("highest at") == 1  # of the flight that was left
+    assert capsys.readouterr().out.count("highest at") == 1
+    reference = fly(scenario)
+    capsys.readouterr()
+    with Stepper(scenario) as flight:
+        while flight.ending is None:
+            flight.step()
+        run = flight.run()
+    assert all(run.log[name].tobytes() == reference.log[name].tobytes() for name in reference.log.columns)
+    assert run.summary.own_metrics == reference.summary.own_metrics
 
 
 def test_without_commands_it_is_the_flight_that_fly_flies() -> None:
