@@ -129,9 +129,7 @@ def fly(
             ending = simulation.run([recording, *watching], pace if realtime_factor or watch else None, replay)
             if noting is not None:
                 noting.close()
-            for each in simulation.brought.observers:
-                if hasattr(each, "close"):
-                    each.close()
+            simulation.brought.over()
         except FlightError as error:  # the log cannot be written: the disk is full, say
             ending = Ending("failed", str(error))
         except KeyboardInterrupt:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.cache import Memory
 from cosim.base.errors import FlightError, InputError, nearest
-from cosim.base.protocols import Column, Columns, Observer, Sensors
+from cosim.base.protocols import Column, Columns, Sensors
 from cosim.base.signals import Measured, Sample, State, Vector3
 from cosim.simulation.controllers.guard import columns_from, described
 from cosim.simulation.controllers.source import Source, check_method, executed, file_of, version_of
@@ -112,10 +112,15 @@ class Brought:
     """What a scenario brings beside its controller, ready to fly."""
 
     metrics: tuple[OwnMetric, ...] = ()
-    observers: tuple[Observer, ...] = ()
+    observers: tuple[Watching, ...] = ()
     sensors: Callable[[Sensors], Sensors] | None = None  # around the built-in ones
     wind: Callable[[Vehicle, float, float], FieldWind] | None = None
     sources: Mapping[str, Sequence[Source]] = field(default_factory=dict)  # by the scenario's key
+
+    def over(self) -> None:
+        """The flight is over: its observers are told.  Raises FlightError."""
+        for each in self.observers:
+            each.close()
 
 
 def find_block(kind: str, name: str, folder: Path) -> Source:
@@ -225,7 +230,7 @@ def bring(scenario: Scenario) -> Brought:
                 taken.add(each)
         found["metrics"] = tuple(metrics)
         found["observers"] = tuple(
-            [_Watching(s, _made(s, scenario, vehicle, n)) for n, s in enumerate(sources.get("observers", []))]
+            [Watching(s, _made(s, scenario, vehicle, n)) for n, s in enumerate(sources.get("observers", []))]
         )
         for source in sources.get("sensors", []):
             block = _made(source, scenario, vehicle, 0)
@@ -294,8 +299,8 @@ def _called(source: Source, what: str, method: Callable[..., Any], *told: Any) -
         raise FlightError(f"{source.level} {source.label}: {what} raised {described(error)}") from error
 
 
-class _Watching:
-    """An observer of the user's."""
+class Watching:
+    """An observer of the user's: a :class:`cosim.base.protocols.Observer` whose errors name it."""
 
     def __init__(self, source: Source, block: Any) -> None:
         self._source, self._block = source, block

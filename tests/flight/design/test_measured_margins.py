@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import deque
 from math import degrees, log10, pi
 from pathlib import Path
@@ -146,6 +147,21 @@ def test_a_secret_delay_of_three_samples_is_three_samples_less_of_margin(axis: s
     there, then = one.response.margins["delay_s"], other.response.margins["delay_s"]
     # a twentieth of a sample: the lines are 7 % apart
     assert (there.value - then.value) / QUIET.step_s == pytest.approx(3.0, abs=0.05)
+
+
+def test_a_whole_controller_that_repeats_ours_has_its_margins_to_the_last_bit(tmp_path: Path) -> None:
+    """Broken at throttles and tilts, which it has, and not at a rate loop's output, which it has not."""
+    page = (ROOT / "docs" / "own-controller.md").read_text(encoding="utf-8")
+    found = re.search(r"<!-- cascade -->\n```python\n(.*?)```", page, re.DOTALL)
+    assert found is not None
+    (tmp_path / "cascade.py").write_text(found[1], encoding="utf-8")
+    flown = []
+    for controller in ("smith", f"{tmp_path / 'cascade.py'}:Cascade"):
+        held = still(QUIET.replace(controller=controller))
+        flown.append(fly_with(held, "pitch", multisine(1.0, held.step_s, 2.0, 25.0), 0.03, 1))
+    assert flown[0].behind.tobytes() == flown[1].behind.tobytes()
+    assert flown[0].before.tobytes() == flown[1].before.tobytes()
+    assert np.abs(flown[0].before).max() > 1e-3
 
 
 def test_one_that_falls_is_not_stable_and_one_that_raises_is_named(tmp_path: Path) -> None:
