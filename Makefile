@@ -83,7 +83,7 @@ $(LOCKED): requirements.lock
 	@touch $@
 
 $(BUILT): $(LOCKED) $(SOURCES) $(MISSING)
-	@echo "set-up: the project (its inner loop is compiled: half a minute) and its FMUs"
+	@echo "set-up: the project (its inner loop is compiled: a minute) and its FMUs"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 

@@ -24,6 +24,8 @@ MODULES = (
     "vehicle/intakes.py",
     "vehicle/banks.py",
     "simulation/commander.py",
+    "simulation/controllers/deadline.py",
+    "simulation/controllers/guard.py",
     "control/allocation/allocation.py",
     "control/altitude.py",
     "control/attitude.py",

@@ -25,12 +25,12 @@ class Deadline:
         self.limit = limit
         self._begun: float | None = None
         self._ended = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._watcher: threading.Thread | None = None
         self._before: object = None
 
     def begin(self) -> float:
         """A call begins; :meth:`done` is told what this gives back."""
-        if self._thread is None:
+        if self._watcher is None:
             self._start()
         self._begun = begun = monotonic()
         return begun
@@ -48,7 +48,7 @@ class Deadline:
     def close(self) -> None:
         """No call follows; may be called twice."""
         self._ended.set()
-        self._begun, self._thread = None, None
+        self._begun, self._watcher = None, None
         if self._before is not None:
             signal.signal(signal.SIGUSR2, self._before)  # type: ignore[arg-type]
             self._before = None
@@ -58,8 +58,8 @@ class Deadline:
         if main and signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL:
             self._before = signal.signal(signal.SIGUSR2, self._interrupt)
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._watch, args=(threading.get_ident(), self._ended), daemon=True)
-        self._thread.start()
+        self._watcher = threading.Thread(target=self._watch, args=(threading.get_ident(), self._ended), daemon=True)
+        self._watcher.start()
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         begun = self._begun

@@ -234,7 +234,8 @@ class GuardedController:
         )
 
     def _given(self, answer: Actuation) -> Actuation:
-        self._applied = self._applied._replace(throttle=answer.throttle, tilt=answer.tilt)
+        before = self._applied
+        self._applied = Applied(answer.throttle, answer.tilt, before.engines, before.burnt)
         self.signals = self._own_signals(sum(answer.throttle) / len(answer.throttle))
         return answer
 
@@ -269,7 +270,7 @@ class GuardedController:
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
         """What the engines report goes into what the next update is told."""
-        self._applied = self._applied._replace(engines=engines, burnt=burnt)
+        self._applied = Applied(self._applied.throttle, self._applied.tilt, engines, burnt)
         return ALL_WELL
 
     def forgive(self) -> None:
