@@ -55,8 +55,10 @@ def export_vehicle(
     are outside then, as components.  Raises InputError for a scenario that cannot be flown so, for a folder that
     is not empty, and where there is no C compiler.
     """
-    if sys.platform == "win32":
-        raise InputError("export vehicle: the FMU starts a process as POSIX systems do; not on Windows")
+    if sys.platform != "linux":
+        raise InputError(
+            f"export vehicle: how the FMU starts its process is made for Linux, and this is {sys.platform}"
+        )
     labels = Labels(name, f"{scenario.aircraft_name}: scenario {scenario.name}", None, ())  # it checks the name
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")

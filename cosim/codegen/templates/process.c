@@ -5,7 +5,10 @@
  * is the process's standard input.  To it: what to do (0 start, 1 step), how many steps, then every parameter and input
  * in the order of their references.  From it: 0 and every output, or -1 and a line of text that says why it cannot.
  */
-#if !defined(_WIN32) && !defined(_GNU_SOURCE)
+#ifndef __linux__
+#error "made for Linux: the importer's end of the socket must not be in the process that is started"
+#endif
+#ifndef _GNU_SOURCE
 #define _GNU_SOURCE /* posix_spawn, socketpair, kill */
 #endif
 
@@ -30,13 +33,6 @@
 
 #define VARIABLE_WITH_PYTHON "HEXJET_PYTHON" /* another interpreter than that of the archive's python.txt */
 #define MODULE "cosim.codegen.vehicle_process"
-
-#ifndef MSG_NOSIGNAL
-#define MSG_NOSIGNAL 0
-#endif
-#ifndef SOCK_CLOEXEC
-#define SOCK_CLOEXEC 0
-#endif
 
 typedef enum { INDEPENDENT, PARAMETER, INPUT, OUTPUT } Causality;
 
