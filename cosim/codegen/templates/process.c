@@ -175,10 +175,7 @@ static bool take_status(Slave *s, const char *where)
     }
     if (found < 0)
         return slave_fail(s, "the process of the vehicle does not answer %s", where);
-    return slave_fail(s,
-                      "the process of the vehicle ended by itself %s: has the Python %s the package hexjet-cosim? Another one is "
-                      "named by the environment variable " VARIABLE_WITH_PYTHON,
-                      where, s->python);
+    return slave_fail(s, "the process of the vehicle ended by itself %s", where);
 }
 
 static bool exchange(Slave *s, Request request, double steps)
@@ -199,7 +196,7 @@ static bool exchange(Slave *s, Request request, double steps)
         return false;
     double answer[COUNT];
     if (receive(s, answer, taken * sizeof(double)) != 1)
-        return slave_fail(s, "the process of the vehicle ended %s", where);
+        return slave_fail(s, "the process of the vehicle ended by itself %s", where);
     taken = 0;
     for (int reference = 1; reference < COUNT; reference++) {
         if (TABLE[reference].causality != OUTPUT)
@@ -303,7 +300,12 @@ static bool start_process(Slave *s, const char *resources)
     }
     s->process = process;
     s->socket = ends[0];
-    return take_status(s, "before it was ready");
+    char where[LONGEST_PATH + 200];
+    snprintf(where, sizeof(where),
+             "before it was ready: has the Python %s the package hexjet-cosim? The environment variable " VARIABLE_WITH_PYTHON
+             " names another one",
+             s->python);
+    return take_status(s, where);
 }
 
 Slave *slave_new(Log log, void *environment, bool logging, const char *resources)
