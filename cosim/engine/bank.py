@@ -7,6 +7,7 @@ from types import TracebackType
 
 import cosim.engine._bank as _bank
 from cosim.base.errors import EngineError
+from cosim.base.protocols import Column
 from cosim.base.signals import Ambient, EngineOutput, PerJet
 from cosim.engine.instance import Slave, SlaveError
 from cosim.engine.ports import AMBIENT, Air
@@ -14,6 +15,20 @@ from cosim.engine.response import ResponseError, settle
 from cosim.engine.spec import EngineSpec
 from cosim.engine.system_slave import make_slave
 from cosim.engine.unpacked import Unpacked, unpack
+
+
+def logged_columns(specs: Sequence[EngineSpec]) -> tuple[Column, ...]:
+    """A column for each further output of each engine: its name in the mapping file and the engine's number."""
+    return tuple(
+        Column(
+            f"{name}_{number}",
+            "" if variable.unit in (None, "1") else str(variable.unit),
+            "",
+            f"engine {number}: {variable.name}" + (f", {variable.description}" if variable.description else ""),
+        )
+        for number, spec in enumerate(specs, start=1)
+        for name, variable in spec.logged
+    )
 
 
 class EngineBank:
@@ -126,6 +141,23 @@ class EngineBank:
             return self._native.step(k, throttle, ambient)
         except _bank.FailureError as failure:
             raise self._failed(failure, f"at step {k} ({k * self._step:g} s)") from failure
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Further outputs that a mapping file wants in the log: :class:`cosim.base.protocols.Shows`."""
+        return logged_columns(self._specs)
+
+    @property
+    def shown(self) -> tuple[float, ...]:
+        """What they are now, in the FMU's own unit.  Raises EngineError if the FMU refuses."""
+        found = []
+        for index, (slave, spec) in enumerate(zip(self._slaves, self._specs, strict=True)):
+            try:
+                found += [slave.read(variable) for _, variable in spec.logged]
+            except SlaveError as error:
+                self._native.stop()
+                raise EngineError(f"{self._label(index)}: {error}") from error
+        return tuple(found)
 
     def set_run(self, index: int, on: bool) -> bool:
         """Shut one engine off, or on again, before the next step; False if it has no port for that.

@@ -21,8 +21,9 @@ from typing import Any
 from cosim.base.compiled import environment
 from cosim.base.errors import EngineError, InputError
 from cosim.base.processes import reap
+from cosim.base.protocols import Column
 from cosim.base.signals import Ambient, EngineOutput, PerJet
-from cosim.engine.bank import EngineBank
+from cosim.engine.bank import EngineBank, logged_columns
 from cosim.engine.ports import AMBIENT
 from cosim.engine.spec import EngineSpec
 
@@ -44,6 +45,7 @@ class IsolatedBank:
         self._step, self._count = step, len(specs)
         self._names = ", ".join(dict.fromkeys(spec.path.name for spec in specs))
         self.wants_ambient = any(spec.has(port) for spec in specs for port in AMBIENT)
+        self._columns = logged_columns(specs)
         self._row, self._answer = _frames(self._count)
         ours, theirs = socket.socketpair()
         with theirs:
@@ -78,6 +80,16 @@ class IsolatedBank:
             return EngineOutput(*self._read(data))
         values = self._answer.unpack(data[1:])
         return EngineOutput(values[:n], values[n : 2 * n], values[2 * n : 3 * n], values[3 * n :])
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """As the bank's."""
+        return self._columns
+
+    @property
+    def shown(self) -> tuple[float, ...]:
+        """As the bank's; one more passage in every step, where there is something to show."""
+        return tuple(self._ask(("shown",), HANG_S, "when its further outputs were read"))
 
     def set_run(self, index: int, on: bool) -> bool:
         """As the bank's."""
@@ -171,6 +183,9 @@ def serve(number: int) -> None:
                 assert bank is not None
                 throttle, air = given
                 found = tuple(bank.reset(throttle, Ambient(*air) if air else None))
+            elif what == "shown":
+                assert bank is not None
+                found = bank.shown
             else:
                 assert bank is not None
                 found = bank.set_run(*given)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, nearest
 from cosim.engine.instance import SlaveError
 from cosim.engine.measure import Measured, measure_once
 from cosim.engine.ports import (
     AMBIENT,
     STANDARD_AIR,
     Air,
+    Variable,
     is_mapping,
 )
 from cosim.engine.response import ResponseError, window_for
@@ -22,6 +23,7 @@ from cosim.engine.spec import (
     need_whole_steps,
     resolve_parameters,
 )
+from cosim.engine.starting import CONSTANTS
 
 
 def load_unchecked(
@@ -85,7 +87,25 @@ def load_unchecked(
         air=air,
         isolated=bool(mapping.isolated),
         small=measured.small,
+        logged=_logged(source),
     )
+
+
+def _logged(source: EngineSource) -> tuple[tuple[str, Variable], ...]:
+    """The outputs that a mapping file wants in the log, by the names that it gives them."""
+    found = []
+    for name, output in source.mapping.log.items():
+        hits = [v for v in source.archive.outputs if v.name == output]
+        where = f"{source.path}: log.{name} = {output!r}"
+        if not hits:
+            known = [v.name for v in source.archive.outputs]
+            raise InputError(f"{where}: no such output; {nearest(output, known)}")
+        if hits[0].type not in CONSTANTS:
+            raise InputError(f"{where}: it is of type {hits[0].type}; allowed: {', '.join(CONSTANTS)}")
+        if not name.isidentifier() or not name.isascii():
+            raise InputError(f"{where}: a column's name is of letters, digits and _, no digit first")
+        found.append((name, hits[0]))
+    return tuple(found)
 
 
 def _flame_out(source: EngineSource) -> FlameOutLaw | None:

@@ -27,6 +27,8 @@ A port is found by causality, name and unit, or stated in a mapping file::
     run_down_s = 1.2
     exponent = 2.6
     relight_s = 13.0
+    [log]                     # further outputs, in the flight's log under names of one's own
+    shaft_torque_Nm = "tau"
     [ledger]
     delay_s = 0.1             # of the thrust behind the throttle, if known
 """
@@ -440,6 +442,7 @@ class MappingFile(Model):
     rotor: _Rotor = _Rotor()
     flame_out: _FlameOut | None = None
     ledger: _Ledger = _Ledger()
+    log: Annotated[dict[str, str], BeforeValidator(flat)] = Field(default_factory=dict)  # column: output
     parameter_set: str | None = Field(default=None, min_length=1)  # a file (SSV) beside it; [parameters] go before it
 
 

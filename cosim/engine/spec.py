@@ -64,6 +64,7 @@ class EngineSpec:
     air: Air = STANDARD_AIR  # in which the curve was measured
     isolated: bool = False  # it asks for a process of its own
     small: Small | None = None  # how late it is to a small step, as measured at the control step; None: see Measured
+    logged: tuple[tuple[str, Variable], ...] = ()  # further outputs, by what they are called in the log
     misbehaves: str = ""  # what a check found that it does to its process, for which it has one of its own
 
     @property

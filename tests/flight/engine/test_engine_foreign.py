@@ -45,6 +45,7 @@ from cosim.engine.compile import compile_archive, needs_compiling
 from cosim.engine.description import is_blemish
 from cosim.engine.ports import Air
 from cosim.engine.response import flat_notes
+from cosim.results.digest import log_digest
 from cosim.results.report import marks
 from cosim.simulation.delay_ledger import LedgerRow, delay_ledger
 from cosim.spec.vehicle import load_vehicle
@@ -422,3 +423,33 @@ def test_the_page_of_kinds_is_what_the_survey_wrote() -> None:
         assert (check == "fit") == (design != "")
         if verdict == FLIES:
             assert re.fullmatch(r"(\d+) of \1", kept)
+
+
+def test_further_outputs_are_in_the_log_by_name_and_unit(place: Path) -> None:
+    """A gross thrust and its drag beside the net thrust: the same in a process of its own, bit for bit."""
+    fmu = foreign(
+        place, "more", "lag=0.1,drag=0.5", [lever(), force("Fn"), force("Fg", "gross"), force("Fram", "drag")]
+    )
+    path = mapped(fmu, "[log]", "gross_N = 'Fg'", "drag_N = 'Fram'")
+    scenario = Scenario.load("hover").replace(
+        engine=str(path), controller="baseline", engine_unchecked=True, duration_s=0.1, expect=[]
+    )
+    run, apart = fly(scenario), fly(scenario.replace(engine_isolated=True))
+    column = next(each for each in run.log.described if each.name == "gross_N_3")
+    assert (column.unit, column.meaning) == ("N", "engine 3: Fg")
+    assert run.log["gross_N_3"] == pytest.approx(run.log["thrust_3_N"] + run.log["drag_N_3"], abs=1e-12)
+    assert run.log["drag_N_6"].min() > 0.0
+    assert log_digest(run.log) == log_digest(apart.log)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("gross_N = 'thrus'", r"log.gross_N = 'thrus': no such output; .*thrust"),
+        ("'1st' = 'thrust'", "a column's name is of letters"),
+    ],
+)
+def test_an_output_that_cannot_be_logged_is_refused(line: str, said: str, place: Path) -> None:
+    path = mapped(foreign(place, "logged", "lag=0.1"), "[log]", line)
+    with pytest.raises(InputError, match=said):
+        load_engine(str(path), {}, STEP, unchecked=True)
