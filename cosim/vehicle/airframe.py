@@ -172,7 +172,7 @@ class Airframe:
         self._rate = _Read(node, "velocities/{}-rad_sec", "pqr")
         self._felt = _Read(node, "accelerations/a-pilot-{}-ft_sec2", "xyz", FOOT)
         # JSBSim's height above the ground is this less the ground's, to the last bit; asked for that it works out the
-        # place on the ground below as well, which takes a sixth of one of its runs
+        # place on the ground below as well, which takes some hundredths of one of its runs
         self._over_ellipsoid: Get = node("position/geod-alt-ft").get_double_value
         self._ground = self._environment.ground_m / FOOT
         self._wind = _Read(node, "atmosphere/total-wind-{}-fps", _NED, FOOT)
