@@ -35,6 +35,7 @@ DOUBLET = 2.0 * STEP_RAD  # its middle step, from one side to the other
 HELD = 1000.0  # what the square of missing the peak sensitivity costs: it is then held to less than 1 %
 FAR = 0.5  # square of missing it, beyond which nothing else is looked at
 POPULATION, GENERATIONS, ROUNDS = 5, 24, 60  # of the search
+QUARTER = 0.25
 POINTS = 1 << 16  # of the upper half of the unit circle
 
 
@@ -129,11 +130,6 @@ class LawLoop:
         return self._run(setpoint=SMALL)
 
     @cached_property
-    def left(self) -> float:
-        """What the last tenth of the answer still adds to the sensitivity, at most."""
-        return float(np.abs(self._load.command[-self.samples // 10 :]).sum())
-
-    @cached_property
     def theta(self) -> Array:
         """Points of the upper half of the unit circle, rad per sample."""
         return np.linspace(0.0, pi, POINTS + 1)
@@ -159,6 +155,22 @@ class LawLoop:
         if not low < samples < high:
             return None
         return float(np.abs(1.0 / (1.0 + self.open_loop * np.exp(-1j * self.theta[1:] * samples))).max())
+
+    def delays_within(self, peak: float, most: float) -> tuple[float, float]:
+        """Errors of the delay, less and more, in quarters of a sample and up to ``most``, before the peak is higher.
+
+        Beyond them the loop may still be stable: lobes of ``L`` that stay just below 1 make peaks and no poles.
+        """
+        ends = []
+        for way in (-1.0, 1.0):
+            end = 0.0
+            while end + QUARTER <= most:
+                here = self.with_delay(way * (end + QUARTER))
+                if here is None or here > peak:
+                    break
+                end += QUARTER
+            ends.append(way * end)
+        return ends[0], ends[1]
 
     @cached_property
     def delay_margins(self) -> tuple[float, float]:

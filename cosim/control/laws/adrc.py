@@ -49,9 +49,9 @@ class Adrc(RateLaw):
     """Predictive linear ADRC on every axis that engines answer."""
 
     parameters = (
-        angle(0.3),
-        tuned("speed", 2.0, "bandwidth of the rate loop [rad/s] times theta"),
-        tuned("observer", 2.0, "bandwidth of the observer [rad/s] times theta"),
+        angle(0.3636),
+        tuned("speed", 27.38, "bandwidth of the rate loop [rad/s] times theta"),
+        tuned("observer", 0.3056, "bandwidth of the observer [rad/s] times theta"),
     )
 
     def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:

@@ -56,18 +56,27 @@ class FilteredSmith(Cascaded):
     """With Smith's predictor behind a robustness filter (Normey-Rico and Camacho, 2007)."""
 
     predictor = "filtered-smith"
-    parameters = (*_gains(0.5, 0.8, 0.1, 0.1), tuned("predictor", 1.0, "time constant of the filter over theta"))
+    parameters = (
+        *_gains(0.2476, 0.7396, 0.2357, 0.3533),
+        tuned("predictor", 0.4134, "time constant of the filter over theta"),
+    )
 
 
 class StatePredictor(Cascaded):
     """With the paper's state predictor."""
 
     predictor = "state"
-    parameters = (*_gains(0.5, 0.8, 0.1, 0.1), tuned("predictor", 5.0, "bandwidth of the observer times theta"))
+    parameters = (
+        *_gains(0.3866, 1.13, 0.1345, 0.1375),
+        tuned("predictor", 11.2, "bandwidth of the observer times theta"),
+    )
 
 
 class StateDisturbance(Cascaded):
     """With the state predictor that estimates a disturbance of the input (after Sanz et al., 2016)."""
 
     predictor = "state-disturbance"
-    parameters = (*_gains(0.5, 0.8, 0.1, 0.1), tuned("predictor", 2.0, "bandwidth of the observer times theta"))
+    parameters = (
+        *_gains(0.2821, 0.9686, 0.36, 0.01454),
+        tuned("predictor", 59.91, "bandwidth of the observer times theta"),
+    )

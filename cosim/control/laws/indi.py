@@ -73,9 +73,9 @@ class Indi(RateLaw):
     """INDI on every axis that engines answer."""
 
     parameters = (
-        angle(0.25),
-        tuned("speed", 0.5, "gain of the rate's error [1/s] times theta"),
-        tuned("filter", 20.0, "natural frequency of the filter H [rad/s] times theta"),
+        angle(0.2361),
+        tuned("speed", 0.5133, "gain of the rate's error [1/s] times theta"),
+        tuned("filter", 66.73, "natural frequency of the filter H [rad/s] times theta"),
     )
 
     def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:

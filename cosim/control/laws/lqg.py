@@ -115,9 +115,9 @@ class Lqg(RateLaw):
     """LQG on every axis that engines answer."""
 
     parameters = (
-        angle(0.5),
-        tuned("speed", 1.5, "bandwidth of the regulator k / sqrt(rho) [rad/s] times theta"),
-        tuned("observer", 2.0, "bandwidth of the Kalman filter [rad/s] times theta"),
+        angle(0.348),
+        tuned("speed", 34.13, "bandwidth of the regulator k / sqrt(rho) [rad/s] times theta"),
+        tuned("observer", 0.3128, "bandwidth of the Kalman filter [rad/s] times theta"),
     )
 
     def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:

@@ -116,9 +116,9 @@ class Mpc(RateLaw):
     """Model predictive control on every axis that engines answer."""
 
     parameters = (
-        angle(0.5),
-        tuned("speed", 2.0, "bandwidth that the weight on changes comes to [rad/s], times theta"),
-        tuned("observer", 2.0, "bandwidth of the Kalman filter [rad/s] times theta"),
+        angle(0.3438),
+        tuned("speed", 32.12, "bandwidth that the weight on changes comes to [rad/s], times theta"),
+        tuned("observer", 0.3262, "bandwidth of the Kalman filter [rad/s] times theta"),
     )
 
     def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:

@@ -81,12 +81,12 @@ class Px4(RateLaw):
     """PX4's rate controller on every axis that engines answer."""
 
     parameters = (
-        angle(0.3),
-        tuned("p", 0.35, "MC_ROLLRATE_P times k theta"),
-        tuned("i", 0.1, "MC_ROLLRATE_I over P [1/s], times theta", 0.0),
-        tuned("d", 0.3, "MC_ROLLRATE_D over P [s], over theta", 0.0),
-        tuned("forward", 1e-3, "MC_ROLLRATE_FF times k theta", 0.0),
-        tuned("reference", 0.1, "natural frequency of the reference model [rad/s] times theta"),
+        angle(0.241),
+        tuned("p", 0.704, "MC_ROLLRATE_P times k theta"),
+        tuned("i", 0.1931, "MC_ROLLRATE_I over P [1/s], times theta", 0.0),
+        tuned("d", 0.4921, "MC_ROLLRATE_D over P [s], over theta", 0.0),
+        tuned("forward", 1.135e-4, "MC_ROLLRATE_FF times k theta", 0.0),
+        tuned("reference", 1.157e-3, "natural frequency of the reference model [rad/s] times theta"),
     )
 
     def on(self, axis: Axis, own: Mapping[str, float]) -> AxisLaw:
