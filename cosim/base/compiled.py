@@ -30,6 +30,7 @@ MODULES = (
     "control/altitude.py",
     "control/attitude.py",
     "control/bumpless.py",
+    "control/catch.py",
     "control/cascade.py",
     "control/lead.py",
     "control/allocation/engine_monitor.py",

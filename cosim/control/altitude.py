@@ -74,9 +74,7 @@ class AltitudeController:
             self._started = False
             return command.collective
         off = command.altitude - measured.altitude
-        climb = self._position * off
-        climb = self._up if climb > self._up else (self._down if climb < self._down else climb)
-        error = climb + measured.velocity[2]
+        error = self.climb(off) + measured.velocity[2]
         if unallocated.collective * error <= 0.0:
             limit = self._limit
             integral = self._integral + self._i * error
@@ -90,6 +88,11 @@ class AltitudeController:
             acceleration += self._faded(self._fade, off, measured.velocity[2], acceleration)
         throttle = self._throttle_for((self._mass - burnt) * acceleration / upright)
         return throttle if self._lead is None else self._led(self._lead, throttle, unallocated.collective)
+
+    def climb(self, off: float) -> float:
+        """The climb rate that is asked for [m/s] so many metres below where it is to be."""
+        climb = self._position * off
+        return self._up if climb > self._up else (self._down if climb < self._down else climb)
 
     def _led(self, lead: Lead, throttle: float, unallocated: float) -> float:
         """Behind the lead, which finds the engines settled when height control begins."""

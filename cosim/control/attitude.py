@@ -48,24 +48,29 @@ class AttitudeController:
         """Body rate set-point, rad/s."""
         if command.rate is not None:
             return command.rate
-        if command.attitude != self._euler:
-            self._euler = command.attitude
-            self._setpoint = from_euler(*self._euler)
-        aw, ax, ay, az = measured.attitude
-        bw, bx, by, bz = self._setpoint
-        double = 2.0 if aw * bw + ax * bx + ay * by + az * bz >= 0.0 else -2.0
+        error = ex, ey, ez = self.error(command, measured)
         kx, ky, kz = self._gain
         lx, ly, lz = self._limit
-        ex = double * (aw * bx - ax * bw - ay * bz + az * by)
-        ey = double * (aw * by + ax * bz - ay * bw - az * bx)
-        ez = double * (aw * bz - ax * by + ay * bx - az * bw)
         p, q, r = kx * ex, ky * ey, kz * ez
         answer = (
             clamp(p, lx),
             clamp(q, ly),
             clamp(r, lz),
         )
-        return self._faded((ex, ey, ez), answer) if self._fades else answer
+        return self._faded(error, answer) if self._fades else answer
+
+    def error(self, command: Command, measured: Measured) -> Vector3:
+        """From the attitude to what is asked for, about the body axes, rad."""
+        if command.attitude != self._euler:
+            self._euler = command.attitude
+            self._setpoint = from_euler(*self._euler)
+        aw, ax, ay, az = measured.attitude
+        bw, bx, by, bz = self._setpoint
+        double = 2.0 if aw * bw + ax * bx + ay * by + az * bz >= 0.0 else -2.0
+        ex = double * (aw * bx - ax * bw - ay * bz + az * by)
+        ey = double * (aw * by + ax * bz - ay * bw - az * bx)
+        ez = double * (aw * bz - ax * by + ay * bx - az * bw)
+        return (ex, ey, ez)
 
     def _faded(self, error: Vector3, new: Vector3) -> Vector3:
         """The new law's answer and what is left of its difference to the old one's."""

@@ -27,8 +27,9 @@ from cosim.base.signals import (
 )
 from cosim.control.allocation.engine_monitor import EngineMonitor
 from cosim.control.allocation.thrust_map import ThrustMap
-from cosim.control.altitude import AltitudeController
+from cosim.control.altitude import LEAST_UPRIGHT, AltitudeController
 from cosim.control.attitude import AttitudeController
+from cosim.control.catch import Catch
 from cosim.control.predictors.smith import DelayLine
 from cosim.control.rate import RateController
 from cosim.control.schedule import GainSchedule, Scheduled
@@ -64,7 +65,8 @@ class Cascade:
 
     The parts are its own to run and anybody's to look at; who tunes them in flight does so through their ``retune``.
     ``added_delay``: of the roll command, steps; ``opposites``: for every jet, from 0, the one that is to be shut off
-    with it, none where empty.  ``own_attitude`` and ``own_rate`` fly in place of the loop that they are named after.
+    with it, none where empty; ``catch`` flies from then on until the thrust is made up for.  ``own_attitude`` and
+    ``own_rate`` fly in place of the loop that they are named after.
     """
 
     def __init__(
@@ -82,11 +84,13 @@ class Cascade:
         step: float,
         own_attitude: OwnAttitude | None = None,
         own_rate: OwnRate | None = None,
+        catch: Catch | None = None,
     ) -> None:
         self.own_attitude, self.own_rate = own_attitude, own_rate
         self.attitude, self.rate, self.altitude = attitude, rate, altitude
         self.allocator, self.thrust_map = allocator, thrust_map
         self.monitor, self.schedule = monitor, schedule
+        self._catch = catch
         self._added_delay = DelayLine(added_delay)
         self._mass, self._jets, self._step = vehicle.mass_kg, len(vehicle.jets), step
         self._low = vehicle.control.allocation.throttle_min
@@ -103,6 +107,7 @@ class Cascade:
         self._off = NO_JETS  # jets that are to be shut off
         self._across = -1  # the one that was shut off because its opposite was lost, from 0
         self._engines_off = self._idles = self._forgiven = False
+        self._catching = False  # an engine is lost, and what that leaves is not yet in balance
         self._starting = 0.0  # s for which engines that were off may still be coming up
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
@@ -148,11 +153,48 @@ class Cascade:
         else:
             torque = own_rate.update(rate_setpoint, measured.rate, self._unallocated)
         collective = self.altitude.update(command, measured, self._unallocated, self._burnt)
+        if self._catching and self._catch is not None and command.rate is None:
+            return self._caught(self._catch, command, measured, injected, rate_setpoint, torque, collective)
         given = self.allocator.allocate(collective, self._injected(torque, injected), injected.torque_command)
         self._unallocated = given.unallocated
         share = collective - given.unallocated.collective
         predicted = self.rate.predicted if own_rate is None else own_rate.predicted
         self.signals = ControlSignals(rate_setpoint, predicted, torque, collective, share)
+        return self._actuated(given, share)
+
+    def _caught(
+        self,
+        catch: Catch,
+        command: Command,
+        measured: Measured,
+        injected: Disturbance,
+        rate_setpoint: Vector3,
+        torque: Vector3,
+        usual: float,
+    ) -> Actuation:
+        """Roll and collective by the catch; the usual loops are told that allocation refused the rest of theirs."""
+        _, x, y, _ = measured.attitude
+        upright = max(LEAST_UPRIGHT, 1.0 - 2.0 * (x * x + y * y))
+        climb = 0.0 if command.collective is not None else self.altitude.climb(command.altitude - measured.altitude)
+        roll, collective = catch.update(
+            -self.attitude.error(command, measured)[0],
+            measured.rate[0],
+            -measured.velocity[2],
+            climb,
+            upright,
+            self._mass - self._burnt,
+        )
+        if command.collective is not None:
+            collective = max(catch.least, command.collective)
+        elif catch.caught:
+            self._catching = False
+        asked = (roll, torque[1], torque[2])
+        given = self.allocator.allocate(collective, self._injected(asked, injected), injected.torque_command)
+        left = given.unallocated
+        catch.asked(roll - left.roll, collective - left.collective)
+        share = collective - left.collective
+        self._unallocated = Unallocated(torque[0] - (roll - left.roll), left.pitch, left.yaw, usual - share)
+        self.signals = ControlSignals(rate_setpoint, self.rate.predicted, asked, collective, share)
         return self._actuated(given, share)
 
     def _switch(self, engines: EngineState) -> None:
@@ -165,6 +207,7 @@ class Cascade:
     def _idle(self, rate_setpoint: Vector3) -> Actuation:
         """Every engine at its least throttle, the banks upright, and loops that remember nothing when needed again."""
         self._reset_loops()
+        self._catching = False
         low = self._low
         self._unallocated = Unallocated(0.0, 0.0, 0.0, -low)
         self.signals = ControlSignals(rate_setpoint, self.rate.predicted, ZERO3, 0.0, low)
@@ -222,6 +265,8 @@ class Cascade:
             if self._opposites:
                 self._shut_opposite(monitor)
             self.allocator.replan(monitor.health)
+        if self._catching and self._catch is not None:
+            self._catch.look(monitor.reported, monitor.gains)
         return monitor.gains
 
     def _shut_opposite(self, monitor: EngineMonitor) -> None:
@@ -231,6 +276,9 @@ class Cascade:
             self._across = self._opposites[ill[0]]
             self._off = self._off | {self._across}
             monitor.give_up(self._across)
+            if self._catch is not None:
+                self._catching = True
+                self._catch.reset(monitor.reported, monitor.gains, (self._mass - self._burnt) * GRAVITY)
 
     def forgive(self) -> None:
         """As soon as all engines are back at idle, none is taken for lost any more."""

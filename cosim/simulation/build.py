@@ -20,6 +20,7 @@ from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.belief import Belief
 from cosim.control.cascade import Cascade
+from cosim.control.catch import Catch
 from cosim.control.lead import Lead
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.control.predictors.smith import NoPredictor
@@ -348,6 +349,7 @@ def _cascade(
             f"outside {gains.allocation.throttle_min:g} to {gains.allocation.throttle_max:g}"
         )
     _need_lift(vehicle, stations)
+    catch = _catch(scenario, vehicle, stations, thrust_map) if plugged is None else None
     return Cascade(
         AttitudeController(gains.attitude),
         RateController(
@@ -369,7 +371,7 @@ def _cascade(
             vehicle.servo.range_rad,
             hover,
             thrust_map.idle,
-            _lift(scenario, vehicle, stations) if scenario.monitored else inf,
+            _lift(scenario, vehicle, stations) if scenario.monitored and catch is None else inf,
         )
         if vehicle.servo
         else RotorAllocator(vehicle.jets, gains.allocation, hover),
@@ -382,7 +384,17 @@ def _cascade(
         step,
         plugged.attitude if plugged else None,
         plugged.rate if plugged else None,
+        catch,
     )
+
+
+def _catch(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap) -> Catch | None:
+    """Where the opposite of a lost engine is shut off, and the engines' answer is known."""
+    monitor, lead = vehicle.control.monitor, getattr(vehicle.control.lead, "roll", None)
+    if not scenario.monitored or monitor is None or not monitor.shut_opposite or lead is None or lead.damping is None:
+        return None
+    delay = max(engine_reference(spec, scenario.step_s).delay for spec in stations)
+    return Catch(vehicle, thrust_map, lead, delay, scenario.step_s)
 
 
 def _lift(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> float:

@@ -18,6 +18,9 @@ from cosim.spec.vehicle import MonitorSettings
 _LOST = 0.2  # of the thrust commanded: an engine that gives less is not used any more; chosen by us
 _FOLLOWS = 0.3  # of what its command moved: an engine that moved less does not follow it; chosen by us
 _EXACT = 0.5  # of the threshold: an engine within it is taken to follow its command at that moment
+_SUDDEN = (
+    5  # times the confirmation: over so long a fall is looked at by itself; chosen by us: the least with room for it
+)
 
 
 class EngineReference(NamedTuple):
@@ -80,8 +83,10 @@ class EngineMonitor:
         self._shares = [
             (_share(step, each.shortest / factor), _share(step, each.longest * factor)) for each in references
         ]
+        self._sudden = _SUDDEN * self._confirm
         over = max(1, self._confirm - 1)
         self._left = [exp(-over * step / each.lag) if each.lag > 0.0 else 0.0 for each in references]
+        self._kept = [(1.0 - fast) ** self._sudden for fast, _ in self._shares]
         delays = [each.delay for each in references]
         self._early = max(0, floor((min(delays) - spread) / step + 1e-9))
         self._late = ceil((max(delays) + spread) / step - 1e-9)
@@ -99,8 +104,11 @@ class EngineMonitor:
         """Look again after engines were off on purpose: settled at ``throttle``, as well or ill as they were."""
         at_rest = tuple(each.thrust_at(u) for each, u in zip(self._references, throttle, strict=True))
         count = len(at_rest)
-        self._past = [at_rest] * (self._late + 1)  # thrust that the commands ask for at rest, oldest first
+        self._past = [at_rest] * (
+            self._sudden + self._late + 1
+        )  # thrust that the commands ask for at rest, oldest first
         self._reported = [at_rest] * max(2, self._confirm)  # oldest first
+        self._window = [at_rest] * (2 * self._sudden + 1)  # the same, further back
         self._high, self._low = list(at_rest), list(at_rest)
         self._outside = [0] * count
         self._agreed = [(x, x) for x in at_rest]  # report and reference when they last agreed
@@ -118,11 +126,15 @@ class EngineMonitor:
             )
         self._reported.append(reports)
         del self._reported[0]
+        window = self._window
+        window.append(reports)
+        del window[0]
+        earlier = window[self._sudden]
         suspects = []
-        threshold = self._threshold
+        threshold, oldest = self._threshold, self._sudden
         for i, x in enumerate(reports):
-            least = most = past[0][i]
-            for j in range(1, self._late - self._early + 1):
+            least = most = past[oldest][i]
+            for j in range(oldest + 1, oldest + self._late - self._early + 1):
                 asked = past[j][i]
                 least, most = (asked if asked < least else least), (asked if asked > most else most)
             fast, slow = self._shares[i]
@@ -132,6 +144,8 @@ class EngineMonitor:
             self._high[i], self._low[i] = high, low
             gain, fixed = self.gains[i], self._fixed[i]
             over, under = x - gain * high - fixed, gain * low + fixed - x
+            if under <= threshold < earlier[i] - x and gain == 1.0:
+                under = max(under, self._fallen(i, x))
             if over <= threshold and under <= threshold:
                 self._outside[i] = 0
                 if over <= _EXACT * threshold and under <= _EXACT * threshold:
@@ -142,6 +156,20 @@ class EngineMonitor:
                 suspects.append(i)
         changed = [self._judge(i, reports[i]) for i in suspects]
         return any(changed)
+
+    def _fallen(self, i: int, x: float) -> float:
+        """How far ``x`` is below what a healthy engine can have come down to, from what it reported a while ago."""
+        start, before = self._window[self._sudden][i], self._window[0][i]
+        least = start
+        for asked in self._past[: self._sudden + self._late - self._early + 1]:
+            least = asked[i] if asked[i] < least else least
+        lowest = least + (start - least) * self._kept[i]
+        return lowest - max(0.0, before - start) - x
+
+    @property
+    def reported(self) -> PerJet:
+        """Thrust that the last reports stand for [N]."""
+        return self._reported[-1]
 
     def give_up(self, i: int) -> None:
         """Engine ``i`` is shut off on purpose: take it for lost."""

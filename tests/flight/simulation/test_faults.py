@@ -629,6 +629,25 @@ def test_a_loss_of_thrust_is_found_in_time_and_in_size(share: float) -> None:
     assert monitor.health[0].fixed == 0.0
 
 
+def test_a_sudden_fall_is_found_though_the_command_has_wavered_before() -> None:
+    """A command that wavers widens what a healthy engine may give; from what it gave last it still falls no faster."""
+    reference = EngineReference((0.0, 1.0), (0.0, 20.0), None, 1.0, 0.0, 0.8, 1.2)
+    settings = SETTINGS.model_copy(update={"threshold": 0.1})
+    ks = []
+    for swing in (0.0, 0.05):
+        monitor = EngineMonitor(settings, [reference], 9.0, (0.05, 1.0), STEP)
+        monitor.reset([0.45])
+        for k in range(3000):
+            assert not watch(monitor, 0.45 + (swing if k % 2 else -swing), 9.0)
+        # as the thrust of a rotor without fire: outside a tenth of hover when 0.9 N are gone, then 5 steps
+        ks.append(next(k for k in range(1, 200) if watch(monitor, 0.45, 9.0 / (1.0 + k * STEP / 1.23) ** 3.2)))
+    steady, wavering = ks
+    assert steady == int(1.23 * ((9.0 / 8.1) ** (1.0 / 3.2) - 1.0) / STEP) + 5
+    # a command that stood at 8 N all the while would have brought 9 N down by 0.3 N in 0.1 s, with a third of the lag:
+    # that much more has to be gone; by the interval alone it is four fifths of the 1 N that the command wavers by
+    assert wavering == int(1.23 * ((9.0 / (8.1 - (1.0 - exp(-3.0 * 0.1 / 0.8)))) ** (1.0 / 3.2) - 1.0) / STEP) + 5
+
+
 def test_a_weak_engine_may_get_well_and_a_lost_one_not() -> None:
     monitor = EngineMonitor(SETTINGS, [REFERENCE], 9.0, (0.05, 1.0), STEP)
     for level, gains in ((0.5, (0.5,)), (1.0, (1.0,)), (0.0, (0.0,)), (0.15, (0.0,))):
