@@ -404,7 +404,7 @@ def _scenario(aircraft: str, engine: str, file: ControllerFile, jet: int, means:
     """The flight of one row."""
     begin = SETTLED_S["hover"]
     threshold = SOONER_THRESHOLD if means == SOONER else THRESHOLD
-    monitor = {"shut_opposite": means != PLANNED, "threshold": threshold}
+    monitor = {"shut_opposite": means != PLANNED, "threshold": threshold, "catch": means == SOONER}
     return Scenario.from_table(
         {
             "name": "engine-out",

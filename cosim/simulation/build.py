@@ -55,7 +55,7 @@ from cosim.simulation.mismatch import as_flown, engines_as_flown
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_places import PlacePilot, flies_to_places
 from cosim.spec.scenario import Scenario, Station, TorqueCommandDisturbance
-from cosim.spec.vehicle import RateModel, Vehicle, aircraft_seen_from, is_file
+from cosim.spec.vehicle import EngineLead, RateModel, Vehicle, aircraft_seen_from, is_file
 from cosim.vehicle.airframe import Airframe, start_height
 from cosim.vehicle.atmosphere import standard_air
 from cosim.vehicle.banks import Banks
@@ -389,9 +389,15 @@ def _cascade(
 
 
 def _catch(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap) -> Catch | None:
-    """Where the opposite of a lost engine is shut off, and the engines' answer is known."""
+    """Where the opposite of a lost engine is shut off, with the engine that the vehicle is made for.
+
+    With that one its constants were chosen; slower ones stay longer at their limits, which it does not know.
+    """
     monitor, lead = vehicle.control.monitor, getattr(vehicle.control.lead, "roll", None)
-    if not scenario.monitored or monitor is None or not monitor.shut_opposite or lead is None or lead.damping is None:
+    own = scenario.engine == vehicle.engine and all(each.name == vehicle.engine for each in stations)
+    if not own or not scenario.monitored or monitor is None or not (monitor.shut_opposite and monitor.catch):
+        return None
+    if not isinstance(lead, EngineLead) or lead.damping is None:
         return None
     delay = max(engine_reference(spec, scenario.step_s).delay for spec in stations)
     return Catch(vehicle, thrust_map, lead, delay, scenario.step_s)
@@ -450,6 +456,7 @@ def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec
         vehicle.mass_kg * GRAVITY / len(stations),
         (limits.throttle_min, limits.throttle_max),
         scenario.step_s,
+        settings.shut_opposite and settings.catch,
     )
 
 

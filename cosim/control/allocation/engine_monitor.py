@@ -62,6 +62,9 @@ class EngineMonitor:
     it was outside.  A weak engine may get well; lost and stuck ones are not used again until :meth:`reset`, but the
     thrust they give is followed.  ``limits`` are the least and the most share that may be commanded; ``hover`` is a
     jet's thrust in hover, to which the threshold refers.
+
+    ``sudden``: a fall is also held against the same interval begun at what the engine reported a tenth of a second ago,
+    less what it was falling by before: a command that wavers widens the other one, and a fall is found later by it.
     """
 
     def __init__(
@@ -71,6 +74,7 @@ class EngineMonitor:
         hover: float,
         limits: tuple[float, float],
         step: float,
+        sudden: bool = False,
     ) -> None:
         self._references = tuple(references)
         self._thrust_at = [_curve(each) for each in references]
@@ -83,7 +87,7 @@ class EngineMonitor:
         self._shares = [
             (_share(step, each.shortest / factor), _share(step, each.longest * factor)) for each in references
         ]
-        self._sudden = _SUDDEN * self._confirm
+        self._sudden = _SUDDEN * self._confirm if sudden else 0  # steps
         over = max(1, self._confirm - 1)
         self._left = [exp(-over * step / each.lag) if each.lag > 0.0 else 0.0 for each in references]
         self._kept = [(1.0 - fast) ** self._sudden for fast, _ in self._shares]
@@ -144,7 +148,7 @@ class EngineMonitor:
             self._high[i], self._low[i] = high, low
             gain, fixed = self.gains[i], self._fixed[i]
             over, under = x - gain * high - fixed, gain * low + fixed - x
-            if under <= threshold < earlier[i] - x and gain == 1.0:
+            if oldest > 0 and under <= threshold < earlier[i] - x and gain == 1.0:
                 under = max(under, self._fallen(i, x))
             if over <= threshold and under <= threshold:
                 self._outside[i] = 0

@@ -635,7 +635,7 @@ def test_a_sudden_fall_is_found_though_the_command_has_wavered_before() -> None:
     settings = SETTINGS.model_copy(update={"threshold": 0.1})
     ks = []
     for swing in (0.0, 0.05):
-        monitor = EngineMonitor(settings, [reference], 9.0, (0.05, 1.0), STEP)
+        monitor = EngineMonitor(settings, [reference], 9.0, (0.05, 1.0), STEP, sudden=True)
         monitor.reset([0.45])
         for k in range(3000):
             assert not watch(monitor, 0.45 + (swing if k % 2 else -swing), 9.0)
