@@ -332,9 +332,7 @@ class MonitorSettings(Model):
     lag_factor: Annotated[float, Field(ge=1.0)]  # a healthy lag is the nominal one within this factor
     delay_spread_s: NotNegative  # a healthy delay is the nominal one within this
     shut_opposite: bool = False  # with the first engine lost, shut off the one across the centre of gravity
-    catch: bool = (
-        False  # then fly roll and height by the catch, until the thrust is made up for; own engine alone
-    )
+    catch: bool = False  # then fly roll and height by the catch, until the thrust is made up for; own engine alone
 
 
 class Control(Model):

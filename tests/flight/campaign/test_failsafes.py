@@ -338,7 +338,7 @@ def cell_of_the_page(aircraft: str, row: table.Row) -> str:
     [
         ("hexjet", "GNSS and gyro lost", 3.0, 5.0),
         ("hexjet-p220", "engine 2 out", 3.0, 5.0),
-        ("hexjet-100", "engine 5 out", 3.0, 0.0),  # lost
+        ("hexjet-100", "engine 5 out", 3.0, 0.0),  # it hops
         ("quadrotor", "engine 1 out", 10.0, 0.0),  # crashed
         ("quadrotor", "energy critical", 3.0, 10.0),
         ("hexjet", "sticks lost", 3.0, 0.0),
