@@ -161,7 +161,8 @@ def test_a_full_scale_vehicle_lands_with_any_engine_lost_and_knows_it(aircraft: 
     vehicle = load_vehicle(aircraft)[0]
     assert (row.verdict, row.reason) == ("landed", f"engine {jet} failed")
     assert row.touchdown_m_s < vehicle.limits.touchdown_m_s
-    assert row.drift_m < 3.0  # of the lean on the way down; on the ground it stays
+    # a lean of 16 deg for the 1.15 s in which the catch is level again is 3.2 m/s, which velocity_1_s of 0.35 1/s brakes
+    assert row.drift_m < 9.3
     # jets that have not quite run down
     assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
 
@@ -490,18 +491,14 @@ def test_docs_failsafes_md_explains_every_flight_that_did_not_land(aircraft: str
 
 
 def test_docs_failsafes_md_states_what_an_engine_lost_between_its_heights_does() -> None:
-    """It said that those in between land; the table's heights are 3 and 10 m, and from 4 m both hit harder than from 3."""
+    """The table's heights are 3 and 10 m; without the catch both hit harder from 4 m than from 3, above their limits."""
     page = "docs/failsafes.md"
     low = [flown("engine 1 out", aircraft, 4.0, 5.0).row for aircraft in ("hexjet-p220", "hexjet-100")]
-    assert [row.verdict for row in low] == ["crashed", "crashed"]
+    assert [row.verdict for row in low] == ["landed", "landed"]
     sentence = (
         "From {} m in a wind of {} m/s, without engine 1, hexjet-p220 touches with {} m/s and hexjet-100 with {} m/s"
     )
     stated(page, sentence, *low[0].start[:2], *(row.touchdown_m_s for row in low))
-    higher = flown("engine 1 out", "hexjet-100", 5.0, 10.0).row
-    assert higher.verdict == "lost"
-    sentence = "From {} m in {} m/s, without engine 1, hexjet-100 touches with {} m/s and tips over"
-    stated(page, sentence, *higher.start[:2], higher.touchdown_m_s)
 
 
 def test_every_vehicle_with_an_autopilot_has_its_table_on_the_page() -> None:
