@@ -372,7 +372,7 @@ def _setup(simulation: Simulation) -> Setup:
         planned_s=scenario.duration_s,
         started=now(),
         engine_curve=list(zip(engine.curve.throttle, engine.curve.thrust, strict=True)),
-        stations=[_station(each, engine) for each in simulation.stations],
+        stations=[_station(station, engine) for station in simulation.stations],
         jets_m=[jet.position_m for jet in simulation.vehicle.jets],
         delay_ledger=[DelayRow(**asdict(row)) for row in simulation.ledger],
         reach=reach(simulation),
@@ -386,8 +386,8 @@ def _setup(simulation: Simulation) -> Setup:
             **(simulation.own.hashes if simulation.own is not None else {}),
             **{
                 n: h
-                for each in simulation.brought.sources.values()
-                for source in each
+                for station in simulation.brought.sources.values()
+                for source in station
                 for n, h in source.hashes.items()
             },
         },
@@ -445,15 +445,15 @@ def _station(spec: EngineSpec, reference: EngineSpec) -> StationEngine:
 
 def _engine_hashes(specs: Sequence[EngineSpec]) -> dict[str, str]:
     """Of every archive and every mapping file, by name; what is not the same under one name, by path."""
-    found: dict[str, str] = {}
+    hashes: dict[str, str] = {}
     for spec in specs:
         files = {spec.path: spec.sha256}
         if spec.mapping is not None:
             files[spec.mapping] = sha256(spec.mapping.read_bytes()).hexdigest()
         for path, value in files.items():
-            name = path.name if found.get(path.name, value) == value else str(path)
-            found[name] = value
-    return found
+            name = path.name if hashes.get(path.name, value) == value else str(path)
+            hashes[name] = value
+    return hashes
 
 
 def check_expected(scenario: Scenario) -> None:

@@ -23,10 +23,10 @@ class Memory(Generic[T]):
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
         """What is known under ``key``, or else what ``make`` returns; what it raises is not remembered."""
         try:
-            found = self._known.pop(key)
+            value = self._known.pop(key)
         except KeyError:
-            found = make()
-        self._known[key] = found  # now the youngest
+            value = make()
+        self._known[key] = value  # now the youngest
         while len(self._known) > self._most:
             self._known.popitem(last=False)
-        return found
+        return value

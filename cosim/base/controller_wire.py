@@ -82,9 +82,9 @@ def answer_whole(values: Sequence[float], jets: int, tilts: bool, extras: Sequen
     left = list(values)
 
     def take(count: int) -> tuple[float, ...]:
-        found = tuple(left[:count])
+        taken = tuple(left[:count])
         del left[:count]
-        return found
+        return taken
 
     throttle = take(jets)
     left_tilt, right_tilt = take(2) if tilts else (0.0, 0.0)

@@ -31,7 +31,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def write_records(path: Path, kind: type[Any], records: Iterable[Any]) -> None:
     """Dataclasses of one ``kind`` as CSV, a column a field, in a folder that is made if need be.  Raises OSError."""
-    names = [each.name for each in fields(kind)]
+    names = [field.name for field in fields(kind)]
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         lines = csv.writer(file)

@@ -41,16 +41,16 @@ def _module(text: str, source: str) -> str:
     classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
     functions = _docs(tree)
 
-    def of_class(found: re.Match[str]) -> str:
-        docs = _docs(classes[found[1]]) if found[1] in classes else {}
-        return _METHOD.sub(lambda m: m[1] + _with(m[3] or "", docs.get(m[2])), found[0])
+    def of_class(match: re.Match[str]) -> str:
+        docs = _docs(classes[match[1]]) if match[1] in classes else {}
+        return _METHOD.sub(lambda m: m[1] + _with(m[3] or "", docs.get(m[2])), match[0])
 
-    def of_attributes(found: re.Match[str]) -> str:
-        docs = _docs(classes[found[1]]) if found[1] in classes else {}
-        return _ATTRIBUTE.sub(lambda m: f"{m[1]}{_string(docs[m[2]])}, NULL}}" if m[2] in docs else m[0], found[0])
+    def of_attributes(match: re.Match[str]) -> str:
+        docs = _docs(classes[match[1]]) if match[1] in classes else {}
+        return _ATTRIBUTE.sub(lambda m: f"{m[1]}{_string(docs[m[2]])}, NULL}}" if m[2] in docs else m[0], match[0])
 
-    def of_module(found: re.Match[str]) -> str:
-        return _METHOD.sub(lambda m: m[1] + _with(m[3] or "", functions.get(m[2])), found[0])
+    def of_module(match: re.Match[str]) -> str:
+        return _METHOD.sub(lambda m: m[1] + _with(m[3] or "", functions.get(m[2])), match[0])
 
     text = _MODULE.sub(of_module, _GETTERS.sub(of_attributes, _CLASS.sub(of_class, text)))
     whole = ast.get_docstring(tree)
@@ -95,7 +95,9 @@ def _when_executed(text: str, docs: list[tuple[str, str]]) -> str:
 
 
 def _docs(node: ast.Module | ast.ClassDef) -> dict[str, str]:
-    made = {each.name: ast.get_docstring(each) for each in node.body if isinstance(each, ast.FunctionDef)}
+    made = {
+        function.name: ast.get_docstring(function) for function in node.body if isinstance(function, ast.FunctionDef)
+    }
     return {name: doc for name, doc in made.items() if doc}
 
 

@@ -30,9 +30,9 @@ class Model(BaseModel):
         numeric = _numeric(cls)
         for name, value in data.items() if isinstance(data, dict) else ():
             if name in numeric:
-                for each in value if isinstance(value, list) else [value]:
-                    if isinstance(each, (str, bool)):
-                        raise ValueError(f"{name} = {each!r}: must be a number")
+                for number in value if isinstance(value, list) else [value]:
+                    if isinstance(number, (str, bool)):
+                        raise ValueError(f"{name} = {number!r}: must be a number")
         return data
 
 
@@ -137,24 +137,24 @@ def split_key(key: str) -> list[str]:
 
     The name of an engine's parameter and that of an engine's file may have dots of their own: they stay whole.
     """
-    found = _OWN_NAMES.fullmatch(key)
-    if not found:
+    match = _OWN_NAMES.fullmatch(key)
+    if not match:
         return key.split(".")
-    if found["head"]:
-        return [*found["head"].split("."), found["name"].strip("\"'")]
-    return [*found["file"].split("."), found["family"].strip("\"'"), found["axis"], *found["rest"].split(".")]
+    if match["head"]:
+        return [*match["head"].split("."), match["name"].strip("\"'")]
+    return [*match["file"].split("."), match["family"].strip("\"'"), match["axis"], *match["rest"].split(".")]
 
 
 def parse_numbers(texts: Iterable[str], option: str) -> dict[str, float]:
     """``NAME=NUMBER`` texts as a table.  Raises InputError that names ``option``."""
-    found = {}
+    numbers = {}
     for text in texts:
         name, _, value = (part.strip() for part in text.partition("="))
         try:
-            found[name] = float(value)
+            numbers[name] = float(value)
         except ValueError as error:
             raise InputError(f"{option} {text}: write it as NAME=NUMBER") from error
-    return found
+    return numbers
 
 
 def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> None:
@@ -187,7 +187,7 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
     complaints = error.errors()
     if not _is_off(complaints[0]):
         # a table that may also be false: nobody who states one means that
-        complaints = [each for each in complaints if not _is_off(each)]
+        complaints = [complaint for complaint in complaints if not _is_off(complaint)]
     first = complaints[0]
     key = ".".join(_path(model, first["loc"]))
     kind, value = first["type"], first["input"]
@@ -221,7 +221,7 @@ def _path(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
     """The keys as the file has them: pydantic names the kind of a list's entry behind its number, and of a value that
     may be of several kinds the one that it tried.
     """
-    names = {each.__name__ for each in _all_models(model)}
+    names = {submodel.__name__ for submodel in _all_models(model)}
     return [
         str(part)
         for before, part in zip((None, *location), location, strict=False)
@@ -232,13 +232,13 @@ def _path(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
 
 def _all_models(model: type[BaseModel]) -> set[type[BaseModel]]:
     """A model and those below it."""
-    found, waiting = {model}, [model]
+    models, waiting = {model}, [model]
     while waiting:
-        for each in waiting.pop().model_fields.values():
-            new = set(_models_in(each.annotation)) - found
-            found |= new
+        for field in waiting.pop().model_fields.values():
+            new = set(_models_in(field.annotation)) - models
+            models |= new
             waiting += new
-    return found
+    return models
 
 
 def _is_kind(location: tuple[int | str, ...], part: str) -> bool:
@@ -247,17 +247,17 @@ def _is_kind(location: tuple[int | str, ...], part: str) -> bool:
 
 def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
     """The keys that the table holding ``location`` knows."""
-    found: list[type[BaseModel]] = [model]
+    models: list[type[BaseModel]] = [model]
     for part in location[:-1]:
         stepped: list[type[BaseModel]] = []
-        for candidate in found:
+        for candidate in models:
             if part in candidate.model_fields:
                 stepped += _models_in(candidate.model_fields[str(part)].annotation)
             elif _tag(candidate) == part:
                 stepped.append(candidate)
         # an index into a list, or a key of a mapping, stays at the same models
-        found = stepped or found
-    return sorted({name for candidate in found for name in candidate.model_fields})
+        models = stepped or models
+    return sorted({name for candidate in models for name in candidate.model_fields})
 
 
 def _tag(model: type[BaseModel]) -> Any:

@@ -54,7 +54,7 @@ def load() -> float | None:
 
 def package_versions() -> dict[str, str]:
     """Python, this package, all that it needs in turn, and the peers, as far as they are installed."""
-    found = {"python": platform.python_version()}
+    versions = {"python": platform.python_version()}
     waiting = ["hexjet-cosim", *PEERS]
     while waiting:
         name = waiting.pop(0)
@@ -62,24 +62,24 @@ def package_versions() -> dict[str, str]:
             distribution = metadata.distribution(name)
         except metadata.PackageNotFoundError:  # the clone itself, not installed; what is optional or for other systems
             continue
-        if distribution.name.lower() not in found:
-            found[distribution.name.lower()] = distribution.version
+        if distribution.name.lower() not in versions:
+            versions[distribution.name.lower()] = distribution.version
             waiting += [] if name in PEERS else _needed(distribution.requires or [])
     first = ["python", "hexjet-cosim"]
-    return {name: found[name] for name in [*first, *sorted(set(found) - set(first))] if name in found}
+    return {name: versions[name] for name in [*first, *sorted(set(versions) - set(first))] if name in versions}
 
 
 def compilers() -> dict[str, str]:
     """What compiled Python, and the packages where the time goes, as far as their files say it themselves."""
-    found = {"python": platform.python_compiler()}
+    versions = {"python": platform.python_compiler()}
     for name in COMPILED:
         spec = find_spec(name)
         folders = spec.submodule_search_locations if spec is not None else None
         files = [file for folder in folders or [] for file in sorted(Path(folder).rglob("*.so"))]
         told = {match.decode() for file in files for match in _COMPILER.findall(file.read_bytes())}
         if told:
-            found[name] = ", ".join(sorted(told))
-    return found
+            versions[name] = ", ".join(sorted(told))
+    return versions
 
 
 def _needed(requirements: Iterable[str]) -> list[str]:

@@ -35,7 +35,7 @@ def check_page(path: Path) -> None:
 def write_page(path: Path, result: Result, command: str) -> None:
     """Write the measurements into the page, or a new page.  Raises InputError if that is not possible."""
     parts = {key: f"Not measured: {cell(why)}\n" for key, why in result.failed.items()}
-    parts |= {key: _part(found) for key, found in tables(result).items()}
+    parts |= {key: _part(part) for key, part in tables(result).items()}
     page = fill(path, parts | {COMMAND: f"```\n{command}\n```\n"})
     try:
         with replacing(path) as temporary:
@@ -68,8 +68,8 @@ def _read(path: Path) -> str:
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
 
 
-def _part(found: list[Table]) -> str:
-    return "\n".join("\n".join(_lines(table)) + "\n" for table in found)
+def _part(tables: list[Table]) -> str:
+    return "\n".join("\n".join(_lines(table)) + "\n" for table in tables)
 
 
 def _lines(table: Table) -> Iterator[str]:

@@ -69,15 +69,15 @@ def print_result(result: Result) -> None:
         )
     if not machine.compiled:
         console.print("The modules of a control step are not compiled: make setup compiles them.", style="yellow")
-    found = tables(result)
-    for key in [*(key for key in found if key not in (ASKED, MACHINE)), ASKED]:
-        for table in found[key]:
+    parts = tables(result)
+    for key in [*(key for key in parts if key not in (ASKED, MACHINE)), ASKED]:
+        for table in parts[key]:
             console.print(_drawn(table))
             for note in table.notes:
                 console.print(note)
     for part, why in result.failed.items():
         console.print(f"{part} not measured: {why}", style="red")
-    left_out = [part for part in PARTS if part not in found and part not in result.failed]
+    left_out = [part for part in PARTS if part not in parts and part not in result.failed]
     if left_out:
         console.print(f"not measured: {', '.join(left_out)}; --full measures everything")
 

@@ -137,7 +137,7 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
     A part that fails is stated in the result and does not end the others.
     """
     begin, before = time.perf_counter(), load()
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     failed: dict[str, str] = {}
     with TemporaryDirectory(prefix="hexjet-bench-", dir=plan.folder) as name:
         folder = Path(name)
@@ -147,12 +147,12 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
                 measured, total = _part(part, plan, folder / part)
                 (folder / part).mkdir()
                 try:
-                    found[part] = measured(_Counter(on_progress, part, total))
+                    results[part] = measured(_Counter(on_progress, part, total))
                 except FlightError as error:  # the others are worth having
                     failed[part] = str(error)
     share = None
-    if STEP in found:
-        share = min(costs[RECORDED].cpu_us.median / costs[RECORDED].wall_us.median for costs in found[STEP].values())
+    if STEP in results:
+        share = min(costs[RECORDED].cpu_us.median / costs[RECORDED].wall_us.median for costs in results[STEP].values())
     return Result(
         machine=look_around(before, share),
         versions=package_versions(),
@@ -160,7 +160,7 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
         plan=plan,
         wall_s=time.perf_counter() - begin,
         failed=failed,
-        **found,
+        **results,
     )
 
 

@@ -50,38 +50,38 @@ class Table:
 
 def tables(result: Result) -> dict[str, list[Table]]:
     """The tables by part, in the order in which they are read; nothing for a part that was not measured."""
-    found: dict[str, list[Table]] = {ASKED: [_asked(result)]}
+    parts: dict[str, list[Table]] = {ASKED: [_asked(result)]}
     if result.step:
-        found[STEP] = [_step(runs, costs) for runs, costs in result.step.items()]
+        parts[STEP] = [_step(runs, costs) for runs, costs in result.step.items()]
     if result.blocks:
-        found[BLOCKS] = [_blocks(result.blocks)]
+        parts[BLOCKS] = [_blocks(result.blocks)]
     if result.others:
-        found[OTHERS] = [_others(result.others)]
+        parts[OTHERS] = [_others(result.others)]
     if result.own:
-        found[OWN] = [_own(result.own)]
+        parts[OWN] = [_own(result.own)]
     if result.peers:
-        found[PEERS] = [_peers(result.peers)]
+        parts[PEERS] = [_peers(result.peers)]
     if result.rotorpy:
-        found[ROTORPY] = [_rotorpy(result.rotorpy)]
+        parts[ROTORPY] = [_rotorpy(result.rotorpy)]
     if result.time:
-        found[TIME] = [_time(result.time)]
+        parts[TIME] = [_time(result.time)]
     if result.engines:
-        found[ENGINES] = list(_engines(result.engines))
+        parts[ENGINES] = list(_engines(result.engines))
     if result.log:
-        found[LOG] = [_log(result.log)]
+        parts[LOG] = [_log(result.log)]
     if result.start:
-        found[START] = [_start(result.start)]
+        parts[START] = [_start(result.start)]
     if result.memory:
-        found[MEMORY] = [_memory(result.memory)]
+        parts[MEMORY] = [_memory(result.memory)]
     if result.campaign:
-        found[CAMPAIGN] = list(_campaign(result.campaign))
-    return found | {MACHINE: list(_machine(result))}
+        parts[CAMPAIGN] = list(_campaign(result.campaign))
+    return parts | {MACHINE: list(_machine(result))}
 
 
-def spread(found: Spread) -> str:
+def spread(value: Spread) -> str:
     """``median [lower quartile, upper quartile]``, to three digits of the median."""
-    digits = _digits(found.median)
-    return f"{found.median:.{digits}f} [{found.low:.{digits}f}, {found.high:.{digits}f}]"
+    digits = _digits(value.median)
+    return f"{value.median:.{digits}f} [{value.low:.{digits}f}, {value.high:.{digits}f}]"
 
 
 def _digits(value: float) -> int:
@@ -92,9 +92,9 @@ def _digits(value: float) -> int:
 
 def _asked(result: Result) -> Table:
     rows = []
-    for each in judge(result):
-        bound = f"at {'least' if each.least else 'most'} {each.bound:g} {each.unit}"
-        rows.append((each.name, spread(each.measured), bound, "yes" if each.met else "no"))
+    for judged in judge(result):
+        bound = f"at {'least' if judged.least else 'most'} {judged.bound:g} {judged.unit}"
+        rows.append((judged.name, spread(judged.measured), bound, "yes" if judged.met else "no"))
     return Table("asked for", ("measured", "asked for", "met"), rows)
 
 
@@ -124,9 +124,9 @@ def _blocks(breakdown: Breakdown) -> Table:
     return Table(title, ("us alone", "us in flight", "units", "%"), rows)
 
 
-def _others(found: Others) -> Table:
-    rows = [(name, *(spread(cost.units) for cost in costs.values())) for name, costs in found.outside.items()]
-    columns = tuple(map(runs_a_step, next(iter(found.outside.values()))))
+def _others(others: Others) -> Table:
+    rows = [(name, *(spread(cost.units) for cost in costs.values())) for name, costs in others.outside.items()]
+    columns = tuple(map(runs_a_step, next(iter(others.outside.values()))))
     return Table("not JSBSim, recorded to disk, in other flights; units", columns, rows)
 
 
@@ -156,50 +156,50 @@ def _missing(name: str, why: str) -> str:
     return f"{name} not measured: {why}"
 
 
-def _rotorpy(found: Multirotor) -> Table:
+def _rotorpy(multirotor: Multirotor) -> Table:
     rows = []
-    for name, each in found.hovers.items():
-        second = spread(each.cost.wall_us.times(each.rate))
-        step = spread(each.cost.wall_us), spread(each.cost.units)
-        rows.append((name, *step, second, spread(each.factor), spread(each.ratio)))
-    notes = [] if found.missing is None else [_missing("RotorPy", found.missing)]
-    for rate, count in found.evaluations.items():
+    for name, hover in multirotor.hovers.items():
+        second = spread(hover.cost.wall_us.times(hover.rate))
+        step = spread(hover.cost.wall_us), spread(hover.cost.units)
+        rows.append((name, *step, second, spread(hover.factor), spread(hover.ratio)))
+    notes = [] if multirotor.missing is None else [_missing("RotorPy", multirotor.missing)]
+    for rate, count in multirotor.evaluations.items():
         notes.append(
-            f"RotorPy {found.version} at {rate} Hz: {count:.1f} evaluations of its equations of motion a step."
+            f"RotorPy {multirotor.version} at {rate} Hz: {count:.1f} evaluations of its equations of motion a step."
         )
     columns = ("us a step", "units a step", "us a second flown", "seconds flown a second", "by ours at that rate")
-    return Table(f"a hover of {found.seconds:g} s", columns, rows, notes)
+    return Table(f"a hover of {multirotor.seconds:g} s", columns, rows, notes)
 
 
-def _time(found: Lengths) -> Table:
+def _time(lengths: Lengths) -> Table:
     rows = []
-    for seconds, cost in found.steps.items():
-        memory = found.memory[seconds]
+    for seconds, cost in lengths.steps.items():
+        memory = lengths.memory[seconds]
         flying = next(mark.resident_mb for mark in memory.landmarks if mark.where == "4/4")
         held = "-" if flying is None else spread(flying)
         rows.append((f"{seconds} s", spread(cost.cpu_us), spread(cost.units), held, spread(memory.peak_mb)))
-    notes = [f"A step of the longest flight costs {spread(found.growth)} times one of the shortest, round by round."]
+    notes = [f"A step of the longest flight costs {spread(lengths.growth)} times one of the shortest, round by round."]
     columns = ("us cpu", "units", "resident at its end, MB", "peak with log and summary, MB")
     return Table("a recorded step by the time that is flown", columns, rows, notes)
 
 
-def _engines(found: EngineCounts) -> Iterator[Table]:
-    banks = [(f"{count}", spread(cost.cpu_us), spread(cost.units)) for count, cost in found.banks.items()]
-    yield Table(f"a bank's step by its engines ({found.engine})", ("us cpu", "units"), banks)
-    flown = [(name, *_cost(cost)) for name, cost in found.flown.items()]
+def _engines(counts: EngineCounts) -> Iterator[Table]:
+    banks = [(f"{count}", spread(cost.cpu_us), spread(cost.units)) for count, cost in counts.banks.items()]
+    yield Table(f"a bank's step by its engines ({counts.engine})", ("us cpu", "units"), banks)
+    flown = [(name, *_cost(cost)) for name, cost in counts.flown.items()]
     yield Table("whole recorded step, 4 runs in it; units of the Hex-Jet's airframe", US, flown)
 
 
-def _log(found: LogRates) -> Table:
+def _log(rates: LogRates) -> Table:
     names = {0: "nothing is recorded", 1: "every step"}
-    rows = [(names.get(every, f"one step in {every}"), *_cost(cost)) for every, cost in found.steps.items()]
+    rows = [(names.get(every, f"one step in {every}"), *_cost(cost)) for every, cost in rates.steps.items()]
     return Table("whole step by what is recorded, 4 JSBSim runs in it", US, rows)
 
 
 def _start(startup: Startup) -> Table:
     rows = [
-        (name, spread(found))
-        for name, found in (
+        (name, spread(measured))
+        for name, measured in (
             ("Python starts", startup.python_s),
             ("imports", startup.imports_s),
             ("builds the flight, begins the log", startup.build_s),
@@ -220,27 +220,27 @@ def _memory(memory: Memory) -> Table:
     return Table(title, ("resident MB", "peak so far MB"), rows, [note])
 
 
-def _campaign(found: CampaignCost) -> Iterator[Table]:
+def _campaign(cost: CampaignCost) -> Iterator[Table]:
     one, two = PROCESSES
     rows = [
         (
             "bare JSBSim, runs a ms",
-            *(spread(found.bare.rate[count].times(1e-3)) for count in PROCESSES),
-            spread(found.bare.gain),
+            *(spread(cost.bare.rate[count].times(1e-3)) for count in PROCESSES),
+            spread(cost.bare.gain),
         ),
         (
-            f"flights of {found.flight_s:g} s, 1/s",
-            *(spread(found.flown.rate[count]) for count in PROCESSES),
-            spread(found.flown.gain),
+            f"flights of {cost.flight_s:g} s, 1/s",
+            *(spread(cost.flown.rate[count]) for count in PROCESSES),
+            spread(cost.flown.gain),
         ),
-        ("gain of the campaign by bare JSBSim's", "", "", spread(found.share)),
+        ("gain of the campaign by bare JSBSim's", "", "", spread(cost.share)),
     ]
     yield Table("from one process to two", (f"{one} process", f"{two} processes", "gain"), rows)
-    if found.study:
-        study = found.study
+    if cost.study:
+        study = cost.study
         held = [
-            (f"worker {number}, {each.flights} flights", _mb(each.early_mb), _mb(each.end_mb))
-            for number, each in enumerate(study.workers, 1)
+            (f"worker {number}, {worker.flights} flights", _mb(worker.early_mb), _mb(worker.end_mb))
+            for number, worker in enumerate(study.workers, 1)
         ]
         took = f"{study.flights} flights in {study.wall_s:.0f} s, one run"
         note = f"{took}; {spread(study.rate)} flights a second over its tenths."

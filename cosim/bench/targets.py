@@ -39,8 +39,8 @@ class Judged:
 
     @property
     def met(self) -> bool:
-        found = self.measured.median
-        return found >= self.bound if self.least else found <= self.bound
+        median = self.measured.median
+        return median >= self.bound if self.least else median <= self.bound
 
 
 def judge(result: Result) -> list[Judged]:
@@ -91,14 +91,16 @@ def _processes(result: Result) -> Iterator[Judged]:
 
 
 def _campaign(result: Result) -> Iterator[Judged]:
-    found = result.campaign
-    if found is None:
+    campaign = result.campaign
+    if campaign is None:
         return
-    yield Judged("gain by a second worker, by bare JSBSim's", found.share, CAMPAIGN_SHARE, "times", least=True)
-    if found.study:
-        growth = [each.end_mb / each.early_mb for each in found.study.workers if each.end_mb and each.early_mb]
+    yield Judged("gain by a second worker, by bare JSBSim's", campaign.share, CAMPAIGN_SHARE, "times", least=True)
+    if campaign.study:
+        growth = [
+            worker.end_mb / worker.early_mb for worker in campaign.study.workers if worker.end_mb and worker.early_mb
+        ]
         if growth:
             yield Judged("memory of a worker, last flight by 50th", Spread.of(growth), WORKER_GROWTH, "times")
-        if found.study.flights == STUDY_FLIGHTS:
-            wall = Spread.of([found.study.wall_s])
-            yield Judged(f"{STUDY_FLIGHTS} flights of {found.flight_s:g} s, two workers", wall, STUDY_S, "s")
+        if campaign.study.flights == STUDY_FLIGHTS:
+            wall = Spread.of([campaign.study.wall_s])
+            yield Judged(f"{STUDY_FLIGHTS} flights of {campaign.flight_s:g} s, two workers", wall, STUDY_S, "s")

@@ -114,9 +114,9 @@ class EngineOut:
     def to_dict(self) -> dict[str, Any]:
         """For JSON; a bound beyond the furthest that is followed is null."""
         return {
-            "flights": [finite(each) for each in self.flights],
-            "left": [asdict(each) for each in self.left],
-            "levers": [finite(each) for each in self.levers],
+            "flights": [finite(flight) for flight in self.flights],
+            "left": [asdict(flight) for flight in self.left],
+            "levers": [finite(flight) for flight in self.levers],
         }
 
 
@@ -171,7 +171,7 @@ class Courses:
         from cosim.spec.scenario import FlameOut
 
         spec = self._spec
-        found = []
+        courses = []
         with EngineBank(spec, 1, STEP_S) as bank:
             engines = EngineChain(bank, [spec.flame_out], lambda _: engine_reference(spec, STEP_S).lag, STEP_S)
             engines.reset(self._hover)
@@ -180,8 +180,8 @@ class Courses:
                     engines.begin(FlameOut(kind="flame_out", start_s=0.0, jet=[1]))
                 if k == shut_at:
                     engines.switch(0, False)
-                found.append(engines.step(k, (throttle(k),)).thrust[0])
-        return found
+                courses.append(engines.step(k, (throttle(k),)).thrust[0])
+        return courses
 
 
 @dataclass(frozen=True)
@@ -280,11 +280,11 @@ def _upright(vehicle: Vehicle, after: int) -> list[float]:
 
 def _damping(vehicle: Vehicle) -> float:
     """N m s: the airframe's, and that of six streams at full flow, which is more than they have."""
-    found = vehicle.aero.damping_n_m_s[0]
+    damping = vehicle.aero.damping_n_m_s[0]
     flow = vehicle.airflow
     if flow is not None:
-        found += sum(flow.kg_s * (jet.position_m[2] - flow.exhaust_m) ** 2 for jet in vehicle.jets)
-    return found
+        damping += sum(flow.kg_s * (jet.position_m[2] - flow.exhaust_m) ** 2 for jet in vehicle.jets)
+    return damping
 
 
 def opposite_of(vehicle: Vehicle, jet: int) -> int:
@@ -338,12 +338,12 @@ def engine_out(
         if load_vehicle(vehicle)[0].servo is None:
             raise InputError(f"aircraft {vehicle}: it has no tilting banks, and no plan for an engine that is lost")
         for engine in engines:
-            found = unfit(vehicle, engine) or _controller(vehicle, engine, designs, say)
-            if isinstance(found, str):
-                left.append(Left(vehicle, engine, found))
+            chosen = unfit(vehicle, engine) or _controller(vehicle, engine, designs, say)
+            if isinstance(chosen, str):
+                left.append(Left(vehicle, engine, chosen))
                 continue
             flights = [
-                (_scenario(vehicle, engine, found, jet, means), jet, means)
+                (_scenario(vehicle, engine, chosen, jet, means), jet, means)
                 for jet in range(1, len(load_vehicle(vehicle)[0].jets) + 1)
                 for means in MEANS
             ]
@@ -436,9 +436,9 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
     verdict = verdict_of(run.outcome, run.log, STEP_S)
     if verdict == "held" and sink > SINK_M_S:
         verdict = "airborne"
-    found = None if detected is None else detected - begin + 1
+    detection = None if detected is None else detected - begin + 1
     with build(scenario) as simulation:
-        shut_at = found if means != PLANNED else None
+        shut_at = detection if means != PLANNED else None
         turned = roller(simulation)
         throttles = turned.least_lean(jet, shut_at=shut_at)
         bound = turned.least_lean(jet, shut_at=shut_at, tilting=True)
@@ -454,7 +454,7 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
         lost_m=lost,
         drift_m=float(drift),
         sink_m_s=sink,
-        detected_s=None if found is None else found * STEP_S,
+        detected_s=None if detection is None else detection * STEP_S,
         reason=run.reason,
         throttles_deg=throttles.lean_deg,
         bound_deg=bound.lean_deg,
@@ -527,46 +527,48 @@ TABLES = {"engine-out": HEAD, "engine-out-levers": LEVERS, "engine-out-left": NO
 PAGES = {"faults.md": ("hexjet",), "full-scale.md": ("hexjet-100", "hexjet-p220")}  # which aircraft are on which
 
 
-def rows(found: EngineOut, aircraft: Sequence[str]) -> dict[str, list[tuple[str, ...]]]:
+def rows(result: EngineOut, aircraft: Sequence[str]) -> dict[str, list[tuple[str, ...]]]:
     """What became of these aircraft, the bounds for changed ones, and what was not flown: by the names of TABLES."""
     return {
-        "engine-out": [_row(each) for each in _together(found, aircraft)],
-        "engine-out-levers": [_lever_row(each) for each in found.levers if each.aircraft in aircraft],
-        "engine-out-left": [(each.aircraft, each.engine, each.why) for each in found.left if each.aircraft in aircraft],
+        "engine-out": [_row(each) for each in _together(result, aircraft)],
+        "engine-out-levers": [_lever_row(each) for each in result.levers if each.aircraft in aircraft],
+        "engine-out-left": [
+            (each.aircraft, each.engine, each.why) for each in result.left if each.aircraft in aircraft
+        ],
     }
 
 
-def _together(found: EngineOut, aircraft: Sequence[str]) -> list[list[Flight]]:
+def _together(result: EngineOut, aircraft: Sequence[str]) -> list[list[Flight]]:
     """The flights of one vehicle and one means, in the order of the jets."""
     known: dict[tuple[str, str, str], list[Flight]] = {}
-    for each in found.flights:
-        if each.aircraft in aircraft:
-            known.setdefault((each.aircraft, each.engine, each.means), []).append(each)
+    for flight in result.flights:
+        if flight.aircraft in aircraft:
+            known.setdefault((flight.aircraft, flight.engine, flight.means), []).append(flight)
     return list(known.values())
 
 
 def _row(flights: Sequence[Flight]) -> tuple[str, ...]:
     first = flights[0]
-    times = [1e3 * each.detected_s for each in flights if each.detected_s is not None]
+    times = [1e3 * flight.detected_s for flight in flights if flight.detected_s is not None]
     after = "not" if not times else f"{min(times):.0f} to {max(times):.0f} ms"
     cells = [
-        f"{each.verdict}: {each.lean_deg:.0f}°"
-        + ("" if each.verdict == "lost" else f", {each.lost_m:.1f} m, {each.drift_m:.1f} m")
-        + (f", sinks at {each.sink_m_s:.1f} m/s" if each.verdict == "airborne" else "")
-        for each in flights
+        f"{flight.verdict}: {flight.lean_deg:.0f}°"
+        + ("" if flight.verdict == "lost" else f", {flight.lost_m:.1f} m, {flight.drift_m:.1f} m")
+        + (f", sinks at {flight.sink_m_s:.1f} m/s" if flight.verdict == "airborne" else "")
+        for flight in flights
     ]
-    bounds = (_lean([each.throttles_deg for each in flights]), _lean([each.bound_deg for each in flights]))
+    bounds = (_lean([flight.throttles_deg for flight in flights]), _lean([flight.bound_deg for flight in flights]))
     return (first.aircraft, first.engine, first.means, *cells, *[""] * (6 - len(cells)), after, *bounds)
 
 
-def _lever_row(each: Lever) -> tuple[str, ...]:
+def _lever_row(lever: Lever) -> tuple[str, ...]:
     return (
-        each.aircraft,
-        each.engine,
-        *(_lean([x]) for x in (each.at_once_deg, each.tilts_deg, each.late_deg, each.half_thrust_deg)),
-        f"{each.inertia:.1f}",
-        _lean([each.opposite_at_once_deg]),
-        "-" if each.at_once_deg <= each.limit_deg else f"{1e3 * each.opposite_s:.0f} ms",
+        lever.aircraft,
+        lever.engine,
+        *(_lean([x]) for x in (lever.at_once_deg, lever.tilts_deg, lever.late_deg, lever.half_thrust_deg)),
+        f"{lever.inertia:.1f}",
+        _lean([lever.opposite_at_once_deg]),
+        "-" if lever.at_once_deg <= lever.limit_deg else f"{1e3 * lever.opposite_s:.0f} ms",
     )
 
 
@@ -578,10 +580,10 @@ def _lean(values: Sequence[float]) -> str:
     return least if least == most else f"{least} to {most}"
 
 
-def write_pages(found: EngineOut, folder: Path) -> list[Path]:
+def write_pages(result: EngineOut, folder: Path) -> list[Path]:
     """The tables between the marks of the pages of ``folder``.  Raises InputError if one cannot be written."""
     for page, aircraft in PAGES.items():
-        made = rows(found, aircraft)
+        made = rows(result, aircraft)
         write_marks(folder / page, {name: table(TABLES[name], made[name], left=3) for name in TABLES})
     return [folder / page for page in PAGES]
 
@@ -592,11 +594,11 @@ def check_pages(folder: Path) -> None:
         check_marks(folder / page, TABLES)
 
 
-def write(found: EngineOut, folder: Path) -> Path:
+def write(result: EngineOut, folder: Path) -> Path:
     """``engine-out.csv`` in ``folder``.  Raises InputError if it cannot be written."""
     path = folder / "engine-out.csv"
     try:
-        write_records(path, Flight, found.flights)
+        write_records(path, Flight, result.flights)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     return path

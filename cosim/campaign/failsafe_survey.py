@@ -158,16 +158,16 @@ def cases(vehicle: Vehicle) -> list[Case]:
         ("gyro biased", InjectFault("sensor_bias", sensor="gyro", vector=(GYRO_BIAS, 0.0, 0.0))),
         ("gyro lost", InjectFault("sensor_dropout", sensor="gyro")),
     )
-    found = [Case("GNSS lost", allowed, (gnss,), moving=True)]
-    found += [Case(name, allowed, (fault,)) for name, fault in others]
-    found += [Case(f"GNSS and {name}", allowed, (gnss, fault), moving=True) for name, fault in others]
-    found += [
+    kinds = [Case("GNSS lost", allowed, (gnss,), moving=True)]
+    kinds += [Case(name, allowed, (fault,)) for name, fault in others]
+    kinds += [Case(f"GNSS and {name}", allowed, (gnss, fault), moving=True) for name, fault in others]
+    kinds += [
         Case(f"engine {jet} out", allowed, (InjectFault("flame_out", (jet,)),))
         for jet in range(1, len(vehicle.jets) + 1)
     ]
     centred = Sticks(0.0, 0.0, 0.0, 0.5)
     return [
-        *found,
+        *kinds,
         Case("ground station lost", (), (LinkLost(),)),
         Case("energy critical", (SetParameter("HJ_ENDURANCE", 1000.0),), (SetParameter("HJ_FUEL_CRIT", 100.0),)),
         Case("fence passed", (Goto(8.0, 0.0),), (SetParameter("HJ_FENCE_RAD", 1.0),)),
@@ -187,35 +187,35 @@ def trip_speed(vehicle: Vehicle) -> float:
     It is what the evaluation of road vehicles calls critical sliding velocity; the least of all pairs of neighbours.
     Legs that slide, with the friction that the ground has, tip over later or never.
     """
-    legs = [each.position_m for each in vehicle.contacts if each.kind == "leg"]
+    legs = [contact.position_m for contact in vehicle.contacts if contact.kind == "leg"]
     legs.sort(key=lambda place: atan2(place[1], place[0]))
     jx, jy, _ = vehicle.inertia_kg_m2
-    found = inf
+    slowest = inf
     for (ax, ay, az), (bx, by, bz) in zip(legs, [*legs[1:], *legs[:1]], strict=True):
         length, h = hypot(bx - ax, by - ay), 0.5 * (az + bz)
         d = abs(ax * by - ay * bx) / length
         inertia = (jx * (bx - ax) ** 2 + jy * (by - ay) ** 2) / length**2 + vehicle.mass_kg * (h * h + d * d)
         lift = sqrt(h * h + d * d) - h
-        found = min(found, sqrt(2.0 * GRAVITY * lift * inertia / vehicle.mass_kg) / h)
-    return found
+        slowest = min(slowest, sqrt(2.0 * GRAVITY * lift * inertia / vehicle.mass_kg) / h)
+    return slowest
 
 
 def starts(case: Case, heights: Sequence[float], winds: Sequence[float], speed: float) -> list[Start]:
     """Holding at every height in every wind; and moving at ``speed`` (0: not), from 10 m on, in the least wind."""
-    found = [Start(height, wind) for height in heights for wind in winds]
+    kinds = [Start(height, wind) for height in heights for wind in winds]
     if case.moving and speed:
-        found += [Start(height, min(winds), speed) for height in heights if height >= MOVING_FROM_M]
-    return found
+        kinds += [Start(height, min(winds), speed) for height in heights if height >= MOVING_FROM_M]
+    return kinds
 
 
 def pilotable() -> list[str]:
     """Every vehicle that has an autopilot."""
-    found = []
+    names = []
     for name in aircraft_names():
         control = load_vehicle(name)[0].control
         if control.position is not None and control.pilot is not None:
-            found.append(name)
-    return found
+            names.append(name)
+    return names
 
 
 @dataclass(frozen=True)
@@ -465,7 +465,7 @@ def _last(messages: Any) -> str:
     return texts[-1] if texts else ""
 
 
-def write(found: Failsafes, folder: Path) -> Path:
+def write(result: Failsafes, folder: Path) -> Path:
     """``failsafes.csv`` in ``folder``, and in ``flights/`` a scenario with its requests for every row: ``hexjet fly``.
 
     Raises InputError if they cannot be written.
@@ -484,7 +484,7 @@ def write(found: Failsafes, folder: Path) -> Path:
             lines = csv.writer(file)
             names = [field.name for field in fields(Row)]
             lines.writerow([*names, "flight"])
-            for one in found.flights:
+            for one in result.flights:
                 name = file_name(one.row)
                 lines.writerow([*(getattr(one.row, each) for each in names), f"flights/{name}.toml"])
                 asked = [{"step": entry.step, "sender": entry.sender} | to_dict(entry.request) for entry in one.entries]
@@ -518,11 +518,11 @@ class Summed:
     thrust_n: float  # the most; NaN: none was disarmed
 
 
-def summary(found: Failsafes) -> list[Summed]:
+def summary(result: Failsafes) -> list[Summed]:
     """For each failsafe, wind and speed what became of it at all heights."""
     table = []
-    for name, wind, speed in dict.fromkeys((row.failsafe, row.wind_m_s, row.speed_m_s) for row in found.rows):
-        rows = [row for row in found.rows if (row.failsafe, row.wind_m_s, row.speed_m_s) == (name, wind, speed)]
+    for name, wind, speed in dict.fromkeys((row.failsafe, row.wind_m_s, row.speed_m_s) for row in result.rows):
+        rows = [row for row in result.rows if (row.failsafe, row.wind_m_s, row.speed_m_s) == (name, wind, speed)]
         verdicts = [row.verdict for row in rows]
         known = dict.fromkeys(verdicts)
         if len(known) == 1:
@@ -549,18 +549,18 @@ def mark(aircraft: str) -> str:
     return f"failsafes, {aircraft}"
 
 
-def markdown(found: Failsafes) -> str:
+def markdown(result: Failsafes) -> str:
     """The part of a page: the table by failsafe and wind, every flight of it in the columns of the starts."""
-    columns = sorted(dict.fromkeys(row.start for row in found.rows), key=lambda start: start.speed > 0.0)
-    cells = {(row.failsafe, row.start): row for row in found.rows}
+    columns = sorted(dict.fromkeys(row.start for row in result.rows), key=lambda start: start.speed > 0.0)
+    cells = {(row.failsafe, row.start): row for row in result.rows}
     rows = [
         [name, *(cell(cells[name, start]) if (name, start) in cells else "-" for start in columns)]
-        for name in dict.fromkeys(row.failsafe for row in found.rows)
+        for name in dict.fromkeys(row.failsafe for row in result.rows)
     ]
     return (
-        f"Engine `{found.engine}`, controller `{found.controller}`; a leg that touches faster than "
-        f"{found.limit_m_s:.2f} m/s counts as a crash, and what touches faster than {found.trip_m_s:.2f} m/s sideways "
-        "has slid.\n\n" + marks.table(["failsafe", *map(str, columns)], rows)
+        f"Engine `{result.engine}`, controller `{result.controller}`; a leg that touches faster than "
+        f"{result.limit_m_s:.2f} m/s counts as a crash, and what touches faster than {result.trip_m_s:.2f} m/s "
+        "sideways has slid.\n\n" + marks.table(["failsafe", *map(str, columns)], rows)
     )
 
 

@@ -133,7 +133,7 @@ class Survival:
                 for own in self.own
             ],
             "rows": [asdict(row) for row in self.rows],
-            "attainable": [each._asdict() for each in self.attainable],
+            "attainable": [attainable._asdict() for attainable in self.attainable],
             "moments": None if self.moments is None else asdict(self.moments),
             "limits": [asdict(limit) for limit in self.limits],
         }
@@ -141,7 +141,7 @@ class Survival:
 
 def cases(vehicle: Vehicle) -> list[Case]:
     """Every single fault at every place, its size chosen by us: large enough to matter, not hopeless."""
-    found = [Case("none", "", None)]
+    kinds = [Case("none", "", None)]
     per_jet: list[tuple[str, dict[str, Any]]] = [
         ("flame-out", {"kind": "flame_out"}),
         ("stuck where it is", {"kind": "stuck_throttle"}),
@@ -151,19 +151,19 @@ def cases(vehicle: Vehicle) -> list[Case]:
         ("delay, +0.1 s", {"kind": "delay_growth", "delay_s": 0.1}),
     ]
     for title, fault in per_jet:
-        found += [Case(title, f"jet {jet}", fault | {"jet": jet}) for jet in range(1, len(vehicle.jets) + 1)]
+        kinds += [Case(title, f"jet {jet}", fault | {"jet": jet}) for jet in range(1, len(vehicle.jets) + 1)]
     if vehicle.servo is not None:
         for title, angle in (("servo jam where it is", {}), ("servo jam at 5 deg", {"angle_deg": 5.0})):
-            found += [Case(title, side, {"kind": "servo_jam", "servo": side} | angle) for side in SERVOS]
+            kinds += [Case(title, side, {"kind": "servo_jam", "servo": side} | angle) for side in SERVOS]
     biases: list[tuple[str, str, dict[str, Any]]] = [
         ("gyro bias 3 deg/s", "gyro", {"bias": [0.0524, 0.0, 0.0]}),
         ("attitude bias 3 deg", "attitude", {"bias": [0.0524, 0.0, 0.0]}),
         ("barometer bias 1 m", "barometer", {"bias": [1.0]}),
         ("gnss bias 0.5 m/s down", "gnss", {"velocity_bias": [0.0, 0.0, 0.5]}),
     ]
-    found += [Case(title, sensor, {"kind": "sensor_bias", "sensor": sensor} | bias) for title, sensor, bias in biases]
+    kinds += [Case(title, sensor, {"kind": "sensor_bias", "sensor": sensor} | bias) for title, sensor, bias in biases]
     sensors = [sensor for _, sensor, _ in biases]
-    return found + [
+    return kinds + [
         Case(f"dropout, {sensor}", sensor, {"kind": "sensor_dropout", "sensor": sensor}) for sensor in sensors
     ]
 
@@ -228,12 +228,12 @@ def survival(
         rows.append(row)
         say(f"{row.kind}, {row.place}", len(rows), len(flights))
     scans = [(name, start, each, aircraft, engine, step) for name in SCANS for start in STARTS for each in controllers]
-    found: list[Limit] = []
+    survived: list[Limit] = []
     for limit in in_order(_scan, scans, workers) if limits else ():
-        found.append(limit)
-        say(limit.quantity, len(found), len(scans))
+        survived.append(limit)
+        say(limit.quantity, len(survived), len(scans))
     sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
-    return Survival(vehicle.name, engine, rows, sets, moments, found, tuple(own.values()))
+    return Survival(vehicle.name, engine, rows, sets, moments, survived, tuple(own.values()))
 
 
 def step_of(aircraft: str) -> float:
@@ -343,19 +343,19 @@ def _moments(vehicle: Vehicle, delay: float | None) -> Moments | None:
     return Moments(thrust, moment, acceleration, late, acceleration * late, 0.5 * acceleration * late**2)
 
 
-def write(found: Survival, folder: Path) -> dict[str, Path]:
+def write(result: Survival, folder: Path) -> dict[str, Path]:
     """``survival.csv`` and ``survival.html`` in ``folder``, and the files of controllers from outside.
 
     Raises InputError if they cannot be written.
     """
     paths = {"table": folder / "survival.csv", "report": folder / "survival.html"}
     try:
-        write_records(paths["table"], Row, found.rows)
-        controllers, table = summary(found)
+        write_records(paths["table"], Row, result.rows)
+        controllers, table = summary(result)
         named = [label(name) for name in controllers]
-        render(TEMPLATE, paths["report"], {}, found=found, controllers=named, table=table, starts=STARTS)
+        render(TEMPLATE, paths["report"], {}, found=result, controllers=named, table=table, starts=STARTS)
         files: dict[str, Path | bytes] = {}
-        for own in found.own:
+        for own in result.own:
             copied_controller(own, files)
         for name, source in files.items():
             assert isinstance(source, Path)
@@ -368,14 +368,14 @@ def write(found: Survival, folder: Path) -> dict[str, Path]:
 PARTS = ("faults", "faults-attainable", "faults-moments", "faults-limits")  # the marks of docs/faults.md
 
 
-def write_page(found: Survival, path: Path) -> None:
+def write_page(result: Survival, path: Path) -> None:
     """The tables, and what explains them, between the marks of a page; see :mod:`cosim.results.report.marks`."""
-    write_marks(path, page_parts(found))
+    write_marks(path, page_parts(result))
 
 
-def page_parts(found: Survival) -> dict[str, str]:
+def page_parts(result: Survival) -> dict[str, str]:
     """What :func:`write_page` writes, by mark."""
-    controllers, lines = summary(found)
+    controllers, lines = summary(result)
     return {
         "faults": table(
             ("fault", "from", *controllers, "detected after"),
@@ -385,10 +385,10 @@ def page_parts(found: Survival) -> dict[str, str]:
             ),
             left=2,
         ),
-        "faults-attainable": table(("lost jets", "thrust over weight", "roll moment left in hover"), _left(found)),
-        "faults-moments": "" if found.moments is None else f"{_moments_in_words(found.moments)}\n",
+        "faults-attainable": table(("lost jets", "thrust over weight", "roll moment left in hover"), _left(result)),
+        "faults-moments": "" if result.moments is None else f"{_moments_in_words(result.moments)}\n",
         "faults-limits": table(
-            ("what grows", "controller", *(f"from {start}" for start in STARTS)), _scanned(found), 4
+            ("what grows", "controller", *(f"from {start}" for start in STARTS)), _scanned(result), 4
         ),
     }
 
@@ -403,12 +403,12 @@ def _moments_in_words(one: Moments) -> str:
     )
 
 
-def _scanned(found: Survival) -> Iterator[tuple[str, ...]]:
+def _scanned(result: Survival) -> Iterator[tuple[str, ...]]:
     """Every scan of :data:`SCANS`, a row a controller."""
-    known = {(each.quantity, each.controller, each.start): each for each in found.limits}
-    for quantity, controller in dict.fromkeys((each.quantity, each.controller) for each in found.limits):
+    known = {(limit.quantity, limit.controller, limit.start): limit for limit in result.limits}
+    for quantity, controller in dict.fromkeys((limit.quantity, limit.controller) for limit in result.limits):
         cells = [known.get((quantity, controller, start)) for start in STARTS]
-        yield quantity, controller, *("-" if each is None else _reached(each) for each in cells)
+        yield quantity, controller, *("-" if limit is None else _reached(limit) for limit in cells)
 
 
 def _reached(limit: Limit) -> str:
@@ -456,12 +456,14 @@ def _times(cells: Sequence[Cell]) -> str:
     return f"{min(times):.0f} ms" if max(times) - min(times) < 0.5 else f"{min(times):.0f} to {max(times):.0f} ms"
 
 
-def _left(found: Survival) -> Iterator[tuple[str, ...]]:
+def _left(result: Survival) -> Iterator[tuple[str, ...]]:
     """The attainable sets, those that come to the same on one line."""
     alike: dict[tuple[str, str], list[str]] = {}
-    for each in found.attainable:
-        roll = "cannot hover" if each.roll is None else f"{100.0 * each.roll:.0f} %"
-        alike.setdefault((f"{each.thrust:.2f}", roll), []).append(" and ".join(map(str, each.lost)) or "none")
+    for attainable in result.attainable:
+        roll = "cannot hover" if attainable.roll is None else f"{100.0 * attainable.roll:.0f} %"
+        alike.setdefault((f"{attainable.thrust:.2f}", roll), []).append(
+            " and ".join(map(str, attainable.lost)) or "none"
+        )
     for (thrust, roll), lost in alike.items():
         yield "; ".join(lost), thrust, roll
 
@@ -478,12 +480,12 @@ class Cell:
     detected_s: tuple[float, float] | None  # first and last
 
 
-def summary(found: Survival) -> tuple[list[str], list[tuple[str, str, list[Cell]]]]:
+def summary(result: Survival) -> tuple[list[str], list[tuple[str, str, list[Cell]]]]:
     """The controllers, and for each kind and start what became of all its places with each of them."""
-    controllers = list(dict.fromkeys(row.controller for row in found.rows))
+    controllers = list(dict.fromkeys(row.controller for row in result.rows))
     lines = []
-    for kind, start in dict.fromkeys((row.kind, row.start) for row in found.rows):
-        rows = [row for row in found.rows if (row.kind, row.start) == (kind, start)]
+    for kind, start in dict.fromkeys((row.kind, row.start) for row in result.rows):
+        rows = [row for row in result.rows if (row.kind, row.start) == (kind, start)]
         lines.append((kind, start, [_cell([row for row in rows if row.controller == name]) for name in controllers]))
     return controllers, lines
 

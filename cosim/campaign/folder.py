@@ -129,13 +129,13 @@ def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> lis
     """The values of a key, engines that are files by the names that they get in the folder."""
     if vary.values is None or vary.key.split(".")[-1] != "engine":
         return vary.values
-    found: list[Any] = []
+    values: list[Any] = []
     for value in vary.values:
         if isinstance(value, str) and is_file(value):
             spec: EngineSpec = load_engine(str(base.folder / value), {}, base.step_s, unchecked=base.engine_unchecked)
             value = engine_files([spec], sources)[id(spec)]
-        found.append(value)
-    return found
+        values.append(value)
+    return values
 
 
 def _controller(name: str, folder: Path, sources: dict[str, Path | bytes]) -> str:

@@ -172,16 +172,19 @@ def flight_of(study: Study, row: Row) -> Flight:
 def _otherwise(row: Row, run: Run) -> list[str]:
     """Why a flight may be another one now."""
     then, now = json.loads(str(row["inputs"])), json.loads(inputs(run))
-    found = [
+    differences = [
         f"{name} was {_short(then[kind].get(name))} and is {_short(now[kind].get(name))}"
         for kind in ("versions", "sha256")
         for name in sorted({*then[kind], *now[kind]})
         if then[kind].get(name) != now[kind].get(name)
     ]
-    if not found and row["inputs_sha256"] != inputs_sha256(run):
-        found = ["the numbers of the aircraft or of an engine are others"]
+    if not differences and row["inputs_sha256"] != inputs_sha256(run):
+        differences = ["the numbers of the aircraft or of an engine are others"]
     ended = f"it ended {run.outcome}, {run.reason}; then {row['outcome']}, {row['reason']}"
-    return [*(found or ["versions, aircraft and engines are the same: the program or the machine is another"]), ended]
+    return [
+        *(differences or ["versions, aircraft and engines are the same: the program or the machine is another"]),
+        ended,
+    ]
 
 
 def _short(text: str | None) -> str:

@@ -74,7 +74,7 @@ def _as_given(context: click.Context) -> str:
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")
         if context.get_parameter_source(parameter.name or "") is ParameterSource.COMMANDLINE:
-            for each in value if isinstance(value, tuple) else [value]:
-                text = f"{each:g}" if isinstance(each, float) else str(each)
-                words += [max(parameter.opts, key=len), *([] if each is True else [text])]
+            for item in value if isinstance(value, tuple) else [value]:
+                text = f"{item:g}" if isinstance(item, float) else str(item)
+                words += [max(parameter.opts, key=len), *([] if item is True else [text])]
     return shlex.join(words)

@@ -102,12 +102,12 @@ def _list_keys(name: str, settings: tuple[str, ...], pattern: str, as_json: bool
     from cosim.spec.scenario import Scenario
 
     base = Study.load(name).base() if name in study_names() else Scenario.load(name, list(settings))
-    found = matching(all_keys(base), pattern)
+    keys = matching(all_keys(base), pattern)
     if as_json:
-        told = [{"key": key.path, "value": key.nominal, "unit": key.unit, "allowed": key.allowed} for key in found]
+        told = [{"key": key.path, "value": key.nominal, "unit": key.unit, "allowed": key.allowed} for key in keys]
         click.echo(json.dumps({"keys": told}, allow_nan=False))
     else:
-        print_keys(found)
+        print_keys(keys)
     return DONE
 
 
@@ -270,18 +270,18 @@ def print_search(searched: Searched) -> None:
     from cosim.campaign.search.page import how_fine, joint_lines
     from cosim.campaign.search.page import table as edges
 
-    console, found = terminal(), searched.found
-    base = found.study.base()
-    console.print(f"{base.name}: {base.aircraft_name}, engine {base.engine}; {found.flights} flights", highlight=False)
-    console.print(found.criterion, highlight=False, markup=False, soft_wrap=True)
+    console, result = terminal(), searched.found
+    base = result.study.base()
+    console.print(f"{base.name}: {base.aircraft_name}, engine {base.engine}; {result.flights} flights", highlight=False)
+    console.print(result.criterion, highlight=False, markup=False, soft_wrap=True)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    titles, rows = edges(found)
+    titles, rows = edges(result)
     for title in titles:
         table.add_column(title, overflow="fold")
     for row in rows:
         table.add_row(*row)
     console.print(table, markup=False)
-    for line in [*joint_lines(found), *map(how_fine, found.plan.spans)]:
+    for line in [*joint_lines(result), *map(how_fine, result.plan.spans)]:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     for case in searched.cases:
         if not case.same:

@@ -148,18 +148,18 @@ def design(
             start=start,
             say=lambda text: tell(text, 0, 1),
         )
-        found = search()
+        made = search()
         if proof:
-            found = proved(found, lambda text: tell(text, 0, 1), lambda unsure: search(unsure=unsure))
-    paths = write(found, out)
+            made = proved(made, lambda text: tell(text, 0, 1), lambda unsure: search(unsure=unsure))
+    paths = write(made, out)
     if as_json:
-        click.echo(json.dumps(to_dict(found, paths), allow_nan=False))
+        click.echo(json.dumps(to_dict(made, paths), allow_nan=False))
     else:
-        print_design(found, paths)
-    return DONE if found.ok else FLIGHT_FAILED
+        print_design(made, paths)
+    return DONE if made.ok else FLIGHT_FAILED
 
 
-def print_design(found: Design, paths: dict[str, Path]) -> None:
+def print_design(design: Design, paths: dict[str, Path]) -> None:
     """The model, shipped and designed margins, what limits the design or why there is none, and the files."""
     from rich import box
     from rich.table import Table
@@ -167,15 +167,15 @@ def print_design(found: Design, paths: dict[str, Path]) -> None:
     from cosim.design.result import COLUMNS, rows, summary_lines
 
     console = terminal()
-    console.print(f"{found.vehicle.name} with engine [bold]{found.engine.name}[/bold]", highlight=False)
+    console.print(f"{design.vehicle.name} with engine [bold]{design.engine.name}[/bold]", highlight=False)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
     for k in shown:
         table.add_column(COLUMNS[k], justify="left" if k < 2 else "right", no_wrap=True)
-    for row in rows(found):
+    for row in rows(design):
         table.add_row(*(row[k] for k in shown))
     console.print(table)
-    for line in summary_lines(found):
+    for line in summary_lines(design):
         console.print(line, highlight=False, markup=False)
     for name, path in paths.items():
         console.print(f"{name}: {path}", highlight=False, soft_wrap=True)

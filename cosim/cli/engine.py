@@ -119,13 +119,13 @@ def fmu_check(
     if is_controller(Path(engine)):
         return _check_controller(Path(engine), as_json)
     offer_to_compile(engine)
-    found = check_fmu(engine, step, parse_numbers(settings, "--set"), limits_of(time_limit))
-    page = write_check(found, out if out is not None else new_folder(Path("runs"), f"check-{Path(engine).stem}"))
+    report = check_fmu(engine, step, parse_numbers(settings, "--set"), limits_of(time_limit))
+    page = write_check(report, out if out is not None else new_folder(Path("runs"), f"check-{Path(engine).stem}"))
     if as_json:
-        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+        click.echo(json.dumps(report.to_dict(), allow_nan=False))
     else:
-        print_check(found, page)
-    return DONE if found.ok else FLIGHT_FAILED
+        print_check(report, page)
+    return DONE if report.ok else FLIGHT_FAILED
 
 
 def _check_controller(path: Path, as_json: bool) -> int:
@@ -138,7 +138,7 @@ def _check_controller(path: Path, as_json: bool) -> int:
     said = describing(fmu)
     run = fly(Scenario.load("hover").replace(duration_s=1.0, expect=[], controller=str(path.absolute())))
     own = run.summary.own_controller
-    found = {
+    report = {
         "controller": path.name,
         "fmi": fmu.fmi,
         "level": fmu.level,
@@ -151,12 +151,12 @@ def _check_controller(path: Path, as_json: bool) -> int:
         "repeatable": own.repeatable if own is not None else None,
     }
     if as_json:
-        click.echo(json.dumps(found, allow_nan=False))
+        click.echo(json.dumps(report, allow_nan=False))
     else:
-        for key, value in found.items():
+        for key, value in report.items():
             shown = ", ".join(value) if isinstance(value, list) else value
             terminal().print(f"{key:14} {shown}", highlight=False, soft_wrap=True, markup=False)
-    return DONE if run.outcome == "completed" and found["repeatable"] else FLIGHT_FAILED
+    return DONE if run.outcome == "completed" and report["repeatable"] else FLIGHT_FAILED
 
 
 def print_check(report: CheckReport, page: Path) -> None:

@@ -104,14 +104,14 @@ def faults(
 
     with part_progress("faults", quiet=as_json) as say:
         named = [seen_from(each, Path()) for each in controllers]
-        found = survival(aircraft, engine, named, kinds, workers, say, limits or page is not None)
-    paths = write(found, out if out is not None else new_folder(Path("runs"), f"faults-{found.aircraft}"))
+        result = survival(aircraft, engine, named, kinds, workers, say, limits or page is not None)
+    paths = write(result, out if out is not None else new_folder(Path("runs"), f"faults-{result.aircraft}"))
     if page is not None:
-        write_page(found, page)
+        write_page(result, page)
     if as_json:
-        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+        click.echo(json.dumps(result.to_dict(), allow_nan=False))
     else:
-        print_survival(found, paths["report"])
+        print_survival(result, paths["report"])
     return DONE
 
 
@@ -136,13 +136,13 @@ def _engine_out(
             raise InputError("--docs: the pages hold every aircraft and engine; leave out --aircraft and --engine")
         check_pages(docs)
     with part_progress("engine out", quiet=as_json) as say:
-        found = engine_out(aircraft, engines, designs or folder / "designs", workers, say)
-    path = write(found, folder)
-    pages = write_pages(found, docs) if docs is not None else []
+        result = engine_out(aircraft, engines, designs or folder / "designs", workers, say)
+    path = write(result, folder)
+    pages = write_pages(result, docs) if docs is not None else []
     if as_json:
-        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+        click.echo(json.dumps(result.to_dict(), allow_nan=False))
     else:
-        print_engine_out(found, [path, *pages])
+        print_engine_out(result, [path, *pages])
     return DONE
 
 
@@ -210,7 +210,7 @@ def failsafes(
     several = len(aircraft) > 1
     if page is not None:
         check_marks(page, [mark(aircraft_name(each)) for each in aircraft])
-    found: list[Failsafes] = []
+    results: list[Failsafes] = []
     folder = out
     with part_progress("failsafes", quiet=as_json) as say:
         asked = (kinds, heights or HEIGHTS_M, winds or WINDS_M_S)
@@ -220,16 +220,16 @@ def failsafes(
             table = write(one, folder / one.aircraft if several else folder)
             if not as_json:
                 print_failsafes(one, table)
-            found.append(one)
+            results.append(one)
     if page is not None:
-        write_marks(page, {mark(one.aircraft): markdown(one) for one in found})
+        write_marks(page, {mark(one.aircraft): markdown(one) for one in results})
     if as_json:
-        tables = [one.to_dict() for one in found]
+        tables = [one.to_dict() for one in results]
         click.echo(json.dumps({"tables": tables} if several else tables[0], allow_nan=False))
     return DONE
 
 
-def print_survival(found: Survival, report: Path) -> None:
+def print_survival(result: Survival, report: Path) -> None:
     """How many places of each fault are held, by controller, what explains it, and where the report is."""
     from rich import box
     from rich.table import Table
@@ -238,7 +238,7 @@ def print_survival(found: Survival, report: Path) -> None:
     from cosim.spec.controller_name import label
 
     console = terminal()
-    controllers, rows = summary(found)
+    controllers, rows = summary(result)
     table = Table(box=box.SIMPLE_HEAD)
     for title in ("fault", "from", *map(label, controllers), "detected, s"):
         table.add_column(title, justify="left" if title in ("fault", "from") else "right")
@@ -251,16 +251,16 @@ def print_survival(found: Survival, report: Path) -> None:
         "held at so many of the places where it can happen; the largest lean and the most height lost there",
         highlight=False,
     )
-    for name in found.unwatched:
+    for name in result.unwatched:
         console.print(f"no engine monitor with {name}: a whole controller sees to lost engines itself", highlight=False)
-    if found.moments is not None:
-        one = found.moments
+    if result.moments is not None:
+        one = result.moments
         console.print(
             f"a jet lost in hover: {one.moment:.3g} N m about roll, {one.acceleration:.3g} rad/s^2; "
             f"{one.late:.3g} s until the others answer: {one.rate:.2g} rad/s, {one.angle:.2g} rad by then",
             highlight=False,
         )
-    for limit in found.limits:
+    for limit in result.limits:
         held, airborne = (" ".join(f"{value:g}" for value in each) or "-" for each in (limit.held, limit.airborne))
         lost = "nowhere" if limit.lost_at is None else f"at {limit.lost_at:g}"
         name = label(limit.controller)
@@ -272,7 +272,7 @@ def print_survival(found: Survival, report: Path) -> None:
     table = Table(box=box.SIMPLE_HEAD)
     for title in ("lost jets", "thrust over weight", "roll authority", "yaw balanced"):
         table.add_column(title, justify="left" if title == "lost jets" else "right")
-    for each in found.attainable:
+    for each in result.attainable:
         roll = "cannot hover" if each.roll is None else f"{100.0 * each.roll:.0f} %"
         lost = ", ".join(map(str, each.lost)) or "none"
         table.add_row(lost, f"{each.thrust:.2f}", roll, "yes" if each.yaw else "no")
@@ -280,7 +280,7 @@ def print_survival(found: Survival, report: Path) -> None:
     console.print(f"report: {report}", highlight=False, soft_wrap=True)
 
 
-def print_engine_out(found: EngineOut, paths: Sequence[Path]) -> None:
+def print_engine_out(result: EngineOut, paths: Sequence[Path]) -> None:
     """What became of every vehicle with one engine out, what no control could have done better, and where it stands."""
     from rich import box
     from rich.table import Table
@@ -288,8 +288,8 @@ def print_engine_out(found: EngineOut, paths: Sequence[Path]) -> None:
     from cosim.campaign.engine_out import TABLES, rows
 
     console = terminal()
-    aircraft = [each.aircraft for each in found.flights] + [each.aircraft for each in found.left]
-    for name, lines in rows(found, aircraft).items():
+    aircraft = [each.aircraft for each in result.flights] + [each.aircraft for each in result.left]
+    for name, lines in rows(result, aircraft).items():
         table = Table(box=box.SIMPLE_HEAD)
         for title in TABLES[name]:
             table.add_column(title)
@@ -307,7 +307,7 @@ def print_engine_out(found: EngineOut, paths: Sequence[Path]) -> None:
         console.print(str(path), highlight=False, soft_wrap=True)
 
 
-def print_failsafes(found: Failsafes, table: Path) -> None:
+def print_failsafes(result: Failsafes, table: Path) -> None:
     """What became of each failsafe in each wind, and where the flights are."""
     from rich import box
     from rich.table import Table
@@ -326,7 +326,7 @@ def print_failsafes(found: Failsafes, table: Path) -> None:
         "thrust 10 s later, N",
     ):
         shown.add_column(title, justify="left" if title in ("failsafe", "ended") else "right")
-    for row in summary(found):
+    for row in summary(result):
         numbers = [
             "-" if value != value else f"{value:{form}}"
             for value, form in ((row.touchdown_m_s, ".2f"), (row.sideways_m_s, ".2f"), (row.thrust_n, ".1f"))
@@ -334,9 +334,9 @@ def print_failsafes(found: Failsafes, table: Path) -> None:
         shown.add_row(row.failsafe, f"{row.wind_m_s:g}", f"{row.speed_m_s:g}", row.ends, *numbers)
     console.print(shown)
     console.print(
-        f"{found.aircraft}, {found.engine}, {found.controller}: the fastest touch-down and the most thrust of all "
-        f"heights; a leg that touches faster than {found.limit_m_s:.2f} m/s counts as a crash; faster than "
-        f"{found.trip_m_s:.2f} m/s sideways it has slid",
+        f"{result.aircraft}, {result.engine}, {result.controller}: the fastest touch-down and the most thrust of all "
+        f"heights; a leg that touches faster than {result.limit_m_s:.2f} m/s counts as a crash; faster than "
+        f"{result.trip_m_s:.2f} m/s sideways it has slid",
         highlight=False,
         soft_wrap=True,
     )

@@ -136,8 +136,8 @@ def gcs(
         counts = opened.counts
     print_session(runs, counts, to_stderr=as_json)
     if as_json:
-        found = {"runs": [run.summary.model_dump(mode="json") for run in runs], "links": counts}
-        click.echo(json.dumps(found, allow_nan=False))
+        record = {"runs": [run.summary.model_dump(mode="json") for run in runs], "links": counts}
+        click.echo(json.dumps(record, allow_nan=False))
     return DONE if runs[-1].summary.as_planned else FLIGHT_FAILED
 
 

@@ -54,8 +54,8 @@ def identify_engine(
     from cosim.base.toml import parse_numbers
     from cosim.design.identify import identify_engine as identify
 
-    found = identify(name, parse_numbers(settings, "--set"), hold=parse_numbers(holds, "--hold"), **choices)
-    return _finish_identification(found, out, f"identify-{Path(name).stem}", as_json)
+    identification = identify(name, parse_numbers(settings, "--set"), hold=parse_numbers(holds, "--hold"), **choices)
+    return _finish_identification(identification, out, f"identify-{Path(name).stem}", as_json)
 
 
 def _identify_axis(
@@ -64,19 +64,19 @@ def _identify_axis(
     from cosim.base.toml import parse_numbers
     from cosim.design.identify import identify_axis
 
-    found = identify_axis(axis, settings=settings, hold=parse_numbers(holds, "--hold"), **choices)
-    return _finish_identification(found, out, f"identify-{axis}", as_json)
+    identification = identify_axis(axis, settings=settings, hold=parse_numbers(holds, "--hold"), **choices)
+    return _finish_identification(identification, out, f"identify-{axis}", as_json)
 
 
-def _finish_identification(found: Any, out: Path | None, name: str, as_json: bool) -> int:
+def _finish_identification(identification: Any, out: Path | None, name: str, as_json: bool) -> int:
     from cosim.design.identify import write
     from cosim.flight import new_folder
 
-    paths = write(found, out if out is not None else new_folder(Path("runs"), name))
+    paths = write(identification, out if out is not None else new_folder(Path("runs"), name))
     if as_json:
-        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+        click.echo(json.dumps(identification.to_dict(), allow_nan=False))
     else:
-        print_identification(found, paths)
+        print_identification(identification, paths)
     return DONE
 
 
@@ -103,7 +103,7 @@ for _axis in AXES:
     _axis_command(_axis)
 
 
-def print_identification(found: Identification, paths: dict[str, Path]) -> None:
+def print_identification(identification: Identification, paths: dict[str, Path]) -> None:
     """The models side by side, the chosen one's discrete form, how the stated one compares, and where the files are."""
     from rich import box
     from rich.table import Table
@@ -111,32 +111,34 @@ def print_identification(found: Identification, paths: dict[str, Path]) -> None:
     from cosim.design.identify.result import equations, fit_rows
 
     console = terminal()
-    sweep, response = found.sweep, found.response
+    sweep, response = identification.sweep, identification.response
     console.print(
-        f"{found.subject}: [bold]{found.channel}[/bold], {sweep.from_hz:.3g} to {sweep.to_hz:.3g} Hz in "
-        f"{sweep.duration_s:g} s, amplitude {sweep.amplitude:.3g}; {len(response.hertz)} points, "
+        f"{identification.subject}: [bold]{identification.channel}[/bold], {sweep.from_hz:.3g} to {sweep.to_hz:.3g} Hz "
+        f"in {sweep.duration_s:g} s, amplitude {sweep.amplitude:.3g}; {len(response.hertz)} points, "
         f"coherence at least {response.coherence.min():.4f}",
         highlight=False,
     )
     table = Table(box=box.SIMPLE_HEAD)
     table.add_column("with 95 % bounds")
-    for fit in found.fits:
+    for fit in identification.fits:
         table.add_column(fit.label, justify="right")
-    for row in fit_rows(found):
+    for row in fit_rows(identification):
         table.add_row(*row)
     console.print(table)
-    for text in equations(found):
+    for text in equations(identification):
         console.print(f"G(z) = {text}", highlight=False, markup=False)
-    deviation = found.reference_deviation()
-    if found.reference is not None and deviation is not None:
+    deviation = identification.reference_deviation()
+    if identification.reference is not None and deviation is not None:
         console.print(
-            f"the model that {found.subject} states ({found.reference.source}) is within {deviation[0]:.2f} dB and "
-            f"{deviation[1]:.1f} deg of the response",
+            f"the model that {identification.subject} states ({identification.reference.source}) is within "
+            f"{deviation[0]:.2f} dB and {deviation[1]:.1f} deg of the response",
             highlight=False,
         )
-    if found.ledger_samples is not None:
-        console.print(f"all delay as the delay ledger has it: {found.ledger_samples:.2f} samples", highlight=False)
-    for note in found.notes:
+    if identification.ledger_samples is not None:
+        console.print(
+            f"all delay as the delay ledger has it: {identification.ledger_samples:.2f} samples", highlight=False
+        )
+    for note in identification.notes:
         console.print(f"note: {note}", highlight=False)
     for name in ("model", "report"):
         if name in paths:

@@ -46,17 +46,17 @@ def paper(out: Path, workers: int, pages: tuple[Path, ...], as_json: bool) -> in
     for page in pages:
         check_page(page)
     with part_progress("paper", quiet=as_json) as say:
-        found = reproduce(out, say, workers)
+        reproduction = reproduce(out, say, workers)
     for page in pages:
-        write_page(page, found)
+        write_page(page, reproduction)
     if as_json:
         click.echo(json.dumps(json.loads((out / DATA).read_text(encoding="utf-8")), allow_nan=False))
     else:
-        print_paper(found, out / REPORT)
+        print_paper(reproduction, out / REPORT)
     return DONE
 
 
-def print_paper(found: Reproduction, report: Path) -> None:
+def print_paper(reproduction: Reproduction, report: Path) -> None:
     """Claims and numbers of the paper beside ours, how many claims follow, and where the report is."""
     from rich import box
     from rich.table import Table
@@ -67,7 +67,7 @@ def print_paper(found: Reproduction, report: Path) -> None:
     table = Table(box=box.SIMPLE_HEAD)
     for title in ("quantity", "unit", "paper", "linear", "", "flight", "", "origin"):
         table.add_column(title, justify="left" if title in ("quantity", "unit", "origin") else "right")
-    for row in compared(found.rows):
+    for row in compared(reproduction.rows):
         name = f"{row.quantity} ({row.note})" if ".state" in row.key else row.quantity
         linear = cell(row.linear, "{:.4g}"), cell(row.linear_deviation, "{:+.1f} %")
         flight = cell(row.flight, "{:.4g}"), cell(row.flight_deviation, "{:+.1f} %")
@@ -76,8 +76,8 @@ def print_paper(found: Reproduction, report: Path) -> None:
     table = Table(box=box.SIMPLE_HEAD)
     for title in ("claim", "linear plant", "six degrees of freedom"):
         table.add_column(title)
-    for claim in found.claims:
+    for claim in reproduction.claims:
         table.add_row(claim.claim, claim.linear.verdict, claim.flight.verdict if claim.flight else "-")
     console.print(table)
-    console.print(counts_in_words(found.claims), highlight=False)
+    console.print(counts_in_words(reproduction.claims), highlight=False)
     console.print(f"report: {report}", highlight=False, soft_wrap=True)

@@ -22,11 +22,11 @@ KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
 def list_(kind: str | None, as_json: bool) -> int:
     """List what can be flown: scenarios, studies, engines, aircraft, controllers."""
 
-    found = {name: catalogue(name) for name in ([kind] if kind else KINDS)}
+    catalogues = {name: catalogue(name) for name in ([kind] if kind else KINDS)}
     if as_json:
-        click.echo(json.dumps(found))
+        click.echo(json.dumps(catalogues))
     else:
-        print_catalogue(found)
+        print_catalogue(catalogues)
     return DONE
 
 
@@ -56,11 +56,11 @@ def report(folder: Path) -> int:
     return DONE
 
 
-def print_catalogue(found: dict[str, list[dict[str, Any]]]) -> None:
+def print_catalogue(catalogues: dict[str, list[dict[str, Any]]]) -> None:
     """Names and titles, kind by kind."""
     console = terminal()
-    for kind, entries in found.items():
-        if len(found) > 1:
+    for kind, entries in catalogues.items():
+        if len(catalogues) > 1:
             console.print(f"[bold]{kind}[/bold]")
         width = max((len(entry["name"]) for entry in entries), default=0)
         for entry in entries:

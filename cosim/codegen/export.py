@@ -70,7 +70,7 @@ def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[
     return tuple(lines)
 
 
-def _readme(form: Form, vectors: Vectors, labels: Labels, found: Measured | None, fmus: list[str]) -> str:
+def _readme(form: Form, vectors: Vectors, labels: Labels, measured: Measured | None, fmus: list[str]) -> str:
     kinds = [f"{axis['name']}: {TITLES[axis['predictor']['kind']]}" for axis in form["axes"]]
     leads = [axis["lead"] for axis in form["axes"]] + [form["altitude"]["lead"]]
     return render(
@@ -87,34 +87,36 @@ def _readme(form: Form, vectors: Vectors, labels: Labels, found: Measured | None
         leads=any(leads),
         schedule=bool(form["schedule"]),
         straight=form["thrust"]["identity"],
-        figures=figures(found),
+        figures=figures(measured),
     )
 
 
-def figures(found: Measured | None) -> list[tuple[str, str]]:
+def figures(measured: Measured | None) -> list[tuple[str, str]]:
     """What was measured, in words: what, and how much."""
-    if found is None:
+    if measured is None:
         return [("measured", "nothing: no C compiler was found where this was made")]
     lines = [
-        ("compiler", f"{found.compiler}, -O2 -ffp-contract=off"),
-        ("double", "every number of the flight to the last bit" if found.same else "not the bits of the flight"),
+        ("compiler", f"{measured.compiler}, -O2 -ffp-contract=off"),
+        ("double", "every number of the flight to the last bit" if measured.same else "not the bits of the flight"),
         (
             "float",
-            f"throttle within {found.float_throttle:.2g}, tilt within {found.float_tilt:.2g} rad over the flight, "
-            + ("" if found.float_passes else "not ")
-            + "within half a step of a 12-bit command",
+            f"throttle within {measured.float_throttle:.2g}, tilt within {measured.float_tilt:.2g} rad over the "
+            "flight, " + ("" if measured.float_passes else "not ") + "within half a step of a 12-bit command",
         ),
     ]
-    if found.state is not None:
-        lines.append(("state", f"{found.state} bytes"))
-    if found.code is not None:
-        lines.append(("code and constants, without parameters", f"{found.code} bytes"))
-    if found.stack is not None:
+    if measured.state is not None:
+        lines.append(("state", f"{measured.state} bytes"))
+    if measured.code is not None:
+        lines.append(("code and constants, without parameters", f"{measured.code} bytes"))
+    if measured.stack is not None:
         lines.append(
-            ("worst-case stack", f"{found.stack} bytes by gcc's call graph, beside that of the library of mathematics")
+            (
+                "worst-case stack",
+                f"{measured.stack} bytes by gcc's call graph, beside that of the library of mathematics",
+            )
         )
-    if found.cycles is not None:
-        worst, mean = found.cycles
+    if measured.cycles is not None:
+        worst, mean = measured.cycles
         lines.append(
             (
                 "cycles of a step",

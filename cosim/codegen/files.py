@@ -129,9 +129,9 @@ def _prepared(form: Form) -> Form:
     scheduled = [axes[0]["lead"], form["altitude"]["lead"]] if form["schedule"] else []
     return form | {
         "axes": axes,
-        "uses_line": bool(form["delay"] or any(each.get("line") for each in predictors)),
-        "uses_discrete": any(each["kind"] in ("early-late", "early-late-filtered") for each in predictors),
-        "uses_sent": any("weights" in each for each in predictors),
+        "uses_line": bool(form["delay"] or any(predictor.get("line") for predictor in predictors)),
+        "uses_discrete": any(predictor["kind"] in ("early-late", "early-late-filtered") for predictor in predictors),
+        "uses_sent": any("weights" in predictor for predictor in predictors),
         "uses_lead": any(leads),
         "lead_orders": sorted({lead["order"] for lead in scheduled if lead}),
     }
@@ -190,33 +190,37 @@ def _size(value: Any) -> str | None:
 def _values(f: Form) -> list[tuple[str, Any]]:
     """The fields of the struct of parameters, in its order, with their values."""
     height, allocation, schedule = f["altitude"], f["allocation"], f["schedule"]
-    found: list[tuple[str, Any]] = [
+    values: list[tuple[str, Any]] = [
         ("step", f["step"]),
         ("mass", f["mass"]),
         ("attitude_gain", f["attitude"]["gain"]),
         ("attitude_limit", f["attitude"]["limit"]),
     ]
     for axis in f["axes"]:
-        found.append((axis["name"], axis["gains"]))
+        values.append((axis["name"], axis["gains"]))
         if "values" in axis["predictor"]:
-            found.append((f"{axis['name']}_predictor", axis["predictor"]["values"]))
+            values.append((f"{axis['name']}_predictor", axis["predictor"]["values"]))
         if axis["lead"] and not axis["scheduled"]:
-            found.append((f"{axis['name']}_lead", axis["lead"]["constants"]))
-    found += [(key, height[key]) for key in ("position", "up", "down", "velocity", "integral")]
-    found.append(("integral_limit", height["limit"]))
+            values.append((f"{axis['name']}_lead", axis["lead"]["constants"]))
+    values += [(key, height[key]) for key in ("position", "up", "down", "velocity", "integral")]
+    values.append(("integral_limit", height["limit"]))
     if height["lead"] and not schedule:
-        found.append(("altitude_lead", height["lead"]["constants"]))
+        values.append(("altitude_lead", height["lead"]["constants"]))
     if schedule:
-        found.append(("level_share", schedule["share"]))
-        found += [(f"{name}_level", rows) for name, rows in schedule["levels"].items()]
-        found += [("level_follow", schedule["follow"]), ("level_fine", schedule["fine"])]
-    found += [("throttle_min", allocation["low"]), ("throttle_max", allocation["high"]), ("hover", allocation["hover"])]
+        values.append(("level_share", schedule["share"]))
+        values += [(f"{name}_level", rows) for name, rows in schedule["levels"].items()]
+        values += [("level_follow", schedule["follow"]), ("level_fine", schedule["fine"])]
+    values += [
+        ("throttle_min", allocation["low"]),
+        ("throttle_max", allocation["high"]),
+        ("hover", allocation["hover"]),
+    ]
     if allocation["kind"] == "tilt":
-        found += [("idle", allocation["idle"]), ("hover_thrust", allocation["hover_thrust"])]
-        found += [("tilt_range", allocation["range"]), ("pitch_sign", allocation["pitch_sign"])]
+        values += [("idle", allocation["idle"]), ("hover_thrust", allocation["hover_thrust"])]
+        values += [("tilt_range", allocation["range"]), ("pitch_sign", allocation["pitch_sign"])]
     else:
-        found.append(("signs", allocation["signs"]))
-    found += [("thrust_low", f["thrust"]["low"]), ("thrust_span", f["thrust"]["span"])]
+        values.append(("signs", allocation["signs"]))
+    values += [("thrust_low", f["thrust"]["low"]), ("thrust_span", f["thrust"]["span"])]
     for number, curve in enumerate(f["thrust"]["curves"]):
-        found += [(f"curve_{number}_{key}", curve[key]) for key in ("thrust", "throttle", "slope")]
-    return found
+        values += [(f"curve_{number}_{key}", curve[key]) for key in ("thrust", "throttle", "slope")]
+    return values

@@ -86,21 +86,21 @@ def build_fmus(
 
 
 def _variables(vectors: Vectors, outputs: tuple[str, ...]) -> tuple[Variable, ...]:
-    found = [
+    variables = [
         Variable("on_ground", 1, "parameter", True, None, 0.0, 1.0, float(vectors.on_ground), "1: it starts standing")
     ]
     for name in INPUTS:
         unit, text = _INPUTS[name]
         start = 1.0 if name == "attitude_w" else vectors.burnt if name == "fuel_burnt" else 0.0
-        found.append(Variable(name, len(found) + 1, "input", False, unit, None, None, start, text))
+        variables.append(Variable(name, len(variables) + 1, "input", False, unit, None, None, start, text))
     for name in outputs:
         kind, _, rest = name.partition("_")
         unit, text = _OUTPUTS[kind]
         if name.startswith(("shown_rate_setpoint", "shown_predicted")):
             unit = "rad/s"
         text = f"{text} {rest.replace('_', ' ')}"
-        found.append(Variable(name, len(found) + 1, "output", False, unit, None, None, None, text))
-    return tuple(found)
+        variables.append(Variable(name, len(variables) + 1, "output", False, unit, None, None, None, text))
+    return tuple(variables)
 
 
 def _places(jets: int) -> list[str]:

@@ -94,10 +94,10 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
 
 
 def _figures(text: str) -> tuple[int, float, float]:
-    found = _TEST.search(text)
-    if found is None:
+    match = _TEST.search(text)
+    if match is None:
         raise InputError(f"the test program does not say what it found: {text[:200]!r}")
-    return int(found[1]), float(found[2]), float(found[3])
+    return int(match[1]), float(match[2]), float(match[3])
 
 
 def _static(cc: str, folder: Path, name: str, made: Path) -> tuple[int | None, int | None]:

@@ -82,11 +82,11 @@ class Listening:
         return self._inner.diagnostics
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
-        found, self._burnt = self._vectors, burnt
-        found.on_ground, found.burnt = on_ground, burnt
-        found.rows.clear()
-        found.start = self._inner.reset(on_ground, burnt)
-        return found.start
+        vectors, self._burnt = self._vectors, burnt
+        vectors.on_ground, vectors.burnt = on_ground, burnt
+        vectors.rows.clear()
+        vectors.start = self._inner.reset(on_ground, burnt)
+        return vectors.start
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
         if (injected.torque_command, injected.torque_output) != (ZERO3, ZERO3):

@@ -113,7 +113,9 @@ class Cascade:
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
         """At rest; the throttles of the start.  See :class:`cosim.base.protocols.Controller`."""
         self._forget(burnt)
-        told = [(axis, each, columns_of(each)) for axis, each in zip(AXES, self.rate.predictors, strict=True)]
+        told = [
+            (axis, predictor, columns_of(predictor)) for axis, predictor in zip(AXES, self.rate.predictors, strict=True)
+        ]
         self._shows = [] if self.own_rate is not None else [entry for entry in told if entry[2]]
         self.allocator.reset()
         self._reset_loops()

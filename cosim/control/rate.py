@@ -168,8 +168,8 @@ class RateAxis:
     @property
     def diagnostics(self) -> Diagnostics:
         """What is to be seen of the predictor's model; NaN where there is none."""
-        found: Diagnostics = getattr(self._predictor, "diagnostics", _NOTHING)
-        return found
+        diagnostics: Diagnostics = getattr(self._predictor, "diagnostics", _NOTHING)
+        return diagnostics
 
 
 class RateController:

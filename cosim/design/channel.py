@@ -127,9 +127,9 @@ class Channel:
         zeros, poles, pairs = [*body.zeros], [*body.poles, pole], [*body.zero_pairs]
         if any(shares[1:]):
             poles.append(0.0)
-            found = np.roots(shares)
-            zeros += [float(root.real) for root in found if not root.imag]
-            pairs += [(float(root.real), float(root.imag)) for root in found if root.imag > 0.0]
+            roots = np.roots(shares)
+            zeros += [float(root.real) for root in roots if not root.imag]
+            pairs += [(float(root.real), float(root.imag)) for root in roots if root.imag > 0.0]
         else:
             zeros.append(0.0)
         delay = body.delay_samples + self.rate_latency
@@ -202,22 +202,22 @@ def thrust_span(engine: EngineSpec) -> float:
 
 def hover_share(vehicle: Vehicle, engine: EngineSpec) -> float:
     """Share of its range at which each engine carries its part of the weight."""
-    each = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
-    return (each - engine.curve.thrust[0]) / thrust_span(engine)
+    thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
+    return (thrust - engine.curve.thrust[0]) / thrust_span(engine)
 
 
 def channels(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> dict[str, Channel]:
     """Roll, pitch, yaw and altitude of a vehicle with engines of these dynamics, at hover."""
-    found = {axis: _axis(axis, scenario, vehicle, engine, dynamics) for axis in AXES}
-    found["altitude"] = _altitude(scenario, vehicle, engine, dynamics)
-    return found
+    by_axis = {axis: _axis(axis, scenario, vehicle, engine, dynamics) for axis in AXES}
+    by_axis["altitude"] = _altitude(scenario, vehicle, engine, dynamics)
+    return by_axis
 
 
 def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
     index = AXES.index(axis)
     inertia = vehicle.inertia_kg_m2[index]
     span, jets = thrust_span(engine), vehicle.jets
-    each = vehicle.mass_kg * GRAVITY / len(jets)
+    thrust = vehicle.mass_kg * GRAVITY / len(jets)
     thrusts = axis == "roll" or vehicle.servo is None
     if vehicle.servo is None:
         lever = sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[index]) for jet in jets)
@@ -225,7 +225,7 @@ def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, d
     elif axis == "roll":
         moment = sum(abs(jet.position_m[1]) for jet in jets) * span
     else:  # the thrust of hover, turned
-        moment = abs(sum(jet.position_m[2] if axis == "pitch" else abs(jet.position_m[1]) for jet in jets)) * each
+        moment = abs(sum(jet.position_m[2] if axis == "pitch" else abs(jet.position_m[1]) for jet in jets)) * thrust
     room = _room(vehicle, engine) if thrusts else _servo_room(vehicle.servo)
     return Channel(
         axis,

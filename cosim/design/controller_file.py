@@ -89,26 +89,26 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
 
     Raises InputError that names the file and what is wrong with it, also for one that was made for another aircraft.
     """
-    found = validate(ControllerFile, read_toml(path), str(path))
-    PREDICTORS.find(found.controller, f"{path}: controller = {found.controller!r}")
-    made_for = found.design.aircraft
+    file = validate(ControllerFile, read_toml(path), str(path))
+    PREDICTORS.find(file.controller, f"{path}: controller = {file.controller!r}")
+    made_for = file.design.aircraft
     if aircraft is not None and aircraft_name(aircraft, folder) != made_for:
         flown = aircraft_name(aircraft, folder)
         raise InputError(f"{path}: designed for aircraft {made_for!r}, not for {flown!r}")
     if aircraft is None and made_for not in aircraft_names():
         raise InputError(f"{path}: designed for aircraft {made_for!r}, which is not shipped: name its folder as well")
     aircraft = aircraft or made_for
-    load_vehicle(aircraft, found.vehicle, f"{path}: vehicle", folder)
+    load_vehicle(aircraft, file.vehicle, f"{path}: vehicle", folder)
     original, _ = load_vehicle(aircraft, folder=folder)
-    control = found.vehicle.get("control", {})
+    control = file.vehicle.get("control", {})
     if "schedule" not in control and original.control.schedule:
         # from before there were schedules: its gains are for every thrust, and the aircraft's own factors not for them
-        without = merge(found.vehicle, {"control": {"schedule": False}})
-        found = found.model_copy(update={"vehicle": without})
-    if _older_than_banks(found, original):
-        without = merge(found.vehicle, {"servo": {"bank_inertia_kg_m2": 0.0}})
-        found = found.model_copy(update={"vehicle": without})
-    return found
+        without = merge(file.vehicle, {"control": {"schedule": False}})
+        file = file.model_copy(update={"vehicle": without})
+    if _older_than_banks(file, original):
+        without = merge(file.vehicle, {"servo": {"bank_inertia_kg_m2": 0.0}})
+        file = file.model_copy(update={"vehicle": without})
+    return file
 
 
 def _older_than_banks(file: ControllerFile, original: Vehicle) -> bool:
@@ -151,30 +151,30 @@ def differences(scenario: Scenario, path: Path) -> list[str]:
     spec = load_engine(
         str(scenario.engine), scenario.engine_parameters, scenario.step_s, unchecked=scenario.engine_unchecked
     )
-    found = []
+    lines = []
     if made.engine_sha256 not in (spec.identity, spec.sha256):
-        found.append(f"designed for engine {made.engine} ({made.engine_sha256[:12]}), flown with {spec.name} "
+        lines.append(f"designed for engine {made.engine} ({made.engine_sha256[:12]}), flown with {spec.name} "
                      f"({spec.identity[:12]})")  # fmt: skip
     elif any(spec.parameters.get(key) != value for key, value in made.engine_parameters.items()) or any(
         made.engine_parameters.get(key) != value for key, value in scenario.engine_parameters.items()
     ):
-        found.append(
+        lines.append(
             f"designed for engine parameters {made.engine_parameters or 'of its own'}, flown with "
             f"{dict(scenario.engine_parameters) or 'its own'}"
         )
     flown, given = _airframe(scenario.vehicle), _airframe(made.vehicle_changes)
     original, _ = load_vehicle(scenario.aircraft, folder=scenario.folder)
     if _older_than_banks(file, original) and flown.get("servo", {}).get("bank_inertia_kg_m2") == 0.0:
-        found.append(f"designed when {made.aircraft} had no reaction of its tilting banks: flown without it, "
+        lines.append(f"designed when {made.aircraft} had no reaction of its tilting banks: flown without it, "
                      "servo.bank_inertia_kg_m2 = 0")  # fmt: skip
         servo = {key: value for key, value in flown["servo"].items() if key != "bank_inertia_kg_m2"}
         flown = {key: value for key, value in flown.items() if key != "servo"} | ({"servo": servo} if servo else {})
     if flown != given:
-        found.append(f"designed for {made.aircraft} with {given or 'no changes'}, flown with {flown or 'none'}")
+        lines.append(f"designed for {made.aircraft} with {given or 'no changes'}, flown with {flown or 'none'}")
     for key in ("substeps", "added_delay_samples"):
         if getattr(scenario, key) != getattr(made, key):
-            found.append(f"designed for {key} = {getattr(made, key)}, flown with {getattr(scenario, key)}")
-    return found
+            lines.append(f"designed for {key} = {getattr(made, key)}, flown with {getattr(scenario, key)}")
+    return lines
 
 
 def _airframe(changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from cosim.design.design import Assessment, Design
 from cosim.spec.vehicle import RateModel
 
 
-def write_controller(found: Design, path: Path) -> None:
+def write_controller(design: Design, path: Path) -> None:
     """Write the controller file of a design.
 
     Raises FlightError if it cannot be written, InputError where no design was found.
@@ -25,16 +25,16 @@ def write_controller(found: Design, path: Path) -> None:
 
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(tomli_w.dumps(controller_table(found)), encoding="utf-8")
+        path.write_text(tomli_w.dumps(controller_table(design)), encoding="utf-8")
     except OSError as error:
         raise FlightError(f"{path}: {error.strerror or error}") from error
 
 
-def controller_table(found: Design) -> dict[str, Any]:
+def controller_table(design: Design) -> dict[str, Any]:
     """The file's content.  Raises InputError for a design that was not found."""
-    if not found.ok:
-        raise InputError(f"no acceptable design: {found.reason}")
-    chosen = {axis: each.after for axis, each in found.axes.items() if each.after is not None}
+    if not design.ok:
+        raise InputError(f"no acceptable design: {design.reason}")
+    chosen = {axis: axis_design.after for axis, axis_design in design.axes.items() if axis_design.after is not None}
     roll, altitude = chosen["roll"].tuning, chosen["altitude"].tuning
     vehicle: dict[str, Any] = {
         "control": {
@@ -51,29 +51,29 @@ def controller_table(found: Design) -> dict[str, Any]:
             "predictor": _all_rounded(roll.predictor.model_dump()),
         }
     }
-    leads = {axis: each.tuning.lead for axis, each in chosen.items()}
-    if any(leads.values()) or found.vehicle.control.lead is not None:
+    leads = {axis: axis_design.tuning.lead for axis, axis_design in chosen.items()}
+    if any(leads.values()) or design.vehicle.control.lead is not None:
         # false overrules a lead that the aircraft states
         vehicle["control"]["lead"] = {
             axis: {key: _rounded(value) for key, value in lead.model_dump(exclude_none=True).items()} if lead else False
             for axis, lead in leads.items()
         }
-    if found.schedule is not None:
-        vehicle["control"]["schedule"] = found.schedule.model_dump(mode="json", exclude_none=True)
-    elif found.vehicle.control.schedule:
+    if design.schedule is not None:
+        vehicle["control"]["schedule"] = design.schedule.model_dump(mode="json", exclude_none=True)
+    elif design.vehicle.control.schedule:
         vehicle["control"]["schedule"] = False  # overrules the aircraft's
     if PREDICTORS[roll.controller].needs_model:
         vehicle["identified"] = {
-            found.engine.family: {
-                axis: _model(found.axes[axis].channel, chosen[axis], found.model_source).model_dump()
+            design.engine.family: {
+                axis: _model(design.axes[axis].channel, chosen[axis], design.model_source).model_dump()
                 for axis in AXES
                 if PREDICTORS[chosen[axis].controller].needs_model
             }
         }
-    scenario, spec = found.scenario, found.engine
-    dynamics = found.axes["roll"].channel.actuator.dynamics
+    scenario, spec = design.scenario, design.engine
+    dynamics = design.axes["roll"].channel.actuator.dynamics
     purpose = Purpose(
-        aircraft=found.vehicle.name,
+        aircraft=design.vehicle.name,
         engine=spec.name,
         family=spec.family,
         engine_sha256=spec.identity,
@@ -82,22 +82,28 @@ def controller_table(found: Design) -> dict[str, Any]:
         step_s=scenario.step_s,
         substeps=scenario.substeps,
         added_delay_samples=scenario.added_delay_samples,
-        bank_inertia_kg_m2=found.vehicle.servo.bank_inertia_kg_m2 if found.vehicle.servo else None,
-        model=found.model_source,
+        bank_inertia_kg_m2=design.vehicle.servo.bank_inertia_kg_m2 if design.vehicle.servo else None,
+        model=design.model_source,
         misfit=_rounded(dynamics.misfit) if dynamics.unsure else None,
         unsure=[(_rounded(at), _rounded(share)) for at, share in dynamics.unsure] or None,
-        requirements=found.need,
-        axes={axis: _record(each.after, each.candidates) for axis, each in found.axes.items() if each.after},
+        requirements=design.need,
+        axes={
+            axis: _record(axis_design.after, axis_design.candidates)
+            for axis, axis_design in design.axes.items()
+            if axis_design.after
+        },
         levels=[
             LevelRecord(
-                fuel=each.level.fuel,
-                mass_kg=_rounded(each.level.mass_kg),
-                share=_rounded(each.level.share),
-                designed=each.designed,
-                held={axis: state.peak_sensitivity for axis, state in each.held.items() if state.peak_sensitivity},
-                axes={axis: _record(state) for axis, state in each.after.items() if state.stable},
+                fuel=axis_design.level.fuel,
+                mass_kg=_rounded(axis_design.level.mass_kg),
+                share=_rounded(axis_design.level.share),
+                designed=axis_design.designed,
+                held={
+                    axis: state.peak_sensitivity for axis, state in axis_design.held.items() if state.peak_sensitivity
+                },
+                axes={axis: _record(state) for axis, state in axis_design.after.items() if state.stable},
             )
-            for each in found.levels
+            for axis_design in design.levels
         ],
     )
     return {
@@ -108,7 +114,7 @@ def controller_table(found: Design) -> dict[str, Any]:
 
 
 def _all_rounded(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: _all_rounded(each) if isinstance(each, dict) else _rounded(each) for key, each in table.items()}
+    return {key: _all_rounded(value) if isinstance(value, dict) else _rounded(value) for key, value in table.items()}
 
 
 def _rounded(value: float) -> float:

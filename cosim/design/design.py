@@ -203,15 +203,15 @@ def design(
             f"outside {limits.throttle_min:g} to {limits.throttle_max:g}: it cannot be controlled, whatever the gains"
         )
     say(f"identifying {spec.name}")
-    found = identify_there(scenario, vehicle, spec, amplitude)
-    dynamics = Actuator.of(spec.name, dynamics_of(found, unsure))
+    identified = identify_there(scenario, vehicle, spec, amplitude)
+    dynamics = Actuator.of(spec.name, dynamics_of(identified, unsure))
     plants = channels(scenario, vehicle, spec, dynamics)
     given = read_models(model).get(spec.family, {}) if model else {}
     if model and not given:
         raise InputError(f"{model}: holds no model of {vehicle.name} with engine {spec.family!r}")
     for axis, table in given.items():
         plants[axis] = replace(plants[axis], identified=RateModel(**table))
-    source = f"{found.source}; with the airframe of {vehicle.name}"
+    source = f"{identified.source}; with the airframe of {vehicle.name}"
     begin = None if start is None else _begin(start, plants, scenario.aircraft, vehicle, spec)
     if begin is None:
         axes = _axes(plants, vehicle, spec, names, need, source, say, lead)
@@ -224,7 +224,7 @@ def design(
     if vehicle.fuel is not None and not reason and not model:
         there = _levels(scenario, vehicle, spec, dynamics, amplitude, unsure, say)
         plan, burning, reason = _burn(axes, there, need, begin, scheduled, say)
-    return Design(spec, vehicle, scenario, need, found, source, axes, burning, plan, reason, allowing)
+    return Design(spec, vehicle, scenario, need, identified, source, axes, burning, plan, reason, allowing)
 
 
 def needed(axis: str, need: Requirements) -> Requirements:
@@ -252,18 +252,22 @@ def _levels(
 
 def _burn(
     axes: Mapping[str, AxisDesign],
-    found: Sequence[Level],
+    levels: Sequence[Level],
     need: Requirements,
     begin: Mapping[str, Mapping[float, Tuning]] | None,
     scheduled: bool,
     say: Say,
 ) -> tuple[Schedule | None, list[LevelDesign], str]:
     """The schedule, where one is needed, every level, and what is wrong with them."""
-    full = {axis: each.after.tuning for axis, each in axes.items() if axis in LEVELLED and each.after is not None}
+    full = {
+        axis: axis_design.after.tuning
+        for axis, axis_design in axes.items()
+        if axis in LEVELLED and axis_design.after is not None
+    }
     step = axes["roll"].channel.step
-    fits = all(keeps(level.channels[axis], full[axis], needed(axis, need)) for level in found for axis in LEVELLED)
+    fits = all(keeps(level.channels[axis], full[axis], needed(axis, need)) for level in levels for axis in LEVELLED)
     held = [
-        {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in LEVELLED} for level in found
+        {axis: assess(level.channels[axis], full[axis], needed(axis, need)) for axis in LEVELLED} for level in levels
     ]
     known = {axis: dict((begin or {}).get(axis, {})) for axis in LEVELLED}
     designed = {*DESIGNED, *(fuel for of in known.values() for fuel in of)}
@@ -272,20 +276,20 @@ def _burn(
         if scheduled and not fits:
             for axis in LEVELLED:
                 say(f"{axis}: with less fuel")
-                own = follow(axis, found, full[axis], needed(axis, need), known[axis], designed)
+                own = follow(axis, levels, full[axis], needed(axis, need), known[axis], designed)
                 if own is None:
                     return None, [], f"{axis}: no gains keep the requirements with less fuel"
                 known[axis] = own
-            plan = schedule(found, known)
+            plan = schedule(levels, known)
         burning = []
-        for level, before in zip(found, held, strict=True):
+        for level, before in zip(levels, held, strict=True):
             acting, after = full, before
             if plan:
                 acting = at_share(plan, full, level.share, step)
                 after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
             kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
             burning.append(LevelDesign(level, level.fuel in designed, before, after, kept))
-        missed = {each.level.fuel for each in burning if plan and not all(each.kept.values())}
+        missed = {axis_design.level.fuel for axis_design in burning if plan and not all(axis_design.kept.values())}
         if missed <= designed:
             where = ", ".join(f"{fuel:.0%} of the fuel" for fuel in sorted(missed))
             return plan, burning, f"a requirement is missed by the schedule with {where}" if missed else ""
@@ -299,20 +303,20 @@ def _begin(
     file = read_controller(start, aircraft)
     stated = merge(file.vehicle, {"mass_kg": vehicle.mass_kg})
     designed, _ = load_vehicle(aircraft, stated, f"{start}: vehicle")
-    found: dict[str, dict[float, Tuning]] = {}
+    tunings: dict[str, dict[float, Tuning]] = {}
     for axis, channel in plants.items():
         own = shipped(channel, designed, spec)
-        found[axis] = {1.0: replace(own, controller=file.design.axes[axis].controller)}
+        tunings[axis] = {1.0: replace(own, controller=file.design.axes[axis].controller)}
     plan = designed.control.schedule
     if plan and designed.fuel:
         step = plants["roll"].step
-        full = {axis: found[axis][1.0] for axis in LEVELLED}
+        full = {axis: tunings[axis][1.0] for axis in LEVELLED}
         fuels = [level.fuel for level in file.design.levels if level.designed]
         for level, fuel in zip(reversed(plan.level), fuels, strict=False):
             there = at_share(plan, full, level.share, step)
             for axis in LEVELLED:
-                found[axis][fuel] = there[axis]
-    return found
+                tunings[axis][fuel] = there[axis]
+    return tunings
 
 
 def _again(
@@ -325,11 +329,11 @@ def _again(
     say: Say,
 ) -> dict[str, AxisDesign]:
     """Every axis from where a search begins, with the candidate that it has there."""
-    found: dict[str, AxisDesign] = {}
+    designs: dict[str, AxisDesign] = {}
     for axis in AXES:
         channel, asked, start = plants[axis], needed(axis, need), begin[axis][1.0]
         say(f"{axis}: {start.controller}")
-        roll = found["roll"].after if found else None
+        roll = designs["roll"].after if designs else None
         predictor = roll.tuning.predictor if roll else start.predictor
         start = replace(
             start, model=believed(channel, source), lead=lead_there(start.lead, channel), predictor=predictor
@@ -339,12 +343,12 @@ def _again(
         before = assess(channel, shipped(channel, vehicle, spec), asked)
         key = start.controller + (WITH_LEAD if start.lead else "")
         if tuned is None:
-            found[axis] = AxisDesign(channel, before, {key: inf}, None, {}, {})
+            designs[axis] = AxisDesign(channel, before, {key: inf}, None, {}, {})
             continue
         after = assess(channel, tuned, asked)
         value = objective(Closed(Points(channel, close=FINE), tuned))
-        found[axis] = AxisDesign(channel, before, {key: value}, after, {}, tolerance_checks(channel, tuned, asked))
-    return found
+        designs[axis] = AxisDesign(channel, before, {key: value}, after, {}, tolerance_checks(channel, tuned, asked))
+    return designs
 
 
 def believed(channel: Channel, source: str) -> RateModel:
@@ -417,18 +421,18 @@ def _axes(
     predictor = vehicle.control.predictor
     roll = _axis(plants["roll"], vehicle, spec, names, need, source, predictor, say, leads["roll"])
     chosen = roll.after.tuning if roll.after else None
-    found = {"roll": roll}
+    designs = {"roll": roll}
     for axis in AXES[1:]:
         channel = plants[axis]
         # jets that tilt give pitch and yaw by servo; rotors give them like roll, through the same predictor
         predicted = chosen is not None and axis != "altitude" and vehicle.servo is None
         names = (chosen.controller if predicted and chosen else BASELINE.name,)
         predictor = chosen.predictor if chosen else vehicle.control.predictor
-        found[axis] = _axis(
+        designs[axis] = _axis(
             channel, vehicle, spec, names, needed(axis, need), source, predictor, say, leads[axis],
             free=not predicted,
         )  # fmt: skip
-    return found
+    return designs
 
 
 def _axis(
@@ -570,13 +574,13 @@ def _limits(channel: Channel, after: Assessment, need: Requirements, lead: Engin
     if channel.identified is None:
         cases["lag"] = (channel.with_lags(0.0), free)
     cases["noise and saturation"] = (channel, free.model_copy(update={"noise_share": 1e6, "step_rad": 0.0}))
-    found = {}
+    limits = {}
     for what, (changed, needed) in cases.items():
         led = None if what == "lag" else kept
         tuned = tune(changed, after.controller, changed.model("without"), after.tuning, needed, lead=led)
         if isfinite(tuned.objective):
-            found[what] = Closed(Points(changed, close=FINE), tuned.tuning).bandwidth
-    return found
+            limits[what] = Closed(Points(changed, close=FINE), tuned.tuning).bandwidth
+    return limits
 
 
 def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> dict[str, bool]:
@@ -585,17 +589,17 @@ def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> di
     own = channel.actuator_delay
     delays = sorted({max(0.0, own - wide), own, own + wide, *_whole(own - wide, own + wide)})
     gains = np.linspace(1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance, GAINS)
-    found = {}
-    found[f"gain {gains[0]:.2f} to {gains[-1]:.2f} times delay {delays[0]:g} to {delays[-1]:g} samples"] = all(
+    checks = {}
+    checks[f"gain {gains[0]:.2f} to {gains[-1]:.2f} times delay {delays[0]:g} to {delays[-1]:g} samples"] = all(
         _stable(replace(channel.with_delay(delay), gain=channel.gain * gain), tuning)
         for delay in delays
         for gain in (gains if channel.identified is None else gains[GAINS // 2 : GAINS // 2 + 1])
     )
     if channel.identified is None:
-        found[f"lags of the {_what(channel)} 0.7 and 1.3 times"] = all(
+        checks[f"lags of the {_what(channel)} 0.7 and 1.3 times"] = all(
             _stable(channel.with_lags(factor), tuning) for factor in (0.7, 1.3)
         )
-    return found
+    return checks
 
 
 def _what(channel: Channel) -> str:
@@ -614,10 +618,10 @@ def _stable(channel: Channel, tuning: Tuning) -> bool:
 
 
 def _why_not(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
-    for axis, found in axes.items():
-        if found.after is None:
+    for axis, axis_design in axes.items():
+        if axis_design.after is None:
             bandwidth = f", {need.min_bandwidth_hz:g} Hz included" if axis in ("roll", "pitch") else ""
-            unsure = found.channel.actuator.dynamics.unsure_words()
+            unsure = axis_design.channel.actuator.dynamics.unsure_words()
             misfit = f", for every engine that differs from the model by {unsure}" if unsure else ""
             return f"{axis}: no gains keep the requirements{bandwidth}{misfit}"
     return ""
@@ -631,7 +635,7 @@ def _allowing(
     if roll.after is not None:
         return {}
     tried = dict.fromkeys((names[0], names[-1]))  # what takes least, and what takes most
-    found = {}
+    allowances = {}
     whole = channel.actuator_delay
 
     def works(changed: Channel) -> bool:
@@ -641,12 +645,12 @@ def _allowing(
 
     say("which delay would allow one")
     if whole > 0.0 and (share := _largest(lambda part: works(channel.with_delay(round(part * whole))))) is not None:
-        found["delay_s"] = round(share * whole) * channel.step
+        allowances["delay_s"] = round(share * whole) * channel.step
     if channel.identified is None:
         say("which lag would allow one")
         if (share := _largest(lambda part: works(channel.with_lags(part)))) is not None:
-            found["lag_factor"] = share
-    return found
+            allowances["lag_factor"] = share
+    return allowances
 
 
 def _largest(works: Callable[[float], bool]) -> float | None:

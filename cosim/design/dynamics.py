@@ -133,16 +133,16 @@ def fit_dynamics(response: FrequencyResponse, delay: float, lag: float) -> Dynam
     """
     best: Dynamics | None = None
     for form in FORMS:
-        found = _fit(response, form, delay, lag)
-        if best is None or (found.misfit < 0.7 * best.misfit and _runs(found)):
-            best = found
+        fit = _fit(response, form, delay, lag)
+        if best is None or (fit.misfit < 0.7 * best.misfit and _runs(fit)):
+            best = fit
         if best.misfit <= GOOD:
             break
     assert best is not None
     for form in WRONG_WAY if best.misfit > POOR else ():
-        found = _fit(response, form, delay, lag)
-        if found.misfit < 0.7 * best.misfit and _runs(found):
-            best = found
+        fit = _fit(response, form, delay, lag)
+        if fit.misfit < 0.7 * best.misfit and _runs(fit):
+            best = fit
     return best
 
 
@@ -173,9 +173,9 @@ def bounds(hertz: Array, off: Array) -> tuple[tuple[float, float], ...]:
     return tuple((float(f), float(x)) for f, x in zip(ends, share, strict=True))
 
 
-def _runs(found: Dynamics) -> bool:
+def _runs(dynamics: Dynamics) -> bool:
     """Whether a predictor can run it: two zeros that swing are a section with two poles that do."""
-    model = found.discrete("")
+    model = dynamics.discrete("")
     return len(model.zero_pairs) <= len(model.pole_pairs)
 
 
@@ -224,8 +224,8 @@ def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: fl
             x[free] = part
             return x
 
-        found = least_squares(lambda part: residuals(put(part)), start[free], bounds=(low[free], high[free]))
-        return float(found.cost), put(found.x)
+        solution = least_squares(lambda part: residuals(put(part)), start[free], bounds=(low[free], high[free]))
+        return float(solution.cost), put(solution.x)
 
     quick = 0.5 * response.step
     low = np.array([-60.0, log(1e-3), log(0.05), 0.0, log(1e-4), log(1e-4), log(0.01 * quick)])
@@ -241,9 +241,9 @@ def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: fl
     ]
     for damping, zero, last in starts:
         start = np.array([gain, log(2.0 / lag), log(damping), delay, log(zero * lag), log(last * lag), log(quick)])
-        found = fitted(np.clip(start, low + 1e-6, high - 1e-6), free)
-        if found[0] < best[0]:
-            best = found
+        solution = fitted(np.clip(start, low + 1e-6, high - 1e-6), free)
+        if solution[0] < best[0]:
+            best = solution
     # a delay is a whole number of samples: the whole one that leaves least
     whole = sorted({max(0, round(best[1][3]) + k) for k in range(-SEARCHED, SEARCHED + 1)})
     chosen: tuple[float, Array] = (inf, best[1])
@@ -251,9 +251,9 @@ def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: fl
     for samples in whole:
         fixed = best[1].copy()
         fixed[3] = samples
-        found = fitted(fixed, others)
-        if found[0] < chosen[0]:
-            chosen = found
+        solution = fitted(fixed, others)
+        if solution[0] < chosen[0]:
+            chosen = solution
     poles, zeros = parts(chosen[1])
     misfit = float(np.sqrt(np.mean(np.abs(error(chosen[1])) ** 2)))
     return Dynamics(poles, zeros, float(chosen[1][3]), response.step, misfit)

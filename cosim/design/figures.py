@@ -25,27 +25,29 @@ FAR = 3.0  # of Nyquist's plane
 TIMES = 25.0  # delays of the channel that are drawn in time
 
 
-def design_figures(found: Design) -> dict[str, Figure]:
+def design_figures(design: Design) -> dict[str, Figure]:
     """Plotly figures by name: ``bode_roll``, ``nyquist_roll``, ``sensitivity_roll``, ``step_roll``, ..."""
     figures: dict[str, Figure] = {}
-    for axis, each in found.axes.items():
-        loops = _loops(each)
+    for axis, axis_design in design.axes.items():
+        loops = _loops(axis_design)
         figures[f"bode_{axis}"] = _bode(loops)
-        figures[f"nyquist_{axis}"] = _nyquist(loops, found)
-        figures[f"sensitivity_{axis}"] = _sensitivity(loops, found)
-        figures[f"step_{axis}"] = _step(loops, each)
+        figures[f"nyquist_{axis}"] = _nyquist(loops, design)
+        figures[f"sensitivity_{axis}"] = _sensitivity(loops, design)
+        figures[f"step_{axis}"] = _step(loops, axis_design)
     return figures
 
 
-def _loops(each: AxisDesign) -> list[tuple[str, str, Closed, bool]]:
-    points = Points(each.channel, close=POINTS)
-    found = []
-    states: list[tuple[str, str, Tuning, bool]] = [("shipped", ORANGE, each.before.tuning, each.before.stable)]
-    if each.after is not None:
-        states.append(("designed", BLUE, each.after.tuning, each.after.stable))
+def _loops(axis_design: AxisDesign) -> list[tuple[str, str, Closed, bool]]:
+    points = Points(axis_design.channel, close=POINTS)
+    loops = []
+    states: list[tuple[str, str, Tuning, bool]] = [
+        ("shipped", ORANGE, axis_design.before.tuning, axis_design.before.stable)
+    ]
+    if axis_design.after is not None:
+        states.append(("designed", BLUE, axis_design.after.tuning, axis_design.after.stable))
     for label, colour, tuning, stable in states:
-        found.append((f"{label}, {tuning.controller}", colour, Closed(points, tuning), stable))
-    return found
+        loops.append((f"{label}, {tuning.controller}", colour, Closed(points, tuning), stable))
+    return loops
 
 
 def _hertz(loop: Closed) -> Array:
@@ -101,10 +103,10 @@ def _bode(loops: list[tuple[str, str, Closed, bool]]) -> Figure:
     return {"data": data, "layout": panels(460, "frequency [Hz]", ["|L| [dB]", "phase of L [deg]"], True)}
 
 
-def _nyquist(loops: list[tuple[str, str, Closed, bool]], found: Design) -> Figure:
+def _nyquist(loops: list[tuple[str, str, Closed, bool]], design: Design) -> Figure:
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
-    radius = 1.0 / found.need.max_sensitivity
-    data = [trace(f"|S| = {found.need.max_sensitivity:g}", RED, radius * np.cos(turn) - 1.0, radius * np.sin(turn))]
+    radius = 1.0 / design.need.max_sensitivity
+    data = [trace(f"|S| = {design.need.max_sensitivity:g}", RED, radius * np.cos(turn) - 1.0, radius * np.sin(turn))]
     for label, colour, loop, _ in loops:
         value = loop.open_loop
         near = np.where(np.abs(value) < 2.0 * FAR, value, np.nan)
@@ -116,10 +118,10 @@ def _nyquist(loops: list[tuple[str, str, Closed, bool]], found: Design) -> Figur
     return {"data": data, "layout": layout}
 
 
-def _sensitivity(loops: list[tuple[str, str, Closed, bool]], found: Design) -> Figure:
+def _sensitivity(loops: list[tuple[str, str, Closed, bool]], design: Design) -> Figure:
     data = []
     hertz = _hertz(loops[0][2])
-    limit = found.need.max_sensitivity
+    limit = design.need.max_sensitivity
     data.append(trace("limit", RED, hertz[[0, -1]], np.array([limit, limit]), line={"color": RED, "dash": "dash"}))
     for label, colour, loop, stable in loops:
         if stable:
@@ -130,22 +132,22 @@ def _sensitivity(loops: list[tuple[str, str, Closed, bool]], found: Design) -> F
     return {"data": data, "layout": layout}
 
 
-def _step(loops: list[tuple[str, str, Closed, bool]], each: AxisDesign) -> Figure:
+def _step(loops: list[tuple[str, str, Closed, bool]], axis_design: AxisDesign) -> Figure:
     data: list[Figure] = []
-    end = TIMES * each.channel.slowness_s
+    end = TIMES * axis_design.channel.slowness_s
     for label, colour, loop, stable in loops:
         if not stable:
             continue
         # every millisecond of a long response is more than a page shows
-        every = max(1, round(end / DRAWN / each.channel.step))
+        every = max(1, round(end / DRAWN / axis_design.channel.step))
         angle, load = loop.steps.angle[::every], loop.steps.load[::every]
-        time = np.arange(len(angle), dtype=np.float64) * every * each.channel.step
+        time = np.arange(len(angle), dtype=np.float64) * every * axis_design.channel.step
         keep = time <= end
         if not data:
             data.append(trace("set-point", GREY, time[keep][[0, -1]], np.ones(2)))
         data.append(trace(label, colour, time[keep], angle[keep]))
         if loop.tuning.gains.i:
             data.append(trace(label, colour, time[keep], load[keep], 1))
-    unit = "m" if each.channel.name == "altitude" else "rad"
-    titles = ["after a step of 1", f"{unit} per {each.channel.unit} of load"]
+    unit = "m" if axis_design.channel.name == "altitude" else "rad"
+    titles = ["after a step of 1", f"{unit} per {axis_design.channel.unit} of load"]
     return {"data": data, "layout": panels(420, "time [s]", titles, False)}

@@ -70,12 +70,12 @@ def levels(
 
     With less thrust in hover there is less room below it, for a step as for noise, and the requirements stay the same.
     """
-    found = []
+    designed = []
     for fuel in PROVED:
         there = lighter(vehicle, fuel)
         own = channels(scenario, there, spec, dynamics(there))
-        found.append(Level(fuel, there.mass_kg, hover_share(there, spec), {axis: own[axis] for axis in AXES}))
-    return found
+        designed.append(Level(fuel, there.mass_kg, hover_share(there, spec), {axis: own[axis] for axis in AXES}))
+    return designed
 
 
 def keeps(channel: Channel, tuning: Tuning, need: Requirements) -> bool:
@@ -96,7 +96,7 @@ def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
 
 
 def follow(
-    axis: str, found: Sequence[Level], full: Tuning, need: Requirements, begin: Mapping[float, Tuning],
+    axis: str, levels: Sequence[Level], full: Tuning, need: Requirements, begin: Mapping[float, Tuning],
     designed: Collection[float] = DESIGNED,
 ) -> dict[float, Tuning] | None:  # fmt: skip
     """A tuning at each level that is ``designed`` for, by its fuel; None where one cannot keep the requirements.
@@ -105,7 +105,7 @@ def follow(
     """
     tunings = {1.0: full}
     last = full
-    for level in found:
+    for level in levels:
         if level.fuel == 1.0 or level.fuel not in designed:
             continue
         channel = level.channels[axis]
@@ -120,9 +120,9 @@ def follow(
     return tunings
 
 
-def schedule(found: Sequence[Level], tunings: Mapping[str, Mapping[float, Tuning]]) -> Schedule:
+def schedule(levels: Sequence[Level], tunings: Mapping[str, Mapping[float, Tuning]]) -> Schedule:
     """The schedule of the tunings at each level, as a vehicle states it."""
-    rows = [level for level in reversed(found) if all(level.fuel in of for of in tunings.values())]
+    rows = [level for level in reversed(levels) if all(level.fuel in of for of in tunings.values())]
     return Schedule(
         filter_s=FILTER_S,
         level=[

@@ -47,7 +47,7 @@ class Proof:
                 f"{self.above:.2g}"
             )
         if self.flights:
-            kept = sum(not each.fault for each in self.flights)
+            kept = sum(not flight.fault for flight in self.flights)
             said.append(
                 f"flown in six degrees of freedom with noise and the engine itself: {kept} of {len(self.flights)} "
                 "flights kept what was promised (hover, doublet, gust; as designed and at the tolerances' corners)"

@@ -60,7 +60,7 @@ HOVER_S = 20.0
 Again = Callable[[tuple[tuple[float, float], ...]], Design]
 
 
-def proved(found: Design, say: Callable[[str], None] = lambda text: None, again: Again | None = None) -> Design:
+def proved(design: Design, say: Callable[[str], None] = lambda text: None, again: Again | None = None) -> Design:
     """A design that was checked against the engine's own response and flown; not acceptable where that failed.
 
     ``again`` makes another one for an engine that differs from its model by shares at frequencies
@@ -69,11 +69,11 @@ def proved(found: Design, say: Callable[[str], None] = lambda text: None, again:
 
     Raises InputError if a flight cannot be set up at all.
     """
-    if not found.ok:
-        return found
-    proof = prove(found, say)
+    if not design.ok:
+        return design
+    proof = prove(design, say)
     if not proof.unsure or again is None:
-        return replace(found, proof=proof, reason=proof.reason)
+        return replace(design, proof=proof, reason=proof.reason)
     say("again, for an engine that differs from its model as measured")
     other = again(proof.unsure)
     if not other.ok:
@@ -82,14 +82,14 @@ def proved(found: Design, say: Callable[[str], None] = lambda text: None, again:
     return replace(other, proof=proof, reason=proof.reason)
 
 
-def prove(found: Design, say: Callable[[str], None] = lambda text: None) -> Proof:
+def prove(design: Design, say: Callable[[str], None] = lambda text: None) -> Proof:
     """Check a design against the engine's measured response and fly it.
 
     Raises InputError if a flight cannot be set up at all.
     """
     proof = Proof("", np.nan, 0.0, 0.0, 0.0, ())
-    if found.identification is not None:
-        dynamics = found.axes["roll"].channel.actuator.dynamics
+    if design.identification is not None:
+        dynamics = design.axes["roll"].channel.actuator.dynamics
         if dynamics.misfit > MOST_MISFIT:
             why = (
                 f"no model follows the engine: the best one is {100.0 * dynamics.misfit:.0f} % off its response, and "
@@ -97,11 +97,11 @@ def prove(found: Design, say: Callable[[str], None] = lambda text: None) -> Proo
             )
             return replace(proof, reason=why)
         say("the engine past the crossover")
-        proof = _measured(found, dynamics)
+        proof = _measured(design, dynamics)
         if proof.reason:
             return proof
-    flights = _fly_all(found, say)
-    bad = [each for each in flights if each.fault]
+    flights = _fly_all(design, say)
+    bad = [flight for flight in flights if flight.fault]
     reason = ""
     if bad:
         more = f" (and {len(bad) - 1} of {len(flights)} flights more)" if len(bad) > 1 else ""
@@ -112,16 +112,18 @@ def prove(found: Design, say: Callable[[str], None] = lambda text: None) -> Proo
 # ---- the loop, with what was measured in place of the model
 
 
-def _measured(found: Design, dynamics: Dynamics) -> Proof:
-    step = found.scenario.step_s
+def _measured(design: Design, dynamics: Dynamics) -> Proof:
+    step = design.scenario.step_s
     loops = {
-        axis: (each.channel, each.after.tuning)
-        for axis, each in found.axes.items()
-        if each.after is not None and each.channel.unit != "rad" and each.channel.identified is None
+        axis: (axis_design.channel, axis_design.after.tuning)
+        for axis, axis_design in design.axes.items()
+        if axis_design.after is not None
+        and axis_design.channel.unit != "rad"
+        and axis_design.channel.identified is None
     }
     wide = {axis: Closed(Points(channel), tuning) for axis, (channel, tuning) in loops.items()}
     crossing = max(_crossover(closed) for closed in wide.values())
-    identification = found.identification
+    identification = design.identification
     assert identification is not None
     swept = identification.response
     reach = max(_crossover(closed, ABOVE) for closed in wide.values())  # a lead may hold the gain up far behind it
@@ -130,10 +132,13 @@ def _measured(found: Design, dynamics: Dynamics) -> Proof:
     size = identification.sweep.amplitude
     try:
         record = fly_sweep(
-            found.engine, throttle_for(found.engine, found.vehicle), Sweep(low, end, size, suitable_duration(low)), step
+            design.engine,
+            throttle_for(design.engine, design.vehicle),
+            Sweep(low, end, size, suitable_duration(low)),
+            step,
         )
     except EngineError as error:
-        raise InputError(f"sweep of {found.engine.name}: {error}") from error
+        raise InputError(f"sweep of {design.engine.name}: {error}") from error
     hertz: Array = np.asarray(np.fft.rfftfreq(len(record.output), step), np.float64)
     use = (hertz >= low) & (hertz <= end)
     hertz = hertz[use]
@@ -160,8 +165,8 @@ def _measured(found: Design, dynamics: Dynamics) -> Proof:
             f"{worst[0]}: around {worst[1]:.2g} Hz the engine's own response is so far from its model that the "
             f"loop may be unstable ({share:.2f} of what the small gain theorem allows, {SHARE_LEFT:g} at most)"
         )
-    elif peak > WORSE * found.need.max_sensitivity:
-        reason = f"with the engine's own response peak |S| is {peak:.2f}, {found.need.max_sensitivity:g} was asked for"
+    elif peak > WORSE * design.need.max_sensitivity:
+        reason = f"with the engine's own response peak |S| is {peak:.2f}, {design.need.max_sensitivity:g} was asked for"
     elif above > ABOVE:
         reason = f"beyond {end:.3g} Hz, where nothing is measured, the loop's gain is up to {above:.2g}"
     return Proof(reason, end, share, peak, above, (), unsure if reason else ())
@@ -176,25 +181,25 @@ def _crossover(closed: Closed, gain: float = 1.0) -> float:
 # ---- flights
 
 
-def _fly_all(found: Design, say: Callable[[str], None]) -> list[Flown]:
-    need, roll = found.need, found.axes["roll"]
+def _fly_all(design: Design, say: Callable[[str], None]) -> list[Flown]:
+    need, roll = design.need, design.axes["roll"]
     assert roll.after is not None
     later = floor(need.delay_samples(roll.channel))
     low, high = 1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance
     corners = dict.fromkeys([(1.0, 0), (low, 0), (high, 0), (low, later), (high, later)])
-    tables = _tables(found)
+    tables = _tables(design)
     flights: list[Flown] = []
     for gain, steps in corners:
         for name, table in tables.items():
             say(f"flight: {name}, gain {gain:.2f}, {steps} steps later")
-            flights.append(Flown(name, gain, steps, _flight(found, name, table, gain, steps)))
-        if any(each.fault for each in flights[-len(tables) :]):
+            flights.append(Flown(name, gain, steps, _flight(design, name, table, gain, steps)))
+        if any(flight.fault for flight in flights[-len(tables) :]):
             break  # one corner that fails is enough
     return flights
 
 
-def _tables(found: Design) -> dict[str, dict[str, Any]]:
-    roll = found.axes["roll"].after
+def _tables(design: Design) -> dict[str, dict[str, Any]]:
+    roll = design.axes["roll"].after
     assert roll is not None
     assert roll.bandwidth_hz is not None
     # a side lasts 3 s, or twenty time constants of a loop that is slower: it has arrived at its end
@@ -203,21 +208,21 @@ def _tables(found: Design) -> dict[str, dict[str, Any]]:
     doublet = merge(doublet, {"duration_s": 1.0 + 4.0 * width})
     doublet["command"] = [{**doublet["command"][0], "width_s": width}]
     hover = merge(read_toml(find_scenario("hover")), {"duration_s": max(HOVER_S, 2.0 * width)})
-    gust = read_toml(find_scenario("gust" if found.vehicle.mass_kg < LARGE_KG else "full-scale-gust"))
+    gust = read_toml(find_scenario("gust" if design.vehicle.mass_kg < LARGE_KG else "full-scale-gust"))
     return {"hover": hover, "doublet": doublet, "gust": gust}
 
 
-def _flight(found: Design, name: str, table: Mapping[str, Any], gain: float, later: int) -> str:
-    made, given = controller_table(found), found.scenario
-    inertia = [each / gain for each in found.vehicle.inertia_kg_m2]
+def _flight(design: Design, name: str, table: Mapping[str, Any], gain: float, later: int) -> str:
+    made, given = controller_table(design), design.scenario
+    inertia = [moment / gain for moment in design.vehicle.inertia_kg_m2]
     vehicle = merge(merge(table.get("vehicle", {}), given.vehicle), made["vehicle"])
     flown = {
         "name": f"proof-{name}",
-        "aircraft": found.vehicle.name,
+        "aircraft": design.vehicle.name,
         "engine": given.engine,
         "engine_parameters": dict(given.engine_parameters),
         "engine_unchecked": True,  # it was measured already
-        "engine_isolated": not found.engine.library,  # a crash or a hang is a reason, not an end
+        "engine_isolated": not design.engine.library,  # a crash or a hang is a reason, not an end
         "step_s": given.step_s,
         "substeps": given.substeps,
         "added_delay_samples": given.added_delay_samples,
@@ -229,7 +234,7 @@ def _flight(found: Design, name: str, table: Mapping[str, Any], gain: float, lat
     }
     scenario = Scenario.from_table({**table, **flown}, given.folder, f"proof: {name}")
     run = fly(scenario, report=False)
-    return fault_of(name, run, found.axes["roll"].after.overshoot or 0.0, 1.0 if (gain, later) == (1.0, 0) else CORNER)  # type: ignore[union-attr]
+    return fault_of(name, run, design.axes["roll"].after.overshoot or 0.0, 1.0 if (gain, later) == (1.0, 0) else CORNER)  # type: ignore[union-attr]
 
 
 def fault_of(name: str, run: Run, promised: float, wider: float) -> str:

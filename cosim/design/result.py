@@ -25,71 +25,71 @@ TEMPLATE = Path(__file__).parent / "templates" / PAGE
 NOTHING = 3.0  # %: less than this a search does not tell from its own error
 
 
-def write(found: Design, out: Path | None) -> dict[str, Path]:
+def write(design: Design, out: Path | None) -> dict[str, Path]:
     """Write the controller file, where there is a design, and the page beside it; say which files there are.
 
     Raises FlightError if a file cannot be written.
     """
     from cosim.flight import new_folder
 
-    name = f"{found.vehicle.name}-{found.engine.name}"
+    name = f"{design.vehicle.name}-{design.engine.name}"
     file = out if out is not None else new_folder(Path("runs"), f"design-{name}") / "controller.toml"
     paths = {}
     file.parent.mkdir(parents=True, exist_ok=True)
-    if found.ok:
-        write_controller(found, file)
+    if design.ok:
+        write_controller(design, file)
         paths["controller"] = file
     paths["report"] = file.with_suffix(".html") if out is not None else file.parent / PAGE
     render(
         TEMPLATE,
         paths["report"],
-        design_figures(found),
-        found=found,
-        lines=summary_lines(found),
+        design_figures(design),
+        found=design,
+        lines=summary_lines(design),
         columns=COLUMNS,
-        rows=rows(found),
-        axes=list(found.axes),
+        rows=rows(design),
+        axes=list(design.axes),
     )
     return paths
 
 
-def to_dict(found: Design, paths: Mapping[str, Path] | None = None) -> dict[str, Any]:
+def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str, Any]:
     """Everything but the curves, for JSON; None where something is not finite."""
-    identification = found.identification
+    identification = design.identification
     return {
-        "ok": found.ok,
-        "reason": found.reason,
-        "allowing": dict(found.allowing),
-        "aircraft": found.vehicle.name,
-        "engine": found.engine.name,
-        "engine_sha256": found.engine.identity,
-        "engine_parameters": dict(found.scenario.engine_parameters),
-        "controller": found.controller,
-        "requirements": found.need.model_dump(),
-        "model_source": found.model_source,
+        "ok": design.ok,
+        "reason": design.reason,
+        "allowing": dict(design.allowing),
+        "aircraft": design.vehicle.name,
+        "engine": design.engine.name,
+        "engine_sha256": design.engine.identity,
+        "engine_parameters": dict(design.scenario.engine_parameters),
+        "controller": design.controller,
+        "requirements": design.need.model_dump(),
+        "model_source": design.model_source,
         "identification": identification.to_dict() if identification else None,
-        "axes": {axis: _axis_dict(each) for axis, each in found.axes.items()},
+        "axes": {axis: _axis_dict(axis_design) for axis, axis_design in design.axes.items()},
         "levels": [
             {
-                "fuel": each.level.fuel,
-                "mass_kg": each.level.mass_kg,
-                "share": each.level.share,
-                "designed": each.designed,
-                "held": {axis: _assessment_dict(state) for axis, state in each.held.items()},
-                "after": {axis: _assessment_dict(state) for axis, state in each.after.items()},
-                "kept": dict(each.kept),
+                "fuel": axis_design.level.fuel,
+                "mass_kg": axis_design.level.mass_kg,
+                "share": axis_design.level.share,
+                "designed": axis_design.designed,
+                "held": {axis: _assessment_dict(state) for axis, state in axis_design.held.items()},
+                "after": {axis: _assessment_dict(state) for axis, state in axis_design.after.items()},
+                "kept": dict(axis_design.kept),
             }
-            for each in found.levels
+            for axis_design in design.levels
         ],
-        "schedule": found.schedule.model_dump(exclude_none=True) if found.schedule else None,
-        "file": controller_table(found) if found.ok else None,
-        "proof": finite(found.proof) if found.proof else None,
+        "schedule": design.schedule.model_dump(exclude_none=True) if design.schedule else None,
+        "file": controller_table(design) if design.ok else None,
+        "proof": finite(design.proof) if design.proof else None,
         "paths": {name: str(path) for name, path in (paths or {}).items()},
     }
 
 
-def _axis_dict(each: AxisDesign) -> dict[str, Any]:
-    channel = each.channel
+def _axis_dict(axis_design: AxisDesign) -> dict[str, Any]:
+    channel = axis_design.channel
     return {
         "command_unit": channel.unit,
         "gain": channel.gain,
@@ -101,19 +101,19 @@ def _axis_dict(each: AxisDesign) -> dict[str, Any]:
         "transport_delay_samples": channel.transport_samples,
         "all_delay_s": channel.slowness_s,
         "room": channel.room,
-        "before": _assessment_dict(each.before),
-        "after": _assessment_dict(each.after),
-        "candidates": {name: value if isfinite(value) else None for name, value in each.candidates.items()},
-        "bandwidth_without_hz": dict(each.limits),
-        "checks": dict(each.checks),
+        "before": _assessment_dict(axis_design.before),
+        "after": _assessment_dict(axis_design.after),
+        "candidates": {name: value if isfinite(value) else None for name, value in axis_design.candidates.items()},
+        "bandwidth_without_hz": dict(axis_design.limits),
+        "checks": dict(axis_design.checks),
     }
 
 
-def _assessment_dict(each: Assessment | None) -> dict[str, Any] | None:
-    if each is None:
+def _assessment_dict(assessment: Assessment | None) -> dict[str, Any] | None:
+    if assessment is None:
         return None
-    values = asdict(each)
-    tuning = each.tuning
+    values = asdict(assessment)
+    tuning = assessment.tuning
     values["tuning"] = {
         "attitude_gain_1_s": tuning.angle_gain,
         "rate": tuning.gains.model_dump(),
@@ -127,49 +127,51 @@ def _assessment_dict(each: Assessment | None) -> dict[str, Any] | None:
 # ---- words and tables
 
 
-def summary_lines(found: Design) -> list[str]:
+def summary_lines(design: Design) -> list[str]:
     """What a person has to know, a sentence each."""
-    lines = [*_model_lines(found)]
-    if not found.ok:
-        lines.append(f"no acceptable design: {found.reason}")
-        lines += found.proof.lines() if found.proof else []
-        lines += _allowing_lines(found)
+    lines = [*_model_lines(design)]
+    if not design.ok:
+        lines.append(f"no acceptable design: {design.reason}")
+        lines += design.proof.lines() if design.proof else []
+        lines += _allowing_lines(design)
         return lines
-    roll = found.axes["roll"]
+    roll = design.axes["roll"]
     assert roll.after is not None
-    lines.append(f"controller: {found.controller}; {_compared(roll)}")
+    lines.append(f"controller: {design.controller}; {_compared(roll)}")
     lines += [
-        f"{axis}: {_lead_words(each.after.tuning.lead)}"
-        for axis, each in found.axes.items()
-        if each.after is not None and each.after.tuning.lead is not None
+        f"{axis}: {_lead_words(axis_design.after.tuning.lead)}"
+        for axis, axis_design in design.axes.items()
+        if axis_design.after is not None and axis_design.after.tuning.lead is not None
     ]
     lines += _limit_lines(roll)
-    lines.append(_reach(found))
-    lines += _level_lines(found)
-    for axis, each in found.axes.items():
-        lines += [f"{axis}: {'stable' if fine else 'NOT stable'} for {what}" for what, fine in each.checks.items()]
-    return [*lines, *(found.proof.lines() if found.proof else [])]
+    lines.append(_reach(design))
+    lines += _level_lines(design)
+    for axis, axis_design in design.axes.items():
+        lines += [
+            f"{axis}: {'stable' if fine else 'NOT stable'} for {what}" for what, fine in axis_design.checks.items()
+        ]
+    return [*lines, *(design.proof.lines() if design.proof else [])]
 
 
-def _model_lines(found: Design) -> list[str]:
+def _model_lines(design: Design) -> list[str]:
     lines = []
-    roll = found.axes["roll"].channel
-    if found.identification is not None:
+    roll = design.axes["roll"].channel
+    if design.identification is not None:
         dynamics = roll.actuator.dynamics
         lines.append(
-            f"engine {found.engine.name}: {dynamics.words()}, delay {dynamics.delay_samples:.4g} samples "
-            f"({1e3 * dynamics.delay_samples * dynamics.step:.4g} ms); {found.identification.source}"
+            f"engine {design.engine.name}: {dynamics.words()}, delay {dynamics.delay_samples:.4g} samples "
+            f"({1e3 * dynamics.delay_samples * dynamics.step:.4g} ms); {design.identification.source}"
         )
         lines.append(
             f"the model is within {100.0 * dynamics.misfit:.2g} % of the response (1 % is 1 % or 0.6 deg), coherence "
-            f"at least {found.identification.response.coherence.min():.4f}"
+            f"at least {design.identification.response.coherence.min():.4f}"
         )
         if dynamics.unsure:
             lines.append(
                 f"designed for every engine that differs from the model by {dynamics.unsure_words()}: peak |S| and "
                 "what is tolerated are the worst among them"
             )
-        lines += [f"note: {note}" for note in found.identification.notes]
+        lines += [f"note: {note}" for note in design.identification.notes]
     lines.append(
         f"roll: {roll.gain:.4g} rad/s^2 per unit of share, all delay {1e3 * roll.slowness_s:.4g} ms "
         f"at low frequency, {roll.room:.2f} of share to either side at hover"
@@ -213,11 +215,11 @@ def _limit_lines(roll: AxisDesign) -> list[str]:
     return lines
 
 
-def _level_lines(found: Design) -> list[str]:
+def _level_lines(design: Design) -> list[str]:
     """What burning the fuel does, and what answers it."""
-    if not found.levels:
+    if not design.levels:
         return []
-    least = found.levels[-1]
+    least = design.levels[-1]
     held = ", ".join(
         f"{axis} {state.peak_sensitivity:.2f}" if state.peak_sensitivity else f"{axis} unstable"
         for axis, state in least.held.items()
@@ -225,11 +227,11 @@ def _level_lines(found: Design) -> list[str]:
     said = (
         f"with an empty tank ({least.level.mass_kg:.4g} kg) the gains of a full one have a peak sensitivity of {held}"
     )
-    if found.schedule is None:
+    if design.schedule is None:
         return [f"{said}; they are kept"]
-    shares = " to ".join(f"{each.share:.3f}" for each in (found.schedule.level[0], found.schedule.level[-1]))
+    shares = " to ".join(f"{level.share:.3f}" for level in (design.schedule.level[0], design.schedule.level[-1]))
     between = [
-        state.peak_sensitivity or inf for each in found.levels if not each.designed for state in each.after.values()
+        state.peak_sensitivity or inf for level in design.levels if not level.designed for state in level.after.values()
     ]
     return [
         f"{said}: gains and leads follow the collective from {shares} of the engines' range"
@@ -241,30 +243,30 @@ def _level_lines(found: Design) -> list[str]:
     ]
 
 
-def _reach(found: Design) -> str:
-    roll = found.axes["roll"]
+def _reach(design: Design) -> str:
+    roll = design.axes["roll"]
     after = roll.after
     assert after is not None
     assert after.step_peak is not None
-    rate = found.vehicle.control.attitude.rate_limit_rad_s[0] / after.tuning.angle_gain
+    rate = design.vehicle.control.attitude.rate_limit_rad_s[0] / after.tuning.angle_gain
     return (
         f"a roll step asks for the whole share from {degrees(roll.channel.room / after.step_peak):.0f} deg on, "
         f"and for the limit of the rate from {degrees(rate):.0f} deg on"
     )
 
 
-def _allowing_lines(found: Design) -> list[str]:
+def _allowing_lines(design: Design) -> list[str]:
     lines = []
-    if "delay_s" in found.allowing:
-        lines.append(f"with a delay of at most {1e3 * found.allowing['delay_s']:.4g} ms there would be one")
-    if "lag_factor" in found.allowing:
-        part = found.allowing["lag_factor"]
+    if "delay_s" in design.allowing:
+        lines.append(f"with a delay of at most {1e3 * design.allowing['delay_s']:.4g} ms there would be one")
+    if "lag_factor" in design.allowing:
+        part = design.allowing["lag_factor"]
         lines.append(
             f"with an engine {1.0 / part:.2g} times as fast there would be one"
             if part
             else "without any lag of the engine there would be one"
         )
-    if not found.allowing and found.axes["roll"].after is None:
+    if not design.allowing and design.axes["roll"].after is None:
         lines.append("neither less delay nor less lag of the engine alone would allow one")
     return lines
 
@@ -288,18 +290,18 @@ COLUMNS = (
 )
 
 
-def rows(found: Design) -> list[list[str]]:
+def rows(design: Design) -> list[list[str]]:
     """Before and after of every channel, and while fuel burns, as :data:`COLUMNS`."""
     table = []
-    for axis, each in found.axes.items():
-        for when, state in (("shipped", each.before), ("designed", each.after)):
+    for axis, axis_design in design.axes.items():
+        for when, state in (("shipped", axis_design.before), ("designed", axis_design.after)):
             if state is not None:
                 table.append([f"{axis}, {when}", *_cells(state)])
-    for level in found.levels:
+    for level in design.levels:
         for axis in level.held:
             where = f"{axis}, {level.level.fuel:.0%} of fuel"
             table.append([f"{where}, held", *_cells(level.held[axis])])
-            if found.schedule is not None:
+            if design.schedule is not None:
                 table.append([f"{where}, scheduled", *_cells(level.after[axis])])
     return table
 

@@ -169,8 +169,8 @@ class Space:
             columns = np.hstack([columns, power @ columns])
             power = power @ power
             wide *= 2
-        found = (rows.reshape(count * 2, n + 2) @ columns).reshape(count, 2, wide, 2)
-        angle, command = found[:, 0], found[:, 1]
+        states = (rows.reshape(count * 2, n + 2) @ columns).reshape(count, 2, wide, 2)
+        angle, command = states[:, 0], states[:, 1]
         # a load at the plant's input comes as late as a command; the transition has it act at once, with fewer states
         load = np.concatenate([np.zeros(self._late), angle[..., LOAD].T.ravel()])
         return Steps(

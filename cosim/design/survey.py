@@ -66,13 +66,13 @@ def add_to_page(page: Path, row: Row) -> None:
 
 
 def _one(path: Path, controller: str, limit: float, folder: Path) -> tuple[str, str, str, str]:
-    status, found, said = _run(["fmu", "check", str(path), "--json", "--out", str(folder / "check")], limit)
+    status, report, said = _run(["fmu", "check", str(path), "--json", "--out", str(folder / "check")], limit)
     if status == 2:
         return said, "", "", REFUSED
-    if found is None:
+    if report is None:
         return said, "", "", FAULT
-    if not found["ok"]:
-        return found["problems"][0], "", "", UNFIT
+    if not report["ok"]:
+        return report["problems"][0], "", "", UNFIT
     asked = ["design", "--engine", str(path), "--controller", controller, "--json", "--out", str(folder / "made.toml")]
     status, made, said = _run(asked, limit)
     if status == 2:
@@ -86,11 +86,11 @@ def judged(made: dict[str, Any]) -> tuple[str, str, str]:
     """A design as ``--json`` prints it: the design, the proof and the verdict in words."""
     proof, roll = made["proof"], made["axes"]["roll"]["after"]
     flights = proof["flights"] if proof else []
-    kept = f"{sum(not each['fault'] for each in flights)} of {len(flights)}" if flights else ""
+    kept = f"{sum(not flight['fault'] for flight in flights)} of {len(flights)}" if flights else ""
     if not made["ok"]:
         return made["reason"], kept, NONE
     design = f"{made['controller']}, {roll['bandwidth_hz']:.2g} Hz, peak |S| {roll['peak_sensitivity']:.2f}"
-    return design, kept, FLIES if flights and all(not each["fault"] for each in flights) else NONE
+    return design, kept, FLIES if flights and all(not flight["fault"] for flight in flights) else NONE
 
 
 def _run(arguments: Sequence[str], limit: float) -> tuple[int, dict[str, Any] | None, str]:

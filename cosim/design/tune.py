@@ -121,7 +121,7 @@ class Box:
         ends = [(0.05, 3.0), (0.1, 6.0), (0.003, 1.0), (0.003, 3.0)]
         self._spec = PREDICTORS[controller]
         self._own = self._spec.parameters if predictor else ()
-        ends += [each.search for each in self._own]
+        ends += [knob.search for knob in self._own]
         if lead is not None:
             most = 0.5 / channel.step / lead.natural_rad_s
             ends.append((1.0, max(1.1, min(FASTEST_LEAD, most))))
@@ -143,7 +143,7 @@ class Box:
             tau = max(tau + lead_delay(lead), (0.5 + self._channel.transport_samples) * self._channel.step)
             tau = max(tau, 1.0 / lead.pole_rad_s)
         k, p, i, d = value[:4] * np.array([1.0 / tau, 1.0 / (self._channel.gain * tau), 1.0 / tau, tau])
-        own = {each.name: float(x) * each.scale(tau) for each, x in zip(self._own, value[4:], strict=False)}
+        own = {knob.name: float(x) * knob.scale(tau) for knob, x in zip(self._own, value[4:], strict=False)}
         predictor = self._spec.tuned(self._fixed.predictor, own)
         smooth = _smooth(float(d), self._channel.step) if d else self._fixed.gains.d_filter_s
         gains = self._fixed.gains.model_copy(
@@ -210,9 +210,9 @@ def tune(
     for size in (0.1, 0.03):  # a simplex that has shrunk on an edge starts again
         simplex = np.vstack([x, x + size * np.eye(len(x))])
         options = {"maxfev": ROUNDS, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
-        found = minimize(cost, x, method="Nelder-Mead", options=options)
-        if found.fun < value:
-            x, value = found.x, float(found.fun)
+        optimum = minimize(cost, x, method="Nelder-Mead", options=options)
+        if optimum.fun < value:
+            x, value = optimum.x, float(optimum.fun)
     fine = Points(channel, close=FINE)
     for point in (x, feasible[1]):
         if point is not None:
@@ -246,8 +246,8 @@ def settle(
                 trial = {**values, name: _beside(values[name], way)}
                 if (value := cost(trial)) < best - LEAST_GAIN:
                     values, best, moved = trial, value, True
-    found = _written(start, values, channel.step, level)
-    return found if acceptable(Closed(Points(channel, close=FINE), found), need) else None
+    tuning = _written(start, values, channel.step, level)
+    return tuning if acceptable(Closed(Points(channel, close=FINE), tuning), need) else None
 
 
 def near(
@@ -275,9 +275,9 @@ def near(
     for size in (0.1, 0.03):
         simplex = np.vstack([x, x + size * np.eye(len(x))])
         options = {"maxfev": ROUNDS, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
-        found = minimize(cost, x, method="Nelder-Mead", options=options)
-        if found.fun < value:
-            x, value = found.x, float(found.fun)
+        optimum = minimize(cost, x, method="Nelder-Mead", options=options)
+        if optimum.fun < value:
+            x, value = optimum.x, float(optimum.fun)
     there = settle(channel, at(x), need, predictor, level)
     # from far off the requirements, digit by digit would be a long way
     fine = Points(channel, close=FINE)
@@ -308,20 +308,20 @@ def _beside(number: Digits, way: int) -> Digits:
 def _searched(tuning: Tuning, predictor: bool) -> dict[str, float]:
     """What is searched on a channel, by name; a part that is 0 is not there and stays away."""
     gains = tuning.gains
-    found = {"angle_gain": tuning.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
+    values = {"angle_gain": tuning.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
     if predictor:
         own = PREDICTORS[tuning.controller].own(tuning.predictor)
-        found |= {PREDICTOR + name: value for name, value in own.items()}
+        values |= {PREDICTOR + name: value for name, value in own.items()}
     if tuning.lead is not None:
-        found["pole_rad_s"] = tuning.lead.pole_rad_s
-    return {name: value for name, value in found.items() if value > 0.0}
+        values["pole_rad_s"] = tuning.lead.pole_rad_s
+    return {name: value for name, value in values.items() if value > 0.0}
 
 
 def _written(start: Tuning, values: Mapping[str, Digits], step: float, level: bool) -> Tuning:
     """``start`` with numbers of three digits in place of those that were searched."""
-    found = _with(start, {name: _number(number) for name, number in values.items()}, step, level)
-    smooth = _number(digits(found.gains.d_filter_s))
-    return found if level else replace(found, gains=found.gains.model_copy(update={"d_filter_s": smooth}))
+    tuning = _with(start, {name: _number(number) for name, number in values.items()}, step, level)
+    smooth = _number(digits(tuning.gains.d_filter_s))
+    return tuning if level else replace(tuning, gains=tuning.gains.model_copy(update={"d_filter_s": smooth}))
 
 
 def _with(start: Tuning, value: Mapping[str, float], step: float, level: bool) -> Tuning:
@@ -329,7 +329,7 @@ def _with(start: Tuning, value: Mapping[str, float], step: float, level: bool) -
     gains: dict[str, float] = {name: value[name] for name in ("p", "i", "d") if name in value}
     if "d" in gains and not level:
         gains["d_filter_s"] = _smooth(gains["d"] / gains["p"], step)
-    own = {name.removeprefix(PREDICTOR): each for name, each in value.items() if name.startswith(PREDICTOR)}
+    own = {name.removeprefix(PREDICTOR): value_of for name, value_of in value.items() if name.startswith(PREDICTOR)}
     predictor, lead = PREDICTORS[start.controller].tuned(start.predictor, own), start.lead
     if lead is not None and "pole_rad_s" in value:
         lead = lead.model_copy(update={"pole_rad_s": value["pole_rad_s"]})

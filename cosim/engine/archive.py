@@ -195,7 +195,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
     _need_library(names, fmi, slave.modelIdentifier)
     _read_unsigned(root, description)
     bases = _bases(description)
-    elements = [each for v in description.modelVariables if v.type in TYPES for each in _elements(v, bases)]
+    elements = [element for v in description.modelVariables if v.type in TYPES for element in _elements(v, bases)]
     inputs, outputs, parameters = (
         tuple(v for v in elements if v.causality == causality) for causality in ("input", "output", "parameter")
     )
@@ -250,7 +250,7 @@ def equations_of(data: bytes, root: ElementTree.Element, description: Any) -> st
     for name, text in own_sources(data):
         digest.update(f"{name}\0".encode() + text + b"\0")
     for v in sorted(description.modelVariables, key=lambda v: str(v.name)):
-        digest.update(repr([str(each) for each in (v.name, v.causality, v.start, v.min, v.max, v.unit)]).encode())
+        digest.update(repr([str(part) for part in (v.name, v.causality, v.start, v.min, v.max, v.unit)]).encode())
     return digest.hexdigest()
 
 
@@ -277,7 +277,9 @@ def left_alone(inputs: Sequence[Variable], ports: Mapping[str, Port], begin: Sta
 
 def _read_unsigned(root: ElementTree.Element, description: Any) -> None:
     """Fill in the limits of FMI 3.0's unsigned variables, which FMPy leaves out."""
-    stated = {each.get("name"): each for each in root.iterfind("ModelVariables/*") if each.tag.startswith("UInt")}
+    stated = {
+        element.get("name"): element for element in root.iterfind("ModelVariables/*") if element.tag.startswith("UInt")
+    }
     for v in description.modelVariables:
         if v.name in stated:
             v.min, v.max = (stated[v.name].get(key) for key in ("min", "max"))
@@ -289,21 +291,21 @@ def _need_library(names: list[str], fmi: int, identifier: str) -> None:
     needed = f"binaries/{platform_folder(fmi)}/{identifier}{fmpy.sharedLibraryExtension}"
     if needed in names:
         return
-    found = {PurePosixPath(name).parts[1] for name in names if name.startswith("binaries/") and name.count("/") > 1}
-    has = ", ".join(sorted(found)) or "no binary at all"
+    platforms = {PurePosixPath(name).parts[1] for name in names if name.startswith("binaries/") and name.count("/") > 1}
+    has = ", ".join(sorted(platforms)) or "no binary at all"
     more = "; it has sources: hexjet fmu compile makes one of them" if has_sources(names) else ""
     raise UnusableError(f"has no binary for this machine, {needed} (it has: {has}){more}")
 
 
 def _bases(description: Any) -> dict[str, Unit]:
     """What the description says of its units, in SI base units."""
-    found = {}
+    bases = {}
     for unit in description.unitDefinitions:
         base = unit.baseUnit
         if base is not None:
             exponents = (base.kg, base.m, base.s, base.A, base.K, base.mol, base.cd, base.rad)
-            found[unit.name] = Unit(exponents, float(base.factor), float(base.offset))
-    return found
+            bases[unit.name] = Unit(exponents, float(base.factor), float(base.offset))
+    return bases
 
 
 def _elements(v: Any, bases: Mapping[str, Unit]) -> list[Variable]:

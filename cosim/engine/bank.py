@@ -86,7 +86,7 @@ class EngineBank:
         self._used = True
         count = len(self._specs)
         throttles = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * count
-        airs = [each.air for each in self._specs]
+        airs = [spec.air for spec in self._specs]
         if ambient:
             airs = [Air(ambient.pressure, ambient.temperature, speed) for speed in ambient.air_speed]
         if len(throttles) != count or len(airs) != count:

@@ -175,13 +175,13 @@ def _flame_out(table: dict[str, Any]) -> dict[str, float]:
             raise _WrongError(f"flame_out.electric = {table['electric']!r}: allowed: true")
         return {"electric": True}
     _keys("flame_out", table, {*FLAME_OUT, "electric"}, set(FLAME_OUT))
-    found = {key: _number(f"flame_out.{key}", table[key]) for key in FLAME_OUT}
-    for key, value in found.items():
+    numbers = {key: _number(f"flame_out.{key}", table[key]) for key in FLAME_OUT}
+    for key, value in numbers.items():
         if key == "thrust_left" and not 0.0 <= value <= 1.0:
             raise _WrongError(f"flame_out.{key} = {value}: must be from 0 to 1")
         if key != "thrust_left" and not value > 0.0:
             raise _WrongError(f"flame_out.{key} = {value}: must be above 0")
-    return found
+    return numbers
 
 
 def _need_variable(
@@ -189,13 +189,13 @@ def _need_variable(
 ) -> None:
     """Refuse a port or ledger entry that names no variable of its kind, or one in another unit."""
     kind = [v for v in variables if v.causality == causality]
-    found = next((v for v in kind if v.name == name), None)
-    if found is None:
+    variable = next((v for v in kind if v.name == name), None)
+    if variable is None:
         article = "a" if causality == "parameter" else "an"
         allowed = ", ".join(v.name for v in kind) or "none is stated"
         raise _WrongError(f"{where} = {name!r}: must name {article} {causality} (allowed: {allowed})")
-    if unit is not None and found.unit != unit:
-        raise _WrongError(f"variables.{name}.unit = {found.unit!r}: the port {where} is in {unit}")
+    if unit is not None and variable.unit != unit:
+        raise _WrongError(f"variables.{name}.unit = {variable.unit!r}: the port {where} is in {unit}")
 
 
 def _variable(name: str, reference: int, table: dict[str, Any]) -> Variable:
@@ -646,5 +646,5 @@ def _output_to(descriptor: int) -> Iterator[None]:
     finally:
         os.dup2(saved[0], 1)
         os.dup2(saved[1], 2)
-        for each in saved:
-            os.close(each)
+        for event in saved:
+            os.close(event)

@@ -60,17 +60,17 @@ def compile_archive(path: Path, out: Path | None = None) -> Path:
             fmu.extractall(folder)
         _build(path, folder)
         binaries = Path(folder) / "binaries" / platform_folder(2 if description.fmiVersion == "2.0" else 3)
-        made = sorted(each for each in binaries.glob("*") if each.is_file()) if binaries.is_dir() else []
+        made = sorted(file for file in binaries.glob("*") if file.is_file()) if binaries.is_dir() else []
         if not made:
             raise InputError(f"{path}: its sources make no library")
         try:
             with replacing(target) as copy:
                 copy.write_bytes(data)
                 with zipfile.ZipFile(copy, "a", zipfile.ZIP_DEFLATED) as fmu:
-                    for each in made:
-                        name = each.relative_to(folder).as_posix()
+                    for file in made:
+                        name = file.relative_to(folder).as_posix()
                         if name not in names:
-                            fmu.write(each, name)
+                            fmu.write(file, name)
         except OSError as error:
             raise InputError(f"{target}: {error.strerror or error}") from error
     return target

@@ -46,13 +46,13 @@ def one_line(error: object) -> str:
 def read_bytes(path: Path) -> bytes:
     """The file's contents.  Raises UnusableError if it is missing, no ordinary file, or larger than ``MOST_PACKED``."""
     try:
-        found = path.stat()
-        if stat.S_ISDIR(found.st_mode):
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
             raise UnusableError("is a folder; an .fmu archive is needed")
-        if not stat.S_ISREG(found.st_mode):
+        if not stat.S_ISREG(status.st_mode):
             raise UnusableError("is not an ordinary file; an .fmu archive is needed")
-        if found.st_size > MOST_PACKED:
-            raise UnusableError(f"is {_size(found.st_size)} large; an engine may have {_size(MOST_PACKED)}")
+        if status.st_size > MOST_PACKED:
+            raise UnusableError(f"is {_size(status.st_size)} large; an engine may have {_size(MOST_PACKED)}")
         return path.read_bytes()
     except FileNotFoundError as error:
         raise UnusableError("no such file") from error

@@ -113,7 +113,7 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
     for level in ("rate", "attitude", "predictor"):
         outs |= {plain(name): name for name in wire.output_names(level, 1, True)}
     outputs = _found(by_cause["output"], outs, stated, by_name, "output")
-    level = next((found for name, found in wire.LEVEL_BY_OUTPUT.items() if name in outputs), "")
+    level = next((known_level for name, known_level in wire.LEVEL_BY_OUTPUT.items() if name in outputs), "")
     if not level:
         raise UnusableError(
             f"is no controller: it has no output {', '.join(wire.LEVEL_BY_OUTPUT)}; a mapping file {path.name}.toml "
@@ -179,11 +179,11 @@ def _found(
     cause: str,
 ) -> dict[str, Any]:
     """Ports by their names; those stated before those found."""
-    found = {known[plain(v.name)]: v for v in variables if plain(v.name) in known}
+    ports = {known[plain(v.name)]: v for v in variables if plain(v.name) in known}
     for port, name in stated.items():
         if port in known.values() and name in by_name and by_name[name].causality == cause:
-            found[port] = by_name[name]
-    return found
+            ports[port] = by_name[name]
+    return ports
 
 
 def command(path: Path) -> list[str]:
@@ -250,11 +250,11 @@ def serve(path: str) -> None:
 
 def _by_type(keys: list[Any], variables: Sequence[Any]) -> list[tuple[str, list[Any], list[int]]]:
     """Types, and for each its keys and value references."""
-    found = []
+    groups = []
     for kind in dict.fromkeys(v.type for v in variables):
         pairs = [(key, v.valueReference) for key, v in zip(keys, variables, strict=True) if v.type == kind]
-        found.append((kind, [key for key, _ in pairs], [reference for _, reference in pairs]))
-    return found
+        groups.append((kind, [key for key, _ in pairs], [reference for _, reference in pairs]))
+    return groups
 
 
 def _write(file: int, data: bytes) -> None:
@@ -289,10 +289,10 @@ class _Instance:
         else:
             self._set_inputs(values)
         self._slave.doStep(currentCommunicationPoint=k * self._dt, communicationStepSize=self._dt)
-        found: dict[int, float] = {}
+        outputs_by_reference: dict[int, float] = {}
         for kind, places, references in self._asked:
-            found |= zip(places, map(float, getattr(self._slave, f"get{kind}")(references)), strict=True)
-        return [found[place] for place in range(len(found))]
+            outputs_by_reference |= zip(places, map(float, getattr(self._slave, f"get{kind}")(references)), strict=True)
+        return [outputs_by_reference[place] for place in range(len(outputs_by_reference))]
 
     def _begin(self, values: Mapping[str, float]) -> None:
         from fmpy.fmi2 import FMU2Slave  # type: ignore[import-untyped]

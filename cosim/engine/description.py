@@ -64,19 +64,19 @@ def describe(data: bytes) -> tuple[Any, tuple[str, ...]]:
     except Exception as error:  # FMPy raises bare exceptions, and stumbles in its own ways over strange descriptions
         stumbled = one_line(error)
     try:
-        found = read_model_description(io.BytesIO(data), validate=False)
+        description = read_model_description(io.BytesIO(data), validate=False)
     except Exception as error:
         raise _refusal(complaints) if complaints else _unusable(error) from error
-    more = _more(found)
+    more = _more(description)
     if more is not None:
-        complaints += [each for each in more if each not in complaints]
-    elif undeclared := _undeclared(found):
+        complaints += [complaint for complaint in more if complaint not in complaints]
+    elif undeclared := _undeclared(description):
         complaints.append(undeclared)
     elif stumbled:
         raise _unusable(stumbled)
-    if dangerous := [each for each in [*_doubles(found), *complaints] if not is_blemish(each)]:
+    if dangerous := [complaint for complaint in [*_doubles(description), *complaints] if not is_blemish(complaint)]:
         raise _refusal(dangerous)
-    return found, tuple(complaints)
+    return description, tuple(complaints)
 
 
 def _refusal(complaints: Sequence[str]) -> UnusableError:
@@ -93,7 +93,7 @@ def _more(description: Any) -> list[str] | None:
     from fmpy.validation import validate_model_description  # type: ignore[import-untyped]
 
     try:
-        return [one_line(each) for each in validate_model_description(description)]
+        return [one_line(complaint) for complaint in validate_model_description(description)]
     except Exception:
         return None
 

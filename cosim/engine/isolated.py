@@ -178,18 +178,18 @@ def serve(number: int) -> None:
                 count = len(specs)
                 row, answer = _frames(count)
                 bank = EngineBank(specs, count, step)
-                found: Any = None
+                result: Any = None
             elif what == "reset":
                 assert bank is not None
                 throttle, air = given
-                found = tuple(bank.reset(throttle, Ambient(*air) if air else None))
+                result = tuple(bank.reset(throttle, Ambient(*air) if air else None))
             elif what == "shown":
                 assert bank is not None
-                found = bank.shown
+                result = bank.shown
             else:
                 assert bank is not None
-                found = bank.set_run(*given)
-            pipe.send_bytes(b"p" + pickle.dumps((True, found)))
+                result = bank.set_run(*given)
+            pipe.send_bytes(b"p" + pickle.dumps((True, result)))
         except Exception as error:
             pipe.send_bytes(b"p" + pickle.dumps((False, (type(error).__name__, str(error)))))
     if bank is not None:

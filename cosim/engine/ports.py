@@ -386,11 +386,11 @@ def flat(table: object) -> object:
     """``emf.k = 1`` in TOML is a table ``emf``; what it means here is the dotted name that Modelica gives."""
     if not isinstance(table, dict):
         return table
-    found: dict[str, object] = {}
+    values: dict[str, object] = {}
     for name, value in table.items():
         inner = flat(value)
-        found |= {f"{name}.{rest}": each for rest, each in inner.items()} if isinstance(inner, dict) else {name: value}
-    return found
+        values |= {f"{name}.{rest}": each for rest, each in inner.items()} if isinstance(inner, dict) else {name: value}
+    return values
 
 
 Held = bool | float | str  # of an input: a number, true or false, or the name of an enumeration's item
@@ -509,7 +509,7 @@ def find_ports(variables: Sequence[Variable], stated: PortMap) -> tuple[dict[str
 
     Raises PortError if a needed or stated port does not serve; what is optional and does not is left out with a note.
     """
-    found: dict[str, Port] = {}
+    ports: dict[str, Port] = {}
     notes: list[str] = []
     for name, kind in KINDS.items():
         wanted = stated.ports.get(name)
@@ -519,21 +519,21 @@ def find_ports(variables: Sequence[Variable], stated: PortMap) -> tuple[dict[str
         if wanted == "" or (wanted is None and (kind.stated or not stated.search)):
             continue
         try:
-            variable = _named(name, kind, wanted, variables) if wanted else _search(name, kind, variables, found)
+            variable = _named(name, kind, wanted, variables) if wanted else _search(name, kind, variables, ports)
             if variable is None and insist:
                 raise PortError(f"has no {kind.causality} that is known as its {name}; {_how(name)}")
             if variable is not None:
-                found[name] = _connect(name, kind, variable, stated, found, notes)
+                ports[name] = _connect(name, kind, variable, stated, ports, notes)
         except PortError as error:
             if insist:
                 raise
             notes.append(f"no {name}: {error}")
     taken: dict[tuple[str, int, int], str] = {}
-    for name, port in found.items():
+    for name, port in ports.items():
         other = taken.setdefault((port.variable.type, port.variable.reference, port.variable.index), name)
         if other != name:
             raise PortError(f"its {port.variable.name} is both {other} and {name}; state one of them in [ports]")
-    return found, notes
+    return ports, notes
 
 
 def plain(name: str) -> str:
@@ -564,12 +564,12 @@ def _named(port: str, kind: Kind, wanted: str, variables: Sequence[Variable]) ->
     return hits[0]
 
 
-def _search(port: str, kind: Kind, variables: Sequence[Variable], found: Mapping[str, Port]) -> Variable | None:
+def _search(port: str, kind: Kind, variables: Sequence[Variable], ports: Mapping[str, Port]) -> Variable | None:
     """The variable of a port by its usual names, and for a needed port by its unit alone.
 
     None if there is none and none is needed.
     """
-    taken = {each.variable.name for each in found.values()}
+    taken = {each.variable.name for each in ports.values()}
     fitting = [v for v in variables if v.causality == kind.causality and v.name not in taken and not v.is_array]
     usable = [v for v in fitting if v.type in kind.types and not _other_quantity(port, kind, v)]
     reals = [v for v in usable if v.type in REALS]
@@ -601,7 +601,12 @@ def _tiers(port: str, kind: Kind, usable: Sequence[Variable]) -> Iterable[list[V
     if port == "thrust":
         yield [v for v in usable if measures(v.unit, v.base, kind.quantity)]
     if port == "throttle":
-        others = [name for each in KINDS.values() for name in each.names if each.causality == kind.causality]
+        others = [
+            name
+            for kind_of_port in KINDS.values()
+            for name in kind_of_port.names
+            if kind_of_port.causality == kind.causality
+        ]
         left = [v for v, stem in zip(usable, stems, strict=True) if stem not in others]
         yield left if len(left) == 1 else []
 
@@ -638,13 +643,13 @@ def _list(causality: str, variables: Sequence[Variable]) -> str:
     return f"{causality}s: {shown or 'none'}"
 
 
-def _connect(name: str, kind: Kind, v: Variable, stated: PortMap, found: Mapping[str, Port], notes: list[str]) -> Port:
+def _connect(name: str, kind: Kind, v: Variable, stated: PortMap, ports: Mapping[str, Port], notes: list[str]) -> Port:
     """A port on a variable, with its conversion."""
     if name == "throttle":
         return _lever(v, stated, notes)
     if name == "start":
         own = _declared_range(v)
-        return _over_range(v, *own) if own else replace(found["throttle"], variable=v)
+        return _over_range(v, *own) if own else replace(ports["throttle"], variable=v)
     if name == "run":
         if v.is_array:
             raise PortError(f"its {v.name} is an element of an array; {name} must be a scalar")

@@ -75,29 +75,29 @@ def starting(
     arrays = {port.variable.reference for port in ports.values() if port.variable.is_array}
 
     def settings(table: Mapping[str, Held], where: str) -> tuple[Setting, ...]:
-        found = []
+        pairs = []
         for name, held in table.items():
             variable = _input(name, inputs, where)
             if variable.name in taken:
                 raise PortError(f"{where}: {name} is its port {taken[variable.name]}, which the simulation sets")
             if variable.reference in arrays and variable.is_array:
                 raise PortError(f"{where}: {name} is an element of an array of which another is a port")
-            found.append((variable, value_of(variable, held, where)))
-        return tuple(found)
+            pairs.append((variable, value_of(variable, held, where)))
+        return tuple(pairs)
 
     stages = []
-    for k, each in enumerate(stated.start.sequence, start=1):
+    for k, stage in enumerate(stated.start.sequence, start=1):
         where = f"[start] stage {k}"
         until = None
-        if each.until is not None:
-            match = CONDITION.fullmatch(each.until)
+        if stage.until is not None:
+            match = CONDITION.fullmatch(stage.until)
             assert match is not None
             hits = [v for v in outputs if v.name == match[1]]
             if not hits:
                 raise PortError(f"{where}: no output is called {match[1]} ({_names(outputs)})")
             until = Until(hits[0], match[2], float(match[3]))
-        seconds = each.for_s if each.for_s is not None else each.at_most_s or AT_MOST_S
-        stages.append(Stage(settings(each.set, where), each.throttle or 0.0, seconds, until))
+        seconds = stage.for_s if stage.for_s is not None else stage.at_most_s or AT_MOST_S
+        stages.append(Stage(settings(stage.set, where), stage.throttle or 0.0, seconds, until))
     if stated.start.warm_up_s:
         stages.append(Stage((), 0.0, stated.start.warm_up_s, None))
     return Starting(settings(stated.inputs, "[inputs]"), tuple(stages), stated.rest_n)

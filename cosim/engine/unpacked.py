@@ -101,12 +101,12 @@ def unpack(archive: Archive) -> Unpacked:
 
 def contents(folder: Path) -> dict[str, str]:
     """The files of an unpacked archive, name -> digest; what is no file has none."""
-    found = {}
+    members = {}
     for parent, folders, files in os.walk(folder):
         for name in (*folders, *files):
             path = os.path.join(parent, name)
-            found[path] = hashlib.sha256(_read(path)).hexdigest() if os.path.isfile(path) else ""
-    return found
+            members[path] = hashlib.sha256(_read(path)).hexdigest() if os.path.isfile(path) else ""
+    return members
 
 
 def _read(path: str) -> bytes:
@@ -116,12 +116,12 @@ def _read(path: str) -> bytes:
 
 def _taken(archive: Archive) -> Unpacked | None:
     """A free folder of the same archive, of this process and not of the one that it was forked from."""
-    own = [each for each in _free if each.sha256 == archive.sha256 and each.path.parent == scratch()]
-    for each in reversed(own):
-        _free.remove(each)
-        if each.untouched:
-            return each
-        each.remove()
+    own = [folder for folder in _free if folder.sha256 == archive.sha256 and folder.path.parent == scratch()]
+    for folder in reversed(own):
+        _free.remove(folder)
+        if folder.untouched:
+            return folder
+        folder.remove()
     return None
 
 

@@ -292,7 +292,7 @@ class EngineChain:
 
     def end(self, fault: EngineFault) -> None:
         """``fault`` is over from the next step on; an engine that went out is lit again, if nothing keeps it out."""
-        self._acting = [each for each in self._acting if each is not fault]
+        self._acting = [acting for acting in self._acting if acting is not fault]
         if not isinstance(fault, FlameOut):
             self._effects = [entry for entry in self._effects if entry[1] is not fault]
             return

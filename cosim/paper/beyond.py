@@ -113,7 +113,7 @@ def delay_sweep(calibration: Calibration, longest: int = 60, every: int = 3) -> 
     """0 to ``longest`` samples of added delay, the predictor told of it, gains unchanged."""
     amplitude = {"quadrotor": numbers.value("step.amplitude"), "hexjet": numbers.value("hexjet.amplitude")}
     each, seconds = {"quadrotor": 0.5, "hexjet": 3.0}, {"quadrotor": 2.0, "hexjet": 8.0}
-    found: dict[tuple[str, str], list[DelayPoint]] = {}
+    by_loop: dict[tuple[str, str], list[DelayPoint]] = {}
     for (vehicle, controller), axis in loops(calibration).items():
         points = []
         for delay in range(0, longest + 1, every):
@@ -125,8 +125,8 @@ def delay_sweep(calibration: Calibration, longest: int = 60, every: int = 3) -> 
                 record = simulate(loop, round(seconds[vehicle] / loop.step), setpoint=signal)
                 rmse = float(np.sqrt(np.mean((np.array(record.setpoint) - np.array(record.angle)) ** 2)))
             points.append(DelayPoint(delay=delay, stable=sensitivity is not None, sensitivity=sensitivity, rmse=rmse))
-        found[vehicle, controller] = points
-    return found
+        by_loop[vehicle, controller] = points
+    return by_loop
 
 
 class Offset(Record):
@@ -206,14 +206,14 @@ def noise_gain(axis: Axis, points: int = 6000) -> float:
 
 def noise_gains(calibration: Calibration) -> dict[tuple[str, str], float | None]:
     """Noise amplification of every stable nominal loop; the quadrotor with 5 samples, where most are stable."""
-    found: dict[tuple[str, str], float | None] = {}
+    gains: dict[tuple[str, str], float | None] = {}
     for (vehicle, controller), axis in loops(calibration).items():
         loop = axis.with_delay(5) if vehicle == "quadrotor" else axis
         try:
-            found[vehicle, controller] = noise_gain(loop)
+            gains[vehicle, controller] = noise_gain(loop)
         except ValueError:
-            found[vehicle, controller] = None
-    return found
+            gains[vehicle, controller] = None
+    return gains
 
 
 # --- the true turbojet ------------------------------------------------------------------------------------------------
@@ -284,13 +284,13 @@ def turbojet(calibration: Calibration) -> list[Reach]:
     """
     truth, model = turbojet_plant()
     flown = numbers.roll_model()
-    found = []
+    designs = []
     for engine, plant, believed, lag in (("edf-as-flown", flown, flown, 0.039), ("turbojet", truth, model, 0.338)):
         for controller in HEXJET:
             base = hexjet_axis(calibration, controller, "vehicle", noisy=False)
             axis = replace(base, plant=Plant(plant), model=believed, rate_limit=inf)
-            found.append(_reach(engine, axis, lag))
-    return found
+            designs.append(_reach(engine, axis, lag))
+    return designs
 
 
 def _tunings(axis: Axis) -> list[PredictorTuning]:

@@ -50,12 +50,12 @@ START = Calibration(
 
 def _margins(trial: Calibration) -> dict[str, float]:
     loop = quadrotor_axis(trial, "baseline", 5)
-    found = margins(open_loop(loop), loop.step, points=800)
+    known = margins(open_loop(loop), loop.step, points=800)
     prefix = "frequency.baseline."
     return {
-        prefix + "cutoff": found.cutoff or 0.0,
-        prefix + "phase_margin": found.phase_margin or 0.0,
-        prefix + "gain_margin": found.gain_margin or 0.0,
+        prefix + "cutoff": known.cutoff or 0.0,
+        prefix + "phase_margin": known.phase_margin or 0.0,
+        prefix + "gain_margin": known.gain_margin or 0.0,
         "frequency.dc_gain": gain_at(loop, LOW_END_HZ),
     }
 
@@ -67,7 +67,7 @@ def _quadrotor(trial: Calibration) -> dict[str, float]:
     """
     run = linear(trial, noisy=False, whole=False)
     times = [run(Experiment("step", c, 5)).metrics.time_constant_s or 1.0 for c in ("baseline", "smith")]
-    found = {"step.time_constant": sum(times) / len(times)}
+    values = {"step.time_constant": sum(times) / len(times)}
     for printed, controller, payload in (
         ("disturbance-5.baseline", "baseline", False),
         ("disturbance-5.smith", "smith", False),
@@ -75,8 +75,8 @@ def _quadrotor(trial: Calibration) -> dict[str, float]:
         ("disturbance-5-payload.state", STATE_AS_PRINTED, True),
     ):
         metrics = run(Experiment("disturbance", controller, 5, payload=payload)).metrics
-        found |= {f"{printed}.rmse": metrics.rmse, f"{printed}.max": metrics.max}
-    return found
+        values |= {f"{printed}.rmse": metrics.rmse, f"{printed}.max": metrics.max}
+    return values
 
 
 def _hexjet(trial: Calibration) -> dict[str, float]:
@@ -154,17 +154,17 @@ def calibrate(start: Calibration = START, say: Callable[[str], None] = lambda li
 
     Parameters are rounded to four digits, the doublet's length to whole steps, so that the file says all there is.
     """
-    found = start
+    parameters = start
     used: list[Used] = []
     for stage in STAGES:
         say(stage.name)
-        found = _fit(stage, found)
-        answers = stage.answers(found)
+        parameters = _fit(stage, parameters)
+        answers = stage.answers(parameters)
         used += [
             Used(key=key, paper=numbers.value(key), ours=_digits(answers[key], 6), scale=scale, stage=stage.name)
             for key, scale in stage.targets.items()
         ]
-    return Frozen(parameters=found, used=used)
+    return Frozen(parameters=parameters, used=used)
 
 
 def _fit(stage: Stage, base: Calibration) -> Calibration:
@@ -204,12 +204,12 @@ def _starts(unknowns: int, count: int = 300) -> list[list[float]]:
     return [[element(n, base) for base in (2, 3, 5, 7)[:unknowns]] for n in range(1, count + 1)]
 
 
-def _rounded(found: Calibration, keys: list[str]) -> Calibration:
+def _rounded(calibration: Calibration, keys: list[str]) -> Calibration:
     step = 1.0 / numbers.value("quadrotor.rate")
-    values = {key: _digits(getattr(found, key), 4) for key in keys}
+    values = {key: _digits(getattr(calibration, key), 4) for key in keys}
     if "disturbance_each_s" in values:
         values["disturbance_each_s"] = round(round(values["disturbance_each_s"] / step) * step, 6)
-    return found.model_copy(update=values)
+    return calibration.model_copy(update=values)
 
 
 def _digits(value: float, digits: int) -> float:

@@ -209,34 +209,34 @@ def _grows(what: str, new: str, old: str, most: float, least: float = -100.0) ->
 
 def _all(*tests: Test) -> Test:
     def test(e: Evidence, state: str) -> Answer:
-        answers = [each(e, state) for each in tests]
+        answers = [claim(e, state) for claim in tests]
         return all(holds for holds, _ in answers), "; ".join(said for _, said in answers)
 
     return test
 
 
 def _similar_tracking(e: Evidence, state: str) -> Answer:
-    found = {c: e.metrics[f"step-5.{c}"] for c in ("baseline", "smith", state)}
-    rmse = [m.rmse for m in found.values()]
+    metrics = {c: e.metrics[f"step-5.{c}"] for c in ("baseline", "smith", state)}
+    rmse = [m.rmse for m in metrics.values()]
     spread = _percent(max(rmse), min(rmse))
-    return spread < SIMILAR, ", ".join(f"{c} {m.rmse:.4f}" for c, m in found.items()) + f" rad, spread {spread:.1f} %"
+    return spread < SIMILAR, ", ".join(f"{c} {m.rmse:.4f}" for c, m in metrics.items()) + f" rad, spread {spread:.1f} %"
 
 
 def _no_overshoot(e: Evidence, state: str) -> Answer:
-    found = {c: e.metrics[f"step-5.{c}"].overshoot_percent or 0.0 for c in ("baseline", "smith", state)}
-    return max(found.values()) < DISTINCT, ", ".join(f"{c} {v:.1f} %" for c, v in found.items())
+    overshoot = {c: e.metrics[f"step-5.{c}"].overshoot_percent or 0.0 for c in ("baseline", "smith", state)}
+    return max(overshoot.values()) < DISTINCT, ", ".join(f"{c} {v:.1f} %" for c, v in overshoot.items())
 
 
 def _same_time_constant(e: Evidence, state: str) -> Answer:
-    found = {c: e.metrics[f"step-5.{c}"].time_constant_s or np.inf for c in ("baseline", "smith", state)}
-    spread = _percent(max(found.values()), min(found.values()))
-    return spread < SIMILAR, ", ".join(f"{c} {v:.4f} s" for c, v in found.items()) + f", spread {spread:.1f} %"
+    constants = {c: e.metrics[f"step-5.{c}"].time_constant_s or np.inf for c in ("baseline", "smith", state)}
+    spread = _percent(max(constants.values()), min(constants.values()))
+    return spread < SIMILAR, ", ".join(f"{c} {v:.4f} s" for c, v in constants.items()) + f", spread {spread:.1f} %"
 
 
 def _less_oscillation(e: Evidence, state: str) -> Answer:
-    found = {c: e.metrics[f"step-5.{c}"].overshoot_percent or 0.0 for c in ("baseline", "smith", state)}
-    said = "overshoot " + ", ".join(f"{c} {v:.2f} %" for c, v in found.items())
-    return found[state] <= found["smith"] < found["baseline"], said
+    overshoot = {c: e.metrics[f"step-5.{c}"].overshoot_percent or 0.0 for c in ("baseline", "smith", state)}
+    said = "overshoot " + ", ".join(f"{c} {v:.2f} %" for c, v in overshoot.items())
+    return overshoot[state] <= overshoot["smith"] < overshoot["baseline"], said
 
 
 def _tracking_is_consistent(e: Evidence, state: str) -> Answer:
@@ -268,9 +268,9 @@ def _no_worse_than_waiting(e: Evidence, state: str) -> Answer:
 
 
 def _more_phase(e: Evidence, state: str) -> Answer:
-    found = {c: e.margins[c].phase_margin or 0.0 for c in ("baseline", state, "smith")}
-    said = ", ".join(f"{c} {v:.1f} deg" for c, v in found.items())
-    return found["baseline"] < found[state] and found["baseline"] < found["smith"], said
+    phase = {c: e.margins[c].phase_margin or 0.0 for c in ("baseline", state, "smith")}
+    said = ", ".join(f"{c} {v:.1f} deg" for c, v in phase.items())
+    return phase["baseline"] < phase[state] and phase["baseline"] < phase["smith"], said
 
 
 def _smith_has_most_phase(e: Evidence, state: str) -> Answer:
@@ -279,15 +279,15 @@ def _smith_has_most_phase(e: Evidence, state: str) -> Answer:
 
 
 def _cutoff_order(e: Evidence, state: str) -> Answer:
-    found = {c: e.margins[c].cutoff or 0.0 for c in ("baseline", state, "smith")}
-    said = ", ".join(f"{c} {v:.2f} Hz" for c, v in found.items())
-    return found["baseline"] > found[state] * 1.005 and found[state] > found["smith"] * 1.005, said
+    cutoff = {c: e.margins[c].cutoff or 0.0 for c in ("baseline", state, "smith")}
+    said = ", ".join(f"{c} {v:.2f} Hz" for c, v in cutoff.items())
+    return cutoff["baseline"] > cutoff[state] * 1.005 and cutoff[state] > cutoff["smith"] * 1.005, said
 
 
 def _gain_margin_order(e: Evidence, state: str) -> Answer:
-    found = {c: e.margins[c].gain_margin or 0.0 for c in (state, "baseline", "smith")}
-    said = ", ".join(f"{c} {v:.2f} dB" for c, v in found.items())
-    return found[state] > found["baseline"] > found["smith"], said
+    margin = {c: e.margins[c].gain_margin or 0.0 for c in (state, "baseline", "smith")}
+    said = ", ".join(f"{c} {v:.2f} dB" for c, v in margin.items())
+    return margin[state] > margin["baseline"] > margin["smith"], said
 
 
 def _state_deviates(e: Evidence, state: str) -> Answer:
@@ -494,19 +494,23 @@ def _plant_error(calibration: Calibration, controller: str, called: str) -> Cond
         gain, extra = float(x[0]), float(x[1]) * 10.0
         if not (0.3 < gain < 2.0 and 0.0 <= extra < 15.0):
             return 1e3
-        found = at(gain, extra)
-        pairs = ((found.cutoff, "cutoff"), (found.phase_margin, "phase_margin"), (found.gain_margin, "gain_margin"))
+        response = at(gain, extra)
+        pairs = (
+            (response.cutoff, "cutoff"),
+            (response.phase_margin, "phase_margin"),
+            (response.gain_margin, "gain_margin"),
+        )
         return sum(((ours or 0.0) / printed[name] - 1.0) ** 2 for ours, name in pairs)
 
     starts = [(g, h) for g in (0.6, 0.75, 0.9, 1.05) for h in (0.05, 0.35, 0.7)]
     options = {"xatol": 1e-3, "fatol": 1e-5, "maxiter": 60}
     best = minimize(cost, min(starts, key=cost), method="Nelder-Mead", options=options)
     gain, extra = float(best.x[0]), float(best.x[1]) * 10.0
-    found = at(gain, extra)
+    response = at(gain, extra)
     met = best.fun < 3 * 0.1**2
     said = (
         f"a plant of {gain:.2f} times the modelled gain and {extra:.1f} samples more delay gives "
-        f"{found.cutoff or 0:.2f} Hz, {found.phase_margin or 0:.1f} deg, {found.gain_margin or 0:.2f} dB "
+        f"{response.cutoff or 0:.2f} Hz, {response.phase_margin or 0:.1f} deg, {response.gain_margin or 0:.2f} dB "
         f"(paper {printed['cutoff']:g} Hz, {printed['phase_margin']:g} deg, {printed['gain_margin']:g} dB)"
     )
     return Condition(
@@ -544,14 +548,14 @@ def _doublet_length(calibration: Calibration) -> Condition:
     loop = hexjet_axis(calibration, "smith", "vehicle", noisy=False)
     amplitude, most = np.radians(numbers.value("hexjet.amplitude")), numbers.value("hexjet-doublet.smith.max")
     rmse = numbers.value("hexjet-doublet.smith.rmse")
-    found = []
+    lengths = []
     for each in np.arange(0.4, 3.01, 0.1):
         record = simulate(
             loop, round(20.0 / loop.step), setpoint=doublet(float(amplitude), 1.0, float(each), loop.step)
         )
         error = np.array(record.setpoint) - np.array(record.angle)
-        found.append((float(np.max(np.abs(error))), float(each), float(np.sum(error**2) * loop.step / rmse**2)))
-    largest, each, length = min(found, key=lambda item: abs(item[0] - most))
+        lengths.append((float(np.max(np.abs(error))), float(each), float(np.sum(error**2) * loop.step / rmse**2)))
+    largest, each, length = min(lengths, key=lambda item: abs(item[0] - most))
     return Condition(
         key="hexjet-record",
         question="which doublet and record would give Smith's printed errors on the Hex-Jet, at the vehicle's gains?",
@@ -567,15 +571,15 @@ def _payload_condition(calibration: Calibration) -> Condition:
     said, values = [], {}
     for gain in gains:
         holds = []
-        for each in lengths:
-            trial = calibration.model_copy(update={"disturbance_each_s": float(each), "payload_gain": gain})
+        for length in lengths:
+            trial = calibration.model_copy(update={"disturbance_each_s": float(length), "payload_gain": gain})
             run = linear(trial, noisy=False, whole=False)
             growth = {
                 c: _percent(*(run(Experiment("disturbance", c, 5, payload=p)).metrics.rmse for p in (True, False)))
                 for c in ("smith", STATE_AS_PRINTED)
             }
             if growth[STATE_AS_PRINTED] > growth["smith"]:
-                holds.append(float(each))
+                holds.append(float(length))
         values[f"share_at_{gain}"] = len(holds) / len(lengths)
         spans = f"{min(holds):.3f} to {max(holds):.3f} s" if holds else "no length"
         said.append(f"gain x {gain:g}: {spans} ({len(holds)} of {len(lengths)})")

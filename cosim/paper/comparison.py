@@ -118,7 +118,7 @@ def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
         gain_at_8_hz={name: gain_at(loop, 8.0) for name, loop in loops.items()},
     )
     say("what would make it true")
-    found = conditions(calibration)
+    answers = conditions(calibration)
     say("robustness maps")
     maps = beyond.robustness_maps(calibration)
     say("delay sweep")
@@ -132,7 +132,7 @@ def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
         results=results,
         evidence=evidence,
         sweeps=sweeps,
-        conditions=found,
+        conditions=answers,
         maps=maps,
         delays=delays,
         offsets=offsets,
@@ -181,7 +181,7 @@ def comparison_rows(
     frozen: Frozen, linear: Evidence, flight: Evidence | None = None, extra: Mapping[str, float] | None = None
 ) -> list[Row]:
     """Every printed number beside ours; ``extra`` are six-degree-of-freedom values by key that no evidence holds."""
-    used = {each.key for each in frozen.used}
+    used = {used_row.key for used_row in frozen.used}
     rows = []
     for printed in numbers.PRINTED.values():
         for variant in _variants(printed.key):
@@ -254,8 +254,8 @@ def _ours(key: str, evidence: Evidence) -> float | None:
     if key.startswith("frequency."):
         if key == "frequency.dc_gain":
             return evidence.gain_at_low_end.get("baseline")
-        found = evidence.margins.get(head.removeprefix("frequency."))
-        return getattr(found, last) if found else None
+        row = evidence.margins.get(head.removeprefix("frequency."))
+        return getattr(row, last) if row else None
     if head in metrics and last in _READ:
         return _READ[last](metrics[head])
     if key == "step.time_constant":
@@ -376,12 +376,12 @@ def as_data(part: LinearPart, rows: list[Row], judged: list[ClaimRow]) -> dict[s
         "calibration": part.frozen.model_dump(),
         "comparison": dumped,
         "claims": [row.model_dump() for row in judged],
-        "conditions": [each.model_dump() for each in part.conditions],
+        "conditions": [condition.model_dump() for condition in part.conditions],
         "measured_margins": {name: s.margins.model_dump() for name, s in part.sweeps.items()},
-        "robustness": [each.model_dump() for each in part.maps],
+        "robustness": [condition.model_dump() for condition in part.maps],
         "delay_sweep": {f"{v}.{c}": [p.model_dump() for p in points] for (v, c), points in part.delays.items()},
-        "offsets": [each.model_dump() for each in part.offsets],
+        "offsets": [condition.model_dump() for condition in part.offsets],
         "smith_offset_rad": part.smith_offset,
         "noise_gain": {f"{v}.{c}": value for (v, c), value in part.noise.items()},
-        "turbojet": [each.model_dump() for each in part.turbojet],
+        "turbojet": [condition.model_dump() for condition in part.turbojet],
     }

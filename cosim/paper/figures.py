@@ -84,26 +84,28 @@ class Panel(NamedTuple):
     y_log: bool = False
 
 
-def paper_figures(found: Reproduction) -> dict[str, Figure]:
+def paper_figures(reproduction: Reproduction) -> dict[str, Figure]:
     """Every figure of the page, by the name of its place."""
-    part = found.linear
-    both = (part.results, found.flown)
+    part = reproduction.linear
+    both = (part.results, reproduction.flown)
     made = {f"step-{n}": panels([_pair(both, f"step-{n}", COMPARED, "angle", 30.0)]) for n in (5, 10, 25)}
     made |= {f"disturbance-{n}": panels([_pair(both, f"disturbance-{n}", COMPARED, "rate", 9.0)]) for n in (5, 10)}
-    made["identification"] = identification(found)
-    made["bode"] = bode(part.sweeps, found.flown_sweeps)
+    made["identification"] = identification(reproduction)
+    made["bode"] = bode(part.sweeps, reproduction.flown_sweeps)
     made |= {f"payload-{n}": _payload(both, n) for n in (5, 10)}
     made["disturbance-payload"] = panels(
         [_pair(both, "disturbance-5-payload", ("smith", "state", STATE_AS_PRINTED), "rate", 9.0)]
     )
     for name in ("hexjet-doublet", "hexjet-doublet-calibrated"):
         made[name] = panels([_pair(both, name, ("baseline", "smith"), "angle", 30.0)])
-    made["manual"] = manual(found)
+    made["manual"] = manual(reproduction)
     for vehicle in ("quadrotor", "hexjet"):
-        made[f"robustness-{vehicle}"] = robustness([each for each in part.maps if each.vehicle == vehicle])
-    made["delay"] = delays(found)
-    made["offset"] = offsets(found)
-    made["turbojet"] = turbojet(found)
+        made[f"robustness-{vehicle}"] = robustness(
+            [robustness_map for robustness_map in part.maps if robustness_map.vehicle == vehicle]
+        )
+    made["delay"] = delays(reproduction)
+    made["offset"] = offsets(reproduction)
+    made["turbojet"] = turbojet(reproduction)
     return made
 
 
@@ -114,15 +116,15 @@ def _pair(
     both: Sequence[Mapping[str, Result]], experiment: str, controllers: Sequence[str], what: str, limit: float
 ) -> list[Panel]:
     """One experiment in both fidelities with one scale, which ends where an unstable loop would spoil it."""
-    found = []
+    drawn = []
     for results, title in zip(both, FIDELITIES, strict=True):
         present = {c: results[f"{experiment}.{c}"] for c in controllers if f"{experiment}.{c}" in results}
         curves = [_curve(result, what, NAMES[c], COLOURS[c]) for c, result in present.items()]
         if present and what == "angle":
             longest = max(present.values(), key=lambda result: len(result.time))  # a lost flight ends early
             curves.insert(0, Curve("set-point", longest.time, np.degrees(longest.setpoint), GREY, "dash", 1.3))
-        found.append((title, curves))
-    return [Panel(title, "time [s]", _unit(what), curves, y_range=(-limit, limit)) for title, curves in found]
+        drawn.append((title, curves))
+    return [Panel(title, "time [s]", _unit(what), curves, y_range=(-limit, limit)) for title, curves in drawn]
 
 
 def _unit(what: str) -> str:
@@ -150,10 +152,10 @@ def _payload(both: Sequence[Mapping[str, Result]], delay: int) -> Figure:
                 ]
             row.append(Panel(title, "time [s]", _unit("angle"), curves, y_range=(-30.0, 30.0)))
         rows.append(row)
-    return panels(rows, each=200)
+    return panels(rows, height_each=200)
 
 
-def identification(found: Reproduction) -> Figure:
+def identification(reproduction: Reproduction) -> Figure:
     """Turbojet, EDF and the Hex-Jet's roll rate: swept on our FMUs and in flight, against the printed models."""
     value = numbers.value
     step, delay = value("hexjet.step"), value("hexjet.delay")
@@ -173,7 +175,7 @@ def identification(found: Reproduction) -> Figure:
         for name, response in printed.items():
             curve = 20.0 * np.log10(np.abs(response)) if what == "gain" else np.degrees(np.unwrap(np.angle(response)))
             curves = [Curve("printed", hertz.tolist(), curve, GREY)]
-            measured = found.responses.get(name)
+            measured = reproduction.responses.get(name)
             if measured:
                 points = np.array(getattr(measured, what))
                 if what == "phase":  # on the printed model's turn of the circle
@@ -199,9 +201,9 @@ def bode(linear: Mapping[str, Sweep], flown: Mapping[str, Sweep]) -> Figure:
     return panels(rows)
 
 
-def manual(found: Reproduction) -> Figure:
+def manual(reproduction: Reproduction) -> Figure:
     """The flown sticks: angles and rates of the three axes."""
-    flight = found.manual
+    flight = reproduction.manual
     rows = []
     for axis in flight.angle:
         time = flight.time
@@ -211,7 +213,7 @@ def manual(found: Reproduction) -> Figure:
                 Panel("rate", "time [s]", f"{axis} rate [deg/s]", _tracked(time, flight.rate[axis])),
             ]
         )
-    return panels(rows, each=180)
+    return panels(rows, height_each=180)
 
 
 def _tracked(time: Sequence[float], pair: tuple[Sequence[float], Sequence[float]]) -> list[Curve]:
@@ -230,7 +232,7 @@ def robustness(maps: Sequence[RobustnessMap], columns: int = 3) -> Figure:
     rows = -(-len(maps) // columns)
     figure: Figure = {"data": [], "layout": _layout(rows * 265 + 60)}
     layout = figure["layout"] | {"hovermode": "closest", "showlegend": False, "annotations": []}
-    for number, each in enumerate(maps):
+    for number, robustness_map in enumerate(maps):
         row, column = divmod(number, columns)
         x, y = _name("x", number), _name("y", number)
         layout[_name("xaxis", number)] = {
@@ -247,18 +249,18 @@ def robustness(maps: Sequence[RobustnessMap], columns: int = 3) -> Figure:
             **({"title": {"text": "gain error [times]"}} if column == 0 else {}),
         }
         layout["annotations"].append(
-            _heading(f"{SHORT[each.controller]}: {100.0 * each.stable_share:.0f} % stable", x, y)
+            _heading(f"{SHORT[robustness_map.controller]}: {100.0 * robustness_map.stable_share:.0f} % stable", x, y)
         )
-        figure["data"] += _map_traces(each, x, y, number == 0)
+        figure["data"] += _map_traces(robustness_map, x, y, number == 0)
     figure["layout"] = layout
     return figure
 
 
-def _map_traces(each: RobustnessMap, x: str, y: str, with_scale: bool) -> list[Figure]:
-    common = {"x": each.delay_errors, "y": each.gains, "xaxis": x, "yaxis": y}
+def _map_traces(robustness_map: RobustnessMap, x: str, y: str, with_scale: bool) -> list[Figure]:
+    common = {"x": robustness_map.delay_errors, "y": robustness_map.gains, "xaxis": x, "yaxis": y}
     says = "delay %{x:+d} samples, gain x %{y:.3g}: "
-    unstable = [[1 if cell is None else None for cell in row] for row in each.sensitivity]
-    rounded = [[None if cell is None else round(cell, 4) for cell in row] for row in each.sensitivity]
+    unstable = [[1 if cell is None else None for cell in row] for row in robustness_map.sensitivity]
+    rounded = [[None if cell is None else round(cell, 4) for cell in row] for row in robustness_map.sensitivity]
     return [
         common
         | {
@@ -303,14 +305,14 @@ def _map_traces(each: RobustnessMap, x: str, y: str, with_scale: bool) -> list[F
     ]
 
 
-def delays(found: Reproduction) -> Figure:
+def delays(reproduction: Reproduction) -> Figure:
     """Tracking error and peak sensitivity over the delay, gains unchanged; a line ends where its loop is unstable."""
     rows = []
     for what, title, limits in (("rmse", "RMSE [deg]", None), ("sensitivity", "peak sensitivity", (0.0, 8.0))):
         row = []
         for vehicle in ("quadrotor", "hexjet"):
             curves = []
-            for (of, controller), points in found.linear.delays.items():
+            for (of, controller), points in reproduction.linear.delays.items():
                 if of == vehicle:
                     values = [getattr(point, what) for point in points]
                     if what == "rmse":
@@ -324,24 +326,28 @@ def delays(found: Reproduction) -> Figure:
     return panels(rows)
 
 
-def offsets(found: Reproduction) -> Figure:
+def offsets(reproduction: Reproduction) -> Figure:
     """Roll after the onset of a constant disturbance: on the linear plant and in flight."""
     known, flown = (
-        [Curve(NAMES[each.controller], each.time, np.degrees(angle), COLOURS[each.controller]) for each, angle in pairs]
+        [
+            Curve(NAMES[offset.controller], offset.time, np.degrees(angle), COLOURS[offset.controller])
+            for offset, angle in pairs
+        ]
         for pairs in (
-            [(each, each.angle) for each in found.linear.offsets],
-            [(each, each.roll) for each in found.offsets],
+            [(offset, offset.angle) for offset in reproduction.linear.offsets],
+            [(offset, offset.roll) for offset in reproduction.offsets],
         )
     )
     titles = ("linear plant: constant roll command", "six degrees of freedom: half a kilogram 1 cm to the right")
     return panels(
-        [[Panel(title, "time [s]", "roll [deg]", c) for title, c in zip(titles, (known, flown), strict=True)]], each=300
+        [[Panel(title, "time [s]", "roll [deg]", c) for title, c in zip(titles, (known, flown), strict=True)]],
+        height_each=300,
     )
 
 
-def turbojet(found: Reproduction) -> Figure:
+def turbojet(reproduction: Reproduction) -> Figure:
     """The attitude bandwidth that each controller reaches with either engine."""
-    reaches = found.linear.turbojet
+    reaches = reproduction.linear.turbojet
     layout = _layout(330) | {"hovermode": "closest", "barmode": "group"}
     layout["yaxis"] = {"title": {"text": "attitude bandwidth [Hz]"}, "rangemode": "tozero"}
     layout["xaxis"] = {"tickangle": 0}
@@ -365,9 +371,9 @@ def turbojet(found: Reproduction) -> Figure:
 # --- pieces ---------------------------------------------------------------------------------------------------------
 
 
-def panels(rows: Sequence[Sequence[Panel]], each: int = 250) -> Figure:
+def panels(rows: Sequence[Sequence[Panel]], height_each: int = 250) -> Figure:
     """Panels in rows and columns with one legend; a panel without curves says that it was not flown."""
-    layout = _layout(len(rows) * each + 90) | {"annotations": []}
+    layout = _layout(len(rows) * height_each + 90) | {"annotations": []}
     data: list[Figure] = []
     shown: set[str] = set()
     columns = len(rows[0])

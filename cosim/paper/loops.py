@@ -147,11 +147,11 @@ def _margins_of_points(frequency: Array, gain: Array, phase: Array) -> Margins:
 
     def crossings(values: Array, level: float) -> list[tuple[float, int]]:
         above = values > level
-        found = []
+        crossed = []
         for k in np.flatnonzero(above[:-1] != above[1:]):
             share = (level - values[k]) / (values[k + 1] - values[k])
-            found.append((float(x[k] + share * (x[k + 1] - x[k])), int(k)))
-        return found
+            crossed.append((float(x[k] + share * (x[k + 1] - x[k])), int(k)))
+        return crossed
 
     cuts = crossings(gain, 0.0)
     turns = [at for level in (-180.0, -540.0, -900.0) for at, _ in crossings(phase, level)]

@@ -22,40 +22,42 @@ TEMPLATE = Path(__file__).parent / "templates" / "paper.html"
 VERDICTS = ("holds", "under a condition", "by construction", "does not hold", "not flown")
 
 
-def write_page(found: Reproduction, path: Path) -> None:
+def write_page(reproduction: Reproduction, path: Path) -> None:
     """Write the page of the paper's reproduction.  Raises FlightError if the file cannot be written."""
-    render(TEMPLATE, path, paper_figures(found), **page_values(found))
+    render(TEMPLATE, path, paper_figures(reproduction), **page_values(reproduction))
 
 
-def page_values(found: Reproduction) -> dict[str, Any]:
+def page_values(reproduction: Reproduction) -> dict[str, Any]:
     """What the template asks for."""
-    part = found.linear
-    predicted = [row for row in found.rows if row.origin == "predicted" and (row.linear or row.flight) is not None]
+    part = reproduction.linear
+    predicted = [
+        row for row in reproduction.rows if row.origin == "predicted" and (row.linear or row.flight) is not None
+    ]
     return {
         "source": numbers.SOURCE,
-        "claims": found.claims,
-        "tally": [(fidelity, counts) for fidelity, counts in tally(found.claims).items()],
+        "claims": reproduction.claims,
+        "tally": [(fidelity, counts) for fidelity, counts in tally(reproduction.claims).items()],
         "verdicts": VERDICTS,
-        "counts_in_words": counts_in_words(found.claims),
-        "rows": compared(found.rows),
-        "inputs": [row for row in found.rows if row not in compared(found.rows)],
+        "counts_in_words": counts_in_words(reproduction.claims),
+        "rows": compared(reproduction.rows),
+        "inputs": [row for row in reproduction.rows if row not in compared(reproduction.rows)],
         "used_count": len(part.frozen.used),
         "predicted_count": len(predicted),
         "typical": {
             "linear": _typical(row.linear_deviation for row in predicted),
             "flight": _typical(row.flight_deviation for row in predicted),
         },
-        "margins": margin_rows(found),
+        "margins": margin_rows(reproduction),
         "frozen": part.frozen,
         "conditions": part.conditions,
         "robust": ROBUST,
         "smith_offset_deg": degrees(part.smith_offset),
-        "offsets": offset_rows(found),
+        "offsets": offset_rows(reproduction),
         "noise": [
             (name, part.noise.get(("quadrotor", key)), part.noise.get(("hexjet", key))) for key, name in NAMES.items()
         ],
         "turbojet": [
-            (reach, {each.controller: each for each in found.turbojet}.get(reach.controller))
+            (reach, {each.controller: each for each in reproduction.turbojet}.get(reach.controller))
             for reach in part.turbojet
             if reach.engine == "turbojet"
         ],
@@ -68,12 +70,12 @@ def page_values(found: Reproduction) -> dict[str, Any]:
 def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
     """How many claims came to each verdict, by fidelity."""
     rows = list(claims)
-    found: dict[str, dict[str, int]] = {}
+    counted: dict[str, dict[str, int]] = {}
     by_fidelity: list[list[Judged | None]] = [[row.linear for row in rows], [row.flight for row in rows]]
     for fidelity, judged in zip(FIDELITIES, by_fidelity, strict=True):
         counts: Counter[str] = Counter(each.verdict if each else "not flown" for each in judged)
-        found[fidelity] = {verdict: counts[verdict] for verdict in VERDICTS}
-    return found
+        counted[fidelity] = {verdict: counts[verdict] for verdict in VERDICTS}
+    return counted
 
 
 def counts_in_words(claims: Iterable[ClaimRow]) -> str:
@@ -95,25 +97,25 @@ def counts_in_words(claims: Iterable[ClaimRow]) -> str:
     return f"{text}; {left} were not flown." if left else f"{text}."
 
 
-def margin_rows(found: Reproduction) -> list[dict[str, Any]]:
+def margin_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
     """Margins of every controller: computed, measured on the linear plant, measured in flight."""
     sources = (
-        ("computed", found.linear.evidence.margins),
-        ("measured, linear plant", {name: sweep.margins for name, sweep in found.linear.sweeps.items()}),
-        ("measured in flight", {name: sweep.margins for name, sweep in found.flown_sweeps.items()}),
+        ("computed", reproduction.linear.evidence.margins),
+        ("measured, linear plant", {name: sweep.margins for name, sweep in reproduction.linear.sweeps.items()}),
+        ("measured in flight", {name: sweep.margins for name, sweep in reproduction.flown_sweeps.items()}),
     )
     return [
         {"name": NAMES[controller], "source": source, "margins": margins[controller]}
-        for controller in found.linear.evidence.margins
+        for controller in reproduction.linear.evidence.margins
         for source, margins in sources
         if controller in margins
     ]
 
 
-def offset_rows(found: Reproduction) -> list[dict[str, Any]]:
+def offset_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
     """Roll under a constant disturbance, degrees, by controller."""
-    known = {each.controller: each for each in found.linear.offsets}
-    flown = {each.controller: each.late for each in found.offsets}
+    known = {offset.controller: offset for offset in reproduction.linear.offsets}
+    flown = {offset.controller: offset.late for offset in reproduction.offsets}
     rows = []
     for controller in [name for name in NAMES if name in known or name in flown]:
         linear = known.get(controller)
@@ -135,4 +137,4 @@ def compared(rows: Iterable[Row]) -> list[Row]:
 
 def _typical(deviations: Iterable[float | None]) -> float:
     """Half of the deviations are smaller than this, percent."""
-    return median(abs(each) for each in deviations if each is not None)
+    return median(abs(deviation) for deviation in deviations if deviation is not None)

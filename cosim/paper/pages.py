@@ -33,22 +33,22 @@ def check_page(path: Path) -> None:
         raise InputError(f"{path}: it has no mark that this command fills; there are {allowed}")
 
 
-def write_page(path: Path, found: Reproduction) -> None:
+def write_page(path: Path, reproduction: Reproduction) -> None:
     """Write into the page those of the parts for which it has marks.  Raises InputError as :func:`write_marks`."""
-    made = page_parts(found)
+    made = page_parts(reproduction)
     present = parts_of(path.read_text(encoding="utf-8"), path)
     write_marks(path, {name: text for name, text in made.items() if name in present})
 
 
-def page_parts(found: Reproduction) -> dict[str, str]:
+def page_parts(reproduction: Reproduction) -> dict[str, str]:
     """Every part by its mark's name."""
     return {
-        COUNTS: counts_in_words(found.claims) + "\n",
-        DOUBLET: _doublet(found),
-        HELD: _held(found),
-        DIFFERS: _differs(found),
-        CONSTRUCTED: constructed_table(found.claims),
-        TURBOJET: _turbojet(found),
+        COUNTS: counts_in_words(reproduction.claims) + "\n",
+        DOUBLET: _doublet(reproduction),
+        HELD: _held(reproduction),
+        DIFFERS: _differs(reproduction),
+        CONSTRUCTED: constructed_table(reproduction.claims),
+        TURBOJET: _turbojet(reproduction),
     }
 
 
@@ -66,9 +66,9 @@ def constructed_table(claims: Iterable[ClaimRow]) -> str:
     return table(("claim", "by construction on", "ours is", "because"), rows, left=4)
 
 
-def _doublet(found: Reproduction) -> str:
+def _doublet(reproduction: Reproduction) -> str:
     """The Hex-Jet's roll doublet at the gains of vehicle.toml, flown with noise."""
-    results = [found.flown[f"hexjet-doublet.{c}"] for c in ("baseline", "smith")]
+    results = [reproduction.flown[f"hexjet-doublet.{c}"] for c in ("baseline", "smith")]
     a, b = (each.metrics for each in results)
     less, faster = numbers.value("hexjet.less_overshoot"), numbers.value("hexjet.faster_settling")
     rmse, most = numbers.value("hexjet-doublet.smith.rmse"), numbers.value("hexjet-doublet.smith.max")
@@ -101,10 +101,10 @@ def _settling(metrics: Metrics) -> str:
     return "never" if not metrics.stable or metrics.settling_s is None else f"{metrics.settling_s:.1f} s"
 
 
-def _held(found: Reproduction) -> str:
+def _held(reproduction: Reproduction) -> str:
     """What the paper is about, with the numbers of both fidelities."""
-    claims = {row.key: row for row in found.claims}
-    ours = {row.key: row for row in found.rows}
+    claims = {row.key: row for row in reproduction.claims}
+    ours = {row.key: row for row in reproduction.rows}
 
     def both(*keys: str) -> bool:
         return all(_agrees(judged) for key in keys for judged in (claims[key].linear, claims[key].flight))
@@ -112,10 +112,10 @@ def _held(found: Reproduction) -> str:
     def said(text: str, *keys: str) -> str:
         return text if both(*keys) else f"{text} (not in both fidelities)"
 
-    computed = found.linear.evidence.margins["smith"].phase_margin or 0.0
-    flown = found.flown_evidence.margins["smith"].phase_margin or 0.0
+    computed = reproduction.linear.evidence.margins["smith"].phase_margin or 0.0
+    flown = reproduction.flown_evidence.margins["smith"].phase_margin or 0.0
     less, faster = ours["hexjet.less_overshoot"], ours["hexjet.faster_settling"]
-    delay = next(each.values for each in found.linear.conditions if each.key == "baseline-delay")
+    delay = next(condition.values for condition in reproduction.linear.conditions if condition.key == "baseline-delay")
     lines = [
         said(
             "Without a predictor the quadrotor is stable with 5 samples and not with 10; with Smith's it is stable with 5, "
@@ -143,9 +143,9 @@ def _agrees(judged: Judged | None) -> bool:
     return judged is not None and judged.verdict in ("holds", "by construction")
 
 
-def _differs(found: Reproduction) -> str:
+def _differs(reproduction: Reproduction) -> str:
     """What does not follow from the printed model, and what we found."""
-    linear, flight = found.linear.evidence, found.flown_evidence
+    linear, flight = reproduction.linear.evidence, reproduction.flown_evidence
     margins = linear.margins
 
     def growth(new: str, old: str, what: str, evidence: Evidence = flight) -> str:
@@ -156,11 +156,11 @@ def _differs(found: Reproduction) -> str:
         ("disturbance-10.smith", "disturbance-5.smith"),
         ("disturbance-10-unseen.smith", "disturbance-5-unseen.smith"),
     )
-    sign = next(each.values for each in found.linear.conditions if each.key == "payload-sign")
+    sign = next(condition.values for condition in reproduction.linear.conditions if condition.key == "payload-sign")
     amplitude, tau = numbers.value("step.amplitude"), numbers.value("step.time_constant")
     least = radians(amplitude) * (3.0 * tau / numbers.value("step.record")) ** 0.5
     loaded = flight.metrics["step-10-payload.state"].stable
-    late = [growth("step-25.smith", "step-5.smith", "rmse", each) for each in (linear, flight)]
+    late = [growth("step-25.smith", "step-5.smith", "rmse", condition) for condition in (linear, flight)]
     rows = [
         (
             f"RMSE of {numbers.value('step-5.baseline.rmse'):.3f} rad for {amplitude:g}° either way with a time constant of "
@@ -215,20 +215,20 @@ def _differs(found: Reproduction) -> str:
     return table(("the paper", "ours"), rows, left=2)
 
 
-def _turbojet(found: Reproduction) -> str:
+def _turbojet(reproduction: Reproduction) -> str:
     """The fastest attitude loop of each controller with fans and with turbojets, and what the flight makes of it."""
-    reach = {(each.engine, each.controller): each for each in found.linear.turbojet}
-    flown = {each.controller: each for each in found.turbojet}
+    reach = {(design.engine, design.controller): design for design in reproduction.linear.turbojet}
+    flown = {design.controller: design for design in reproduction.turbojet}
 
     def hertz(engine: str, controller: str) -> str:
-        each = reach.get((engine, controller))
-        return "-" if each is None or each.bandwidth is None else f"{each.bandwidth:.2f} Hz"
+        design = reach.get((engine, controller))
+        return "-" if design is None or design.bandwidth is None else f"{design.bandwidth:.2f} Hz"
 
     def percent(value: float | None) -> str:
         return "-" if value is None else f"{value:.0f} %"
 
     rows = []
-    for controller in dict.fromkeys(each.controller for each in found.linear.turbojet):
+    for controller in dict.fromkeys(design.controller for design in reproduction.linear.turbojet):
         flight = flown.get(controller)
         linear = reach.get(("turbojet", controller))
         settles = "-" if flight is None else "never" if flight.settling_s is None else f"{flight.settling_s:.1f} s"

@@ -86,22 +86,24 @@ def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int
     parts = _run(tasks, folder / "parts", say, workers)
     parts |= _run(_turbojet_tasks(parts), folder / "parts", say, workers)
     write_scenarios(folder / SCENARIOS)
-    found = _put_together(parts)
-    write_csv(found.rows, folder / COMPARISON)
+    reproduction = _put_together(parts)
+    write_csv(reproduction.rows, folder / COMPARISON)
     with replacing(folder / DATA) as temporary:
-        data = as_data(found.linear, found.rows, found.claims) | {"flight": _flight_data(found)}
+        data = as_data(reproduction.linear, reproduction.rows, reproduction.claims) | {
+            "flight": _flight_data(reproduction)
+        }
         temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    write_page(found, folder / REPORT)
-    return found
+    write_page(reproduction, folder / REPORT)
+    return reproduction
 
 
-def _flight_data(found: Reproduction) -> dict[str, Any]:
+def _flight_data(reproduction: Reproduction) -> dict[str, Any]:
     """What the flights add to the data of the linear plant."""
     return {
-        "metrics": {name: result.metrics.model_dump() for name, result in found.flown.items()},
-        "measured_margins": {name: sweep.margins.model_dump() for name, sweep in found.flown_sweeps.items()},
-        "offsets": [asdict(each) for each in found.offsets],
-        "turbojet": [asdict(each) for each in found.turbojet],
+        "metrics": {name: result.metrics.model_dump() for name, result in reproduction.flown.items()},
+        "measured_margins": {name: sweep.margins.model_dump() for name, sweep in reproduction.flown_sweeps.items()},
+        "offsets": [asdict(offset) for offset in reproduction.offsets],
+        "turbojet": [asdict(offset) for offset in reproduction.turbojet],
     }
 
 
@@ -206,16 +208,16 @@ def fly_sweep(controller: str) -> Sweep:
 def fly_manual() -> Manual:
     """The Hex-Jet's manual flight: tracking on three axes, and every tenth sample for the figure."""
     run = fly(Scenario.load("manual"))
-    found: dict[str, float] = {}
+    correlations: dict[str, float] = {}
     angle, rate = {}, {}
-    for (axis, each), letter in zip(run.metrics.items(), "pqr", strict=True):
-        assert each.rmse_rad is not None
-        assert each.rate_rmse_rad_s is not None
-        found[f"hexjet-manual.{axis}.rmse"] = each.rmse_rad
-        found[f"hexjet-manual.{axis}.rate_rmse"] = each.rate_rmse_rad_s
+    for (axis, metrics), letter in zip(run.metrics.items(), "pqr", strict=True):
+        assert metrics.rmse_rad is not None
+        assert metrics.rate_rmse_rad_s is not None
+        correlations[f"hexjet-manual.{axis}.rmse"] = metrics.rmse_rad
+        correlations[f"hexjet-manual.{axis}.rate_rmse"] = metrics.rate_rmse_rad_s
         angle[axis] = _thin(run.log, f"{axis}_setpoint_rad", f"{axis}_rad")
         rate[axis] = _thin(run.log, f"rate_{letter}_setpoint_rad_s", f"rate_{letter}_measured_rad_s")
-    return Manual(found, run.log["time_s"][::10].tolist(), angle, rate)
+    return Manual(correlations, run.log["time_s"][::10].tolist(), angle, rate)
 
 
 def _thin(log: Log, *names: str) -> tuple[list[float], list[float]]:
@@ -247,26 +249,26 @@ def identify() -> Identified:
     from cosim.design.identify import identify_axis, identify_engine
     from cosim.design.identify.fit import fit
 
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     responses = {}
     for engine in ("turbojet", "edf"):
         identified = identify_engine(engine)
         model = identified.model
         responses[engine] = _response(identified.response, GRAVITY)
-        found[f"{engine}.gain"] = model.gain / GRAVITY
-        found[f"{engine}.pole"] = model.poles[0]
-        found[f"{engine}.time_constant"] = -model.sample_time_s / float(np.log(model.poles[0]))
+        values[f"{engine}.gain"] = model.gain / GRAVITY
+        values[f"{engine}.pole"] = model.poles[0]
+        values[f"{engine}.time_constant"] = -model.sample_time_s / float(np.log(model.poles[0]))
         if engine == "turbojet":
-            found["turbojet.delay"] = model.delay_samples * model.sample_time_s
+            values["turbojet.delay"] = model.delay_samples * model.sample_time_s
     # one lag stands for the engine's and the gyro filter's: the paper's split of lag and delay is one of many, so the
     # lag is found behind the paper's delay and the delay beside the paper's lag
     delay, step = numbers.value("hexjet.delay"), numbers.value("hexjet.step")
     roll = identify_axis("roll", hold={"delay_samples": delay})
-    found["roll.pole_slow"], found["roll.pole_fast"] = max(roll.model.poles), min(roll.model.poles)
+    values["roll.pole_slow"], values["roll.pole_fast"] = max(roll.model.poles), min(roll.model.poles)
     lag = -step / float(np.log(numbers.value("roll.pole_fast")))
-    found["hexjet.delay"] = fit(roll.response, 1, "the paper's lag", {"lag_s": lag}).model.delay_samples
+    values["hexjet.delay"] = fit(roll.response, 1, "the paper's lag", {"lag_s": lag}).model.delay_samples
     responses["roll"] = _response(roll.response, 1.0)
-    return Identified(found, responses)
+    return Identified(values, responses)
 
 
 def _response(measured: FrequencyResponse, unit: float) -> Response:

@@ -287,20 +287,20 @@ def read_table(
 def read_table_note(path: Path) -> dict[str, str]:
     """What :func:`write_table` was given as ``note``.  Raises InputError if the file cannot be read."""
     with _parquet(path) as file:
-        found = file.schema_arrow.metadata or {}
-    return {str(key, "utf-8"): str(value, "utf-8") for key, value in found.items()}
+        metadata = file.schema_arrow.metadata or {}
+    return {str(key, "utf-8"): str(value, "utf-8") for key, value in metadata.items()}
 
 
 def _array(name: str, values: Sequence[Value], stated: type[Value] | None) -> pa.Array:
     import pyarrow as pa
 
     types = {float: pa.float64(), int: pa.int64(), bool: pa.bool_(), str: pa.string()}
-    found = {type(value) for value in values if value is not None}
-    kinds = {next((kind for kind in (bool, *types) if issubclass(each, kind)), each) for each in found}
+    types_met = {type(value) for value in values if value is not None}
+    kinds = {next((kind for kind in (bool, *types) if issubclass(kind_met, kind)), kind_met) for kind_met in types_met}
     numbers = {float, int}
     kind = stated or (next(iter(kinds)) if len(kinds) == 1 else float)
     if kind not in types or not kinds <= (numbers if kind is float else {kind}):
-        held = ", ".join(sorted(each.__name__ for each in kinds))
+        held = ", ".join(sorted(kind_met.__name__ for kind_met in kinds))
         allowed = f"{kind.__name__} or None" if stated else "one of float, int, bool and str in a column, or None"
         raise InputError(f"column {name!r}: {held}; allowed: {allowed}")
     try:

@@ -157,12 +157,12 @@ def read_pilot_record(folder: Path) -> list[Line]:
 def _lines(path: Path, text: str) -> Iterator[Line]:
     for number, line in enumerate(text.split("\n")[:-1], 1):
         try:
-            found = json.loads(line)
+            entry = json.loads(line)
         except ValueError as error:
             raise InputError(f"{path}, line {number}: not JSON ({error})") from error
-        if not isinstance(found, dict) or not isinstance(found.get("k"), int) or not isinstance(found.get("kind"), str):
+        if not isinstance(entry, dict) or not isinstance(entry.get("k"), int) or not isinstance(entry.get("kind"), str):
             raise InputError(f"{path}, line {number}: must be an object with the step k and a kind")
-        yield found
+        yield entry
 
 
 def _estimate(status: Status) -> Line:

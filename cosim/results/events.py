@@ -56,14 +56,14 @@ def events_of(run: Run) -> list[Event]:
     except (InputError, FlightError):  # of another version, or gone: the log is still there
         scenario = None
     end = len(log) * step
-    found = [
+    events = [
         *faults(log, step, scenario.fault if scenario else ()),
         *verdicts(log, step),
         *contacts(log, step),
         *(disturbances(scenario, end) if scenario else ()),
         *said(run.folder, step),
     ]
-    return sorted(found, key=lambda event: event.time_s)
+    return sorted(events, key=lambda event: event.time_s)
 
 
 def spans(mask: NDArray[np.bool_], step: float) -> list[tuple[float, float | None]]:

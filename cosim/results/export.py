@@ -112,15 +112,15 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
         for block in run.log.blocks(run.log.columns, ROWS):
             if estimates is not None:
                 block = block | _held(estimates, first, len(block["time_s"]))
-            found = [
+            messages = [
                 each for n, topic in enumerate(topics.values()) for each in _messages(topic, n, block, first, last)
             ]
             first += len(block["time_s"])
             while done < len(events) and events[done][0] < first:
-                found.append(events[done])
+                messages.append(events[done])
                 done += 1
-            found.sort(key=lambda message: message[0])
-            file.writelines(content for _, content in found)
+            messages.sort(key=lambda message: message[0])
+            file.writelines(content for _, content in messages)
         file.writelines(content for _, content in events[done:])
 
 
@@ -289,8 +289,8 @@ def _known(kind: str, name: str, *columns: str, length: int = 0) -> Field:
 
     def values(block: Block) -> Array:
         missing = np.full(len(block["time_s"]), np.nan)
-        found = [block.get(column, missing) for column in columns]
-        return np.stack(found, axis=1) if length else found[0]
+        blocks = [block.get(column, missing) for column in columns]
+        return np.stack(blocks, axis=1) if length else blocks[0]
 
     return Field(kind, name, length, values)
 
@@ -363,8 +363,8 @@ def _estimated_position() -> list[Field]:
 
     def estimate(name: str, column: str, factor: float = 1.0) -> Field:
         def values(block: Block) -> Array:
-            found = block[f"autopilot_{name}"]
-            return np.where(np.isnan(found), factor * block[column], found)
+            estimates = block[f"autopilot_{name}"]
+            return np.where(np.isnan(estimates), factor * block[column], estimates)
 
         return Field("float", name, 0, values)
 

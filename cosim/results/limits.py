@@ -75,23 +75,23 @@ def flight_limits(held: Yardstick, log: Columns, step_s: float) -> dict[str, flo
     """
     span = held.span_m
     setpoint, altitude = log["altitude_setpoint_m"], log["altitude_m"]
-    found = {
+    limits = {
         "height_error_m": HEIGHT_SPANS * span + height_lag(setpoint, altitude, held.height_law, step_s),
         "saturated_percent": SATURATED_PERCENT,
     }
     placed, speed = asks_for_a_place(log), SPEEDS * sqrt(GRAVITY * span)
     if placed:
-        found["place_error_m"] = PLACE_SPANS * span
+        limits["place_error_m"] = PLACE_SPANS * span
     if not held.piloted:
         if placed:
-            found["speed_m_s"] = speed + track_speed(log[PLACE[0]], log[PLACE[1]], step_s)
+            limits["speed_m_s"] = speed + track_speed(log[PLACE[0]], log[PLACE[1]], step_s)
         else:
             roll, pitch, yaw = (log[f"{axis}_setpoint_rad"] for axis in AXES)
             start = (log["velocity_north_m_s"][:1], log["velocity_east_m_s"][:1])
             asked = lean_motion(roll, pitch, yaw, start, step_s)
             if asked is not None:
-                found |= {"drift_m": DRIFT_SPANS * span + asked[0], "speed_m_s": speed + asked[1]}
-    merged: dict[str, float | None] = {**found, **held.stated}
+                limits |= {"drift_m": DRIFT_SPANS * span + asked[0], "speed_m_s": speed + asked[1]}
+    merged: dict[str, float | None] = {**limits, **held.stated}
     return {LIMITED[key]: value for key, value in merged.items() if value is not None}
 
 

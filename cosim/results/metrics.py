@@ -248,18 +248,18 @@ def saturated(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
 
     A jet that the monitor has given up, whose throttle is closed for that, does not count.
     """
-    found = np.zeros(log["on_ground"].size, dtype=np.bool_)
+    rows = np.zeros(log["on_ground"].size, dtype=np.bool_)
     for name in REFUSED:
-        found |= np.abs(log[name]) > 0.0
+        rows |= np.abs(log[name]) > 0.0
     if reach is None:
-        return found
+        return rows
     for jet, (least, most) in enumerate(reach.throttle, 1):
         throttle, given_up = log[THROTTLE.format(jet)], log[HEALTH.format(jet)] < 1.0
-        found |= ((throttle <= least + AT_LIMIT) | (throttle >= most - AT_LIMIT)) & ~given_up
+        rows |= ((throttle <= least + AT_LIMIT) | (throttle >= most - AT_LIMIT)) & ~given_up
     if reach.tilt_rad is not None:
         for name in TILTS:
-            found |= np.abs(log[name]) >= reach.tilt_rad - AT_LIMIT
-    return found
+            rows |= np.abs(log[name]) >= reach.tilt_rad - AT_LIMIT
+    return rows
 
 
 def share_percent(rows: NDArray[np.bool_], of: NDArray[np.bool_]) -> float | None:
@@ -273,12 +273,12 @@ def activity(commands: Iterable[Array], step_s: float) -> float | None:
 
     The total variation of a control signal, the common measure of its effort.  A command without a number is left out.
     """
-    found = [
-        float(np.sum(np.abs(np.diff(each)))) / ((each.size - 1) * step_s)
-        for each in commands
-        if each.size > 1 and np.all(np.isfinite(each))
+    values = [
+        float(np.sum(np.abs(np.diff(command)))) / ((command.size - 1) * step_s)
+        for command in commands
+        if command.size > 1 and np.all(np.isfinite(command))
     ]
-    return sum(found) / len(found) if found else None
+    return sum(values) / len(values) if values else None
 
 
 def fuel_burnt(left: Array, flows: Iterable[Array], step_s: float) -> float | None:

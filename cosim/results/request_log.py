@@ -74,13 +74,13 @@ def read_requests(path: Path) -> list[Entry]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
-    found: list[Entry] = []
+    entries: list[Entry] = []
     for number, line in enumerate(text.split("\n")[:-1], 1):
         entry = _entry(line, f"{path}, line {number}")
-        if found and entry.step < found[-1].step:
-            raise InputError(f"{path}, line {number}: step {entry.step} comes after step {found[-1].step}")
-        found.append(entry)
-    return found
+        if entries and entry.step < entries[-1].step:
+            raise InputError(f"{path}, line {number}: step {entry.step} comes after step {entries[-1].step}")
+        entries.append(entry)
+    return entries
 
 
 def _entry(line: str, where: str) -> Entry:

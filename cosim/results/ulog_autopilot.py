@@ -45,7 +45,7 @@ class Series(NamedTuple):
 def states(lines: Sequence[Line], steps: int, step: float) -> dict[str, Series]:
     """``vehicle_status``, ``vehicle_land_detected`` and ``home_position``, ``mission_result`` over a flight."""
     again = max(1, round(_AGAIN_S / step))
-    found: dict[str, Series] = {}
+    by_state: dict[str, Series] = {}
     for topic, kind, fields in (
         ("vehicle_status", "state", _STATUS),
         ("vehicle_land_detected", "state", _LANDED),
@@ -53,8 +53,8 @@ def states(lines: Sequence[Line], steps: int, step: float) -> dict[str, Series]:
         ("mission_result", "mission", _MISSION),
     ):
         if series := _repeated([line for line in lines if line["kind"] == kind], fields, steps, again):
-            found[topic] = series
-    return found
+            by_state[topic] = series
+    return by_state
 
 
 def estimates(lines: Sequence[Line]) -> Series | None:
@@ -106,15 +106,15 @@ def messages(lines: Sequence[Line]) -> list[tuple[int, int, str]]:
 
 def mode_changes(lines: Sequence[Line]) -> list[tuple[int, str]]:
     """Changes of mode, arming and failsafe as lines of text, for a log's list of messages."""
-    found: list[tuple[int, str]] = []
+    changes: list[tuple[int, str]] = []
     before: Line = {}
-    for line in (each for each in lines if each["kind"] == "state"):
+    for line in (line_read for line_read in lines if line_read["kind"] == "state"):
         if before and line["armed"] != before["armed"]:
-            found.append((line["k"], "armed" if line["armed"] else "disarmed"))
+            changes.append((line["k"], "armed" if line["armed"] else "disarmed"))
         if before and line["mode"] != before["mode"]:
-            found.append((line["k"], f"mode {line['mode']}"))
+            changes.append((line["k"], f"mode {line['mode']}"))
         before = line
-    return found
+    return changes
 
 
 def parameter(name: str, value: float) -> bytes:

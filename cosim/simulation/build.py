@@ -189,10 +189,10 @@ def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
 
 def find_controller(scenario: Scenario) -> Source | None:
     """The scenario's controller where it is from outside.  Raises InputError for an unknown one, or another file."""
-    found = find(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
-    if found is not None:
-        found.expect(scenario.controller_sha256, f"scenario {scenario.name}")
-    return found
+    source = find(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
+    if source is not None:
+        source.expect(scenario.controller_sha256, f"scenario {scenario.name}")
+    return source
 
 
 def own_parameters(scenario: Scenario, own: Source | None) -> dict[str, float]:
@@ -227,7 +227,7 @@ class _Plugged:
         self.attitude: GuardedAttitude | None = None
         self.rate: GuardedRate | None = None
         if own.level == "controller" and any(
-            isinstance(each, TorqueCommandDisturbance) for each in scenario.disturbance
+            isinstance(disturbance, TorqueCommandDisturbance) for disturbance in scenario.disturbance
         ):
             raise InputError(
                 f"scenario {scenario.name}: disturbance: torque_command acts on a rate loop's output, which controller "
@@ -317,19 +317,19 @@ def _told(
 
 def _believed(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
     """The identified models for this engine and this step, the delay that the controller adds in that of roll."""
-    found: dict[str, RateModel] = {}
+    models: dict[str, RateModel] = {}
     for axis, model in vehicle.identified.get(engine.family, {}).items():
         if abs(model.sample_time_s - scenario.step_s) <= 1e-9:
             added = scenario.added_delay_samples if axis == "roll" else 0
             delay = model.delay_samples + added
-            found[axis] = model.model_copy(update={"delay_samples": delay}) if added else model
-    return found
+            models[axis] = model.model_copy(update={"delay_samples": delay}) if added else model
+    return models
 
 
 def _hovering(vehicle: Vehicle, engine: EngineSpec, stations: Sequence[EngineSpec]) -> tuple[ThrustMap, float]:
     """From shares of thrust to throttles, and the share in hover."""
-    curves = {id(each): StaticCurve(each.name, *each.rising) for each in (engine, *stations)}
-    thrust_map = ThrustMap(curves[id(engine)], [curves[id(each)] for each in stations])
+    curves = {id(station): StaticCurve(station.name, *station.rising) for station in (engine, *stations)}
+    thrust_map = ThrustMap(curves[id(engine)], [curves[id(station)] for station in stations])
     return thrust_map, thrust_map.share(vehicle.mass_kg * GRAVITY / len(vehicle.jets))
 
 
@@ -417,13 +417,13 @@ def _lift(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) 
 def opposites(vehicle: Vehicle) -> tuple[int, ...]:
     """For every jet, from 0, the one across the centre of gravity.  Raises InputError if one has none."""
     places = [jet.position_m for jet in vehicle.jets]
-    found = []
+    pairs = []
     for number, (x, y, _) in enumerate(places, 1):
         across = [i for i, (a, b, _) in enumerate(places) if hypot(a + x, b + y) < 1e-3 * hypot(x, y)]
         if len(across) != 1:
             raise InputError(f"{vehicle.name}: control.monitor.shut_opposite: no jet stands opposite jet {number}")
-        found.append(across[0])
-    return tuple(found)
+        pairs.append(across[0])
+    return tuple(pairs)
 
 
 def _lead(vehicle: Vehicle, command: str, step: float) -> Lead | None:
@@ -433,7 +433,7 @@ def _lead(vehicle: Vehicle, command: str, step: float) -> Lead | None:
 
 def _need_lift(vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
     """Refuse stations whose engines cannot carry the vehicle together, whatever the scenario's engine could."""
-    weight, most = vehicle.mass_kg * GRAVITY, sum(each.curve.thrust[-1] for each in stations)
+    weight, most = vehicle.mass_kg * GRAVITY, sum(station.curve.thrust[-1] for station in stations)
     if most <= weight:
         raise InputError(
             f"stations: the engines give at most {most:.1f} N together; {vehicle.name} ({vehicle.mass_kg:g} kg) "
@@ -483,7 +483,7 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
             + _one_command(scenario, vehicle, engine)
         )
     believed = _believed(scenario, vehicle, engine)
-    found: list[Predictor] = []
+    made: list[Predictor] = []
     for axis in AXES:
         model = believed.get(axis)
         if spec.needs_model and model is None and axis in models:
@@ -494,5 +494,5 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
             )
         # jets that tilt give pitch and yaw by servo, which no predictor is for
         predicted = model is not None if spec.needs_model else axis == "roll" or vehicle.servo is None
-        found.append(spec.predictor(model, vehicle.control.predictor) if predicted else NoPredictor())
-    return found
+        made.append(spec.predictor(model, vehicle.control.predictor) if predicted else NoPredictor())
+    return made

@@ -46,9 +46,9 @@ def delay_ledger(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineS
     """The rows in the order in which the signal passes them; ``engines``: one per station."""
     gyro = vehicle.sensors.gyro
     owner, levers = _owner(engines), [abs(jet.position_m[1]) for jet in vehicle.jets]
-    delays = [_delay(each, scenario.step_s) for each in engines]
-    how = MEASURED if any(each.pole is None and each.small is not None for each in engines) else ""
-    lags = [_lag(each, scenario.step_s) for each in engines]
+    delays = [_delay(engine, scenario.step_s) for engine in engines]
+    how = MEASURED if any(engine.pole is None and engine.small is not None for engine in engines) else ""
+    lags = [_lag(engine, scenario.step_s) for engine in engines]
     pole = exp(-scenario.step_s / gyro.filter_s) if gyro.filter_s > 0.0 else 0.0
     later = scenario.mismatch.delay_samples
     unknown = [LedgerRow("engines later than known", "mismatch.delay_samples", "transport", float(later))]
@@ -88,7 +88,7 @@ def _loops(engines: Sequence[EngineSpec]) -> list[LedgerRow]:
 
 
 def _owner(engines: Sequence[EngineSpec]) -> str:
-    names = list(dict.fromkeys(each.name for each in engines))
+    names = list(dict.fromkeys(engine.name for engine in engines))
     return f"engine {names[0]}" if len(names) == 1 else f"engines {', '.join(names)}: mean by roll lever"
 
 

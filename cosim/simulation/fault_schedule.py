@@ -116,10 +116,10 @@ class FaultSchedule:
     def change(self, k: int, measured: Measured) -> None:
         """Begin and end what is due at step ``k``; ``measured`` is what the sensors said last."""
         due = [fault for start, end, fault in self._spans if start <= k < end]
-        for fault in [fault for fault in self._acting if not any(fault is each for each in due)]:
+        for fault in [fault for fault in self._acting if not any(fault is other for other in due)]:
             self._end(fault)
         for fault in due:
-            if not any(fault is each for each in self._acting):
+            if not any(fault is other for other in self._acting):
                 self._begin(fault, measured)
         self._acting = due
         self._jam()

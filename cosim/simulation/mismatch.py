@@ -36,7 +36,9 @@ def as_flown(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
         update={
             "mass_kg": mass,
             "jets": [jet.model_copy(update={"position_m": seen(jet.position_m)}) for jet in vehicle.jets],
-            "contacts": [each.model_copy(update={"position_m": seen(each.position_m)}) for each in vehicle.contacts],
+            "contacts": [
+                contact.model_copy(update={"position_m": seen(contact.position_m)}) for contact in vehicle.contacts
+            ],
             "aero": vehicle.aero.model_copy(update={"centre_m": seen(vehicle.aero.centre_m)}),
             "fuel": fuel and fuel.model_copy(update={"position_m": seen(fuel.position_m)}),
         }

@@ -38,14 +38,14 @@ class FileName(NamedTuple):
 
 def file_name(controller: str) -> FileName | None:
     """The file in a controller's name; None: it is no file."""
-    found = _NAMED.fullmatch(controller)
-    if found is None:
+    match = _NAMED.fullmatch(controller)
+    if match is None:
         return None
-    if found["before"]:
-        return FileName("process:", found["program"], found["arguments"])
-    if found["python"]:
-        return FileName("", found["python"], found["object"])
-    return FileName("", found["whole"], "")
+    if match["before"]:
+        return FileName("process:", match["program"], match["arguments"])
+    if match["python"]:
+        return FileName("", match["python"], match["object"])
+    return FileName("", match["whole"], "")
 
 
 def is_design(controller: str) -> bool:

@@ -555,8 +555,8 @@ class Scenario(Model):
         known = self._resolved
         if known is None or known[0] != self.aircraft or known[1] is not self.vehicle:  # a copy may have another
             where = f"scenario {self.name}: vehicle"
-            found = load_vehicle(self.aircraft, self.vehicle, where, self.folder)
-            known = self._resolved = (self.aircraft, self.vehicle, found)
+            vehicle = load_vehicle(self.aircraft, self.vehicle, where, self.folder)
+            known = self._resolved = (self.aircraft, self.vehicle, vehicle)
         return known[2]
 
     @property

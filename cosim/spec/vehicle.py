@@ -252,7 +252,7 @@ class Schedule(Model):
 
     @model_validator(mode="after")
     def _rising(self) -> Schedule:
-        shares = [each.share for each in self.level]
+        shares = [level.share for level in self.level]
         if any(b <= a for a, b in pairwise(shares)):
             raise ValueError(f"level: every share must be above the one before it, not {shares}")
         return self
@@ -499,8 +499,8 @@ class ModelFile(Model):
 
 def read_models(path: Path) -> dict[str, Any]:
     """The table ``identified`` of a model file.  Raises InputError if it cannot be read or is not one."""
-    found: dict[str, Any] = validate(ModelFile, read_toml(path), str(path)).model_dump(mode="json")["identified"]
-    return found
+    models: dict[str, Any] = validate(ModelFile, read_toml(path), str(path)).model_dump(mode="json")["identified"]
+    return models
 
 
 def aircraft_names() -> list[str]:

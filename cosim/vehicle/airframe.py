@@ -206,10 +206,10 @@ class Airframe:
 
     def _node(self, name: str) -> jsbsim.FGPropertyNode:
         # JSBSim silently creates a property that is written but does not exist, so every name is resolved first
-        found = self._fdm.get_property_manager().get_node(name)
-        if found is None:
+        node = self._fdm.get_property_manager().get_node(name)
+        if node is None:
             raise InputError(f"{self._source or self._vehicle.name}: this JSBSim model has no property {name}")
-        return found
+        return node
 
     def _last_point_mass(self) -> int:
         """The index of the point mass that :func:`render` adds for the burnt fuel."""

@@ -91,13 +91,13 @@ def measure_blocks(steps: int, rounds: int, folder: Path, on_round: Callable[[],
         replay, clocks = Replay(flights.build(SUBSTEPS), folder), Clocks(flights.build(SUBSTEPS), steps)
         jobs = [block.job(steps) for block in replay.blocks()]
         try:
-            found = collect([*jobs, clocks.job, flights.recorded(SUBSTEPS)], flights.units(), rounds, on_round)
+            pairs = collect([*jobs, clocks.job, flights.recorded(SUBSTEPS)], flights.units(), rounds, on_round)
         finally:
             replay.close()
-    outside = Cost.of(found[SUBSTEPS, RECORDED], less=SUBSTEPS)
-    alone = {job.name: Cost.of(found[SUBSTEPS, job.name]) for job in jobs}
+    outside = Cost.of(pairs[SUBSTEPS, RECORDED], less=SUBSTEPS)
+    alone = {job.name: Cost.of(pairs[SUBSTEPS, job.name]) for job in jobs}
     # a median over steps leaves out what other processes took, and so does processor time
-    in_flight = clocks.blocks([pair.unit.cpu for pair in found[SUBSTEPS, INSTRUMENTED]])
+    in_flight = clocks.blocks([pair.unit.cpu for pair in pairs[SUBSTEPS, INSTRUMENTED]])
     parts = {name: in_flight[name].units if name in in_flight else cost.units.median for name, cost in alone.items()}
     return Breakdown(SUBSTEPS, outside, alone, in_flight, outside.units.median - sum(parts.values()))
 
@@ -297,15 +297,15 @@ class Clocks:
 
     def blocks(self, units: Sequence[float]) -> dict[str, InFlight]:
         """The medians of the flights; ``units`` are the unit's seconds, flight by flight."""
-        found = {}
+        blocks = {}
         for name, medians in self._medians.items():
             less = SUBSTEPS if name == AIRFRAME else 0
             rows = list(zip(medians, units, strict=True))
-            found[name] = InFlight(
+            blocks[name] = InFlight(
                 1e6 * median([spent - less * unit for spent, unit in rows]),
                 median([spent / unit - less for spent, unit in rows]),
             )
-        return found
+        return blocks
 
 
 class _Keep:

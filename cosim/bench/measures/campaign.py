@@ -159,7 +159,7 @@ def measure_campaign(plan: CampaignPlan, folder: Path, on_round: Callable[[], ob
 
 
 def _scaling(rates: dict[int, list[float]], gain: list[float]) -> Scaling:
-    return Scaling({count: Spread.of(found) for count, found in rates.items()}, Spread.of(gain))
+    return Scaling({count: Spread.of(values) for count, values in rates.items()}, Spread.of(gain))
 
 
 def _workers(count: int) -> Workers:

@@ -80,7 +80,7 @@ def measure_lengths(
     least, most = (rows[pick(seconds)] for pick in (min, max))
     growth = [(b.step.cpu / b.unit.cpu) / (a.step.cpu / a.unit.cpu) for a, b in zip(least, most, strict=True)]
     memory = {length: measure_memory(length / 60.0, times, folder, on_round, report=False) for length in seconds}
-    return Lengths({length: Cost.of(found) for length, found in rows.items()}, Spread.of(growth), memory)
+    return Lengths({length: Cost.of(values) for length, values in rows.items()}, Spread.of(growth), memory)
 
 
 def measure_engine_counts(steps: int, rounds: int, folder: Path, on_round: Callable[[], object]) -> EngineCounts:

@@ -101,15 +101,15 @@ def measure_memory(
         flights.append(_fly_long(folder / f"long-{minutes:g}-{number}", minutes, report))
         on_flight()
     landmarks = []
-    for marks in zip(*(each.marks for each in flights), strict=True):
+    for marks in zip(*(flight.marks for flight in flights), strict=True):
         resident = [mark.resident for mark in marks if mark.resident is not None]
         peak = Spread.of([mark.peak for mark in marks])
         landmarks.append(Landmark(marks[0].where, Spread.of(resident) if resident else None, peak))
-    growths = [each.growth for each in flights if each.growth is not None]
+    growths = [flight.growth for flight in flights if flight.growth is not None]
     return Memory(
         minutes=minutes,
         steps=flights[0].marks[-1].steps,
-        wall_s=Spread.of([each.wall for each in flights]),
+        wall_s=Spread.of([flight.wall for flight in flights]),
         log_mb=flights[0].log,
         landmarks=landmarks,
         growth_mb=Spread.of(growths) if growths else None,

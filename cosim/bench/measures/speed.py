@@ -255,16 +255,16 @@ def fly_through(simulation: Simulation, observers: Sequence[Observer] = ()) -> N
 
 def collect(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int, on_round: Callable[[], object]) -> Pairs:
     """Time the jobs, interleaved; ``on_round`` is called after each round."""
-    found: Pairs = defaultdict(list)
+    pairs: Pairs = defaultdict(list)
     gc.freeze()  # recorded inputs are many: the collector would go through them all before every job
     try:
         for done, (job, pair) in enumerate(interleave(jobs, units, rounds), 1):
-            found[job.substeps, job.name].append(pair)
+            pairs[job.substeps, job.name].append(pair)
             if done % len(jobs) == 0:
                 on_round()
     finally:
         gc.unfreeze()
-    return found
+    return pairs
 
 
 def differences(ours: Sequence[Pair], theirs: Sequence[Pair]) -> list[Pair]:
@@ -276,10 +276,10 @@ def measure_speed(steps: int, rounds: int, folder: Path, on_round: Callable[[], 
     """Costs by the number of JSBSim runs a step and by name; flights are recorded below ``folder``."""
     with Flights(steps, folder) as flights:
         jobs = [job for substeps in SUBSTEPS for job in flights.jobs(substeps)]
-        found = collect(jobs, flights.units(), rounds, on_round)
+        measured = collect(jobs, flights.units(), rounds, on_round)
     costs: dict[int, dict[str, Cost]] = {}
     for substeps in SUBSTEPS:
-        pairs = {name: rows for (runs, name), rows in found.items() if runs == substeps}
+        pairs = {name: rows for (runs, name), rows in measured.items() if runs == substeps}
         units = [pair.unit for rows in pairs.values() for pair in rows]
         costs[substeps] = {
             BARE: Cost.of([Pair(unit, unit) for unit in units]),

@@ -68,17 +68,17 @@ OURS = {250: "ours, Hex-Jet", 400: "ours, quadrotor"}
 
 def measure_multirotor(seconds: float, rounds: int, folder: Path, on_round: Callable[[], object]) -> Multirotor:
     """Hover for so long: every way in turn, to and fro, each between two timings of the unit."""
-    found = find_rotorpy()
-    missing = found if isinstance(found, str) else None
+    rotorpy = find_rotorpy()
+    missing = rotorpy if isinstance(rotorpy, str) else None
     jobs: dict[str, tuple[int, Job]] = {}
     evaluations = {}
     with Flights(250, folder) as flights:
         for rate, scenario in ((250, hover), (400, lambda steps, _: quadrotor(steps))):
             name = OURS[rate]
             jobs[name] = rate, flights.fly(scenario(round(seconds * rate), SUBSTEPS)).recorded(name)
-            if not isinstance(found, str):
-                evaluations[rate] = found.evaluations(rate)
-                for what, action in ((WHOLE, found.whole), (PLANT, found.plant)):
+            if not isinstance(rotorpy, str):
+                evaluations[rate] = rotorpy.evaluations(rate)
+                for what, action in ((WHOLE, rotorpy.whole), (PLANT, rotorpy.plant)):
                     name = f"RotorPy, {what}, {rate} Hz"
                     steps = round(seconds * rate)
                     jobs[name] = rate, Job(name, SUBSTEPS, steps, partial(action, rate, steps))
@@ -176,10 +176,10 @@ class RotorPy:
     def _fly(self, environment: Any, rate: int, steps: int) -> None:
         # it adds up its time: half a step less, and rounding cannot add one
         end = (steps - 0.5) / rate
-        found = environment.run(t_final=end, use_mocap=True, terminate=False, plot=False, verbose=False)
-        flown = len(found["time"]) - 1
+        result = environment.run(t_final=end, use_mocap=True, terminate=False, plot=False, verbose=False)
+        flown = len(result["time"]) - 1
         if flown != steps:
-            raise FlightError(f"RotorPy flew {flown} steps of {steps}: {found['exit'].value}")
-        place = [float(value) for value in found["state"]["x"][-1]]
+            raise FlightError(f"RotorPy flew {flown} steps of {steps}: {result['exit'].value}")
+        place = [float(value) for value in result["state"]["x"][-1]]
         if not all(abs(value) < FARTHEST_M for value in place):
             raise FlightError(f"RotorPy does not hover: it ends at {place} m")

@@ -73,14 +73,14 @@ def inputs(steps: int) -> list[tuple[float, ...]]:
 
 def find_peers() -> tuple[list[Peer], dict[str, str]]:
     """Those that can be used here, us first, and for the others what is in the way."""
-    found = [Peer("ours", "hexjet-cosim", _ours), Peer("FMPy's wrappers", "FMPy", _fmpy)]
+    peers = [Peer("ours", "hexjet-cosim", _ours), Peer("FMPy's wrappers", "FMPy", _fmpy)]
     missing = {}
     for name, package, prepare in (("ecos", "ecospy", _prepare_ecos), ("libcosim", "libcosimpy", _prepare_libcosim)):
         try:
-            found.append(Peer(name, package, prepare()))
+            peers.append(Peer(name, package, prepare()))
         except (ImportError, OSError) as error:
             missing[name] = f"{error}; it comes with: pip install {package}"
-    return found, missing
+    return peers, missing
 
 
 def measure_peers(steps: int, rounds: int, folder: Path, on_round: Callable[[], object]) -> Peers:
@@ -156,7 +156,7 @@ def _fmu() -> tuple[Path, int, int]:
     path = load_engine(ENGINE, {}, STEP).path
     with zipfile.ZipFile(path) as archive, archive.open("modelDescription.xml") as file:
         variables = ElementTree.parse(file).iter("ScalarVariable")
-        references = {each.get("name"): int(each.get("valueReference", "")) for each in variables}
+        references = {variable.get("name"): int(variable.get("valueReference", "")) for variable in variables}
     return path, references["throttle"], references["thrust"]
 
 

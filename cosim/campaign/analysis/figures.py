@@ -34,13 +34,13 @@ CURVES = 12  # keys with a curve of their own, and bars: the most influential
 
 
 def campaign_figures(
-    flown: Flown, found: Sequence[Share], rankings: Mapping[str, Sequence[Ranking | None]], order: Sequence[int]
+    flown: Flown, shares: Sequence[Share], rankings: Mapping[str, Sequence[Ranking | None]], order: Sequence[int]
 ) -> dict[str, Figure]:
     """Every figure of the page by its name; ``order`` are the keys by influence."""
-    figures = {"outcomes": outcomes(flown), "probability": probability(flown, found)}
-    figures |= {f"ranking-{name}": ranking_figure(flown, each) for name, each in rankings.items() if any(each)}
+    figures = {"outcomes": outcomes(flown), "probability": probability(flown, shares)}
+    figures |= {f"ranking-{name}": ranking_figure(flown, ranking) for name, ranking in rankings.items() if any(ranking)}
     figures |= {f"key-{number}": success_over(flown, flown.keys[key]) for number, key in enumerate(order[:CURVES])}
-    return figures | {f"metric-{number}": distribution(flown, each) for number, each in enumerate(flown.metrics)}
+    return figures | {f"metric-{number}": distribution(flown, ranking) for number, ranking in enumerate(flown.metrics)}
 
 
 # ---- how many
@@ -48,7 +48,9 @@ def campaign_figures(
 
 def outcomes(flown: Flown) -> Figure:
     """What the flights of each controller came to, in percent of them."""
-    counts = np.array([np.bincount(flown.kind[flown.of(each)], minlength=len(KINDS)) for each in places(flown)])
+    counts = np.array(
+        [np.bincount(flown.kind[flown.of(controller)], minlength=len(KINDS)) for controller in places(flown)]
+    )
     of = np.maximum(counts.sum(axis=1), 1)
     data = [
         {
@@ -71,18 +73,18 @@ def outcomes(flown: Flown) -> Figure:
     return {"data": data, "layout": layout}
 
 
-def probability(flown: Flown, found: Sequence[Share]) -> Figure:
+def probability(flown: Flown, shares: Sequence[Share]) -> Figure:
     """The share of successes of each controller; of draws with Wilson's interval, and the exact one as a thin line."""
-    known = [(place, each) for place, each in enumerate(found) if each.value is not None]
+    known = [(place, share) for place, share in enumerate(shares) if share.value is not None]
     data = []
-    for place, each in known:
-        low, high = each.wilson
-        value = 100.0 * each.hits / each.of
+    for place, share in known:
+        low, high = share.wilson
+        value = 100.0 * share.hits / share.of
         common: Figure = {"type": "scatter", "y": [flown.controllers[place]], "showlegend": False}
         colour = run_colour(place)
-        text = f"{flown.controllers[place]}: {value:.4g} %, {each.hits} of {each.of}"
+        text = f"{flown.controllers[place]}: {value:.4g} %, {share.hits} of {share.of}"
         if not flown.grid:
-            ends = [100.0 * end for end in each.exact]
+            ends = [100.0 * end for end in share.exact]
             line = {"x": ends, "y": common["y"] * 2, "mode": "lines", "line": {"color": colour, "width": 1}}
             data.append(common | line | {"hoverinfo": "skip"})
             line = {"x": [100.0 * low, 100.0 * high], "y": common["y"] * 2, "mode": "lines", "hoverinfo": "skip"}
@@ -93,15 +95,17 @@ def probability(flown: Flown, found: Sequence[Share]) -> Figure:
             common | {"x": [value], "mode": "markers", "marker": marker, "hovertemplate": f"{text}<extra></extra>"}
         )
     layout = _layout(_rows_height(flown)) | {"showlegend": False}
-    layout["xaxis"] = {"title": {"text": "success [%]"}, "range": _percent_range(flown, found)}
+    layout["xaxis"] = {"title": {"text": "success [%]"}, "range": _percent_range(flown, shares)}
     # without a flight there is no point to make the axis from
     layout["yaxis"] = _names_axis() | {"categoryorder": "array", "categoryarray": flown.controllers, "type": "category"}
     return {"data": data, "layout": layout}
 
 
-def _percent_range(flown: Flown, found: Sequence[Share]) -> list[float]:
+def _percent_range(flown: Flown, shares: Sequence[Share]) -> list[float]:
     """Around everything that is drawn, a tenth of what may be at least."""
-    ends = [end for each in found if each.of for end in ((each.hits / each.of,) * 2 if flown.grid else each.exact)]
+    ends = [
+        end for share in shares if share.of for end in ((share.hits / share.of,) * 2 if flown.grid else share.exact)
+    ]
     low, high = 100.0 * min(ends, default=0.0), 100.0 * max(ends, default=1.0)
     margin = max(0.06 * (high - low), 0.5 * (10.0 - (high - low)), 0.5)
     return [max(low - margin, -1.0), min(high + margin, 101.0)]
@@ -114,10 +118,10 @@ def _rows_height(flown: Flown) -> int:
 # ---- what drives it
 
 
-def ranking_figure(flown: Flown, found: Sequence[Ranking | None]) -> Figure:
+def ranking_figure(flown: Flown, rankings: Sequence[Ranking | None]) -> Figure:
     """First-order indices, the largest on top; shaded is what chance gives, pale what is not above it."""
-    known = [(place, each) for place, each in enumerate(found) if each is not None]
-    by_key = {place: {effect.key: effect for effect in each.effects} for place, each in known}
+    known = [(place, ranking) for place, ranking in enumerate(rankings) if ranking is not None]
+    by_key = {place: {effect.key: effect for effect in ranking.effects} for place, ranking in known}
     labels = {key.path: wrapped(key.label) for key in flown.keys}
     most = {path: max(effects[path].index for effects in by_key.values()) for path in labels}
     paths = sorted(labels, key=lambda path: most[path])[-CURVES:]
@@ -144,14 +148,16 @@ def ranking_figure(flown: Flown, found: Sequence[Ranking | None]) -> Figure:
                 "color": GREY,
             }
         data.append(bar)
-    floor = _percent(max(each.floor for _, each in known))
+    floor = _percent(max(ranking.floor for _, ranking in known))
     layout = _layout(96 + len(paths) * (16 + (14 if len(known) < 3 else 10) * len(known))) | {
         "barmode": "group",
         "bargap": 0.25,
     }
     layout["legend"]["traceorder"] = "reversed"
     layout["showlegend"] = len(known) > 1
-    top = max([*(_percent(each.interval[1]) for effects in by_key.values() for each in effects.values()), 2 * floor])
+    top = max(
+        [*(_percent(ranking.interval[1]) for effects in by_key.values() for ranking in effects.values()), 2 * floor]
+    )
     layout["xaxis"] = {
         "title": {"text": "of the variance [%]"},
         "range": [0.0, min(100.0, 1.06 * top)],

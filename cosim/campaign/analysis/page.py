@@ -80,12 +80,12 @@ def write_campaign_report(campaign: Campaign) -> Path:
 def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
     """The figures of the page, and what its template asks for; writes the scenario files of its cases."""
     flown, study = read(campaign), campaign.study
-    found = shares(flown)
+    successes = shares(flown)
     names = [SUCCESS, *(metric.name for metric in flown.metrics)]
     rankings = {name: [ranked(flown, place, name) for place in places(flown)] for name in names}
     leading = next((name for name in names if any(rankings[name])), SUCCESS)
     order = by_influence(flown, rankings[leading])
-    figures = campaign_figures(flown, found, rankings, order)
+    figures = campaign_figures(flown, successes, rankings, order)
     if len(flown.keys) > 1 and flown.flight.size:
         shown = order[:MAP_KEYS]
         figures["map-tables"] = map_tables(
@@ -95,7 +95,7 @@ def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
         "study": study,
         "controllers": [
             {"name": name, "colour": run_colour(place), "share": share, "kinds": kinds(flown, place)}
-            for place, (name, share) in enumerate(zip(flown.controllers, found, strict=True))
+            for place, (name, share) in enumerate(zip(flown.controllers, successes, strict=True))
         ],
         "flown": flown,
         "planned": campaign.of,
@@ -125,7 +125,7 @@ def facts(campaign: Campaign, flown: Flown) -> list[tuple[str, str]]:
     study = campaign.study
     wall = np.array([each or 0.0 for each in campaign.columns.get("wall_s", [])], dtype=np.float64)
     simulated = float(np.nansum(flown.duration))
-    found = [
+    lines = [
         ("scenario", scenario_name(study)),
         ("design", DESIGNS[study.design]),
         ("draws", f"{study.draws:,}" + (f", {study.repeats} at each point" if study.repeats > 1 else "")),
@@ -134,9 +134,9 @@ def facts(campaign: Campaign, flown: Flown) -> list[tuple[str, str]]:
         ("simulated", duration(simulated)),
     ]
     if wall.sum() > 0.0:
-        found.append(("work", f"{duration(float(wall.sum()))}, {1e3 * float(wall.mean()):.0f} ms a flight"))
-        found.append(("workers", str(len(set(campaign.columns.get("worker", []))))))
-    return [each for each in found if each[1] not in ("", "0")]
+        lines.append(("work", f"{duration(float(wall.sum()))}, {1e3 * float(wall.mean()):.0f} ms a flight"))
+        lines.append(("workers", str(len(set(campaign.columns.get("worker", []))))))
+    return [each for each in lines if each[1] not in ("", "0")]
 
 
 def scenario_name(study: Study) -> str:
@@ -225,60 +225,60 @@ def _number(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def correlation_words(each: Correlation) -> str:
+def correlation_words(correlation: Correlation) -> str:
     """One correlation asked for."""
-    return f"{each.keys[0]} with {each.keys[1]}: {each.rank:g}"
+    return f"{correlation.keys[0]} with {correlation.keys[1]}: {correlation.rank:g}"
 
 
 def warnings(campaign: Campaign, flown: Flown) -> list[str]:
     """What a reader must know before believing a number of the page."""
-    found = []
+    lines = []
     done, planned = flown.flight.size, campaign.of
     if done < planned:
-        found.append(
+        lines.append(
             f"The study is not finished: {done:,} of {planned:,} flights ({done / planned:.1%}). "
             "Flights that are lost early end early, so that the finished ones may look worse than all will."
             + (" Of a grid only a part is here." if flown.grid else "")
         )
     failed = int(np.sum(flown.kind == KINDS.index("failed")))
     if failed:
-        found.append(
+        lines.append(
             f"{failed:,} flight{'s' if failed > 1 else ''} could not be flown to a verdict (failed): "
             f"{'they count' if failed > 1 else 'it counts'} as no success everywhere; the reasons are below."
         )
     changed = [name for name, values in made_from(campaign).items() if len(values) > 1]
     if changed:
-        found.append(
+        lines.append(
             f"What the flights were made from changed while the study was flown: {', '.join(changed)}. "
             "Flights from before and after do not belong together."
         )
-    return found
+    return lines
 
 
 def made_from(campaign: Campaign) -> dict[str, list[str]]:
     """Versions of what computed the flights and hashes of the files of aircraft and engines: by name, every one met."""
-    found: dict[str, list[str]] = {}
+    sources: dict[str, list[str]] = {}
     for text in dict.fromkeys(campaign.columns.get("inputs", [])):
         for part in json.loads(str(text)).values() if text else ():
             for name, value in part.items():
-                found.setdefault(name, [])
-                found[name] += [value] if value not in found[name] else []
-    return found
+                sources.setdefault(name, [])
+                sources[name] += [value] if value not in sources[name] else []
+    return sources
 
 
 # ---- what drives it
 
 
-def by_influence(flown: Flown, found: Sequence[Ranking | None]) -> list[int]:
+def by_influence(flown: Flown, rankings: Sequence[Ranking | None]) -> list[int]:
     """The keys by the largest of their indices with any controller; in the study's order where that is not known."""
     most = dict.fromkeys((key.path for key in flown.keys), -1.0)
-    for each in found:
-        for effect in each.effects if each else ():
+    for ranking in rankings:
+        for effect in ranking.effects if ranking else ():
             most[effect.key] = max(most[effect.key], effect.index)
     return sorted(range(len(flown.keys)), key=lambda place: -most[flown.keys[place].path])
 
 
-def strongest_pair(flown: Flown, keys: Sequence[int], name: str, found: Sequence[Ranking | None]) -> tuple[int, int]:
+def strongest_pair(flown: Flown, keys: Sequence[int], name: str, rankings: Sequence[Ranking | None]) -> tuple[int, int]:
     """The two of these keys that explain most of a result together, over all controllers.
 
     The first two, which explain most one at a time, unless others are above them by more than chance.
@@ -291,7 +291,7 @@ def strongest_pair(flown: Flown, keys: Sequence[int], name: str, found: Sequence
         together[first, second] = sum(_joint(known & flown.of(place), a, b, values) for place in places(flown))
     usual = (keys[0], keys[1])
     best = max(together, key=lambda pair: together[pair])
-    return best if together[best] > together[usual] + sum(each.floor for each in found if each) else usual
+    return best if together[best] > together[usual] + sum(ranking.floor for ranking in rankings if ranking) else usual
 
 
 def _joint(rows: Any, first: Array, second: Array, values: Array) -> float:
@@ -310,9 +310,9 @@ def ranking_tables(flown: Flown, rankings: Mapping[str, Sequence[Ranking | None]
                 {
                     "controller": flown.controllers[place],
                     "colour": run_colour(place),
-                    "flights": each.flights,
-                    "floor": f"{100.0 * each.floor:.1f}",
-                    "explained": f"{100.0 * each.explained:.0f}",
+                    "flights": element.flights,
+                    "floor": f"{100.0 * element.floor:.1f}",
+                    "explained": f"{100.0 * element.explained:.0f}",
                     "rows": [
                         {
                             "key": effect.key,
@@ -323,15 +323,15 @@ def ranking_tables(flown: Flown, rankings: Mapping[str, Sequence[Ranking | None]
                             "rank_interval": _span(effect.rank_interval, "+.2f"),
                             "partial": NONE if effect.partial is None else f"{effect.partial:+.2f}",
                         }
-                        for effect in each.effects
+                        for effect in element.effects
                     ],
                 }
-                for place, each in enumerate(found)
-                if each is not None
+                for place, element in enumerate(ranking)
+                if element is not None
             ],
         }
-        for name, found in rankings.items()
-        if any(found)
+        for name, ranking in rankings.items()
+        if any(ranking)
     ]
 
 
@@ -346,34 +346,34 @@ def comparison_rows(flown: Flown) -> list[dict[str, Any]]:
     """Every two controllers on the draws both have flown, as texts."""
     return [
         {
-            "first": flown.controllers[each.first],
-            "second": flown.controllers[each.second],
-            "first_colour": run_colour(each.first),
-            "second_colour": run_colour(each.second),
-            "pairs": each.pairs,
-            "difference": NONE if each.pairs.difference is None else points(each.pairs.difference),
-            "interval": "" if each.interval is None else " to ".join(map(points, each.interval)),
-            "p": p_text(each.p_holm),
-            "completed": each.completed,
+            "first": flown.controllers[comparison.first],
+            "second": flown.controllers[comparison.second],
+            "first_colour": run_colour(comparison.first),
+            "second_colour": run_colour(comparison.second),
+            "pairs": comparison.pairs,
+            "difference": NONE if comparison.pairs.difference is None else points(comparison.pairs.difference),
+            "interval": "" if comparison.interval is None else " to ".join(map(points, comparison.interval)),
+            "p": p_text(comparison.p_holm),
+            "completed": comparison.completed,
             "metrics": [
-                _difference(metric, found)
+                _difference(metric, difference)
                 for metric in flown.metrics
-                if (found := each.metrics[metric.name]) is not None
+                if (difference := comparison.metrics[metric.name]) is not None
             ],
         }
-        for each in comparisons(flown)
+        for comparison in comparisons(flown)
     ]
 
 
-def _difference(metric: Metric, found: MedianDifference) -> dict[str, Any]:
-    low, high = found.interval or (np.nan, np.nan)
+def _difference(metric: Metric, difference: MedianDifference) -> dict[str, Any]:
+    low, high = difference.interval or (np.nan, np.nan)
     return {
         "label": metric.label,
         "unit": metric.unit,
-        "draws": found.draws,
-        "median": signed(metric.factor * found.median),
-        "interval": f"{signed(metric.factor * low)} to {signed(metric.factor * high)}" if found.interval else "",
-        "p": p_text(found.p),
+        "draws": difference.draws,
+        "median": signed(metric.factor * difference.median),
+        "interval": f"{signed(metric.factor * low)} to {signed(metric.factor * high)}" if difference.interval else "",
+        "p": p_text(difference.p),
     }
 
 
@@ -399,16 +399,16 @@ def metric_rows(flown: Flown) -> list[dict[str, Any]]:
     for number, metric in enumerate(flown.metrics):
         cells = []
         for place in places(flown):
-            found = spread(flown, place, metric.name)
+            quartiles = spread(flown, place, metric.name)
             cells.append(
                 {"text": NONE, "none": 0, "flights": 0, "of": int(np.sum(flown.of(place)))}
-                if found is None
+                if quartiles is None
                 else {
-                    "text": f"{metric.factor * found.median:.3g}",
-                    "span": _span((metric.factor * found.low, metric.factor * found.high), ".3g"),
-                    "none": found.none,
-                    "flights": found.flights,
-                    "of": found.of,
+                    "text": f"{metric.factor * quartiles.median:.3g}",
+                    "span": _span((metric.factor * quartiles.low, metric.factor * quartiles.high), ".3g"),
+                    "none": quartiles.none,
+                    "flights": quartiles.flights,
+                    "of": quartiles.of,
                 }
             )
         rows.append({"metric": metric, "figure": f"metric-{number}", "cells": cells})
@@ -419,12 +419,13 @@ def reason_rows(campaign: Campaign, flown: Flown) -> list[dict[str, Any]]:
     """Why flights are no successes, the commonest first, with the count of every controller."""
     counted = [reasons(flown, flown.of(place), campaign.study.success) for place in places(flown)]
     names = sorted(
-        {name for each in counted for name in each}, key=lambda name: (-sum(each[name] for each in counted), name)
+        {name for counter in counted for name in counter},
+        key=lambda name: (-sum(counter[name] for counter in counted), name),
     )
-    rows = [{"reason": name, "counts": [each[name] for each in counted]} for name in names[:MOST_REASONS]]
+    rows = [{"reason": name, "counts": [counter[name] for counter in counted]} for name in names[:MOST_REASONS]]
     rest = names[MOST_REASONS:]
     if rest:
-        counts = [sum(each[name] for name in rest) for each in counted]
+        counts = [sum(counter[name] for name in rest) for counter in counted]
         rows.append({"reason": f"{len(rest)} other reasons", "counts": counts})
     return rows
 

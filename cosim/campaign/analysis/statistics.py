@@ -86,30 +86,30 @@ def pairs(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Pairs:
     return Pairs(int(counts[3]), int(counts[2]), int(counts[1]), int(counts[0]))
 
 
-def mcnemar(found: Pairs) -> float:
+def mcnemar(pairs: Pairs) -> float:
     """The exact p-value for two controllers that succeed equally often.
 
     Only draws that they fly differently tell: under the hypothesis each of these is the toss of a coin.
     Source: Q. McNemar, Psychometrika 12 (1947) 153-157, with the binomial distribution itself.
     """
-    unlike = found.first + found.second
-    return float(stats.binomtest(found.first, unlike).pvalue) if unlike else 1.0
+    unlike = pairs.first + pairs.second
+    return float(stats.binomtest(pairs.first, unlike).pvalue) if unlike else 1.0
 
 
-def newcombe(found: Pairs) -> Interval | None:
+def newcombe(pairs: Pairs) -> Interval | None:
     """The interval of the difference of success, second less first, of paired draws; None of none.
 
     Both controllers' Wilson limits, put together with the correlation phi of their outcomes, which is lessened towards
     0 where it is positive.  Source: R. G. Newcombe, Statistics in Medicine 17 (1998) 2635-2650, method 10.
     """
-    n = found.draws
-    difference = found.difference
+    n = pairs.draws
+    difference = pairs.difference
     if difference is None:
         return None
-    hits = np.array([found.both + found.second, found.both + found.first])
+    hits = np.array([pairs.both + pairs.second, pairs.both + pairs.first])
     (low, other_low), (high, other_high) = wilson(hits, np.array([n, n]))
     value, other = hits / n
-    phi = _phi(found)
+    phi = _phi(pairs)
     below, above = value - low, other_high - other
     reach = sqrt(max(below**2 - 2.0 * phi * below * above + above**2, 0.0))
     further, nearer = high - value, other - other_low
@@ -117,11 +117,11 @@ def newcombe(found: Pairs) -> Interval | None:
     return max(difference - reach, -1.0), min(difference + rise, 1.0)
 
 
-def _phi(found: Pairs) -> float:
-    both, first, second, neither = map(float, found)
+def _phi(pairs: Pairs) -> float:
+    both, first, second, neither = map(float, pairs)
     product = both * neither - first * second
     if product > 0.0:
-        product = max(product - found.draws / 2.0, 0.0)
+        product = max(product - pairs.draws / 2.0, 0.0)
     margins = (both + first) * (second + neither) * (both + second) * (first + neither)
     return product / sqrt(margins) if margins else 0.0
 
@@ -151,8 +151,12 @@ def median_difference(differences: Array) -> MedianDifference | None:
     """
     if not differences.size:
         return None
-    found = stats.quantile_test(differences, q=0.0, p=0.5).confidence_interval(LEVEL)
-    interval = (float(found.low), float(found.high)) if np.isfinite([found.low, found.high]).all() else None
+    confidence = stats.quantile_test(differences, q=0.0, p=0.5).confidence_interval(LEVEL)
+    interval = (
+        (float(confidence.low), float(confidence.high))
+        if np.isfinite([confidence.low, confidence.high]).all()
+        else None
+    )
     # all alike: nothing to rank
     p = float(stats.wilcoxon(differences).pvalue) if np.any(differences) else 1.0
     return MedianDifference(differences.size, float(np.median(differences)), interval, p)

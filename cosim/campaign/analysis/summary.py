@@ -68,7 +68,10 @@ class Spread(NamedTuple):
 
 def shares(flown: Flown) -> list[Share]:
     """The share of successes of every controller; a failed flight is none."""
-    return [share(int(np.sum(flown.success & flown.of(each))), int(np.sum(flown.of(each)))) for each in places(flown)]
+    return [
+        share(int(np.sum(flown.success & flown.of(controller))), int(np.sum(flown.of(controller))))
+        for controller in places(flown)
+    ]
 
 
 def places(flown: Flown) -> range:
@@ -96,9 +99,9 @@ def spread(flown: Flown, controller: int, name: str) -> Spread | None:
 
 def comparisons(flown: Flown) -> list[Comparison]:
     """Every two controllers on the draws that both have flown."""
-    found = [_compared(flown, first, second) for first, second in combinations(places(flown), 2)]
-    corrected = holm([each.p for each in found])
-    return [each._replace(p_holm=p) for each, p in zip(found, corrected, strict=True)]
+    compared = [_compared(flown, first, second) for first, second in combinations(places(flown), 2)]
+    corrected = holm([comparison.p for comparison in compared])
+    return [comparison._replace(p_holm=p) for comparison, p in zip(compared, corrected, strict=True)]
 
 
 def _compared(flown: Flown, first: int, second: int) -> Comparison:
@@ -106,7 +109,7 @@ def _compared(flown: Flown, first: int, second: int) -> Comparison:
     counted = pairs(flown.success[rows], flown.success[others])
     done = flown.completed[rows] & flown.completed[others]
     metrics = {}
-    for name in (each.name for each in flown.metrics):
+    for name in (metric_spec.name for metric_spec in flown.metrics):
         difference = (flown.values[name][others] - flown.values[name][rows])[done]
         metrics[name] = median_difference(difference[np.isfinite(difference)])
     p = mcnemar(counted)
@@ -137,11 +140,11 @@ def ranked(flown: Flown, controller: int, name: str) -> Ranking | None:
 
 def reasons(flown: Flown, rows: Mask, success: Mapping[str, Range]) -> Counter[str]:
     """Why flights are no successes, alike reasons together: without their numbers and what stands in brackets."""
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     missed = flown.kind == KINDS.index("missed")
     for row in np.flatnonzero(rows & ~flown.success):
-        found[" and ".join(missing(flown, int(row), success)) if missed[row] else plain(flown.reason[row])] += 1
-    return found
+        counts[" and ".join(missing(flown, int(row), success)) if missed[row] else plain(flown.reason[row])] += 1
+    return counts
 
 
 def plain(reason: str) -> str:
@@ -151,17 +154,17 @@ def plain(reason: str) -> str:
 
 def missing(flown: Flown, row: int, success: Mapping[str, Range]) -> list[str]:
     """Which of a study's criteria a completed flight does not meet."""
-    found = [f"{metric(name).label} beyond the flight's own limit" for name in flown.beyond[row]]
+    lines = [f"{metric(name).label} beyond the flight's own limit" for name in flown.beyond[row]]
     for name, allowed in success.items():
         value = flown.values[name][row] if name in flown.values else np.nan
         of = metric(name)
         if not np.isfinite(value):
-            found.append(f"{of.label}: none")
+            lines.append(f"{of.label}: none")
         elif allowed.max is not None and value > allowed.max:
-            found.append(f"{of.label} above {of.factor * allowed.max:.4g} {of.unit}".rstrip())
+            lines.append(f"{of.label} above {of.factor * allowed.max:.4g} {of.unit}".rstrip())
         elif allowed.min is not None and value < allowed.min:
-            found.append(f"{of.label} below {of.factor * allowed.min:.4g} {of.unit}".rstrip())
-    return found or ["no success"]
+            lines.append(f"{of.label} below {of.factor * allowed.min:.4g} {of.unit}".rstrip())
+    return lines or ["no success"]
 
 
 # ---- as data
@@ -181,10 +184,10 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
         "success_is": criterion(study.success),
         "share_is": "share of the grid" if flown.grid else "estimated probability",
         "controllers": {
-            name: _controller(flown, place, found)
-            for place, (name, found) in enumerate(zip(flown.controllers, shares(flown), strict=True))
+            name: _controller(flown, place, share)
+            for place, (name, share) in enumerate(zip(flown.controllers, shares(flown), strict=True))
         },
-        "comparisons": [_comparison(flown, each) for each in comparisons(flown)],
+        "comparisons": [_comparison(flown, comparison) for comparison in comparisons(flown)],
         "reasons": {
             name: dict(reasons(flown, flown.of(place), study.success).most_common(10))
             for place, name in enumerate(flown.controllers)
@@ -196,63 +199,63 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
     }
 
 
-def _controller(flown: Flown, place: int, found: Share) -> dict[str, Any]:
-    spreads = {each.name: spread(flown, place, each.name) for each in flown.metrics}
+def _controller(flown: Flown, place: int, success: Share) -> dict[str, Any]:
+    spreads = {metric_spec.name: spread(flown, place, metric_spec.name) for metric_spec in flown.metrics}
     return {
-        "flights": found.of,
+        "flights": success.of,
         "outcomes": kinds(flown, place),
-        "success": found.value,
-        "wilson_95": None if flown.grid or not found.of else list(found.wilson),
-        "clopper_pearson_95": None if flown.grid or not found.of else list(found.exact),
+        "success": success.value,
+        "wilson_95": None if flown.grid or not success.of else list(success.wilson),
+        "clopper_pearson_95": None if flown.grid or not success.of else list(success.exact),
         "metrics": {
             name: {
-                "flights": each.flights, "without": each.none, "of": each.of,
-                "p05": each.low, "median": each.median, "p95": each.high,
+                "flights": metric_spec.flights, "without": metric_spec.none, "of": metric_spec.of,
+                "p05": metric_spec.low, "median": metric_spec.median, "p95": metric_spec.high,
             }
-            for name, each in spreads.items()
-            if each is not None
+            for name, metric_spec in spreads.items()
+            if metric_spec is not None
         },
     }  # fmt: skip
 
 
-def _comparison(flown: Flown, each: Comparison) -> dict[str, Any]:
+def _comparison(flown: Flown, comparison: Comparison) -> dict[str, Any]:
     return {
-        "first": flown.controllers[each.first],
-        "second": flown.controllers[each.second],
-        "draws": each.pairs.draws,
-        "both": each.pairs.both,
-        "only_first": each.pairs.first,
-        "only_second": each.pairs.second,
-        "neither": each.pairs.neither,
-        "difference": each.pairs.difference,
-        "newcombe_95": None if flown.grid or each.interval is None else list(each.interval),
-        "mcnemar_p": None if flown.grid else each.p,
-        "mcnemar_p_holm": None if flown.grid else each.p_holm,
+        "first": flown.controllers[comparison.first],
+        "second": flown.controllers[comparison.second],
+        "draws": comparison.pairs.draws,
+        "both": comparison.pairs.both,
+        "only_first": comparison.pairs.first,
+        "only_second": comparison.pairs.second,
+        "neither": comparison.pairs.neither,
+        "difference": comparison.pairs.difference,
+        "newcombe_95": None if flown.grid or comparison.interval is None else list(comparison.interval),
+        "mcnemar_p": None if flown.grid else comparison.p,
+        "mcnemar_p_holm": None if flown.grid else comparison.p_holm,
         "metrics": {
             name: {
-                "draws": found.draws,
-                "median_difference": found.median,
-                "interval_95": None if flown.grid or found.interval is None else list(found.interval),
-                "wilcoxon_p": None if flown.grid else found.p,
+                "draws": difference.draws,
+                "median_difference": difference.median,
+                "interval_95": None if flown.grid or difference.interval is None else list(difference.interval),
+                "wilcoxon_p": None if flown.grid else difference.p,
             }
-            for name, found in each.metrics.items()
-            if found is not None
+            for name, difference in comparison.metrics.items()
+            if difference is not None
         },
     }
 
 
-def _ranking(found: Ranking | None) -> dict[str, Any] | None:
-    if found is None:
+def _ranking(ranking: Ranking | None) -> dict[str, Any] | None:
+    if ranking is None:
         return None
     return {
-        "flights": found.flights,
-        "noise_floor": found.floor,
+        "flights": ranking.flights,
+        "noise_floor": ranking.floor,
         "keys": [
             {
                 "key": effect.key, "first_order": effect.index, "interval_95": list(effect.interval),
                 "above_noise": effect.real, "spearman": effect.rank, "partial": effect.partial,
             }
-            for effect in found.effects
+            for effect in ranking.effects
         ],
     }  # fmt: skip
 
@@ -261,35 +264,35 @@ def summary_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     """The summary for a terminal."""
     whole = "" if summary["finished"] else f" of {summary['planned']}: not finished"
     yield f"{summary['flights']} flights{whole}; success: {summary['success_is']}"
-    for name, found in summary["controllers"].items():
-        yield f"  {name}: {_probability(found)}{_others(found['outcomes'])}"
-        for label, each in found["metrics"].items():
+    for name, entry in summary["controllers"].items():
+        yield f"  {name}: {_probability(entry)}{_others(entry['outcomes'])}"
+        for label, each in entry["metrics"].items():
             yield f"    {_spread_line(label, each)}"
     for each in summary["comparisons"]:
         yield f"  {_compared_line(each)}"
-    for name, found in summary["drives_success"].items():
-        keys = [key for key in (found or {"keys": []})["keys"] if key["above_noise"]]
+    for name, entry in summary["drives_success"].items():
+        keys = [key for key in (entry or {"keys": []})["keys"] if key["above_noise"]]
         if keys:
             listed = ", ".join(f"{key['key']} {100.0 * key['first_order']:.0f} %" for key in keys[:4])
             yield f"  {name}, what drives success: {listed} of its variance"
 
 
-def _spread_line(name: str, each: Mapping[str, Any]) -> str:
+def _spread_line(name: str, entry: Mapping[str, Any]) -> str:
     """A median with the flights that it is of: lost ones have no part in it."""
     of = metric(name)
-    low, median, high = (f"{of.factor * each[key]:.3g}" for key in ("p05", "median", "p95"))
-    without = f", {each['without']} completed without it" if each["without"] else ""
-    behind = f"over {each['flights']} of {each['of']} flights{without}"
+    low, median, high = (f"{of.factor * entry[key]:.3g}" for key in ("p05", "median", "p95"))
+    without = f", {entry['without']} completed without it" if entry["without"] else ""
+    behind = f"over {entry['flights']} of {entry['of']} flights{without}"
     return f"{of.label}: median {median} {of.unit} ({low} to {high} in the middle 90 %), {behind}"
 
 
-def _probability(found: Mapping[str, Any]) -> str:
-    if found["success"] is None:
+def _probability(entry: Mapping[str, Any]) -> str:
+    if entry["success"] is None:
         return "no flight yet"
-    text = f"{100.0 * found['success']:.1f} % of {found['flights']}"
-    if found["wilson_95"] is None:
+    text = f"{100.0 * entry['success']:.1f} % of {entry['flights']}"
+    if entry["wilson_95"] is None:
         return text
-    low, high = found["wilson_95"]
+    low, high = entry["wilson_95"]
     return f"{text} ({100.0 * low:.1f} to {100.0 * high:.1f} %)"
 
 
@@ -298,11 +301,11 @@ def _others(outcomes: Mapping[str, int]) -> str:
     return f"; {', '.join(named)}" if named else ""
 
 
-def _compared_line(each: Mapping[str, Any]) -> str:
-    if each["difference"] is None:
-        return f"{each['first']} and {each['second']} have flown no draw in common"
-    text = f"{each['second']} against {each['first']}: {100.0 * each['difference']:+.1f} points"
-    if each["newcombe_95"] is not None:
-        low, high = (100.0 * end for end in each["newcombe_95"])
-        text += f" ({low:+.1f} to {high:+.1f}), McNemar p = {each['mcnemar_p_holm']:.2g}"
-    return f"{text}, {each['only_second']} draws won and {each['only_first']} lost of {each['draws']}"
+def _compared_line(entry: Mapping[str, Any]) -> str:
+    if entry["difference"] is None:
+        return f"{entry['first']} and {entry['second']} have flown no draw in common"
+    text = f"{entry['second']} against {entry['first']}: {100.0 * entry['difference']:+.1f} points"
+    if entry["newcombe_95"] is not None:
+        low, high = (100.0 * end for end in entry["newcombe_95"])
+        text += f" ({low:+.1f} to {high:+.1f}), McNemar p = {entry['mcnemar_p_holm']:.2g}"
+    return f"{text}, {entry['only_second']} draws won and {entry['only_first']} lost of {entry['draws']}"

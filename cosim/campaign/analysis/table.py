@@ -137,7 +137,7 @@ def key_columns(campaign: Campaign) -> list[KeyColumn]:
     """The varied keys in the study's order."""
     varied = [vary for vary in campaign.study.vary if vary.key in campaign.columns]
     labels = short_names([vary.key for vary in varied])
-    found = []
+    columns = []
     for vary, label in zip(varied, labels, strict=True):
         column = campaign.columns[vary.key]
         if any(isinstance(value, (str, bool)) for value in column):
@@ -146,12 +146,12 @@ def key_columns(campaign: Campaign) -> list[KeyColumn]:
             levels = list(dict.fromkeys([*listed, *sorted(set(flown))]))
             place = {level: number for number, level in enumerate(levels)}
             coded = np.array([place[text] for text in flown], dtype=np.float64)
-            found.append(KeyColumn(vary.key, label, "", coded, levels))
+            columns.append(KeyColumn(vary.key, label, "", coded, levels))
         else:
             values = numbers(column)
             log = (vary.scale == "log" or vary.lognormal is not None) and bool(np.all(values > 0.0))
-            found.append(KeyColumn(vary.key, label, key_unit(campaign.study, vary.key), values, [], log))
-    return found
+            columns.append(KeyColumn(vary.key, label, key_unit(campaign.study, vary.key), values, [], log))
+    return columns
 
 
 def choice_text(value: Any) -> str:
@@ -169,7 +169,7 @@ def key_unit(study: Study, path: str) -> str:
 
 def short_names(paths: Sequence[str]) -> list[str]:
     """The last two parts of each key, places in lists not counted, or as many as tell it from the others."""
-    found = []
+    names = []
     for path in paths:
         parts = path.split(".")
         short = path
@@ -178,8 +178,8 @@ def short_names(paths: Sequence[str]) -> list[str]:
             named = sum(not part.isdigit() for part in parts[first:])
             if named >= 2 and sum(f".{other}".endswith(f".{short}") for other in paths) == 1:
                 break
-        found.append(short)
-    return found
+        names.append(short)
+    return names
 
 
 def telling(values: Mapping[str, Array], asked: Sequence[str]) -> list[str]:
@@ -199,7 +199,7 @@ def telling(values: Mapping[str, Array], asked: Sequence[str]) -> list[str]:
         "altitude.rmse_m",
         *OF_THE_WHOLE,
     ]
-    known = {name: each[np.isfinite(each)] for name, each in values.items()}
+    known = {name: column[np.isfinite(column)] for name, column in values.items()}
     moving = [name for name in dict.fromkeys(order) if name in known and known[name].size and np.ptp(known[name]) > 0.0]
     return list(dict.fromkeys([*moving[:MOST_METRICS], *(name for name in moving if name in OF_THE_WHOLE)]))
 

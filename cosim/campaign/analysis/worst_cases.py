@@ -63,12 +63,12 @@ def worst(study: Study, flown: Flown, controller: int) -> list[Case]:
         values = flown.values[metric.name] * (1.0 if least else -1.0)
         why = f"success with the {'smallest' if least else 'largest'} {metric.label}"
         order.append((why, mine & flown.success & np.isfinite(values), values))
-    found: dict[int, Case] = {}
+    cases: dict[int, Case] = {}
     for why, rows, by in order:
         chosen = np.flatnonzero(rows)
-        fresh = [int(row) for row in chosen[np.argsort(by[chosen], kind="stable")] if int(row) not in found]
-        found |= {row: Case(row, why) for row in fresh[:EACH]}
-    return list(found.values())
+        fresh = [int(row) for row in chosen[np.argsort(by[chosen], kind="stable")] if int(row) not in cases]
+        cases |= {row: Case(row, why) for row in fresh[:EACH]}
+    return list(cases.values())
 
 
 def eccentricity(flown: Flown) -> Array:

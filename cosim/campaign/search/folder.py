@@ -110,17 +110,17 @@ def _over(text: str | None) -> list[Vary]:
 
 def _tolerances(texts: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
     """``X`` where one key is varied, else ``KEY=X``."""
-    found: dict[str, float] = {}
+    tolerances: dict[str, float] = {}
     for text in texts:
         key, equals, number = text.rpartition("=")
         key = key.strip() if equals else keys[0]
         if key not in keys or (not equals and len(keys) > 1):
             raise InputError(f"--tolerance {text}: write it as KEY=X with a key that is varied: {', '.join(keys)}")
         try:
-            found[key] = float(number)
+            tolerances[key] = float(number)
         except ValueError as error:
             raise InputError(f"--tolerance {text}: {number.strip()!r} is not a number") from error
-    return found
+    return tolerances
 
 
 def run_search(
@@ -144,11 +144,11 @@ def run_search(
             _begin(out, frozen, plan)
         with locked(out / JOURNAL, f"{out}: another search is at work there"):
             prober = Prober(load_study(out / STUDY), plan.seeds, plan.share, workers, Journal(out / JOURNAL), progress)
-            found = search(plan, prober)
+            result = search(plan, prober)
             shutil.rmtree(out / CASES, ignore_errors=True)  # of a search that was stopped while it flew them
-            cases = tuple(_cases(found, prober, out / CASES))
+            cases = tuple(_cases(result, prober, out / CASES))
             looked = [(point, prober.verdict(point).breaks) for point in prober.points]
-            searched = Searched(out, found, cases, looked)
+            searched = Searched(out, result, cases, looked)
             _write(searched)
     except OSError as error:
         raise FlightError(f"{out}: {one_line(error)}") from error
@@ -185,11 +185,11 @@ def _begin(out: Path, frozen: Frozen, plan: Plan) -> None:
         temporary.write_text(tomli_w.dumps(question(plan)), encoding="utf-8")
 
 
-def _cases(found: Found, prober: Prober, folder: Path) -> Iterator[Case]:
+def _cases(result: Found, prober: Prober, folder: Path) -> Iterator[Case]:
     """Fly what breaks and what just holds once more, recorded in full."""
-    for name, point, breaks in _shown(found):
+    for name, point, breaks in _shown(result):
         verdict = prober.verdict(point)
-        row = verdict.worst if breaks else _held(found, prober, point)
+        row = verdict.worst if breaks else _held(result, prober, point)
         seed = int(row["seed"] or 0)
         try:
             run = fly(scenario_of(prober.study, prober.flight(point, seed)), folder / name)
@@ -202,32 +202,32 @@ def _cases(found: Found, prober: Prober, folder: Path) -> Iterator[Case]:
         yield Case(name, point.controller, breaks, dict(point.values), seed, run.outcome, ended, same)
 
 
-def _held(found: Found, prober: Prober, point: Point) -> Row:
+def _held(result: Found, prober: Prober, point: Point) -> Row:
     """The first flight of a point that held."""
-    rows = [prober.row(point, seed) for seed in found.plan.seeds]
+    rows = [prober.row(point, seed) for seed in result.plan.seeds]
     return next((row for row in rows if row["success"]), rows[0])
 
 
-def _shown(found: Found) -> Iterator[tuple[str, Point, bool]]:
+def _shown(result: Found) -> Iterator[tuple[str, Point, bool]]:
     """The points that are worth a folder: the edges, of a curve the nearest on each side, and what breaks together."""
-    for controller in found.study.flown_with:
+    for controller in result.study.flown_with:
         label = short_name(controller)
-        for edge in _edges(found, controller):
+        for edge in _edges(result, controller):
             where = re.sub(r"[^A-Za-z0-9_.-]+", "_", f"{label}-{edge.key}-{edge.side}")
             for breaks, value in ((True, edge.breaks), (False, edge.holds)):
                 if value is not None:
-                    point = found.plan.point(controller, {edge.key: value}, edge.level)
+                    point = result.plan.point(controller, {edge.key: value}, edge.level)
                     yield f"{where}-{'breaks' if breaks else 'holds'}", point, breaks
-        for joint in found.joints:
+        for joint in result.joints:
             if joint.controller == controller and _more_than_one(joint):
                 for breaks, values in ((True, joint.breaks), (False, joint.holds)):
-                    point = found.plan.point(controller, values)
+                    point = result.plan.point(controller, values)
                     yield f"{label}-together-{'breaks' if breaks else 'holds'}", point, breaks
 
 
-def _edges(found: Found, controller: str) -> list[Edge]:
-    own = [edge for edge in found.edges if edge.controller == controller]
-    if found.plan.over is None:
+def _edges(result: Found, controller: str) -> list[Edge]:
+    own = [edge for edge in result.edges if edge.controller == controller]
+    if result.plan.over is None:
         return own
     broken = [edge for edge in own if edge.deviation is not None]
     nearest = {edge.side: edge for edge in sorted(broken, key=lambda each: abs(each.deviation or 0.0), reverse=True)}

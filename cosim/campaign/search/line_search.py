@@ -35,13 +35,13 @@ class Scan:
     @property
     def bands(self) -> list[tuple[float, float, bool]]:
         """Stretches of places that are alike: first and last place, and whether it breaks in them."""
-        found: list[tuple[float, float, bool]] = []
+        bands: list[tuple[float, float, bool]] = []
         for place, broken in zip(self.places, self.breaks, strict=True):
-            if found and found[-1][2] == broken:
-                found[-1] = (found[-1][0], place, broken)
+            if bands and bands[-1][2] == broken:
+                bands[-1] = (bands[-1][0], place, broken)
             else:
-                found.append((place, place, broken))
-        return found
+                bands.append((place, place, broken))
+        return bands
 
 
 def outward(places: Sequence[float], between: Between, at_once: int | None = None) -> Walk:
@@ -75,7 +75,7 @@ def side_by_side(
     walks: Mapping[Name, Walk], look: Callable[[Sequence[tuple[Name, float]]], Sequence[bool]]
 ) -> dict[Name, Scan]:
     """Go all walks to their ends; ``look`` tells of all places that they want to know of at one time."""
-    found: dict[Name, Scan] = {}
+    scans: dict[Name, Scan] = {}
     wanted: dict[Name, Sequence[float]] = {name: next(walk) for name, walk in walks.items()}
     while wanted:
         asked = [(name, place) for name, places in wanted.items() for place in places]
@@ -85,5 +85,5 @@ def side_by_side(
             try:
                 wanted[name] = walks[name].send([next(told) for _ in places])
             except StopIteration as end:
-                found[name] = end.value
-    return {name: found[name] for name in walks}
+                scans[name] = end.value
+    return {name: scans[name] for name in walks}

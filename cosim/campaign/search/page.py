@@ -54,8 +54,8 @@ COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change",
 
 def write_page(searched: Searched, path: Path) -> None:
     """Write the page of a search.  Raises FlightError if the file cannot be written."""
-    found = searched.found
-    columns, rows = table(found)
+    result = searched.found
+    columns, rows = table(result)
     cases = []
     for case in searched.cases:
         folder = searched.folder / "cases" / case.name
@@ -68,15 +68,15 @@ def write_page(searched: Searched, path: Path) -> None:
     render(
         TEMPLATE,
         path,
-        figures(found, searched.looked),
-        found=found,
-        base=found.study.base(),
-        controllers=[short_name(name) for name in found.study.flown_with],
-        labels={name: short_name(name) for name in found.study.flown_with},
+        figures(result, searched.looked),
+        found=result,
+        base=result.study.base(),
+        controllers=[short_name(name) for name in result.study.flown_with],
+        labels={name: short_name(name) for name in result.study.flown_with},
         columns=columns,
         rows=rows,
-        fine=[how_fine(span) for span in found.plan.spans],
-        together=joint_lines(found),
+        fine=[how_fine(span) for span in result.plan.spans],
+        together=joint_lines(result),
         cases=cases,
     )
 
@@ -89,18 +89,18 @@ def text(value: Value | None, unit: str = "") -> str:
     return f"{shown} {unit}".strip()
 
 
-def table(found: Found) -> tuple[list[str], list[list[str]]]:
+def table(result: Found) -> tuple[list[str], list[list[str]]]:
     """Every edge: titles and rows, without the columns that are the same in all of them by what was asked."""
-    over = found.plan.over
+    over = result.plan.over
     titles = [over.key.path if title == "at" and over else title for title in COLUMNS]
-    left_out = {1} if len(found.plan.spans) == 1 else set()
+    left_out = {1} if len(result.plan.spans) == 1 else set()
     left_out |= set() if over else {2}
     kept = [k for k in range(len(COLUMNS)) if k not in left_out]
-    return [titles[k] for k in kept], [[_row(found, edge)[k] for k in kept] for edge in found.edges]
+    return [titles[k] for k in kept], [[_row(result, edge)[k] for k in kept] for edge in result.edges]
 
 
-def _row(found: Found, edge: Edge) -> Row:
-    over = found.plan.over
+def _row(result: Found, edge: Edge) -> Row:
+    over = result.plan.over
     level = text(edge.level, over.key.unit) if over else ""
     common = short_name(edge.controller), edge.key, level, text(edge.start, edge.unit)
     if edge.start_breaks:
@@ -140,12 +140,12 @@ def how_fine(span: Span) -> str:
     )
 
 
-def joint_lines(found: Found) -> list[str]:
+def joint_lines(result: Found) -> list[str]:
     """What was found of several keys together, a line each."""
-    return [_joint(found, joint) for joint in found.joints]
+    return [_joint(result, joint) for joint in result.joints]
 
 
-def _joint(found: Found, joint: Joint) -> str:
+def _joint(result: Found, joint: Joint) -> str:
     name = short_name(joint.controller)
     effort = f"{joint.rays} directions, {joint.flights} flights" + (", all that were allowed" if joint.spent else "")
     if joint.distance is None:
@@ -158,7 +158,7 @@ def _joint(found: Found, joint: Joint) -> str:
             f"{name}, together: nothing nearer found than {moved[0]} alone, {joint.distance:.4g} of its range away "
             f"({effort}); there may be something nearer"
         )
-    units = {span.key.path: span.key.unit for span in found.plan.spans}
+    units = {span.key.path: span.key.unit for span in result.plan.spans}
     parts = ", ".join(f"{key} = {text(value, units[key])}" for key, value in joint.breaks.items())
     alone = "" if joint.alone is None else f" (a single key alone: {joint.alone:.4g})"
     return (
@@ -170,24 +170,24 @@ def _joint(found: Found, joint: Joint) -> str:
 # ---- figures
 
 
-def figures(found: Found, prober_points: list[tuple[Point, bool]]) -> dict[str, Figure]:
+def figures(result: Found, prober_points: list[tuple[Point, bool]]) -> dict[str, Figure]:
     """Plotly figures by name: ``curve`` or ``key0``, ``key1``, ..., and ``pair0``, ... for two keys together."""
-    if found.plan.over:
-        return {"curve": _curve(found)}
-    made = {f"key{number}": _bands(found, span) for number, span in enumerate(found.plan.spans)}
-    if len(found.plan.spans) == 2:
-        for number, joint in enumerate(found.joints):
+    if result.plan.over:
+        return {"curve": _curve(result)}
+    made = {f"key{number}": _bands(result, span) for number, span in enumerate(result.plan.spans)}
+    if len(result.plan.spans) == 2:
+        for number, joint in enumerate(result.joints):
             looked = [each for each in prober_points if each[0].controller == joint.controller]
-            made[f"pair{number}"] = _pair(found.plan, joint, looked)
-    elif len(found.plan.spans) > 2:
-        made["shares"] = _shares(found)
+            made[f"pair{number}"] = _pair(result.plan, joint, looked)
+    elif len(result.plan.spans) > 2:
+        made["shares"] = _shares(result)
     return made
 
 
-def _bands(found: Found, span: Span) -> Figure:
+def _bands(result: Found, span: Span) -> Figure:
     """Where it holds and where it breaks, a bar for each controller."""
     data: list[Figure] = []
-    edges = [edge for edge in found.edges if edge.key == span.key.path]
+    edges = [edge for edge in result.edges if edge.key == span.key.path]
     for edge in edges:
         for first, last, breaks in edge.bands:
             data.append(_bar(short_name(edge.controller), float(first), float(last), RED if breaks else GREEN))
@@ -222,14 +222,14 @@ def _said(name: str, value: float, said: str, logarithmic: bool) -> Figure:
     return {"x": x, "y": name, "text": said, "showarrow": False, "yshift": 15}
 
 
-def _curve(found: Found) -> Figure:
+def _curve(result: Found) -> Figure:
     """The first key's edge over the second one, a line for each controller and side."""
-    over, span = found.plan.over, found.plan.spans[0]
+    over, span = result.plan.over, result.plan.spans[0]
     assert over is not None
     data: list[Figure] = []
-    for number, controller in enumerate(found.study.flown_with):
+    for number, controller in enumerate(result.study.flown_with):
         for side in ("up", "down"):
-            edges = [e for e in found.edges if e.controller == controller and e.side == side]
+            edges = [e for e in result.edges if e.controller == controller and e.side == side]
             if edges:
                 name = short_name(controller)
                 data += _branch(edges, run_colour(number), name, not any(d["name"] == name for d in data))
@@ -329,7 +329,7 @@ def _at(span: Span, deviation: float) -> float | None:
     return span.exact(deviation)
 
 
-def _shares(found: Found) -> Figure:
+def _shares(result: Found) -> Figure:
     """By how much each key deviates in the nearest that breaks, of its range."""
     data = [
         {
@@ -337,14 +337,14 @@ def _shares(found: Found) -> Figure:
             "orientation": "h",
             "name": short_name(joint.controller),
             "y": list(joint.deviations),
-            "x": [100.0 * each for each in joint.deviations.values()],
+            "x": [100.0 * deviation for deviation in joint.deviations.values()],
             "marker": {"color": run_colour(number)},
             "hovertemplate": f"{short_name(joint.controller)}: %{{y}} %{{x:+.3g}} %<extra></extra>",
         }
-        for number, joint in enumerate(found.joints)
+        for number, joint in enumerate(result.joints)
         if joint.distance is not None
     ]
-    layout = _layout(130 + ROW_PX * len(found.plan.spans)) | {"showlegend": True}
+    layout = _layout(130 + ROW_PX * len(result.plan.spans)) | {"showlegend": True}
     layout["xaxis"] = {"title": {"text": "of the way to the end of the range [%]"}}
     layout["yaxis"] = {"automargin": True, "autorange": "reversed"}
     return {"data": data, "layout": layout}

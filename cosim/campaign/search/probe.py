@@ -137,22 +137,22 @@ class Journal:
 
     def read(self) -> Known:
         """Every row that is whole; a torn last line is cut off.  Raises FlightError if the file cannot be read."""
-        found: Known = {}
+        known: Known = {}
         try:
             if not self.path.exists():
-                return found
+                return known
             with open(self.path, "rb+") as file:
                 while line := file.readline():
                     if not line.endswith(b"\n"):
                         file.truncate(file.tell() - len(line))
                         break
-                    each = json.loads(line)
-                    found[Point.of(each["controller"], each["values"]), each["seed"]] = each["row"]
+                    entry = json.loads(line)
+                    known[Point.of(entry["controller"], entry["values"]), entry["seed"]] = entry["row"]
         except OSError as error:
             raise FlightError(f"{self.path}: {one_line(error)}") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise FlightError(f"{self.path}: line {len(found) + 1} is not a flight of a search") from error
-        return found
+            raise FlightError(f"{self.path}: line {len(known) + 1} is not a flight of a search") from error
+        return known
 
     def add(self, point: Point, seed: int, row: Row) -> None:
         """Write one row.  Raises FlightError if that fails."""

@@ -45,19 +45,19 @@ class Searched:
 
     def to_dict(self) -> dict[str, Any]:
         """What ``search.json`` says."""
-        found, base = self.found, self.found.study.base()
+        result, base = self.found, self.found.study.base()
         return {
             "folder": str(self.folder),
             "scenario": base.name,
             "aircraft": base.aircraft_name,
             "engine": base.engine,
-            "controllers": found.study.flown_with,
-            "controller_sha256": {name: _sha256(base, name) for name in found.study.flown_with},
-            "criterion": found.criterion,
-            **question(found.plan),
-            "flights": found.flights,
-            "alone": [asdict(edge) | {"comes_back": edge.comes_back} for edge in found.edges],
-            "together": [asdict(joint) for joint in found.joints],
+            "controllers": result.study.flown_with,
+            "controller_sha256": {name: _sha256(base, name) for name in result.study.flown_with},
+            "criterion": result.criterion,
+            **question(result.plan),
+            "flights": result.flights,
+            "alone": [asdict(edge) | {"comes_back": edge.comes_back} for edge in result.edges],
+            "together": [asdict(joint) for joint in result.joints],
             "cases": [asdict(case) for case in self.cases],
             "confirmed": self.confirmed,
         }
@@ -79,16 +79,16 @@ def question(plan: Plan) -> dict[str, Any]:
         "budget": plan.budget,
         "keys": [
             {
-                "key": each.key.path,
-                "unit": each.key.unit,
-                "low": each.low,
-                "high": each.high,
-                "start": each.start,
-                "points": each.points,
-                "tolerance": each.tolerance,
-                "logarithmic": each.logarithmic,
+                "key": span.key.path,
+                "unit": span.key.unit,
+                "low": span.low,
+                "high": span.high,
+                "start": span.start,
+                "points": span.points,
+                "tolerance": span.tolerance,
+                "logarithmic": span.logarithmic,
             }
-            for each in plan.spans
+            for span in plan.spans
         ],
     }
     if plan.over:

@@ -316,15 +316,15 @@ class _Rays:
         scans = side_by_side(
             walks, lambda asked: self._prober.look([rays[number].point(place) for number, place in asked])
         )
-        found = np.full(directions.shape[1], limit)
+        distances = np.full(directions.shape[1], limit)
         for number, scan in scans.items():
             self.tried += 1
             if scan.change is not None:
                 near, far = (rays[number].values(place) for place in scan.change)
-                found[number] = distance(self._plan, far)
-                if self.best is None or found[number] < self.best.distance:
-                    self.best = _Broken(float(found[number]), directions[:, number].copy(), far, near)
-        return found
+                distances[number] = distance(self._plan, far)
+                if self.best is None or distances[number] < self.best.distance:
+                    self.best = _Broken(float(distances[number]), directions[:, number].copy(), far, near)
+        return distances
 
     def refine(self) -> None:
         """Look closer at the best ray."""

@@ -84,11 +84,11 @@ class Span:
         step = (self._forward(self.high) - self._forward(self.low)) / (self.points - 1)
         count = max(1, ceil(reach / step - 1e-9))
         if whole is None or self.logarithmic:
-            found = [min(1.0, number * step / reach) for number in range(count + 1)]
+            places = [min(1.0, number * step / reach) for number in range(count + 1)]
         else:
             all_of_them = round(reach / whole)
-            found = [min(all_of_them, round(number * step / whole)) / all_of_them for number in range(count + 1)]
-        by_value = {self.at(side * place): place for place in found}
+            places = [min(all_of_them, round(number * step / whole)) / all_of_them for number in range(count + 1)]
+        by_value = {self.at(side * place): place for place in places}
         return list(by_value.values())
 
     def between(self, side: int) -> Between:

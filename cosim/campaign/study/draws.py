@@ -232,15 +232,15 @@ def rearranged(points: Array, matrix: Array) -> Array:
 
 def level(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
     """Places on a side of the grid to values."""
-    found = levels(vary, key)
-    return lambda places: [found[int(place)] for place in places]
+    values = levels(vary, key)
+    return lambda places: [values[int(place)] for place in places]
 
 
 def inverse(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
     """Points of a side (0 to 1) to values of its key."""
     if vary.values is not None:
-        found = levels(vary, key)
-        return lambda shares: [found[min(int(share * len(found)), len(found) - 1)] for share in shares]
+        ladder = levels(vary, key)
+        return lambda shares: [ladder[min(int(share * len(ladder)), len(ladder) - 1)] for share in shares]
     bend = _distribution(vary, *_drawn_bounds(vary, key))
     scale, shift = _relation(vary, key)
     low, high = absolute_support(vary, key)

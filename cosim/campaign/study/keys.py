@@ -202,12 +202,12 @@ def matching(keys: Iterable[Key], pattern: str) -> list[Key]:
 
     Raises InputError if there is none.
     """
-    found = list(keys)
+    matches = list(keys)
     kept = [
-        key for key in found if (fnmatchcase(key.path, pattern) if set(pattern) & set("*?") else pattern in key.path)
+        key for key in matches if (fnmatchcase(key.path, pattern) if set(pattern) & set("*?") else pattern in key.path)
     ]
     if not kept:
-        raise InputError(f"no key matches {pattern!r}; {_nearest(pattern, [key.path for key in found])}")
+        raise InputError(f"no key matches {pattern!r}; {_nearest(pattern, [key.path for key in matches])}")
     return kept
 
 
@@ -265,14 +265,14 @@ def own_keys(scenario: Scenario) -> list[Key]:
     stated = scenario.controller_parameters
     return [
         Key(
-            f"{OWN_PARAMETERS}{each.name}",
+            f"{OWN_PARAMETERS}{parameter.name}",
             "float",
-            stated.get(each.name, each.default),
-            each.unit,
-            each.least,
-            each.most,
+            stated.get(parameter.name, parameter.default),
+            parameter.unit,
+            parameter.least,
+            parameter.most,
         )
-        for each in (() if own is None else own.parameters)
+        for parameter in (() if own is None else own.parameters)
     ]
 
 
@@ -355,10 +355,10 @@ def _predictor_keys(tuning: PredictorTuning) -> Iterator[Key]:
     """What predictors from elsewhere are tuned with, whether the vehicle states it or not."""
     for name, spec in PREDICTORS.items():
         values = spec.own(tuning)
-        for each in spec.parameters:
-            if each.name not in PredictorTuning.model_fields:
-                path = f"{OWN_TUNING}{name}.{each.name}"
-                yield Key(path, "float", values[each.name], each.unit, each.least, each.most)
+        for parameter in spec.parameters:
+            if parameter.name not in PredictorTuning.model_fields:
+                path = f"{OWN_TUNING}{name}.{parameter.name}"
+                yield Key(path, "float", values[parameter.name], parameter.unit, parameter.least, parameter.most)
 
 
 def _below(path: str, value: BaseModel) -> Iterator[Key]:

@@ -119,7 +119,7 @@ def parse_correlate(text: str) -> Correlation:
 
 def parse_success(texts: Iterable[str]) -> dict[str, Range]:
     """Read ``METRIC<=X`` and ``METRIC>=X``; one of each for a metric makes a span.  Raises InputError: one line."""
-    found: dict[str, dict[str, float]] = {}
+    success: dict[str, dict[str, float]] = {}
     for text in texts:
         match = re.fullmatch(r"\s*([^<>=\s]+)\s*(<=|>=)\s*(\S+)\s*", text)
         if match is None:
@@ -129,10 +129,12 @@ def parse_success(texts: Iterable[str]) -> dict[str, Range]:
         except ValueError as error:
             raise InputError(f"--success {text}: {match[3]!r} is not a number") from error
         side = "max" if match[2] == "<=" else "min"
-        if not isfinite(limit) or side in found.get(match[1], {}):
+        if not isfinite(limit) or side in success.get(match[1], {}):
             raise InputError(f"--success {text}: {'there is one already' if isfinite(limit) else 'must be finite'}")
-        found.setdefault(match[1], {})[side] = limit
-    empty = next((metric for metric, span in found.items() if span.get("min", -inf) > span.get("max", inf)), None)
+        success.setdefault(match[1], {})[side] = limit
+    empty = next((metric for metric, span in success.items() if span.get("min", -inf) > span.get("max", inf)), None)
     if empty is not None:
-        raise InputError(f"--success {empty}: nothing lies between {found[empty]['min']:g} and {found[empty]['max']:g}")
-    return {metric: Range(**span) for metric, span in found.items()}
+        raise InputError(
+            f"--success {empty}: nothing lies between {success[empty]['min']:g} and {success[empty]['max']:g}"
+        )
+    return {metric: Range(**span) for metric, span in success.items()}

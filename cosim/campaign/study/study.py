@@ -126,8 +126,13 @@ class Study(Model):
         if name not in self._keys:
             base = self.base()
             if name.startswith(OWN_PARAMETERS):  # of any controller that is flown
-                known = [with_values(base, {"controller": each}) for each in self.flown_with]
-                known.sort(key=lambda each: [name in [key.path for key in own_keys(each)], bool(own_keys(each))])
+                known = [with_values(base, {"controller": controller}) for controller in self.flown_with]
+                known.sort(
+                    key=lambda controller: [
+                        name in [key.path for key in own_keys(controller)],
+                        bool(own_keys(controller)),
+                    ]
+                )
                 base = known[-1]
             self._keys[name] = find_key(base, name)
         return self._keys[name]
@@ -136,9 +141,9 @@ class Study(Model):
         """The correlation matrix of normal variables that gives the ranks asked for, in the order of ``vary``."""
         places = {vary.key: place for place, vary in enumerate(self.vary)}
         matrix = np.eye(len(self.vary))
-        for each in self.correlate:
-            a, b = (places[key] for key in each.keys)
-            matrix[a, b] = matrix[b, a] = each.normal
+        for correlation in self.correlate:
+            a, b = (places[key] for key in correlation.keys)
+            matrix[a, b] = matrix[b, a] = correlation.normal
         return matrix
 
     def notes(self) -> list[str]:
@@ -240,19 +245,19 @@ class Study(Model):
         """Each pair once, of keys that have an order, and all together possible."""
         by_key = {vary.key: vary for vary in self.vary}
         pairs: set[frozenset[str]] = set()
-        for each in self.correlate:
+        for correlation in self.correlate:
             if self.design == "grid":
                 raise ValueError("correlate: the points of a grid are not drawn; use latin-hypercube, random or sobol")
-            for key in each.keys:
+            for key in correlation.keys:
                 if key not in by_key:
                     raise ValueError(f"correlate: {key!r} is not varied; {nearest(key, by_key)}")
                 if any(isinstance(value, (str, bool)) for value in by_key[key].values or []):
                     raise ValueError(f"correlate: the values of {key} have no order, and no correlation")
-            if each.keys[0] == each.keys[1]:
-                raise ValueError(f"correlate: {each.keys[0]} with itself")
-            if frozenset(each.keys) in pairs:
-                raise ValueError(f"correlate: {each.keys[0]} and {each.keys[1]} are there twice")
-            pairs.add(frozenset(each.keys))
+            if correlation.keys[0] == correlation.keys[1]:
+                raise ValueError(f"correlate: {correlation.keys[0]} with itself")
+            if frozenset(correlation.keys) in pairs:
+                raise ValueError(f"correlate: {correlation.keys[0]} and {correlation.keys[1]} are there twice")
+            pairs.add(frozenset(correlation.keys))
         smallest = float(np.linalg.eigvalsh(self.correlations())[0])
         if smallest < 1e-6:
             raise ValueError(

@@ -43,9 +43,9 @@ def _check_steps(vary: Vary, key: Key, low: float, high: float) -> None:
             raise InputError(f"vary {vary.text}: {key.path} = {value}: takes {what}")
     first, last = whole_bounds(low, high, step)
     wanted = len(vary.values or []) or vary.levels or 2
-    found = 0 if last < first else len(set(levels(vary, key))) if vary.discrete else int(min(last - first + 1.0, 2.0))
-    if found < wanted:
-        raise InputError(f"vary {vary.text}: {key.path} takes {what}; {wanted} are needed, and here are {found}")
+    count = 0 if last < first else len(set(levels(vary, key))) if vary.discrete else int(min(last - first + 1.0, 2.0))
+    if count < wanted:
+        raise InputError(f"vary {vary.text}: {key.path} takes {what}; {wanted} are needed, and here are {count}")
 
 
 def levels(vary: Vary, key: Key) -> list[Value]:

@@ -95,11 +95,11 @@ class DaskWorkers:
         return self._dask.Client(self._cluster, set_as_default=False)
 
     def _there(self, address: str) -> Any:
-        found = _scheduler_at(address)
+        scheduler = _scheduler_at(address)
         with warnings.catch_warnings():  # of versions: those that matter are looked at here
             warnings.simplefilter("ignore")
             try:
-                return self._dask.Client(found, timeout=CONNECT_S, set_as_default=False, name="hexjet")
+                return self._dask.Client(scheduler, timeout=CONNECT_S, set_as_default=False, name="hexjet")
             except (OSError, ValueError, TypeError) as error:
                 raise InputError(f"--cluster {address}: {_line(error)}") from error
 
@@ -156,10 +156,10 @@ class DaskWorkers:
         try:
             if client is not None and client.status == "running":
                 client.run(_end_idle, wait=False, on_error="ignore")
-            for each in (client, cluster):
+            for opened in (client, cluster):
                 with suppress(TimeoutError):
-                    if each is not None:
-                        each.close(timeout=CLOSE_S)
+                    if opened is not None:
+                        opened.close(timeout=CLOSE_S)
             if cluster is not None:
                 remote.end_idle()
         finally:
@@ -360,16 +360,16 @@ def _scheduler_at(address: str) -> str:
     """The address of a scheduler that answers; Dask's client is less patient with its user.  Raises InputError."""
     if address.endswith(".json"):
         try:
-            found = str(json.loads(Path(address).read_text(encoding="utf-8"))["address"])
+            scheduler = str(json.loads(Path(address).read_text(encoding="utf-8"))["address"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"--cluster {address}: no scheduler file: {_line(error)}") from error
     else:
-        found = address
+        scheduler = address
     answer: list[BaseException | dict[str, Any]] = []
 
     def ask() -> None:
         try:
-            answer.append(asyncio.run(asyncio.wait_for(_identity(found), CONNECT_S)))
+            answer.append(asyncio.run(asyncio.wait_for(_identity(scheduler), CONNECT_S)))
         except Exception as error:
             answer.append(error)
 
@@ -385,15 +385,15 @@ def _scheduler_at(address: str) -> str:
         raise InputError(f"--cluster {address}: {_line(answer[0])}{like}") from answer[0]
     if answer[0].get("type") != "Scheduler":
         raise InputError(f"--cluster {address}: is a {answer[0].get('type')}, not a scheduler")
-    return found
+    return scheduler
 
 
 async def _identity(address: str) -> dict[str, Any]:
     dask = _dask()
     how = dask.Security().get_connection_args("client")
     async with dask.rpc(address, connection_args=how) as scheduler:
-        found: dict[str, Any] = await scheduler.identity()
-        return found
+        identity: dict[str, Any] = await scheduler.identity()
+        return identity
 
 
 def _told(error: BaseException) -> str:

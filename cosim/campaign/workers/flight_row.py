@@ -143,8 +143,8 @@ def _brought_sha256(run: Run) -> str:
 
 
 def _kind(study: Study, key: str) -> type[Value]:
-    found = study.key(key)
-    return type(found.choices[0]) if found.kind == "choice" and found.choices else _KINDS[found.kind]
+    known = study.key(key)
+    return type(known.choices[0]) if known.kind == "choice" and known.choices else _KINDS[known.kind]
 
 
 def _machine_trouble(error: BaseException | None) -> OSError | None:

@@ -157,7 +157,7 @@ class LocalWorkers:
         waiting.put_back(given)
 
     def _end_busy(self) -> None:
-        for process in [each for each in self._processes if each.given]:
+        for process in [worker for worker in self._processes if worker.given]:
             self._end(process)
 
     def _end(self, process: _Process) -> list[Flight]:

@@ -43,12 +43,12 @@ class _Processes:
 
     def take(self, limit: float) -> LocalWorkers:
         with self._lock:
-            found = next((workers for workers, (theirs, _) in self._idle.items() if theirs == limit), None)
-            if found is None:
+            idle = next((workers for workers, (theirs, _) in self._idle.items() if theirs == limit), None)
+            if idle is None:
                 return LocalWorkers(1, limit)
-            _, timer = self._idle.pop(found)
+            _, timer = self._idle.pop(idle)
         timer.cancel()
-        return found
+        return idle
 
     def give_back(self, workers: LocalWorkers, limit: float) -> None:
         timer = Timer(IDLE_S, self._end, (workers,))
@@ -121,12 +121,12 @@ def _unpack(frozen: Frozen, folder: Path) -> None:
 
 def _files() -> str:
     package = Path(__file__).resolve().parents[2]
-    found = [(package, path) for path in package.rglob("*.py") if "data" not in path.relative_to(package).parts]
+    files = [(package, path) for path in package.rglob("*.py") if "data" not in path.relative_to(package).parts]
     for name, kinds in (("aircraft", ("*.toml", "*.xml")), ("engines", ("*.toml", "*.c", "*.h"))):
         root = data_folder(name)
-        found += [(root, path) for kind in kinds for path in root.rglob(kind)]
+        files += [(root, path) for kind in kinds for path in root.rglob(kind)]
     digest = hashlib.sha256()
-    for root, path in sorted(found, key=lambda each: (each[0].name, each[1].relative_to(each[0]).as_posix())):
+    for root, path in sorted(files, key=lambda each: (each[0].name, each[1].relative_to(each[0]).as_posix())):
         digest.update(f"{root.name}/{path.relative_to(root).as_posix()}\n".encode())
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()

@@ -80,10 +80,10 @@ class TiltAllocator:
         self._extra = 0.0
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
-        found = plan(self._jets, self._limits, self.hover, self._idle, health)
-        if found is None:
+        replanned = plan(self._jets, self._limits, self.hover, self._idle, health)
+        if replanned is None:
             return False
-        self._plan = found
+        self._plan = replanned
         self._extra = 0.0
         return True
 

@@ -77,21 +77,22 @@ class EngineMonitor:
         sudden: bool = False,
     ) -> None:
         self._references = tuple(references)
-        self._thrust_at = [_curve(each) for each in references]
-        self._speeds = any(each.speed is not None for each in references)
+        self._thrust_at = [_curve(reference) for reference in references]
+        self._speeds = any(reference.speed is not None for reference in references)
         self._threshold = settings.threshold * hover
         self._limits = limits
         self._confirm = max(1, round(settings.confirm_s / step))
         self._stuck = max(1, round(settings.stuck_s / step))
         factor, spread = settings.lag_factor, settings.delay_spread_s
         self._shares = [
-            (_share(step, each.shortest / factor), _share(step, each.longest * factor)) for each in references
+            (_share(step, reference.shortest / factor), _share(step, reference.longest * factor))
+            for reference in references
         ]
         self._sudden = _SUDDEN * self._confirm if sudden else 0  # steps
         over = max(1, self._confirm - 1)
-        self._left = [exp(-over * step / each.lag) if each.lag > 0.0 else 0.0 for each in references]
+        self._left = [exp(-over * step / reference.lag) if reference.lag > 0.0 else 0.0 for reference in references]
         self._kept = [(1.0 - fast) ** self._sudden for fast, _ in self._shares]
-        delays = [each.delay for each in references]
+        delays = [reference.delay for reference in references]
         self._early = max(0, floor((min(delays) - spread) / step + 1e-9))
         self._late = ceil((max(delays) + spread) / step - 1e-9)
         self.reset([0.0] * len(self._references))
@@ -106,7 +107,7 @@ class EngineMonitor:
 
     def resume(self, throttle: Sequence[float]) -> None:
         """Look again after engines were off on purpose: settled at ``throttle``, as well or ill as they were."""
-        at_rest = tuple(each.thrust_at(u) for each, u in zip(self._references, throttle, strict=True))
+        at_rest = tuple(reference.thrust_at(u) for reference, u in zip(self._references, throttle, strict=True))
         count = len(at_rest)
         self._past = [at_rest] * (
             self._sudden + self._late + 1
@@ -126,7 +127,10 @@ class EngineMonitor:
         reports = output.thrust
         if self._speeds:
             reports = tuple(
-                [each.thrust_of(f, w) for each, f, w in zip(references, reports, output.spool_speed, strict=True)]
+                [
+                    reference.thrust_of(f, w)
+                    for reference, f, w in zip(references, reports, output.spool_speed, strict=True)
+                ]
             )
         self._reported.append(reports)
         del self._reported[0]
@@ -183,14 +187,16 @@ class EngineMonitor:
         """Every engine that is not given up reports what it gives at rest at its ``throttle``, within the threshold."""
         reports = zip(self._references, self.gains, throttle, output.thrust, output.spool_speed, strict=True)
         return all(
-            gain == 0.0 or abs(each.thrust_of(f, w) - each.thrust_at(u)) <= self._threshold
-            for each, gain, u, f, w in reports
+            gain == 0.0 or abs(reference.thrust_of(f, w) - reference.thrust_at(u)) <= self._threshold
+            for reference, gain, u, f, w in reports
         )
 
     def settled(self, throttle: PerJet, output: EngineOutput) -> bool:
         """Every engine's report is within the threshold of what it gives at rest at its ``throttle``, or of nothing."""
         reports = zip(self._references, throttle, output.thrust, output.spool_speed, strict=True)
-        return all(each.thrust_of(f, w) <= each.thrust_at(u) + self._threshold for each, u, f, w in reports)
+        return all(
+            reference.thrust_of(f, w) <= reference.thrust_at(u) + self._threshold for reference, u, f, w in reports
+        )
 
     def _judge(self, i: int, x: float) -> bool:
         """Decide what an engine is that has been outside for long enough; False while it cannot be told."""
@@ -213,8 +219,8 @@ class EngineMonitor:
         self._outside[i] = 0
         if (gain, fixed) == (self.gains[i], self._fixed[i]):
             return False
-        each = self._references[i]
-        idle, span = each.thrust[0], each.thrust[-1] - each.thrust[0]
+        reference = self._references[i]
+        idle, span = reference.thrust[0], reference.thrust[-1] - reference.thrust[0]
         low, high = self._limits
         # a lost engine's throttle is closed: should it be lit again, it gives the least it can
         command = min(high, max(low, (fixed - idle) / span)) if fixed else 0.0

@@ -80,8 +80,8 @@ def plan(
 
     low, high = limits.throttle_min, limits.throttle_max
     rows, side = _rows(jets), _side(jets)
-    gain = np.array([each.gain for each in health])
-    fixed = np.array([each.fixed for each in health])
+    gain = np.array([engine.gain for engine in health])
+    fixed = np.array([engine.fixed for engine in health])
     free = np.flatnonzero(gain > 0.0)
     if not free.size:
         return None
@@ -94,10 +94,10 @@ def plan(
         return None
     most = min(top[0], hover * (1.0 + 2.0 * _KEPT))
     centre, kept = (hover, min(_KEPT * hover, 0.5 * (most - hover))) if most > hover else (0.9 * most, 0.05 * most)
-    found = None
+    planned = None
     for part in _PARTS_KEPT:
         reserve = part * kept
-        found = _weights(
+        planned = _weights(
             given,
             at_zero + per_collective * centre,
             per_collective * reserve,
@@ -105,11 +105,11 @@ def plan(
             side[free],
             (low, high, centre, reserve),
         )
-        if found is not None:
+        if planned is not None:
             break
-    if found is None:
+    if planned is None:
         return None
-    trim, up, roll, reach = found
+    trim, up, roll, reach = planned
     up, roll = up / reserve, roll / reach
     trim, up, roll = (
         _exact(given, value, wanted)
@@ -131,11 +131,11 @@ def plan(
     ]
     constant, per_up, per_reach, per_boost = (0.0 if abs(value) < _ROUNDING else value for value in left)
     everything = np.zeros((4, len(jets)))
-    everything[0] = [each.command for each in health]
+    everything[0] = [engine.command for engine in health]
     everything[:, free] = (trim, up, roll, boost)
     return Plan(
         centre=centre,
-        free=tuple(each.gain > 0.0 for each in health),
+        free=tuple(engine.gain > 0.0 for engine in health),
         trim=tuple(everything[0].tolist()),
         up=tuple(everything[1].tolist()),
         roll=tuple(everything[2].tolist()),
@@ -217,8 +217,8 @@ def _linprog(cost: Any, ub: Any = None, eq: Any = None, bounds: Any = None) -> A
 
     a, b = ub if ub is not None else (None, None)
     e, f = eq if eq is not None else (None, None)
-    found = linprog(cost, A_ub=a, b_ub=b, A_eq=e, b_eq=f, bounds=bounds, method="highs")
-    return found if found.status == 0 else None
+    solution = linprog(cost, A_ub=a, b_ub=b, A_eq=e, b_eq=f, bounds=bounds, method="highs")
+    return solution if solution.status == 0 else None
 
 
 def _most_collective(
@@ -229,12 +229,12 @@ def _most_collective(
 
     count = given.shape[1]
     cost = np.append(np.zeros(count), -1.0)
-    found = _linprog(
+    solution = _linprog(
         cost,
         eq=(np.column_stack([given, -per_collective]), at_zero),
         bounds=[(low, high)] * count + [(0.0, None)],
     )
-    return None if found is None or found.x[-1] <= 1e-6 else (float(found.x[-1]), found.x[:count])
+    return None if solution is None or solution.x[-1] <= 1e-6 else (float(solution.x[-1]), solution.x[:count])
 
 
 def _boost(trim: Array, up: Array, centre: float, top: tuple[float, Array], high: float, low: float) -> Array:
@@ -297,10 +297,10 @@ def _weights(
     bound = np.concatenate([np.full(4 * n, high), np.full(4 * n, -low), *wanted])
     cost = np.concatenate([np.zeros(3 * n), [-1.0], np.full(4, _RESIDUAL_COST), np.full(3, _EXCESS_COST)])
     bounds = [(None, None)] * (3 * n) + [(0.0, None)] * 8
-    found = _linprog(cost, (unequal, bound), (equal, np.concatenate([trim, up, np.zeros(3)])), bounds)
-    if found is None or found.x[3 * n] < 1e-6:
+    solution = _linprog(cost, (unequal, bound), (equal, np.concatenate([trim, up, np.zeros(3)])), bounds)
+    if solution is None or solution.x[3 * n] < 1e-6:
         return None
-    return found.x[:n], found.x[n : 2 * n], found.x[2 * n : 3 * n], float(found.x[3 * n])
+    return solution.x[:n], solution.x[n : 2 * n], solution.x[2 * n : 3 * n], float(solution.x[3 * n])
 
 
 def _exact(given: Array, value: Array, wanted: Array) -> Array:

@@ -116,7 +116,7 @@ def table(
     """
     if control.position is None:
         raise InputError("vehicle.control.position is missing: this vehicle cannot be flown by the autopilot")
-    found = [
+    parameters = [
         *_loops(control),
         *_position(control.position),
         *_flight(pilot),
@@ -125,7 +125,9 @@ def table(
         *_of_px4(),
     ]
     mute = _REPLACED.get(level, ())
-    return [replace(each, read_only=True) if each.name.startswith(mute) else each for each in found]
+    return [
+        replace(parameter, read_only=True) if parameter.name.startswith(mute) else parameter for parameter in parameters
+    ]
 
 
 def _gain(name: str, default: float, unit: str, group: str, text: str, most: float | None = None) -> Parameter:

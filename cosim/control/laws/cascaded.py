@@ -26,7 +26,7 @@ def _gains(a: float, p: float, i: float, d: float) -> tuple[Parameter, ...]:
 
 
 class Cascaded(RateLaw):
-    """PID without a predictor."""
+    """PID without a predictor, tuned to a peak sensitivity of 1.7 as the other laws."""
 
     predictor: ClassVar[str] = "baseline"
     parameters = _gains(0.2414, 0.7053, 0.1938, 0.4911)
@@ -46,14 +46,14 @@ class Cascaded(RateLaw):
 
 
 class Smith(Cascaded):
-    """With Smith's predictor (O. J. M. Smith, 1957), as in the paper."""
+    """PID with Smith's predictor (O. J. M. Smith, 1957), as in the paper."""
 
     predictor = "smith"
     parameters = _gains(0.4926, 2.305, 0.08939, 0.3639)
 
 
 class FilteredSmith(Cascaded):
-    """With Smith's predictor behind a robustness filter (Normey-Rico and Camacho, 2007)."""
+    """PID with Smith's predictor behind a robustness filter (Normey-Rico and Camacho, 2007)."""
 
     predictor = "filtered-smith"
     parameters = (
@@ -63,7 +63,7 @@ class FilteredSmith(Cascaded):
 
 
 class StatePredictor(Cascaded):
-    """With the paper's state predictor."""
+    """PID with the paper's state predictor."""
 
     predictor = "state"
     parameters = (
@@ -73,7 +73,7 @@ class StatePredictor(Cascaded):
 
 
 class StateDisturbance(Cascaded):
-    """With the state predictor that estimates a disturbance of the input (after Sanz et al., 2016)."""
+    """PID with the state predictor that estimates a disturbance of the input (after Sanz et al., 2016)."""
 
     predictor = "state-disturbance"
     parameters = (

@@ -95,7 +95,7 @@ class PredictorSpec:
         stated = tuning.own.get(self.name, {})
         return {
             name: getattr(tuning, name) if name in _FIELDS else stated.get(name, default or 0.0)
-            for name, default in ((each.name, each.default) for each in self.parameters)
+            for name, default in ((parameter.name, parameter.default) for parameter in self.parameters)
         }
 
     def tuned(self, tuning: PredictorTuning, values: Own) -> PredictorTuning:
@@ -138,18 +138,26 @@ class Registry(Mapping[str, PredictorSpec]):
             raise InputError(f"{where}: title = {spec.title!r}: must be one line that says what it is")
         if twin := next((other.name for other in self._specs.values() if other.value == spec.value), None):
             raise InputError(f"{where}: its number {spec.value} is that of {twin!r}; state another")
-        for each in spec.parameters:
-            low, high = each.search
-            if each.name not in _FIELDS and (each.default is None or not each.least <= each.default <= each.most):
-                raise InputError(f"{where}: {each.name}: needs a default from {each.least:g} to {each.most:g}")
-            taken = {"HJ_PRED_TYPE", "HJ_PRED_DELAY"} | {p.mavlink for s in self._specs.values() for p in s.parameters}
-            if each.mavlink is not None and (each.mavlink in taken or not _MAVLINK.fullmatch(each.mavlink)):
+        for parameter in spec.parameters:
+            low, high = parameter.search
+            if parameter.name not in _FIELDS and (
+                parameter.default is None or not parameter.least <= parameter.default <= parameter.most
+            ):
                 raise InputError(
-                    f"{where}: {each.name}: mavlink = {each.mavlink!r}: must begin with HJ_PRED_, have at most 16 "
-                    "characters and be nobody else's"
+                    f"{where}: {parameter.name}: needs a default from {parameter.least:g} to {parameter.most:g}"
+                )
+            taken = {"HJ_PRED_TYPE", "HJ_PRED_DELAY"} | {p.mavlink for s in self._specs.values() for p in s.parameters}
+            if parameter.mavlink is not None and (
+                parameter.mavlink in taken or not _MAVLINK.fullmatch(parameter.mavlink)
+            ):
+                raise InputError(
+                    f"{where}: {parameter.name}: mavlink = {parameter.mavlink!r}: must begin with HJ_PRED_, have at "
+                    "most 16 characters and be nobody else's"
                 )
             if not 0.0 < low < high:
-                raise InputError(f"{where}: {each.name}: search = {each.search}: must be two numbers above 0, in order")
+                raise InputError(
+                    f"{where}: {parameter.name}: search = {parameter.search}: must be two numbers above 0, in order"
+                )
         self._specs[spec.name] = spec
 
     def forget(self, name: str) -> None:
@@ -168,7 +176,10 @@ class Registry(Mapping[str, PredictorSpec]):
         Raises InputError: one line with the key, the value and what is allowed.
         """
         for name, values in tuning.own.items():
-            known = {each.name: each for each in self.find(name, f"{where}.own.{name}: unknown predictor").parameters}
+            known = {
+                parameter.name: parameter
+                for parameter in self.find(name, f"{where}.own.{name}: unknown predictor").parameters
+            }
             for key, value in values.items():
                 if key not in known or key in _FIELDS:
                     allowed = nearest(key, set(known) - _FIELDS) if set(known) - _FIELDS else "there are none"

@@ -307,12 +307,12 @@ def _product(factors: list[complex]) -> complex:
 
 def _apart(poles: Sequence[complex]) -> list[complex]:
     """The poles with equal ones moved apart by a little: modes need them different."""
-    found: list[complex] = []
+    separate: list[complex] = []
     for pole in poles:
-        while any(abs(pole - other) <= 1e-7 * abs(pole) for other in found):
+        while any(abs(pole - other) <= 1e-7 * abs(pole) for other in separate):
             pole *= 1.0 - 1e-5
-        found.append(pole)
-    return found
+        separate.append(pole)
+    return separate
 
 
 def _exponential(l1: float, l2: float, t: float) -> Matrix:

@@ -51,13 +51,13 @@ class Model:
         for i in range(1, len(poles)):
             while any(abs(poles[i] - other) <= 1e-6 * poles[i] for other in poles[:i]):
                 poles[i] *= 1.0 + 1e-5  # partial fractions need different poles
-        found = []
+        modes = []
         for i, pole in enumerate(poles):
             apart = prod(other - pole for j, other in enumerate(poles) if j != i)
             residue = self.gain / prod(self.lags) / apart
             held = -np.expm1(-pole * self.step) / pole if pole * self.step > 1e-12 else self.step
-            found.append((float(residue * held), pole))
-        return found
+            modes.append((float(residue * held), pole))
+        return modes
 
     def response(self, hertz: Array) -> Complex:
         """Of the held and sampled model with its delay."""
@@ -255,11 +255,11 @@ class _Problem:
         x = self.start()
         if self.free:
             bounds = (self.low[self.free], self.high[self.free])
-            found = least_squares(
+            solution = least_squares(
                 self.residuals, x, bounds=bounds, x_scale="jac", xtol=1e-13, ftol=1e-13, gtol=1e-13, max_nfev=400
             )
-            x = found.x
-            jacobian = found.jac
+            x = solution.x
+            jacobian = solution.jac
         error = self.error(self.model(x))
         model = self.model(x)
         spread: dict[str, tuple[float, float]] = {}

@@ -41,7 +41,7 @@ _TITLES = ("Magnitude [dB]", "Phase [deg]", "Off by [dB]", "Off by [deg]", "Cohe
 _COHERENCE = 4
 
 
-def write(found: Identification, folder: Path) -> dict[str, Path]:
+def write(identification: Identification, folder: Path) -> dict[str, Path]:
     """Write ``identification.json``, ``response.csv``, ``report.html`` and, for an axis, ``model.toml``.
 
     Raises FlightError if a file cannot be written.
@@ -50,12 +50,12 @@ def write(found: Identification, folder: Path) -> dict[str, Path]:
 
     paths = {"json": folder / "identification.json", "response": folder / "response.csv"}
     texts = {
-        "json": json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n",
-        "response": _csv(found),
+        "json": json.dumps(identification.to_dict(), indent=2, allow_nan=False) + "\n",
+        "response": _csv(identification),
     }
-    if found.kind == "axis":
+    if identification.kind == "axis":
         paths["model"] = folder / "model.toml"
-        texts["model"] = tomli_w.dumps(found.model_table())
+        texts["model"] = tomli_w.dumps(identification.model_table())
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, path in paths.items():
@@ -63,12 +63,12 @@ def write(found: Identification, folder: Path) -> dict[str, Path]:
     except OSError as error:
         raise FlightError(f"{folder}: {error.strerror or error}") from error
     paths["report"] = folder / "report.html"
-    write_page(found, paths["report"])
+    write_page(identification, paths["report"])
     return paths
 
 
-def _csv(found: Identification) -> str:
-    response = found.response
+def _csv(identification: Identification) -> str:
+    response = identification.response
     columns: Mapping[str, Array] = {
         "frequency_hz": response.hertz,
         "magnitude_db": response.magnitude_db,
@@ -81,30 +81,34 @@ def _csv(found: Identification) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_page(found: Identification, path: Path) -> None:
+def write_page(identification: Identification, path: Path) -> None:
     """Write the page of an identification.  Raises FlightError if the file cannot be written."""
     render(
         TEMPLATE,
         path,
-        {"response": response_figure(found)},
-        found=found,
-        columns=[fit.label for fit in found.fits],
-        rows=fit_rows(found),
-        equation="\n       ".join(equations(found)),
-        source=found.source,
+        {"response": response_figure(identification)},
+        found=identification,
+        columns=[fit.label for fit in identification.fits],
+        rows=fit_rows(identification),
+        equation="\n       ".join(equations(identification)),
+        source=identification.source,
     )
 
 
-def response_figure(found: Identification) -> Figure:
+def response_figure(identification: Identification) -> Figure:
     """Plotly's figure schema; the curves are drawn at the frequencies of the sweep, on one logarithmic axis."""
-    response = found.response
+    response = identification.response
     hertz = np.geomspace(response.hertz[0], response.hertz[-1], _POINTS)
     data = _curve("measured", ORANGE, "markers", response.hertz, response.magnitude_db, response.phase_deg)
     data.append(_trace("coherence", GREY, "lines+markers", response.hertz, response.coherence, _COHERENCE))
-    for number, fit in enumerate(found.fits):
-        data += _model_curves(fit.label, _COLOURS[number % len(_COLOURS)], fit.model.response, hertz, found, "solid")
-    if found.reference is not None:
-        data += _model_curves("stated model", GREY, partial(rate_response, found.reference), hertz, found, "dash")
+    for number, fit in enumerate(identification.fits):
+        data += _model_curves(
+            fit.label, _COLOURS[number % len(_COLOURS)], fit.model.response, hertz, identification, "solid"
+        )
+    if identification.reference is not None:
+        data += _model_curves(
+            "stated model", GREY, partial(rate_response, identification.reference), hertz, identification, "dash"
+        )
     layout: Figure = {
         "height": 860,
         "margin": {"l": 64, "r": 12, "t": 40, "b": 44},
@@ -122,15 +126,15 @@ def response_figure(found: Identification) -> Figure:
 
 
 def _model_curves(
-    label: str, colour: str, model: Callable[[Array], Complex], hertz: Array, found: Identification, dash: str
+    label: str, colour: str, model: Callable[[Array], Complex], hertz: Array, identification: Identification, dash: str
 ) -> list[Figure]:
     """A model's curve, its phase on the same turn of the circle as the measured one, and model over measured."""
     value = model(hertz)
     phase = np.degrees(np.unwrap(np.angle(value)))
-    turns = np.round((found.response.phase_deg[0] - phase[0]) / 360.0)
+    turns = np.round((identification.response.phase_deg[0] - phase[0]) / 360.0)
     curves = _curve(label, colour, "lines", hertz, 20.0 * np.log10(np.abs(value)), phase + 360.0 * turns)
-    at = found.response.hertz
-    ratio = model(at) / found.response.value
+    at = identification.response.hertz
+    ratio = model(at) / identification.response.value
     curves.append(_trace(label, colour, "lines", at, 20.0 * np.log10(np.abs(ratio)), 2))
     curves.append(_trace(label, colour, "lines", at, np.degrees(np.angle(ratio)), 3))
     for trace in curves:

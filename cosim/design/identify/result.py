@@ -86,7 +86,7 @@ class Identification:
             "points": len(self.response.hertz),
             "coherence_min": float(self.response.coherence.min()),
             "coherence_median": float(np.median(self.response.coherence)),
-            "fits": [fit_dict(each, self.source, self.kind == "engine") for each in self.fits],
+            "fits": [fit_dict(fit, self.source, self.kind == "engine") for fit in self.fits],
             "ledger_samples": self.ledger_samples,
             "reference": None
             if self.reference is None or deviation is None
@@ -184,24 +184,24 @@ _TITLES = {
 }
 
 
-def fit_rows(found: Identification) -> list[list[str]]:
+def fit_rows(identification: Identification) -> list[list[str]]:
     """The fits side by side: one row a parameter, its name first."""
     rows = []
-    for name in sorted({name for fit in found.fits for name in fit.values}, key=list(_TITLES).index):
+    for name in sorted({name for fit in identification.fits for name in fit.values}, key=list(_TITLES).index):
         title, scale, invert = _TITLES[name], 1e3 if name.startswith("lag") else 1.0, False
         if name == "gain":
-            unit = "rad/s^2" if found.output_unit == "rad/s" else f"{found.output_unit}/s"
-            title = f"gain, {unit} per {found.command_unit}"
-        if name == "rate_1_s" and found.kind == "engine":
+            unit = "rad/s^2" if identification.output_unit == "rad/s" else f"{identification.output_unit}/s"
+            title = f"gain, {unit} per {identification.command_unit}"
+        if name == "rate_1_s" and identification.kind == "engine":
             title, scale, invert = "time constant, ms", 1e3, True
-        rows.append([title, *(_with_bounds(fit, name, scale, invert) for fit in found.fits)])
-    if found.kind == "engine":
-        at_rest = [fit.model.gain / fit.model.rate if fit.model.rate else float("inf") for fit in found.fits]
+        rows.append([title, *(_with_bounds(fit, name, scale, invert) for fit in identification.fits)])
+    if identification.kind == "engine":
+        at_rest = [fit.model.gain / fit.model.rate if fit.model.rate else float("inf") for fit in identification.fits]
         rows.append(["gain at rest, N", *(f"{value:.4g} ({value / GRAVITY:.4g} kgf)" for value in at_rest)])
-    if found.kind == "axis":
-        rows.append(["all delay, samples", *(f"{low_frequency_delay(fit):.2f}" for fit in found.fits)])
-    rows.append(["misfit, %", *(f"{100 * fit.misfit:.2g}" for fit in found.fits)])
-    rows.append(["worst, dB and deg", *(f"{fit.worst_db:.2g}, {fit.worst_deg:.2g}" for fit in found.fits)])
+    if identification.kind == "axis":
+        rows.append(["all delay, samples", *(f"{low_frequency_delay(fit):.2f}" for fit in identification.fits)])
+    rows.append(["misfit, %", *(f"{100 * fit.misfit:.2g}" for fit in identification.fits)])
+    rows.append(["worst, dB and deg", *(f"{fit.worst_db:.2g}, {fit.worst_deg:.2g}" for fit in identification.fits)])
     return rows
 
 
@@ -240,9 +240,9 @@ def _factor(root: float) -> str:
     return f"(z {'-' if root >= 0.0 else '+'} {abs(root):.4f})"
 
 
-def equations(found: Identification) -> list[str]:
+def equations(identification: Identification) -> list[str]:
     """The chosen discrete form, for an engine also in kgf, the unit in which the paper states its engines."""
-    lines = [f"{equation(found.model)}  [{found.output_unit} per {found.command_unit}]"]
-    if found.output_unit == "N":
-        lines.append(f"{equation(found.model, GRAVITY)}  [kgf per {found.command_unit}]")
+    lines = [f"{equation(identification.model)}  [{identification.output_unit} per {identification.command_unit}]"]
+    if identification.output_unit == "N":
+        lines.append(f"{equation(identification.model, GRAVITY)}  [kgf per {identification.command_unit}]")
     return lines

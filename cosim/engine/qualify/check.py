@@ -122,7 +122,7 @@ class CheckReport:
         rows = [
             ("file", self.path),
             ("model", f"{self.name}, {self.standard}, sha256 {self.sha256[:12]}"),
-            *((each["port"].replace("_", " "), _port_text(each)) for each in self.ports),
+            *((port["port"].replace("_", " "), _port_text(port)) for port in self.ports),
             *(("input", _variable_text(v)) for v in self._unused(self.inputs)),
             *(("output", _variable_text(v)) for v in self._unused(self.outputs)),
             *(("parameter", _variable_text(v)) for v in self._unused(self.parameters)),
@@ -134,7 +134,7 @@ class CheckReport:
         return [*rows, *(("note", note) for note in self.notes)]
 
     def _unused(self, variables: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-        used = {each["name"] for each in self.ports}
+        used = {port["name"] for port in self.ports}
         return [v for v in variables if v["name"] not in used]
 
     def response_lines(self) -> list[tuple[str, str]]:
@@ -196,8 +196,8 @@ def _limit(value: float | None) -> str:
     return "any" if value is None else f"{value:g}"
 
 
-def _verdict(found: bool | None) -> str:
-    return {True: "good", False: "bad", None: "not tried"}[found]
+def _verdict(passed: bool | None) -> str:
+    return {True: "good", False: "bad", None: "not tried"}[passed]
 
 
 # ---- the check
@@ -305,10 +305,10 @@ class _Trying:
         limits = replace(self._limits, seconds=max(0.1, self._end - time.monotonic()))
         apart = run_apart({**self._task, "parts": list(parts)}, limits)
         for message in apart.messages:
-            found = message.get("found", {})
+            findings = message.get("found", {})
             notes = self._report.notes
-            notes += [note for note in found.get("notes", []) if note not in notes]
-            self._found |= found
+            notes += [note for note in findings.get("notes", []) if note not in notes]
+            self._found |= findings
             self._add(message.get("problems", []))
         if apart.end is not None:
             self._add([apart.end])
@@ -334,18 +334,18 @@ class _Trying:
                 self._report.problems.append(problem)
 
     def _fill(self) -> Measured | None:
-        found, report = self._found, self._report
-        for each in fields(CheckReport):
-            if each.name in found and each.name != "notes":
-                setattr(report, each.name, found[each.name])
+        findings, report = self._found, self._report
+        for part in fields(CheckReport):
+            if part.name in findings and part.name != "notes":
+                setattr(report, part.name, findings[part.name])
         for way in ("up", "down"):
-            if way in found:
-                response = Response(**found[way])
+            if way in findings:
+                response = Response(**findings[way])
                 setattr(report, f"delay_samples_{way}", response.delay)
                 setattr(report, f"rise_time_{way}", response.rise)
-        if "measured" not in found:
+        if "measured" not in findings:
             return None
-        measured = _measured(found["measured"])
+        measured = _measured(findings["measured"])
         if measured.quiet > NO_CHANGE:
             report.notes.append(
                 f"its thrust trembles at rest; it is taken to stand still to {measured.quiet:g} of itself"
@@ -367,13 +367,13 @@ def _described_port(name: str, port: Port, source: EngineSource) -> dict[str, An
     v = port.variable
     stated = source.engine.ports if source.engine else source.mapping.ports.model_dump(exclude_none=True)
     if name in stated:
-        found = "in engine.toml" if source.engine else "in the mapping file"
+        place = "in engine.toml" if source.engine else "in the mapping file"
     elif plain(v.name) == plain(name):
-        found = "by its name"
+        place = "by its name"
     elif any(plain(text) in KINDS[name].names for text in (v.name, v.name.rpartition(".")[2])):
-        found = "by a usual name"
+        place = "by a usual name"
     else:
-        found = "by its unit" if name == "thrust" else "as the only one"
+        place = "by its unit" if name == "thrust" else "as the only one"
     ranged = KINDS[name].causality == "input" and name in ("throttle",)
     return {
         "port": name,
@@ -384,7 +384,7 @@ def _described_port(name: str, port: Port, source: EngineSource) -> dict[str, An
         "scale": port.scale,
         "offset": port.offset,
         "si": KINDS[name].quantity.si,
-        "found": found,
+        "found": place,
     }
 
 
@@ -526,9 +526,9 @@ def _code() -> str:
 def _recall(place: Path) -> Measured | None:
     """What is remembered, or None; a file that cannot be read or understood is as good as none."""
     try:
-        found = _measured(json.loads(place.read_text(encoding="utf-8")))
-        sane = len(found.curve.throttle) == len(found.curve.thrust) > 1 and found.response.delay >= 0
-        return found if sane else None
+        measured = _measured(json.loads(place.read_text(encoding="utf-8")))
+        sane = len(measured.curve.throttle) == len(measured.curve.thrust) > 1 and measured.response.delay >= 0
+        return measured if sane else None
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
 

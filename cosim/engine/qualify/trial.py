@@ -181,10 +181,10 @@ def perform(order: Mapping[str, Any], say: Say) -> None:
             say({"part": part})
             over = False
             try:
-                found, problems = PARTS[part](trial)
+                findings, problems = PARTS[part](trial)
             except (SlaveError, ResponseError, InputError, FlightError) as error:
-                found, problems, over = {}, [str(error)], part in NEEDED
-            say({"of": part, "found": found, "problems": problems, "over": over})
+                findings, problems, over = {}, [str(error)], part in NEEDED
+            say({"of": part, "found": findings, "problems": problems, "over": over})
             if over:
                 break
         after = contents(trial.folder)
@@ -317,7 +317,7 @@ def _run(trial: Trial) -> Found:
 def _measure(trial: Trial) -> Found:
     """What a flight wants to know, by the same function, so that it need not be measured again."""
     trial.say({"at": "while its thrust was measured"})
-    found = trial.measured = measure(
+    measurement = trial.measured = measure(
         trial.archive,
         trial.settings,
         trial.start,
@@ -325,12 +325,17 @@ def _measure(trial: Trial) -> Found:
         lambda: trial.say({"at": "while its thrust was measured"}),
         Air(*trial.task.air),
     )
-    curve = found.curve._asdict()
-    measured = {**curve, "response": found.response._asdict(), "start": found.start, "quiet": found.quiet}
-    measured["small"] = found.small._asdict() if found.small else None
-    problems = curve_problems(found.curve, found.quiet, trial.archive.starting.rest_n)
-    notes = flat_notes(found.curve, found.quiet, trial.archive.starting.rest_n)
-    return {**curve, "up": found.response._asdict(), "measured": measured, "notes": notes}, problems
+    curve = measurement.curve._asdict()
+    measured = {
+        **curve,
+        "response": measurement.response._asdict(),
+        "start": measurement.start,
+        "quiet": measurement.quiet,
+    }
+    measured["small"] = measurement.small._asdict() if measurement.small else None
+    problems = curve_problems(measurement.curve, measurement.quiet, trial.archive.starting.rest_n)
+    notes = flat_notes(measurement.curve, measurement.quiet, trial.archive.starting.rest_n)
+    return {**curve, "up": measurement.response._asdict(), "measured": measured, "notes": notes}, problems
 
 
 def _respond(trial: Trial) -> Found:
@@ -474,8 +479,8 @@ def _time(trial: Trial) -> Found:
         hold = trial.hold(slave)
         begin = time.perf_counter()
         hold(0.5, TIMED_STEPS)
-        each = (time.perf_counter() - begin) / TIMED_STEPS * 1e6
-    return {"microseconds_per_step": each}, []
+        microseconds = (time.perf_counter() - begin) / TIMED_STEPS * 1e6
+    return {"microseconds_per_step": microseconds}, []
 
 
 def _grow(trial: Trial) -> Found:
@@ -487,9 +492,11 @@ def _grow(trial: Trial) -> Found:
             for _ in range(GROWTH_STEPS // CHUNK):
                 hold(0.5, CHUNK)
             resident.append(_resident())
-    each = min(b - a for a, b in pairwise(resident)) / GROWTH_STEPS
-    leaks = each >= LEAST_LEAK
-    return {"bytes_per_step": max(0.0, each)}, [f"takes {each:.0f} bytes more memory in every step"] if leaks else []
+    per_step = min(b - a for a, b in pairwise(resident)) / GROWTH_STEPS
+    leaks = per_step >= LEAST_LEAK
+    return {"bytes_per_step": max(0.0, per_step)}, [
+        f"takes {per_step:.0f} bytes more memory in every step"
+    ] if leaks else []
 
 
 def _resident() -> float:

@@ -21,7 +21,7 @@ Figure = dict[str, Any]
 WAYS = (("up", "opened, 0 to 1", ORANGE), ("down", "closed, 1 to 0", BLUE))
 
 
-def write_check(found: CheckReport, folder: Path) -> Path:
+def write_check(report: CheckReport, folder: Path) -> Path:
     """Write ``check.json`` and the page of a checked engine, and return the page's path.
 
     Raises FlightError if a file cannot be written.
@@ -30,10 +30,10 @@ def write_check(found: CheckReport, folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with replacing(data) as temporary:
-            temporary.write_text(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+            temporary.write_text(json.dumps(report.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise FlightError(f"{data}: {one_line(error)}") from error
-    render(TEMPLATES / "check.html", path, check_figures(found), report=found, still=f"{NO_CHANGE:.0e}")
+    render(TEMPLATES / "check.html", path, check_figures(report), report=report, still=f"{NO_CHANGE:.0e}")
     return path
 
 

@@ -181,11 +181,11 @@ def comparison_rows(summaries: Sequence[Summary]) -> list[dict[str, Any]]:
     """The metrics of the axes that any run commands, and of height, one row each; the least of a row is marked."""
     rows: list[dict[str, Any]] = []
     for axis in AXES:
-        found = [summary.metrics[axis] for summary in summaries]
-        if any(metrics.commanded for metrics in found):
+        by_run = [summary.metrics[axis] for summary in summaries]
+        if any(metrics.commanded for metrics in by_run):
             for title, key, unit, factor, digits in AXIS_ROWS:
-                texts = [axis_cell(metrics, key, factor, digits) for metrics in found]
-                values = [getattr(metrics, key) for metrics in found]
+                texts = [axis_cell(metrics, key, factor, digits) for metrics in by_run]
+                values = [getattr(metrics, key) for metrics in by_run]
                 rows.append({"axis": axis, "title": title, "unit": unit, "cells": _marked(texts, values)})
     whole = [summary.flat_metrics for summary in summaries]
     own = dict.fromkeys(name for summary in summaries for name in summary.own_metrics)

@@ -314,8 +314,8 @@ class Reader:
         apart = starts[1:] - ends[:-1] >= 0.1
         first = np.concatenate(([True], apart))[: starts.size]
         last = np.concatenate((apart, [True]))[: ends.size]
-        found = list(zip(starts[first].tolist(), ends[last].tolist(), strict=True))
-        return found if len(found) <= MOST_SHADES else []
+        pairs = list(zip(starts[first].tolist(), ends[last].tolist(), strict=True))
+        return pairs if len(pairs) <= MOST_SHADES else []
 
 
 def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp] | None:

@@ -20,12 +20,12 @@ _MARK = re.compile(r"^<!-- (?:measured: .*|end) -->$", re.MULTILINE)
 
 def parts_of(page: str, where: Path | str) -> dict[str, str]:
     """What stands between the marks of a page, by name.  Raises InputError where its marks do not come in pairs."""
-    found = dict(_PART.findall(page))
-    if len(_MARK.findall(page)) != 2 * len(found):
+    parts = dict(_PART.findall(page))
+    if len(_MARK.findall(page)) != 2 * len(parts):
         raise InputError(
             f"{where}: its marks do not come in pairs <!-- measured: NAME --> and <!-- end -->; nothing was written"
         )
-    return found
+    return parts
 
 
 def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:

@@ -132,8 +132,8 @@ class GuardedPredictor:
 
     @property
     def diagnostics(self) -> Diagnostics:
-        found = getattr(self._block, "diagnostics", UNKNOWN3)
-        return (float(found[0]), float(found[1]), float(found[2]))
+        diagnostics = getattr(self._block, "diagnostics", UNKNOWN3)
+        return (float(diagnostics[0]), float(diagnostics[1]), float(diagnostics[2]))
 
 
 class GuardedRate:
@@ -241,8 +241,10 @@ class GuardedController:
 
     def _own_signals(self, mean: float) -> ControlSignals:
         """What the block shows of a cascade, and what can be said of any controller: its mean throttle."""
-        found = getattr(self._block, "signals", None)
-        return found if isinstance(found, ControlSignals) else ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, mean, mean)
+        signals = getattr(self._block, "signals", None)
+        return (
+            signals if isinstance(signals, ControlSignals) else ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, mean, mean)
+        )
 
     def _checked(self, answer: Any) -> Actuation:
         named = self._named

@@ -73,8 +73,8 @@ class Connection:
         end = monotonic() + limit
         while len(self._rest) < count:
             self._rest += self._some(end, limit)
-        found, self._rest = self._rest[:count], self._rest[count:]
-        return found
+        data, self._rest = self._rest[:count], self._rest[count:]
+        return data
 
     def send(self, data: bytes) -> None:
         """Raises FlightError if it is not there any more."""
@@ -91,10 +91,10 @@ class Connection:
         file = self._process.stdout.fileno()
         if not select.select([file], [], [], max(0.0, end - monotonic()))[0]:
             raise FlightError(f"the process did not answer within {limit:g} s")
-        found = os.read(file, 65536)
-        if not found:
+        data = os.read(file, 65536)
+        if not data:
             raise FlightError(f"the process {self._how_it_ended()}")
-        return found
+        return data
 
     def _how_it_ended(self) -> str:
         try:
@@ -139,16 +139,16 @@ def _started(command: Command, folder: Path, label: str, errors: IO[bytes] | Non
 def _description(connection: Connection, label: str) -> dict[str, Any]:
     try:
         line = connection.line(START_S)
-        found = json.loads(line)
+        description = json.loads(line)
     except FlightError as error:
         raise InputError(f"controller {label}: {error} before it had said what it is") from error
     except ValueError:
         raise InputError(f"controller {label}: its first line is no JSON: {line[:60]!r}") from None
-    if not isinstance(found, dict):
+    if not isinstance(description, dict):
         raise InputError(f"controller {label}: its first line is no JSON object: {line[:60]!r}")
-    if "error" in found:
-        raise InputError(f"controller {label}: {found['error']}")
-    return found
+    if "error" in description:
+        raise InputError(f"controller {label}: {description['error']}")
+    return description
 
 
 class ProcessBlock:

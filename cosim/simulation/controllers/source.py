@@ -99,7 +99,7 @@ class Source:
 
     def values(self, stated: Mapping[str, float], where: str) -> dict[str, float]:
         """Its parameters with what is stated of them.  Raises InputError: one line with the key and what is allowed."""
-        known = {each.name: each for each in self.parameters}
+        known = {parameter.name: parameter for parameter in self.parameters}
         for name, value in stated.items():
             if name not in known:
                 allowed = nearest(name, known) if known else f"controller {self.label} has none"
@@ -107,7 +107,7 @@ class Source:
             if not known[name].least <= value <= known[name].most:
                 least, most, unit = known[name].least, known[name].most, known[name].unit
                 raise InputError(f"{where}.{name} = {value:g}: must be from {least:g} to {most:g} {unit}".rstrip())
-        return {name: stated.get(name, each.default) for name, each in known.items()}
+        return {name: stated.get(name, parameter.default) for name, parameter in known.items()}
 
     def expect(self, sha256: str | None, where: str) -> None:
         """Refuse another file than the one that flew.  Raises InputError with the difference."""
@@ -152,7 +152,9 @@ def find(controller: str, folder: Path, complaint: str) -> Source | None:
 def names() -> Iterator[tuple[str, str]]:
     """The controllers of installed packages, and what each is.  Raises InputError for one that cannot be loaded."""
     for entry in entry_points(group=GROUP):
-        yield entry.name, f"{_of_entry(entry).level} of {entry.value}"
+        level = _of_entry(entry).level
+        said = (entry.load().__doc__ or "").strip().partition("\n")[0].rstrip(".")
+        yield entry.name, f"{said or entry.value} ({level})"
 
 
 def of_object(given: Any) -> Source:
@@ -222,12 +224,12 @@ _known: Memory[Source] = Memory(32)
 
 
 def _of_file(controller: str, path: Path, name: str) -> Source:
-    held = [(each, _sha256(each)) for each in _last_files.get(path, [path]) if each.is_file()]
+    held = [(file, _sha256(file)) for file in _last_files.get(path, [path]) if file.is_file()]
 
     def load() -> Source:
         module, neighbours = executed(path, f"controller {controller}")
         _last_files[path] = [path, *neighbours]
-        files = {each.name: each for each in (path, *neighbours)}
+        files = {file.name: file for file in (path, *neighbours)}
         return _stated(controller, _class(module, name, controller, path), None, files)
 
     return _known.get((controller, str(path), tuple(held)), load)
@@ -263,10 +265,10 @@ def _beside(folder: Path) -> Iterator[list[Path]]:
 
     What is below the folder and found from anywhere, as an installed package is, is no neighbour.
     """
-    anywhere = any(each and Path(each).resolve() == folder for each in sys.path)
+    anywhere = any(entry and Path(entry).resolve() == folder for entry in sys.path)
 
     def neighbours() -> dict[str, ModuleType]:
-        found = {}
+        modules = {}
         for name, module in list(sys.modules.items()):
             stated = getattr(module, "__file__", None)
             path = Path(stated).resolve() if stated else None
@@ -274,8 +276,8 @@ def _beside(folder: Path) -> Iterator[list[Path]]:
                 continue
             inner = path.relative_to(folder).parts
             if len(inner) == 1 or not (anywhere or {"site-packages", "lib"} & set(inner)):
-                found[name] = module
-        return found
+                modules[name] = module
+        return modules
 
     outside = {name: module for name, module in neighbours().items() if "." not in name and name != "__main__"}
     for name in outside:
@@ -301,8 +303,8 @@ def _of_process(controller: str, path: Path, arguments: str) -> Source:
     key = (controller, str(path), _sha256(path))
 
     def ask() -> Source:
-        found = describe(command, path.parent, label_of(controller))
-        return _described(controller, found, {path.name: path}, command, path.parent)
+        description = describe(command, path.parent, label_of(controller))
+        return _described(controller, description, {path.name: path}, command, path.parent)
 
     return _known.get(key, ask)
 
@@ -314,7 +316,7 @@ def _of_fmu(controller: str, path: Path) -> Source:
         fmu = read_controller_fmu(path)
     except InputError as error:
         raise InputError(f"controller {controller}: {error}") from error
-    key = (controller, str(path), *[_sha256(each) for each in fmu.files.values()])
+    key = (controller, str(path), *[_sha256(file) for file in fmu.files.values()])
     run = command(path)
     return _known.get(key, lambda: _described(controller, describing(fmu), fmu.files, lambda: run, path.parent))
 
@@ -338,7 +340,7 @@ def _described(
             raise InputError(
                 f"{where}: extras: {extra!r}: must be of a whole controller, and one of {', '.join(EXTRAS)}"
             )
-    found = Source(
+    source = Source(
         controller,
         level,
         lambda: ProcessBlock(command, folder, label, level, columns, extras),
@@ -348,8 +350,8 @@ def _described(
         columns=columns,
         repeats=False,
     )
-    found.hashes  # noqa: B018  of what was read just now
-    return found
+    source.hashes  # noqa: B018  of what was read just now
+    return source
 
 
 def _of_module(controller: str) -> Source:
@@ -359,9 +361,9 @@ def _of_module(controller: str) -> Source:
     except Exception as error:
         raise InputError(f"controller {controller}: {module_name} cannot be imported: {described(error)}") from error
     path = Path(module.__file__ or "")
-    found = _class(module, name, controller, path)
+    kind = _class(module, name, controller, path)
     files = {path.name: path} if path.is_file() else {}
-    return _stated(controller, found, None, files, version_of(module_name), copied=False)
+    return _stated(controller, kind, None, files, version_of(module_name), copied=False)
 
 
 def _of_entry(entry: EntryPoint) -> Source:
@@ -369,13 +371,13 @@ def _of_entry(entry: EntryPoint) -> Source:
     if entry.name in PREDICTORS:
         raise InputError(f"{where}: there is a predictor of this name already")
     try:
-        found = entry.load()
+        loaded = entry.load()
     except Exception as error:
         raise InputError(f"{where}: {entry.value} cannot be loaded: {described(error)}") from error
-    path = file_of(found) if isinstance(found, type) else None
+    path = file_of(loaded) if isinstance(loaded, type) else None
     files = {} if path is None else {path.name: path}
     package = "" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
-    return _stated(entry.name, found, None, files, package, copied=False)
+    return _stated(entry.name, loaded, None, files, package, copied=False)
 
 
 def version_of(module: str) -> str:
@@ -390,12 +392,16 @@ def version_of(module: str) -> str:
 
 
 def _class(module: ModuleType, name: str, controller: str, path: Path) -> type:
-    found = getattr(module, name, None)
-    if not isinstance(found, type):
-        classes = [each for each, value in vars(module).items() if isinstance(value, type) and hasattr(value, "level")]
+    member = getattr(module, name, None)
+    if not isinstance(member, type):
+        classes = [
+            member_class
+            for member_class, value in vars(module).items()
+            if isinstance(value, type) and hasattr(value, "level")
+        ]
         said = nearest(name, classes) if classes else "there is no class with a level in it"
         raise InputError(f"controller {controller}: {path.name} has no class {name!r}; {said}")
-    return found
+    return member
 
 
 def _stated(
@@ -414,9 +420,9 @@ def _stated(
     if hasattr(block, "prepare"):
         check_method(block, "prepare", ("belief",), where)
     make = make or _maker(block, where)
-    found = Source(controller, level, make, files, package, predictor, parameters, columns, copied)
-    found.hashes  # noqa: B018  of what was read just now
-    return found
+    source = Source(controller, level, make, files, package, predictor, parameters, columns, copied)
+    source.hashes  # noqa: B018  of what was read just now
+    return source
 
 
 def _states(block: Any, where: str, column: str) -> tuple[str, str, tuple[Column, ...], tuple[Parameter, ...]]:
@@ -449,11 +455,11 @@ def _maker(made: Callable[[], Any], where: str) -> Callable[[], Any]:
 
 def check_method(block: Any, method: str, told: Sequence[str], where: str) -> None:
     """Refuse a block without a method, or with one that takes something else.  Raises InputError."""
-    found = getattr(block, method, None)
-    if not callable(found):
+    function = getattr(block, method, None)
+    if not callable(function):
         raise InputError(f"{where}: has no {method}({', '.join(told)})")
     try:
-        signature = inspect.signature(found)
+        signature = inspect.signature(function)
     except (TypeError, ValueError):
         return  # it does not say
     try:
@@ -464,23 +470,23 @@ def check_method(block: Any, method: str, told: Sequence[str], where: str) -> No
 
 def parameters_of(block: Any, where: str) -> tuple[Parameter, ...]:
     """The parameters that a block states.  Raises InputError."""
-    found: list[Parameter] = []
+    parameters: list[Parameter] = []
     stated = getattr(block, "parameters", ())
     if not isinstance(stated, (list, tuple)):
         raise InputError(f"{where}: parameters = {stated!r}: must be a list of Parameter(name, default, ...)")
-    for each in stated:
+    for item in stated:
         try:
-            one = Parameter(*each)
+            one = Parameter(*item)
             numbers = float(one.default), float(one.least), float(one.most)
         except (TypeError, ValueError) as error:
             raise InputError(
-                f"{where}: parameters: {each!r}: must be Parameter(name, default, ...): {error}"
+                f"{where}: parameters: {item!r}: must be Parameter(name, default, ...): {error}"
             ) from error
         if not _NAME.fullmatch(str(one.name)):
             raise InputError(f"{where}: parameter {one.name!r}: a name is of letters, digits and _, no digit first")
         if not isfinite(numbers[0]) or not numbers[1] <= numbers[0] <= numbers[2]:
             raise InputError(f"{where}: parameter {one.name}: default = {one.default}: must be from least to most")
-        if one.name in [other.name for other in found]:
+        if one.name in [other.name for other in parameters]:
             raise InputError(f"{where}: parameter {one.name}: is there twice")
-        found.append(one._replace(default=numbers[0]))
-    return tuple(found)
+        parameters.append(one._replace(default=numbers[0]))
+    return tuple(parameters)

@@ -500,7 +500,7 @@ def hexjet(package: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_an_installed_package_brings_one(package: Path) -> None:
-    assert re.search(r"mine +predictor of my_controllers:Mine", hexjet(package, "list", "controllers").stdout)
+    assert re.search(r"mine +my_controllers:Mine \(predictor\)", hexjet(package, "list", "controllers").stdout)
     done = hexjet(
         package, "fly", "roll-doublet", "--controller", "mine", "--set", "duration_s=0.2", "--set",
         "controller_parameters.share=0.5", "--out", "run", "--json",

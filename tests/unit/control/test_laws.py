@@ -145,7 +145,7 @@ def test_every_law_has_the_stated_peak_sensitivity(name: str) -> None:
 
 def test_what_the_page_says_was_chosen() -> None:
     """docs/laws.md beside the study, the search and the flights."""
-    stated(PAGE, "tuned by the same search to the same peak sensitivity, {}: the", 1.7)
+    stated(PAGE, "tuned to the same peak sensitivity, {}: the", 1.7)
     stated(
         PAGE,
         "integrated absolute errors of the angle, over {} s: after a unit step",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -181,12 +182,12 @@ def test_a_ground_station_is_offered_it(mine: PredictorSpec) -> None:
 def loop() -> tuple[Channel, Tuning]:
     """The roll channel with EDF engines, and the aircraft's own gains on it."""
     from cosim.design.channel import Actuator, channels
-    from cosim.design.design import _dynamics, _identify, _scenario, believed, shipped
+    from cosim.design.design import _scenario, believed, dynamics_of, identify_there, shipped
     from cosim.engine import load_engine
 
     scenario, vehicle = _scenario("edf", "hexjet", [])
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
-    actuator = Actuator.of(spec.name, _dynamics(_identify(scenario, vehicle, spec, None)))
+    actuator = Actuator.of(spec.name, dynamics_of(identify_there(scenario, vehicle, spec, None)))
     channel = channels(scenario, vehicle, spec, actuator)["roll"]
     return channel, replace(shipped(channel, vehicle, spec), model=believed(channel, "test"))
 
@@ -270,7 +271,7 @@ def hexjet(package: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_a_package_brings_one(package: Path) -> None:
     listed = hexjet(package, "list", "controllers")
-    assert "my-smith           Smith, from a package" in listed.stdout
+    assert re.search("my-smith +Smith, from a package", listed.stdout)
     swept = hexjet(
         package, "sweep", "hover", "--vary", "vehicle.mass_kg=5.6:5.8", "--runs", "1", "--set", "duration_s=0.2",
         "--controller", "my-smith", "--controller", "smith", "--workers", "1", "--out", "out", "--json",
