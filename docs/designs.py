@@ -170,12 +170,12 @@ def heavier(name: str) -> str:
     scenario, vehicle = make._scenario(made.engine, made.aircraft, ())
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
     actuator = Actuator.of(spec.name, make.dynamics_of(make.identify_there(scenario, vehicle, spec, None)))
-    begin = make._begin(path, channels(scenario, vehicle, spec, actuator), vehicle, spec)
+    begin = make._begin(path, channels(scenario, vehicle, spec, actuator), scenario.aircraft, vehicle, spec)
     plan = load_vehicle(made.aircraft, read_controller(path).vehicle)[0].control.schedule
     assert plan
     full = {axis: begin[axis][1.0] for axis in AXES}
     rows = []
-    for level in make._levels(scenario, vehicle, spec, actuator, None, lambda text: None):
+    for level in make._levels(scenario, vehicle, spec, actuator, None, (), lambda text: None):
         if level.fuel not in DESIGNED:
             continue
         row = [f"{100.0 * level.fuel:.0f} %"]

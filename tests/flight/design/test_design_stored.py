@@ -72,7 +72,16 @@ def today(name: str) -> tuple[Any, ...]:
     found = identify_there(scenario, vehicle, spec, None)
     actuator = Actuator.of(spec.name, dynamics_of(found))
     wanted = channels(scenario, vehicle, spec, actuator)
-    return made, scenario, vehicle, spec, actuator, wanted, _begin(path, wanted, vehicle, spec), found.source
+    return (
+        made,
+        scenario,
+        vehicle,
+        spec,
+        actuator,
+        wanted,
+        _begin(path, wanted, scenario.aircraft, vehicle, spec),
+        found.source,
+    )
 
 
 def from_nothing(name: str, channel: Channel, fixed: Tuning, model: RateModel, asked: Requirements) -> Tuning | None:
@@ -144,7 +153,7 @@ def test_a_stored_design_is_what_todays_command_makes(name: str) -> None:
 def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
     """With less fuel, too: each level stays where it is, and every level keeps what the file says of it."""
     made, scenario, vehicle, spec, actuator, _, begin, _ = today(name)
-    found = _levels(scenario, vehicle, spec, actuator, None, lambda text: None)
+    found = _levels(scenario, vehicle, spec, actuator, None, (), lambda text: None)
     plan = load_vehicle(made.aircraft, read_controller(DESIGNS / f"{name}.toml").vehicle)[0].control.schedule
     assert plan
     full = {axis: begin[axis][1.0] for axis in LEVELLED}
