@@ -40,6 +40,7 @@ WHAT = {  # every package that pyproject.toml names for those who fly, and why i
 EXTRAS = {
     "bench": "hexjet bench: other ways to step FMUs, a multirotor simulator",
     "cluster": "hexjet sweep --cluster",
+    "export": "hexjet export --to mcap",
     "gym": "the Gymnasium environment",
     "mpc": "hexjet fly --controller mpc",
     "notebook": "a log as a table of pandas",

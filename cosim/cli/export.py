@@ -37,7 +37,8 @@ def export() -> None:
     """Write the log of a run, a controller or the vehicle for other tools.
 
     \b
-    hexjet export DIR --to ulog|csv   the log of the run in DIR; see: hexjet export DIR --help
+    hexjet export DIR --to FORMAT     the log of the run in DIR: ulog, mcap, mat, csv,
+                                      parquet; see: hexjet export DIR --help
     hexjet export controller          a controller as C99 and as FMUs, with a test
     hexjet export vehicle             the vehicle as FMUs for other masters
 
@@ -45,9 +46,24 @@ def export() -> None:
     """
 
 
-@click.command(_LOG, epilog=example("hexjet export runs/roll-doublet-smith-001 --to ulog"))
+_FILES = {
+    "ulog": "flight.ulg",
+    "mcap": "flight.mcap",
+    "mat": "flight.mat",
+    "csv": "flight.csv",
+    "parquet": "flight.parquet",
+}
+
+
+@click.command(_LOG, epilog=example("hexjet export runs/roll-doublet-smith-001 --to mcap --out flight.mcap"))
 @click.argument("folder", type=click.Path(path_type=Path), metavar="")
-@click.option("target", "--to", type=click.Choice(["ulog", "csv"]), required=True, help="The format.")
+@click.option("target", "--to", type=click.Choice([*_FILES]), required=True, help="The format.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Where to; what is there is overwritten.  [default: flight.ulg, .mcap, .mat or .csv in DIR]",
+)
 @click.option(
     "--rates",
     type=click.Choice(["all", "px4"]),
@@ -55,17 +71,40 @@ def export() -> None:
     show_default=True,
     help="ULog: every step, or each topic about as often as PX4 logs it.",
 )
-def log(folder: Path, target: str, rates: Literal["all", "px4"]) -> int:
-    """Write the log of the run in DIR as CSV, or as ULog for PlotJuggler and Flight Review."""
-    from cosim.results.export import export_csv, export_ulog
+def log(folder: Path, target: str, out: Path | None, rates: Literal["all", "px4"]) -> int:
+    """Write the log of the run in DIR for other tools.
 
-    path = folder / {"ulog": "flight.ulg", "csv": "flight.csv"}[target]
-    if target == "ulog":
-        export_ulog(folder, path, rates)
-    elif rates != "all":
-        raise InputError("--rates: is for --to ulog; CSV has every step")
-    else:
-        export_csv(folder, path)
+    \b
+    ulog     PlotJuggler, Flight Review: float32, with parameters, events and faults
+    mcap     Foxglove, PlotJuggler, Rerun: every column, and the vehicle in 3-D
+    mat      MATLAB, level 5: the structure "flight"
+    csv      every column with all its digits
+    parquet  a copy of the run's own, which says what was flown
+    """
+    path = out if out is not None else folder / _FILES[target]
+    if target != "ulog" and rates != "all":
+        raise InputError(f"--rates: is for --to ulog; {target} has every step")
+    match target:
+        case "ulog":
+            from cosim.results.export.ulog import export_ulog
+
+            export_ulog(folder, path, rates)
+        case "mcap":
+            from cosim.results.export.mcap_file import export_mcap
+
+            export_mcap(folder, path)
+        case "mat":
+            from cosim.results.export.mat import export_mat
+
+            export_mat(folder, path)
+        case "parquet":
+            from cosim.results.export.parquet import export_parquet
+
+            export_parquet(folder, path)
+        case _:
+            from cosim.results.export.csv_file import export_csv
+
+            export_csv(folder, path)
     click.echo(str(path))
     return DONE
 

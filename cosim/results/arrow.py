@@ -170,6 +170,39 @@ def stream_to_parquet(stream: Path, parquet: Path) -> int:
     return rows
 
 
+def write_log(
+    path: Path, columns: Sequence[Column], blocks: Iterator[dict[str, Array]], note: Mapping[str, str]
+) -> None:
+    """Write a log's blocks as Parquet, with what the columns mean, and ``note`` in the file's metadata.
+
+    Raises FlightError if the file cannot be written.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    schema = _schema(columns).with_metadata(dict(note))
+    try:
+        with pq.ParquetWriter(
+            path,
+            schema,
+            compression="zstd",
+            use_dictionary=False,
+            column_encoding=dict.fromkeys(schema.names, "BYTE_STREAM_SPLIT"),
+        ) as writer:
+            for block in blocks:
+                arrays = [_of_numbers(block[name]) for name in schema.names]
+                writer.write_table(pa.Table.from_arrays(arrays, schema=schema), row_group_size=ROW_GROUP)
+    except (OSError, pa.ArrowException) as error:
+        raise FlightError(f"{path}: {one_line(error)}") from error
+
+
+def _of_numbers(values: Array) -> pa.Array:
+    import pyarrow as pa
+
+    numbers = np.ascontiguousarray(values, np.float64)
+    return pa.Array.from_buffers(pa.float64(), len(numbers), [None, pa.py_buffer(numbers)])
+
+
 def _schema(columns: Sequence[Column], note: str = "") -> pa.Schema:
     import pyarrow as pa
 

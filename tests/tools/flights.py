@@ -22,7 +22,7 @@ from cosim.base.signals import (
     State,
     Unallocated,
 )
-from cosim.results.export import export_ulog
+from cosim.results.export.ulog import export_ulog
 from cosim.results.run import DelayRow, Setup
 from cosim.spec.scenario import Expectation, Range, Scenario
 

@@ -21,7 +21,8 @@ from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.flight import fly
 from cosim.results.events import events_of
-from cosim.results.export import export_csv, export_ulog
+from cosim.results.export.csv_file import export_csv
+from cosim.results.export.ulog import export_ulog
 from cosim.results.metrics import activity, fuel_burnt
 from cosim.results.report.flight_figures import jet_rows, run_figures
 from cosim.results.run import Run

@@ -131,7 +131,7 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
         (["list", "planes"], "'planes' is not one of 'scenarios', 'studies', 'engines', 'aircraft', 'controllers'"),
         (["report", "nowhere"], "nowhere: no run here"),
         (["export", "nowhere", "--to", "csv"], "nowhere: no run here"),
-        (["export", "nowhere", "--to", "mat"], "'mat' is not one of 'ulog', 'csv'"),
+        (["export", "nowhere", "--to", "xls"], "'xls' is not one of 'ulog', 'mcap', 'mat', 'csv', 'parquet'"),
         (["fmu", "check", "none.fmu"], "none.fmu: no such file"),
         (["fmu", "check", "edf", "--step", "nan"], "nan is not a finite number"),
         (["identify", "engine", "edf", "--step", "nan"], "nan is not a finite number"),
@@ -206,6 +206,11 @@ def test_report_and_export_of_a_run(hexjet, tmp_path: Path) -> None:  # type: ig
     assert hexjet("export", "run", "--to", "csv").out.strip() == "run/flight.csv"
     assert (tmp_path / "run" / "flight.csv").read_text().startswith("time_s,roll_rad,")
     assert hexjet("export", "run", "--to", "ulog").status == 0
+    for target in ("mcap", "mat", "parquet"):
+        assert hexjet("export", "run", "--to", target, "--out", f"x.{target}").out.strip() == f"x.{target}"
+        assert (tmp_path / f"x.{target}").is_file()
+    assert "the log is Parquet already" in hexjet("export", "run", "--to", "parquet").err
+    assert hexjet("export", "run", "--to", "mat", "--rates", "px4").status == 2
 
 
 def test_fmu_check_and_build(hexjet) -> None:  # type: ignore[no-untyped-def]

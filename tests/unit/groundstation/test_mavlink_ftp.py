@@ -36,7 +36,7 @@ from cosim.groundstation.mavlink.services.logs import (
 )
 from cosim.groundstation.mavlink.services.metadata import Metadata
 from cosim.groundstation.mavlink.services.service import crc32
-from cosim.results.export import export_ulog
+from cosim.results.export.ulog import export_ulog
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 

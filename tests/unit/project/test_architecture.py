@@ -28,6 +28,9 @@ HOMES = {
     "distributed": ["campaign/workers/cluster.py"],
     "gymnasium": ["gym.py"],
     "pandas": ["results/tables.py"],
+    "mcap": ["results/export/mcap_file.py"],
+    "mcap_protobuf": ["results/export/mcap_file.py", "results/export/scene.py"],
+    "foxglove_schemas_protobuf": ["results/export/mcap_file.py", "results/export/scene.py"],
 }
 
 # Blocks get values and return values: no files, clocks, environment or global randomness.
@@ -63,7 +66,7 @@ C_FILES_CLOCKS_AND_CHANCE = (
 # What a user would wait for, although a flight does not need it before its first step.
 HEAVY = [
     "scipy", "plotly", "pyarrow", "jinja2", "matplotlib", "control", "pymavlink", "pyulog", "hypothesis", "fmpy",
-    "websockets", "distributed", "gymnasium", "pandas",
+    "websockets", "distributed", "gymnasium", "pandas", "mcap", "foxglove_schemas_protobuf",
 ]  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from cosim.results.events import (
     spans,
     verdicts,
 )
-from cosim.results.export import export_ulog
+from cosim.results.export.ulog import export_ulog
 from cosim.results.recorder import MemoryLog
 from cosim.results.report.flight import write_report
 from cosim.results.report.flight_figures import MOST_MARKS, event_marks, run_figures

@@ -16,12 +16,10 @@ from cosim.base.errors import InputError
 from cosim.base.frames import from_euler, to_euler
 from cosim.base.signals import Command, EngineOutput
 from cosim.results.columns import NAMES
-from cosim.results.export import (
-    TOPICS,
-    export_csv,
-    export_ulog,
-    quaternions,
-)
+from cosim.results.export.csv_file import export_csv
+from cosim.results.export.output import quaternions
+from cosim.results.export.ulog import export_ulog
+from cosim.results.export.ulog_topics import TOPICS
 from cosim.results.report.flight import write_report
 from cosim.results.run import (
     LOG,
@@ -206,6 +204,19 @@ def test_the_log_says_where_it_comes_from(ulog: ULog) -> None:
     assert message.message == "diverged: leaned past 90 deg"
     assert message.log_level_str() == "ERROR"
     assert message.timestamp == STEPS * 4000
+
+
+def test_parameters_are_the_numbers_of_vehicle_and_scenario_under_their_keys(run: Run, ulog: ULog) -> None:
+    vehicle = run.scenario.resolved_vehicle()[0]
+    found = ulog.initial_parameters
+    assert found["vehicle/mass_kg"] == np.float32(vehicle.mass_kg)
+    assert found["vehicle/control/rate/pitch/p"] == np.float32(vehicle.control.rate.pitch.p)
+    assert found["vehicle/jets/1/position_m/1"] == np.float32(vehicle.jets[1].position_m[1])
+    assert found["vehicle/jets/1/spin"] == vehicle.jets[1].spin
+    assert isinstance(found["vehicle/jets/1/spin"], int)
+    assert found["scenario/command/0/amplitude"] == 10.0
+    assert not [name for name in found if not name.replace("/", "").replace("-", "").replace("_", "").isalnum()]
+    assert not [name for name in found if "identified" in name and "/edf-as-flown/" not in name]
 
 
 @pytest.mark.parametrize("rows", [0, 1])

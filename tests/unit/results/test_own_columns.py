@@ -19,7 +19,8 @@ from cosim.flight import record
 from cosim.results import metrics
 from cosim.results.columns import NAMES, log_columns
 from cosim.results.digest import DigestSink, log_digest
-from cosim.results.export import export_csv, export_ulog
+from cosim.results.export.csv_file import export_csv
+from cosim.results.export.ulog import export_ulog
 from cosim.results.report.flight import write_report
 from cosim.results.run import LOG, Run, open_run
 from cosim.simulation.build import build

@@ -1,0 +1,184 @@
+"""A run's log as MCAP, for Foxglove, PlotJuggler and Rerun.
+
+Every column is in a channel of its subject (:data:`SUBJECTS`), every step, as float64: the log's own names, units and
+meanings in the channel's metadata.  Beside them are Foxglove's own messages, from which it draws: see
+:mod:`cosim.results.export.scene`.  All are Protocol Buffers, because Rerun reads Foxglove's messages in that encoding
+alone, and because it has NaN, which JSON has not.  Times are from the start of the flight; chunks are zstd.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim.base.errors import InputError
+from cosim.base.protocols import Column
+from cosim.results.autopilot_record import read_pilot_record
+from cosim.results.columns import own_columns
+from cosim.results.export.output import ROWS, Block, Said, described, facts, meaning, output, said, scenario_of
+from cosim.results.run import SCENARIO, SUMMARY, Run, open_run
+
+# What each column of every flight is about; those that blocks show of their own are in /own.
+SUBJECTS = {
+    "/attitude": r"(roll|pitch|yaw)(_setpoint|_measured)?_rad",
+    "/rate": r"rate_[pqr](_measured|_predicted|_setpoint)?_rad_s",
+    "/position": r"(north|east|down|altitude)(_setpoint|_measured)?_m",
+    "/velocity": r"velocity_(north|east|down)(_measured)?_m_s",
+    "/specific_force": r"specific_force_[xyz](_measured)?_m_s2",
+    "/control": r"(torque|refused)_(roll|pitch|yaw)|(refused_)?collective",
+    "/jet": r"throttle_\d+|thrust_\d+_N",
+    "/tilt": r"tilt_(left|right)(_command)?_rad",
+    "/engine": r"(spool_speed|exhaust_temperature|fuel_flow)_\d+_\w+|fuel_kg|spool_moment_[xyz]_N_m",
+    "/wind": r"wind_(north|east|down)_m_s|air_rate_[pqr]_rad_s",
+    "/disturbance": r"disturbance_\w+|payload_\w+",
+    "/vehicle": r"mass_kg|on_ground|hull_contact",
+    "/fault": r"fault_\w+|health_\d+",
+}
+OWN, TIME = "/own", "/time"
+_DOUBLE = 1  # Protocol Buffers' wire type of eight bytes
+_LEVELS = {0: 5, 1: 5, 2: 5, 3: 4, 4: 3, 5: 2, 6: 2, 7: 1}  # of syslog to foxglove.Log: 5 fatal ... 1 debug
+
+Timed = tuple[int, int, int, bytes]  # step, time [ns], channel, message
+
+
+class _Channel(NamedTuple):
+    """A channel of columns: its number, the columns, and how a row of them is laid out as a message."""
+
+    number: int
+    columns: tuple[str, ...]
+    kind: np.dtype[np.void]
+    tags: tuple[bytes, ...]
+
+
+def export_mcap(folder: Path, path: Path) -> None:
+    """Write a run's log as MCAP: every column, the vehicle in three dimensions, its place on the map, what was said.
+
+    ``scenario.toml`` and ``summary.json`` are attached, the run's facts are a metadata record.  Without a readable
+    scenario there is neither vehicle nor map.  Raises InputError if there is no run, the file cannot be written, or
+    the packages of the extra ``export`` are not installed.
+    """
+    try:
+        from mcap.writer import CompressionType, Writer
+
+        from cosim.results.export import scene
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in ("mcap", "mcap_protobuf", "google", "foxglove_schemas_protobuf"):
+            raise
+        raise InputError(
+            f"MCAP needs {error.name}, which is not installed: pip install 'hexjet-cosim[export]'"
+        ) from None
+
+    run = open_run(folder)
+    with output(run, path) as temporary, open(temporary, "wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start(profile="", library="hexjet-cosim")
+        writer.add_metadata("hexjet", facts(run.summary))
+        writer.add_metadata("hexjet.columns", {column.name: meaning(column) for column in described(run)})
+        for name, kind in ((SCENARIO, "application/toml"), (SUMMARY, "application/json")):
+            if (folder / name).is_file():
+                writer.add_attachment(0, 0, name, kind, (folder / name).read_bytes())
+        channels = _channels(writer, run)
+        drawn = scene.Scene(writer, run.summary, scenario_of(run))
+        texts = _texts(writer, said(run, read_pilot_record(folder)))
+        done, first, last = 0, 0, len(run.log) - 1
+        for block in run.log.blocks(run.log.columns, ROWS):
+            messages = [*_rows(channels, block, first), *drawn.messages(block, first, last)]
+            first += len(block["time_s"])
+            while done < len(texts) and texts[done][0] < first:
+                messages.append(texts[done])
+                done += 1
+            _write(writer, sorted(messages, key=lambda message: message[0]))
+        _write(writer, texts[done:])
+        writer.finish()
+
+
+def _write(writer: Any, messages: Sequence[Timed]) -> None:
+    for k, time, channel, content in messages:
+        writer.add_message(channel, time, content, time, k)
+
+
+def subjects(columns: Sequence[Column]) -> dict[str, list[Column]]:
+    """The columns of a log by the channel that has them; ``time_s`` is in one of its own."""
+    own = {column.name for column in own_columns(columns)}
+    made: dict[str, list[Column]] = {}
+    for column in columns:
+        found = [name for name, pattern in SUBJECTS.items() if re.fullmatch(pattern, column.name)]
+        subject = OWN if column.name in own else TIME if column.name == "time_s" else found[0] if found else OWN
+        made.setdefault(subject, []).append(column)
+    return made
+
+
+def _channels(writer: Any, run: Run) -> list[_Channel]:
+    from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+
+    made = []
+    for topic, columns in subjects(described(run)).items():
+        files = FileDescriptorSet()
+        file = files.file.add(name=f"hexjet{topic}.proto", package="hexjet", syntax="proto3")
+        message = file.message_type.add(name=topic.strip("/").title().replace("_", ""))
+        for number, column in enumerate(columns, 1):
+            message.field.add(
+                name=column.name,
+                json_name=column.name,
+                number=number,
+                type=FieldDescriptorProto.TYPE_DOUBLE,
+                label=FieldDescriptorProto.LABEL_OPTIONAL,
+            )
+        schema = writer.register_schema(f"hexjet.{message.name}", "protobuf", files.SerializeToString())
+        told = {column.name: meaning(column) for column in columns}
+        tags = tuple(_varint(number << 3 | _DOUBLE) for number in range(1, len(columns) + 1))
+        layout = [part for n, tag in enumerate(tags) for part in ((f"tag{n}", "u1", (len(tag),)), (f"value{n}", "<f8"))]
+        made.append(
+            _Channel(
+                writer.register_channel(topic, "protobuf", schema, told),
+                tuple(column.name for column in columns),
+                np.dtype(layout),
+                tags,
+            )
+        )
+    return made
+
+
+def _varint(number: int) -> bytes:
+    """A number as Protocol Buffers write it: seven bits a byte, the lowest first."""
+    made = []
+    while number > 0x7F:
+        made.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*made, number])
+
+
+def _rows(channels: Sequence[_Channel], block: Block, first: int) -> Iterator[Timed]:
+    """One message a row and channel: each field is its tag and eight bytes, so that all rows are of one layout."""
+    times = nanoseconds(block)
+    for channel in channels:
+        made = np.zeros(len(times), dtype=channel.kind)
+        for n, (name, tag) in enumerate(zip(channel.columns, channel.tags, strict=True)):
+            made[f"tag{n}"] = np.frombuffer(tag, np.uint8)
+            made[f"value{n}"] = block[name]
+        content, size = made.tobytes(), channel.kind.itemsize
+        for row, time in enumerate(times):
+            yield first + row, time, channel.number, content[row * size : (row + 1) * size]
+
+
+def nanoseconds(block: Block) -> list[int]:
+    """The times of a block's rows, ns from the start."""
+    return [round(1e9 * time) for time in block["time_s"].tolist()]
+
+
+def _texts(writer: Any, lines: Sequence[Said]) -> list[Timed]:
+    from foxglove_schemas_protobuf.Log_pb2 import Log
+    from mcap_protobuf.schema import register_schema
+
+    channel = writer.register_channel("/log", "protobuf", register_schema(writer, Log))
+    made = []
+    for line in lines:
+        time = round(1e9 * line.time_s)
+        message = Log(level=_LEVELS[line.severity], message=line.text, name=line.kind)
+        message.timestamp.FromNanoseconds(time)
+        made.append((line.k, time, channel, message.SerializeToString()))
+    return made

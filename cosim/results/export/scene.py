@@ -1,0 +1,214 @@
+"""What Foxglove draws of a flight: frames, the vehicle from its ``vehicle.toml``, thrust and wind, the place on a map.
+
+Frames: ``world`` is east-north-up, as the viewer has it; ``ned`` lies in it, with its origin on the ground below the
+start; ``body`` (forward-right-down) moves in ``ned``; ``jet_N`` stands at station N of the body and tilts with its
+servo, the thrust along its -z.
+
+=================  ===========================  ================================================================
+topic              schema                       what
+=================  ===========================  ================================================================
+``/tf``            foxglove.FrameTransforms     all frames in each message, so that a seek finds them all
+``/pose``          foxglove.PoseInFrame         the true pose, in ``ned``
+``/location``      foxglove.LocationFix         the true place, its height above the sea
+``/scene``         foxglove.SceneUpdate         hull, legs and jets, once: they move with their frames
+``/scene/arrows``  foxglove.SceneUpdate         thrust of each jet, and the wind where the vehicle is
+=================  ===========================  ================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import atan2, cos, hypot, isfinite, sin, sqrt
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from mcap_protobuf.schema import register_schema
+
+from cosim.base.arrays import Array
+from cosim.base.constants import GRAVITY
+from cosim.base.geodesy import Geodesy
+from cosim.base.signals import AXES
+from cosim.results.export.output import Block, quaternions
+from cosim.results.run import Summary
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle
+
+# Seconds between two messages, chosen by us: as often as a screen shows a picture, and no more bytes than the columns
+# take; a map needs less.
+EVERY_S = {"/tf": 0.02, "/pose": 0.02, "/scene/arrows": 0.04, "/location": 0.1}
+WIND_S = 0.2  # length of the wind's arrow per speed, chosen by us: 5 m/s are 1 m
+
+# north is the world's y, east its x, down its -z: half a turn about the bisector of x and y
+_NED_IN_WORLD = (0.0, sqrt(0.5), sqrt(0.5), 0.0)
+_UP = (cos(0.7853981633974483), 0.0, sin(0.7853981633974483), 0.0)  # turns +x to -z: a quarter about y
+_HULL, _LEG, _JET = (0.12, 0.31, 0.47, 0.45), (0.45, 0.45, 0.45, 1.0), (0.75, 0.75, 0.75, 0.9)
+_THRUST, _WIND = (0.75, 0.22, 0.17, 1.0), (0.18, 0.5, 0.8, 1.0)
+
+Timed = tuple[int, int, int, bytes]  # step, time [ns], channel, message
+
+
+class Scene:
+    """The messages of a flight; without a scenario only frames and pose, without the jets."""
+
+    def __init__(self, writer: Any, summary: Summary, scenario: Scenario | None) -> None:
+        kinds: dict[str, Any] = {"/tf": FrameTransforms, "/pose": PoseInFrame}
+        self._vehicle: Vehicle | None = None
+        if scenario is not None:
+            self._vehicle = scenario.resolved_vehicle()[0]
+            place = scenario.environment
+            self._map = Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
+            kinds |= {"/location": LocationFix, "/scene": SceneUpdate, "/scene/arrows": SceneUpdate}
+        known: dict[Any, int] = {}
+        for kind in kinds.values():
+            if kind not in known:
+                known[kind] = register_schema(writer, kind)
+        self._channels = {name: writer.register_channel(name, "protobuf", known[kind]) for name, kind in kinds.items()}
+        self._every = {name: max(1, round(seconds / summary.step_s)) for name, seconds in EVERY_S.items()}
+
+    def messages(self, block: Block, first: int, last: int) -> Iterator[Timed]:
+        """Those of a block whose first row is step ``first``; that of the ``last`` step always."""
+        q = quaternions(*(block[f"{axis}_rad"] for axis in AXES))
+        made = {"/tf": self._frames, "/pose": self._pose, "/location": self._place, "/scene/arrows": self._arrows}
+        for row, seconds in enumerate(block["time_s"].tolist()):
+            k, time = first + row, round(1e9 * seconds)
+            if k == 0 and self._vehicle is not None:
+                yield k, time, self._channels["/scene"], drawing(self._vehicle, time).SerializeToString()
+            for topic, make in made.items():
+                if topic in self._channels and (k % self._every[topic] == 0 or k == last):
+                    yield k, time, self._channels[topic], make(block, row, q, time).SerializeToString()
+
+    def _frames(self, block: Block, row: int, q: Array, time: int) -> FrameTransforms:
+        frames = FrameTransforms()
+
+        def add(parent: str, child: str, at: Any, turned: Any) -> None:
+            frame = frames.transforms.add(parent_frame_id=parent, child_frame_id=child)
+            frame.timestamp.FromNanoseconds(time)
+            _fill(frame.translation, frame.rotation, at, turned)
+
+        add("world", "ned", (0.0, 0.0, 0.0), _NED_IN_WORLD)
+        add("ned", "body", _position(block, row), q[row])
+        for number, jet in enumerate(self._vehicle.jets if self._vehicle else (), 1):
+            tilt = 0.0 if jet.servo is None else float(block[f"tilt_{jet.servo}_rad"][row])
+            # positive tilt leans the thrust, along -z, to +x: the turn about +y is the other way
+            add("body", f"jet_{number}", jet.position_m, (cos(0.5 * tilt), 0.0, -sin(0.5 * tilt), 0.0))
+        return frames
+
+    def _pose(self, block: Block, row: int, q: Array, time: int) -> PoseInFrame:
+        pose = PoseInFrame(frame_id="ned", pose=_posed(_position(block, row), q[row]))
+        pose.timestamp.FromNanoseconds(time)
+        return pose
+
+    def _place(self, block: Block, row: int, q: Array, time: int) -> LocationFix:
+        north, east = float(block["north_m"][row]), float(block["east_m"][row])
+        latitude, longitude, height = self._map.to_geodetic(north, east, float(block["altitude_m"][row]))
+        fix = LocationFix(frame_id="body", latitude=latitude, longitude=longitude, altitude=height)
+        fix.timestamp.FromNanoseconds(time)
+        return fix
+
+    def _arrows(self, block: Block, row: int, q: Array, time: int) -> SceneUpdate:
+        assert self._vehicle is not None
+        update = SceneUpdate()
+        size = reach(self._vehicle)
+        newton_m = hover_n(self._vehicle) / size
+        for number in range(1, len(self._vehicle.jets) + 1):
+            thrust = float(block[f"thrust_{number}_N"][row])
+            entity = _entity(update, f"thrust_{number}", f"jet_{number}", time)
+            entity.metadata.add(key="thrust_N", value=repr(thrust))
+            entity.metadata.add(key="N per m of arrow", value=repr(newton_m))
+            _arrow(entity, (0.0, 0.0, 0.0), _UP, thrust / newton_m, 0.04 * size, _THRUST)
+        wind = [float(block[f"wind_{axis}_m_s"][row]) for axis in ("north", "east", "down")]
+        entity = _entity(update, "wind", "ned", time)
+        entity.frame_locked = False
+        entity.metadata.add(key="speed_m_s", value=repr(hypot(*wind)))
+        _arrow(entity, _position(block, row), along(*wind), WIND_S * hypot(*wind), 0.04 * size, _WIND)
+        return update
+
+
+def drawing(vehicle: Vehicle, time: int) -> SceneUpdate:
+    """Hull, legs and jets: places from ``vehicle.toml``, thicknesses chosen by us in shares of its size."""
+    update, size = SceneUpdate(), reach(vehicle)
+    body = _entity(update, "body", "body", time)
+    # from the points that the hull touches with, or else the stations, to the centre of gravity
+    places = [contact.position_m for contact in vehicle.contacts if contact.kind == "hull"]
+    places = [*(places or [jet.position_m for jet in vehicle.jets]), (0.0, 0.0, 0.0)]
+    low, high = np.min(places, axis=0), np.max(places, axis=0)
+    cube = body.cubes.add(pose=_posed(0.5 * (low + high), (1.0, 0.0, 0.0, 0.0)))
+    cube.size.x, cube.size.y, cube.size.z = (max(float(each), 0.05 * size) for each in high - low)
+    _colour(cube.color, _HULL)
+    legs = body.lines.add(type=LinePrimitive.LINE_LIST, thickness=0.03 * size, pose=_posed((0, 0, 0), (1, 0, 0, 0)))
+    _colour(legs.color, _LEG)
+    for contact in vehicle.contacts:
+        x, y, z = contact.position_m
+        if contact.kind == "leg":
+            legs.points.add(x=x, y=y, z=min(0.0, z))
+            legs.points.add(x=x, y=y, z=z)
+    for number in range(1, len(vehicle.jets) + 1):
+        entity = _entity(update, f"jet_{number}", f"jet_{number}", time)
+        cylinder = entity.cylinders.add(pose=_posed((0, 0, 0), (1, 0, 0, 0)), bottom_scale=1.0, top_scale=1.0)
+        cylinder.size.x = cylinder.size.y = 0.2 * size
+        cylinder.size.z = 0.4 * size
+        _colour(cylinder.color, _JET)
+        text = entity.texts.add(billboard=True, font_size=0.12 * size, text=str(number))
+        text.pose.CopyFrom(_posed((0.0, 0.0, 0.3 * size), (1, 0, 0, 0)))
+        _colour(text.color, _LEG)
+    return update
+
+
+def reach(vehicle: Vehicle) -> float:
+    """How far the farthest station or contact is from the centre of gravity along any axis, m."""
+    places = [*(jet.position_m for jet in vehicle.jets), *(contact.position_m for contact in vehicle.contacts)]
+    return max(max(map(abs, place)) for place in places) or 1.0
+
+
+def hover_n(vehicle: Vehicle) -> float:
+    """A jet's share of the weight, N: its arrow is as long as the vehicle reaches."""
+    return vehicle.mass_kg * GRAVITY / len(vehicle.jets)
+
+
+def along(x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """The quaternion that turns +x to this direction by a yaw and a pitch; none of it for no direction at all."""
+    yaw, pitch = 0.5 * atan2(y, x), -0.5 * atan2(z, hypot(x, y))
+    return cos(yaw) * cos(pitch), -sin(yaw) * sin(pitch), cos(yaw) * sin(pitch), sin(yaw) * cos(pitch)
+
+
+def _position(block: Block, row: int) -> tuple[float, ...]:
+    return tuple(float(block[f"{axis}_m"][row]) for axis in ("north", "east", "down"))
+
+
+def _entity(update: SceneUpdate, name: str, frame: str, time: int) -> SceneEntity:
+    """A new entity, which takes the place of the last of its name and stays."""
+    entity: SceneEntity = update.entities.add(id=name, frame_id=frame, frame_locked=True)
+    entity.timestamp.FromNanoseconds(time)
+    return entity
+
+
+def _arrow(entity: SceneEntity, at: Any, turned: Any, length: float, thickness: float, colour: Any) -> None:
+    """An arrow; none where it has no length, so that the entity says that there is none now."""
+    if isfinite(length) and length > 0.0:
+        head = min(2.0 * thickness, 0.5 * length)
+        arrow = entity.arrows.add(pose=_posed(at, turned), shaft_length=length - head, head_length=head)
+        arrow.shaft_diameter, arrow.head_diameter = thickness, 2.0 * thickness
+        _colour(arrow.color, colour)
+
+
+def _posed(at: Any, turned: Any) -> Pose:
+    pose = Pose()
+    _fill(pose.position, pose.orientation, at, turned)
+    return pose
+
+
+def _fill(vector: Any, quaternion: Any, at: Any, turned: Any) -> None:
+    """Put a place and a quaternion, w first, into their messages."""
+    vector.x, vector.y, vector.z = (float(each) for each in at)
+    quaternion.w, quaternion.x, quaternion.y, quaternion.z = (float(each) for each in turned)
+
+
+def _colour(message: Any, rgba: tuple[float, float, float, float]) -> None:
+    message.r, message.g, message.b, message.a = rgba
