@@ -8,7 +8,7 @@ from pathlib import Path
 from cosim.base.errors import FlightError, InputError
 from cosim.cli.fly import print_metrics
 from cosim.flight import fly, new_folder
-from cosim.results.report.flight import compare_report
+from cosim.results.report.comparison import compare_report
 from cosim.spec.scenario import Scenario
 
 

@@ -15,6 +15,7 @@ INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
 COMMANDS = {  # where each is, so that none is read for another
     "aircraft": "aircraft:aircraft",
     "bench": "bench:bench",
+    "compare": "compare:compare",
     "design": "design:design",
     "export": "export:export",
     "failsafes": "faults:failsafes",

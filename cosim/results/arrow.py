@@ -317,6 +317,38 @@ def read_table(
     return columns if names is None else {known(name, columns, "table"): columns[name] for name in names}
 
 
+def read_numbers(path: Path) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """The columns of a CSV or Parquet file that are numbers, missing ones NaN, and the names of the other columns.
+
+    Which of both it is its name says.  Raises InputError for what cannot be read, and for two columns of one name.
+    """
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    from pyarrow import csv
+
+    kind = path.suffix.lower()
+    if kind not in (".csv", ".parquet"):
+        raise InputError(f"{path}: no log that can be read; allowed: .csv, .parquet")
+    try:
+        if kind == ".csv":
+            table = csv.read_csv(path)
+        else:
+            with _parquet(path) as file:
+                table = file.read(use_threads=False)
+        names = table.column_names
+        if doubled := [name for name in names if names.count(name) > 1]:
+            raise InputError(f"{path}: two columns are called {doubled[0]!r}")
+        numbers: dict[str, Array] = {}
+        for name in names:
+            kept = table.column(name).type
+            if pa.types.is_integer(kept) or pa.types.is_floating(kept) or kept in (pa.bool_(), pa.null()):
+                column = pc.fill_null(table.column(name).cast(pa.float64(), safe=False), float("nan"))
+                numbers[name] = np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(f"{path}: {one_line(error)}") from error
+    return numbers, tuple(name for name in names if name not in numbers)
+
+
 def read_table_note(path: Path) -> dict[str, str]:
     """What :func:`write_table` was given as ``note``.  Raises InputError if the file cannot be read."""
     with _parquet(path) as file:

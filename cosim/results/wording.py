@@ -97,6 +97,11 @@ def metric(name: str) -> Metric:
     return Metric(name, " ".join([*axis, last.replace("_", " ")]), "", 1.0)
 
 
+def unit_shown(unit: str) -> tuple[str, float]:
+    """The unit in which a log's quantity is shown, and the factor to it."""
+    return {"rad": ("deg", degrees(1.0)), "rad/s": ("deg/s", degrees(1.0))}.get(unit, (unit, 1.0))
+
+
 def shown(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
     """A value of a table; a dash for what a flight cannot tell."""
     return NONE if value is None else f"{factor * value:.{digits}f}"

@@ -1,23 +1,20 @@
-"""A finished run as one HTML page that opens offline, and several runs laid over each other."""
+"""A finished run as one HTML page that opens offline."""
 
 from __future__ import annotations
 
-import os
 import shlex
 from collections.abc import Sequence
 from math import degrees
 from pathlib import Path
 from typing import Any
 
-from cosim.base.signals import AXES
 from cosim.results.columns import own_columns
 from cosim.results.events import Event, events_of
 from cosim.results.metrics import AxisMetrics
-from cosim.results.report.flight_figures import comparison_figures, run_colour, run_figures
+from cosim.results.report.flight_figures import run_figures
 from cosim.results.report.page import TEMPLATES, render
 from cosim.results.run import (
     LOG,
-    REPORT,
     SCENARIO,
     Run,
     Summary,
@@ -65,27 +62,6 @@ def write_report(run: Run, path: Path) -> None:
         files={"log": LOG, "scenario": SCENARIO},
         folder=run.folder,
         command_path=shlex.quote((run.folder / SCENARIO).as_posix()) if run.folder is not None else "",
-    )
-
-
-def compare_report(runs: Sequence[Run], path: Path) -> None:
-    """Write one page with several runs laid over each other.  Raises FlightError if the file cannot be written."""
-    labels = run_labels([run.summary for run in runs])
-    render(
-        TEMPLATES / "compare.html",
-        path,
-        comparison_figures(runs, labels),
-        runs=[
-            {
-                "label": label,
-                "colour": run_colour(number),
-                "summary": run.summary,
-                "verdict": verdict(run.summary),
-                "link": _link(run, path),
-            }
-            for number, (label, run) in enumerate(zip(labels, runs, strict=True))
-        ],
-        rows=comparison_rows([run.summary for run in runs]),
     )
 
 
@@ -177,36 +153,6 @@ def event_rows(events: Sequence[Event]) -> list[dict[str, str]]:
     ]
 
 
-def comparison_rows(summaries: Sequence[Summary]) -> list[dict[str, Any]]:
-    """The metrics of the axes that any run commands, and of height, one row each; the least of a row is marked."""
-    rows: list[dict[str, Any]] = []
-    for axis in AXES:
-        by_run = [summary.metrics[axis] for summary in summaries]
-        if any(metrics.commanded for metrics in by_run):
-            for title, key, unit, factor, digits in AXIS_ROWS:
-                texts = [axis_cell(metrics, key, factor, digits) for metrics in by_run]
-                values = [getattr(metrics, key) for metrics in by_run]
-                rows.append({"axis": axis, "title": title, "unit": unit, "cells": _marked(texts, values)})
-    whole = [summary.flat_metrics for summary in summaries]
-    own = dict.fromkeys(name for summary in summaries for name in summary.own_metrics)
-    for name, digits in [*WHOLE_ROWS, *((name, 4) for name in own)]:
-        of = metric(name)
-        values = [flat.get(name) for flat in whole]
-        texts = [shown(value, of.factor, digits) for value in values]
-        title = of.label[0].upper() + of.label[1:]
-        rows.append({"axis": "whole flight", "title": title, "unit": of.unit, "cells": _marked(texts, values)})
-    return [row for row in rows if any(cell["text"] != NONE for cell in row["cells"])]
-
-
-def _marked(texts: Sequence[str], values: Sequence[float | None]) -> list[dict[str, Any]]:
-    least = min((value for value in values if value is not None), default=None)
-    differ = len(set(texts)) > 1
-    return [
-        {"text": text, "best": differ and value is not None and value == least}
-        for text, value in zip(texts, values, strict=True)
-    ]
-
-
 def expectation_rows(summary: Summary) -> list[dict[str, Any]]:
     """What was expected, what came of it, and whether that is good enough."""
     expectation = summary.expectation
@@ -257,27 +203,8 @@ def jet_drawing(summary: Summary) -> list[dict[str, Any]]:
     ]
 
 
-def run_labels(summaries: Sequence[Summary]) -> list[str]:
-    """Short names that tell runs apart: whatever of controller, engine, scenario, aircraft and seed differs."""
-    parts = [
-        [str(getattr(summary, key)) for summary in summaries]
-        for key in ("controller", "engine", "scenario", "aircraft", "seed")
-    ]
-    telling = [values for values in parts if len(set(values)) > 1] or parts[:1]
-    labels = [", ".join(words) for words in zip(*telling, strict=True)]
-    repeated = {label for label in labels if labels.count(label) > 1}
-    return [f"{label} #{number}" if label in repeated else label for number, label in enumerate(labels, start=1)]
-
-
 def axis_cell(metrics: AxisMetrics, key: str, factor: float, digits: int) -> str:
     """One metric of an axis as a table has it."""
     if key == "settling_time_s" and metrics.settling_time_s is None and metrics.overshoot_percent is not None:
         return "not settled"
     return shown(getattr(metrics, key), factor, digits)
-
-
-def _link(run: Run, path: Path) -> str:
-    """The run's own report as seen from a page, if it is there."""
-    if run.folder is None or not (run.folder / REPORT).is_file():
-        return ""
-    return Path(os.path.relpath(run.folder / REPORT, path.parent)).as_posix()

@@ -16,10 +16,12 @@ from cosim.base.arrays import Array
 from cosim.base.constants import SERVOS
 from cosim.base.signals import AXES, JETS
 from cosim.results.columns import RATES, jets_in, known, own_columns
+from cosim.results.comparison import Flown, base_of, difference, step_of
 from cosim.results.events import Event
 from cosim.results.recorder import Log
 from cosim.results.report.page import drawn
 from cosim.results.run import Run, Summary
+from cosim.results.tables import TIME
 
 Figure = dict[str, Any]
 
@@ -218,14 +220,45 @@ def engine_panels(reader: Reader) -> list[Panel]:
     return panels + [panel for panel in (SPOOLS, TANK) if reader.known(panel.traces[0].column)]
 
 
-def comparison_figures(runs: Sequence[Run], labels: Sequence[str]) -> dict[str, Figure]:
-    """The attitudes, rates, efforts, heights and tracks of several runs, each over the others."""
-    readers = [Reader(run.log, run.summary.step_s) for run in runs]
+def comparison_figures(flown: Sequence[Flown]) -> dict[str, Figure]:
+    """The attitudes, rates, efforts, heights and tracks of several flights, each over the others, and what each is
+    less the first; figures of columns that no log has are left out.
+    """
+    readers = [Reader.of(each) for each in flown]
+    labels = [each.label for each in flown]
     chosen = {"attitude": (ATTITUDE, "true"), "rate": (RATE, "measured"), "effort": (EFFORT, "asked for")}
     figures = {name: overlaid(readers, labels, panels, which) for name, (panels, which) in chosen.items()}
     figures["height"] = overlaid(readers, labels, HEIGHT, "true")
-    figures["track"] = track_figure(readers, labels, [run_colour(number) for number in range(len(runs))])
-    return figures
+    figures["difference"] = difference_figure(flown)
+    placed = [n for n, each in enumerate(flown) if {"north_m", "east_m"} <= set(each.log.columns)]
+    colours = [run_colour(n) for n in placed]
+    figures["track"] = track_figure([readers[n] for n in placed], [labels[n] for n in placed], colours)
+    return {name: figure for name, figure in figures.items() if figure["data"]}
+
+
+def difference_figure(flown: Sequence[Flown]) -> Figure:
+    """True attitude and height of each flight less those of the first, and how far both are from each other."""
+    first = flown[0].log
+    data = []
+    panels = [Panel(axis.capitalize(), "deg", [Trace(f"{axis}_rad", "")], DEG) for axis in AXES]
+    panels += [Panel("Altitude", "m", [Trace("altitude_m", "")]), Panel("Apart, level", "m", [])]
+    for other, each in enumerate(flown[1:], 1):
+        base = base_of(first, each.log)
+        if base.times.size < 2:
+            continue
+        reader = Reader(each.log, 0.0, base.times)
+        common = {*first.columns} & {*each.log.columns}
+        for number, panel in enumerate(panels):
+            names = [trace.column for trace in panel.traces] or ["north_m", "east_m"]
+            if common.issuperset(names):
+                apart = [difference(first, each.log, name, base) for name in names]
+                values = panel.scale * (apart[0] if len(apart) == 1 else np.hypot(*apart))
+                trace = Trace("", each.label, run_colour(other), width=1.4)
+                data.append(_values(reader, values, panel, trace) | {"yaxis": _axis("y", number)})
+    layout = _stacked_layout(panels, data)
+    ends = [each.log[TIME][-1] for each in flown if len(each.log)]
+    layout["xaxis"]["range"] = [0.0, float(max(ends, default=1.0))]  # as the figures beside it have it
+    return {"data": _named_once(data), "layout": layout}
 
 
 def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
@@ -281,13 +314,25 @@ def run_colour(number: int) -> str:
 class Reader:
     """The columns of a log as Plotly wants them, thinned out where there are more rows than can be seen."""
 
-    def __init__(self, log: Log, step_s: float) -> None:
+    def __init__(self, log: Log, step_s: float, times: Array | None = None) -> None:
         self.log = log
         self.step_s = step_s
+        self._times = times  # of the rows, where they are not 0, step_s, ...
+
+    @classmethod
+    def of(cls, flown: Flown) -> Reader:
+        """A reader of a flight that is compared."""
+        if flown.run is not None:
+            return cls(flown.log, flown.run.summary.step_s)
+        times = flown.log[TIME]
+        return cls(flown.log, step_of(times), times)
 
     def xy(self, values: Array) -> Figure:
         """The x and y of a trace for one value a row."""
         rows = thinned(values)
+        if self._times is not None:
+            x, y = (self._times, values) if rows is None else (self._times[rows], values[rows])
+            return {"x": x.astype(np.float64), "y": y.astype(np.float32)}
         if rows is None:
             return {"x0": 0.0, "dx": self.step_s, "y": values.astype(np.float32)}
         return {"x": rows * self.step_s, "y": values[rows].astype(np.float32)}
@@ -351,17 +396,37 @@ def stacked(reader: Reader, panels: Sequence[Panel], shades: Sequence[Figure] = 
 
 
 def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
-    """Panels above each other; in each the trace ``which`` of every run, and the longest run's set-point."""
+    """Panels above each other; in each the trace ``which`` of every run that has it, and the set-point: the longest
+    run's where the others ask for the same as long as they last, else each run's own.
+    """
     data: list[Figure] = []
     longest = max(readers, key=lambda reader: len(reader.log))
     for number, panel in enumerate(panels):
         for run, (reader, label) in enumerate(zip(readers, labels, strict=True)):
             trace = next(trace for trace in panel.traces if trace.label == which)
-            data.append(_line(reader, panel, number, trace._replace(label=label, colour=run_colour(run))))
-        setpoint = [trace for trace in panel.traces if trace.label == "set-point"]
-        if which == "true" and setpoint:
-            data.append(_line(longest, panel, number, setpoint[0]))
+            if trace.column in reader.log.columns:
+                data.append(_line(reader, panel, number, trace._replace(label=label, colour=run_colour(run))))
+        setpoint = next((trace for trace in panel.traces if trace.label == "set-point"), None)
+        if which == "true" and setpoint is not None:
+            asked = [(run, reader) for run, reader in enumerate(readers) if reader.known(setpoint.column)]
+            if all(_asks_as(reader, longest, setpoint.column) for _, reader in asked):
+                asked, shared = [(0, longest)] if asked else [], True
+            else:
+                shared = False
+            for run, reader in asked:
+                own = setpoint._replace(label=f"{labels[run]}, set-point", colour=run_colour(run))
+                data.append(_line(reader, panel, number, setpoint if shared else own))
     return {"data": _named_once(data), "layout": _stacked_layout(panels, data)}
+
+
+def _asks_as(reader: Reader, other: Reader, column: str) -> bool:
+    """Whether a log asks for the same as a longer one as long as it lasts."""
+    if reader is other:
+        return True
+    if column not in other.log.columns or reader.step_s != other.step_s:
+        return False
+    ours = reader.log[column]
+    return np.array_equal(ours, other.log[column][: ours.size], equal_nan=True)
 
 
 def thrust_figure(reader: Reader, summary: Summary, marks: Sequence[Figure] = ()) -> Figure:

@@ -19,7 +19,7 @@ from cosim.campaign.search.search import why
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
-from cosim.results.report.flight import comparison_rows
+from cosim.results.report.comparison import comparison_rows
 from cosim.simulation.brought import GROUPS, METHODS, WindTable, find_block
 from cosim.simulation.build import build
 

@@ -22,13 +22,10 @@ from cosim.base.errors import FlightError
 from cosim.base.signals import Command, Sample
 from cosim.flight import integration, with_page
 from cosim.results.columns import NAMES
+from cosim.results.comparison import Flown
 from cosim.results.recorder import MemoryLog
-from cosim.results.report.flight import (
-    compare_report,
-    run_labels,
-    verdict,
-    write_report,
-)
+from cosim.results.report.comparison import compare_report, run_labels
+from cosim.results.report.flight import verdict, write_report
 from cosim.results.report.flight_figures import (
     ATTITUDE,
     Reader,
@@ -428,7 +425,9 @@ def test_runs_are_laid_over_each_other(tmp_path: Path) -> None:
 
 
 def test_the_set_point_is_that_of_the_longest_run(run: Run) -> None:
-    figures = comparison_figures([flown(500), run, flown(100)], ["a", "b", "c"])
+    figures = comparison_figures(
+        [Flown("abc"[n], each.log, each) for n, each in enumerate((flown(500), run, flown(100)))]
+    )
     assert len(figures["attitude"]["data"][3]["y"]) == len(run.log)
     assert figures["attitude"]["data"][3]["name"] == "set-point"
     assert figures["attitude"]["layout"]["xaxis"]["range"] == [0.0, pytest.approx(1999 * STEP)]

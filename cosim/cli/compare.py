@@ -1,0 +1,244 @@
+"""hexjet compare: flights beside each other, whoever flew them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cosim.base.errors import InputError
+from cosim.cli.console import output_to_stderr, terminal
+from cosim.cli.options import DONE, example
+
+if TYPE_CHECKING:
+    from cosim.results.comparison import Flown, Pair
+
+PAGE = "comparison.html"
+LETTERS = "ABCDEFGH"  # as many as there are colours that can be told apart
+SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")
+EARLIEST = 5  # beside those, the first that differ
+_MOST_INPUTS = 12  # lines in the terminal; the page has all
+
+
+@click.command(epilog=example("hexjet compare runs/roll-doublet-smith-001 runs/roll-doublet-baseline-001"))
+@click.argument("names", nargs=-1, required=True, metavar="A B [C...]")
+@click.option(
+    "flights",
+    "--flight",
+    type=click.IntRange(min=0),
+    metavar="N",
+    multiple=True,
+    help="This flight of the campaigns among A, B, C; the same as CAMPAIGN:N.",
+)
+@click.option(
+    "patterns",
+    "--signal",
+    metavar="PATTERN",
+    multiple=True,
+    help="The signals of the table, such as 'thrust_*'.  [default: attitude, place, collective and the first that "
+    "differ]",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="The page's folder.  [default: a new one in runs/]"
+)
+@click.option("--no-page", is_flag=True, help="Write none.")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object, in SI units, and nothing else.")
+def compare(
+    names: tuple[str, ...],
+    flights: tuple[int, ...],
+    patterns: tuple[str, ...],
+    out: Path | None,
+    no_page: bool,
+    as_json: bool,
+) -> int:
+    """Lay two to eight flights over each other: metrics side by side, and every signal against that of the first.
+
+    Each of A, B, C is the folder of a run; a flight of a campaign, DIR:N, which is flown again; a scenario, flown here
+    and now; or a log of another tool, .csv or .parquet, with the time in seconds (time_s, time or t) and columns called
+    as ours.  Leaves a page with all of it.  Status 0, whatever differs; 2: wrong input.
+    """
+    from cosim.flight import new_folder
+    from cosim.results.comparison import pairs
+    from cosim.results.report.comparison import write_comparison
+
+    asked = _expanded(names, flights)
+    if not 2 <= len(asked) <= len(LETTERS):
+        raise InputError(f"compare: {len(asked)} flights; allowed: 2 to {len(LETTERS)}")
+    page = None if no_page else (out if out is not None else new_folder(Path("runs"), "comparison")) / PAGE
+    if page is not None and page.exists():
+        raise InputError(f"{page}: is there already; choose another folder or remove it")
+    with output_to_stderr(as_json):
+        flown = [_flown(letter, name) for letter, name in zip(LETTERS, asked, strict=False)]
+    compared = pairs(flown)
+    chosen = _chosen(compared, patterns)
+    if page is not None:
+        try:
+            page.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{page.parent}: {error.strerror or error}") from error
+        write_comparison(flown, compared, page)
+    if as_json:
+        click.echo(json.dumps(_data(flown, compared, page), allow_nan=False))
+    else:
+        _print(flown, compared, chosen, page)
+    return DONE
+
+
+def _expanded(names: Sequence[str], flights: Sequence[int]) -> list[str]:
+    """The flights that are meant, one text each; a campaign's folder stands for the ``flights`` of it."""
+    from cosim.campaign.folder import is_campaign
+
+    asked: list[str] = []
+    for name in names:
+        if not is_campaign(Path(name)):
+            asked.append(name)
+        elif not flights:
+            raise InputError(f"{name}: is a campaign; say which flight: {name}:0, or --flight 0")
+        else:
+            asked += [f"{name.rstrip('/')}:{number}" for number in flights]
+    if flights and not any(is_campaign(Path(name)) for name in names):
+        raise InputError("--flight: none of these is a campaign")
+    return asked
+
+
+def _flown(letter: str, name: str) -> Flown:
+    from cosim.campaign import fly_again, open_campaign
+    from cosim.campaign.folder import is_campaign
+    from cosim.flight import fly
+    from cosim.results.comparison import Flown, read_log
+    from cosim.results.run import finish_killed, open_run
+    from cosim.spec.scenario import Scenario, scenario_names
+
+    path = Path(name)
+    label = f"{letter}: {path.name or path.absolute().name}"
+    folder, _, number = name.rpartition(":")
+    if folder and number.isdigit() and is_campaign(Path(folder)):
+        again = fly_again(open_campaign(Path(folder)), int(number))
+        if not again.same:
+            click.echo(f"hexjet: warning: {name}: {again.verdict}: {'; '.join(again.otherwise)}", err=True)
+        return Flown(label, again.run.log, again.run, name, (f"flown again: {again.verdict}",))
+    if path.is_dir():
+        run = open_run(path)
+        return Flown(label, run.log, run, name)
+    if path.suffix.lower() in (".csv", ".parquet"):
+        log, remarks = read_log(path)
+        return Flown(label, log, None, name, remarks)
+    if path.suffix.lower() == ".toml" or name in scenario_names():
+        finish_killed(path)
+        run = fly(Scenario.read(name, []))
+        return Flown(label, run.log, run, name, ("flown for this comparison",))
+    raise InputError(
+        f"{name}: no flight; allowed: the folder of a run, CAMPAIGN:NUMBER, a log (.csv, .parquet), a scenario"
+    )
+
+
+def _chosen(compared: Sequence[Pair], patterns: Sequence[str]) -> list[list[str]]:
+    """The signals of each pair's table.  Raises InputError for a pattern that is nowhere met."""
+    from cosim.results.report.comparison import by_time
+
+    for pattern in patterns:
+        if not any(fnmatchcase(signal.name, pattern) for pair in compared for signal in pair.signals):
+            raise InputError(f"--signal {pattern}: no signal that the flights share is called so")
+    if patterns:
+        return [[s.name for s in pair.signals if any(fnmatchcase(s.name, p) for p in patterns)] for pair in compared]
+    return [
+        list(dict.fromkeys([*SIGNALS, *(signal.name for signal in by_time(pair.signals)[:EARLIEST])]))
+        for pair in compared
+    ]
+
+
+def _data(flown: Sequence[Flown], compared: Sequence[Pair], page: Path | None) -> dict[str, Any]:
+    """Everything in SI."""
+    from cosim.results.report.comparison import inputs_between
+
+    runs = []
+    for each in flown:
+        summary = None if each.run is None else each.run.summary
+        known = (
+            {}
+            if summary is None
+            else {key: getattr(summary, key) for key in ("scenario", "aircraft", "engine", "controller", "seed")}
+            | {key: getattr(summary, key) for key in ("outcome", "reason", "verdict", "step_s", "duration_s")}
+            | {"metrics": summary.flat_metrics}
+        )
+        runs.append({"label": each.label, "source": each.source, "remarks": list(each.remarks)} | known)
+    differences = [
+        pair._asdict()
+        | {"signals": {s.name: s._asdict() for s in pair.signals}}
+        | {"inputs": {key: [left, right] for key, left, right in inputs_between(flown[0], other)}}
+        for pair, other in zip(compared, flown[1:], strict=True)
+    ]
+    return {"runs": runs, "differences": differences, "page": None if page is None else str(page)}
+
+
+def _print(flown: Sequence[Flown], compared: Sequence[Pair], chosen: Sequence[list[str]], page: Path | None) -> None:
+    from cosim.results.report.comparison import inputs_between, pair_said, signal_cells
+
+    console = terminal()
+    for each in flown:
+        console.print(f"[bold]{each.label[0]}[/bold]", end=" ")
+        console.print(": ".join([each.source, *_about(each)]), highlight=False, markup=False, soft_wrap=True)
+    _print_metrics(flown)
+    for pair, other, names in zip(compared, flown[1:], chosen, strict=True):
+        console.print(" ".join(pair_said(pair)), highlight=False, markup=False)
+        inputs = inputs_between(flown[0], other)
+        for key, left, right in inputs[:_MOST_INPUTS]:
+            text = f"  {key}: {left}; {other.label[0]} {right}"
+            console.print(text, highlight=False, markup=False, soft_wrap=True)
+        if len(inputs) > _MOST_INPUTS:
+            console.print(f"  and {len(inputs) - _MOST_INPUTS} inputs more that are not the same")
+        rows = {signal.name: signal for signal in pair.signals}
+        cells = [
+            (name, "the same", "", "", "", "") if rows[name].same else signal_cells(rows[name])
+            for name in names
+            if name in rows
+        ]
+        if cells and not pair.same:
+            _print_table(("signal", "first at, s", "largest", "at, s", "RMS", "unit"), cells, (1, 2, 3, 4))
+    if page is not None:
+        console.print(f"page: {page}", highlight=False, soft_wrap=True)
+
+
+def _about(each: Flown) -> list[str]:
+    if each.run is None:
+        said = "a log"
+    else:
+        summary = each.run.summary
+        said = f"{summary.scenario}, {summary.aircraft}, {summary.engine}, {summary.controller}, {summary.outcome}"
+        said += f" ({summary.verdict})" if summary.verdict not in (None, "not completed") else ""
+    return ["; ".join([said, *each.remarks])]
+
+
+def _print_metrics(flown: Sequence[Flown]) -> None:
+    from cosim.results.report.comparison import comparison_rows
+
+    table = [
+        (
+            f"{row['axis']} {row['title'].lower()}" if row["axis"] != "whole flight" else row["title"].lower(),
+            *(cell["text"] for cell in row["cells"]),
+            row["unit"],
+        )
+        for row in comparison_rows([None if each.run is None else each.run.summary for each in flown])
+    ]
+    if table:
+        _print_table(
+            ("metric", *(each.label[0] for each in flown), "unit"),
+            [(name.replace("rmse", "RMSE"), *rest) for name, *rest in table],
+            range(1, len(flown) + 1),
+        )
+
+
+def _print_table(titles: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int]) -> None:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for n, title in enumerate(titles):
+        table.add_column(title, justify="right" if n in right else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    terminal().print(table)

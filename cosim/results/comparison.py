@@ -1,0 +1,238 @@
+"""Two flights beside each other: on one time base, signal by signal, and what of their scenarios differs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.results.arrow import read_numbers
+from cosim.results.columns import COLUMNS
+from cosim.results.metrics import wrap
+from cosim.results.recorder import Log, MemoryLog
+from cosim.results.run import Run
+from cosim.results.tables import TIME
+from cosim.spec.scenario import Scenario
+
+TIMES = (TIME, "time", "t")  # what the time [s] may be called in a log of another tool
+_EULER = "body to NED"  # the frame of angles, whose difference is taken the short way round
+_SLACK = 1e-6  # of a step: times that are nearer are the same, k * dt being rounded
+
+
+class Flown(NamedTuple):
+    """One of the flights that are compared; ``run`` is None for a log of another tool."""
+
+    label: str
+    log: Log
+    run: Run | None = None
+    source: str = ""
+    remarks: tuple[str, ...] = ()
+
+
+class Signal(NamedTuple):
+    """How a column of the second differs from the first's; None where there is nothing to tell it from."""
+
+    name: str
+    unit: str
+    same: bool  # to the last bit, as digests have it: every NaN is one, 0 and -0 are two
+    first_step: int | None  # of those compared, from 0, where they differ
+    first_s: float | None  # its time
+    largest: float | None  # size of second less first, over the steps on which both are numbers
+    largest_s: float | None
+    rms: float | None
+    alone: int  # steps on which only one of both is a number
+
+
+class Pair(NamedTuple):
+    """The second against the first, over the time that both flew."""
+
+    first: str
+    second: str
+    steps: int  # compared
+    begins_s: float
+    ends_s: float  # start of the last step compared
+    steps_of: str  # whose steps they are: of the one with the shorter steps
+    held: str  # the other, whose values are held from one of its steps to its next; empty where the steps are the same
+    same: bool  # both logs, whole
+    signals: tuple[Signal, ...]
+    only_first: tuple[str, ...]  # columns
+    only_second: tuple[str, ...]
+
+
+class Base(NamedTuple):
+    """The steps on which two logs are compared: their times, and the row of each log that is in force."""
+
+    times: Array
+    first: NDArray[np.intp]
+    second: NDArray[np.intp]
+    held: int  # 0: none; 1 or 2: which of both
+
+
+def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
+    """A CSV or Parquet log of another tool, and what is to be said of it.
+
+    Its columns are ours where they are called as ours; the time [s] is called as one of :data:`TIMES` and grows from
+    row to row.  Columns without numbers are left out.  Raises InputError.
+    """
+    columns, left_out = read_numbers(path)
+    time = next((name for name in TIMES if name in columns), None)
+    if time is None:
+        raise InputError(f"{path}: no column of time; allowed: {', '.join(TIMES)}, in seconds")
+    times = columns.pop(time)
+    if times.size < 2:
+        raise InputError(f"{path}: {times.size} rows; at least two are needed")
+    wrong = np.flatnonzero(~(np.diff(times) > 0.0))
+    if wrong.size or not np.isfinite(times[0]):
+        row = int(wrong[0]) + 2 if wrong.size else 1
+        raise InputError(f"{path}: row {row}: {time} must be a number and grow from row to row")
+    remarks = [f"{time} is taken for the time in seconds"] if time != TIME else []
+    if left_out:
+        remarks.append(f"left out, being no numbers: {', '.join(left_out)}")
+    named = {column.name: column for column in COLUMNS}
+    strange = [name for name in columns if name not in named]
+    if len(strange) == len(columns):
+        raise InputError(f"{path}: no column is called as one of a flight's log, such as roll_rad, altitude_m")
+    names = (TIME, *columns)
+    described = tuple(named[name] for name in names if name in named)
+    return MemoryLog([np.stack([times, *columns.values()])], names, described), tuple(remarks)
+
+
+def pairs(flown: Sequence[Flown]) -> list[Pair]:
+    """Every other one against the first."""
+    return [_pair(flown[0], other) for other in flown[1:]]
+
+
+def base_of(first: Log, second: Log) -> Base:
+    """The steps of the log with the shorter ones, over the time that both cover; the other's values are held.
+
+    A row is in force from its time on, for as long as a step.  With equal steps both are taken as they are.
+    """
+    times = (first[TIME], second[TIME])
+    steps = tuple(step_of(each) for each in times)
+    which = 1 if steps[1] < (1.0 - _SLACK) * steps[0] else 0
+    none = np.empty(0, np.intp)
+    if not (times[0].size and times[1].size):
+        return Base(np.empty(0), none, none, 0)
+    slack = _SLACK * min(steps)
+    other = times[1 - which]
+    begins = max(times[0][0], times[1][0]) - slack
+    rows = np.flatnonzero((times[which] >= begins) & (times[which] < other[-1] + steps[1 - which] - slack))
+    held = np.searchsorted(other, times[which][rows] + slack, side="right") - 1
+    apart = rows.size > 0 and bool(np.max(np.abs(other[held] - times[which][rows])) > slack)
+    ours, theirs = (rows, held) if which == 0 else (held, rows)
+    return Base(times[which][rows], ours, theirs, 2 - which if apart else 0)
+
+
+def difference(first: Log, second: Log, name: str, base: Base) -> Array:
+    """A column of the second less that of the first on a base, angles the short way round."""
+    return _less(first[name][base.first], second[name][base.second], name, first)
+
+
+def step_of(times: Array) -> float:
+    """The step of a log [s]: the median, of one that has no step of its own."""
+    return float(np.median(np.diff(times))) if times.size > 1 else 1.0
+
+
+def inputs_differ(first: Run, second: Run) -> list[tuple[str, str, str]]:
+    """What of two runs' scenarios, versions and files is not the same: its key, and both values as texts."""
+    try:
+        left, right = (_flat(each) for each in (first, second))
+    except InputError:  # a scenario that cannot be read any more
+        return []
+    keys = dict.fromkeys([*left, *right])
+    return [
+        (key, _short(left.get(key)), _short(right.get(key)))
+        for key in keys
+        if left.get(key) != right.get(key) and key not in ("title", "description")
+    ]
+
+
+# ---- pieces
+
+
+def _pair(first: Flown, second: Flown) -> Pair:
+    base = base_of(first.log, second.log)
+    ours, theirs = first.log.columns, second.log.columns
+    common = [name for name in ours if name in theirs and name != TIME]
+    signals = tuple(_signals(first.log, second.log, common, base)) if base.times.size else ()
+    whole = base.times.size == len(first.log) == len(second.log) and ours == theirs
+    times = whole and _bits(first.log[TIME]) == _bits(second.log[TIME])
+    finer = step_of(second.log[TIME]) < (1.0 - _SLACK) * step_of(first.log[TIME])
+    return Pair(
+        first.label,
+        second.label,
+        int(base.times.size),
+        float(base.times[0]) if base.times.size else 0.0,
+        float(base.times[-1]) if base.times.size else 0.0,
+        second.label if finer else first.label,
+        ("", first.label, second.label)[base.held],
+        times and all(signal.same for signal in signals),
+        signals,
+        tuple(name for name in ours if name not in theirs),
+        tuple(name for name in theirs if name not in ours),
+    )
+
+
+def _signals(first: Log, second: Log, names: Sequence[str], base: Base) -> Iterator[Signal]:
+    units = {column.name: column.unit for log in (first, second) for column in log.described}
+    for name in names:
+        left, right = first[name][base.first], second[name][base.second]
+        unlike = np.flatnonzero(_canonical(left) != _canonical(right))
+        known = np.isfinite(left) & np.isfinite(right)
+        size = np.abs(_less(left, right, name, first))
+        peak = int(np.argmax(np.where(known, size, -1.0)))
+        yield Signal(
+            name,
+            units.get(name, ""),
+            not unlike.size,
+            int(unlike[0]) if unlike.size else None,
+            float(base.times[unlike[0]]) if unlike.size else None,
+            float(size[peak]) if known.any() else None,
+            float(base.times[peak]) if known.any() and size[peak] > 0.0 else None,
+            float(np.sqrt(np.mean(size[known] ** 2))) if known.any() else None,
+            int(np.sum(np.isfinite(left) != np.isfinite(right))),
+        )
+
+
+def _less(left: Array, right: Array, name: str, log: Log) -> Array:
+    apart: Array = right - left
+    frame = next((column.frame for column in (*log.described, *COLUMNS) if column.name == name), "")
+    return np.asarray(wrap(apart)) if frame == _EULER else apart
+
+
+def _canonical(values: Array) -> NDArray[np.int64]:
+    """The bits of numbers, every NaN the same."""
+    same = np.array(values, "<f8")
+    same[np.isnan(same)] = np.nan
+    return same.view(np.int64)
+
+
+def _bits(values: Array) -> bytes:
+    return _canonical(values).tobytes()
+
+
+def _flat(run: Run) -> dict[str, Any]:
+    scenario: Scenario = run.scenario
+    table = scenario.model_dump(mode="json", exclude_none=True)
+    made = {"version": run.summary.versions, "sha256": run.summary.sha256}
+    return dict(_leaves({key: value for key, value in table.items() if key != "expect"} | made))
+
+
+def _leaves(table: Mapping[str, Any] | Sequence[Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    entries = table.items() if isinstance(table, Mapping) else enumerate(table)
+    for key, value in entries:
+        nested = isinstance(value, Mapping) or (isinstance(value, list) and any(isinstance(v, dict) for v in value))
+        if nested:
+            yield from _leaves(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", value
+
+
+def _short(value: Any) -> str:
+    text = "-" if value is None else value if isinstance(value, str) else str(value)
+    return text if len(text) <= 40 else f"{text[:12]}..." if " " not in text else f"{text[:37]}..."

@@ -1,0 +1,163 @@
+"""Several flights on one page: laid over each other, their metrics side by side, and what is different."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim.base.signals import AXES
+from cosim.results.comparison import Flown, Pair, Signal, inputs_differ, pairs
+from cosim.results.report.flight import axis_cell, verdict
+from cosim.results.report.flight_figures import comparison_figures, run_colour
+from cosim.results.report.page import TEMPLATES, render
+from cosim.results.run import REPORT, Run, Summary
+from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, metric, shown, unit_shown
+
+
+def compare_report(runs: Sequence[Run], path: Path) -> None:
+    """Write one page with several runs laid over each other.  Raises FlightError if the file cannot be written."""
+    labels = run_labels([run.summary for run in runs])
+    flown = [Flown(label, run.log, run) for label, run in zip(labels, runs, strict=True)]
+    write_comparison(flown, pairs(flown), path)
+
+
+def write_comparison(flown: Sequence[Flown], compared: Sequence[Pair], path: Path) -> None:
+    """Write the page of flights and of what :func:`cosim.results.comparison.pairs` says of them.
+
+    Raises FlightError if the file cannot be written.
+    """
+    summaries = [None if each.run is None else each.run.summary for each in flown]
+    known = [summary for summary in summaries if summary is not None]
+    title = known[0].title or known[0].scenario if len({each.scenario for each in known}) == 1 else "Comparison"
+    render(
+        TEMPLATES / "compare.html",
+        path,
+        comparison_figures(flown),
+        title=title,
+        description=known[0].description.strip() if title != "Comparison" else "",
+        runs=[
+            {
+                "label": each.label,
+                "colour": run_colour(number),
+                "summary": summary,
+                "verdict": "" if summary is None else verdict(summary),
+                "link": "" if each.run is None else _link(each.run, path),
+                "source": each.source,
+                "remarks": each.remarks,
+            }
+            for number, (each, summary) in enumerate(zip(flown, summaries, strict=True))
+        ],
+        rows=comparison_rows(summaries),
+        pairs=[
+            {
+                "pair": pair,
+                "colour": run_colour(number),
+                "said": pair_said(pair),
+                "inputs": inputs_between(flown[0], flown[number]),
+                "signals": [signal_cells(signal) for signal in by_time(pair.signals)],
+                "alike": [signal.name for signal in pair.signals if signal.same],
+            }
+            for number, pair in enumerate(compared, 1)
+        ],
+    )
+
+
+# ---- words and tables
+
+
+def pair_said(pair: Pair) -> list[str]:
+    """On which steps two were compared, and what is the same: sentences."""
+    if not pair.steps:
+        return [f"{pair.first} and {pair.second} have no time in common."]
+    if pair.same:
+        return [f"{pair.second} is the same as {pair.first} to the last bit: {pair.steps} steps, all columns."]
+    alike = sum(signal.same for signal in pair.signals)
+    said = [
+        f"{pair.second} less {pair.first}, on the {pair.steps} steps of {pair.steps_of} "
+        f"from {pair.begins_s:g} s to {pair.ends_s:g} s."
+    ]
+    if pair.held:
+        said.append(f"The steps differ: values of {pair.held} are held until its next step.")
+    said.append(f"{alike} of {len(pair.signals)} signals are the same to the last bit.")
+    for whose, names in ((pair.first, pair.only_first), (pair.second, pair.only_second)):
+        if names:
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            said.append(f"Only {whose} has {', '.join(names[:3])}{more}.")
+    return said
+
+
+def by_time(signals: Sequence[Signal]) -> list[Signal]:
+    """Those that differ, first those that did so first."""
+    unlike = [(signal.first_s, signal) for signal in signals if signal.first_s is not None]
+    return [signal for _, signal in sorted(unlike, key=lambda each: each[0])]
+
+
+def signal_cells(signal: Signal) -> tuple[str, str, str, str, str, str]:
+    """A signal's name, first step that differs [s], largest difference, when [s], RMS and unit, as a table has them."""
+    unit, factor = unit_shown(signal.unit)
+    numbers = [signal.largest, signal.rms]
+    largest, rms = (NONE if value is None else f"{factor * value:.3g}" for value in numbers)
+    times = (signal.first_s, signal.largest_s)
+    first, at = (NONE if value is None else f"{value:.3f}" for value in times)
+    return signal.name, first, largest, at, rms, unit
+
+
+def inputs_between(first: Flown, second: Flown) -> list[tuple[str, str, str]]:
+    """What of two flights' inputs is not the same; nothing where one is a log alone."""
+    return [] if first.run is None or second.run is None else inputs_differ(first.run, second.run)
+
+
+def comparison_rows(summaries: Sequence[Summary | None]) -> list[dict[str, Any]]:
+    """The metrics of the axes that any run commands, and of the whole flight, one row each; None has none of them.
+
+    The least of a row is marked where all fly the same scenario: of different ones it would say nothing.
+    """
+    known = [summary for summary in summaries if summary is not None]
+    alike = len({summary.scenario for summary in known}) == 1
+    rows: list[dict[str, Any]] = []
+    for axis in AXES:
+        by_run = [None if summary is None else summary.metrics[axis] for summary in summaries]
+        if any(metrics is not None and metrics.commanded for metrics in by_run):
+            for title, key, unit, factor, digits in AXIS_ROWS:
+                texts = [NONE if metrics is None else axis_cell(metrics, key, factor, digits) for metrics in by_run]
+                values = [None if metrics is None else getattr(metrics, key) for metrics in by_run]
+                rows.append({"axis": axis, "title": title, "unit": unit, "cells": _marked(texts, values, alike)})
+    whole = [{} if summary is None else summary.flat_metrics for summary in summaries]
+    own = dict.fromkeys(name for summary in known for name in summary.own_metrics)
+    for name, digits in [*WHOLE_ROWS, *((name, 4) for name in own)]:
+        of = metric(name)
+        values = [flat.get(name) for flat in whole]
+        texts = [shown(value, of.factor, digits) for value in values]
+        title = of.label[0].upper() + of.label[1:]
+        rows.append({"axis": "whole flight", "title": title, "unit": of.unit, "cells": _marked(texts, values, alike)})
+    return [row for row in rows if any(cell["text"] != NONE for cell in row["cells"])]
+
+
+def _marked(texts: Sequence[str], values: Sequence[float | None], alike: bool) -> list[dict[str, Any]]:
+    least = min((value for value in values if value is not None), default=None)
+    differ = alike and len(set(texts)) > 1
+    return [
+        {"text": text, "best": differ and value is not None and value == least}
+        for text, value in zip(texts, values, strict=True)
+    ]
+
+
+def run_labels(summaries: Sequence[Summary]) -> list[str]:
+    """Short names that tell runs apart: whatever of controller, engine, scenario, aircraft and seed differs."""
+    parts = [
+        [str(getattr(summary, key)) for summary in summaries]
+        for key in ("controller", "engine", "scenario", "aircraft", "seed")
+    ]
+    telling = [values for values in parts if len(set(values)) > 1] or parts[:1]
+    labels = [", ".join(words) for words in zip(*telling, strict=True)]
+    repeated = {label for label in labels if labels.count(label) > 1}
+    return [f"{label} #{number}" if label in repeated else label for number, label in enumerate(labels, start=1)]
+
+
+def _link(run: Run, path: Path) -> str:
+    """The run's own report as seen from a page, if it is there."""
+    if run.folder is None or not (run.folder / REPORT).is_file():
+        return ""
+    return Path(os.path.relpath(run.folder / REPORT, path.parent)).as_posix()

@@ -1,0 +1,162 @@
+"""Flights beside each other: the time base, what a difference is, logs of other tools, and what is refused."""
+
+from __future__ import annotations
+
+from math import nan, pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from flights import samples, scenario, setup
+from stated_figures import text
+
+from cosim.base.errors import InputError
+from cosim.cli.compare import compare
+from cosim.flight import with_page
+from cosim.results.arrow import write_table
+from cosim.results.comparison import Flown, Signal, base_of, inputs_differ, pairs, read_log
+from cosim.results.recorder import MemoryLog
+from cosim.results.report.comparison import comparison_rows, pair_said, write_comparison
+from cosim.results.run import Run, begin_run
+
+
+def log(step: float, rows: int, **columns: Any) -> MemoryLog:
+    times = step * np.arange(rows)
+    made = {"time_s": times} | {name: np.broadcast_to(values, rows) for name, values in columns.items()}
+    return MemoryLog([np.stack(list(made.values()))], tuple(made))
+
+
+def only(first: MemoryLog, second: MemoryLog) -> Signal:
+    (pair,) = pairs([Flown("A", first), Flown("B", second)])
+    (signal,) = pair.signals
+    return signal
+
+
+def test_a_difference_is_known_by_its_size_its_root_mean_square_and_its_first_step() -> None:
+    values = np.zeros(100)
+    values[40:44] = (0.1, -0.3, 0.2, 0.0)
+    signal = only(log(0.01, 100, altitude_m=5.0), log(0.01, 100, altitude_m=5.0 + values))
+    assert (signal.same, signal.first_step) == (False, 40)
+    assert signal.first_s == pytest.approx(0.4)
+    assert (signal.largest, signal.largest_s) == (pytest.approx(0.3), pytest.approx(0.41))
+    assert signal.rms == pytest.approx(np.sqrt(0.14 / 100))
+
+
+def test_angles_differ_the_short_way_round_and_numbers_that_are_alone_are_counted() -> None:
+    assert only(log(0.1, 9, yaw_rad=pi - 0.01), log(0.1, 9, yaw_rad=0.01 - pi)).largest == pytest.approx(0.02)
+    signal = only(log(0.1, 3, altitude_m=[1.0, nan, nan]), log(0.1, 3, altitude_m=[1.0, 2.0, nan]))
+    assert (signal.same, signal.first_step, signal.largest, signal.alone) == (False, 1, 0.0, 1)
+
+
+@pytest.mark.parametrize(("left", "right", "same"), [(nan, -nan, True), (0.0, -0.0, False), (1.0, 1.0 + 1e-15, False)])
+def test_the_same_is_the_same_to_the_last_bit(left: float, right: float, same: bool) -> None:
+    (pair,) = pairs([Flown("A", log(0.1, 5, altitude_m=left)), Flown("B", log(0.1, 5, altitude_m=right))])
+    assert pair.same is same
+    assert ("to the last bit: 5 steps" in pair_said(pair)[0]) is same
+
+
+@pytest.mark.parametrize("finer", [0, 1])
+def test_where_steps_differ_the_longer_ones_are_held(finer: int) -> None:
+    """A staircase of steps of 0.02 s, in steps of 0.004 s too, is the same; k * dt is rounded and does not matter."""
+    coarse = np.arange(20.0)
+    logs = [log(0.004, 100, altitude_m=np.repeat(coarse, 5)), log(0.02, 20, altitude_m=coarse)]
+    first, second = logs[:: 1 - 2 * finer]
+    (pair,) = pairs([Flown("A", first), Flown("B", second)])
+    assert (pair.steps, pair.steps_of, pair.held) == (100, "AB"[finer], "BA"[finer])
+    assert pair.signals[0].same
+    assert not pair.same  # the logs are not
+    assert base_of(logs[0], logs[0]).held == 0
+
+
+def test_a_shorter_flight_is_compared_as_far_as_it_goes() -> None:
+    one, other = log(0.1, 50, altitude_m=1.0), log(0.1, 20, altitude_m=1.0)
+    (pair,) = pairs([Flown("A", one), Flown("B", other)])
+    assert (pair.steps, pair.ends_s, pair.signals[0].same, pair.same) == (20, pytest.approx(1.9), True, False)
+    late = MemoryLog([np.stack([100.0 + np.arange(3.0), np.zeros(3)])], ("time_s", "altitude_m"))
+    (pair,) = pairs([Flown("A", one), Flown("B", late)])
+    assert pair_said(pair) == ["A and B have no time in common."]
+
+
+def flown(steps: int = 500, folder: Path | None = None, **known: Any) -> Run:
+    recording = begin_run(setup(**known), scenario(), folder)
+    for sample in samples(steps):
+        recording.observe(sample)
+    return with_page(recording.finish("completed", "", wall_s=0.1))
+
+
+def test_a_page_of_runs_and_a_log_of_another_tool(tmp_path: Path) -> None:
+    times = [0.2 + 0.01 * k for k in range(100)]
+    write_table(tmp_path / "x.parquet", {"t": times, "roll_rad": times, "note": ["a"] * 100, "on_ground": [True] * 100})
+    other, remarks = read_log(tmp_path / "x.parquet")
+    assert other.columns == ("time_s", "roll_rad", "on_ground")
+    assert remarks == ("t is taken for the time in seconds", "left out, being no numbers: note")
+    runs = [Flown("A: a", flown().log, flown()), Flown("B: x", other, None, "x", remarks)]
+    compared = pairs(runs)
+    assert compared[0].begins_s == pytest.approx(0.2)
+    write_comparison(runs, compared, tmp_path / "page.html")
+    page = text(tmp_path / "page.html")
+    assert "B: x against A: a" in page
+    assert 'data-figure="difference"' in page
+    assert 'id="figure-track"' in page
+    assert "t is taken for the time" in page
+
+
+def test_the_least_is_marked_only_where_the_scenario_is_the_same() -> None:
+    one, other = flown(600).summary, flown(300).summary
+    marked = lambda rows: any(cell["best"] for row in rows for cell in row["cells"])  # noqa: E731
+    assert marked(comparison_rows([one, other, None]))
+    assert not marked(comparison_rows([one, other.model_copy(update={"scenario": "else"})]))
+
+
+def test_what_went_in_and_is_not_the_same_is_named(tmp_path: Path) -> None:
+    run = flown(10)
+    heavier = run.__class__(run.summary, run.log, None, run.scenario.replace(seed=7, vehicle={"mass_kg": 6.0}))
+    assert ("seed", "1", "7") in inputs_differ(run, heavier)
+    assert ("vehicle.mass_kg", "-", "6.0") in inputs_differ(run, heavier)
+    assert inputs_differ(run, run) == []
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("roll_rad\n1\n2\n", "no column of time; allowed: time_s, time, t, in seconds"),
+        ("t,roll_rad\n0,1\n", "1 rows; at least two"),
+        ("t,roll_rad\n0,1\n1,2\n1,3\n", "row 3: t must be a number and grow"),
+        ("t,phi\n0,1\n1,2\n", "no column is called as one of a flight's log"),
+        ("t,roll_rad,roll_rad\n0,1,1\n1,2,2\n", "two columns are called 'roll_rad'"),
+        ("t,roll_rad\n0,1\n1,2,3\n", "x.csv: "),
+    ],
+)
+def test_logs_that_cannot_be_compared(content: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text(content)
+    with pytest.raises(InputError) as complaint:
+        read_log(tmp_path / "x.csv")
+    assert said in str(complaint.value)
+    assert "\n" not in str(complaint.value)
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import json
+
+    for name in "ab":
+        flown(50, tmp_path / name)
+    a, b = str(tmp_path / "a"), str(tmp_path / "b")
+    assert compare.main([a, b, "--json", "--out", str(tmp_path / "c")], standalone_mode=False) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["differences"][0]["same"] is True
+    assert data["differences"][0]["steps"] == 50
+    assert data["runs"][1]["metrics"] == flown(50).summary.flat_metrics
+    assert Path(data["page"]).is_file()
+    assert compare.main([a, b, "--no-page"], standalone_mode=False) == 0
+    said = capsys.readouterr().out
+    assert "B: b is the same as A: a to the last bit: 50 steps, all columns." in said
+    for arguments, wrong in (
+        ([a], "1 flights; allowed: 2 to 8"),
+        ([a, b, "--flight", "1"], "none of these is a campaign"),
+        ([a, b, "--no-page", "--signal", "rol*x"], "rol*x: no signal"),
+        ([a, str(tmp_path / "none")], "no flight; allowed"),
+        ([a, b, "--out", str(tmp_path / "c")], "is there already"),
+    ):
+        with pytest.raises(InputError, match=wrong.replace("*", r"\*")):
+            compare.main(arguments, standalone_mode=False)
