@@ -49,6 +49,7 @@ class EngineState(Enum):
     FLY = "fly"  # as the controller asks
     IDLE = "idle"  # least throttle, no torque
     OFF = "off"  # shut off
+    START = "start"  # as idle, and some have yet to start
 
 
 class Report(NamedTuple):
@@ -58,6 +59,7 @@ class Report(NamedTuple):
     collective: float  # mean throttle of the step before, as allocated
     lost: tuple[int, ...] = ()  # engines that are taken for lost, counted from 1
     remaining: float | None = None  # share of the fuel that is left, 0..1; None: not measured
+    starting: tuple[int, ...] = ()  # engines that have yet to start, counted from 1
 
 
 class Pilot(Protocol):

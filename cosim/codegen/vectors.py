@@ -136,6 +136,8 @@ def record(simulation: Simulation) -> Vectors:
 
     Raises InputError for a flight that loses an engine, adds signals to the controller's or fails.
     """
+    if simulation.starting:
+        raise InputError("the flight starts its engines on the way, which is not exported; leave engine_start out")
     vectors = Vectors()
     simulation.controller = Listening(simulation.controller, vectors)
     simulation.reset()

@@ -106,7 +106,7 @@ class Cascade:
         self.signals = ControlSignals(ZERO3, ZERO3, ZERO3, 0.0, 0.0)
         self._off = NO_JETS  # jets that are to be shut off
         self._across = -1  # the one that was shut off because its opposite was lost, from 0
-        self._engines_off = self._idles = self._forgiven = False
+        self._engines_off = self._idles = self._forgiven = self._cold = False
         self._catching = False  # an engine is lost, and what that leaves is not yet in balance
         self._starting = 0.0  # s for which engines that were off may still be coming up
 
@@ -205,6 +205,7 @@ class Cascade:
         if off != self._engines_off:
             self._off = self._every_jet if off else NO_JETS
         self._engines_off = off
+        self._cold = engines is EngineState.START
 
     def _idle(self, rate_setpoint: Vector3) -> Actuation:
         """Every engine at its least throttle, the banks upright, and loops that remember nothing when needed again."""
@@ -255,7 +256,7 @@ class Cascade:
         return health
 
     def _judged(self, monitor: EngineMonitor, engines: EngineOutput) -> PerJet:
-        if self._engines_off:
+        if self._engines_off or self._cold:
             # nothing can be told of engines that are off on purpose, nor of those that have yet to come up
             self._starting = _LONGEST_START
         elif self._starting > 0.0:

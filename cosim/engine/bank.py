@@ -13,35 +13,55 @@ from cosim.engine.instance import Slave, SlaveError
 from cosim.engine.ports import AMBIENT, Air
 from cosim.engine.response import ResponseError, settle
 from cosim.engine.spec import EngineSpec
+from cosim.engine.starting import Ignition, StartError
 from cosim.engine.system_slave import make_slave
 from cosim.engine.unpacked import Unpacked, unpack
 
 
-def logged_columns(specs: Sequence[EngineSpec]) -> tuple[Column, ...]:
-    """A column for each further output of each engine: its name in the mapping file and the engine's number."""
-    return tuple(
-        Column(
-            f"{name}_{number}",
-            "" if variable.unit in (None, "1") else str(variable.unit),
-            "",
-            f"engine {number}: {variable.name}" + (f", {variable.description}" if variable.description else ""),
-        )
-        for number, spec in enumerate(specs, start=1)
-        for name, variable in spec.logged
+def logged_columns(specs: Sequence[EngineSpec], in_flight: bool = False) -> tuple[Column, ...]:
+    """A column for each further output of each engine: its name in the mapping file and the engine's number.
+
+    Before them, where engines start ``in_flight``, whether each has yet to do so.
+    """
+    starting = [
+        Column(f"starting_{number}", "0/1", "", f"engine {number}: its start has yet to end")
+        for number, _ in enumerate(specs, start=1)
+        if in_flight
+    ]
+    return (
+        *starting,
+        *(
+            Column(
+                f"{name}_{number}",
+                "" if variable.unit in (None, "1") else str(variable.unit),
+                "",
+                f"engine {number}: {variable.name}" + (f", {variable.description}" if variable.description else ""),
+            )
+            for number, spec in enumerate(specs, start=1)
+            for name, variable in spec.logged
+        ),
     )
 
 
 class EngineBank:
     """``count`` engines of one kind, or one per entry of a sequence of specs, stepped by ``step`` seconds.
 
+    ``in_flight``: engines whose mapping file states a start stand cold after a reset, and go through it over the steps
+    that follow, whatever throttle these ask for; :attr:`starting` says which still do.
+
     Raises InputError if an archive has changed since it was loaded, EngineError if an FMU does not start.
     """
 
-    def __init__(self, spec: EngineSpec | Sequence[EngineSpec], count: int, step: float) -> None:
+    def __init__(
+        self, spec: EngineSpec | Sequence[EngineSpec], count: int, step: float, in_flight: bool = False
+    ) -> None:
         self._specs = (spec,) * count if isinstance(spec, EngineSpec) else tuple(spec)
         if len(self._specs) != count:
             raise ValueError(f"{count} engines need as many specs, not {len(self._specs)}")
         self._step = step
+        self._in_flight = in_flight
+        self._starts: dict[int, Ignition] = {}  # of the engines that have yet to start
+        self._given_up: set[int] = set()  # of them those that were shut off meanwhile
         self._slaves: list[Slave] = []
         self._folders: dict[tuple[str, int], Unpacked] = {}
         self.wants_ambient = any(each.has(port) for each in self._specs for port in AMBIENT)
@@ -91,12 +111,19 @@ class EngineBank:
             airs = [Air(ambient.pressure, ambient.temperature, speed) for speed in ambient.air_speed]
         if len(throttles) != count or len(airs) != count:
             raise ValueError(f"{count} engines need as many throttles and air speeds")
+        self._starts = {
+            index: Ignition(spec.archive.starting.stages, self._step)
+            for index, spec in enumerate(self._specs)
+            if self._in_flight and spec.archive.starting.stages
+        }
+        self._given_up = set()
         for index, (held, air) in enumerate(zip(throttles, airs, strict=True)):
             self._initialize(index, held, air)
         self._hand_over()
         for index, held in enumerate(throttles):
-            if self._specs[index].start is None:
+            if self._specs[index].start is None and index not in self._starts:
                 self._run_up(index, held)
+        self._advance("at the start")
         try:
             return self._native.outputs()
         except _bank.FailureError as failure:
@@ -105,11 +132,14 @@ class EngineBank:
     def _initialize(self, index: int, throttle: float, air: Air) -> None:
         spec = self._specs[index]
         settings = list(spec.settings)
+        cold = index in self._starts
+        if cold:
+            throttle = self._starts[index].throttle
         if spec.start is not None:
             port = spec.archive.ports["start"]
             settings.append((port.variable, port.value(throttle)))
         try:
-            self._slaves[index].initialize(settings, throttle, air, step=self._step)
+            self._slaves[index].initialize(settings, throttle, air, step=self._step, cold=cold)
         except SlaveError as error:
             raise EngineError(f"{self._label(index)}: {error}") from error
 
@@ -137,20 +167,46 @@ class EngineBank:
         Raises EngineError that names engine, step and time if an FMU fails or gives a value that is not finite;
         ValueError if ``k`` is not the next step.
         """
+        if self._starts:
+            held = list(throttle)
+            for index, ignition in self._starts.items():
+                held[index] = 0.0 if index in self._given_up else ignition.throttle
+            throttle = tuple(held)
+        moment = f"at step {k} ({k * self._step:g} s)"
         try:
-            return self._native.step(k, throttle, ambient)
+            output = self._native.step(k, throttle, ambient)
         except _bank.FailureError as failure:
-            raise self._failed(failure, f"at step {k} ({k * self._step:g} s)") from failure
+            raise self._failed(failure, moment) from failure
+        if self._starts:
+            self._advance(moment)
+        return output
+
+    def _advance(self, moment: str) -> None:
+        """Every start by the step to come; who has none left has started."""
+        for index in [index for index in self._starts if index not in self._given_up]:
+            slave = self._slaves[index]
+            try:
+                more = self._starts[index].advance(slave.write, slave.read)
+            except (SlaveError, StartError) as error:
+                self._native.stop()
+                raise EngineError(f"{self._label(index)}: {error} {moment}") from error
+            if not more:
+                del self._starts[index]
+
+    @property
+    def starting(self) -> tuple[int, ...]:
+        """The engines, counted from 1, that have yet to start."""
+        return tuple(index + 1 for index in self._starts)
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Further outputs that a mapping file wants in the log: :class:`cosim.base.protocols.Shows`."""
-        return logged_columns(self._specs)
+        return logged_columns(self._specs, self._in_flight)
 
     @property
     def shown(self) -> tuple[float, ...]:
         """What they are now, in the FMU's own unit.  Raises EngineError if the FMU refuses."""
-        found = []
+        found = [float(index in self._starts) for index in range(len(self._specs)) if self._in_flight]
         for index, (slave, spec) in enumerate(zip(self._slaves, self._specs, strict=True)):
             try:
                 found += [slave.read(variable) for _, variable in spec.logged]
@@ -162,8 +218,10 @@ class EngineBank:
     def set_run(self, index: int, on: bool) -> bool:
         """Shut one engine off, or on again, before the next step; False if it has no port for that.
 
-        Raises EngineError if the FMU refuses.
+        One that is shut off before it has started does not start any more.  Raises EngineError if the FMU refuses.
         """
+        if index in self._starts:
+            self._given_up.add(index)
         try:
             return self._slaves[index].set_run(on)
         except SlaveError as error:

@@ -25,7 +25,7 @@ from cosim.engine.ports import (
     Air,
     Variable,
 )
-from cosim.engine.starting import Setting
+from cosim.engine.starting import Ignition, Setting, StartError
 
 STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
 DISCARD = 2
@@ -127,27 +127,35 @@ class Slave:
             raise SlaveError(self._with_log("cannot be instantiated"))
 
     def initialize(
-        self, settings: Sequence[Setting], throttle: float, air: Air = STANDARD_AIR, *, step: float
+        self,
+        settings: Sequence[Setting],
+        throttle: float,
+        air: Air = STANDARD_AIR,
+        *,
+        step: float,
+        cold: bool = False,
     ) -> float:
         """Set parameters and inputs, leave initialization mode at time 0, and return the thrust [N] there.
 
         Where the mapping file states a start, it is gone through in steps of ``step`` seconds, and the thrust is that
-        after it.  Raises SlaveError if the FMU returns an error on the way, or if it does not start.
+        after it; not if it is to stay ``cold``, for its start to be flown.  Raises SlaveError if the FMU returns an
+        error on the way, or if it does not start.
         """
         self._inputs = _canonical(throttle, air)
         self._done = 0
         if self.archive.fmi == 2:
             self.call("setupExperiment", startTime=0.0)
-        self._set([*settings, *self.archive.starting.constants])
+        self.write([*settings, *self.archive.starting.constants])
         self.call("enterInitializationMode")
         ports = self.archive.ports
         wanted = self._inputs | {"run": 1.0}
-        self._set([(ports[name].variable, ports[name].value(x)) for name, x in wanted.items() if name in ports])
+        self.write([(ports[name].variable, ports[name].value(x)) for name, x in wanted.items() if name in ports])
         self.call("exitInitializationMode")
         self._stepping = True
         if self.archive.event_mode:
             self._handle_events()
-        self._start(step)
+        if not cold:
+            self._start(step)
         thrust = self.output("thrust")
         if not math.isfinite(thrust):
             raise SlaveError("thrust is not finite at the start")
@@ -155,27 +163,17 @@ class Slave:
 
     def _start(self, step: float) -> None:
         """Go through the stages of a start, and count the steps that they take."""
-        for number, stage in enumerate(self.archive.starting.stages, start=1):
-            self._set(stage.settings)
-            native = _bank.Bank((self.row(),), step)
-            most = max(1, round(stage.seconds / step))
-            until = stage.until
-            made = 0
-            try:
-                if until is None:
-                    native.hold(0, stage.throttle, most)
-                    made = most
-                while until is not None and not until.holds(value := self.read(until.output)):
-                    if made == most:
-                        raise SlaveError(
-                            f"it does not start: {until} does not come about within {stage.seconds:g} s of stage "
-                            f"{number} of its [start]; {until.output.name} is {value:g}"
-                        )
-                    native.hold(0, stage.throttle, 1)
-                    made += 1
-            except _bank.FailureError as failure:
-                raise SlaveError(self.explain(failure, f"in stage {number} of its start")) from failure
-            self._done += made
+        ignition = Ignition(self.archive.starting.stages, step)
+        native: _bank.Bank | None = None
+        try:
+            while ignition.advance(self.write, self.read):
+                native = native or _bank.Bank((self.row(),), step)
+                native.hold(0, ignition.throttle, 1)
+                self._done += 1
+        except StartError as error:
+            raise SlaveError(str(error)) from error
+        except _bank.FailureError as failure:
+            raise SlaveError(self.explain(failure, f"in stage {ignition.stage} of its start")) from failure
 
     def read(self, variable: Variable) -> float:
         """What a variable is now, in the FMU's own unit."""
@@ -202,10 +200,10 @@ class Slave:
         port = self.archive.ports.get("run")
         if port is None:
             return False
-        self._set([(port.variable, port.value(float(on)))])
+        self.write([(port.variable, port.value(float(on)))])
         return True
 
-    def _set(self, settings: Sequence[Setting]) -> None:
+    def write(self, settings: Sequence[Setting]) -> None:
         """Set variables; the elements of an array that are not among them stay at their start values."""
         arrays: dict[tuple[str, int], tuple[Variable, list[float]]] = {}
         for variable, value in settings:

@@ -41,11 +41,13 @@ class IsolatedBank:
     Raises InputError or EngineError as that does; EngineError too where the child ends by itself or does not answer.
     """
 
-    def __init__(self, specs: Sequence[EngineSpec], step: float) -> None:
+    def __init__(self, specs: Sequence[EngineSpec], step: float, in_flight: bool = False) -> None:
         self._step, self._count = step, len(specs)
         self._names = ", ".join(dict.fromkeys(spec.path.name for spec in specs))
         self.wants_ambient = any(spec.has(port) for spec in specs for port in AMBIENT)
-        self._columns = logged_columns(specs)
+        self._columns = logged_columns(specs, in_flight)
+        self._in_flight = in_flight
+        self.starting: tuple[int, ...] = ()  # as the bank's; asked for as long as there are any
         self._row, self._answer = _frames(self._count)
         ours, theirs = socket.socketpair()
         with theirs:
@@ -59,7 +61,7 @@ class IsolatedBank:
             )
         self._pipe = Connection(ours.detach())
         try:
-            self._ask(("make", tuple(specs), step), START_S, "when it was loaded")
+            self._ask(("make", tuple(specs), step, in_flight), START_S, "when it was loaded")
         except BaseException:
             self.close()
             raise
@@ -68,7 +70,13 @@ class IsolatedBank:
         """As the bank's."""
         held = tuple(throttle) if isinstance(throttle, Sequence) else throttle
         air = None if ambient is None else (ambient.pressure, ambient.temperature, tuple(ambient.air_speed))
-        return EngineOutput(*self._ask(("reset", held, air), START_S, "before the flight"))
+        output = EngineOutput(*self._ask(("reset", held, air), START_S, "before the flight"))
+        self._look(self._in_flight, "before the flight")
+        return output
+
+    def _look(self, ask: bool, moment: str) -> None:
+        if ask:
+            self.starting = tuple(self._ask(("starting",), HANG_S, moment))
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """As the bank's."""
@@ -78,6 +86,7 @@ class IsolatedBank:
         data = self._exchange(b"s" + struct.pack("<q", k) + self._row.pack(*throttle, *air), HANG_S, moment)
         if data[:1] != b"s":
             return EngineOutput(*self._read(data))
+        self._look(bool(self.starting), moment)
         values = self._answer.unpack(data[1:])
         return EngineOutput(values[:n], values[n : 2 * n], values[2 * n : 3 * n], values[3 * n :])
 
@@ -174,15 +183,18 @@ def serve(number: int) -> None:
                 continue
             what, *given = pickle.loads(data[1:])
             if what == "make":
-                specs, step = given
+                specs, step, in_flight = given
                 count = len(specs)
                 row, answer = _frames(count)
-                bank = EngineBank(specs, count, step)
+                bank = EngineBank(specs, count, step, in_flight)
                 result: Any = None
             elif what == "reset":
                 assert bank is not None
                 throttle, air = given
                 result = tuple(bank.reset(throttle, Ambient(*air) if air else None))
+            elif what == "starting":
+                assert bank is not None
+                result = bank.starting
             elif what == "shown":
                 assert bank is not None
                 result = bank.shown

@@ -1,7 +1,8 @@
 """What a mapping file says is done with an engine before it is asked for thrust: held inputs, ignition, warm-up.
 
-Every instance goes through it, in the check, when it is measured and before every flight, so the flight finds an engine
-that runs.  The stages follow each other::
+Every instance goes through it, in the check, when it is measured and before a flight, so the flight finds an engine
+that runs; or, where the scenario says so, over the flight's own steps (:class:`Ignition`).  The stages follow each
+other::
 
     [start]
     sequence = [
@@ -16,7 +17,7 @@ output, in the FMU's own unit.  Everything is counted in communication steps, so
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from cosim.engine.ports import CONDITION, INTEGERS, REALS, Held, Port, PortError, PortMap, Variable
@@ -62,6 +63,60 @@ class Starting(NamedTuple):
     constants: tuple[Setting, ...] = ()
     stages: tuple[Stage, ...] = ()
     rest_n: float = 0.0  # N, peak to peak, within which the thrust stands still
+
+
+class StartError(Exception):
+    """A condition did not come about: one line without the engine's name."""
+
+
+class Ignition:
+    """A start, taken one communication step after the other; ``stages`` as stated, ``step`` in s.
+
+    Before every step :meth:`advance`, which returns whether the start has one more to make, with :attr:`throttle` held.
+    """
+
+    def __init__(self, stages: Sequence[Stage], step: float) -> None:
+        self._stages, self._step = stages, step
+        self._number = -1  # of the present stage, from 0
+        self._made = 0  # steps of it
+        self.throttle = stages[0].throttle if stages else 0.0
+
+    @property
+    def stage(self) -> int:
+        """The number of the present stage, from 1."""
+        return self._number + 1
+
+    def advance(self, write: Callable[[Sequence[Setting]], None], read: Callable[[Variable], float]) -> bool:
+        """Look whether the stage is over, and begin the next: ``write`` sets its inputs, ``read`` tells an output.
+
+        Raises StartError where a condition does not come about in time.
+        """
+        if self._number < 0:
+            self._begin(write)
+        while self._number < len(self._stages):
+            stage = self._stages[self._number]
+            most = max(1, round(stage.seconds / self._step))
+            until = stage.until
+            if until is None:
+                over = self._made == most
+            elif not (over := until.holds(value := read(until.output))) and self._made == most:
+                raise StartError(
+                    f"it does not start: {until} does not come about within {stage.seconds:g} s of stage "
+                    f"{self.stage} of its [start]; {until.output.name} is {value:g}"
+                )
+            if not over:
+                self._made += 1
+                return True
+            self._begin(write)
+        return False
+
+    def _begin(self, write: Callable[[Sequence[Setting]], None]) -> None:
+        self._number += 1
+        self._made = 0
+        if self._number < len(self._stages):
+            stage = self._stages[self._number]
+            self.throttle = stage.throttle
+            write(stage.settings)
 
 
 def starting(

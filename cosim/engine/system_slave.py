@@ -123,7 +123,7 @@ class _Together:
             with self._of(number):
                 if part.archive.fmi == 2:
                     slave.call("setupExperiment", startTime=startTime)
-                slave._set([(v, _whole(v, value)) for v, value in part.settings])
+                slave.write([(v, _whole(v, value)) for v, value in part.settings])
 
     def enterInitializationMode(self) -> None:
         for number, slave in enumerate(self._slaves):
@@ -276,7 +276,7 @@ class _Values:
     def set(self, values: Sequence[float]) -> None:
         """Give them values.  Raises SlaveError."""
         if not self._fast:
-            self._slave._set([(v, _whole(v, value)) for v, value in zip(self._variables, values, strict=True)])
+            self._slave.write([(v, _whole(v, value)) for v, value in zip(self._variables, values, strict=True)])
             return
         self._numbers[:] = list(values)
         status = self._set(self._instance, self._references, self._count, self._numbers, *self._more)

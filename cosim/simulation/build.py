@@ -93,7 +93,10 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
         airframe = Airframe(flown, folder, scenario.environment, step, scenario.substeps, scenario.seed, spools.any)
         made.callback(airframe.close)
         apart = scenario.engine_isolated or any(spec.isolated for spec in stations)
-        bank = IsolatedBank(stations, step) if apart else EngineBank(stations, len(stations), step)
+        in_flight = _starts_in_flight(scenario, stations)
+        bank = (
+            IsolatedBank(stations, step, in_flight) if apart else EngineBank(stations, len(stations), step, in_flight)
+        )
         made.callback(bank.close)
         engines = EngineChain(
             bank,
@@ -153,6 +156,22 @@ def _need_tank(scenario: Scenario, vehicle: Vehicle) -> None:
             f"scenario {scenario.name}: initial.fuel = {scenario.initial.fuel:g}: {vehicle.name} has no tank; leave it "
             "out, or state vehicle.fuel"
         )
+
+
+def _starts_in_flight(scenario: Scenario, stations: Sequence[EngineSpec]) -> bool:
+    """Whether starts are flown.  Raises InputError where that is asked for, and no engine has one."""
+    if scenario.engine_start == "before flight":
+        return False
+    if not any(spec.archive.starting.stages for spec in stations):
+        raise InputError(
+            f'scenario {scenario.name}: engine_start = "in flight": {_names(stations)} has no start; state one in '
+            "[start] of its mapping file, or leave engine_start out"
+        )
+    return True
+
+
+def _names(stations: Sequence[EngineSpec]) -> str:
+    return ", ".join(dict.fromkeys(spec.name for spec in stations))
 
 
 def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:

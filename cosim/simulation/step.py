@@ -40,6 +40,8 @@ from cosim.vehicle.propulsion import Propulsion
 from cosim.vehicle.sensors import FaultySensors
 
 _FLY: Final = EngineState.FLY
+_OFF: Final = EngineState.OFF
+_START: Final = EngineState.START
 _NOTHING: Final[tuple[float, ...]] = ()
 
 Between = Callable[[int], Ending | None]  # gets the number of the step to come
@@ -114,6 +116,8 @@ class Simulation:
             self.pilot.reset(self.measured)
         # what is shown of a flight is settled here: the blocks that show, and how many numbers each
         blocks = (self.pilot, self.disturber, self.controller, propulsion.engines.bank, self.sensors.inner)
+        self.starting = self._yet_to_start() if self.scenario.engine_start == "in flight" else ()
+        self.started = 0  # the step from which on all engines run
         self._showing = [(cast(Shows, block), columns_of(block)) for block in blocks if columns_of(block)]
 
     def step(self, given: Command | None = None) -> Sample:
@@ -125,6 +129,8 @@ class Simulation:
         if k >= self.faults.next:
             self.faults.change(k, measured)
         command, seen, engines = self._command(k) if given is None else (given, measured, _FLY)
+        if self.starting and engines is not _OFF:
+            engines = _START
         disturbance = self.disturber.at(k)
         if self._field is not None:
             disturbance = self._field.blown(k, state, disturbance)
@@ -136,6 +142,9 @@ class Simulation:
         self.state = self.airframe.step(forces, disturbance, moment)
         self.measured = self.sensors.sample(self.state)
         self.k = k + 1
+        if self.starting:
+            self.starting = self._yet_to_start()
+            self.started = k + 1
         return Sample(
             k,
             k * self.dt,
@@ -154,6 +163,10 @@ class Simulation:
             self._own() if self._showing else _NOTHING,
         )
 
+    def _yet_to_start(self) -> tuple[int, ...]:
+        starting: tuple[int, ...] = getattr(self.propulsion.engines.bank, "starting", ())
+        return starting
+
     def _own(self) -> tuple[float, ...]:
         """What the blocks show of their own.  Raises FlightError for a block that shows more or less than it said."""
         own: list[float] = []
@@ -170,7 +183,13 @@ class Simulation:
         if pilot is None:
             return self.commander.at(k), measured, _FLY
         controller = self.controller
-        report = Report(self.state.on_ground, controller.signals.allocated, controller.lost, self.propulsion.remaining)
+        report = Report(
+            self.state.on_ground,
+            controller.signals.allocated,
+            controller.lost,
+            self.propulsion.remaining,
+            self.starting,
+        )
         command = pilot.update(k, measured, report)
         return command, pilot.seen, pilot.engines
 
@@ -245,7 +264,17 @@ class Simulation:
             if pace:
                 pace.wait(self.k)
         late = f", {pace.missed} of them late" if pace and pace.missed else ""
-        return Ending("completed", f"flew {self.k} steps{late}")
+        return Ending("completed", f"flew {self.k} steps{late}{self._told_of_the_start()}")
+
+    def _told_of_the_start(self) -> str:
+        """What became of starts that were flown, and of the script meanwhile, in words behind those of an ending."""
+        if self.starting:
+            return f"; engine {', '.join(map(str, self.starting))} had not started at the end, and nothing was flown"
+        if not self.started:
+            return ""
+        begun = sum(entry.start_s < self.started * self.dt for entry in self.scenario.command)
+        waited = f", for which {begun} of the script's commands waited" if begun else ""
+        return f"; all engines ran from {self.started * self.dt:.3f} s on{waited}"
 
     def repeats(self) -> bool | None:
         """Whether a controller outside this process answers the same when it is asked the same; None: there is none."""

@@ -505,6 +505,7 @@ class Scenario(Model):
     engine_parameters: dict[str, float] = {}
     engine_unchecked: bool = False  # engines that are not of the library fly without having been tried before
     engine_isolated: bool = False  # the engines run in a process of their own
+    engine_start: Literal["before flight", "in flight"] = "before flight"  # of engines with a [start], on the ground
     stations: dict[StationNumber, Station] = {}  # by the number of the jet
     requests: str | None = None  # a file of what is asked of the autopilot, which flies then
     metrics: list[str] = []  # of one's own, beside the built-in ones: FILE.py:Name, package.module:Name, entry points
@@ -532,6 +533,10 @@ class Scenario(Model):
     def _one_flies(self) -> Scenario:
         if self.requests is not None and self.command:
             raise ValueError("requests: the autopilot flies then, there can be no command")
+        if self.engine_start == "in flight" and not self.initial.on_ground:
+            raise ValueError(
+                'engine_start = "in flight": the engines start on the ground; state initial.on_ground = true'
+            )
         return self
 
     @property

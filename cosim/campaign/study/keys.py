@@ -77,6 +77,7 @@ NOT_VARIED = (
     "requests",
     "engine_unchecked",
     "engine_isolated",
+    "engine_start",
     "limits",
 )
 OWN_PARAMETERS = "controller_parameters."

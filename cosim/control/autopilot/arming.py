@@ -74,6 +74,8 @@ class Arming:
             reasons.append(f"not level: leans {lean:.0f} deg, {limit:g} deg are allowed")
         if max(abs(rate) for rate in estimates.measured.rate) > _MOVING:
             reasons.append("it is being moved")
+        if report.starting:
+            reasons.append(f"engine {', '.join(map(str, report.starting))} has yet to start")
         if report.lost:
             reasons.append(f"engine {', '.join(map(str, report.lost))} failed")
         remaining = self._watch.remaining

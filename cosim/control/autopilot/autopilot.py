@@ -214,6 +214,8 @@ class Autopilot:
 
     def _notice(self, k: int, measured: Measured, report: Report) -> None:
         """What the sensors and the engines say."""
+        if self._report.starting and not report.starting:
+            self._say(Severity.INFO, "all engines run", k)
         self._k, self._report = k, report
         standing = not self._flying()
         rising = self.landed is LandedState.TAKING_OFF
@@ -283,7 +285,7 @@ class Autopilot:
     def _on_ground(self, k: int) -> Command:
         """Armed and standing: waits for a reason to leave, not for ever."""
         arming = self._arming
-        if self._wants_up(k):
+        if self._wants_up(k) and not self._report.starting:
             self.landed = LandedState.TAKING_OFF
             arming.leave_ground(k)
             self._mission.leave_ground(self.mode is Mode.MISSION)

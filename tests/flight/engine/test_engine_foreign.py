@@ -6,6 +6,7 @@ import math
 import re
 import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -31,13 +32,18 @@ from foreign_engines import (
     mapped,
     write_kinds,
 )
+from pilot_flights import Flight
 from places import ROOT
 
 from cosim import Scenario, fly
-from cosim.base.errors import InputError
+from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient
 from cosim.base.toml import parse_setting
 from cosim.cli.main import main
+from cosim.codegen.vectors import record
+from cosim.codegen.vehicle_ports import Flight as FlightOutside
+from cosim.codegen.vehicle_ports import Parts
+from cosim.control.autopilot import requests as rq
 from cosim.design.survey import FLIES, MARK, NONE, REFUSED, UNFIT, judged
 from cosim.engine import EngineBank, EngineSpec, load_engine
 from cosim.engine.archive import read_archive, validate
@@ -47,6 +53,7 @@ from cosim.engine.ports import Air
 from cosim.engine.response import flat_notes
 from cosim.results.digest import log_digest
 from cosim.results.report import marks
+from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import LedgerRow, delay_ledger
 from cosim.spec.vehicle import load_vehicle
 
@@ -240,6 +247,110 @@ def test_an_engine_is_started_before_anything_is_asked_of_it(fmi: int, place: Pa
         assert bank.reset(0.4).thrust == pytest.approx((8.0, 8.0))
         up = [bank.step(k, (1.0, 0.4)).thrust for k in range(25)]
     assert up[-1] == pytest.approx((FULL - 12.0 * math.exp(-1.0), 8.0), rel=1e-6)  # 0.1 s after the flight's first step
+
+
+@pytest.fixture(scope="module")
+def quick_crank(place: Path) -> Path:
+    """Cranked for 0.2 s, then run for 0.1 s."""
+    path = foreign(place, "quick-crank", "lag=0.1,start=0.2,modes=1", [lever(), force(), MODE, SPEED], types=MODES[2])
+    return mapped(path, "[start]", CRANK.replace("for_s = 1.0", "for_s = 0.1"))
+
+
+def test_a_start_in_flight_is_that_before_it_step_by_step(quick_crank: Path) -> None:
+    """Cold at first, deaf to throttles until it runs, and from then on the lag from nothing, as its equation says."""
+    spec = load_engine(str(quick_crank), {}, STEP, unchecked=True)
+    known = load_engine("edf", {}, STEP)
+    with EngineBank([spec, known], 2, STEP, in_flight=True) as bank:
+        for _ in range(2):  # a second flight begins cold too
+            cold = bank.reset(0.4)
+            assert cold.thrust[0] == 0.0 < cold.thrust[1]
+            assert (bank.starting, bank.shown) == ((1,), (1.0, 0.0))
+            assert [column.name for column in bank.columns] == ["starting_1", "starting_2"]
+            k = 0
+            while bank.starting:
+                assert bank.step(k, (1.0, 0.4)).thrust == (0.0, cold.thrust[1])  # the other has none, and runs
+                k += 1
+            assert k == pytest.approx(0.3 / STEP, abs=2)
+            assert bank.shown == (0.0, 0.0)
+            up = [bank.step(k + n, (0.5, 0.4)).thrust[0] for n in range(25)]
+            assert up[-1] == pytest.approx(0.5 * FULL * (1.0 - math.exp(-1.0)), rel=1e-6)
+        bank.reset(0.4)
+        bank.set_run(0, False)
+        bank.set_run(0, True)
+        assert {bank.step(k, (1.0, 0.4)).thrust[0] for k in range(200)} == {0.0}
+        assert bank.starting == (1,)  # shut off meanwhile: it does not start any more
+
+
+def on_the_ground(engine: Path | str, duration_s: float, **more: object) -> Scenario:
+    table = {
+        "name": "start", "engine": str(engine), "controller": "baseline", "duration_s": duration_s, "monitor": True,
+        "engine_unchecked": True, "engine_start": "in flight", "initial": {"on_ground": True},
+        "command": [{"kind": "step", "signal": "altitude_m", "start_s": 0.1, "amplitude": 3.0}], **more,
+    }  # fmt: skip
+    return Scenario.from_table(table, ROOT / "scenarios", "test")
+
+
+def test_a_start_is_flown(quick_crank: Path) -> None:
+    """It stands with cold engines, then its script lifts it; the ending and the log say when, here and isolated."""
+    run = fly(on_the_ground(quick_crank, 2.4))
+    started = int((run.log["starting_6"] > 0.0).sum()) + 1  # of the last step its end counts
+    assert started == pytest.approx(0.3 / STEP, abs=2)
+    assert f"all engines ran from {started * STEP:.3f} s on, for which 1 of the script's commands waited" in run.reason
+    assert not run.log["thrust_1_N"][:started].any()
+    assert run.log["thrust_1_N"][-1] > 2.0
+    assert run.log["on_ground"][:started].all()
+    assert not run.log["on_ground"][-1]
+    assert (run.log["health_1"] == 1.0).all()  # a cold engine is not a lost one
+    apart = fly(on_the_ground(quick_crank, 0.4, engine_isolated=True))
+    again = fly(on_the_ground(quick_crank, 0.4))
+    assert log_digest(apart.log) == log_digest(again.log)
+
+
+def test_a_start_that_does_not_come_about_in_flight_names_engine_step_and_time(quick_crank: Path) -> None:
+    spec = load_engine(str(quick_crank), {}, STEP, unchecked=True)
+    stated = spec.archive.starting
+    slow = stated._replace(stages=(stated.stages[0]._replace(seconds=0.1),))
+    slower = replace(spec, archive=replace(spec.archive, starting=slow))
+    with EngineBank([spec, slower], 2, STEP, in_flight=True) as bank:
+        bank.reset(0.0)
+        for k in range(24):
+            bank.step(k, (0.0, 0.0))
+        with pytest.raises(
+            EngineError, match=r"engine 2 \(quick-crank.fmu\): it does not start: N1 > 4990 .* within 0.1 s"
+        ) as told:
+            bank.step(24, (0.0, 0.0))
+    assert str(told.value).endswith("at step 24 (0.096 s)")
+
+
+def test_nothing_takes_off_before_its_engines_run(quick_crank: Path) -> None:
+    asked = {"engine": str(quick_crank), "controller": "baseline", "engine_unchecked": True, "monitor": True}
+    with Flight(engine_start="in flight", **asked) as flight:
+        flight.fly(0.2)
+        assert "engine 1, 2, 3, 4, 5, 6 has yet to start" in flight.pilot.refusals()
+        refused = flight.ask(rq.Arm())
+        assert not refused.accepted
+        assert "has yet to start" in refused.text
+        flight.fly(0.9)
+        assert "all engines run" in [message.text for message in flight.pilot.messages]
+        flight.ok(rq.Arm(), rq.Takeoff(3.0))
+        flight.fly(3.0, lambda: not flight.simulation.state.on_ground)
+    with Flight(engine_start="in flight", **asked) as flight:
+        flight.fly(0.1)
+        flight.ok(rq.Kill())  # in the middle of it: the start is given up
+        flight.fly(1.1)
+        assert flight.pilot.refusals() == ("engine 1, 2, 3, 4, 5, 6 has yet to start",)
+        assert not any(any(sample.engines.thrust) for sample in flight.samples)
+
+
+def test_who_cannot_start_in_flight_is_told(quick_crank: Path) -> None:
+    with pytest.raises(InputError, match="an exported vehicle cannot"):
+        FlightOutside(on_the_ground(quick_crank, 1.0), Parts(), lambda: None)
+    with build(on_the_ground(quick_crank, 1.0)) as simulation, pytest.raises(InputError, match="is not exported"):
+        record(simulation)
+    with pytest.raises(InputError, match=r"engine_start.*initial.on_ground = true"):
+        on_the_ground(quick_crank, 1.0, initial={})
+    with pytest.raises(InputError, match=r"edf has no start; state one in \[start\]"):
+        fly(on_the_ground("edf", 1.0))
 
 
 WRONG_STARTS = {
