@@ -19,7 +19,7 @@ from cosim.base.errors import InputError
 from cosim.base.protocols import Column
 from cosim.results.autopilot_record import read_pilot_record
 from cosim.results.columns import own_columns
-from cosim.results.export.output import ROWS, Block, Said, described, facts, meaning, output, said, scenario_of
+from cosim.results.export.output import ROWS, Block, Said, Timed, described, facts, meaning, output, said, scenario_of
 from cosim.results.run import SCENARIO, SUMMARY, Run, open_run
 
 # What each column of every flight is about; those that blocks show of their own are in /own.
@@ -41,8 +41,6 @@ SUBJECTS = {
 OWN, TIME = "/own", "/time"
 _DOUBLE = 1  # Protocol Buffers' wire type of eight bytes
 _LEVELS = {0: 5, 1: 5, 2: 5, 3: 4, 4: 3, 5: 2, 6: 2, 7: 1}  # of syslog to foxglove.Log: 5 fatal ... 1 debug
-
-Timed = tuple[int, int, int, bytes]  # step, time [ns], channel, message
 
 
 class _Channel(NamedTuple):

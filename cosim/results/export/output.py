@@ -20,6 +20,7 @@ from cosim.results.run import RUN_FILES, Run, Summary
 from cosim.spec.scenario import Scenario
 
 Block = dict[str, Array]
+Timed = tuple[int, int, int, bytes]  # of MCAP: step, time [ns], channel, message
 
 ROWS = 4096  # converted at once
 INFO, ERROR = 6, 3  # severities as in syslog
@@ -105,7 +106,8 @@ def settings(scenario: Scenario | None) -> dict[str, float]:
         return {}
     stated = scenario.model_dump(mode="json", exclude={"vehicle", "expect"})
     vehicle = scenario.resolved_vehicle()[0].model_dump(mode="json")
-    vehicle["identified"] = {k: v for k, v in vehicle["identified"].items() if k == scenario.engine}
+    family = Path(scenario.engine).name.removesuffix("-fmi2")  # what a model is filed under, in either FMI version
+    vehicle["identified"] = {name: models for name, models in vehicle["identified"].items() if name == family}
     return dict([*_leaves("vehicle", vehicle), *_leaves("scenario", stated)])
 
 

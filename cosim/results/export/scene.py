@@ -35,7 +35,7 @@ from cosim.base.arrays import Array
 from cosim.base.constants import GRAVITY
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import AXES
-from cosim.results.export.output import Block, quaternions
+from cosim.results.export.output import Block, Timed, quaternions
 from cosim.results.run import Summary
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
@@ -50,8 +50,6 @@ _NED_IN_WORLD = (0.0, sqrt(0.5), sqrt(0.5), 0.0)
 _UP = (cos(0.7853981633974483), 0.0, sin(0.7853981633974483), 0.0)  # turns +x to -z: a quarter about y
 _HULL, _LEG, _JET = (0.12, 0.31, 0.47, 0.45), (0.45, 0.45, 0.45, 1.0), (0.75, 0.75, 0.75, 0.9)
 _THRUST, _WIND = (0.75, 0.22, 0.17, 1.0), (0.18, 0.5, 0.8, 1.0)
-
-Timed = tuple[int, int, int, bytes]  # step, time [ns], channel, message
 
 
 class Scene:

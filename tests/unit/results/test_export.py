@@ -17,7 +17,7 @@ from cosim.base.frames import from_euler, to_euler
 from cosim.base.signals import Command, EngineOutput
 from cosim.results.columns import NAMES
 from cosim.results.export.csv_file import export_csv
-from cosim.results.export.output import quaternions
+from cosim.results.export.output import quaternions, settings
 from cosim.results.export.ulog import export_ulog
 from cosim.results.export.ulog_topics import TOPICS
 from cosim.results.report.flight import write_report
@@ -216,7 +216,10 @@ def test_parameters_are_the_numbers_of_vehicle_and_scenario_under_their_keys(run
     assert isinstance(found["vehicle/jets/1/spin"], int)
     assert found["scenario/command/0/amplitude"] == 10.0
     assert not [name for name in found if not name.replace("/", "").replace("-", "").replace("_", "").isalnum()]
-    assert not [name for name in found if "identified" in name and "/edf-as-flown/" not in name]
+    # of the engine that is flown alone, in either FMI version
+    for engine, family in (("edf-as-flown", "edf-as-flown"), ("edf-fmi2", "edf")):
+        numbers = settings(scenario(engine=engine))
+        assert {name.split("/")[2] for name in numbers if "/identified/" in name} == {family}
 
 
 @pytest.mark.parametrize("rows", [0, 1])
