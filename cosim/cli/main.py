@@ -29,6 +29,7 @@ COMMANDS = {  # where each is, so that none is read for another
     "paper": "paper:paper",
     "report": "runs:report",
     "search": "campaign:search",
+    "show": "show:show",
     "sweep": "campaign:sweep",
 }
 

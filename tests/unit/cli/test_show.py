@@ -1,0 +1,66 @@
+"""hexjet show: the numbers of what can be flown, against the files and against exact figures."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from cosim.base.errors import InputError
+from cosim.cli.runs import catalogue
+from cosim.cli.show import _stated, _table, show
+from cosim.spec.vehicle import load_vehicle
+
+
+def shown(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[dict[str, Any]]:
+    assert show.main([*arguments, "--json"], standalone_mode=False) == 0
+    found: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def numbers(one: dict[str, Any]) -> dict[str, Any]:
+    return {number["name"]: number["value"] for number in one["numbers"]}
+
+
+def test_an_aircraft_can_be_judged_by_its_numbers(capsys: pytest.CaptureFixture[str]) -> None:
+    (one,) = shown(capsys, "hexjet")
+    said = numbers(one)
+    vehicle, _ = load_vehicle("hexjet")
+    assert (one["kind"], said["mass"], said["jets"]) == ("aircraft", vehicle.mass_kg, 6)
+    assert said["hover thrust"] == pytest.approx(vehicle.mass_kg * 9.80665 / 6.0)
+    assert said["thrust to weight"] == pytest.approx(said["full thrust"] / said["hover thrust"])
+    # the closed form of the engine: gain / (1 - pole), in kgf
+    assert said["full thrust"] == pytest.approx(0.2554 / (1.0 - 0.8748) * 9.80665)
+    assert said["dead time, roll, edf-as-flown"] == pytest.approx(
+        vehicle.identified["edf-as-flown"]["roll"].delay_samples * 0.004
+    )
+
+
+def test_an_engine_and_a_scenario(capsys: pytest.CaptureFixture[str]) -> None:
+    (engine,) = shown(capsys, "motor")
+    assert numbers(engine)["internal step"] == 0.0025
+    assert numbers(engine)["dead time"] == pytest.approx(0.0125)
+    assert numbers(engine)["idle thrust"] == 0.0
+    (gust,) = shown(capsys, "gust", "--kind", "scenarios")
+    assert numbers(gust)["controller"] == "smith"  # the file leaves it to the default
+    assert numbers(gust)["limits.drift_m"] == 51.0
+    assert {"name": "duration_s", "value": 15.0, "unit": "s", "meaning": "planned length of the flight"} in gust[
+        "numbers"
+    ]
+    assert show.main(["gust"], standalone_mode=False) == 0
+    assert "velocity_ned_m_s=[0, 8, 0]" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("kind", ["scenarios", "studies"])
+def test_every_key_that_a_shipped_file_states_has_a_meaning(kind: str) -> None:
+    said = [number for entry in catalogue(kind) for number in _stated(_table(kind, entry["name"]))]
+    assert {number.name for number in said if not number.meaning} == set()
+
+
+def test_every_controller_and_a_name_that_there_is_not(capsys: pytest.CaptureFixture[str]) -> None:
+    for entry in catalogue("controllers"):
+        assert shown(capsys, entry["name"])[0]["kind"] == "controllers"
+    with pytest.raises(InputError, match="called 'gusty'; did you mean gust") as complaint:
+        show.main(["gusty"], standalone_mode=False)
+    assert "hexjet list" in str(complaint.value)
