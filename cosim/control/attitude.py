@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 from cosim.base.frames import from_euler
 from cosim.base.limits import clamp
 from cosim.base.signals import Command, Measured, Vector3
@@ -58,6 +60,14 @@ class AttitudeController:
             clamp(r, lz),
         )
         return self._faded(error, answer) if self._fades else answer
+
+    def direction(self, command: Command, measured: Measured) -> Vector3:
+        """The direction that the body's z axis is asked to have, in body axes; the heading has no part in it."""
+        x, y, z = self.error(command, measured)
+        half = 0.25 * (x * x + y * y + z * z)
+        # the error is 2 (x, y, z) of a quaternion with w >= 0; this is the third column of its matrix
+        w = sqrt(max(0.0, 1.0 - half))
+        return (0.5 * x * z + w * y, 0.5 * y * z - w * x, 1.0 - 0.5 * (x * x + y * y))
 
     def error(self, command: Command, measured: Measured) -> Vector3:
         """From the attitude to what is asked for, about the body axes, rad."""

@@ -32,6 +32,7 @@ from cosim.control.attitude import AttitudeController
 from cosim.control.catch import Catch
 from cosim.control.predictors.smith import DelayLine
 from cosim.control.rate import RateController
+from cosim.control.reduced_attitude import ReducedAttitude
 from cosim.control.schedule import GainSchedule, Scheduled
 from cosim.spec.vehicle import Vehicle
 
@@ -65,8 +66,9 @@ class Cascade:
 
     The parts are its own to run and anybody's to look at; who tunes them in flight does so through their ``retune``.
     ``added_delay``: of the roll command, steps; ``opposites``: for every jet, from 0, the one that is to be shut off
-    with it, none where empty; ``catch`` flies from then on until the thrust is made up for.  ``own_attitude`` and
-    ``own_rate`` fly in place of the loop that they are named after.
+    with it, none where empty; ``catch`` flies from then on until the thrust is made up for.  ``reduced`` flies as soon
+    as one of four rotors is lost.  ``own_attitude`` and ``own_rate`` fly in place of the loop that they are named
+    after.
     """
 
     def __init__(
@@ -85,12 +87,13 @@ class Cascade:
         own_attitude: OwnAttitude | None = None,
         own_rate: OwnRate | None = None,
         catch: Catch | None = None,
+        reduced: ReducedAttitude | None = None,
     ) -> None:
         self.own_attitude, self.own_rate = own_attitude, own_rate
         self.attitude, self.rate, self.altitude = attitude, rate, altitude
         self.allocator, self.thrust_map = allocator, thrust_map
         self.monitor, self.schedule = monitor, schedule
-        self._catch = catch
+        self._catch, self._reduced = catch, reduced
         self._added_delay = DelayLine(added_delay)
         self._mass, self._jets, self._step = vehicle.mass_kg, len(vehicle.jets), step
         self._low = vehicle.control.allocation.throttle_min
@@ -102,6 +105,8 @@ class Cascade:
 
     def _forget(self, burnt: float) -> None:
         self._burnt = burnt
+        if self._reduced is not None:
+            self._reduced.end()
         self._unallocated = Unallocated(0.0, 0.0, 0.0, 0.0)
         self.signals = ControlSignals(ZERO3, ZERO3, ZERO3, 0.0, 0.0)
         self._off = NO_JETS  # jets that are to be shut off
@@ -155,6 +160,8 @@ class Cascade:
         else:
             torque = own_rate.update(rate_setpoint, measured.rate, self._unallocated)
         collective = self.altitude.update(command, measured, self._unallocated, self._burnt)
+        if self._reduced is not None and self._reduced.flies:
+            return self._spun(self._reduced, command, measured, injected, rate_setpoint, torque, collective)
         if self._catching and self._catch is not None and command.rate is None:
             return self._caught(self._catch, command, measured, injected, rate_setpoint, torque, collective)
         given = self.allocator.allocate(collective, self._injected(torque, injected), injected.torque_command)
@@ -199,6 +206,28 @@ class Cascade:
         self.signals = ControlSignals(rate_setpoint, self.rate.predicted, asked, collective, share)
         return self._actuated(given, share)
 
+    def _spun(
+        self,
+        reduced: ReducedAttitude,
+        command: Command,
+        measured: Measured,
+        injected: Disturbance,
+        rate_setpoint: Vector3,
+        torque: Vector3,
+        collective: float,
+    ) -> Actuation:
+        """The direction of thrust and no heading; whoever asks for rates gets it upright.  The usual loops wait."""
+        upright = command if command.rate is None else command._replace(attitude=ZERO3)
+        every, thrust_map = self._jets, self.thrust_map
+        total = every * (thrust_map.low + thrust_map.span * collective)
+        (roll, pitch, yaw), unknown = self._injected(ZERO3, injected), injected.torque_command
+        added = (roll + unknown[0], pitch + unknown[1], yaw + unknown[2])
+        throttle, given = reduced.update(self.attitude.direction(upright, measured), measured.rate, total, added)
+        share = (given / every - thrust_map.low) / thrust_map.span
+        self._unallocated = Unallocated(torque[0], torque[1], torque[2], collective - share)
+        self.signals = ControlSignals(rate_setpoint, self.rate.predicted, ZERO3, collective, share)
+        return self._actuated(Actuation(throttle, (0.0, 0.0), self._unallocated, NO_JETS), share)
+
     def _switch(self, engines: EngineState) -> None:
         """Engines off or on again as the pilot says; on again are all of them."""
         self._idles, off = engines is not _FLY, engines is EngineState.OFF
@@ -211,6 +240,8 @@ class Cascade:
         """Every engine at its least throttle, the banks upright, and loops that remember nothing when needed again."""
         self._reset_loops()
         self._catching = False
+        if self._reduced is not None:
+            self._reduced.end()
         low = self._low
         self._unallocated = Unallocated(0.0, 0.0, 0.0, -low)
         self.signals = ControlSignals(rate_setpoint, self.rate.predicted, ZERO3, 0.0, low)
@@ -265,11 +296,15 @@ class Cascade:
                 self._starting = 0.0
             monitor.resume(self._throttle)
         elif monitor.update(self._throttle, engines):
-            if self._opposites:
+            if self._reduced is not None:
+                self._spin(self._reduced, monitor)
+            elif self._opposites:
                 self._shut_opposite(monitor)
             self.allocator.replan(monitor.health)
         if self._catching and self._catch is not None:
             self._catch.look(monitor.reported, monitor.gains)
+        if self._reduced is not None and self._reduced.flies:
+            self._reduced.look(monitor.reported)
         return monitor.gains
 
     def _shut_opposite(self, monitor: EngineMonitor) -> None:
@@ -282,6 +317,12 @@ class Cascade:
             if self._catch is not None:
                 self._catching = True
                 self._catch.reset(monitor.reported, monitor.gains, (self._mass - self._burnt) * GRAVITY)
+
+    def _spin(self, reduced: ReducedAttitude, monitor: EngineMonitor) -> None:
+        """With the first rotor lost hold the direction of thrust alone."""
+        lost = [i for i, health in enumerate(monitor.health) if health == JetHealth(0.0)]
+        if len(lost) == 1 and not reduced.flies:
+            reduced.begin(lost[0], monitor.reported, monitor.asked)
 
     def forgive(self) -> None:
         """As soon as all engines are back at idle, none is taken for lost any more."""

@@ -25,6 +25,7 @@ from cosim.control.lead import Lead
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.control.predictors.smith import NoPredictor
 from cosim.control.rate import RateController
+from cosim.control.reduced_attitude import ReducedAttitude
 from cosim.control.schedule import GainSchedule
 from cosim.engine import (
     Air,
@@ -404,7 +405,21 @@ def _cascade(
         plugged.attitude if plugged else None,
         plugged.rate if plugged else None,
         catch,
+        _reduced(scenario, vehicle, stations, thrust_map) if plugged is None else None,
     )
+
+
+def _reduced(
+    scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
+) -> ReducedAttitude | None:
+    """Where rotors do not tilt and a lost one is to be caught."""
+    monitor = vehicle.control.monitor
+    if vehicle.servo or not scenario.monitored or monitor is None or not monitor.catch:
+        return None
+    known = [engine_reference(spec, scenario.step_s) for spec in stations]
+    lag, delay = max(each.lag for each in known), max(each.delay for each in known)
+    added = scenario.added_delay_samples
+    return ReducedAttitude(vehicle, opposites(vehicle), thrust_map, lag, delay, scenario.step_s, added)
 
 
 def _catch(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap) -> Catch | None:

@@ -332,7 +332,9 @@ class MonitorSettings(Model):
     lag_factor: Annotated[float, Field(ge=1.0)]  # a healthy lag is the nominal one within this factor
     delay_spread_s: NotNegative  # a healthy delay is the nominal one within this
     shut_opposite: bool = False  # with the first engine lost, shut off the one across the centre of gravity
-    catch: bool = False  # then fly roll and height by the catch, until the thrust is made up for; own engine alone
+    # then fly roll and height by the catch, until the thrust is made up for, own engine alone; where no jet tilts: with
+    # the first rotor of four lost fly the direction of thrust on the others, spinning
+    catch: bool = False
 
 
 class Control(Model):

@@ -205,8 +205,8 @@ class RotorAllocator:
     the right; pitch does so front and rear, yaw by the sense of rotation.  ``hover``: the throttle of hover.
 
     It does not plan around a lost rotor: without one of four there is no level hover at all, and without it and the
-    opposite one (both turn the same way) there is one only while the vehicle spins, which this cascade does not fly
-    (:func:`cosim.control.allocation.reallocation.attainable` computes both).
+    opposite one (both turn the same way) there is one only while the vehicle spins, which is flown without this
+    (:mod:`cosim.control.reduced_attitude`; :func:`cosim.control.allocation.reallocation.attainable` computes both).
     Raises InputError where the rotors give no moment about an axis.
     """
 

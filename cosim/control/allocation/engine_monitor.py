@@ -179,6 +179,11 @@ class EngineMonitor:
         """Thrust that the last reports stand for [N]."""
         return self._reported[-1]
 
+    @property
+    def asked(self) -> list[PerJet]:
+        """Thrust that the last commands ask for at rest [N], oldest first: over the longest delay and more."""
+        return list(self._past)
+
     def give_up(self, i: int) -> None:
         """Engine ``i`` is shut off on purpose: take it for lost."""
         self._found(i, 0.0, 0.0)

@@ -101,6 +101,7 @@ class Autopilot:
         self._mission = MissionFlight(course, self._circle, self._homeward, step)
         self._inject, self._clear = inject, clear
         self._airborne = airborne
+        self._rotors = vehicle.servo is None  # of which none can be lost without a spin
         # a flight that begins in the air knows the ground as 0: it stands on its legs there
         legs = (contact.position_m[2] for contact in vehicle.contacts if contact.kind == "leg")
         self._standing = max(legs, default=0.0) if airborne else 0.0
@@ -226,7 +227,7 @@ class Autopilot:
         elif self.home is None and not standing:
             # the flight began in the air
             self._places.home = Home(*self._estimates.fix.position, 0.0)
-        self._course.begin(k)
+        self._course.begin(k, self._rotors and bool(report.lost))
         self._landing.look(report, self.landed is LandedState.IN_AIR and not self._course.descending)
         self._watch.consume(report, self.engines is EngineState.FLY)
 

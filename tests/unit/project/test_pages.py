@@ -76,7 +76,13 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/design.md": ("test_pages.py", "test_sensors.py", "test_trips.py"),
     "docs/engine-check.md": ("test_pages.py",),
     "docs/engine-kinds.md": ("marks", "test_engine_foreign.py"),
-    "docs/failsafes.md": ("marks", "test_engine_out.py", "test_failsafes.py", "test_quadrotor.py"),
+    "docs/failsafes.md": (
+        "marks",
+        "test_engine_out.py",
+        "test_failsafes.py",
+        "test_quadrotor.py",
+        "test_reduced_attitude.py",
+    ),
     "docs/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py", "test_quadrotor.py"),
     "docs/full-scale.md": (
         "marks",

@@ -76,10 +76,10 @@ class Course:
         """``place``: None, where it comes to rest; ``height``: None, not known yet; ``heading``: None, as it is."""
         self.place, self.height, self.heading = place, height, heading
 
-    def begin(self, k: int) -> None:
-        """The instant for the commands that follow."""
+    def begin(self, k: int, spins: bool = False) -> None:
+        """The instant for the commands that follow; ``spins``: no heading is held."""
         estimates = self.estimates
-        self.guide.begin(k, estimates.now, estimates.euler[2], estimates.fix, self._sink_allowed())
+        self.guide.begin(k, estimates.now, estimates.euler[2], estimates.fix, self._sink_allowed(), spins)
 
     @property
     def speed(self) -> float:

@@ -53,11 +53,15 @@ class Guide:
         track = self._height.track
         self._height.start(track.position, track.velocity)
 
-    def begin(self, k: int, measured: Measured, yaw: float, fix: Fix, sink: float = inf) -> None:
-        """The instant for the calls that follow; ``sink``: the most rate of descent [m/s] that may be asked for."""
+    def begin(self, k: int, measured: Measured, yaw: float, fix: Fix, sink: float = inf, spins: bool = False) -> None:
+        """The instant for the calls that follow; ``sink``: the most rate of descent [m/s] that may be asked for.
+
+        A vehicle that ``spins`` holds no heading: it leans as seen from the heading that is asked for, at which the
+        lean can change steadily.
+        """
+        self._yaw = self.yaw if spins and self._aimed == self._k else yaw
         self._k = k
         self._measured = measured
-        self._yaw = yaw
         self._fix = fix
         self._sink = sink
 
