@@ -235,10 +235,11 @@ def _print_metrics(flown: Sequence[Flown]) -> None:
 def _print_table(titles: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int]) -> None:
     from rich import box
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for n, title in enumerate(titles):
         table.add_column(title, justify="right" if n in right else "left", overflow="fold")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(Text, row))  # as they are: brackets in a name are no mark-up
     terminal().print(table)

@@ -256,6 +256,7 @@ def _text(value: Any) -> str:
 def _print(one: Mapping[str, Any]) -> None:
     from rich import box
     from rich.table import Table
+    from rich.text import Text
 
     from cosim.results.wording import unit_shown
 
@@ -271,6 +272,6 @@ def _print(one: Mapping[str, Any]) -> None:
         unit, factor = unit_shown(number.unit)
         value = factor * number.value if factor != 1.0 and isinstance(number.value, float) else number.value
         unit = unit if value is not number.value or factor == 1.0 else number.unit
-        table.add_row(number.name, _text(value), unit, number.meaning)
+        table.add_row(*map(Text, (number.name, _text(value), unit, number.meaning)))  # brackets are no mark-up
     if table.row_count:
         console.print(table, markup=False)

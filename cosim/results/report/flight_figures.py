@@ -240,22 +240,25 @@ def difference_figure(flown: Sequence[Flown]) -> Figure:
     """True attitude and height of each flight less those of the first, and how far both are from each other."""
     first = flown[0].log
     data = []
-    panels = [Panel(axis.capitalize(), "deg", [Trace(f"{axis}_rad", "")], DEG) for axis in AXES]
-    panels += [Panel("Altitude", "m", [Trace("altitude_m", "")]), Panel("Apart, level", "m", [])]
+    level = ("north_m", "east_m")
+    shown: list[tuple[Panel, tuple[str, ...]]]
+    shown = [(Panel(axis.capitalize(), "deg", [], DEG), (f"{axis}_rad",)) for axis in AXES]
+    shown += [(Panel("Altitude", "m", []), ("altitude_m",)), (Panel("Apart, level", "m", []), level)]
+    held = {name for each in flown[1:] for name in each.log.columns if name in first.columns}
+    shown = [(panel, names) for panel, names in shown if held.issuperset(names)]
     for other, each in enumerate(flown[1:], 1):
         base = base_of(first, each.log)
         if base.times.size < 2:
             continue
         reader = Reader(each.log, 0.0, base.times)
         common = {*first.columns} & {*each.log.columns}
-        for number, panel in enumerate(panels):
-            names = [trace.column for trace in panel.traces] or ["north_m", "east_m"]
+        for number, (panel, names) in enumerate(shown):
             if common.issuperset(names):
                 apart = [difference(first, each.log, name, base) for name in names]
                 values = panel.scale * (apart[0] if len(apart) == 1 else np.hypot(*apart))
                 trace = Trace("", each.label, run_colour(other), width=1.4)
                 data.append(_values(reader, values, panel, trace) | {"yaxis": _axis("y", number)})
-    layout = _stacked_layout(panels, data)
+    layout = _stacked_layout([panel for panel, _ in shown], data)
     ends = [each.log[TIME][-1] for each in flown if len(each.log)]
     layout["xaxis"]["range"] = [0.0, float(max(ends, default=1.0))]  # as the figures beside it have it
     return {"data": _named_once(data), "layout": layout}
@@ -401,6 +404,8 @@ def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[
     """
     data: list[Figure] = []
     longest = max(readers, key=lambda reader: len(reader.log))
+    held = {column for reader in readers for column in reader.log.columns}
+    panels = [panel for panel in panels if any(trace.label == which and trace.column in held for trace in panel.traces)]
     for number, panel in enumerate(panels):
         for run, (reader, label) in enumerate(zip(readers, labels, strict=True)):
             trace = next(trace for trace in panel.traces if trace.label == which)

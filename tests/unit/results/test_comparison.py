@@ -15,9 +15,11 @@ from cosim.base.errors import InputError
 from cosim.cli.compare import compare
 from cosim.flight import with_page
 from cosim.results.arrow import write_table
+from cosim.results.columns import COLUMNS
 from cosim.results.comparison import Flown, Signal, base_of, inputs_differ, pairs, read_log
 from cosim.results.recorder import MemoryLog
 from cosim.results.report.comparison import comparison_rows, pair_said, write_comparison
+from cosim.results.report.flight_figures import comparison_figures
 from cosim.results.run import Run, begin_run
 
 
@@ -115,6 +117,17 @@ def test_what_went_in_and_is_not_the_same_is_named(tmp_path: Path) -> None:
     assert ("seed", "1", "7") in inputs_differ(run, heavier)
     assert ("vehicle.mass_kg", "-", "6.0") in inputs_differ(run, heavier)
     assert inputs_differ(run, run) == []
+
+
+def test_a_figure_of_logs_has_the_panels_that_there_are_and_the_times_of_each() -> None:
+    times = np.array([2.0, 2.5, 4.0])
+    logs = [MemoryLog([np.stack([times, gain * times])], ("time_s", "roll_rad"), COLUMNS[:2]) for gain in (1.0, 0.5)]
+    figures = comparison_figures([Flown("A", logs[0]), Flown("B", logs[1])])
+    assert set(figures) == {"attitude", "difference"}
+    assert [axis for axis in figures["attitude"]["layout"] if axis.startswith("yaxis")] == ["yaxis"]
+    (trace,) = figures["difference"]["data"]
+    np.testing.assert_array_equal(trace["x"], times)
+    np.testing.assert_allclose(trace["y"], np.degrees(-0.5 * times), rtol=1e-6)
 
 
 @pytest.mark.parametrize(
