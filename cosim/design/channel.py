@@ -13,6 +13,7 @@ shows: see :attr:`Channel.turning`.  The delay ledger lists the same elements.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import exp, expm1, inf, log
 
@@ -32,6 +33,8 @@ from cosim.spec.vehicle import (
     Servo,
     Vehicle,
 )
+
+INSTANT = 1e-9  # a pole in z below which a lag is over within a step: a 20th of one; chosen by us, far below what acts
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,8 @@ class Channel:
         if self.gyro_pole:
             zeros.append(0.0)
             poles.append(self.gyro_pole)
+        poles, zeros, more = without_instant(poles, zeros)
+        delay += more
         return RateModel(
             gain=gain,
             zeros=zeros,
@@ -298,3 +303,18 @@ def _altitude(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics
 def angles(z: Complex) -> Array:
     """rad per sample."""
     return np.asarray(np.angle(z), np.float64)
+
+
+def without_instant(poles: Sequence[float], zeros: Sequence[float]) -> tuple[list[float], list[float], int]:
+    """Poles and zeros in z without those of lags that are over within a step, and the samples of delay they leave.
+
+    ``1 / (z - p)`` with ``p`` below :data:`INSTANT` is a delay of a sample to rounding, which a zero at 0 takes back.
+    An observer would have such a state corrected by ``1 / p``, and double precision does not place its poles.
+    """
+    kept, left, delay = [pole for pole in poles if not 0.0 < pole < INSTANT], [*zeros], 0
+    for _ in range(len(poles) - len(kept)):
+        if 0.0 in left:
+            left.remove(0.0)
+        else:
+            delay += 1
+    return kept, left, delay

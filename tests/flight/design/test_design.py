@@ -21,10 +21,10 @@ from cosim.base.errors import InputError
 from cosim.cli.main import main
 from cosim.control.predictors.linear import model_response, observer_response
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.control.predictors.state import ModalPredictor
+from cosim.control.predictors.state import ModalPredictor, Modes, modal_observer
 from cosim.design import design as make
 from cosim.design import tune as search
-from cosim.design.channel import Actuator, Channel, channels
+from cosim.design.channel import Actuator, Channel, channels, without_instant
 from cosim.design.closed_loop import Closed, Points
 from cosim.design.controller_file import differences, read_controller, with_controller
 from cosim.design.controller_table import controller_table
@@ -126,6 +126,25 @@ def test_a_modal_predictor_tells_the_rate_of_the_delay_to_come(each: RateModel) 
 
 
 # ---- the channel
+
+
+def test_a_lag_that_is_over_within_a_step_is_no_state_of_a_predictor() -> None:
+    """With a pole of 3e-11 the observer's own poles were outside the circle; without it they are where they are asked."""
+    poles, zeros = [0.9999, 0.907, 0.839, 0.641, 2.8e-11], [-0.14, 0.13, 0.0, 0.0]
+
+    def farthest(poles: list[float], zeros: list[float]) -> float:
+        modes = Modes(model(poles, zeros, 0.0, 0.01))
+        F, gain = modal_observer(modes, 43.0, 0.004, disturbance=False)
+        seen = np.eye(len(gain)) - np.outer(gain, modes.residues)
+        return float(np.abs(np.linalg.eigvals(seen @ F)).max())
+
+    assert farthest(poles, zeros) > 1.0
+    fewer, left, delay = without_instant(poles, zeros)
+    assert (fewer, left, delay) == (poles[:4], [-0.14, 0.13, 0.0], 0)
+    # a fourfold pole moves with the fourth root of the rounding
+    assert farthest(fewer, left) == pytest.approx(exp(-43.0 * 0.004), abs=1e-2)
+    assert without_instant([0.9, 1e-12], [0.5]) == ([0.9], [0.5], 1)
+    assert without_instant([0.9, 0.0], [0.0]) == ([0.9, 0.0], [0.0], 0)  # a delay that is meant stays
 
 
 def test_the_roll_channel_is_the_ledger() -> None:
