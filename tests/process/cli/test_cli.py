@@ -105,8 +105,8 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
             "unknown scenario 'rol-doublet'; did you mean 'roll-doublet'? allowed: climb-and-land, ",
         ),
         (
-            ["fly", "hover", "--controller", "pid"],
-            "unknown controller 'pid'; allowed: baseline, filtered-smith, smith, state",
+            ["fly", "hover", "--controller", "nowhere"],
+            "unknown controller 'nowhere'; allowed: adrc, baseline, filtered-smith, indi",
         ),
         (
             ["fly", "hover", "--engine", "edg"],
@@ -127,7 +127,7 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
         (["fly", "hover", "--seed", "x"], "'x' is not a valid integer"),
         (["fly", "hover", "--engine", "turbojet"], "needs an identified model of hexjet with engine 'turbojet'"),
         (["fly"], "Missing argument 'SCENARIO'"),
-        (["fly", "hover", "--wind", "3"], "No such option"),
+        (["fly", "hover", "--winds", "3"], "No such option"),
         (["list", "planes"], "'planes' is not one of 'scenarios', 'studies', 'engines', 'aircraft', 'controllers'"),
         (["report", "nowhere"], "nowhere: no run here"),
         (["export", "nowhere", "--to", "csv"], "nowhere: no run here"),
@@ -152,7 +152,7 @@ def test_wrong_input_is_one_line_and_status_2(hexjet, arguments: list[str], mess
 @pytest.mark.parametrize(
     ("expect", "message"),
     [
-        ("controller = 'pid'\nengine = 'edf'", "expect.0.controller: unknown 'pid'"),
+        ("controller = 'pd'\nengine = 'edf'", "expect.0.controller: unknown 'pd'"),
         ("controller = 'smith'\nengine = 'edg'", "expect.0.engine: unknown 'edg'; did you mean 'edf'?"),
         (
             "controller = 'smith'\nengine = 'edf'\nmetrics = { 'roll.rms' = { max = 1 } }",

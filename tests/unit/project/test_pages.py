@@ -164,6 +164,7 @@ TYPED: Mapping[str, int] = {
     "docs/campaigns.md": 3,
     "docs/control-design.md": 28,
     "docs/design.md": 18,
+    "docs/engine-kinds.md": 3,
     "docs/failsafes.md": 2,
     "docs/faults.md": 19,
     "docs/full-scale.md": 13,
