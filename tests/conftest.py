@@ -41,6 +41,7 @@ LONG = (
     "test_gcs_conformance", "test_design", "test_campaign_store", "test_mavlink_services", "test_campaign_workers", "test_design_stored",
     "test_pilot_envelope", "test_failsafes", "test_bench", "test_package", "test_design_proof", "test_engine_broken", "test_gcs_mavsdk",
     "test_reproduce", "test_campaign_run", "test_campaign_cluster", "test_codegen", "test_gcs_link", "test_web", "test_identify",
+    "test_vehicle_export", "test_measured_margins", "test_own_blocks", "test_engine_system", "test_laws", "test_examples", "test_own_controller",
     "test_engine_check", "test_scenarios", "test_pilot_flight", "test_engine_library", "test_campaign_report", "test_engine_build",
 )  # fmt: skip
 

@@ -75,7 +75,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Result:
     told: list[tuple[str, int, int]] = []
     plan = Plan(
         parts=PARTS,
-        steps=250,
+        steps=100,
         rounds=2,
         starts=1,
         lengths_s=(1, 2),
@@ -113,7 +113,7 @@ def replayed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Block]]:
 def test_one_json_object_with_every_part(result: dict[str, Any]) -> None:
     assert set(result) == {"machine", "versions", "compilers", "plan", "wall_s", "failed", "asked", *PARTS}
     assert not result["failed"]
-    assert result["plan"]["steps"] == 250
+    assert result["plan"]["steps"] == 100
     assert "folder" not in result["plan"]
     assert all(result[part] for part in PARTS)
 
