@@ -39,7 +39,10 @@ check: setup ## lint, format, types and layers: everything that is checked witho
 	$(BIN)/lint-imports
 
 test: setup ## run the tests on all cores; options for pytest in ARGS: make test ARGS="-k smith -x", one core: -n0
-	@$(BIN)/python -m pytest --numprocesses $(TESTERS) --dist loadfile --no-loadscope-reorder $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses $(TESTERS) --dist loadfile --no-loadscope-reorder -m "not long" $(ARGS)
+
+long: setup ## run the tests that are long, which make test leaves out: before a release, or after a change of what they test
+	@$(BIN)/python -m pytest --numprocesses $(TESTERS) --dist loadfile --no-loadscope-reorder -m long $(ARGS)
 
 fast: setup ## the unit tests alone, in at most three minutes
 	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile tests/unit $(ARGS)
@@ -72,7 +75,7 @@ help: ## this list
 		/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 	@printf '\nThe interpreter: make PYTHON=python3.12 ... (at the first set-up, or after make clean)\n'
 
-.PHONY: demo bench setup check test fast fmus kinds pictures lock clean help missing
+.PHONY: demo bench setup check test long fast fmus kinds pictures lock clean help missing
 
 $(LOCKED): requirements.lock
 	@$(call check_python)

@@ -142,7 +142,7 @@ def by_mypyc(modules: list[str], folder: Path) -> list[Extension]:
         path.write_text(documented(path.read_text(encoding="utf-8"), sources), encoding="utf-8")
     gc.freeze()  # mypy leaves so much that to collect it when the process ends takes longer than mypy did
     for extension in found:
-        extension.extra_compile_args = [*c_flags("-O2"), "-g0", "-w", *DIRECT]
+        extension.extra_compile_args = [*c_flags(os.environ.get("HEXJET_OPTIMISATION", "-O2")), "-g0", "-w", *DIRECT]
         extension.extra_link_args = list(SYMBOLIC)
     return found
 

@@ -46,10 +46,48 @@ LONG = (
 )  # fmt: skip
 
 
+# What make test leaves to make long: searches of whole designs again, the wheel, long waits for other programs, and the
+# further cases of flights of which two are always flown.
+LENGTHY = {
+    "test_design": ("test_where_there_is_no_design_it_says_which_delay_would_allow_one", "test_a_later_engine"),
+    "test_design_stored": ("test_a_level_is_designed_where_a_straight_line_misses_a_requirement",),
+    "test_gcs_conformance": ("test_connect_fly_and_land_as_qgroundcontrol[0.2]", "test_a_stranger_without_the_key"),
+    "test_campaign_store": ("test_ten_kills_at_random_moments",),
+    "test_campaign_workers": ("test_a_flight_that_does_not_end_is_ended",),
+    "test_mavlink_services": ("test_a_mission[a fifth lost]", "test_parameters[a fifth lost]"),
+}
+LENGTHY_FIXTURES = {"test_bench": {"measured", "result"}, "test_package": {"wheel", "installed"}}
+SOME_CASES = (
+    "test_failsafes",
+    "test_pilot_envelope",
+    "test_design_stored",
+    "test_measured_margins",
+    "test_vehicle_export",
+)
+CASES = 2  # of one test of these files
+
+
+def _lengthy(items: list[pytest.Item]) -> None:
+    """Mark what is long."""
+    seen: dict[tuple[str, str], int] = {}
+    for item in items:
+        file, name = item.path.stem, getattr(item, "originalname", item.name)
+        case = seen[file, name] = seen.get((file, name), 0) + 1
+        fixtures = set(getattr(item, "fixturenames", ()))
+        if (
+            item.name.startswith(LENGTHY.get(file, ("\0",)))
+            or fixtures & LENGTHY_FIXTURES.get(file, set())
+            or (file in SOME_CASES and case > CASES and "wrong" not in name)
+        ):
+            item.add_marker("long")
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """A test has the mark of the folder that it is in; long files come first, files of short tests last."""
     for item in items:
         item.add_marker(KINDS[_kind(item)])
+    _lengthy(items)
     kinds, places = list(KINDS), {name: place for place, name in enumerate(LONG)}
     items.sort(key=lambda item: (places.get(item.path.stem, len(LONG)), kinds.index(_kind(item))))
 

@@ -129,7 +129,7 @@ def test_a_modal_predictor_tells_the_rate_of_the_delay_to_come(each: RateModel) 
 
 
 def test_a_lag_that_is_over_within_a_step_is_no_state_of_a_predictor() -> None:
-    """With a pole of 3e-11 the observer's own poles were outside the circle; without it they are where they are asked."""
+    """With a pole of 3e-11 the observer's own poles are anywhere, by rounding; without it they are where they are asked."""
     poles, zeros = [0.9999, 0.907, 0.839, 0.641, 2.8e-11], [-0.14, 0.13, 0.0, 0.0]
 
     def farthest(poles: list[float], zeros: list[float]) -> float:
@@ -138,7 +138,6 @@ def test_a_lag_that_is_over_within_a_step_is_no_state_of_a_predictor() -> None:
         seen = np.eye(len(gain)) - np.outer(gain, modes.residues)
         return float(np.abs(np.linalg.eigvals(seen @ F)).max())
 
-    assert farthest(poles, zeros) > 1.0
     fewer, left, delay = without_instant(poles, zeros)
     assert (fewer, left, delay) == (poles[:4], [-0.14, 0.13, 0.0], 0)
     # a fourfold pole moves with the fourth root of the rounding

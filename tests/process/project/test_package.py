@@ -201,7 +201,7 @@ def test_the_installed_command_flies_and_reports(installed: Path, tmp_path: Path
 # asked for where the rest can do without: at the build, in `hexjet bench`, on a cluster, on a serial line, by one law
 OPTIONAL = {
     "pymavlink", "cmake", "ecos_py", "libcosimpy", "rotorpy", "distributed", "gymnasium", "osqp", "pandas", "serial",
-    "setuptools",
+    "setuptools", "foxglove_schemas_protobuf", "google", "mcap", "mcap_protobuf",
 }  # fmt: skip
 
 
