@@ -868,7 +868,7 @@ def test_variables_of_two_types_may_share_a_reference(monkeypatch: pytest.Monkey
     monkeypatch.setattr(Slave, "call", lambda self, *args: calls.append(args))
     real, whole = variable("gain", "parameter"), replace(variable("samples", "parameter"), type="Integer")
     settings = [(replace(real, reference=1), 2.0), (replace(whole, reference=1), 3.0)]
-    Slave.__new__(Slave)._set(settings)
+    Slave.__new__(Slave).write(settings)
     assert calls == [("setReal", [1], [2.0]), ("setInteger", [1], [3])]
 
 

@@ -39,7 +39,7 @@ STATED = BASE.model_dump(mode="json", exclude_none=True)
 
 # Numbers that are the same at every size, each for a reason.
 SAME = {
-    "shut_opposite",  # a choice
+    "shut_opposite", "catch",  # choices
     "mass_kg",  # given
     "spin", "range_rad", "friction_static", "friction_dynamic", "tilt_deg", "lean_rad", "stick_lean_rad",  # no unit
     "filter_s", "noise_rad_s", "bias_rad_s", "latency_samples", "noise_rad", "bias_rad",  # electronics
