@@ -21,8 +21,9 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.files import one_line, replacing
 from cosim.base.frames import jet_axis
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
+from cosim.campaign.fault_survey import step_of
 from cosim.flight import fly
-from cosim.results.report.three_views import three_views
+from cosim.results.report.three_views import places, three_views
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
@@ -123,8 +124,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
     }
     scenario = Scenario.from_table(table, Path(), "aircraft check")
     vehicle, _ = scenario.resolved_vehicle()
-    steps = {model.sample_time_s for models in vehicle.identified.values() for model in models.values()}
-    scenario = scenario.replace(step_s=min(steps, default=scenario.step_s))
+    scenario = scenario.replace(step_s=step_of(aircraft))
     with build(scenario) as simulation:
         lines = [_forces(simulation), _masses(simulation), *_sizes(vehicle)]
         least, most = _thrust(simulation)
@@ -182,13 +182,10 @@ def _masses(simulation: Simulation) -> Line:
 
 def _sizes(vehicle: Vehicle) -> list[Line]:
     """Radii of gyration beside how far the parts are from each axis: a wrong unit is far off."""
-    places = np.array(
-        [*(jet.position_m for jet in vehicle.jets), *(contact.position_m for contact in vehicle.contacts)]
-    )
-    lines = []
+    parts, lines = np.array(places(vehicle)), []
     for number, (axis, moment) in enumerate(zip("xyz", vehicle.inertia_kg_m2, strict=True)):
         radius = sqrt(moment / vehicle.mass_kg)
-        across = np.delete(places, number, axis=1)
+        across = np.delete(parts, number, axis=1)
         farthest = float(np.max(np.linalg.norm(across, axis=1)))
         low, high = GYRATION
         share = radius / farthest if farthest else inf

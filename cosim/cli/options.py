@@ -160,7 +160,7 @@ def brought_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[
 
 def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
     """``NAME`` or ``N=NAME`` texts as changes of a scenario.  Raises InputError if one is named twice."""
-    from cosim.spec.vehicle import is_file
+    from cosim.spec.vehicle import file_seen_from
 
     changes: dict[str, Any] = {}
     for text in texts:
@@ -168,7 +168,7 @@ def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
         station = number.strip() if equals and number.strip().isdigit() else None
         engine = (name if station else text).strip()
         # a file on the command line is meant from here, one in the scenario from the scenario's folder
-        engine = str(Path(engine).absolute()) if is_file(engine) else engine
+        engine = file_seen_from(engine, Path())
         held = changes if station is None else changes.setdefault("stations", {}).setdefault(station, {})
         if "engine" in held:
             raise InputError(

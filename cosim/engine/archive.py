@@ -7,7 +7,7 @@ import io
 import itertools
 import math
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -145,10 +145,20 @@ def read_archive(path: Path, ports: PortMap | None = None) -> Archive:
 
     Raises InputError: one line with the file and what is wrong with it.
     """
+    return read_once(path, ports, _archives, _read)
+
+
+def read_once(
+    path: Path, ports: PortMap | None, known: Memory[Archive], read: Callable[[Path, bytes, str, PortMap], Archive]
+) -> Archive:
+    """What ``read`` makes of a file's bytes, their SHA-256 and what is stated, where it is not ``known`` already.
+
+    Raises InputError with the file and what is wrong with it.
+    """
     try:
         stated, data = ports or PortMap(), read_bytes(path)
         sha256 = hashlib.sha256(data).hexdigest()
-        return _archives.get((path, sha256, repr(stated)), lambda: _read(path, data, sha256, stated))
+        return known.get((path, sha256, repr(stated)), lambda: read(path, data, sha256, stated))
     except UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason
 

@@ -7,7 +7,6 @@ variables; a mapping file may name any.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import zipfile
 from collections.abc import Mapping
@@ -15,9 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from cosim.base.cache import Memory
-from cosim.base.errors import InputError, nearest
-from cosim.engine.archive import Archive, Feed, Part, Place, System, left_alone, read_component
-from cosim.engine.container import UnusableError, need_harmless_xml, open_archive, read_bytes
+from cosim.base.errors import nearest
+from cosim.engine.archive import Archive, Feed, Part, Place, System, left_alone, read_component, read_once
+from cosim.engine.container import UnusableError, need_harmless_xml, open_archive
 from cosim.engine.ports import PortError, PortMap, Variable, find_ports
 from cosim.engine.starting import Setting, starting
 from cosim.engine.structure import STRUCTURE, Node, Structure, Value, conversion, order, origin, read_structure
@@ -38,12 +37,7 @@ def read_system(path: Path, ports: PortMap | None = None) -> Archive:
 
     Raises InputError: one line with the file, the component where it is one's fault, and what is wrong with it.
     """
-    try:
-        stated, data = ports or PortMap(), read_bytes(path)
-        sha256 = hashlib.sha256(data).hexdigest()
-        return _systems.get((path, sha256, repr(stated)), lambda: _read(path, data, sha256, stated))
-    except UnusableError as reason:
-        raise InputError(f"{path}: {reason}") from reason
+    return read_once(path, ports, _systems, _read)
 
 
 class _Made:

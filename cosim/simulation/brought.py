@@ -9,8 +9,6 @@ error is the metric's, the flight is over by then.
 from __future__ import annotations
 
 import csv
-import hashlib
-import importlib
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
@@ -19,15 +17,22 @@ from importlib.metadata import entry_points
 from io import StringIO
 from math import isfinite
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.cache import Memory
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.protocols import Column, Columns, Sensors
 from cosim.base.signals import Measured, Sample, State, Vector3
 from cosim.simulation.controllers.guard import columns_from, described
-from cosim.simulation.controllers.source import Source, check_method, executed, file_of, version_of
+from cosim.simulation.controllers.source import (
+    Source,
+    check_method,
+    file_of,
+    from_file,
+    imported,
+    loaded,
+    version_of,
+)
 from cosim.simulation.wind import FieldWind
 from cosim.spec.controller_name import file_name
 from cosim.spec.scenario import Scenario
@@ -131,48 +136,28 @@ def find_block(kind: str, name: str, folder: Path) -> Source:
     where = f"{kind} {name}"
     if _MODULE.fullmatch(name):
         module_name, _, attribute = name.partition(":")
-        try:
-            module = importlib.import_module(module_name)
-        except Exception as error:
-            raise InputError(f"{where}: {module_name} cannot be imported: {described(error)}") from error
-        path = Path(module.__file__ or "")
+        module, path, files = imported(module_name, where)
         found = _attribute(module, attribute, where, path)
-        files = {path.name: path} if path.is_file() else {}
         return _stated(kind, name, found, files, version_of(module_name), copied=False)
     entries = {entry.name: entry for entry in entry_points(group=GROUPS[kind])}
     if name not in entries:
         ways = f"FILE.py:Name, package.module:Name or an entry point of {GROUPS[kind]}"
         more = f" ({nearest(name, entries)})" if entries else ""
         raise InputError(f"{where}: must be {'FILE.csv, ' if kind == 'wind' else ''}{ways}{more}")
-    entry = entries[name]
-    try:
-        found = entry.load()
-    except Exception as error:
-        raise InputError(f"{where}: {entry.value} cannot be loaded: {described(error)}") from error
+    found, package = loaded(entries[name], where)
     path_of = file_of(found)
-    package = "" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
     return _stated(kind, name, found, {} if path_of is None else {path_of.name: path_of}, package, copied=False)
-
-
-_known: Memory[Source] = Memory(32)
-_files: dict[Path, list[Path]] = {}  # by path what it was made of when it was last read
 
 
 def _of_file(kind: str, name: str, path: Path, attribute: str) -> Source:
     where = f"{kind} {name}"
     if not path.is_file():
         raise InputError(f"{where}: {path}: no such file")
-    held = [
-        (each, hashlib.sha256(each.read_bytes()).hexdigest()) for each in _files.get(path, [path]) if each.is_file()
-    ]
 
-    def load() -> Source:
-        module, neighbours = executed(path, where)
-        _files[path] = [path, *neighbours]
-        found = _attribute(module, attribute, where, path)
-        return _stated(kind, name, found, {each.name: each for each in (path, *neighbours)})
+    def stated(module: ModuleType, files: dict[str, Path]) -> Source:
+        return _stated(kind, name, _attribute(module, attribute, where, path), files)
 
-    return _known.get((kind, name, str(path), tuple(held)), load)
+    return from_file((kind, name), path, where, stated)
 
 
 def _attribute(module: Any, name: str, where: str, path: Path) -> Any:

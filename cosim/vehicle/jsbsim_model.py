@@ -8,7 +8,6 @@ them where the file has no aerodynamics.
 
 from __future__ import annotations
 
-import copy
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -241,7 +240,7 @@ def _mass_balance(masses: ET.Element, model: Path) -> None:
 
 def _shift(root: ET.Element) -> None:
     """Put the origin of every place in the model at its centre of gravity, and what is felt there."""
-    cg = copy.deepcopy(_one(root, "mass_balance/location[@name='CG']"))
+    cg = _one(root, "mass_balance/location[@name='CG']")
     unit = _INCHES[cg.get("unit", "IN").upper()]
     origin = [float(cg.findtext(axis) or 0.0) * unit for axis in "xyz"]
     felt = [_one(root, f"metrics/location[@name='{name}']") for name in ("EYEPOINT", "VRP")]

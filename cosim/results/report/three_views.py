@@ -39,8 +39,7 @@ def three_views(vehicle: Vehicle) -> str:
     str
         A whole SVG document.
     """
-    places = _places(vehicle)
-    reach = max(max(map(abs, place)) for place in places) or 1.0
+    reach = max(max(map(abs, place)) for place in places(vehicle)) or 1.0
     scale = (VIEW / 2.0 - MARGIN) / reach
     root = ET.Element(
         "svg", xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {VIEW * len(VIEWS):g} {VIEW + 2 * TITLE:g}",
@@ -100,12 +99,13 @@ class _View:
         ET.SubElement(self.root, "circle", {"class": kind, "cx": f"{x:g}", "cy": f"{y:g}", "r": f"{radius:g}"})
 
 
-def _places(vehicle: Vehicle) -> list[Vector3]:
+def places(vehicle: Vehicle) -> list[Vector3]:
+    """Where its jets and contacts are [m, body]."""
     return [*(jet.position_m for jet in vehicle.jets), *(contact.position_m for contact in vehicle.contacts)]
 
 
 def _one(view: _View, vehicle: Vehicle, reach: float) -> None:
-    corners = _hull([view.at(place) for place in _places(vehicle)])
+    corners = _hull([view.at(place) for place in places(vehicle)])
     points = " ".join(f"{x:g},{y:g}" for x, y in corners)
     ET.SubElement(view.root, "polygon", {"class": "body", "points": points})
     for contact in vehicle.contacts:

@@ -224,15 +224,27 @@ _known: Memory[Source] = Memory(32)
 
 
 def _of_file(controller: str, path: Path, name: str) -> Source:
+    def stated(module: ModuleType, files: dict[str, Path]) -> Source:
+        return _stated(controller, _class(module, name, controller, path), None, files)
+
+    return from_file((controller,), path, f"controller {controller}", stated)
+
+
+def from_file(
+    key: tuple[str, ...], path: Path, where: str, stated: Callable[[ModuleType, dict[str, Path]], Source]
+) -> Source:
+    """What is ``stated`` of the module of a file and of its files by name, anew where one of those has changed.
+
+    ``key``: what is stated of it.  Raises InputError.
+    """
     held = [(file, _sha256(file)) for file in _last_files.get(path, [path]) if file.is_file()]
 
     def load() -> Source:
-        module, neighbours = executed(path, f"controller {controller}")
+        module, neighbours = executed(path, where)
         _last_files[path] = [path, *neighbours]
-        files = {file.name: file for file in (path, *neighbours)}
-        return _stated(controller, _class(module, name, controller, path), None, files)
+        return stated(module, {file.name: file for file in (path, *neighbours)})
 
-    return _known.get((controller, str(path), tuple(held)), load)
+    return _known.get((*key, str(path), tuple(held)), load)
 
 
 _last_files: dict[Path, list[Path]] = {}  # by path what it was made of when it was last read
@@ -356,28 +368,38 @@ def _described(
 
 def _of_module(controller: str) -> Source:
     module_name, _, name = controller.partition(":")
+    module, path, files = imported(module_name, f"controller {controller}")
+    kind = _class(module, name, controller, path)
+    return _stated(controller, kind, None, files, version_of(module_name), copied=False)
+
+
+def imported(module_name: str, where: str) -> tuple[ModuleType, Path, dict[str, Path]]:
+    """A module that Python finds, its path, and its file by name where it has one.  Raises InputError."""
     try:
         module = importlib.import_module(module_name)
     except Exception as error:
-        raise InputError(f"controller {controller}: {module_name} cannot be imported: {described(error)}") from error
+        raise InputError(f"{where}: {module_name} cannot be imported: {described(error)}") from error
     path = Path(module.__file__ or "")
-    kind = _class(module, name, controller, path)
-    files = {path.name: path} if path.is_file() else {}
-    return _stated(controller, kind, None, files, version_of(module_name), copied=False)
+    return module, path, {path.name: path} if path.is_file() else {}
 
 
 def _of_entry(entry: EntryPoint) -> Source:
     where = f"entry point {entry.name!r} of {GROUP}"
     if entry.name in PREDICTORS:
         raise InputError(f"{where}: there is a predictor of this name already")
+    member, package = loaded(entry, where)
+    path = file_of(member) if isinstance(member, type) else None
+    files = {} if path is None else {path.name: path}
+    return _stated(entry.name, member, None, files, package, copied=False)
+
+
+def loaded(entry: EntryPoint, where: str) -> tuple[Any, str]:
+    """What an entry point names, and name and version of its package.  Raises InputError."""
     try:
-        loaded = entry.load()
+        member = entry.load()
     except Exception as error:
         raise InputError(f"{where}: {entry.value} cannot be loaded: {described(error)}") from error
-    path = file_of(loaded) if isinstance(loaded, type) else None
-    files = {} if path is None else {path.name: path}
-    package = "" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
-    return _stated(entry.name, loaded, None, files, package, copied=False)
+    return member, "" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
 
 
 def version_of(module: str) -> str:
