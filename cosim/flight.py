@@ -386,8 +386,8 @@ def _setup(simulation: Simulation) -> Setup:
             **(simulation.own.hashes if simulation.own is not None else {}),
             **{
                 n: h
-                for station in simulation.brought.sources.values()
-                for source in station
+                for sources in simulation.brought.sources.values()
+                for source in sources
                 for n, h in source.hashes.items()
             },
         },

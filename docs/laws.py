@@ -39,9 +39,8 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 PAGE, PICTURE = Path(__file__).parent / "laws.md", Path(__file__).parent / "pictures" / "laws.png"
-ROBUST = (
-    1.7  # peak sensitivity: of 1.2 to 2.0, what is called robust (Astrom and Hagglund), where the paper's study stands
-)
+# peak sensitivity: of 1.2 to 2.0, what is called robust (Astrom and Hagglund), where the paper's study stands
+ROBUST = 1.7
 LAWS = {
     "pid": "PID",
     "px4": "PX4",

@@ -115,8 +115,8 @@ class EngineOut:
         """For JSON; a bound beyond the furthest that is followed is null."""
         return {
             "flights": [finite(flight) for flight in self.flights],
-            "left": [asdict(flight) for flight in self.left],
-            "levers": [finite(flight) for flight in self.levers],
+            "left": [asdict(left) for left in self.left],
+            "levers": [finite(lever) for lever in self.levers],
         }
 
 

@@ -202,10 +202,10 @@ def trip_speed(vehicle: Vehicle) -> float:
 
 def starts(case: Case, heights: Sequence[float], winds: Sequence[float], speed: float) -> list[Start]:
     """Holding at every height in every wind; and moving at ``speed`` (0: not), from 10 m on, in the least wind."""
-    kinds = [Start(height, wind) for height in heights for wind in winds]
+    begun = [Start(height, wind) for height in heights for wind in winds]
     if case.moving and speed:
-        kinds += [Start(height, min(winds), speed) for height in heights if height >= MOVING_FROM_M]
-    return kinds
+        begun += [Start(height, min(winds), speed) for height in heights if height >= MOVING_FROM_M]
+    return begun
 
 
 def pilotable() -> list[str]:

@@ -408,7 +408,7 @@ def _scanned(result: Survival) -> Iterator[tuple[str, ...]]:
     known = {(limit.quantity, limit.controller, limit.start): limit for limit in result.limits}
     for quantity, controller in dict.fromkeys((limit.quantity, limit.controller) for limit in result.limits):
         cells = [known.get((quantity, controller, start)) for start in STARTS]
-        yield quantity, controller, *("-" if limit is None else _reached(limit) for limit in cells)
+        yield quantity, controller, *("-" if cell is None else _reached(cell) for cell in cells)
 
 
 def _reached(limit: Limit) -> str:

@@ -94,16 +94,14 @@ def controller_table(design: Design) -> dict[str, Any]:
         },
         levels=[
             LevelRecord(
-                fuel=axis_design.level.fuel,
-                mass_kg=_rounded(axis_design.level.mass_kg),
-                share=_rounded(axis_design.level.share),
-                designed=axis_design.designed,
-                held={
-                    axis: state.peak_sensitivity for axis, state in axis_design.held.items() if state.peak_sensitivity
-                },
-                axes={axis: _record(state) for axis, state in axis_design.after.items() if state.stable},
+                fuel=level.level.fuel,
+                mass_kg=_rounded(level.level.mass_kg),
+                share=_rounded(level.level.share),
+                designed=level.designed,
+                held={axis: state.peak_sensitivity for axis, state in level.held.items() if state.peak_sensitivity},
+                axes={axis: _record(state) for axis, state in level.after.items() if state.stable},
             )
-            for axis_design in design.levels
+            for level in design.levels
         ],
     )
     return {

@@ -289,7 +289,7 @@ def _burn(
                 after = {axis: assess(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
             kept = {axis: keeps(level.channels[axis], acting[axis], needed(axis, need)) for axis in LEVELLED}
             burning.append(LevelDesign(level, level.fuel in designed, before, after, kept))
-        missed = {axis_design.level.fuel for axis_design in burning if plan and not all(axis_design.kept.values())}
+        missed = {level.level.fuel for level in burning if plan and not all(level.kept.values())}
         if missed <= designed:
             where = ", ".join(f"{fuel:.0%} of the fuel" for fuel in sorted(missed))
             return plan, burning, f"a requirement is missed by the schedule with {where}" if missed else ""

@@ -71,15 +71,15 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
         "axes": {axis: _axis_dict(axis_design) for axis, axis_design in design.axes.items()},
         "levels": [
             {
-                "fuel": axis_design.level.fuel,
-                "mass_kg": axis_design.level.mass_kg,
-                "share": axis_design.level.share,
-                "designed": axis_design.designed,
-                "held": {axis: _assessment_dict(state) for axis, state in axis_design.held.items()},
-                "after": {axis: _assessment_dict(state) for axis, state in axis_design.after.items()},
-                "kept": dict(axis_design.kept),
+                "fuel": level.level.fuel,
+                "mass_kg": level.level.mass_kg,
+                "share": level.level.share,
+                "designed": level.designed,
+                "held": {axis: _assessment_dict(state) for axis, state in level.held.items()},
+                "after": {axis: _assessment_dict(state) for axis, state in level.after.items()},
+                "kept": dict(level.kept),
             }
-            for axis_design in design.levels
+            for level in design.levels
         ],
         "schedule": design.schedule.model_dump(exclude_none=True) if design.schedule else None,
         "file": controller_table(design) if design.ok else None,

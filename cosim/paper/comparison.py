@@ -378,10 +378,10 @@ def as_data(part: LinearPart, rows: list[Row], judged: list[ClaimRow]) -> dict[s
         "claims": [row.model_dump() for row in judged],
         "conditions": [condition.model_dump() for condition in part.conditions],
         "measured_margins": {name: s.margins.model_dump() for name, s in part.sweeps.items()},
-        "robustness": [condition.model_dump() for condition in part.maps],
+        "robustness": [robustness_map.model_dump() for robustness_map in part.maps],
         "delay_sweep": {f"{v}.{c}": [p.model_dump() for p in points] for (v, c), points in part.delays.items()},
-        "offsets": [condition.model_dump() for condition in part.offsets],
+        "offsets": [offset.model_dump() for offset in part.offsets],
         "smith_offset_rad": part.smith_offset,
         "noise_gain": {f"{v}.{c}": value for (v, c), value in part.noise.items()},
-        "turbojet": [condition.model_dump() for condition in part.turbojet],
+        "turbojet": [reach.model_dump() for reach in part.turbojet],
     }

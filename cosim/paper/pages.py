@@ -160,7 +160,7 @@ def _differs(reproduction: Reproduction) -> str:
     amplitude, tau = numbers.value("step.amplitude"), numbers.value("step.time_constant")
     least = radians(amplitude) * (3.0 * tau / numbers.value("step.record")) ** 0.5
     loaded = flight.metrics["step-10-payload.state"].stable
-    late = [growth("step-25.smith", "step-5.smith", "rmse", condition) for condition in (linear, flight)]
+    late = [growth("step-25.smith", "step-5.smith", "rmse", evidence) for evidence in (linear, flight)]
     rows = [
         (
             f"RMSE of {numbers.value('step-5.baseline.rmse'):.3f} rad for {amplitude:g}° either way with a time constant of "

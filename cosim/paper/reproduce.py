@@ -103,7 +103,7 @@ def _flight_data(reproduction: Reproduction) -> dict[str, Any]:
         "metrics": {name: result.metrics.model_dump() for name, result in reproduction.flown.items()},
         "measured_margins": {name: sweep.margins.model_dump() for name, sweep in reproduction.flown_sweeps.items()},
         "offsets": [asdict(offset) for offset in reproduction.offsets],
-        "turbojet": [asdict(offset) for offset in reproduction.turbojet],
+        "turbojet": [asdict(design) for design in reproduction.turbojet],
     }
 
 

@@ -40,7 +40,7 @@ def campaign_figures(
     figures = {"outcomes": outcomes(flown), "probability": probability(flown, shares)}
     figures |= {f"ranking-{name}": ranking_figure(flown, ranking) for name, ranking in rankings.items() if any(ranking)}
     figures |= {f"key-{number}": success_over(flown, flown.keys[key]) for number, key in enumerate(order[:CURVES])}
-    return figures | {f"metric-{number}": distribution(flown, ranking) for number, ranking in enumerate(flown.metrics)}
+    return figures | {f"metric-{number}": distribution(flown, metric) for number, metric in enumerate(flown.metrics)}
 
 
 # ---- how many
@@ -156,7 +156,7 @@ def ranking_figure(flown: Flown, rankings: Sequence[Ranking | None]) -> Figure:
     layout["legend"]["traceorder"] = "reversed"
     layout["showlegend"] = len(known) > 1
     top = max(
-        [*(_percent(ranking.interval[1]) for effects in by_key.values() for ranking in effects.values()), 2 * floor]
+        [*(_percent(effect.interval[1]) for effects in by_key.values() for effect in effects.values()), 2 * floor]
     )
     layout["xaxis"] = {
         "title": {"text": "of the variance [%]"},

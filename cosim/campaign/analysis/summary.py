@@ -209,11 +209,11 @@ def _controller(flown: Flown, place: int, success: Share) -> dict[str, Any]:
         "clopper_pearson_95": None if flown.grid or not success.of else list(success.exact),
         "metrics": {
             name: {
-                "flights": metric_spec.flights, "without": metric_spec.none, "of": metric_spec.of,
-                "p05": metric_spec.low, "median": metric_spec.median, "p95": metric_spec.high,
+                "flights": quartiles.flights, "without": quartiles.none, "of": quartiles.of,
+                "p05": quartiles.low, "median": quartiles.median, "p95": quartiles.high,
             }
-            for name, metric_spec in spreads.items()
-            if metric_spec is not None
+            for name, quartiles in spreads.items()
+            if quartiles is not None
         },
     }  # fmt: skip
 

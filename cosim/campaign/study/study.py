@@ -128,9 +128,9 @@ class Study(Model):
             if name.startswith(OWN_PARAMETERS):  # of any controller that is flown
                 known = [with_values(base, {"controller": controller}) for controller in self.flown_with]
                 known.sort(
-                    key=lambda controller: [
-                        name in [key.path for key in own_keys(controller)],
-                        bool(own_keys(controller)),
+                    key=lambda scenario: [
+                        name in [key.path for key in own_keys(scenario)],
+                        bool(own_keys(scenario)),
                     ]
                 )
                 base = known[-1]

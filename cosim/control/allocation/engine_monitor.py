@@ -18,9 +18,8 @@ from cosim.spec.vehicle import MonitorSettings
 _LOST = 0.2  # of the thrust commanded: an engine that gives less is not used any more; chosen by us
 _FOLLOWS = 0.3  # of what its command moved: an engine that moved less does not follow it; chosen by us
 _EXACT = 0.5  # of the threshold: an engine within it is taken to follow its command at that moment
-_SUDDEN = (
-    5  # times the confirmation: over so long a fall is looked at by itself; chosen by us: the least with room for it
-)
+# times the confirmation: over so long a fall is looked at by itself; chosen by us: the least with room for it
+_SUDDEN = 5
 
 
 class EngineReference(NamedTuple):
@@ -109,9 +108,8 @@ class EngineMonitor:
         """Look again after engines were off on purpose: settled at ``throttle``, as well or ill as they were."""
         at_rest = tuple(reference.thrust_at(u) for reference, u in zip(self._references, throttle, strict=True))
         count = len(at_rest)
-        self._past = [at_rest] * (
-            self._sudden + self._late + 1
-        )  # thrust that the commands ask for at rest, oldest first
+        # thrust that the commands ask for at rest, oldest first
+        self._past = [at_rest] * (self._sudden + self._late + 1)
         self._reported = [at_rest] * max(2, self._confirm)  # oldest first
         self._window = [at_rest] * (2 * self._sudden + 1)  # the same, further back
         self._high, self._low = list(at_rest), list(at_rest)
@@ -134,12 +132,14 @@ class EngineMonitor:
             )
         self._reported.append(reports)
         del self._reported[0]
-        window = self._window
-        window.append(reports)
-        del window[0]
-        earlier = window[self._sudden]
         suspects = []
         threshold, oldest = self._threshold, self._sudden
+        earlier = reports
+        if oldest:
+            window = self._window
+            window.append(reports)
+            del window[0]
+            earlier = window[oldest]
         for i, x in enumerate(reports):
             least = most = past[oldest][i]
             for j in range(oldest + 1, oldest + self._late - self._early + 1):
