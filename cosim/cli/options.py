@@ -26,6 +26,10 @@ class Number(click.FloatRange):
             self.fail(f"{value} is not a finite number.", param, ctx)
         return number
 
+    def _describe_range(self) -> str:
+        """For the help; click says ``x<=None`` of a number that has no bounds."""
+        return "" if self.min is None and self.max is None else super()._describe_range()
+
 
 class Terminated(KeyboardInterrupt):
     """SIGTERM, by which a batch system or a service manager asks a process to end."""
