@@ -395,8 +395,9 @@ def test_a_port_that_goes_away_is_taken_up_again(monkeypatch: Any, tmp_path: Any
         assert until(lambda: bool(one.read()))
         name.unlink()
         one.close()
-        assert until(lambda: not flight.link._channels[0].peers)
+        assert until(lambda: bool(flight.link.news))  # said in the link's thread, after the peer is gone
         assert "is dropped" in flight.link.news[0]
+        assert not flight.link._channels[0].peers
         name.symlink_to(two.device)
         assert until(lambda: bool(two.read()), 10.0)
         assert len(flight.link._channels[0].peers) == 1
