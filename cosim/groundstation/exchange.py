@@ -63,6 +63,10 @@ Asked = Request | Restart | Shutdown
 Done = Callable[[Answer], None]
 
 
+def untold(answer: Answer) -> None:
+    """For whom no answer is needed."""
+
+
 class Facts(NamedTuple):
     """What does not change during one flight."""
 
@@ -98,13 +102,8 @@ class Waiting(NamedTuple):
 
     sender: str
     request: Asked
-    done: Done | None  # gets the answer
+    answer: Done  # tells who has asked
     until: float  # s, of the exchange's clock
-
-    def answer(self, answer: Answer) -> None:
-        """Tell who has asked, if it is to be told."""
-        if self.done is not None:
-            self.done(answer)
 
 
 class Exchange:
@@ -145,7 +144,7 @@ class Exchange:
 
     # --- for those who ask ---------------------------------------------------------------------------------------
 
-    def ask(self, request: Asked, done: Done | None = None, sender: str = "", until: float = inf) -> None:
+    def ask(self, request: Asked, done: Done = untold, sender: str = "", until: float = inf) -> None:
         """Ask something of the vehicle; it is handled before the next step.
 
         ``done`` gets the answer once, in the flight's thread, or at once in this one if there is no room; it must
@@ -236,7 +235,7 @@ class Port:
         """Ask something of the vehicle; ``reply`` gets exactly one answer, from :meth:`collect`."""
         sender = sender or self.name
         if reply is None:
-            self._exchange.ask(request, None, sender)
+            self._exchange.ask(request, sender=sender)
             return
         self._asked += 1
         number, until = self._asked, self._exchange.clock() + PATIENCE

@@ -35,7 +35,7 @@ from websockets.typing import Origin
 from cosim.base.errors import InputError
 from cosim.base.signals import Sample
 from cosim.control.autopilot import requests as rq
-from cosim.groundstation.exchange import Asked, Done, Exchange, Restart, Snapshot
+from cosim.groundstation.exchange import Asked, Done, Exchange, Restart, Snapshot, untold
 from cosim.groundstation.web import feed
 
 # Chosen by us, with the reason.
@@ -253,10 +253,10 @@ class WebServer:
             return
         self._exchange.ask(asked, self._reply(connection, number), f"web-{page.number}")
 
-    def _reply(self, connection: ServerConnection, number: int | None) -> Done | None:
+    def _reply(self, connection: ServerConnection, number: int | None) -> Done:
         """What sends the answer; nobody waits for that of a stick."""
         if number is None:
-            return None
+            return untold
 
         def done(answer: rq.Answer) -> None:
             told = {"accepted": answer.accepted, "result": answer.result.value, "text": answer.text}

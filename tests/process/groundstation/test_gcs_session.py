@@ -302,7 +302,7 @@ def tour(pilot: Pilot, session: Session) -> None:
     pilot.ok(rq.SetParameter("HJ_ROLL_P", 0.015), rq.Goto(4.0, -3.0, yaw=1.0))
     pilot.until(lambda s: abs(s.measured.position[0] - 4.0) < 1.0)
     for i in range(40):  # sticks arrive when they do
-        pilot.exchange.ask(rq.Sticks(0.01 * i, 0.2, 0.0, 0.5), None, "pad")
+        pilot.exchange.ask(rq.Sticks(0.01 * i, 0.2, 0.0, 0.5), sender="pad")
         time.sleep(0.001)
     pilot.ask(rq.SetMode("POSCTL"))  # may be too late for the sticks
     pilot.ok(rq.InjectFault("thrust_loss", jets=(2,), amount=0.1, duration_s=2.0))
@@ -507,7 +507,7 @@ def test_a_flood_of_one_leaves_the_others_served(tmp_path: Path) -> None:
         def flood() -> None:
             chance = random.Random(1)
             while going:
-                exchange.ask(rq.SetSpeed(chance.uniform(0.5, 5.0)), None, "flood")
+                exchange.ask(rq.SetSpeed(chance.uniform(0.5, 5.0)), sender="flood")
 
         thread = threading.Thread(target=flood)
         thread.start()
