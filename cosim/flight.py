@@ -54,6 +54,7 @@ from cosim.spec.scenario import (
     Station,
     SticksCommand,
     TableCommand,
+    TrackCommand,
 )
 from cosim.spec.vehicle import VEHICLE, aircraft_names, as_read, is_file, is_own
 from cosim.vehicle.airframe import (
@@ -201,7 +202,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
         files[REQUESTS] = scenario.folder / scenario.requests
     commands: list[CommandEntry] = []
     for index, entry in enumerate(scenario.command):
-        if isinstance(entry, (TableCommand, SticksCommand)):
+        if isinstance(entry, (TableCommand, SticksCommand, TrackCommand)):
             source = scenario.folder / entry.file
             name = source.name if source.name not in files else f"{index}-{source.name}"
             files[name] = source

@@ -43,7 +43,7 @@ def _numeric(model: type[BaseModel]) -> frozenset[str]:
     return frozenset(
         name
         for name, kind in annotations.items()
-        if ("float" in kind or "int" in kind) and "str" not in kind and "bool" not in kind
+        if re.search(r"\b(float|int)\b", kind) and not re.search(r"\b(str|bool)\b", kind)
     )
 
 

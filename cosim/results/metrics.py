@@ -33,6 +33,7 @@ FLIGHT_M = 0.2  # chosen by us: less is a hop at take-off or a bounce
 AT_LIMIT = 1e-9  # throttle, rad: rounding between a limit and a command that was cut there
 REFUSED = ("refused_roll", "refused_pitch", "refused_yaw", "refused_collective")
 PLACE = ("north_setpoint_m", "east_setpoint_m")
+WAYPOINTS_LEFT = "waypoints_left"  # shown by the pilot of a script that has waypoints
 THROTTLE, HEALTH, FLOW = "throttle_{}", "health_{}", "fuel_flow_{}_kg_s"  # of a jet
 TILTS = ("tilt_left_command_rad", "tilt_right_command_rad")
 
@@ -72,6 +73,7 @@ class PositionMetrics(Record):
     rmse_m: float | None = None  # of the distance from the place asked for
     max_abs_error_m: float | None = None
     final_error_m: float | None = None
+    waypoints_left: float | None = None  # not reached at the end
 
 
 class SpeedMetrics(Record):
@@ -138,14 +140,18 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
     )
 
 
-def columns(jets: int = JETS) -> tuple[str, ...]:
-    """The names of the columns that :func:`flight_metrics` and the limits of a flight read, of so many jets' log."""
+def columns(jets: int = JETS, waypoints: bool = False) -> tuple[str, ...]:
+    """The names of the columns that :func:`flight_metrics` and the limits of a flight read, of so many jets' log.
+
+    ``waypoints``: of a flight along some.
+    """
     jets = max(jets, JETS)
     names = [name for axis, rate in zip(AXES, RATES, strict=True) for name in _axis_columns(axis, rate)]
     return (
         *names,
         *("altitude_setpoint_m", "altitude_m", "on_ground", "hull_contact", "velocity_down_m_s"),
         *("north_m", "east_m", *PLACE, "velocity_north_m_s", "velocity_east_m_s"),
+        *([WAYPOINTS_LEFT] if waypoints else ()),
         *(*REFUSED, *_of_jets(THROTTLE, jets), *_of_jets(HEALTH, jets), *TILTS, *_of_jets(FLOW, jets), "fuel_kg"),
     )
 
@@ -298,7 +304,9 @@ def _position_of(log: Columns) -> PositionMetrics:
     if not asks_for_a_place(log):
         return position_metrics(drift, np.full(drift.size, np.nan))
     wanted_north, wanted_east = (log[name] for name in PLACE)
-    return position_metrics(drift, np.hypot(wanted_north - north, wanted_east - east))
+    found = position_metrics(drift, np.hypot(wanted_north - north, wanted_east - east))
+    left = _at_end(log[WAYPOINTS_LEFT]) if WAYPOINTS_LEFT in log.columns else None
+    return found.model_copy(update={"waypoints_left": left})
 
 
 def asks_for_a_place(log: Columns) -> bool:

@@ -52,6 +52,7 @@ WHOLE = {  # what is not of an axis and not said well by its parts
     "position.drift_m": "drift from the start",
     "position.final_drift_m": "drift at the end",
     "speed.max_m_s": "largest ground speed",
+    "position.waypoints_left": "waypoints not reached",
     "speed.final_m_s": "ground speed at the end",
     "effort.saturated_percent": "time in saturation",
     "effort.throttle_1_s": "throttle activity",
@@ -75,6 +76,7 @@ WHOLE_ROWS = (  # name and digits of what is measured of the whole flight, in th
     ("position.rmse_m", 2),
     ("position.max_abs_error_m", 2),
     ("position.final_error_m", 2),
+    ("position.waypoints_left", 0),
     ("speed.max_m_s", 2),
     ("speed.final_m_s", 2),
     ("touchdown_m_s", 2),
@@ -94,7 +96,7 @@ def metric(name: str) -> Metric:
             base = last.removesuffix(end)
             words = WHOLE.get(name) or " ".join([*axis, WORDS.get(base, base.replace("_", " "))])
             return Metric(name, words, unit, factor)
-    return Metric(name, " ".join([*axis, last.replace("_", " ")]), "", 1.0)
+    return Metric(name, WHOLE.get(name) or " ".join([*axis, last.replace("_", " ")]), "", 1.0)
 
 
 def unit_shown(unit: str) -> tuple[str, float]:

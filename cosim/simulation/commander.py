@@ -13,14 +13,13 @@ from cosim.base.signals import Command
 from cosim.spec.scenario import (
     SIGNALS,
     DoubletCommand,
-    PlaceCommand,
+    GuidedCommand,
     RampCommand,
     Scenario,
     StepCommand,
     SticksCommand,
     SweepCommand,
     TableCommand,
-    VelocityCommand,
 )
 
 Waveform = Callable[[int], float]
@@ -44,7 +43,7 @@ class Commander:
         for index, entry in enumerate(scenario.command):
             where = f"command.{index}"
             start = scenario.count(entry.start_s, f"{where}.start_s")
-            if isinstance(entry, (PlaceCommand, VelocityCommand)):
+            if isinstance(entry, GuidedCommand):
                 continue
             before = len(self._waves)
             if isinstance(entry, TableCommand):

@@ -1,41 +1,54 @@
 """A flight that a script sends to places: the scenario's commands with the autopilot's position law below them.
 
-Until the first command of a place or a velocity begins, the script's leans are flown; from there on the law's.  Height
-and heading are the script's until a place states them; then they go there with the autopilot's bounds of climb, descent
-and turn, and stay.  The law, its estimate of the motion and its set-points' limits are those of the autopilot
-(:mod:`cosim.control.autopilot.guidance`), with the vehicle's [control.position] and [control.pilot].
+Until the first command of a place, a velocity, waypoints or a track begins, the script's leans are flown; from there on
+the law's.  Height and heading are the script's until one of them states them; then they go there with the autopilot's
+bounds of climb, descent and turn, and stay.  The law, its estimate of the motion and its set-points' limits are those
+of the autopilot (:mod:`cosim.control.autopilot.guidance`), with the vehicle's [control.position] and [control.pilot].
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from math import radians
+from collections.abc import Sequence
+from math import hypot, radians, tan
 from typing import TYPE_CHECKING
 
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
-from cosim.base.protocols import EngineState, Report
+from cosim.base.protocols import Column, EngineState, Report
 from cosim.base.signals import Command, Measured
-from cosim.control.autopilot.estimation.position import Estimator
+from cosim.control.autopilot.estimation.position import Estimator, Fix
 from cosim.control.autopilot.geometry import Pair, lean_for, wrap
 from cosim.control.autopilot.guidance.descent import descent_for, height_limits, thrust_margins
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
-from cosim.simulation.commander import Commander
-from cosim.spec.scenario import PlaceCommand, Scenario, VelocityCommand
+from cosim.simulation.commander import Commander, read_columns
+from cosim.spec.scenario import (
+    GuidedCommand,
+    PlaceCommand,
+    Scenario,
+    TrackCommand,
+    VelocityCommand,
+    Waypoint,
+    WaypointsCommand,
+)
 
 if TYPE_CHECKING:
     from cosim.spec.vehicle import Vehicle
 
 LEANING = ("roll_deg", "pitch_deg", "rate_p_deg_s", "rate_q_deg_s", "rate_r_deg_s")
+TRACKED = ("north_m", "east_m", "altitude_m", "yaw_deg")  # the columns of a track
+_ON_THE_GRID = 1e-9  # of a step, so that a row on the grid counts from its own step on
 
 
 class PlacePilot:
-    """Flies to the scenario's places and at its velocities, one after the other, each from its start on.
+    """Flies what the scenario's guided commands say, one after the other, each from its start on.
 
     ``hover`` and ``idle`` are the collective in hover and the idle thrust in its unit.  Raises InputError where the
-    vehicle states no position law, where a command of a lean or a body rate stands beside a place, or one of the height
-    or the heading beside a place that states it, or where two begin at the same step.
+    vehicle states no position law, where a command of a lean or a body rate stands beside a guided one, or one of the
+    height or the heading beside one that states it, where two begin at the same step, and for a track that cannot be
+    read or that the law cannot lean for.
     """
 
     engines: EngineState = EngineState.FLY
@@ -43,33 +56,25 @@ class PlacePilot:
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle, commander: Commander, hover: float, idle: float) -> None:
         gains, settings = vehicle.control.position, vehicle.control.pilot
+        where = f"scenario {scenario.name}: command"
         if gains is None or settings is None:
             missing = "position" if gains is None else "pilot"
-            raise InputError(
-                f"scenario {scenario.name}: command: {vehicle.name} has no [control.{missing}] to fly to a place with"
-            )
-        leaning = [signal for signal in commander.signals if signal in LEANING]
-        if leaning:
-            raise InputError(
-                f"scenario {scenario.name}: command: {', '.join(leaning)}: a place needs the lean to itself"
-            )
-        places = [entry for entry in scenario.command if isinstance(entry, PlaceCommand)]
-        for key, others in (("altitude_m", ("altitude_m", "collective")), ("yaw_deg", ("yaw_deg",))):
-            beside = [signal for signal in commander.signals if signal in others]
-            if beside and any(getattr(place, key) is not None for place in places):
-                raise InputError(
-                    f"scenario {scenario.name}: command: {beside[0]}: a place states {key}; one of them can ask for it"
-                )
+            raise InputError(f"{where}: {vehicle.name} has no [control.{missing}] to fly to a place with")
         self._commander = commander
         self._speed = settings.speed_m_s
-        self._aims: list[tuple[int, PlaceCommand | VelocityCommand]] = []
+        self._step = scenario.step_s
+        self._aims: list[tuple[int, GuidedCommand, Drawn | None]] = []
         for index, entry in enumerate(scenario.command):
-            if isinstance(entry, (PlaceCommand, VelocityCommand)):
-                self._aims.append((scenario.count(entry.start_s, f"command.{index}.start_s"), entry))
+            if isinstance(entry, GuidedCommand):
+                start = scenario.count(entry.start_s, f"command.{index}.start_s")
+                drawn = None
+                if isinstance(entry, TrackCommand):
+                    most = GRAVITY * tan(gains.lean_rad)
+                    drawn = Drawn(scenario, entry, f"{where}.{index}.file", most)
+                self._aims.append((start, entry, drawn))
         self._aims.sort(key=lambda aim: aim[0])
-        self._starts = [start for start, _ in self._aims]
-        if len(set(self._starts)) < len(self._starts):
-            raise InputError(f"scenario {scenario.name}: command: two places or velocities begin at the same step")
+        self._starts = [start for start, _, _ in self._aims]
+        self._refuse(where)
         self._estimator = Estimator(gains, vehicle.sensors.gnss, scenario.step_s)
         self._tracker = Tracker(settings.acceleration_m_s2, settings.jerk_m_s3, scenario.step_s)
         self._law = PositionController(gains, scenario.step_s)
@@ -79,19 +84,27 @@ class PlacePilot:
         self._limits = height_limits(altitude.position_1_s, altitude.velocity_1_s, max(self._rates), *margins)
         self._height = Tracker(self._limits.acceleration, self._limits.jerk, scenario.step_s)
         self._turn = settings.yaw_rate_rad_s * scenario.step_s
-        self._number = -1
-        self._target: Pair = (0.0, 0.0)
-        self._to_altitude: float | None = None
-        self._to_yaw: float | None = None
-        self._yaw = 0.0
+        self._points = sum(len(aim.waypoint) for _, aim, _ in self._aims if isinstance(aim, WaypointsCommand))
+        self._begin_flight()
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """How many waypoints are still to be reached, where there are any."""
+        if not self._points:
+            return ()
+        return (Column("waypoints_left", "1", "", "waypoints of the script that were not reached yet"),)
+
+    @property
+    def shown(self) -> tuple[float, ...]:
+        """See :attr:`columns`."""
+        return (float(self._left),) if self._points else ()
 
     def reset(self, measured: Measured) -> None:
         """At rest where the sensors say."""
         self.seen = measured
         self._estimator.reset((measured.position[0], measured.position[1]))
         self._law.reset()
-        self._number = -1
-        self._to_altitude = self._to_yaw = None
+        self._begin_flight()
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
         """The command of step ``k``."""
@@ -101,56 +114,218 @@ class PlacePilot:
         number = bisect_right(self._starts, k) - 1
         if number < 0:
             return command
-        aim = self._aims[number][1]
+        start, aim, drawn = self._aims[number]
         if number != self._number:
-            if self._number < 0:
-                self._tracker.start(fix.position, fix.velocity)
-            self._number = number
-            north, east = self._tracker.ahead
-            if isinstance(aim, PlaceCommand):
-                self._target = (
-                    north if aim.north_m is None else aim.north_m,
-                    east if aim.east_m is None else aim.east_m,
-                )
-                self._begin(aim, command)
-        track = self._towards(aim)
+            self._begin(number, aim, command, fix)
+        if isinstance(aim, WaypointsCommand):
+            self._go_on(k, aim, command, fix, measured.altitude)
+        if drawn is not None:
+            track = self._along(drawn, (k - start) * self._step)
+        elif isinstance(aim, VelocityCommand):
+            track = self._tracker.at_velocity((aim.north_m_s, aim.east_m_s))
+        else:
+            track = self._tracker.towards(self._target, self._most)
         yaw = to_euler(measured.attitude)[2]
         roll, pitch = lean_for(self._law.update(track, fix), yaw)
         heading, altitude = self._heading(command.attitude[2]), self._altitude(command.altitude)
         return Command((roll, pitch, heading), altitude, None, command.collective, track.position)
 
-    def _begin(self, aim: PlaceCommand, command: Command) -> None:
-        """Height and heading that ``aim`` states are gone to from what is asked for now."""
-        if aim.altitude_m is not None:
+    def _refuse(self, where: str) -> None:
+        """Raises InputError for guided commands that do not go together, or with the script's others."""
+        asked = self._commander.signals
+        leaning = [signal for signal in asked if signal in LEANING]
+        if leaning:
+            raise InputError(f"{where}: {', '.join(leaning)}: a place needs the lean to itself")
+        for key, others in (("altitude_m", ("altitude_m", "collective")), ("yaw_deg", ("yaw_deg",))):
+            beside = [signal for signal in asked if signal in others]
+            stated = next((name for _, aim, drawn in self._aims if (name := _states(aim, drawn, key))), None)
+            if beside and stated:
+                raise InputError(f"{where}: {beside[0]}: a {stated}; one of them can ask for it")
+        if len(set(self._starts)) < len(self._starts):
+            raise InputError(f"{where}: two places, velocities, waypoints or tracks begin at the same step")
+
+    def _begin_flight(self) -> None:
+        self._number = -1
+        self._target: Pair = (0.0, 0.0)
+        self._most = self._speed
+        self._to_altitude: float | None = None
+        self._climb: float | None = None
+        self._to_yaw: float | None = None
+        self._yaw = 0.0
+        self._drawn: tuple[Track, Pair | None] | None = None  # of a track; from there another goes on
+        self._left = self._points
+        self._point = 0  # of the waypoints that are flown, the one flown to
+        self._reached: int | None = None  # the step at which it was
+
+    def _begin(self, number: int, aim: GuidedCommand, command: Command, fix: Fix) -> None:
+        """Another command begins; what it leaves open goes on as it is."""
+        if self._drawn is not None:
+            track, height = self._drawn
+            self._tracker.start(track.position, track.velocity)
+            if height is not None:
+                self._height.start((height[0], 0.0), (height[1], 0.0))
+                self._to_altitude = self._height.ahead[0]
+            self._drawn = None
+        elif self._number < 0:
+            self._tracker.start(fix.position, fix.velocity)
+        self._number = number
+        if self._climb is not None:  # comes to rest where it can
+            self._to_altitude, self._climb = self._height.ahead[0], None
+        if isinstance(aim, PlaceCommand):
+            north, east = self._tracker.ahead
+            self._target = (north if aim.north_m is None else aim.north_m, east if aim.east_m is None else aim.east_m)
+            self._most = aim.speed_m_s or self._speed
+            self._rise_and_turn(aim.altitude_m, aim.yaw_deg, command)
+        elif isinstance(aim, WaypointsCommand):
+            self._point, self._reached = 0, None
+            self._aim_at(aim, aim.waypoint[0], command)
+        elif isinstance(aim, VelocityCommand):
+            if aim.climb_m_s is not None:
+                self._rise_and_turn(command.altitude, None, command)
+                self._climb = aim.climb_m_s
+            self._rise_and_turn(None, aim.yaw_deg, command)
+
+    def _aim_at(self, aim: WaypointsCommand, point: Waypoint, command: Command) -> None:
+        self._target = (point.north_m, point.east_m)
+        self._most = point.speed_m_s or aim.speed_m_s or self._speed
+        self._rise_and_turn(point.altitude_m, point.yaw_deg, command)
+
+    def _go_on(self, k: int, aim: WaypointsCommand, command: Command, fix: Fix, height: float) -> None:
+        """Whether the waypoint is reached, and from then on its time is over: to the next."""
+        while self._point < len(aim.waypoint):
+            point = aim.waypoint[self._point]
+            if self._reached is None:
+                north, east = fix.position
+                off = max(
+                    hypot(point.north_m - north, point.east_m - east),
+                    0.0 if point.altitude_m is None else abs(point.altitude_m - height),
+                )
+                if off > aim.radius_m:
+                    return
+                self._reached = k
+                self._left -= 1
+            hold = aim.hold_s if point.hold_s is None else point.hold_s
+            if (k - self._reached) * self._step < hold - 0.5 * self._step:
+                return
+            self._point += 1
+            if self._point < len(aim.waypoint):
+                self._reached = None
+                self._aim_at(aim, aim.waypoint[self._point], command)
+
+    def _along(self, drawn: Drawn, t: float) -> Track:
+        """A track's set-points at ``t`` [s] from its start."""
+        track, height, yaw = drawn.at(t)
+        self._drawn = (track, height)
+        if height is not None:
+            self._to_altitude = height[0]
+        if yaw is not None:
+            self._yaw = self._to_yaw = wrap(yaw)
+        return track
+
+    def _rise_and_turn(self, altitude: float | None, yaw_deg: float | None, command: Command) -> None:
+        """Height and heading that are stated are gone to from what is asked for now."""
+        if altitude is not None:
             if self._to_altitude is None:
                 self._height.start((command.altitude, 0.0), (0.0, 0.0))
-            self._to_altitude = aim.altitude_m
-        if aim.yaw_deg is not None:
+            self._to_altitude = altitude
+        if yaw_deg is not None:
             if self._to_yaw is None:
                 self._yaw = command.attitude[2]
-            self._to_yaw = radians(aim.yaw_deg)
+            self._to_yaw = radians(yaw_deg)
 
     def _altitude(self, scripted: float) -> float:
-        """The height asked for, m: on its way to a place's, and no faster than what stops above the ground."""
+        """The height asked for, m: on its way to the one stated, and no faster than what stops above the ground."""
         if self._to_altitude is None:
             return scripted
+        if self._drawn is not None and self._drawn[1] is not None:
+            return self._to_altitude
         here, (up, down) = self._height.track.position[0], self._rates
         sink = min(down, descent_for(here, self._limits.braking, self._limits.late))
+        if self._climb is not None:
+            return self._height.at_velocity((min(max(self._climb, -sink), up), 0.0)).position[0]
         return self._height.towards((self._to_altitude, 0.0), up if self._to_altitude > here else sink).position[0]
 
     def _heading(self, scripted: float) -> float:
-        """The heading asked for, rad: on its way to a place's."""
+        """The heading asked for, rad: on its way to the one stated."""
         if self._to_yaw is None:
             return scripted
         self._yaw = wrap(self._yaw + min(max(wrap(self._to_yaw - self._yaw), -self._turn), self._turn))
         return self._yaw
 
-    def _towards(self, aim: PlaceCommand | VelocityCommand) -> Track:
-        if isinstance(aim, PlaceCommand):
-            return self._tracker.towards(self._target, aim.speed_m_s or self._speed)
-        return self._tracker.at_velocity((aim.north_m_s, aim.east_m_s))
+
+class Drawn:
+    """A track: cubic splines through the rows of a file, at rest at both ends; the heading in straight lines.
+
+    ``most``: the acceleration [m/s^2] that the law may lean for.  Raises InputError as the commands' other files, where
+    a column of the place is missing, and where the track asks for more.
+    """
+
+    def __init__(self, scenario: Scenario, entry: TrackCommand, where: str, most: float) -> None:
+        path = scenario.folder / entry.file
+        self._times, columns = read_columns(path, TRACKED, where)
+        for name in TRACKED[:2]:
+            if name not in columns:
+                raise InputError(f"{path}: line 1: no column {name}; a track has time_s, north_m and east_m")
+        self.states = [name for name in TRACKED[2:] if name in columns]
+        self._slack = _ON_THE_GRID * scenario.step_s
+        self._yaw = [radians(value) for value in columns["yaw_deg"]] if "yaw_deg" in columns else None
+        self._pieces = {name: _spline(self._times, columns[name]) for name in TRACKED[:3] if name in columns}
+        for t in self._times:
+            asked = hypot(*self.at(t)[0].acceleration)  # straight lines between the rows
+            if asked > most:
+                raise InputError(
+                    f"{path}: asks for {asked:.2f} m/s^2 at {t:g} s; the position law leans for "
+                    f"{most:.2f} m/s^2 at most ([control.position] lean_rad): give it more time"
+                )
+
+    def at(self, t: float) -> tuple[Track, Pair | None, float | None]:
+        """Place, velocity and acceleration; height and its rate of change; heading [rad], each if it is stated."""
+        times = self._times
+        i = min(max(bisect_right(times, t + self._slack) - 1, 0), max(len(times) - 2, 0))
+        u = min(max(t, times[0]), times[-1]) - times[i]
+        resting = not times[0] <= t <= times[-1]
+        of = {name: _piece(pieces[i], u, resting) for name, pieces in self._pieces.items()}
+        north, east = of["north_m"], of["east_m"]
+        yaw = None
+        if self._yaw is not None:
+            span = times[i + 1] - times[i] if len(times) > 1 else 1.0
+            yaw = self._yaw[i] + u / span * (self._yaw[min(i + 1, len(times) - 1)] - self._yaw[i])
+        track = Track((north[0], east[0]), (north[1], east[1]), (north[2], east[2]))
+        return track, (of["altitude_m"][:2] if "altitude_m" in of else None), yaw
+
+
+Cubic = tuple[float, float, float, float]
+
+
+def _spline(times: Sequence[float], values: Sequence[float]) -> list[Cubic]:
+    """The cubic spline through the values with slope 0 at both ends: a cubic from each row on, highest power first."""
+    if len(times) == 1:
+        return [(0.0, 0.0, 0.0, values[0])]
+    from scipy.interpolate import CubicSpline
+
+    a, b, c, d = CubicSpline(times, values, bc_type="clamped").c.tolist()
+    return list(zip(a, b, c, d, strict=True))
+
+
+def _piece(cubic: Cubic, u: float, resting: bool) -> tuple[float, float, float]:
+    """Value, slope and curvature; beyond the ends it rests."""
+    a, b, c, d = cubic
+    value = ((a * u + b) * u + c) * u + d
+    return (value, 0.0, 0.0) if resting else (value, (3.0 * a * u + 2.0 * b) * u + c, 6.0 * a * u + 2.0 * b)
+
+
+def _states(aim: GuidedCommand, drawn: Drawn | None, key: str) -> str:
+    """In words what of a guided command states the height (``altitude_m``) or the heading (``yaw_deg``); or nothing."""
+    if drawn is not None:
+        return f"track states {key}" if key in drawn.states else ""
+    if isinstance(aim, WaypointsCommand):
+        return f"waypoint states {key}" if any(getattr(point, key) is not None for point in aim.waypoint) else ""
+    if isinstance(aim, VelocityCommand):
+        stated = "climb_m_s" if key == "altitude_m" else key
+        return f"velocity states {stated}" if getattr(aim, stated) is not None else ""
+    return f"place states {key}" if getattr(aim, key, None) is not None else ""
 
 
 def flies_to_places(scenario: Scenario) -> bool:
-    """Whether the script asks for a place or a velocity."""
-    return any(isinstance(entry, (PlaceCommand, VelocityCommand)) for entry in scenario.command)
+    """Whether the script asks for a place, a velocity, waypoints or a track."""
+    return any(isinstance(entry, GuidedCommand) for entry in scenario.command)

@@ -130,23 +130,60 @@ class PlaceCommand(Model):
 
 
 class VelocityCommand(Model):
-    """From ``start_s`` on: fly at a velocity over the ground, by the autopilot's law; m/s, NED."""
+    """From ``start_s`` on: fly at a velocity over the ground, by the autopilot's law; m/s, NED.
+
+    Not stated: ``climb_m_s``, the height stays that of other commands; ``yaw_deg``, the heading.
+    """
 
     kind: Literal["velocity"]
     start_s: Seconds = 0.0
     north_m_s: Amplitude = 0.0
     east_m_s: Amplitude = 0.0
+    climb_m_s: Amplitude | None = None  # no faster than the autopilot climbs and sinks; ends above the ground
+    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None  # from north, the short way round
 
 
+class Waypoint(Model):
+    """One of the places of a :class:`WaypointsCommand`; as there where something is not stated."""
+
+    north_m: Amplitude
+    east_m: Amplitude
+    altitude_m: Annotated[float, Field(ge=0.0, le=20000.0)] | None = None
+    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
+    speed_m_s: Positive | None = None
+    hold_s: Seconds | None = None
+
+
+class WaypointsCommand(Model):
+    """From ``start_s`` on: fly to one place after the other, each once the one before is reached, and hold the last.
+
+    A waypoint is reached where the estimated place is within ``radius_m`` of it, horizontally and, where it states a
+    height, vertically; ``hold_s`` later the next one is flown to.  Places as in :class:`PlaceCommand`.
+    """
+
+    kind: Literal["waypoints"]
+    start_s: Seconds = 0.0
+    speed_m_s: Positive | None = None
+    radius_m: Positive = 1.5  # the autopilot's own, HJ_ACC_RADIUS
+    hold_s: Seconds = 0.0
+    waypoint: Annotated[list[Waypoint], Field(min_length=1)]
+
+
+class TrackCommand(Model):
+    """A CSV of places over time, flown as it says: ``time_s, north_m, east_m`` and, if wanted, ``altitude_m, yaw_deg``.
+
+    Between its rows runs the cubic spline that begins and ends at rest; the law is given its place, velocity and
+    acceleration.  Before its first row the first place holds, after the last the last.
+    """
+
+    kind: Literal["track"]
+    file: str
+    start_s: Seconds = 0.0
+
+
+GuidedCommand = PlaceCommand | VelocityCommand | WaypointsCommand | TrackCommand  # the position law flies them
 CommandEntry = Annotated[
-    StepCommand
-    | DoubletCommand
-    | RampCommand
-    | SweepCommand
-    | TableCommand
-    | SticksCommand
-    | PlaceCommand
-    | VelocityCommand,
+    StepCommand | DoubletCommand | RampCommand | SweepCommand | TableCommand | SticksCommand | GuidedCommand,
     Field(discriminator="kind"),
 ]
 

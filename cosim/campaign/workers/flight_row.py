@@ -21,6 +21,7 @@ from cosim.results import metrics
 from cosim.results.digest import DigestSink
 from cosim.results.metrics import check_expectations, metric_names
 from cosim.simulation.brought import metrics_of
+from cosim.spec.scenario import WaypointsCommand
 
 if TYPE_CHECKING:
     from cosim.campaign.study.study import Study
@@ -88,7 +89,8 @@ def _brought(study: Study) -> Kinds:
 
 def _sink(scenario: Scenario) -> DigestSink:
     """Keeps what metrics read, everything where one of the user's does not say what it reads."""
-    names = list(metrics.columns(len(scenario.resolved_vehicle()[0].jets)))
+    waypoints = any(isinstance(entry, WaypointsCommand) for entry in scenario.command)
+    names = list(metrics.columns(len(scenario.resolved_vehicle()[0].jets), waypoints))
     own = metrics_of(scenario)
     said = [name for each in own for name in each.columns or ()]
     return DigestSink([*names, *(name for name in dict.fromkeys(said) if name not in names)],

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from math import degrees
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import make_interp_spline
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.guidance.descent import height_limits, thrust_margins
@@ -119,6 +121,123 @@ def test_a_heading_is_turned_to_the_short_way_at_the_pilots_rate() -> None:
     assert run.summary.verdict == "as planned"
 
 
+def test_waypoints_follow_on_arrival_and_not_on_the_clock() -> None:
+    """Each is flown to once the estimate has been within the radius of the one before for as long as that is held."""
+    command = {
+        "kind": "waypoints",
+        "start_s": 0.5,
+        "speed_m_s": 2.0,
+        "radius_m": 0.4,
+        "waypoint": [
+            {"north_m": 2.0, "east_m": 0.0, "hold_s": 1.0},
+            {"north_m": 2.0, "east_m": 1.5, "altitude_m": 10.5, "yaw_deg": 20.0},
+        ],
+    }
+    run = flown(command, seconds=9.0)
+    log = run.log
+    left = log["waypoints_left"]
+    assert [left[0], left[-1]] == [2.0, 0.0]
+    first, second = (np.flatnonzero(np.diff(left) == -1.0) + 1).tolist()
+    for row, place in ((first, (2.0, 0.0)), (second, (2.0, 1.5))):
+        away = [np.hypot(log["north_m"][k] - place[0], log["east_m"][k] - place[1]) for k in (row - 1, row)]
+        assert away[1] == pytest.approx(0.4, abs=0.02)  # the estimate is that close to the truth without noise
+        assert away[0] > away[1]
+    assert abs(log["altitude_m"][second] - 10.5) <= 0.4
+    # held for a second, to the step
+    begins = np.flatnonzero(np.diff(log["yaw_setpoint_rad"]) != 0.0)[0] + 1
+    assert begins == first + round(1.0 / STEP)
+    assert degrees(log["yaw_rad"][-1]) == pytest.approx(20.0, abs=1.0)
+    assert run.summary.flat_metrics["position.waypoints_left"] == 0.0
+    assert flown(command, seconds=1.0).summary.flat_metrics["position.waypoints_left"] == 2.0
+
+
+def test_a_velocity_may_climb_and_the_place_after_it_keeps_the_height_where_that_ends() -> None:
+    run = flown(
+        {"kind": "velocity", "start_s": 0.5, "climb_m_s": 1.0, "yaw_deg": 15.0},
+        {"kind": "place", "start_s": 4.0},
+        {"kind": "velocity", "start_s": 6.0, "climb_m_s": -50.0},
+        seconds=7.5,
+    )
+    settings, asked = load_vehicle("hexjet")[0].control.pilot, run.log["altitude_setpoint_m"]
+    assert settings is not None
+    assert asked[round(4.0 / STEP)] - asked[round(3.9 / STEP)] == pytest.approx(
+        0.1, rel=1e-4
+    )  # once the acceleration is over
+    assert asked[round(6.0 / STEP)] > asked[round(4.0 / STEP)] > 12.0
+    np.testing.assert_allclose(np.diff(asked[round(5.8 / STEP) : round(6.0 / STEP)]), 0.0, atol=1e-6)
+    # down no faster than the autopilot goes, whatever is asked for
+    assert -np.diff(asked).min() <= settings.descent_m_s * STEP * (1.0 + 1e-9)
+    assert degrees(run.log["yaw_rad"][-1]) == pytest.approx(15.0, abs=1.0)
+
+
+ROWS = ((0.0, 0.0, 0.0, 10.0, 0.0), (3.0, 2.0, 0.5, 10.5, 10.0), (6.0, 4.0, -1.0, 10.0, 30.0))
+
+
+def test_a_track_is_the_spline_through_its_rows(tmp_path: Path) -> None:
+    """Set-points are those of another implementation of the spline; a place after it goes on from there."""
+    text = "\n".join(["time_s,north_m,east_m,altitude_m,yaw_deg", *(",".join(map(str, row)) for row in ROWS)])
+    (tmp_path / "track.csv").write_text(text)
+    commands = [
+        {"kind": "track", "start_s": 1.0, "file": str(tmp_path / "track.csv")},
+        {"kind": "place", "start_s": 8.0, "north_m": 4.0, "east_m": -1.0},
+    ]
+    run = fly(
+        Scenario.load("hover").replace(sensor_noise=False, duration_s=10.0, expect=[], command=commands),
+        tmp_path / "run",
+    )
+    log, table = run.log, np.array(ROWS)
+    t = np.clip(log["time_s"] - 1.0, 0.0, 6.0)
+    for number, name in ((1, "north_setpoint_m"), (2, "east_setpoint_m"), (3, "altitude_setpoint_m")):
+        spline = make_interp_spline(table[:, 0], table[:, number], k=3, bc_type="clamped")
+        flying = slice(round(1.0 / STEP), round(8.0 / STEP))
+        np.testing.assert_allclose(log[name][flying], spline(t)[flying], atol=1e-9)
+        assert log[name][-1] == pytest.approx(table[-1, number], abs=1e-6)
+    heading = np.radians(np.interp(t, table[:, 0], table[:, 4]))
+    np.testing.assert_allclose(log["yaw_setpoint_rad"][round(1.0 / STEP) :], heading[round(1.0 / STEP) :], atol=1e-9)
+    assert np.hypot(log["north_m"][-1] - 4.0, log["east_m"][-1] + 1.0) < 0.1
+    # the file is in the run's folder, and flies again from there
+    with build(Scenario.load(tmp_path / "run" / "scenario.toml")) as simulation:
+        assert simulation.pilot is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time_s,north_m\n0,0\n", r"t\.csv: line 1: no column east_m; a track has time_s, north_m and east_m"),
+        ("time_s,north_m,east_m,down_m\n0,0,0,0\n", r"t\.csv: line 1: unknown column 'down_m'"),
+        ("time_s,north_m,east_m\n0,0,0\n1,9,0\n", r"t\.csv: asks for 54\.00 m/s\^2 at 0 s; .* 3\.57 m/s\^2 at most"),
+    ],
+)
+def test_a_track_that_cannot_be_flown_is_one_line(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(text)
+    command = [{"kind": "track", "file": str(tmp_path / "t.csv")}]
+    with pytest.raises(InputError, match=message), build(Scenario.load("hover").replace(command=command)):
+        pass
+
+
+@pytest.mark.parametrize(("aircraft", "seconds"), [("quadrotor", 4.0), ("hexjet-100", 6.0), ("hexjet-p220", 6.0)])
+def test_every_shipped_vehicle_holds_against_the_wind(aircraft: str, seconds: float) -> None:
+    """It leans into 4 m/s of wind, and what carries it off has been caught by the end."""
+    scenario = Scenario.load("hover").replace(
+        aircraft=aircraft,
+        engine=load_vehicle(aircraft)[0].engine,
+        controller="baseline",
+        step_s=0.0025 if aircraft == "quadrotor" else STEP,
+        environment={"wind_ned_m_s": [4.0, 0.0, 0.0]},
+        sensor_noise=False,
+        initial={"altitude_m": 15.0},
+        duration_s=seconds,
+        expect=[],
+        command=[{"kind": "place", "north_m": 0.0, "east_m": 0.0}],
+    )
+    run = fly(scenario)
+    assert run.summary.verdict == "as planned"
+    assert run.log["pitch_rad"][-1] > 0.005
+    north, speed = run.log["north_m"], run.log["velocity_north_m_s"]
+    assert 0.0 < north[-1] < 2.0  # the air went there in half a second
+    assert speed[-1] < 0.6 * speed.max()
+
+
 def test_without_a_place_a_flight_is_what_it_was() -> None:
     with build(Scenario.load("hover")) as simulation:
         assert simulation.pilot is None
@@ -165,10 +284,34 @@ def test_the_same_twice() -> None:
         ),
         ([{"kind": "place", "altitude_m": -1.0}], r"command\.0\.altitude_m"),
         ([{"kind": "place", "yaw_deg": 400.0}], r"command\.0\.yaw_deg"),
-        ([{"kind": "place"}, {"kind": "velocity"}], r"two places or velocities begin at the same step"),
+        (
+            [{"kind": "place"}, {"kind": "velocity"}],
+            r"two places, velocities, waypoints or tracks begin at the same step",
+        ),
         ([{"kind": "place", "start_s": 0.0013}], r"command\.0\.start_s = 0\.0013 s is not a whole number"),
         ([{"kind": "place", "north": 3.0}], r"command\.0\.north.*north_m"),
         ([{"kind": "place", "speed_m_s": 0.0}], r"command\.0\.speed_m_s"),
+        ([{"kind": "waypoints"}], r"command\.0\.waypoint is missing"),
+        ([{"kind": "waypoints", "waypoint": []}], r"command\.0\.waypoint: needs at least 1"),
+        ([{"kind": "waypoints", "waypoint": [{"north_m": 1.0}]}], r"command\.0\.waypoint\.0\.east_m is missing"),
+        (
+            [{"kind": "waypoints", "waypoint": [{"north_m": 1.0, "east_m": 0.0, "hold": 1.0}]}],
+            r"unknown key 'command\.0\.waypoint\.0\.hold'; did you mean 'hold_s'",
+        ),
+        (
+            [
+                {"kind": "waypoints", "waypoint": [{"north_m": 1.0, "east_m": 0.0, "altitude_m": 3.0}]},
+                {"kind": "step", "signal": "altitude_m", "start_s": 1.0, "amplitude": 1.0},
+            ],
+            r"command: altitude_m: a waypoint states altitude_m",
+        ),
+        (
+            [
+                {"kind": "velocity", "climb_m_s": 1.0},
+                {"kind": "step", "signal": "collective", "start_s": 1.0, "amplitude": 0.5},
+            ],
+            r"command: collective: a velocity states climb_m_s",
+        ),
     ],
 )
 def test_what_does_not_fit_is_one_line(commands: list[dict[str, Any]], message: str) -> None:
