@@ -227,7 +227,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
             "stations": {
                 str(number): Station(engine=names[id(station)], parameters=_floats(station.parameters))
                 for number, station in enumerate(simulation.stations, 1)
-                if station is not engine
+                if station.source != engine.source
             },
             "aircraft": aircraft,
             "expect": [

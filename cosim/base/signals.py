@@ -130,6 +130,9 @@ class EngineOutput(NamedTuple):
     spool_speed: PerJet  # rad/s
     exhaust_temperature: PerJet  # K
     fuel_flow: PerJet  # kg/s
+    force_forward: PerJet = ()  # N, across the jet: along body x while it is upright, and tilting with it
+    force_right: PerJet = ()  # N, across the jet: along body y
+    torque: PerJet = ()  # N m on the airframe, about the jet's axis, right-handed along its thrust
 
 
 class JetHealth(NamedTuple):

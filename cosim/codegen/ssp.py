@@ -77,6 +77,8 @@ def _need_plain(jet: int, spec: EngineSpec) -> None:
     where = f"export vehicle --as ssp: engine of jet {jet} ({spec.path.name})"
     if spec.archive.system is not None:
         raise InputError(f"{where}: is a system itself, which cannot be a component here")
+    if len(spec.archive.engines) > 1:
+        raise InputError(f"{where}: holds {len(spec.archive.engines)} engines, which are not components of their own")
     if spec.start is None:
         raise InputError(f"{where}: has no parameter that starts it in equilibrium, which a system needs")
     if spec.archive.starting.stages:

@@ -29,16 +29,17 @@ from cosim.base.signals import (
     PerJet,
     Unallocated,
 )
-from cosim.engine.ports import AMBIENT, Air
+from cosim.engine.ports import AMBIENT, OUTPUTS, Air
 from cosim.simulation.build import build
 from cosim.simulation.commander import Commander
 from cosim.spec.scenario import EngineFault, Scenario
 from cosim.vehicle.propulsion import Propulsion
 
 XYZ, WXYZ, NED = "xyz", "wxyz", ("north", "east", "down")
-REPORTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow")
+REPORTS = OUTPUTS
 UNIT_OF = {
     "throttle": "1", "thrust": "N", "spool_speed": "rad/s", "exhaust_temperature": "K", "fuel_flow": "kg/s",
+    "force_forward": "N", "force_right": "N", "torque": "N.m",
     "run": "1", "ambient_pressure": "Pa", "ambient_temperature": "K", "air_speed": "m/s", "altitude": "m", "mach": "1",
     "density": "kg/m3", "total_pressure": "Pa", "total_temperature": "K",
 }  # fmt: skip

@@ -35,10 +35,10 @@ enum { OK = 0, WARNING = 1, DISCARD = 2 };
 /* The ports, in the order of cosim.engine.ports.INPUTS and OUTPUTS; BASE are given, the others follow from them. */
 enum { THROTTLE, PRESSURE, TEMPERATURE, AIR_SPEED, BASE, ALTITUDE = BASE, MACH, DENSITY, TOTAL_PRESSURE,
        TOTAL_TEMPERATURE, INPUTS };
-enum { THRUST, OUTPUTS = 4 };
+enum { THRUST, OUTPUTS = 7 };
 
 static const char *const INPUT_NAMES[INPUTS] = {"throttle", "ambient_pressure", "ambient_temperature", "air_speed", "altitude", "mach", "density", "total_pressure", "total_temperature"};
-static const char *const OUTPUT_NAMES[OUTPUTS] = {"thrust", "spool_speed", "exhaust_temperature", "fuel_flow"};
+static const char *const OUTPUT_NAMES[OUTPUTS] = {"thrust", "spool_speed", "exhaust_temperature", "fuel_flow", "force_forward", "force_right", "torque"};
 
 enum { BLOCKS = 3, MOST_PARTS = 10000 };
 
@@ -50,7 +50,7 @@ typedef struct {
     uintptr_t call; /* function; 0: nothing to do */
     Kind kind;
     size_t references, values;
-    size_t first_references, first_values; /* the part that is set in every step: the throttle */
+    size_t first_references, first_values; /* the part that is set in every step: the throttles */
     uint32_t *reference;
     double *value;
     void *other_value; /* the same in a kind that is not double */
@@ -64,17 +64,26 @@ typedef struct {
     double scale, offset, low, high;
 } Place;
 
+/* One of the engines that an instance holds. */
+typedef struct {
+    Py_ssize_t station; /* of the vehicle, from 0; -1: it serves none, and keeps the throttle that it began with */
+    Place input[INPUTS], output[OUTPUTS];
+    Place drag;          /* of the ram, taken from a gross thrust */
+    double port[INPUTS]; /* what the inputs were last set to */
+} Lane;
+
+/* One instance. */
 typedef struct {
     int fmi; /* 2 or 3 */
     void *instance;
     uintptr_t step;                      /* function */
     uintptr_t enter, update, leave;      /* functions of FMI 3.0's event mode; 0 if it is not used */
     bool has_ambient, has_derived;
+    bool one_speed; /* its engines have one air speed, the mean of theirs */
     Block set[BLOCKS], get[BLOCKS];
-    Place input[INPUTS], output[OUTPUTS];
-    Place drag;          /* of the ram, taken from a gross thrust */
-    double port[INPUTS]; /* what the inputs were last set to */
-    long long steps;     /* communication steps done, warming up included: FMU time = steps * step */
+    Py_ssize_t lanes;
+    Lane *lane;
+    long long steps; /* communication steps done, warming up included: FMU time = steps * step */
 } Engine;
 
 /* What went wrong; NULL is nothing. */
@@ -165,10 +174,10 @@ static void derive(double port[INPUTS])
     port[TOTAL_TEMPERATURE] = t * ram;
 }
 
-static void place_input(Engine *e, int port, double wanted)
+static void place_input(Engine *e, Lane *lane, int port, double wanted)
 {
-    const Place *p = &e->input[port];
-    e->port[port] = wanted;
+    const Place *p = &lane->input[port];
+    lane->port[port] = wanted;
     if (p->block < 0)
         return;
     double value = p->scale * wanted;
@@ -183,47 +192,65 @@ static void place_input(Engine *e, int port, double wanted)
     e->set[p->block].value[p->index] = value;
 }
 
-/* Set the throttle, and the ambient where it is given (pressure, temperature, air speed) and has changed. */
-static Fault set_inputs(Engine *e, double throttle, const double *ambient)
+static Fault place_throttle(Engine *e, Lane *lane, double throttle)
 {
     if (!isfinite(throttle))
         return (Fault){"input", OK, INPUT_NAMES[THROTTLE]};
-    place_input(e, THROTTLE, throttle);
-    bool changed = false;
-    for (int i = PRESSURE; ambient && e->has_ambient && i < BASE; i++) {
+    place_input(e, lane, THROTTLE, throttle);
+    return NO_FAULT;
+}
+
+/* What has changed of the ambient (pressure, temperature, air speed) of one engine. */
+static Fault place_ambient(Engine *e, Lane *lane, const double *ambient, bool *changed)
+{
+    bool here = false;
+    for (int i = PRESSURE; i < BASE; i++) {
         const double wanted = ambient[i - PRESSURE];
-        if (wanted == e->port[i] || (e->input[i].block < 0 && !e->has_derived))
+        if (wanted == lane->port[i] || (lane->input[i].block < 0 && !e->has_derived))
             continue;
         if (!isfinite(wanted))
             return (Fault){"input", OK, INPUT_NAMES[i]};
-        place_input(e, i, wanted);
-        changed = true;
+        place_input(e, lane, i, wanted);
+        here = true;
     }
-    if (changed && e->has_derived) {
-        derive(e->port);
+    if (here && e->has_derived) {
+        derive(lane->port);
         for (int i = BASE; i < INPUTS; i++) {
-            if (!isfinite(e->port[i]))
+            if (!isfinite(lane->port[i]))
                 return (Fault){"input", OK, INPUT_NAMES[i]};
-            place_input(e, i, e->port[i]);
+            place_input(e, lane, i, lane->port[i]);
         }
     }
+    *changed = *changed || here;
+    return NO_FAULT;
+}
+
+/* One call for each type: the throttles, or with ``all`` the ambient too. */
+static Fault set_inputs(const Engine *e, bool all)
+{
     for (int i = 0; i < BLOCKS; i++) {
-        const int status = set_block(e, &e->set[i], changed);
+        const int status = set_block(e, &e->set[i], all);
         if (status > WARNING)
             return FAULT("set", status);
     }
     return NO_FAULT;
 }
 
-static Fault get_outputs(const Engine *e, double ports[OUTPUTS])
+static Fault get_outputs(const Engine *e)
 {
     for (int i = 0; i < BLOCKS; i++) {
         const int status = get_block(e, &e->get[i]);
         if (status > WARNING)
             return FAULT("get", status);
     }
+    return NO_FAULT;
+}
+
+/* What one engine gives, of what was got. */
+static Fault read_outputs(const Engine *e, const Lane *lane, double ports[OUTPUTS])
+{
     for (int i = THRUST; i < OUTPUTS; i++) {
-        const Place *p = &e->output[i];
+        const Place *p = &lane->output[i];
         if (p->block < 0)
             continue;
         double value = p->scale * e->get[p->block].value[p->index];
@@ -233,7 +260,7 @@ static Fault get_outputs(const Engine *e, double ports[OUTPUTS])
             return (Fault){"nan", OK, OUTPUT_NAMES[i]};
         ports[i] = value;
     }
-    const Place *drag = &e->drag;
+    const Place *drag = &lane->drag;
     if (drag->block >= 0) {
         ports[THRUST] -= drag->scale * e->get[drag->block].value[drag->index] + drag->offset;
         if (!isfinite(ports[THRUST]))
@@ -296,9 +323,10 @@ static Fault step3(const Engine *e, double time, double step)
     return FAULT("parts", OK);
 }
 
-static Fault advance(Engine *e, double step, double throttle, const double *ambient, double ports[OUTPUTS])
+/* Set what was placed, make one step, and get what is given at its end. */
+static Fault advance(Engine *e, double step, bool all)
 {
-    Fault fault = set_inputs(e, throttle, ambient);
+    Fault fault = set_inputs(e, all);
     if (fault.what)
         return fault;
     const double time = (double)e->steps * step;
@@ -310,7 +338,7 @@ static Fault advance(Engine *e, double step, double throttle, const double *ambi
         fault = step3(e, time, step);
     }
     e->steps++;
-    return fault.what ? fault : get_outputs(e, ports);
+    return fault.what ? fault : get_outputs(e);
 }
 
 #define SLOT(function) ((void *)(uintptr_t)(function)) /* Python keeps functions as void pointers */
@@ -392,12 +420,20 @@ static PyType_Spec log_spec = {"cosim.engine._bank.Log", sizeof(Log), 0, Py_TPFL
 
 /* --- Bank --- */
 
+/* Which engine of which instance serves a station. */
+typedef struct {
+    Engine *engine;
+    Lane *lane;
+} Server;
+
 typedef struct {
     PyObject_HEAD
     double step; /* s */
     long long next; /* the flight step that comes next; -1 after a failure */
-    Py_ssize_t count;
+    Py_ssize_t count; /* of stations */
+    Py_ssize_t instances;
     Engine *engines;
+    Server *at; /* by station */
     PyObject *record;           /* the type of what step returns: a tuple of as many tuples as there are outputs */
     PyObject *silent[OUTPUTS];  /* NaN for every engine, where no engine has the output; else NULL */
 } Bank;
@@ -476,22 +512,55 @@ static bool read_place(PyObject *row, const Block blocks[BLOCKS], Place *p)
     return true;
 }
 
-/* (fmi, instance, step, (enter, update, leave), steps done, set blocks, get blocks, inputs, outputs, port values) */
+/* (station, inputs, outputs, port values) */
+static bool read_lane(PyObject *row, Engine *e, Lane *lane)
+{
+    PyObject *inputs, *outputs;
+    if (!PyTuple_Check(row)) {
+        PyErr_SetString(PyExc_TypeError, "an engine of an instance is a tuple");
+        return false;
+    }
+    if (!PyArg_ParseTuple(row, "nO!O!(dddd)", &lane->station, &PyTuple_Type, &inputs, &PyTuple_Type, &outputs,
+                          &lane->port[THROTTLE], &lane->port[PRESSURE], &lane->port[TEMPERATURE],
+                          &lane->port[AIR_SPEED]))
+        return false;
+    if (PyTuple_Size(inputs) != INPUTS || PyTuple_Size(outputs) != OUTPUTS + 1) {
+        PyErr_SetString(PyExc_ValueError, "an engine needs all its ports");
+        return false;
+    }
+    bool good = true;
+    for (int i = 0; good && i < INPUTS; i++)
+        good = read_place(PyTuple_GetItem(inputs, i), e->set, &lane->input[i]);
+    for (int i = 0; good && i < OUTPUTS; i++)
+        good = read_place(PyTuple_GetItem(outputs, i), e->get, &lane->output[i]);
+    good = good && read_place(PyTuple_GetItem(outputs, OUTPUTS), e->get, &lane->drag);
+    for (int i = PRESSURE; good && i < INPUTS; i++)
+        e->has_ambient = e->has_ambient || lane->input[i].block >= 0;
+    for (int i = BASE; good && i < INPUTS; i++)
+        e->has_derived = e->has_derived || lane->input[i].block >= 0;
+    if (good && (lane->input[THROTTLE].block < 0 || lane->output[THRUST].block < 0)) {
+        PyErr_SetString(PyExc_ValueError, "an engine needs a throttle and a thrust");
+        good = false;
+    }
+    return good;
+}
+
+/* (fmi, instance, step, (enter, update, leave), steps done, set blocks, get blocks, one speed, engines) */
 static bool read_engine(PyObject *row, Engine *e)
 {
     unsigned long long instance, step, enter, update, leave;
-    PyObject *sets, *gets, *inputs, *outputs;
+    PyObject *sets, *gets, *lanes;
+    int one_speed;
     if (!PyTuple_Check(row)) {
-        PyErr_SetString(PyExc_TypeError, "an engine is a tuple");
+        PyErr_SetString(PyExc_TypeError, "an instance is a tuple");
         return false;
     }
-    if (!PyArg_ParseTuple(row, "iKK(KKK)LO!O!O!O!(dddd)", &e->fmi, &instance, &step, &enter, &update, &leave, &e->steps,
-                          &PyTuple_Type, &sets, &PyTuple_Type, &gets, &PyTuple_Type, &inputs, &PyTuple_Type, &outputs,
-                          &e->port[THROTTLE], &e->port[PRESSURE], &e->port[TEMPERATURE], &e->port[AIR_SPEED]))
+    if (!PyArg_ParseTuple(row, "iKK(KKK)LO!O!pO!", &e->fmi, &instance, &step, &enter, &update, &leave, &e->steps,
+                          &PyTuple_Type, &sets, &PyTuple_Type, &gets, &one_speed, &PyTuple_Type, &lanes))
         return false;
     if ((e->fmi != 2 && e->fmi != 3) || !instance || !step || PyTuple_Size(sets) > BLOCKS ||
-        PyTuple_Size(gets) > BLOCKS || PyTuple_Size(inputs) != INPUTS || PyTuple_Size(outputs) != OUTPUTS + 1) {
-        PyErr_SetString(PyExc_ValueError, "an engine needs FMI 2 or 3, an instance, a function and all its ports");
+        PyTuple_Size(gets) > BLOCKS || PyTuple_Size(lanes) < 1) {
+        PyErr_SetString(PyExc_ValueError, "an instance needs FMI 2 or 3, an address, a function and an engine");
         return false;
     }
     e->instance = (void *)(uintptr_t)instance;
@@ -499,44 +568,44 @@ static bool read_engine(PyObject *row, Engine *e)
     e->enter = (uintptr_t)enter;
     e->update = (uintptr_t)update;
     e->leave = (uintptr_t)leave;
+    e->one_speed = one_speed;
+    e->lane = PyMem_Calloc((size_t)PyTuple_Size(lanes), sizeof(Lane));
+    if (!e->lane) {
+        PyErr_NoMemory();
+        return false;
+    }
+    e->lanes = PyTuple_Size(lanes);
     bool good = true;
     for (Py_ssize_t i = 0; good && i < PyTuple_Size(sets); i++)
         good = read_block(PyTuple_GetItem(sets, i), &e->set[i]);
     for (Py_ssize_t i = 0; good && i < PyTuple_Size(gets); i++)
         good = read_block(PyTuple_GetItem(gets, i), &e->get[i]);
-    for (int i = 0; good && i < INPUTS; i++)
-        good = read_place(PyTuple_GetItem(inputs, i), e->set, &e->input[i]);
-    for (int i = 0; good && i < OUTPUTS; i++)
-        good = read_place(PyTuple_GetItem(outputs, i), e->get, &e->output[i]);
-    good = good && read_place(PyTuple_GetItem(outputs, OUTPUTS), e->get, &e->drag);
-    for (int i = PRESSURE; good && i < INPUTS; i++)
-        e->has_ambient = e->has_ambient || e->input[i].block >= 0;
-    for (int i = BASE; good && i < INPUTS; i++)
-        e->has_derived = e->has_derived || e->input[i].block >= 0;
-    if (good && (e->input[THROTTLE].block < 0 || e->output[THRUST].block < 0)) {
-        PyErr_SetString(PyExc_ValueError, "an engine needs a throttle and a thrust");
-        good = false;
-    }
+    for (Py_ssize_t i = 0; good && i < e->lanes; i++)
+        good = read_lane(PyTuple_GetItem(lanes, i), e, &e->lane[i]);
     return good;
 }
 
 static void free_engines(Engine *engines, Py_ssize_t count)
 {
-    for (Py_ssize_t i = 0; engines && i < count; i++)
+    for (Py_ssize_t i = 0; engines && i < count; i++) {
         for (int j = 0; j < 2 * BLOCKS; j++) {
             Block *b = j < BLOCKS ? &engines[i].set[j] : &engines[i].get[j - BLOCKS];
             PyMem_Free(b->reference);
             PyMem_Free(b->value);
             PyMem_Free(b->other_value);
         }
+        PyMem_Free(engines[i].lane);
+    }
     PyMem_Free(engines);
 }
 
 static void bank_clear(Bank *self)
 {
-    free_engines(self->engines, self->count);
+    free_engines(self->engines, self->instances);
+    PyMem_Free(self->at);
     self->engines = NULL;
-    self->count = 0;
+    self->at = NULL;
+    self->count = self->instances = 0;
     Py_CLEAR(self->record);
     for (int i = 0; i < OUTPUTS; i++)
         Py_CLEAR(self->silent[i]);
@@ -548,7 +617,7 @@ static bool make_silent(Bank *self)
     for (int i = 0; i < OUTPUTS; i++) {
         bool reported = false;
         for (Py_ssize_t j = 0; j < self->count; j++)
-            reported = reported || self->engines[j].output[i].block >= 0;
+            reported = reported || self->at[j].lane->output[i].block >= 0;
         if (reported)
             continue;
         self->silent[i] = PyTuple_New(self->count);
@@ -558,6 +627,33 @@ static bool make_silent(Bank *self)
         if (!self->silent[i])
             return false;
     }
+    return true;
+}
+
+/* Who serves which station: each from 0 on by one. */
+static bool assign(Bank *self)
+{
+    Py_ssize_t count = 0;
+    for (Py_ssize_t i = 0; i < self->instances; i++)
+        for (Py_ssize_t j = 0; j < self->engines[i].lanes; j++)
+            count += self->engines[i].lane[j].station >= 0;
+    self->at = PyMem_Calloc((size_t)count + 1, sizeof(Server));
+    if (!self->at) {
+        PyErr_NoMemory();
+        return false;
+    }
+    for (Py_ssize_t i = 0; i < self->instances; i++)
+        for (Py_ssize_t j = 0; j < self->engines[i].lanes; j++) {
+            Lane *lane = &self->engines[i].lane[j];
+            if (lane->station < 0)
+                continue;
+            if (lane->station >= count || self->at[lane->station].lane) {
+                PyErr_SetString(PyExc_ValueError, "every station from 0 on needs one engine");
+                return false;
+            }
+            self->at[lane->station] = (Server){&self->engines[i], lane};
+        }
+    self->count = count;
     return true;
 }
 
@@ -581,7 +677,7 @@ static int bank_init(Bank *self, PyObject *args, PyObject *kwargs)
     bool good = self->engines != NULL;
     if (!good)
         PyErr_NoMemory();
-    self->count = good ? count : 0;
+    self->instances = good ? count : 0;
     self->step = step;
     self->next = 0;
     Py_INCREF(record);
@@ -589,7 +685,7 @@ static int bank_init(Bank *self, PyObject *args, PyObject *kwargs)
     for (Py_ssize_t i = 0; good && i < count; i++)
         good = read_engine(PyTuple_GetItem(rows, i), &self->engines[i]);
     Py_DECREF(rows);
-    if (!good) {
+    if (!good || !assign(self)) {
         bank_clear(self);
         return -1;
     }
@@ -602,21 +698,31 @@ static void bank_dealloc(PyObject *self)
     plain_dealloc(self);
 }
 
-/* hold(index, throttle, count) -> [thrust, ...] */
+/* hold(index, throttle, count, together=False) -> [thrust, ...] */
 static PyObject *bank_hold(Bank *self, PyObject *args)
 {
     Py_ssize_t index, count;
     double throttle;
-    if (!PyArg_ParseTuple(args, "ndn", &index, &throttle, &count))
+    int together = 0;
+    if (!PyArg_ParseTuple(args, "ndn|p", &index, &throttle, &count, &together))
         return NULL;
     if (index < 0 || index >= self->count || count < 0) {
         PyErr_SetString(PyExc_IndexError, "hold: no such engine, or a negative count");
         return NULL;
     }
+    const Server at = self->at[index];
+    Engine *e = at.engine;
     PyObject *list = PyList_New(count);
     for (Py_ssize_t i = 0; list && i < count; i++) {
-        double ports[OUTPUTS] = {NAN, NAN, NAN, NAN};
-        const Fault fault = advance(&self->engines[index], self->step, throttle, NULL, ports);
+        double ports[OUTPUTS];
+        Fault fault = NO_FAULT;
+        for (Py_ssize_t j = 0; !fault.what && j < e->lanes; j++)
+            if (together || &e->lane[j] == at.lane)
+                fault = place_throttle(e, &e->lane[j], throttle);
+        if (!fault.what)
+            fault = advance(e, self->step, false);
+        if (!fault.what)
+            fault = read_outputs(e, at.lane, ports);
         PyObject *item = fault.what ? fail(self, index, fault) : PyFloat_FromDouble(ports[THRUST]);
         if (!item || PyList_SetItem(list, i, item) < 0) {
             Py_DECREF(list);
@@ -672,17 +778,45 @@ static PyObject *as_record(const Bank *self, PyObject *output)
     return record;
 }
 
+/* Read what the engines of an instance give into the output; false: an error is set. */
+static bool take_outputs(Bank *self, const Engine *e, PyObject *output)
+{
+    for (Py_ssize_t j = 0; j < e->lanes; j++) {
+        const Lane *lane = &e->lane[j];
+        if (lane->station < 0)
+            continue;
+        double ports[OUTPUTS];
+        for (int i = 0; i < OUTPUTS; i++)
+            ports[i] = NAN;
+        const Fault fault = read_outputs(e, lane, ports);
+        if (fault.what)
+            fail(self, lane->station, fault);
+        if (fault.what || !put_output(self, output, lane->station, ports))
+            return false;
+    }
+    return true;
+}
+
+/* The first station that an instance serves. */
+static Py_ssize_t first_of(const Engine *e)
+{
+    for (Py_ssize_t j = 0; j < e->lanes; j++)
+        if (e->lane[j].station >= 0)
+            return e->lane[j].station;
+    return 0;
+}
+
 /* outputs() -> record */
 static PyObject *bank_outputs(Bank *self, PyObject *unused)
 {
     (void)unused;
     PyObject *output = new_output(self);
-    for (Py_ssize_t i = 0; output && i < self->count; i++) {
-        double ports[OUTPUTS] = {NAN, NAN, NAN, NAN};
-        const Fault fault = get_outputs(&self->engines[i], ports);
+    for (Py_ssize_t i = 0; output && i < self->instances; i++) {
+        const Engine *e = &self->engines[i];
+        const Fault fault = get_outputs(e);
         if (fault.what)
-            fail(self, i, fault);
-        if (fault.what || !put_output(self, output, i, ports)) {
+            fail(self, first_of(e), fault);
+        if (fault.what || !take_outputs(self, e, output)) {
             Py_DECREF(output);
             return NULL;
         }
@@ -703,6 +837,46 @@ static bool read_air(PyObject *ambient, Py_ssize_t count, double *pressure, doub
     return !PyErr_Occurred();
 }
 
+/* The mean air speed of the stations that an instance serves; speeds are floats or an error is set. */
+static double mean_speed(const Engine *e, PyObject *speeds)
+{
+    double sum = 0.0;
+    Py_ssize_t count = 0;
+    for (Py_ssize_t j = 0; j < e->lanes; j++)
+        if (e->lane[j].station >= 0) {
+            sum += PyFloat_AsDouble(PyTuple_GetItem(speeds, e->lane[j].station));
+            count++;
+        }
+    return sum / (double)count;
+}
+
+/* Place throttles and ambient, and make the step, of one instance; false: an error is set.  The air is pressure,
+ * temperature and room for a speed. */
+static bool step_engine(Bank *self, Engine *e, PyObject *throttles, PyObject *speeds, double *air)
+{
+    bool changed = false;
+    const bool aired = speeds && e->has_ambient;
+    if (aired && e->one_speed)
+        air[2] = mean_speed(e, speeds);
+    for (Py_ssize_t j = 0; j < e->lanes; j++) {
+        Lane *lane = &e->lane[j];
+        if (lane->station < 0)
+            continue;
+        const double throttle = PyFloat_AsDouble(PyTuple_GetItem(throttles, lane->station));
+        if (aired && !e->one_speed)
+            air[2] = PyFloat_AsDouble(PyTuple_GetItem(speeds, lane->station));
+        if ((throttle == -1.0 || air[2] == -1.0) && PyErr_Occurred())
+            return false;
+        Fault fault = place_throttle(e, lane, throttle);
+        if (aired && !fault.what)
+            fault = place_ambient(e, lane, air, &changed);
+        if (fault.what)
+            return fail(self, lane->station, fault) != NULL;
+    }
+    const Fault fault = advance(e, self->step, changed);
+    return fault.what ? fail(self, first_of(e), fault) != NULL : true;
+}
+
 /* step(k, throttles, ambient) -> record */
 static PyObject *bank_step(Bank *self, PyObject *const *args, Py_ssize_t nargs)
 {
@@ -714,24 +888,14 @@ static PyObject *bank_step(Bank *self, PyObject *const *args, Py_ssize_t nargs)
     if (k != self->next || k < 0)
         return PyErr_Format(PyExc_ValueError, self->next < 0 ? "step %lld after a failure" : "step %lld, but %lld is next", k,
                             self->next);
-    double air[INPUTS - 1] = {0.0};
+    double air[BASE - 1] = {0.0};
     PyObject *speeds = NULL;
     if (args[2] != Py_None && !read_air(args[2], self->count, &air[0], &air[1], &speeds))
         return NULL;
     PyObject *output = new_output(self);
-    for (Py_ssize_t i = 0; output && i < self->count; i++) {
-        double ports[OUTPUTS] = {NAN, NAN, NAN, NAN};
-        const double throttle = PyFloat_AsDouble(PyTuple_GetItem(args[1], i));
-        if (speeds)
-            air[2] = PyFloat_AsDouble(PyTuple_GetItem(speeds, i));
-        if ((throttle == -1.0 || air[2] == -1.0) && PyErr_Occurred()) {
-            Py_DECREF(output);
-            return NULL;
-        }
-        const Fault fault = advance(&self->engines[i], self->step, throttle, speeds ? air : NULL, ports);
-        if (fault.what)
-            fail(self, i, fault);
-        if (fault.what || !put_output(self, output, i, ports)) {
+    for (Py_ssize_t i = 0; output && i < self->instances; i++) {
+        Engine *e = &self->engines[i];
+        if (!step_engine(self, e, args[1], speeds, air) || !take_outputs(self, e, output)) {
             Py_DECREF(output);
             return NULL;
         }
@@ -750,7 +914,8 @@ static PyObject *bank_stop(Bank *self, PyObject *unused)
 }
 
 static PyMethodDef bank_methods[] = {
-    {"hold", (PyCFunction)bank_hold, METH_VARARGS, "hold(index, throttle, count): step one engine, return its thrusts [N]."},
+    {"hold", (PyCFunction)bank_hold, METH_VARARGS, "hold(index, throttle, count, together=False): step one engine, return its thrusts [N].\n\n"
+     "Others in its instance keep their throttles, or, together, have the same."},
     {"outputs", (PyCFunction)bank_outputs, METH_NOARGS, "outputs(): what the engines report now."},
     {"step", (PyCFunction)(void (*)(void))bank_step, METH_FASTCALL,
      "step(k, throttles, ambient): flight step k of all engines."},

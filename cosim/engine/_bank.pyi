@@ -7,6 +7,7 @@ LOGGER3: int
 
 Block = tuple[int, int, tuple[int, ...], tuple[float, ...], int, int]
 Place = tuple[int, int, float, float, float, float]
+Lane = tuple[int, tuple[Place | None, ...], tuple[Place | None, ...], tuple[float, ...]]
 Row = tuple[
     int,
     int,
@@ -15,9 +16,8 @@ Row = tuple[
     int,
     tuple[Block, ...],
     tuple[Block, ...],
-    tuple[Place | None, ...],
-    tuple[Place | None, ...],
-    tuple[float, ...],
+    bool,
+    tuple[Lane, ...],
 ]
 
 class FailureError(Exception):
@@ -30,7 +30,7 @@ class Log:
 
 class Bank:
     def __init__(self, engines: Sequence[Row], step: float, record: type[EngineOutput] = ...) -> None: ...
-    def hold(self, index: int, throttle: float, count: int) -> list[float]: ...
+    def hold(self, index: int, throttle: float, count: int, together: bool = ...) -> list[float]: ...
     def outputs(self) -> EngineOutput: ...
     def step(self, k: int, throttles: tuple[float, ...], ambient: Ambient | None) -> EngineOutput: ...
     def stop(self) -> None: ...

@@ -29,11 +29,12 @@ from cosim.engine.description import describe
 from cosim.engine.ports import (
     INTEGERS,
     REALS,
+    SPEEDS,
     Port,
     PortError,
     PortMap,
     Variable,
-    find_ports,
+    find_engines,
 )
 from cosim.engine.starting import Setting, Starting, starting
 from cosim.engine.units import Unit
@@ -109,7 +110,7 @@ class Archive:
     model: str
     identifier: str
     token: str
-    ports: Mapping[str, Port]
+    engines: tuple[Mapping[str, Port], ...]  # that it holds: the ports of each
     port_notes: tuple[str, ...]  # what was assumed about the ports
     blemishes: tuple[str, ...]  # of the description, that stepping does not depend on
     inputs: tuple[Variable, ...]
@@ -124,6 +125,18 @@ class Archive:
     serializes_state: bool
     starting: Starting = field(default_factory=Starting)  # what is done with an instance before it is asked for thrust
     system: System | None = field(default=None, repr=False)  # of a system of FMUs: what it is made of
+
+    @property
+    def ports(self) -> Mapping[str, Port]:
+        """Those of its engine, or of the first one; none where it is a component of a system."""
+        return self.engines[0] if self.engines else {}
+
+    @property
+    def one_speed(self) -> bool:
+        """Whether its engines have one intake's air among them: they are told the mean of theirs."""
+        return len(self.engines) > 1 and any(
+            self.engines[0][name].variable == self.engines[1][name].variable for name in SPEEDS if name in self.ports
+        )
 
     @property
     def throttle(self) -> Variable:
@@ -209,14 +222,14 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
     inputs, outputs, parameters = (
         tuple(v for v in elements if v.causality == causality) for causality in ("input", "output", "parameter")
     )
-    ports: dict[str, Port] = {}
+    engines: tuple[Mapping[str, Port], ...] = ()
     notes: list[str] = []
     begin = Starting()
     try:
         if stated is not None:
-            ports, notes = find_ports([*inputs, *outputs, *parameters], stated)
-            begin = starting(stated, inputs, outputs, ports)
-            notes += left_alone(inputs, ports, begin)
+            engines, notes = find_engines([*inputs, *outputs, *parameters], stated)
+            begin = starting(stated, inputs, outputs, named_ports(engines))
+            notes += left_alone(inputs, named_ports(engines), begin)
     except PortError as error:
         raise UnusableError(str(error)) from error
     experiment = description.defaultExperiment
@@ -229,7 +242,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
         model=description.modelName,
         identifier=slave.modelIdentifier,
         token=description.instantiationToken,
-        ports=ports,
+        engines=engines,
         port_notes=tuple(notes),
         blemishes=blemishes,
         inputs=inputs,
@@ -240,7 +253,11 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
         once_per_process=slave.canBeInstantiatedOnlyOncePerProcess,
         event_mode=slave.hasEventMode
         and stated is not None
-        and all(p.variable.variability == "continuous" for p in ports.values() if p.variable.causality == "input"),
+        and all(
+            port.variable.variability == "continuous"
+            for port in named_ports(engines).values()
+            if port.variable.causality == "input"
+        ),
         returns_early=slave.mightReturnEarlyFromDoStep,
         saves_state=slave.canGetAndSetFMUstate,
         serializes_state=slave.canGetAndSetFMUstate and slave.canSerializeFMUstate,
@@ -270,6 +287,15 @@ def own_sources(data: bytes) -> list[tuple[str, bytes]]:
     with zipfile.ZipFile(io.BytesIO(data)) as fmu:
         names = sorted(set(fmu.namelist()) - given)
         return [(name, fmu.read(name)) for name in names if name.startswith("sources/")]
+
+
+def named_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:
+    """The ports of all engines of an archive; those of a second one and on say whose they are."""
+    return {
+        f"{name} of engine {k}" if k > 1 else name: port
+        for k, ports in enumerate(engines, start=1)
+        for name, port in ports.items()
+    }
 
 
 def left_alone(inputs: Sequence[Variable], ports: Mapping[str, Port], begin: Starting) -> list[str]:

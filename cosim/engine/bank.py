@@ -1,8 +1,8 @@
-"""All engines of a vehicle, stepped together: six separate FMU instances behind ``reset / step / close``."""
+"""All engines of a vehicle, stepped together: FMU instances, one an engine or one for several, behind one ``step``."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from types import TracebackType
 
 import cosim.engine._bank as _bank
@@ -10,7 +10,7 @@ from cosim.base.errors import EngineError
 from cosim.base.protocols import Column
 from cosim.base.signals import Ambient, EngineOutput, PerJet
 from cosim.engine.instance import Slave, SlaveError
-from cosim.engine.ports import AMBIENT, Air
+from cosim.engine.ports import AMBIENT, ASIDE, Air
 from cosim.engine.response import ResponseError, settle
 from cosim.engine.spec import EngineSpec
 from cosim.engine.starting import Ignition, StartError
@@ -31,6 +31,12 @@ def logged_columns(specs: Sequence[EngineSpec], in_flight: bool = False) -> tupl
     return (
         *starting,
         *(
+            Column(f"{name}_{number}", unit, "jet", f"engine {number}: {meaning}, as it gives it")
+            for number, spec in enumerate(specs, start=1)
+            for port, (name, unit, meaning) in ASIDE_COLUMNS.items()
+            if spec.has(port)
+        ),
+        *(
             Column(
                 f"{name}_{number}",
                 "" if variable.unit in (None, "1") else str(variable.unit),
@@ -43,8 +49,40 @@ def logged_columns(specs: Sequence[EngineSpec], in_flight: bool = False) -> tupl
     )
 
 
+ASIDE_COLUMNS = {
+    "force_forward": ("force_forward_N", "N", "force across the jet, forward while it is upright"),
+    "force_right": ("force_right_N", "N", "force across the jet, to the right"),
+    "torque": ("torque_Nm", "N m", "torque on the airframe about the jet's axis, right-handed along its thrust"),
+}
+
+
+def crews(specs: Sequence[EngineSpec]) -> list[list[int]]:
+    """The instances that serve stations: for each engine that one holds the station from 0, or -1.
+
+    An FMU that holds several serves as many stations that follow each other, where these have the same engine with the
+    same parameters; what stands there besides has an instance of its own.
+    """
+    found: dict[Hashable, list[int]] = {}
+    for station, spec in enumerate(specs):
+        held = len(spec.archive.engines)
+        key = (spec.shared, station - spec.lane) if held > 1 else station
+        found.setdefault(key, [-1] * held)[spec.lane] = station
+    return list(found.values())
+
+
+def _numbers(crew: Sequence[int]) -> str:
+    """The engines of an instance, counted from 1, in words."""
+    served = [station + 1 for station in crew if station >= 0]
+    if len(served) > 2 and served[-1] - served[0] == len(served) - 1:
+        return f"engines {served[0]} to {served[-1]}"
+    return f"engine{'s' if len(served) > 1 else ''} {', '.join(map(str, served))}"
+
+
 class EngineBank:
     """``count`` engines of one kind, or one per entry of a sequence of specs, stepped by ``step`` seconds.
+
+    Stations whose engines are held by one FMU (:attr:`EngineSpec.lane`) share an instance, as many as it holds; an
+    engine that serves no station has throttle 0, or, where one engine alone is asked for, that of the reset.
 
     ``in_flight``: engines whose mapping file states a start stand cold after a reset, and go through it over the steps
     that follow, whatever throttle these ask for; :attr:`starting` says which still do.
@@ -55,17 +93,24 @@ class EngineBank:
     def __init__(
         self, spec: EngineSpec | Sequence[EngineSpec], count: int, step: float, in_flight: bool = False
     ) -> None:
-        self._specs = (spec,) * count if isinstance(spec, EngineSpec) else tuple(spec)
+        if isinstance(spec, EngineSpec):
+            self._specs = (spec,) if count == 1 else tuple(spec.at(station) for station in range(count))
+        else:
+            self._specs = tuple(spec)
         if len(self._specs) != count:
             raise ValueError(f"{count} engines need as many specs, not {len(self._specs)}")
+        self._crews = crews(self._specs)
+        self._server = {station: index for index, crew in enumerate(self._crews) for station in crew if station >= 0}
         self._step = step
         self._in_flight = in_flight
-        self._starts: dict[int, Ignition] = {}  # of the engines that have yet to start
-        self._given_up: set[int] = set()  # of them those that were shut off meanwhile
+        self._starts: dict[int, Ignition] = {}  # of the instances that have yet to start
+        self._given_up: set[int] = set()  # stations that were shut off meanwhile
         self._slaves: list[Slave] = []
         self._folders: dict[tuple[str, int], Unpacked] = {}
         self.wants_ambient = any(each.has(port) for each in self._specs for port in AMBIENT)
         self._native = _bank.Bank((), step, EngineOutput)
+        self._shows_aside = any(each.has(port) for each in self._specs for port in ASIDE)
+        self._given = EngineOutput((), (), (), ())  # last
         self._used = False
         try:
             self._instantiate()
@@ -74,22 +119,28 @@ class EngineBank:
             raise
 
     def _instantiate(self) -> None:
-        for index, spec in enumerate(self._specs):
+        for index, crew in enumerate(self._crews):
+            spec, label = self._spec(index), self._label(index)
             # an FMU that may be instantiated once per process is loaded from copies: another file, another library
             key = spec.sha256, index if spec.archive.once_per_process else -1
             if key not in self._folders:
                 self._folders[key] = unpack(spec.archive)
             try:
-                self._slaves.append(make_slave(spec.archive, self._folders[key].path, f"engine {index + 1}"))
+                self._slaves.append(make_slave(spec.archive, self._folders[key].path, _numbers(crew)))
             except SlaveError as error:
-                raise EngineError(f"{self._label(index)}: {error}") from error
+                raise EngineError(f"{label}: {error}") from error
         self._hand_over()
 
     def _hand_over(self) -> None:
-        self._native = _bank.Bank(tuple(slave.row() for slave in self._slaves), self._step, EngineOutput)
+        rows = [slave.row(0, crew) for slave, crew in zip(self._slaves, self._crews, strict=True)]
+        self._native = _bank.Bank(tuple(rows), self._step, EngineOutput)
+
+    def _spec(self, index: int) -> EngineSpec:
+        """That of the first station which an instance serves."""
+        return self._specs[next(station for station in self._crews[index] if station >= 0)]
 
     def _label(self, index: int) -> str:
-        return f"engine {index + 1} ({self._specs[index].path.name})"
+        return f"{_numbers(self._crews[index])} ({self._spec(index).path.name})"
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         """Bring every engine to equilibrium at the throttle, one for all or one each, ready for flight step 0.
@@ -112,52 +163,66 @@ class EngineBank:
         if len(throttles) != count or len(airs) != count:
             raise ValueError(f"{count} engines need as many throttles and air speeds")
         self._starts = {
-            index: Ignition(spec.archive.starting.stages, self._step)
-            for index, spec in enumerate(self._specs)
-            if self._in_flight and spec.archive.starting.stages
+            index: Ignition(stages, self._step)
+            for index in range(len(self._crews))
+            if self._in_flight and (stages := self._spec(index).archive.starting.stages)
         }
         self._given_up = set()
-        for index, (held, air) in enumerate(zip(throttles, airs, strict=True)):
-            self._initialize(index, held, air)
+        for index, crew in enumerate(self._crews):
+            idle = throttles[0] if count == 1 else 0.0
+            at = next(station for station in crew if station >= 0)
+            self._initialize(
+                index,
+                [throttles[station] if station >= 0 else idle for station in crew],
+                [airs[station if station >= 0 else at] for station in crew],
+            )
         self._hand_over()
-        for index, held in enumerate(throttles):
-            if self._specs[index].start is None and index not in self._starts:
-                self._run_up(index, held)
+        for index, crew in enumerate(self._crews):
+            if self._spec(index).start is None and index not in self._starts:
+                for station in crew:
+                    if station >= 0:
+                        self._run_up(station, throttles[station])
         self._advance("at the start")
         try:
-            return self._native.outputs()
+            self._given = self._native.outputs()
+            return self._given
         except _bank.FailureError as failure:
             raise self._failed(failure, "at the start") from failure
 
-    def _initialize(self, index: int, throttle: float, air: Air) -> None:
-        spec = self._specs[index]
+    def _initialize(self, index: int, throttles: Sequence[float], airs: Sequence[Air]) -> None:
+        spec = self._spec(index)
         settings = list(spec.settings)
         cold = index in self._starts
         if cold:
-            throttle = self._starts[index].throttle
+            throttles = [self._starts[index].throttle] * len(throttles)
         if spec.start is not None:
             port = spec.archive.ports["start"]
-            settings.append((port.variable, port.value(throttle)))
+            settings.append((port.variable, port.value(throttles[0])))
         try:
-            self._slaves[index].initialize(settings, throttle, air, step=self._step, cold=cold)
+            self._slaves[index].initialize(settings, throttles, airs, step=self._step, cold=cold)
         except SlaveError as error:
             raise EngineError(f"{self._label(index)}: {error}") from error
 
-    def _run_up(self, index: int, throttle: float) -> None:
+    def _run_up(self, station: int, throttle: float) -> None:
         def hold(held: float, steps: int) -> list[float]:
-            return self._native.hold(index, held, steps)
+            return self._native.hold(station, held, steps)
 
         try:
-            spec = self._specs[index]
+            spec = self._specs[station]
             settle(hold, throttle, spec.window, self._step, spec.quiet, spec.archive.starting.rest_n)
         except _bank.FailureError as failure:
             raise self._failed(failure, "before the flight") from failure
         except ResponseError as error:
-            raise EngineError(f"{self._label(index)}: {error}") from error
+            raise EngineError(f"{self._one(station)}: {error}") from error
+
+    def _one(self, station: int) -> str:
+        return f"engine {station + 1} ({self._specs[station].path.name})"
 
     def _failed(self, failure: _bank.FailureError, moment: str) -> EngineError:
-        index = failure.args[0]
-        return EngineError(f"{self._label(index)}: {self._slaves[index].explain(failure, moment)}")
+        station, what, *_ = failure.args
+        index = self._server[station]
+        label = self._one(station) if what in ("nan", "input") else self._label(index)
+        return EngineError(f"{label}: {self._slaves[index].explain(failure, moment)}")
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """Advance all engines over flight step ``k``, inputs held, and return what they report at its end.
@@ -170,7 +235,8 @@ class EngineBank:
         if self._starts:
             held = list(throttle)
             for index, ignition in self._starts.items():
-                held[index] = 0.0 if index in self._given_up else ignition.throttle
+                for station in self._stations(index):
+                    held[station] = 0.0 if station in self._given_up else ignition.throttle
             throttle = tuple(held)
         moment = f"at step {k} ({k * self._step:g} s)"
         try:
@@ -179,11 +245,16 @@ class EngineBank:
             raise self._failed(failure, moment) from failure
         if self._starts:
             self._advance(moment)
+        if self._shows_aside:
+            self._given = output
         return output
+
+    def _stations(self, index: int) -> list[int]:
+        return [station for station in self._crews[index] if station >= 0]
 
     def _advance(self, moment: str) -> None:
         """Every start by the step to come; who has none left has started."""
-        for index in [index for index in self._starts if index not in self._given_up]:
+        for index in [index for index in self._starts if not self._given_up.issuperset(self._stations(index))]:
             slave = self._slaves[index]
             try:
                 more = self._starts[index].advance(slave.write, slave.read)
@@ -196,7 +267,7 @@ class EngineBank:
     @property
     def starting(self) -> tuple[int, ...]:
         """The engines, counted from 1, that have yet to start."""
-        return tuple(index + 1 for index in self._starts)
+        return tuple(sorted(station + 1 for index in self._starts for station in self._stations(index)))
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -206,13 +277,20 @@ class EngineBank:
     @property
     def shown(self) -> tuple[float, ...]:
         """What they are now, in the FMU's own unit.  Raises EngineError if the FMU refuses."""
-        found = [float(index in self._starts) for index in range(len(self._specs)) if self._in_flight]
-        for index, (slave, spec) in enumerate(zip(self._slaves, self._specs, strict=True)):
+        found = [float(self._server[station] in self._starts) for station in range(len(self._specs)) if self._in_flight]
+        found += [
+            getattr(self._given, port)[station]
+            for station, spec in enumerate(self._specs)
+            for port in ASIDE
+            if spec.has(port)
+        ]
+        for station, spec in enumerate(self._specs):
             try:
+                slave = self._slaves[self._server[station]]
                 found += [slave.read(variable) for _, variable in spec.logged]
             except SlaveError as error:
                 self._native.stop()
-                raise EngineError(f"{self._label(index)}: {error}") from error
+                raise EngineError(f"{self._one(station)}: {error}") from error
         return tuple(found)
 
     def set_run(self, index: int, on: bool) -> bool:
@@ -220,13 +298,13 @@ class EngineBank:
 
         One that is shut off before it has started does not start any more.  Raises EngineError if the FMU refuses.
         """
-        if index in self._starts:
+        if self._server[index] in self._starts:
             self._given_up.add(index)
         try:
-            return self._slaves[index].set_run(on)
+            return self._slaves[self._server[index]].set_run(on, self._specs[index].lane)
         except SlaveError as error:
             self._native.stop()
-            raise EngineError(f"{self._label(index)}: {error}") from error
+            raise EngineError(f"{self._one(index)}: {error}") from error
 
     def close(self) -> None:
         """Terminate and free the engines and let go of their files.  May be called again."""

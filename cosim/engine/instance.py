@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import lru_cache
 from pathlib import Path
+from statistics import fmean
 from typing import Any, Literal
 
 import cosim.engine._bank as _bank
@@ -78,7 +79,7 @@ class Slave:
         self._stepping = False
         self._dead = False
         self._done = 0  # communication steps of the start
-        self._inputs = _canonical(0.0, STANDARD_AIR)  # what they were set to
+        self._inputs = [_canonical(0.0, STANDARD_AIR)] * len(archive.engines)  # what they were set to
         self.fmu: Any = load() if load is not None else _load(archive, folder, name)
         try:
             with _modules_of_its_own(self._resources) if self._python else nullcontext():
@@ -129,37 +130,49 @@ class Slave:
     def initialize(
         self,
         settings: Sequence[Setting],
-        throttle: float,
-        air: Air = STANDARD_AIR,
+        throttle: float | Sequence[float],
+        air: Air | Sequence[Air] = STANDARD_AIR,
         *,
         step: float,
         cold: bool = False,
     ) -> float:
         """Set parameters and inputs, leave initialization mode at time 0, and return the thrust [N] there.
 
-        Where the mapping file states a start, it is gone through in steps of ``step`` seconds, and the thrust is that
-        after it; not if it is to stay ``cold``, for its start to be flown.  Raises SlaveError if the FMU returns an
-        error on the way, or if it does not start.
+        Throttle and air are one for all engines that it holds, or one each; the thrust is that of the first.  Where the
+        mapping file states a start, it is gone through in steps of ``step`` seconds, and the thrust is that after it;
+        not if it is to stay ``cold``, for its start to be flown.  Raises SlaveError if the FMU returns an error on the
+        way, or if it does not start.
         """
-        self._inputs = _canonical(throttle, air)
+        engines = self.archive.engines
+        throttles = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(engines)
+        airs = (air,) * len(engines) if isinstance(air, Air) else tuple(air)
+        if self.archive.one_speed:
+            mean = fmean(each.speed for each in airs)
+            airs = tuple(each._replace(speed=mean) for each in airs)
+        self._inputs = [_canonical(*each) for each in zip(throttles, airs, strict=True)]
         self._done = 0
         if self.archive.fmi == 2:
             self.call("setupExperiment", startTime=0.0)
         self.write([*settings, *self.archive.starting.constants])
         self.call("enterInitializationMode")
-        ports = self.archive.ports
-        wanted = self._inputs | {"run": 1.0}
-        self.write([(ports[name].variable, ports[name].value(x)) for name, x in wanted.items() if name in ports])
+        self.write(
+            [
+                (ports[name].variable, ports[name].value(x))
+                for ports, inputs in zip(engines, self._inputs, strict=True)
+                for name, x in (*inputs.items(), ("run", 1.0))
+                if name in ports
+            ]
+        )
         self.call("exitInitializationMode")
         self._stepping = True
         if self.archive.event_mode:
             self._handle_events()
         if not cold:
             self._start(step)
-        thrust = self.output("thrust")
-        if not math.isfinite(thrust):
+        thrusts = [self.output("thrust", lane) for lane in range(len(engines))]
+        if not all(map(math.isfinite, thrusts)):
             raise SlaveError("thrust is not finite at the start")
-        return thrust
+        return thrusts[0]
 
     def _start(self, step: float) -> None:
         """Go through the stages of a start, and count the steps that they take."""
@@ -168,7 +181,7 @@ class Slave:
         try:
             while ignition.advance(self.write, self.read):
                 native = native or _bank.Bank((self.row(),), step)
-                native.hold(0, ignition.throttle, 1)
+                native.hold(0, ignition.throttle, 1, True)
                 self._done += 1
         except StartError as error:
             raise SlaveError(str(error)) from error
@@ -188,16 +201,17 @@ class Slave:
             return variable.type
         return "Integer" if self.archive.fmi == 2 else "Int64"
 
-    def output(self, name: str) -> float:
-        """What the engine reports now on a port that it has, in SI units; a thrust is without the ram drag."""
-        port = self.archive.ports[name]
+    def output(self, name: str, lane: int = 0) -> float:
+        """What an engine reports now on a port that it has, in SI units; a thrust is without the ram drag."""
+        ports = self.archive.engines[lane]
+        port = ports[name]
         value = port.scale * self.read(port.variable)
         value = value + port.offset if port.offset else value
-        return value - self.output("ram_drag") if name == "thrust" and "ram_drag" in self.archive.ports else value
+        return value - self.output("ram_drag", lane) if name == "thrust" and "ram_drag" in ports else value
 
-    def set_run(self, on: bool) -> bool:
-        """Set the port ``run`` between two steps; False if the engine has none."""
-        port = self.archive.ports.get("run")
+    def set_run(self, on: bool, lane: int = 0) -> bool:
+        """Set an engine's port ``run`` between two steps; False if it has none."""
+        port = self.archive.engines[lane].get("run")
         if port is None:
             return False
         self.write([(port.variable, port.value(float(on)))])
@@ -264,9 +278,13 @@ class Slave:
         known = status <= 1 and math.isfinite(value.value)
         return f"; it came as far as its own time {value.value:g} s" if known else ""
 
-    def row(self, done: int = 0) -> _bank.Row:
-        """What the C loop needs to step this instance, which has ``done`` communication steps behind it."""
+    def row(self, done: int = 0, stations: Sequence[int] | None = None) -> _bank.Row:
+        """What the C loop needs to step this instance, which has ``done`` communication steps behind it.
+
+        ``stations``: that its engines serve, counted from 0, -1 for none; from 0 on unless stated.
+        """
         archive = self.archive
+        stations = range(len(archive.engines)) if stations is None else stations
         sets, inputs = self._blocks("set", INPUTS)
         gets, outputs = self._blocks("get", (*OUTPUTS, "ram_drag"))
         return (
@@ -277,9 +295,11 @@ class Slave:
             self._done + done,
             sets,
             gets,
-            inputs,
-            outputs,
-            tuple(self._inputs[name] for name in BASE),
+            archive.one_speed,
+            tuple(
+                (station, inputs[lane], outputs[lane], tuple(self._inputs[lane][name] for name in BASE))
+                for lane, station in enumerate(stations)
+            ),
         )
 
     def _address(self, name: str) -> int:
@@ -287,17 +307,22 @@ class Slave:
 
     def _blocks(
         self, way: Literal["set", "get"], names: Sequence[str]
-    ) -> tuple[tuple[_bank.Block, ...], tuple[_bank.Place | None, ...]]:
-        """One call for all ports of a type, that of the first port first, and where each port is among the values."""
-        ports = {name: self.archive.ports[name] for name in names if name in self.archive.ports}
+    ) -> tuple[tuple[_bank.Block, ...], list[tuple[_bank.Place | None, ...]]]:
+        """One call for all ports of a type, that of the first port first, and where each port is among the values.
+
+        The places are by engine; those of the first port of all engines come before those of the second.
+        """
+        engines = self.archive.engines
+        ports = {(name, lane): each[name] for name in names for lane, each in enumerate(engines) if name in each}
         types = list(dict.fromkeys(port.variable.type for port in ports.values()))
-        first = len(ports[names[0]].variable.starts)  # values of the throttle alone, which is set in every step
+        # the throttles alone are set in every step: their references, and how many values these have
+        alone = {v.reference: len(v.starts) for v in (each[names[0]].variable for each in engines)}
         blocks: list[_bank.Block] = []
-        places: dict[str, _bank.Place] = {}
+        places: dict[tuple[str, int], _bank.Place] = {}
         for number, kind in enumerate(types):
             values: list[float] = []
             begin: dict[int, int] = {}  # reference: its first value
-            for name, port in ports.items():
+            for (name, lane), port in ports.items():
                 v = port.variable
                 if v.type != kind:
                     continue
@@ -306,14 +331,14 @@ class Slave:
                     values += v.starts
                 index = begin[v.reference] + v.index
                 if way == "set":
-                    values[index] = port.value(self._inputs[name])
-                    places[name] = number, index, port.gain, port.bias, port.low, port.high
+                    values[index] = port.value(self._inputs[lane][name])
+                    places[name, lane] = number, index, port.gain, port.bias, port.low, port.high
                 else:
-                    places[name] = number, index, port.scale, port.offset, -math.inf, math.inf
+                    places[name, lane] = number, index, port.scale, port.offset, -math.inf, math.inf
             function = self._address(f"fmi{self.archive.fmi}{way.capitalize()}{kind}")
-            alone = (1, first) if number == 0 else (0, 0)
-            blocks.append((function, VALUES[kind], tuple(begin), tuple(values), *alone))
-        return tuple(blocks), tuple(places.get(name) for name in names)
+            first = (len(alone), sum(alone.values())) if number == 0 else (0, 0)
+            blocks.append((function, VALUES[kind], tuple(begin), tuple(values), *first))
+        return tuple(blocks), [tuple(places.get((name, lane)) for name in names) for lane in range(len(engines))]
 
     def close(self) -> None:
         """Terminate and free the instance, and let go of the library."""

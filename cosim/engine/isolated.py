@@ -88,7 +88,7 @@ class IsolatedBank:
             return EngineOutput(*self._read(data))
         self._look(bool(self.starting), moment)
         values = self._answer.unpack(data[1:])
-        return EngineOutput(values[:n], values[n : 2 * n], values[2 * n : 3 * n], values[3 * n :])
+        return EngineOutput(*[values[i : i + n] for i in range(0, len(values), n)])
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -150,7 +150,7 @@ def _frames(count: int) -> tuple[struct.Struct, struct.Struct]:
 
     Throttles, whether there is air, pressure, temperature and speeds; then what they give, quantity by quantity.
     """
-    return struct.Struct(f"<{2 * count + 3}d"), struct.Struct(f"<{4 * count}d")
+    return struct.Struct(f"<{2 * count + 3}d"), struct.Struct(f"<{len(EngineOutput._fields) * count}d")
 
 
 def serve(number: int) -> None:

@@ -11,14 +11,18 @@ from cosim.engine.ports import (
     AMBIENT,
     STANDARD_AIR,
     Air,
+    PortError,
     Variable,
     is_mapping,
+    is_several,
+    members_of,
 )
 from cosim.engine.response import ResponseError, window_for
 from cosim.engine.rundown import OWN, FlameOutLaw, law_of
 from cosim.engine.spec import (
     EngineSource,
     EngineSpec,
+    Sibling,
     find_source,
     need_whole_steps,
     resolve_parameters,
@@ -82,19 +86,39 @@ def load_unchecked(
         mapping=source.path if is_mapping(source.path) else None,
         archive=archive,
         settings=settings,
-        window=window_for(measured.response.delay),
+        window=window_for(max(each.response.delay for each in (measured, *measured.others))),
         quiet=measured.quiet,
         air=air,
         isolated=bool(mapping.isolated),
         small=measured.small,
-        logged=_logged(source),
+        logged=_logged(source, 0),
+        others=tuple(
+            Sibling(other.curve, other.small, _logged(source, lane))
+            for lane, other in enumerate(measured.others, start=1)
+        ),
     )
 
 
-def _logged(source: EngineSource) -> tuple[tuple[str, Variable], ...]:
-    """The outputs that a mapping file wants in the log, by the names that it gives them."""
+def _logged(source: EngineSource, lane: int) -> tuple[tuple[str, Variable], ...]:
+    """The outputs that a mapping file wants in the log, by the names that it gives them.
+
+    Where the FMU holds several engines, those of one of them; one output for all goes with the first.
+    """
     found = []
-    for name, output in source.mapping.log.items():
+    count = len(source.archive.engines)
+    for name, wanted in source.mapping.log.items():
+        if is_several(wanted):
+            try:
+                outputs = members_of(f"log.{name}", "output", wanted, source.archive.outputs)
+            except PortError as error:
+                raise InputError(f"{source.path}: {error}") from error
+            if len(outputs) != count:
+                raise InputError(f"{source.path}: log.{name} states {len(outputs)} outputs of {count} engines")
+            output = outputs[lane]
+        elif lane == 0:
+            output = str(wanted)
+        else:
+            continue
         hits = [v for v in source.archive.outputs if v.name == output]
         where = f"{source.path}: log.{name} = {output!r}"
         if not hits:

@@ -44,6 +44,7 @@ class Measured(NamedTuple):
     small: Small | None = (
         None  # None: of the library, which states its own, or drowned in what the thrust moves by itself
     )
+    others: tuple[Measured, ...] = ()  # of an FMU that holds several engines: the second and on
 
 
 _measured: Memory[Measured] = Memory(256)
@@ -73,7 +74,8 @@ def measure(
 ) -> Measured:
     """Static curve and step response of an engine in ``air``, and its start parameter if that does what it should.
 
-    ``small``: whether a small step is measured too.
+    ``small``: whether a small step is measured too.  Of several engines in one FMU each is measured, while all of them
+    have the same throttle.
 
     An engine that goes on trembling at rest is measured once more with more patience.  ``alive`` is called every now
     and then while it lasts.
@@ -100,23 +102,27 @@ def _measure(
         try:
             slave.initialize(settings, 0.0, air, step=step)
             native = _bank.Bank([slave.row()], step)
-
-            def hold(throttle: float, steps: int) -> list[float]:
-                alive()
-                return native.hold(0, throttle, steps)
-
             rest = archive.starting.rest_n
-            at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet, rest)
-            response = step_response(hold, at_rest, 1.0, step, quiet, rest)
-            curve = static_curve(hold, window_for(response.delay), step, quiet, rest)
-            little = _small(hold, window_for(response.delay), step, quiet, rest) if small else None
+            found = []
+            for lane in range(len(archive.engines)):
+
+                def hold(throttle: float, steps: int, lane: int = lane) -> list[float]:
+                    alive()
+                    return native.hold(lane, throttle, steps, True)
+
+                at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet, rest)
+                response = step_response(hold, at_rest, 1.0, step, quiet, rest)
+                curve = static_curve(hold, window_for(response.delay), step, quiet, rest)
+                little = _small(hold, window_for(response.delay), step, quiet, rest) if small else None
+                found.append(Measured(curve, response, None, quiet, little))
         except _bank.FailureError as failure:
             raise SlaveError(slave.explain(failure, "while its thrust was measured")) from failure
         finally:
             slave.close()
-        if start is not None and not _starts_level(archive, folder, settings, step, curve, response, air):
+        first, *others = found
+        if start is not None and not _starts_level(archive, folder, settings, step, first.curve, first.response, air):
             start = None
-    return Measured(curve, response, start, quiet, little)
+    return first._replace(start=start, others=tuple(others))
 
 
 def _small(hold: Hold, window: int, step: float, quiet: float, rest: float) -> Small | None:

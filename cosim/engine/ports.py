@@ -5,7 +5,7 @@ A port is found by causality, name and unit, or stated in a mapping file::
     fmu = "their.fmu"
     [ports]
     throttle = "PLA"          # an element of an array as "levers[1]"; "" leaves a port unconnected
-    thrust = "Fn"
+    thrust = "Fn"             # ["F1", "F2"] or "F*": the FMU holds several engines, and serves as many stations
     [units]
     thrust = "lbf"            # only where the FMU declares none or the wrong one
     [range]
@@ -46,6 +46,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
+from cosim.base.signals import MOST_JETS
 from cosim.base.toml import (
     Model,
     NotNegative,
@@ -60,6 +61,7 @@ from cosim.engine.units import (
     FORCE,
     LENGTH,
     MASS_FLOW,
+    MOMENT,
     PRESSURE,
     RATIO,
     SPEED,
@@ -76,9 +78,12 @@ from cosim.engine.units import (
 BASE = ("throttle", "ambient_pressure", "ambient_temperature", "air_speed")
 DERIVED = ("altitude", "mach", "density", "total_pressure", "total_temperature")  # from those: Air.derived
 INPUTS = (*BASE, *DERIVED)
-OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow")
+ASIDE = ("force_forward", "force_right", "torque")  # what an engine does to the airframe beside its thrust
+OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow", *ASIDE)
 AMBIENT = INPUTS[1:]
 NEEDED = ("throttle", "thrust")
+SPEEDS = ("air_speed", "mach", "total_pressure", "total_temperature")  # of the air into one engine's intake
+OWN = ("throttle", *OUTPUTS, "ram_drag", "run", "start")  # that no two engines of one FMU share
 
 REALS = ("Real", "Float64", "Float32")
 INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
@@ -241,6 +246,10 @@ KINDS: Mapping[str, Kind] = {
             "mdotf", "mfuel", "ff",
         ),
     ),
+    # in the frame of the jet, which tilts with it; a torque of an engine is most often that of its shaft
+    "force_forward": Kind("output", FORCE, REALS, (), stated=True),
+    "force_right": Kind("output", FORCE, REALS, (), stated=True),
+    "torque": Kind("output", MOMENT, REALS, (), stated=True),
     "start": Kind(
         "parameter",
         RATIO,
@@ -300,23 +309,29 @@ class Port:
         return float(floor(value + 0.5)) if self.variable.type in INTEGERS else value
 
 
+Wanted = str | list[str]  # a variable's name; several, or one with a * for a number: an engine each
+
+
 class _Ports(Model):
-    throttle: str | None = None
-    thrust: str | None = None
-    ambient_pressure: str | None = None
-    ambient_temperature: str | None = None
-    air_speed: str | None = None
-    altitude: str | None = None
-    mach: str | None = None
-    density: str | None = None
-    total_pressure: str | None = None
-    total_temperature: str | None = None
-    run: str | None = None
-    ram_drag: str | None = None
-    spool_speed: str | None = None
-    exhaust_temperature: str | None = None
-    fuel_flow: str | None = None
-    start: str | None = None
+    throttle: Wanted | None = None
+    thrust: Wanted | None = None
+    ambient_pressure: Wanted | None = None
+    ambient_temperature: Wanted | None = None
+    air_speed: Wanted | None = None
+    altitude: Wanted | None = None
+    mach: Wanted | None = None
+    density: Wanted | None = None
+    total_pressure: Wanted | None = None
+    total_temperature: Wanted | None = None
+    run: Wanted | None = None
+    ram_drag: Wanted | None = None
+    spool_speed: Wanted | None = None
+    exhaust_temperature: Wanted | None = None
+    fuel_flow: Wanted | None = None
+    force_forward: Wanted | None = None
+    force_right: Wanted | None = None
+    torque: Wanted | None = None
+    start: Wanted | None = None
 
 
 class _Units(Model):
@@ -334,6 +349,9 @@ class _Units(Model):
     spool_speed: str | None = None
     exhaust_temperature: str | None = None
     fuel_flow: str | None = None
+    force_forward: str | None = None
+    force_right: str | None = None
+    torque: str | None = None
 
 
 class _Scale(Model):
@@ -345,6 +363,9 @@ class _Scale(Model):
     ram_drag: float | None = None
     spool_speed: float | None = None
     fuel_flow: float | None = None
+    force_forward: float | None = None
+    force_right: float | None = None
+    torque: float | None = None
 
     @field_validator("*")
     @classmethod
@@ -442,7 +463,7 @@ class MappingFile(Model):
     rotor: _Rotor = _Rotor()
     flame_out: _FlameOut | None = None
     ledger: _Ledger = _Ledger()
-    log: Annotated[dict[str, str], BeforeValidator(flat)] = Field(default_factory=dict)  # column: output
+    log: Annotated[dict[str, Wanted], BeforeValidator(flat)] = Field(default_factory=dict)  # column: output
     parameter_set: str | None = Field(default=None, min_length=1)  # a file (SSV) beside it; [parameters] go before it
 
 
@@ -450,7 +471,7 @@ class MappingFile(Model):
 class PortMap:
     """What is stated about an FMU's ports; everything else is found."""
 
-    ports: Mapping[str, str] = field(default_factory=dict)
+    ports: Mapping[str, Wanted] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     throttle_range: tuple[float, float] | None = None
     search: bool = True  # look for the ports that are not stated
@@ -504,8 +525,83 @@ class PortError(ValueError):
     """A port is missing, ambiguous or unfit: one line without the FMU's name, which the caller knows."""
 
 
+def find_engines(variables: Sequence[Variable], stated: PortMap) -> tuple[tuple[dict[str, Port], ...], list[str]]:
+    """The ports of each engine that an FMU holds, and notes on what was assumed or left out.
+
+    It holds one, unless ports are stated as several variables.  Of what is not an engine's own, all have the same.
+    Raises PortError as :func:`find_ports`, and where the engines are not as many everywhere.
+    """
+    members = {name: members_of(name, KINDS[name].causality, wanted, variables)
+               for name, wanted in stated.ports.items() if is_several(wanted)}  # fmt: skip
+    if not members:
+        ports, notes = find_ports(variables, stated)
+        return (ports,), notes
+    counts = {name: len(each) for name, each in members.items()}
+    lone = [name for name in NEEDED if name not in members]
+    if lone:
+        raise PortError(f"[ports] states several engines by {', '.join(members)}; their {' and '.join(lone)} too "
+                        "must be stated, one for each")  # fmt: skip
+    if len(set(counts.values())) > 1:
+        shown = ", ".join(f"{count} of {name}" for name, count in counts.items())
+        raise PortError(f"[ports] states {shown}: must be as many")
+    count = counts["throttle"]
+    if not 2 <= count <= MOST_JETS:
+        raise PortError(f"[ports] states {count} engines; 2 to {MOST_JETS} may be in one FMU")
+    shared = [name for name in OWN if name not in members and stated.ports.get(name)]
+    if shared:
+        raise PortError(f"[ports] {shared[0]} is one for {count} engines; state one for each, or an output in [log]")
+    if "start" in members:
+        raise PortError("[ports] start: several engines in one FMU are run up before a flight; leave it out")
+    rest = {name: wanted for name, wanted in stated.ports.items() if name not in members}
+    rest |= {name: "" for name in OWN if name not in members}
+    found = []
+    notes = []
+    for k in range(count):
+        own = {name: each[k] for name, each in members.items()}
+        ports, said = find_ports(variables, replace(stated, ports={**rest, **own}))
+        found.append(ports)
+        notes += [note for note in said if note not in notes]
+    _need_apart(found)
+    pairs = ", ".join(f"{ports['throttle'].variable.name} and {ports['thrust'].variable.name}" for ports in found)
+    return tuple(found), [f"holds {count} engines, stepped as one: {pairs}", *notes]
+
+
+def is_several(wanted: Wanted) -> bool:
+    """Whether what is stated for a port speaks of several engines."""
+    return isinstance(wanted, list) or "*" in wanted
+
+
+def members_of(port: str, causality: str, wanted: Wanted, variables: Sequence[Variable]) -> list[str]:
+    """The variables that are stated for a port: a list as it is, a ``*`` as the numbers that there are, rising."""
+    if isinstance(wanted, list):
+        return wanted
+    shape = re.compile(re.escape(wanted).replace(r"\*", r"(\d+)", 1))
+    fitting = [v.name for v in variables if v.causality == causality]
+    hits = sorted((int(match[1]), name) for name in fitting if (match := shape.fullmatch(name)))
+    if not hits:
+        raise PortError(f"has no {causality} like {wanted}, with a number for *, for {port} "
+                        f"({_list(causality, [v for v in variables if v.causality == causality])})")  # fmt: skip
+    return [name for _, name in hits]
+
+
+def _need_apart(engines: Sequence[Mapping[str, Port]]) -> None:
+    """Refuse what two engines of one FMU share and may not, and throttles of several types."""
+    taken: dict[tuple[str, str, int, int], str] = {}
+    for k, ports in enumerate(engines, start=1):
+        for name in OWN:
+            if name not in ports:
+                continue
+            v = ports[name].variable
+            other = taken.setdefault((v.causality, v.type, v.reference, v.index), f"{name} of engine {k}")
+            if other != f"{name} of engine {k}":
+                raise PortError(f"its {v.name} is both {other} and {name} of engine {k}; each has its own")
+    types = {ports["throttle"].variable.type for ports in engines}
+    if len(types) > 1:
+        raise PortError(f"its throttles are of several types, {', '.join(sorted(types))}; must be of one")
+
+
 def find_ports(variables: Sequence[Variable], stated: PortMap) -> tuple[dict[str, Port], list[str]]:
-    """Every port that is stated or found, and notes on what was assumed or left out.
+    """Every port that is stated or found of one engine, and notes on what was assumed or left out.
 
     Raises PortError if a needed or stated port does not serve; what is optional and does not is left out with a note.
     """
@@ -513,6 +609,7 @@ def find_ports(variables: Sequence[Variable], stated: PortMap) -> tuple[dict[str
     notes: list[str] = []
     for name, kind in KINDS.items():
         wanted = stated.ports.get(name)
+        assert not isinstance(wanted, list)  # of one engine
         insist = name in NEEDED or wanted or name in stated.units
         if wanted == "" and name in NEEDED:
             raise PortError(f"its {name} cannot be left unconnected")

@@ -7,8 +7,9 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from cosim.base.cache import Memory
 from cosim.base.errors import InputError, nearest
@@ -31,6 +32,14 @@ from cosim.engine.response import NO_CHANGE, Curve, Small, rising
 from cosim.engine.rundown import FlameOutLaw
 from cosim.engine.starting import Setting
 from cosim.engine.system import SUFFIX, is_system, read_system
+
+
+class Sibling(NamedTuple):
+    """Another engine that an FMU holds: what is its own."""
+
+    curve: Curve
+    small: Small | None
+    logged: tuple[tuple[str, Variable], ...]
 
 
 @dataclass(frozen=True)
@@ -65,6 +74,8 @@ class EngineSpec:
     isolated: bool = False  # it asks for a process of its own
     small: Small | None = None  # how late it is to a small step, as measured at the control step; None: see Measured
     logged: tuple[tuple[str, Variable], ...] = ()  # further outputs, by what they are called in the log
+    lane: int = 0  # which of the engines that its FMU holds, from 0
+    others: tuple[Sibling, ...] = field(default=(), repr=False)  # of the first one: those that are held with it
     misbehaves: str = ""  # what a check found that it does to its process, for which it has one of its own
 
     @property
@@ -73,9 +84,29 @@ class EngineSpec:
         return self.archive.equations_sha256 or self.sha256
 
     @property
+    def source(self) -> tuple[Hashable, ...]:
+        """Where it comes from: the same for all engines that one FMU holds."""
+        return self.path, self.mapping, self.settings
+
+    @property
+    def shared(self) -> tuple[Hashable, ...]:
+        """What an instance of its FMU does depends on this, and on how it is stepped."""
+        return *behaviour_of(self.archive, self.settings, self.air), self.start, self.window, self.quiet
+
+    @property
     def behaviour(self) -> tuple[Hashable, ...]:
         """What the engine does depends on this, and on how it is stepped."""
-        return *behaviour_of(self.archive, self.settings, self.air), self.start, self.window, self.quiet
+        return *self.shared, self.lane
+
+    def at(self, station: int) -> EngineSpec:
+        """The engine that serves a station, from 0: those of an FMU that holds several follow each other."""
+        lane = station % len(self.archive.engines)
+        if lane == self.lane:
+            return self
+        if self.lane:
+            raise ValueError(f"engine {self.lane + 1} of {self.path.name} does not serve station {station + 1}")
+        other = self.others[lane - 1]
+        return replace(self, lane=lane, curve=other.curve, small=other.small, logged=other.logged, others=())
 
     @property
     def family(self) -> str:
@@ -89,11 +120,11 @@ class EngineSpec:
     @property
     def ports(self) -> Mapping[str, Port]:
         """What the co-simulation calls a variable -> the variable and its conversion."""
-        return self.archive.ports
+        return self.archive.engines[self.lane]
 
     def has(self, port: str) -> bool:
         """Whether the engine has a port, such as ``ambient_pressure``, ``run`` or ``fuel_flow``."""
-        return port in self.archive.ports
+        return port in self.ports
 
     @property
     def delay(self) -> float | None:
@@ -150,7 +181,8 @@ _definitions: Memory[build.Engine] = Memory(64)
 def behaviour_of(archive: Archive, settings: tuple[Setting, ...], air: Air) -> tuple[Hashable, ...]:
     """What decides how an FMU with these settings answers, in this air."""
     values = tuple((variable.name, value.hex()) for variable, value in settings)
-    return archive.sha256, tuple(sorted(archive.ports.items())), archive.starting, values, air
+    ports = tuple(tuple(sorted(each.items())) for each in archive.engines)
+    return archive.sha256, ports, archive.starting, values, air
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from pathlib import Path
 
 from cosim.base.cache import Memory
 from cosim.base.errors import nearest
-from cosim.engine.archive import Archive, Feed, Part, Place, System, left_alone, read_component, read_once
+from cosim.engine.archive import Archive, Feed, Part, Place, System, left_alone, named_ports, read_component, read_once
 from cosim.engine.container import UnusableError, need_harmless_xml, open_archive
-from cosim.engine.ports import PortError, PortMap, Variable, find_ports
+from cosim.engine.ports import PortError, PortMap, Variable, find_engines, is_several
 from cosim.engine.starting import Setting, starting
 from cosim.engine.structure import STRUCTURE, Node, Structure, Value, conversion, order, origin, read_structure
 from cosim.engine.structure import Path as At
@@ -137,16 +137,18 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, mad
     starts = {(name, v.name): value for name, each in settings.items() for v, value in each}
     variables, places = _variables(structure, made, origins, number, starts)
     system = System(parts, feeds, places)
-    own = [v for v in variables if "." not in v.name or v.name in stated.ports.values()]
+    named = {name for each in stated.ports.values() for name in (each if isinstance(each, list) else [each])}
+    many = any(is_several(each) and "." in each for each in stated.ports.values())  # of components, with a *
+    own = [v for v in variables if many or "." not in v.name or v.name in named]
     inputs, outputs, parameters = (
         tuple(v for v in variables if v.causality == causality) for causality in ("input", "output", "parameter")
     )
     try:
-        ports, notes = find_ports(own or variables, stated)
-        begin = starting(stated, inputs, outputs, ports)
+        engines, notes = find_engines(own or variables, stated)
+        begin = starting(stated, inputs, outputs, named_ports(engines))
     except PortError as error:
         raise UnusableError(str(error)) from error
-    notes += left_alone(inputs, ports, begin)
+    notes += left_alone(inputs, named_ports(engines), begin)
     notes += [f"exchanged a step late, because it is in a loop: {text}" for text in system.late]
     return Archive(
         path=path,
@@ -157,7 +159,7 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, mad
         model=structure.name,
         identifier="",
         token="",
-        ports=ports,
+        engines=engines,
         port_notes=tuple(notes),
         blemishes=tuple(f"component {part.name}: {text}" for part in parts for text in part.archive.blemishes),
         inputs=inputs,

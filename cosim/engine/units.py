@@ -168,7 +168,18 @@ DENSITY = Quantity(
         "slug/ft3": (POUND_FORCE / FOOT**4, 0.0),  # a slug is lbf s^2 / ft
     },
 )
-QUANTITIES = (FORCE, PRESSURE, TEMPERATURE, SPEED, ANGULAR_SPEED, MASS_FLOW, RATIO, LENGTH, DENSITY)
+MOMENT = Quantity(
+    "a moment",
+    "N.m",
+    {
+        **dict.fromkeys(("N.m", "Nm", "N*m", "N-m"), (1.0, 0.0)),
+        **dict.fromkeys(("kN.m", "kNm"), (1e3, 0.0)),
+        **dict.fromkeys(("mN.m", "mNm"), (1e-3, 0.0)),
+        **dict.fromkeys(("lbf.ft", "lbf*ft", "ft.lbf", "ft-lbf", "lb-ft"), (POUND_FORCE * FOOT, 0.0)),
+        **dict.fromkeys(("lbf.in", "in.lbf", "in-lbf"), (POUND_FORCE * 0.0254, 0.0)),
+    },
+)
+QUANTITIES = (FORCE, PRESSURE, TEMPERATURE, SPEED, ANGULAR_SPEED, MASS_FLOW, RATIO, LENGTH, DENSITY, MOMENT)
 
 _PER_SECOND = exponents("1/s")
 

@@ -173,7 +173,7 @@ class EngineChain:
     ``laws[i]``: how engine ``i``, from 0, goes out (:mod:`cosim.engine.rundown`); ``lag(i)``: its time constant
     [s], asked for
     where a fan loses its current.  ``factors``: thrust over that of the bank, spool speeds the same; ``delay``: steps
-    by which every throttle arrives later.
+    by which every throttle arrives later; ``aside``: some engine does more to the airframe than its thrust.
 
     A flame-out and a shut-off shut the engine's ``run`` port, and the engine's own equations say what follows.  One
     without that port is given a closed throttle, and its law says what is left of its thrust: of a turbine the cold air
@@ -191,12 +191,14 @@ class EngineChain:
         step: float,
         factors: PerJet | None = None,
         delay: int = 0,
+        aside: bool = False,
     ) -> None:
         self.bank = bank
         self.wants_ambient = bank.wants_ambient
         self._laws, self._lag, self._step = list(laws), lag, step
         self._factors = factors
         self._delay = delay
+        self._aside = aside
         self._line: deque[PerJet] = deque()
         self._forget()
 
@@ -234,8 +236,17 @@ class EngineChain:
         """With the thrust of the engines that fly, where the bank's are those that are known."""
         if self._factors is None:
             return output
-        thrust = tuple([factor * newton for factor, newton in zip(self._factors, output.thrust, strict=True)])
-        return output._replace(thrust=thrust)
+        thrust = [factor * newton for factor, newton in zip(self._factors, output.thrust, strict=True)]
+        return self._changed(output, thrust, output.spool_speed, output.fuel_flow)
+
+    def _changed(self, output: EngineOutput, thrust: Sequence[float], speed: PerJet, flow: PerJet) -> EngineOutput:
+        """With another thrust; what an engine does beside its thrust goes with that."""
+        aside = [output.force_forward, output.force_right, output.torque]
+        if self._aside:
+            shares = [after / before if before else 0.0 for after, before in zip(thrust, output.thrust, strict=True)]
+            aside = [tuple([share * each for share, each in zip(shares, values, strict=True)]) for values in aside]
+        forward, right, torque = aside
+        return EngineOutput(tuple(thrust), speed, output.exhaust_temperature, flow, forward, right, torque)
 
     def _delivered(self, output: EngineOutput) -> EngineOutput:
         """Behind faults and switches."""
@@ -247,7 +258,7 @@ class EngineChain:
         for i, effect in self._cut.items():
             thrust[i], speed[i] = effect.deliver(thrust[i], speed[i])
             flow[i] = 0.0
-        return EngineOutput(tuple(thrust), tuple(speed), output.exhaust_temperature, tuple(flow))
+        return self._changed(output, thrust, tuple(speed), tuple(flow))
 
     def switch(self, index: int, on: bool) -> None:
         """Shut one engine off, or on again, before the next step; ``index`` from 0.  Raises EngineError.

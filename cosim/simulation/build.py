@@ -34,6 +34,7 @@ from cosim.engine import (
     IsolatedBank,
     load_engine,
 )
+from cosim.engine.ports import ASIDE
 from cosim.engine.wrappers import EngineChain
 from cosim.simulation.brought import bring
 from cosim.simulation.commander import Commander
@@ -95,6 +96,8 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
         made.callback(airframe.close)
         apart = scenario.engine_isolated or any(spec.isolated for spec in stations)
         in_flight = _starts_in_flight(scenario, stations)
+        aside = [{port for port in ASIDE if spec.has(port)} for spec in stations]
+        aside = aside if any(aside) else []
         bank = (
             IsolatedBank(stations, step, in_flight) if apart else EngineBank(stations, len(stations), step, in_flight)
         )
@@ -105,6 +108,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             lambda jet: engine_reference(stations[jet], step).lag,
             step,
             *engines_as_flown(scenario.mismatch, len(stations)),
+            aside=bool(aside),
         )
         servos = [TiltServo(vehicle.servo, step) for _ in SERVOS] if vehicle.servo else []
         banks = Banks(vehicle.servo, flown.jets, step) if vehicle.servo else None
@@ -118,6 +122,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             IntakeDrag(vehicle.airflow, flown.jets) if vehicle.airflow else None,
             GroundJets(vehicle.ground_effect, flown.jets) if vehicle.ground_effect else None,
             airframe.air,
+            aside,
         )
         suite: Sensors = SensorSuite(vehicle.sensors, step, scenario.seed, scenario.sensor_noise)
         sensors = FaultySensors(suite if brought.sensors is None else brought.sensors(suite))
@@ -204,7 +209,15 @@ def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
 
     engine = load(scenario.engine, scenario.engine_parameters)
     stations = [scenario.stations.get(str(number)) for number in range(1, jets + 1)]
-    return [engine, *(engine if station is None else at(station) for station in stations)]
+    found = [engine if station is None else at(station) for station in stations]
+    for spec in found:
+        held = len(spec.archive.engines)
+        if jets % held:
+            raise InputError(
+                f"scenario {scenario.name}: engine {spec.name}: its FMU holds {held} engines, and "
+                f"{scenario.aircraft_name} has {jets} stations, which is no whole multiple"
+            )
+    return [engine, *(spec.at(station) for station, spec in enumerate(found))]
 
 
 def find_controller(scenario: Scenario) -> Source | None:

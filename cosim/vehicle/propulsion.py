@@ -7,6 +7,7 @@ intakes, the tank, the banks' reaction and what the ground does to the jets.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
 from math import nan
 from operator import mul
 
@@ -41,6 +42,8 @@ class Propulsion:
     """Everything between the actuators' commands and the airframe; a part that the vehicle has not is None.
 
     ``jets`` as they stand on the vehicle that flies; ``air()``: static pressure [Pa] and temperature [K] where it is.
+    ``aside``: of each engine what it gives beside its thrust (:data:`cosim.engine.ports.ASIDE`); empty: none does.
+    An engine that gives a torque has no other reaction: ``reaction_m`` of its jet does not act.
     After a step ``output``, ``tilt``, ``fuel`` and ``spool_moment`` say what the parts did over it; ``momentum`` of the
     rotors (kg m^2/s, body) and ``burnt`` (kg, of a full tank) are the airframe's to carry.
     """
@@ -56,6 +59,7 @@ class Propulsion:
         streams: IntakeDrag | None,
         ground: GroundJets | None,
         air: Callable[[], tuple[float, float]],
+        aside: Sequence[AbstractSet[str]] = (),
     ) -> None:
         self.engines = engines
         self.servos = list(servos)
@@ -65,7 +69,13 @@ class Propulsion:
         self._air = air
         self._left = tuple(jet.servo == "left" for jet in jets)
         self._places: list[Vector3] = [jet.position_m for jet in jets]
-        self._reactions = tuple(jet.reaction_m for jet in jets)
+        self._aside = bool(aside)
+        self._gives: list[tuple[bool, bool, bool]] = [
+            ("force_forward" in each, "force_right" in each, "torque" in each) for each in aside
+        ]
+        self._reactions = tuple(
+            0.0 if aside and "torque" in aside[index] else jet.reaction_m for index, jet in enumerate(jets)
+        )
         self._reacting = any(self._reactions)
         self._wind = ZERO3
         self.gusts: list[Vector3] = []  # m/s NED, of the wind at each jet beyond that at the vehicle; none: it is one
@@ -114,7 +124,11 @@ class Propulsion:
         if self.spools is not None:
             self.spools.reset(self.output.spool_speed)
             self.momentum = self.spools.momentum
-        return self.forces(self.output.thrust, self.tilt)
+        forces = self.forces(self.output.thrust, self.tilt)
+        if self._aside:
+            across, _ = self.beside(self.output, self.tilt)
+            forces = [_plus(force, more) for force, more in zip(forces, across, strict=True)]
+        return forces
 
     def step(self, k: int, actuation: Actuation, state: State) -> tuple[list[Vector3], Vector3]:
         """Over step ``k`` from ``state``: a force at each jet's station [N, body] and a moment beside them [N m, body].
@@ -140,9 +154,15 @@ class Propulsion:
             self.spool_moment = self.spools.moment(change, state.rate)
             moment = _plus(change, moment)
         forces = self.forces(output.thrust, tilt)
+        if self._aside:
+            # across a jet as it stands; where the ground's suction is of the thrust alone, it is so of what is along it
+            across, torque = self.beside(output, tilt)
+            moment = _plus(moment, torque)
         if self._suckdown is not None:  # of the thrust alone
             forces, more = self._suckdown.act(forces, state)
             moment = _plus(moment, more)
+        if self._aside:
+            forces = [_plus(force, more) for force, more in zip(forces, across, strict=True)]
         if self.streams is not None:
             forces, more = self.streams.act(forces, output.thrust, tilt, state, self.gusts)
             moment = _plus(moment, more)
@@ -177,6 +197,26 @@ class Propulsion:
             else (thrust[jet] * right_x, 0.0, thrust[jet] * right_z)
             for jet, on_left in enumerate(self._left)
         ]
+
+    def beside(self, output: EngineOutput, tilt: tuple[float, float]) -> tuple[list[Vector3], Vector3]:
+        """What the engines do beside their thrust: a force at each jet's station [N, body], and a moment [N m, body].
+
+        The jet's frame is the body's, turned about body y with the jet: of a tilt t thrust is along
+        ``(sin t, 0, -cos t)``, forward ``(cos t, 0, sin t)``, right ``(0, 1, 0)``; the torque is about the thrust.
+        """
+        axes = [jet_axis(tilt[0]), jet_axis(tilt[1])]
+        forces: list[Vector3] = []
+        moment = ZERO3
+        for jet, on_left in enumerate(self._left):
+            x, _, z = axes[0] if on_left else axes[1]
+            has_forward, has_right, has_torque = self._gives[jet]
+            forward = output.force_forward[jet] if has_forward else 0.0
+            right = output.force_right[jet] if has_right else 0.0
+            forces.append((-forward * z, right, forward * x))
+            if has_torque:
+                torque = output.torque[jet]
+                moment = _plus(moment, (torque * x, 0.0, torque * z))
+        return forces, moment
 
     def ambient(self, state: State, wind: Vector3) -> Ambient:
         """The air at the engines: the vehicle's, and what blows into each intake along its jet as it stands.

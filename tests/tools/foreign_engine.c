@@ -21,7 +21,7 @@
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { THROTTLE = 1, THRUST = 2, PULSE = 3, IGNITION = 4, MODE = 5, SPEED = 6, VALVE = 7, DRAG = 8, GROSS = 9,
        THROTTLES = 10, THRUSTS = 20, ALTITUDE = 30, MACH, DENSITY, TOTAL_PRESSURE, TOTAL_TEMPERATURE, GAIN = 40,
-       VALUES = 50 };
+       FORWARD, RIGHT, TORQUE, RUNS = 50, VALUES = 60 };
 enum { LINE = 2048, MOST = 6 };
 #define H 0.001 /* s, of its own step */
 #define FULL 20.0 /* N */
@@ -36,7 +36,8 @@ typedef struct {
     X(delay_full, -1.0) X(lag, 0.1) X(lag2, 0.0) X(accelerates, 0.0) X(zero, 0.0) X(mode, 0.0) X(mode_hz, 9.0) \
     X(damping, 0.01) X(soak, 0.0) X(hunts, 0.0) X(noise, 0.0) X(flat, 1.0) X(exponent, 1.0) X(air, 0.0) X(idle, \
     0.0) X(sign, 1.0) X(drag, 0.0) X(crashes, 0.0) X(hangs, 0.0) X(floods, 0.0) X(engines, 1.0) \
-    X(prints, 0.0) X(threads, 0.0) X(dies, 0.0) X(leaks, 0.0)
+    X(prints, 0.0) X(threads, 0.0) X(dies, 0.0) X(leaks, 0.0) X(uneven, 0.0) X(coupled, 0.0) \
+    X(forward, 0.0) X(right, 0.0) X(torque, 0.0)
 
 typedef struct {
     PARTS(FIELD)
@@ -131,6 +132,9 @@ static void part(Engine *e, One *s, double u)
 static void outputs(Engine *e)
 {
     const double share = e->of.noise;
+    double all = 0.0; /* mean of what they give before they take it from each other */
+    for (int i = 0; i < e->count; i++)
+        all += e->one[i].y / e->count;
     for (int i = 0; i < e->count; i++) {
         double y = e->one[i].y, flat = e->of.flat, exponent = e->of.exponent;
         y = y < flat ? y / flat : 1.0;
@@ -142,10 +146,14 @@ static void outputs(Engine *e)
         double newton = FULL * (y + (share > 0.0 ? share * noise(e) : 0.0));
         if (e->of.idle > 0.0)
             newton = FULL * (e->of.idle + (1.0 - e->of.idle) * y);
+        newton *= (1.0 - e->of.uneven * i) * (1.0 - e->of.coupled * all);
         if (i == 0)
             e->value[THRUST] = e->of.sign * newton;
         e->value[THRUSTS + i] = newton;
     }
+    e->value[FORWARD] = e->of.forward * e->value[THRUST];
+    e->value[RIGHT] = e->of.right * e->value[THRUST];
+    e->value[TORQUE] = e->of.torque * e->value[THRUST];
     e->value[DRAG] = e->of.drag;
     e->value[GROSS] = e->value[THRUST] + e->value[DRAG];
     const double takes = e->of.start;
@@ -160,7 +168,7 @@ static int advance(Engine *e, double t, double h)
         e->time = (double)e->k * H;
         const bool on = running(e);
         for (int i = 0; i < e->count; i++)
-            part(e, &e->one[i], on ? command(e, i) : 0.0);
+            part(e, &e->one[i], on && e->value[RUNS + i] != 0.0 ? command(e, i) : 0.0);
     }
     if (alive >= MOST && e->time > 3.0) { /* in a flight, and in no trial */
         volatile char *lost = e->of.leaks > 0.0 ? malloc((size_t)(e->of.leaks * 1048576.0)) : NULL; /* MB a step */
@@ -205,6 +213,8 @@ static Engine *create(const char *token)
     e->count = (int)e->of.engines;
     e->value[PULSE] = 1000.0;
     e->value[DENSITY] = 1.225;
+    for (int i = 0; i < MOST; i++)
+        e->value[RUNS + i] = 1.0;
     alive++;
     return e;
 }

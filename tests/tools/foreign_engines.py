@@ -19,11 +19,11 @@ FULL = 20.0  # N
 REFERENCE = {
     "throttle": 1, "thrust": 2, "pulse": 3, "ignition": 4, "mode": 5, "speed": 6, "valve": 7, "drag": 8, "gross": 9,
     "throttles": 10, "thrusts": 20, "altitude": 30, "mach": 31, "density": 32, "total_pressure": 33,
-    "total_temperature": 34, "gain": 40,
+    "total_temperature": 34, "gain": 40, "forward": 41, "right": 42, "torque": 43, "runs": 50,
 }  # fmt: skip
 UNITS = """<UnitDefinitions><Unit name="N"><BaseUnit kg="1" m="1" s="-2"/></Unit>
 <Unit name="m"><BaseUnit m="1"/></Unit><Unit name="kg/m3"><BaseUnit kg="1" m="-3"/></Unit>
-<Unit name="Pa"><BaseUnit kg="1" m="-1" s="-2"/></Unit><Unit name="K"><BaseUnit K="1"/></Unit></UnitDefinitions>"""
+<Unit name="N.m"><BaseUnit kg="1" m="2" s="-2"/></Unit><Unit name="Pa"><BaseUnit kg="1" m="-1" s="-2"/></Unit><Unit name="K"><BaseUnit K="1"/></Unit></UnitDefinitions>"""
 THROTTLE = '<Real {name} causality="input" min="0" max="1" start="0"/>'
 
 Row = tuple[str, str, str, str]  # name in the FMU, what it is (of REFERENCE), causality, attributes
@@ -192,8 +192,8 @@ KINDS: dict[str, Engine] = {
     "gross": ("lag=0.1,drag=0.5", [lever(), force("Fg", "gross"), force("Fram", "drag")], 2,
               ("[ports]", "thrust = 'Fg'", "ram_drag = 'Fram'"), NO_CHANGE),
     "deck": ("lag=0.1,air=1", [lever(), force(), *AIR], 2, (), NO_CHANGE),
-    "six-in-one": ("lag=0.1,engines=6", SIX, 2, ("[ports]", "throttle = 'u0'", "thrust = 'F0'"), NO_CHANGE),
-    "six-in-arrays": ("lag=0.1,engines=6", ARRAYS, 3, ("[ports]", "throttle = 'u[1]'", "thrust = 'F[1]'"), NO_CHANGE),
+    "six-in-one": ("lag=0.1,engines=6", SIX, 2, ("[ports]", "throttle = 'u*'", "thrust = 'F*'"), NO_CHANGE),
+    "six-in-arrays": ("lag=0.1,engines=6", ARRAYS, 3, ("[ports]", "throttle = 'u[*]'", "thrust = 'F[*]'"), NO_CHANGE),
 }  # fmt: skip
 
 

@@ -356,7 +356,20 @@ class _Trying:
 def _measured(data: Mapping[str, Any]) -> Measured:
     curve = Curve(tuple(data["throttle"]), tuple(data["thrust"]))
     small = Small(**data["small"]) if data["small"] else None
-    return Measured(curve, Response(**data["response"]), data["start"], float(data["quiet"]), small)
+    others = tuple(_measured(other) for other in data["others"])
+    return Measured(curve, Response(**data["response"]), data["start"], float(data["quiet"]), small, others)
+
+
+def told(measured: Measured) -> dict[str, Any]:
+    """What was measured, as it travels and is remembered."""
+    return {
+        **measured.curve._asdict(),
+        "response": measured.response._asdict(),
+        "start": measured.start,
+        "quiet": measured.quiet,
+        "small": measured.small._asdict() if measured.small else None,
+        "others": [told(other) for other in measured.others],
+    }
 
 
 def _described(variables: Iterable[Variable]) -> list[dict[str, Any]]:
@@ -472,8 +485,16 @@ def _measure_here(source: EngineSource, parameters: Mapping[str, float], step: f
     start = archive.ports["start"].variable.name if "start" in archive.ports else None
     _, settings = resolve_parameters(archive, given, start)
     measured = measure_once(archive, settings, start, step, air)
-    _need_no_problems(source, curve_problems(measured.curve, measured.quiet, archive.starting.rest_n))
+    _need_no_problems(source, all_curve_problems(measured, archive.starting.rest_n))
     return measured
+
+
+def all_curve_problems(measured: Measured, rest: float) -> list[str]:
+    """What is wrong with the static curves of the engines that an FMU holds."""
+    problems = curve_problems(measured.curve, measured.quiet, rest)
+    for lane, other in enumerate(measured.others, start=2):
+        problems += [f"engine {lane}: {text}" for text in curve_problems(other.curve, other.quiet, rest)]
+    return problems
 
 
 def _measure_apart(
@@ -534,11 +555,4 @@ def _recall(place: Path) -> Measured | None:
 
 
 def _remember(place: Path, measured: Measured) -> None:
-    data = {
-        **measured.curve._asdict(),
-        "response": measured.response._asdict(),
-        "start": measured.start,
-        "quiet": measured.quiet,
-        "small": measured.small._asdict() if measured.small else None,
-    }
-    write(place, json.dumps(data))
+    write(place, json.dumps(told(measured)))

@@ -28,7 +28,7 @@ from cosim.engine.instance import Slave, SlaveError
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import Measured, measure
 from cosim.engine.ports import STANDARD_AIR, Air
-from cosim.engine.qualify.check import NEEDED
+from cosim.engine.qualify.check import NEEDED, all_curve_problems, told
 from cosim.engine.qualify.supervisor import READ
 from cosim.engine.response import (
     NO_CHANGE,
@@ -36,7 +36,6 @@ from cosim.engine.response import (
     Response,
     ResponseError,
     crossing,
-    curve_problems,
     flat_notes,
     settle,
     step_response,
@@ -326,14 +325,8 @@ def _measure(trial: Trial) -> Found:
         Air(*trial.task.air),
     )
     curve = measurement.curve._asdict()
-    measured = {
-        **curve,
-        "response": measurement.response._asdict(),
-        "start": measurement.start,
-        "quiet": measurement.quiet,
-    }
-    measured["small"] = measurement.small._asdict() if measurement.small else None
-    problems = curve_problems(measurement.curve, measurement.quiet, trial.archive.starting.rest_n)
+    measured = told(measurement)
+    problems = all_curve_problems(measurement, trial.archive.starting.rest_n)
     notes = flat_notes(measurement.curve, measurement.quiet, trial.archive.starting.rest_n)
     return {**curve, "up": measurement.response._asdict(), "measured": measured, "notes": notes}, problems
 
@@ -397,12 +390,17 @@ def _repeat(trial: Trial) -> Found:
 
 
 def _together(trial: Trial) -> Found:
-    """Six engines at once, as a vehicle has them: what one of them answers is what it answers alone."""
-    trial.say({"at": "while six of it were instantiated"})
+    """Six engines at once, as a vehicle has them: what one of them answers is what it answers alone.
+
+    Of an FMU that holds several two instances: what one of them answers is what it answers without the other.
+    """
+    trial.say({"at": "while several of it were instantiated"})
     memory = _resident()
     spec = _spec(trial)
     runs = []
-    for count in (ENGINES, 1):
+    held = len(trial.archive.engines)
+    most = 2 * held if held > 1 else ENGINES
+    for count in (most, held):
         with EngineBank(spec, count, trial.step) as bank:
             begin = _resident()
             for _ in range(2):  # a second flight of the same bank
@@ -411,11 +409,12 @@ def _together(trial: Trial) -> Found:
                 trial.say({"at": f"while {count} of it were stepped"})
                 runs.append([bank.step(k, _shifted(k, count)).thrust[-1] for k in range(TRIAL_STEPS)])
         trial.say({"at": f"when {count} of it were freed"})
-        if count == ENGINES:
+        if count == most:
             memory = begin - memory
     good = all(run == runs[0] for run in runs)
-    problems = [] if good else ["six of it at once do not answer as one alone: they are not independent"]
-    return {"independent": good, "bytes_per_instance": max(0.0, memory) / ENGINES}, problems
+    many = "six" if held == 1 else "two"
+    problems = [] if good else [f"{many} of it at once do not answer as one alone: they are not independent"]
+    return {"independent": good, "bytes_per_instance": max(0.0, memory) * held / most}, problems
 
 
 def _shifted(k: int, count: int) -> tuple[float, ...]:

@@ -471,6 +471,27 @@ def test_every_kind_is_read_and_measured_or_refused_in_one_line(tmp_path: Path) 
     assert max(mapping_lines.values()) <= 5  # and the one that names the FMU
 
 
+SIX_LINES = ("undeclared-unit", "power", "pulses", "crank", "noisy", "six-in-one")
+
+
+@pytest.mark.parametrize("kind", SIX_LINES)
+def test_six_lines_of_mapping_make_it_fly(kind: str, place: Path) -> None:
+    """Blemished, with a constant input, a throttle in whole numbers, a start, noise, six in one: as each is, and hovers."""
+    of, rows, fmi, lines, change = KINDS[kind]
+    path = foreign(place, f"flies-{kind}", of, rows, fmi, change, MODES[fmi] if "modes" in of else "")
+    path = mapped(path, *lines) if lines else path
+    if lines:
+        assert len(path.read_text().splitlines()) <= 6
+    hover = Scenario.load("hover").replace(
+        engine=str(path), controller="baseline", engine_unchecked=True, duration_s=0.4, sensor_noise=False, expect=[]
+    )
+    run = fly(hover)
+    assert run.outcome == "completed", run.reason
+    total = sum(run.log[f"thrust_{jet}_N"].mean() for jet in range(1, 7))
+    total = sum(run.log[f"thrust_{jet}_N"].mean() for jet in range(1, 7))
+    assert total == pytest.approx(9.81 * run.log["mass_kg"][0], rel=0.02)
+
+
 def test_a_survey_tells_what_came_of_each(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
     refused = foreign(place, "furlong", "lag=0.2", change=('unit="N"', 'unit="furlong"'))
     page = place / "page.md"

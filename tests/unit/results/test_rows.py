@@ -200,6 +200,7 @@ def test_angles_of_the_measured_quaternion(rows: int) -> None:
 UNSEEN = {
     ("k",), ("command", "rate"), ("command", "collective"), ("state", "attitude"), ("disturbance", "wind"),
     ("disturbance", "gust"), ("disturbance", "torque_seen"), ("actuation", "off"), ("control", "allocated"), ("own",),
+    ("engines", "force_forward"), ("engines", "force_right"), ("engines", "torque"),
 }  # fmt: skip
 
 
