@@ -58,6 +58,9 @@ pictures: setup ## draw the documentation's pictures anew, from flights
 	@$(BIN)/python docs/engine_pictures.py
 	@$(BIN)/python docs/rooms.py
 
+docs: setup ## make the documentation's site, in build/site; a warning or a link that leads nowhere is an error
+	@$(BIN)/python docs/website.py $(ARGS)
+
 lock: ## resolve pyproject.toml into requirements.lock; newer releases: make lock ARGS=--upgrade
 	@$(call check_python)
 	@test -x build/lock/bin/uv || { $(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install --quiet uv; }
@@ -75,7 +78,7 @@ help: ## this list
 		/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 	@printf '\nThe interpreter: make PYTHON=python3.12 ... (at the first set-up, or after make clean)\n'
 
-.PHONY: demo bench setup check test long fast fmus kinds pictures lock clean help missing
+.PHONY: demo bench setup check test long fast fmus kinds pictures docs lock clean help missing
 
 $(LOCKED): requirements.lock
 	@$(call check_python)

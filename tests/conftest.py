@@ -54,6 +54,8 @@ LENGTHY = {
     "test_gcs_conformance": ("test_connect_fly_and_land_as_qgroundcontrol[0.2]", "test_a_stranger_without_the_key"),
     "test_campaign_store": ("test_ten_kills_at_random_moments",),
     "test_campaign_workers": ("test_a_flight_that_does_not_end_is_ended",),
+    "test_site": ("test_the_site_is_built_without_a_warning",),
+    "test_tutorial": ("test_the_tutorial_as_written",),
     "test_mavlink_services": ("test_a_mission[a fifth lost]", "test_parameters[a fifth lost]"),
 }
 LENGTHY_FIXTURES = {"test_bench": {"measured", "result"}, "test_package": {"wheel", "installed"}}

@@ -218,7 +218,7 @@ def _flight(design: Design, name: str, table: Mapping[str, Any], gain: float, la
     vehicle = merge(merge(table.get("vehicle", {}), given.vehicle), made["vehicle"])
     flown = {
         "name": f"proof-{name}",
-        "aircraft": design.vehicle.name,
+        "aircraft": given.aircraft,
         "engine": given.engine,
         "engine_parameters": dict(given.engine_parameters),
         "engine_unchecked": True,  # it was measured already

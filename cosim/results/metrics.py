@@ -48,8 +48,8 @@ class AxisMetrics(Record):
     """One axis.  None stands for what this flight cannot tell."""
 
     commanded: bool  # its set-point changes during the flight, or differs from the attitude at the start
-    rmse_rad: float | None = None
-    max_abs_error_rad: float | None = None
+    rmse_rad: float | None = None  # root of the mean square of the error
+    max_abs_error_rad: float | None = None  # largest size of the error
     overshoot_percent: float | None = None  # of the step's size, past it in its direction; worst step
     settling_time_s: float | None = None  # from a step until within 5 % of its size for good; worst step
     rate_rmse_rad_s: float | None = None  # true rate against its set-point
@@ -60,27 +60,27 @@ class AxisMetrics(Record):
 class AltitudeMetrics(Record):
     """Height above the ground against its set-point."""
 
-    rmse_m: float | None = None
-    max_abs_error_m: float | None = None
-    final_error_m: float | None = None
+    rmse_m: float | None = None  # root of the mean square of the error
+    max_abs_error_m: float | None = None  # largest size of the error
+    final_error_m: float | None = None  # of the last row
 
 
 class PositionMetrics(Record):
     """Horizontal place: from where the flight began, and from the place asked for where one is."""
 
     drift_m: float | None = None  # largest distance from the start
-    final_drift_m: float | None = None
+    final_drift_m: float | None = None  # the distance at the end
     rmse_m: float | None = None  # of the distance from the place asked for
-    max_abs_error_m: float | None = None
-    final_error_m: float | None = None
+    max_abs_error_m: float | None = None  # largest distance from the place asked for
+    final_error_m: float | None = None  # the same at the end
     waypoints_left: float | None = None  # not reached at the end
 
 
 class SpeedMetrics(Record):
     """Horizontal speed over the ground."""
 
-    max_m_s: float | None = None
-    final_m_s: float | None = None
+    max_m_s: float | None = None  # largest
+    final_m_s: float | None = None  # at the end
 
 
 class EffortMetrics(Record):
@@ -100,7 +100,7 @@ class Metrics(Record):
     position: PositionMetrics = PositionMetrics()
     speed: SpeedMetrics = SpeedMetrics()
     effort: EffortMetrics = EffortMetrics()
-    fuel_burnt_kg: float | None = None
+    fuel_burnt_kg: float | None = None  # from the first row to the last
 
 
 class Reach(Record):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from functools import cache
+from pathlib import Path
 
 from places import ROOT
 
@@ -60,3 +62,19 @@ def row_states(page: str, name: str, *values: float) -> None:
         assert abs(abs(float(figure)) - abs(found)) <= 0.5001 * last_digit(figure), (
             f"{page}: {name}: {figure}, now {found}"
         )
+
+
+def defined(path: Path) -> set[str]:
+    """Functions, classes and methods of a module, dotted; of a C file the functions."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".c":
+        return set(re.findall(r"^static [\w *]*?(\w+)\(", text, re.MULTILINE))
+
+    def below(node: ast.AST, prefix: str) -> set[str]:
+        found = set()
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+                found |= {prefix + child.name, *below(child, f"{prefix}{child.name}.")}
+        return found
+
+    return below(ast.parse(text), "")

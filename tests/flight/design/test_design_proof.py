@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from foreign_engines import foreign, mapped
 
+from cosim.base.toml import read_toml
 from cosim.design import design as making
 from cosim.design import prove as proving
 from cosim.design import tune as search
@@ -25,6 +26,8 @@ from cosim.design.prove import CORNER, fault_of, prove, proved
 from cosim.design.result import summary_lines, to_dict
 from cosim.design.tune import Requirements
 from cosim.engine import load_engine
+from cosim.spec.new_aircraft import new_aircraft
+from cosim.spec.scenario import Scenario, find_scenario
 
 STEP = 0.004
 
@@ -207,6 +210,20 @@ def test_what_only_a_flight_shows_is_no_design(place: Path, sound: Design) -> No
     assert any(line.startswith("no acceptable design: flown") for line in summary_lines(found))
     assert found.proof is not None
     assert len(found.proof.flights) == 3  # a corner that fails is enough
+
+
+def test_an_aircraft_of_a_folder_is_proved_as_what_it_is(
+    tmp_path: Path, sound: Design, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By its folder: its name alone is known to nobody."""
+    aircraft = new_aircraft("mine", "hexjet", tmp_path / "mine").parent
+    given = sound.scenario.replace(aircraft=str(aircraft))
+    design = replace(sound, scenario=given, vehicle=given.resolved_vehicle()[0])
+    flown: list[Scenario] = []
+    monkeypatch.setattr(proving, "fly", lambda scenario, **_: flown.append(scenario))
+    monkeypatch.setattr(proving, "fault_of", lambda *_: "")
+    assert proving._flight(design, "hover", read_toml(find_scenario("hover")), 1.0, 0) == ""
+    assert flown[0].resolved_vehicle()[0].name == "mine"
 
 
 def flown(**changes: Any) -> Any:

@@ -1,0 +1,71 @@
+"""What Sphinx makes the site with; ``python docs/website.py`` puts its sources together first.
+
+No page asks anything of another machine: fonts are those of the reader's system, formulas are MathML, which browsers
+draw themselves, and the search runs in the page.
+"""
+
+from __future__ import annotations
+
+import re
+from importlib.metadata import version as version_of
+from typing import Any
+
+from docutils import nodes
+from docutils.utils.math import MathError
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
+from sphinx.writers.html5 import HTML5Translator
+
+project = "hexjet-cosim"
+author = "The hexjet-cosim authors"
+copyright = author
+release = version = version_of("hexjet-cosim")
+
+extensions = ["myst_parser"]
+root_doc = "index"
+source_suffix = {".md": "markdown"}
+highlight_language = "text"
+nitpicky = True
+
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4
+myst_all_links_external = False
+myst_url_schemes = ["http", "https", "mailto"]
+
+html_theme = "furo"
+html_title = f"{project} {release}"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_copy_source = False
+html_show_sourcelink = False
+html_math_renderer = "mathml"
+pygments_style = "friendly"
+
+
+def _mathml(translator: HTML5Translator, node: nodes.Element, block: bool) -> None:
+    try:
+        shown = tex2mathml(node.astext(), as_block=block)
+    except (MathError, SyntaxError) as error:
+        raise ExtensionError(f"{node.source}:{node.line}: formula {node.astext()!r}: {error}") from error
+    text = shown if isinstance(shown, str) else shown.toprettyxml()
+    translator.body.append(re.sub(r"\s*\n\s*", "", text))
+    raise nodes.SkipNode
+
+
+def _inline(translator: HTML5Translator, node: nodes.Element) -> None:
+    _mathml(translator, node, block=False)
+
+
+def _block(translator: HTML5Translator, node: nodes.Element) -> None:
+    translator.body.append(translator.starttag(node, "div", CLASS="formula"))
+    try:
+        _mathml(translator, node, block=True)
+    finally:
+        translator.body.append("</div>\n")
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Formulas as MathML."""
+    app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
+    return {"parallel_read_safe": True}

@@ -1,0 +1,195 @@
+"""The documentation's site (docs/README.md is its contents, docs/glossary.md a part of it): its reference has everything, its links lead somewhere, its tutorial's commands exist.
+
+That Sphinx builds it without a warning is a long test of its own, and so is the tutorial as written.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+from places import DOCS, ROOT
+
+from cosim.cli.main import COMMANDS, cli
+from cosim.results.columns import log_columns
+from cosim.results.metrics import metric_names
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
+
+
+@pytest.fixture(scope="module")
+def reference() -> dict[str, Any]:
+    return runpy.run_path(str(DOCS / "reference.py"))
+
+
+@pytest.fixture(scope="module")
+def made(reference: dict[str, Any]) -> dict[str, str]:
+    pages: dict[str, str] = reference["pages"]()
+    return pages
+
+
+# --- the reference has everything -------------------------------------------------------------------------------------
+
+
+def below(command: click.Command, path: str) -> Iterator[tuple[str, click.Command]]:
+    """Every command of the tree, read from click itself."""
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            found = command.get_command(context, name)
+            assert found is not None
+            yield f"{path} {name}", found
+            yield from below(found, f"{path} {name}")
+
+
+def test_every_command_with_every_option(made: dict[str, str]) -> None:
+    page = made["commands.md"]
+    parts = dict(re.findall(r"^## (hexjet [\w -]+)\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL))
+    found = dict(below(cli, "hexjet"))
+    assert set(parts) == set(found)
+    assert set(COMMANDS) <= {path.split()[1] for path in parts}
+    for path, command in found.items():
+        for parameter in command.params:
+            if isinstance(parameter, click.Option) and not parameter.hidden:
+                assert all(opt in parts[path] for opt in parameter.opts), (path, parameter.name)
+
+
+@pytest.mark.parametrize("model", ["Scenario", "Vehicle", "Study", "MappingFile", "ControllerFile"])
+def test_every_key_has_a_meaning(reference: dict[str, Any], model: str) -> None:
+    """A new key: say what it means in a comment behind its field."""
+    keys = list(reference["keys"](reference[model]))
+    assert [f"{key.table} {key.name}" for key in keys if not key.meaning] == []
+    assert {key.name for key in keys if not key.table} == set(reference[model].model_fields)
+
+
+def test_no_key_of_a_file_is_missing(made: dict[str, str]) -> None:
+    """What the program itself writes of a scenario and of a vehicle, down to the last table, is there."""
+
+    def names(table: dict[str, Any]) -> Iterator[str]:
+        for name, value in table.items():
+            yield name
+            for each in value if isinstance(value, list) else [value]:
+                if isinstance(each, dict) and name not in ("identified", "metrics"):
+                    yield from names(each)
+
+    for page, written in (
+        ("scenario.md", Scenario.load("roll-doublet").model_dump()),
+        ("vehicle.md", load_vehicle("hexjet-p220")[0].model_dump()),
+    ):
+        missing = [name for name in names(written) if f"| `{name}` |" not in made[page]]
+        assert not missing, page
+
+
+def test_every_column_and_metric(made: dict[str, str]) -> None:
+    for column in log_columns():
+        assert f"| `{column.name}` | {column.unit or '-'} |" in made["columns.md"]
+        assert column.meaning
+    rows = re.findall(r"^\| `(\S+)` \| (\S+) \| (.*) \|$", made["metrics.md"], re.MULTILINE)
+    assert {name for name, _, _ in rows} >= set(metric_names())
+    assert [name for name, _, meaning in rows if not meaning.strip()] == []
+
+
+def test_every_name_in_the_environment(reference: dict[str, Any]) -> None:
+    """What the package, its build and its tests ask of the environment is in the table."""
+    ours = [path for path in (ROOT / "cosim").rglob("*.py") if path.name != "_messages.py"]  # the rest is generated
+    sources = [*ours, ROOT / "setup.py", ROOT / "tests" / "conftest.py"]
+    text = "\n".join(path.read_text(encoding="utf-8") for path in sources)
+    asked = set(re.findall(r"environ(?:\.get\(|\[)\"([A-Z_]+)\"(?!\] = )", text)) | set(
+        re.findall(r"\"(HEXJET_[A-Z]+)\"", text)
+    )
+    assert asked <= set(reference["ENVIRONMENT"])
+    assert {"HEXJET_PURE", "XDG_CACHE_HOME"} <= asked
+
+
+# --- plain pages ------------------------------------------------------------------------------------------------------
+
+
+def pages() -> list[Path]:
+    folders = [ROOT / name for name in ("docs", "aircraft", "benchmarks", "engines", "fmus", ".github")]
+    return [*ROOT.glob("*.md"), *(page for folder in folders for page in folder.rglob("*.md"))]
+
+
+def anchors(page: Path) -> set[str]:
+    """Those of a page's headings, as GitHub and the site make them."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    found: set[str] = set()
+    for heading in re.findall(r"^#+ (.*)$", text, re.MULTILINE):
+        plain = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).replace("`", "").lower()
+        slug = "".join("-" if each == " " else each for each in plain if each.isalnum() or each in " -_")
+        number = 0
+        while (name := f"{slug}-{number}" if number else slug) in found:
+            number += 1
+        found.add(name)
+    return found
+
+
+def test_every_link_leads_somewhere() -> None:
+    lost = []
+    for page in pages():
+        text = re.sub(r"^```.*?^```$|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        for link in re.findall(r"\]\(([^)\s]+)\)", text):
+            if re.match(r"[a-z]+:", link):
+                continue
+            path, _, anchor = link.partition("#")
+            target = (page.parent / path).resolve() if path else page
+            if not target.exists() or (anchor and anchor not in anchors(target)):
+                lost.append(f"{page.relative_to(ROOT)}: {link}")
+    assert not lost
+
+
+def test_every_page_is_in_the_contents(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(DOCS))
+    website = runpy.run_path(str(DOCS / "website.py"))
+    listed = [page for part in website["contents"]().values() for page in part]
+    assert {page.relative_to(ROOT).as_posix() for page in website["sources"]()} == set(listed)
+
+
+# --- the tutorial -----------------------------------------------------------------------------------------------------
+
+
+def test_the_commands_of_the_tutorial_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every one with its options, as click reads them; nothing is flown."""
+    commands = re.findall(r"^hexjet .*$", (DOCS / "tutorial.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(commands) > 8
+    for line in commands:
+        name, *arguments = shlex.split(line, comments=True)[1:]
+        command: click.Command | None = cli.get_command(click.Context(cli), name)
+        assert command is not None, line
+        while isinstance(command, click.Group):
+            command, arguments = command.get_command(click.Context(command), arguments[0]), arguments[1:]
+            assert command is not None, line
+        for parameter in command.params:  # a file need not be there yet
+            if isinstance(parameter.type, click.Path):
+                monkeypatch.setattr(parameter.type, "exists", False)
+        command.make_context(name, arguments)
+
+
+def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
+    """Long: every page, link and anchor; nothing on it asks another machine for anything."""
+    pytest.importorskip("sphinx", reason="no sphinx: pip install '.[docs]'")
+    import subprocess
+
+    done = subprocess.run(
+        [sys.executable, str(DOCS / "website.py"), str(tmp_path / "site")],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"HEXJET_PURE": "1"},
+    )
+    assert done.returncode == 0, done.stderr
+    built = list((tmp_path / "site").rglob("*.html"))
+    assert len(built) > 50
+    asked = re.compile(r"<(?:script|img|link|iframe|source)[^>]*(?:src|href)=\"(?:https?:)?//[^\"]*\"")
+    for page in built:
+        found = [each for each in asked.findall(page.read_text(encoding="utf-8")) if "canonical" not in each]
+        assert not found, page
+    theory = (tmp_path / "site" / "docs" / "theory.html").read_text(encoding="utf-8")
+    assert theory.count("<math") > 20
+    assert (tmp_path / "site" / "searchindex.js").stat().st_size > 100_000
