@@ -15,7 +15,7 @@ from cosim.base.protocols import Observer
 from cosim.base.toml import read_toml
 from cosim.control.cascade import Cascade
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.engine import EngineSpec, engine_names
+from cosim.engine import EngineSpec, engine_names, load_engine
 from cosim.engine.spec import find_source
 from cosim.results.autopilot_record import PilotRecord
 from cosim.results.columns import log_columns
@@ -56,7 +56,7 @@ from cosim.spec.scenario import (
     TableCommand,
     TrackCommand,
 )
-from cosim.spec.vehicle import VEHICLE, aircraft_names, as_read, is_file, is_own
+from cosim.spec.vehicle import VEHICLE, aircraft_names, as_read, engine_of, is_file, is_own, load_vehicle
 from cosim.vehicle.airframe import (
     IN_THE_AIR,
     METHODS,
@@ -264,6 +264,32 @@ def copied_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> t
             raise InputError(f"aircraft {scenario.aircraft_name}: another file of the flight has the name {name!r}")
     files |= own
     return VEHICLE, stated
+
+
+def copied_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) -> str:
+    """What one of several own aircraft is called beside a scenario; what it is made of is added to ``files``.
+
+    Its files begin with its name.  Raises InputError as :func:`cosim.spec.vehicle.load_vehicle`, for its engine, and
+    where another file has the name of one of them.
+    """
+    import tomli_w
+
+    vehicle, place = load_vehicle(aircraft, folder=folder)
+    table, own = as_read(aircraft, folder), dict[str, Path | bytes]()
+    if vehicle.model is not None:
+        name = f"{vehicle.name}-{Path(vehicle.model).name}"
+        own[name] = read_model(place / vehicle.model)
+        table = table | {"model": name}
+    engine = engine_of(aircraft, folder)
+    if engine is not None and is_file(engine):
+        spec = load_engine(engine, {}, vehicle.control_step)
+        table = table | {"engine": engine_files([spec], files)[id(spec)]}
+    own[f"{vehicle.name}-{VEHICLE}"] = tomli_w.dumps(_written(table)).encode()
+    for name in own:
+        if name in files:
+            raise InputError(f"aircraft {vehicle.name}: another file has the name {name!r}")
+    files |= own
+    return f"{vehicle.name}-{VEHICLE}"
 
 
 def _written(table: Mapping[str, Any]) -> dict[str, Any]:

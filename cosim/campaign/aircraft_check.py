@@ -21,7 +21,6 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.files import one_line, replacing
 from cosim.base.frames import jet_axis
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
-from cosim.campaign.fault_survey import step_of
 from cosim.flight import fly
 from cosim.results.report.three_views import places, three_views
 from cosim.simulation.build import build
@@ -124,7 +123,6 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
     }
     scenario = Scenario.from_table(table, Path(), "aircraft check")
     vehicle, _ = scenario.resolved_vehicle()
-    scenario = scenario.replace(step_s=step_of(aircraft))
     with build(scenario) as simulation:
         lines = [_forces(simulation), _masses(simulation), *_sizes(vehicle)]
         least, most = _thrust(simulation)

@@ -237,10 +237,8 @@ def survival(
 
 
 def step_of(aircraft: str) -> float:
-    """The control step that the aircraft's models are stated at, s."""
-    vehicle, _ = load_vehicle(aircraft)
-    steps = {model.sample_time_s for axes in vehicle.identified.values() for model in axes.values()}
-    return min(steps, default=0.004)
+    """The control step of the aircraft, s."""
+    return load_vehicle(aircraft)[0].control_step
 
 
 def scenario_of(case: Case, start: str, controller: str, aircraft: str, engine: str, step: float) -> Scenario:

@@ -19,13 +19,13 @@ from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.study import Study
 from cosim.control.predictors.registry import BASELINE
 from cosim.engine import EngineSpec, load_engine
-from cosim.flight import copied_controller, engine_files, resolve
+from cosim.flight import copied_controller, copied_vehicle, engine_files, resolve
 from cosim.simulation.build import build
 from cosim.simulation.controllers.source import find
 from cosim.simulation.step import Simulation
 from cosim.spec.controller_name import file_name, is_design
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import is_file
+from cosim.spec.vehicle import is_file, is_own
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
 FLIGHTS, JOURNAL, REPORT, CASES = "flights", "flights.jsonl", "report.html", "cases"
@@ -122,16 +122,20 @@ def _scenario(
         }
     if "aircraft" in swapped:
         data["vehicle"] = base.vehicle
+        if "step_s" not in base.model_fields_set:
+            del data["step_s"]
     return data
 
 
 def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> list[Any] | None:
-    """The values of a key, engines that are files by the names that they get in the folder."""
-    if vary.values is None or vary.key.split(".")[-1] != "engine":
+    """The values of a key, aircraft and engines that are files by the names that they get in the folder."""
+    if vary.values is None or vary.key.split(".")[-1] not in ("aircraft", "engine"):
         return vary.values
     values: list[Any] = []
     for value in vary.values:
-        if isinstance(value, str) and is_file(value):
+        if vary.key == "aircraft" and isinstance(value, str) and is_own(value):
+            value = copied_vehicle(value, base.folder, sources)
+        elif isinstance(value, str) and is_file(value):
             spec: EngineSpec = load_engine(str(base.folder / value), {}, base.step_s, unchecked=base.engine_unchecked)
             value = engine_files([spec], sources)[id(spec)]
         values.append(value)

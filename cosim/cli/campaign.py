@@ -13,7 +13,15 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.cli.console import output_to_stderr, part_progress, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, Number, brought_settings, example, terminated_as_interrupted
+from cosim.cli.options import (
+    DONE,
+    FLIGHT_FAILED,
+    Number,
+    brought_settings,
+    example,
+    flown_by,
+    terminated_as_interrupted,
+)
 
 if TYPE_CHECKING:
     from cosim.campaign.search.result import Searched
@@ -37,6 +45,7 @@ if TYPE_CHECKING:
     "controllers", "--controller", metavar="NAME|FILE", multiple=True, help="Each draw is flown with every one."
 )
 @click.option("--correlate", metavar="KEY,KEY=R", multiple=True, help="Rank correlation of what is drawn for two keys.")
+@click.option("--aircraft", metavar="NAME|DIR", help="Overrides the scenario's, with the engine that it is made for.")
 @click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
 @click.option("metrics", "--metric", metavar="NAME", multiple=True, help="One of yours, as in hexjet fly.")
 @click.option("--wind", metavar="NAME|FILE.csv", help="Yours, as in hexjet fly.")
@@ -67,6 +76,7 @@ def sweep(
     as_json: bool,
     metrics: tuple[str, ...],
     wind: str | None,
+    aircraft: str | None,
     **options: Any,
 ) -> int:
     """Fly a scenario many times with what varies drawn for each flight, or a study, or go on with a campaign in DIR.
@@ -78,7 +88,7 @@ def sweep(
     from cosim.campaign.analysis.summary import campaign_summary
     from cosim.campaign.run import opened, run_campaign, workers_at
 
-    options["settings"] = [*options["settings"], *brought_settings(metrics, wind)]
+    options["settings"] = [*flown_by(aircraft), *options["settings"], *brought_settings(metrics, wind)]
     if keys is not None:
         return _list_keys(name, options["settings"], keys, as_json)
     study, folder = opened(name, out, resume, **options)
@@ -136,6 +146,7 @@ def _list_keys(name: str, settings: tuple[str, ...], pattern: str, as_json: bool
 @click.option(
     "--budget", type=click.IntRange(min=1), default=1000, show_default=True, help="Flights for keys together."
 )
+@click.option("--aircraft", metavar="NAME|DIR", help="Overrides the scenario's, with the engine that it is made for.")
 @click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
 @click.option("metrics", "--metric", metavar="NAME", multiple=True, help="One of yours, as in hexjet fly.")
 @click.option("--wind", metavar="NAME|FILE.csv", help="Yours, as in hexjet fly.")
@@ -156,6 +167,7 @@ def search(
     as_json: bool,
     metrics: tuple[str, ...],
     wind: str | None,
+    aircraft: str | None,
     **options: Any,
 ) -> int:
     """Find the smallest change that breaks a controller: of a delay, a gain, a payload, a gust, or any other key.
@@ -167,7 +179,7 @@ def search(
     from cosim.campaign.search.folder import opened, run_search
     from cosim.flight import new_folder
 
-    options["settings"] = [*options["settings"], *brought_settings(metrics, wind)]
+    options["settings"] = [*flown_by(aircraft), *options["settings"], *brought_settings(metrics, wind)]
     study, plan = opened(name, **options)
     if resume and out is None:
         raise InputError("--resume: give the folder of the search with --out")

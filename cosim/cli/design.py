@@ -11,14 +11,14 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.cli.console import part_progress, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, offer_to_compile, warn_of_blemishes
+from cosim.cli.options import DONE, FLIGHT_FAILED, Number, engine_for, example, offer_to_compile, warn_of_blemishes
 
 if TYPE_CHECKING:
     from cosim.design.design import Design
 
 
 @click.command(epilog=example("hexjet design --engine turbojet --out turbojet.toml"))
-@click.option("--engine", required=True, metavar="NAME|FILE", help="A name, an .fmu or a .toml that maps one.")
+@click.option("--engine", metavar="NAME|FILE", help="A name, an .fmu or a .toml.  [default: the aircraft's own]")
 @click.option("--aircraft", default="hexjet", show_default=True, help="See: hexjet list aircraft.")
 @click.option(
     "--controller",
@@ -87,7 +87,7 @@ if TYPE_CHECKING:
 )
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 def design(
-    engine: str,
+    engine: str | None,
     aircraft: str,
     controller: str,
     model: Path | None,
@@ -124,6 +124,7 @@ def design(
             out.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"--out {out}: cannot be written to: {error.strerror or error}") from error
+    engine = engine_for(aircraft, engine)
     offer_to_compile(engine)
     warn_of_blemishes(engine)
     need = Requirements(

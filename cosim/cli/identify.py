@@ -83,7 +83,7 @@ def _finish_identification(identification: Any, out: Path | None, name: str, as_
 def _axis_command(axis: str) -> None:
     @identify.command(axis, epilog=example(f"hexjet identify {axis} --engine edf --out {axis}-model"))
     @click.option("--aircraft", default="hexjet", show_default=True, help="See: hexjet list aircraft.")
-    @click.option("--engine", metavar="NAME|FILE.fmu", help="See: hexjet list engines.  [default: edf-as-flown]")
+    @click.option("--engine", metavar="NAME|FILE.fmu", help="See: hexjet list engines.  [default: the aircraft's own]")
     @click.option("--controller", metavar="NAME", help="[default: smith, or baseline if no model is known]")
     @click.option("--substeps", type=int, help="JSBSim steps in a control step.")
     @click.option("--seed", type=int, help="Of the sensor noise.")

@@ -162,6 +162,30 @@ def brought_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[
     return [f"{key}={json.dumps(value)}" for key, value in brought_changes(metrics, wind=wind).items()]
 
 
+def engine_for(aircraft: str, engine: str | None) -> str:
+    """The engine that is named, or else the aircraft's own.  Raises InputError where it has none."""
+    from cosim.spec.vehicle import aircraft_seen_from, engine_of
+
+    found = engine or engine_of(aircraft_seen_from(aircraft, Path()))
+    if found is None:
+        raise InputError(f"{aircraft}: vehicle.toml names no engine: name one with --engine")
+    return found
+
+
+def flown_by(aircraft: str | None) -> list[str]:
+    """Another aircraft with the engine that it is made for as settings of a study; a path is meant from here."""
+    import json
+
+    from cosim.spec.vehicle import aircraft_seen_from, engine_of
+
+    if aircraft is None:
+        return []
+    aircraft = aircraft_seen_from(aircraft, Path())
+    engine = engine_of(aircraft)
+    own = [] if engine is None else [f"engine={json.dumps(engine)}"]
+    return [f"aircraft={json.dumps(aircraft)}", *own]
+
+
 def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
     """``NAME`` or ``N=NAME`` texts as changes of a scenario.  Raises InputError if one is named twice."""
     from cosim.spec.vehicle import file_seen_from

@@ -369,9 +369,6 @@ def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scen
     if scenario.stations:
         raise InputError("design: --set stations: a design is for one engine at all stations")
     vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle, "design: vehicle")
-    steps = {model.sample_time_s for models in vehicle.identified.values() for model in models.values()}
-    if "step_s" not in table and len(steps) == 1:
-        scenario = scenario.replace(step_s=steps.pop())
     return scenario, vehicle
 
 

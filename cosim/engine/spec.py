@@ -247,8 +247,10 @@ def need_whole_steps(archive: Archive, engine: build.Engine | None, step: float)
         return
     count = round(step / internal)
     if count < 1 or abs(step - count * internal) > 1e-9 * step:
+        below = max(1, int(step / internal))
         raise InputError(
-            f"{archive.path}: step {step:g} s is not a whole multiple of the engine's internal step {internal:g} s"
+            f"{archive.path}: step {step:g} s is not a whole multiple of the engine's internal step {internal:g} s; "
+            f"step_s of the scenario or the vehicle may be {below * internal:g} or {(below + 1) * internal:g}"
         )
 
 

@@ -626,4 +626,5 @@ def _parameters(simulation: Simulation) -> Parameters:
         return Parameters([])
     own = simulation.own
     controller = simulation.scenario.controller if own is None else own.label
-    return Parameters(table(control, control.pilot, controller, None, "" if own is None else own.level))
+    level = "" if own is None else own.level
+    return Parameters(table(control, control.pilot, controller, None, level, simulation.vehicle.jets))

@@ -28,7 +28,7 @@ from cosim.base.toml import (
     set_path,
     validate,
 )
-from cosim.spec.vehicle import Vehicle, is_own, load_vehicle
+from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_own, load_vehicle
 
 SIGNALS = (
     "roll_deg",
@@ -527,7 +527,7 @@ class Scenario(Model):
         10.0  # of the clock, that each of its calls may take
     )
     duration_s: Duration
-    step_s: Annotated[float, Field(gt=0.0, le=0.1)] = 0.004
+    step_s: Step = STEP_S  # not stated: the aircraft's control_step
     substeps: Annotated[int, Field(ge=1, le=100)] = 4
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     sensor_noise: bool = True
@@ -723,7 +723,37 @@ class Scenario(Model):
         """
         scenario = validate(cls, data, where)
         scenario._folder = folder
-        return scenario
+        return scenario if "step_s" in data else scenario._at_the_step_of_its_aircraft()
+
+    def _at_the_step_of_its_aircraft(self) -> Scenario:
+        """The same with the step that was not stated; an aircraft that cannot be read is told where it is needed."""
+        try:
+            step = self.resolved_vehicle()[0].control_step
+        except InputError:
+            return self
+        if step == self.step_s:
+            return self
+        changed = self.model_copy(update={"step_s": step})
+        changed.model_fields_set.discard("step_s")  # of another aircraft it is another
+        return changed
+
+    def stated(self, mode: Literal["python", "json"] = "python") -> dict[str, Any]:
+        """The scenario as a table, to be changed and read anew: without what follows from its aircraft.
+
+        Parameters
+        ----------
+        mode : {"python", "json"}
+            As pydantic has it: with tuples, or with what files can say alone.
+
+        Returns
+        -------
+        dict
+            By key, without those that are None.
+        """
+        data = self.model_dump(mode=mode, exclude_none=True)
+        if "step_s" not in self.model_fields_set:
+            del data["step_s"]
+        return data
 
     def replace(self, **changes: Any) -> Scenario:
         """A copy with something changed.
@@ -743,7 +773,7 @@ class Scenario(Model):
         InputError
             For a wrong key or value.
         """
-        data = self.model_dump(exclude_none=True)
+        data = self.stated()
         if changes.get("controller", self.controller) != self.controller:  # what was said of the other one
             data = {
                 key: value for key, value in data.items() if key not in ("controller_parameters", "controller_sha256")

@@ -28,6 +28,8 @@ from cosim.base.toml import (
 from cosim.spec.scaling import scaled
 
 VEHICLE = "vehicle.toml"  # in an aircraft's folder
+STEP_S = 0.004  # the control step of who states none: the paper's 250 Hz
+Step = Annotated[float, Field(gt=0.0, le=0.1)]  # s, of control
 Axis3 = tuple[NotNegative, NotNegative, NotNegative]
 Samples = Annotated[int, Field(ge=0, le=1000)]
 
@@ -427,6 +429,7 @@ class Vehicle(Model):
     title: str
     model: str | None = None  # the JSBSim model's file, beside vehicle.toml; None: all is stated in that
     engine: str | None = None  # what it is made for, and flies with where only the aircraft is named
+    step_s: Step | None = None  # control step where a scenario states none; None: see control_step
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]
     jets: Annotated[list[Jet], Field(min_length=4, max_length=MOST_JETS)]
@@ -484,6 +487,16 @@ class Vehicle(Model):
                 f"{[round(moment, 6) for moment in empty]} kg m^2, which no body has"
             )
         return self
+
+    @property
+    def control_step(self) -> float:
+        """The control step [s] of scenarios that state none: its own, else the sample time of its identified models
+        where all have the same, else :data:`STEP_S`.
+        """
+        if self.step_s is not None:
+            return self.step_s
+        steps = {model.sample_time_s for models in self.identified.values() for model in models.values()}
+        return steps.pop() if len(steps) == 1 else STEP_S
 
 
 class Scaled(Model):

@@ -28,7 +28,7 @@ from cosim.simulation.controllers.source import find
 from cosim.simulation.controllers.source import names as own_controllers
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of, is_file
+from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of, is_file, is_own
 
 if TYPE_CHECKING:
     from cosim.engine.archive import Archive
@@ -129,6 +129,8 @@ class Key:
             if value in self.choices:
                 return self.choices[self.choices.index(value)]
             if self._takes_files and (is_file(str(value)) or ":" in str(value)):
+                return value
+            if self.path == "aircraft" and is_own(str(value)):
                 return value
         elif self.kind in ("float", "int") and isinstance(value, (int, float)) and not isinstance(value, bool):
             number = self._rounded(float(value)) if isfinite(value) else value
@@ -232,7 +234,7 @@ def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
         for part in reversed(tables):
             change = {part: change}
         changes = merge(changes, change)
-    stated = scenario.model_dump(mode="json", exclude_none=True) | {"expect": []}
+    stated = scenario.stated("json") | {"expect": []}
     if values.get("engine", scenario.engine) != scenario.engine:
         stated["stations"] = {}
     return Scenario.from_table(merge(stated, changes), scenario.folder, f"scenario {scenario.name}")
@@ -252,9 +254,11 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
         return {}, values
     from cosim.design.controller_file import read_controller
 
-    file = read_controller(Path(path), str(values.get("aircraft", scenario.aircraft)), scenario.folder)
-    if abs(float(values.get("step_s", scenario.step_s)) - file.design.step_s) > 1e-9:
-        raise InputError(f"{path}: designed for steps of {file.design.step_s:g} s, not of {scenario.step_s:g} s")
+    aircraft = str(values.get("aircraft", scenario.aircraft))
+    file = read_controller(Path(path), aircraft, scenario.folder)
+    step = float(values.get("step_s") or scenario.replace(aircraft=aircraft, vehicle={}).step_s)
+    if abs(step - file.design.step_s) > 1e-9:
+        raise InputError(f"{path}: designed for steps of {file.design.step_s:g} s, not of {step:g} s")
     return {"vehicle": file.vehicle}, {**values, "controller": file.controller}
 
 

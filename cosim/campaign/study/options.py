@@ -21,6 +21,7 @@ from cosim.campaign.study.study import (
 )
 from cosim.spec.controller_name import seen_from
 from cosim.spec.scenario import Range, Scenario, scenario_names
+from cosim.spec.vehicle import aircraft_seen_from, file_seen_from
 
 
 def open_study(
@@ -43,7 +44,7 @@ def open_study(
     has levels or values and no ``runs`` are given, and else over a Latin hypercube.  Raises InputError.
     """
     data, folder, where = _opened(name)
-    listed = [parse_vary(text).model_dump(mode="json", exclude_none=True) for text in vary]
+    listed = [_seen_from_here(parse_vary(text).model_dump(mode="json", exclude_none=True)) for text in vary]
     data["vary"] = _written_over(data.get("vary", []), listed, lambda table: table.get("key"))
     pairs = [parse_correlate(text).model_dump(mode="json") for text in correlate]
     data["correlate"] = _written_over(data.get("correlate", []), pairs, lambda table: frozenset(table.get("keys", [])))
@@ -87,6 +88,15 @@ def _opened(name: str | Path) -> tuple[dict[str, Any], Path, str]:
         return table, path.parent, str(path)
     scenario = Scenario.from_table(table, path.parent, str(path))
     return {"name": scenario.name, "scenario": str(path.absolute())}, path.parent, str(path)
+
+
+def _seen_from_here(table: dict[str, Any]) -> dict[str, Any]:
+    """Aircraft and engines that are files, on the command line, are meant from here."""
+    last = table["key"].split(".")[-1]
+    seen = {"aircraft": aircraft_seen_from, "engine": file_seen_from}.get(last)
+    if seen is None or "values" not in table:
+        return table
+    return table | {"values": [seen(value, Path()) if isinstance(value, str) else value for value in table["values"]]}
 
 
 def _usual_design(data: Mapping[str, Any]) -> str:

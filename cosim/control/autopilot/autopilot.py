@@ -80,7 +80,9 @@ class Autopilot:
         gains, settings, slowest = _settings(vehicle)
         limits = vehicle.control.allocation
         least = limits.throttle_min
-        self.parameters = parameters = Parameters(table(vehicle.control, settings, controller, delay, level))
+        self.parameters = parameters = Parameters(
+            table(vehicle.control, settings, controller, delay, level, vehicle.jets)
+        )
         position = PositionController(gains, step)
         tracker = Tracker(settings.acceleration_m_s2, settings.jerk_m_s3, step)
         blocks = Blocks(attitude, altitude, rate, position, tracker, predictors)

@@ -14,9 +14,10 @@ from typing import Literal, NamedTuple
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS, number_of
-from cosim.spec.vehicle import Control, PilotSettings, PositionGains, PredictorTuning
+from cosim.spec.vehicle import Control, Jet, PilotSettings, PositionGains, PredictorTuning
 
 _FLOAT32 = 1e-6  # relative: a bound that went through a 32-bit float is still the bound
+_PX4_ROTORS = 12  # CA_ROTOR0 to CA_ROTOR11
 _LARGEST = 10.0  # times the default is the most a gain may be; chosen by us: beyond it no loop here is stable
 
 
@@ -107,11 +108,17 @@ _REPLACED: Mapping[str, tuple[str, ...]] = {
 
 
 def table(
-    control: Control, pilot: PilotSettings, controller: str, delay: float | None, level: str = ""
+    control: Control,
+    pilot: PilotSettings,
+    controller: str,
+    delay: float | None,
+    level: str = "",
+    jets: Sequence[Jet] = (),
 ) -> list[Parameter]:
     """Every parameter of a vehicle; ``delay`` is that of its roll model in samples, None where it has no model.
 
     ``level``: of a controller from outside; what tunes the loops in whose place it stands cannot be changed then.
+    ``jets``: where its engines are, for ground stations that draw them.
     Raises InputError for a vehicle without a table [control.position].
     """
     if control.position is None:
@@ -123,6 +130,7 @@ def table(
         *_predictor(control.predictor, controller, delay),
         *_failsafes(pilot),
         *_of_px4(),
+        *_geometry(jets),
     ]
     mute = _REPLACED.get(level, ())
     return [
@@ -247,3 +255,19 @@ def _of_px4() -> Iterator[Parameter]:
         yield Parameter(name, "int", value, value, value, "", "System", text, read_only=True)
     off_on = (Meaning(0, "refused"), Meaning(1, "allowed"))
     yield Parameter("SYS_FAILURE_EN", "int", 0, 0, 1, "", "System", "failures on request", off_on)
+
+
+def _geometry(jets: Sequence[Jet]) -> Iterator[Parameter]:
+    """Where the engines are, as PX4's allocation states it: FRD from the centre of gravity; none beyond its twelve."""
+
+    def line(name: str, kind: Literal["float", "int"], value: float, unit: str, text: str) -> Parameter:
+        return Parameter(name, kind, value, value, value, unit, "Geometry", text, read_only=True, decimals=4)
+
+    if jets:
+        yield line("CA_ROTOR_COUNT", "int", len(jets), "", "engines")
+    for number, jet in enumerate(jets[:_PX4_ROTORS]):
+        name = f"CA_ROTOR{number}"
+        for letter, place in zip("XYZ", jet.position_m, strict=True):
+            yield line(f"{name}_P{letter}", "float", place, "m", f"engine {number + 1}: place along {letter.lower()}")
+        text = f"engine {number + 1}: yaw moment per thrust, positive turns the nose right"
+        yield line(f"{name}_KM", "float", jet.reaction_m, "m", text)

@@ -28,7 +28,7 @@ from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import total_samples
 from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import Vehicle, aircraft_seen_from, file_seen_from, load_vehicle
+from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from, load_vehicle
 
 LEAD_S = 1.0
 REST_S = 6.0  # after the sweep, for the loop to come to rest
@@ -159,8 +159,7 @@ def _scenario(
     data: dict[str, Any] = {"name": f"identify-{axis}", "duration_s": 1.0}
     data["aircraft"] = aircraft_seen_from(aircraft, Path())
     given = {"controller": controller, "substeps": substeps, "seed": seed}
-    if engine is not None:
-        given["engine"] = file_seen_from(engine, Path())
+    given["engine"] = engine_of(data["aircraft"]) if engine is None else file_seen_from(engine, Path())
     data |= {key: value for key, value in given.items() if value is not None}
     for text in settings:
         key, value = parse_setting(text)
@@ -168,9 +167,6 @@ def _scenario(
     scenario = Scenario.from_table(data, Path(), f"identify {axis}")
     vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle, f"identify {axis}: vehicle")
     changes: dict[str, Any] = {}
-    steps = {model.sample_time_s for models in vehicle.identified.values() for model in models.values()}
-    if "step_s" not in data and len(steps) == 1:
-        changes["step_s"] = steps.pop()
     if "controller" not in data and Path(scenario.engine).name.removesuffix("-fmi2") not in vehicle.identified:
         changes["controller"] = BASELINE.name
     return scenario.replace(**changes) if changes else scenario

@@ -12,7 +12,14 @@ from cosim.control.autopilot.modes import BY_STICK, LandedState, Mode
 from cosim.groundstation.mavlink.about import Personality
 
 AUTOPILOT: dict[Personality, int] = {"px4": 12, "ardupilot": 3, "generic": 0}  # MAV_AUTOPILOT
-HEXAROTOR = 13  # MAV_TYPE
+GENERIC_MULTIROTOR = 43  # MAV_TYPE: of a number of engines that has no name of its own
+_TYPES = {3: 15, 4: 2, 6: 13, 8: 14, 10: 35, 12: 29}  # tricopter, quadrotor, hexarotor, octo-, deca-, dodecarotor
+
+
+def vehicle_type(jets: int) -> int:
+    """MAV_TYPE of a vehicle that hovers on so many engines."""
+    return _TYPES.get(jets, GENERIC_MULTIROTOR)
+
 
 _AUTO = 4
 _PX4: dict[Mode, tuple[int, int]] = {

@@ -17,7 +17,7 @@ from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.status import Status
 from cosim.groundstation.exchange import Snapshot
 from cosim.groundstation.mavlink.about import About
-from cosim.groundstation.mavlink.modes import AUTOPILOT, HEXAROTOR, LANDED, LIST, STANDARD, base_mode, custom_mode
+from cosim.groundstation.mavlink.modes import AUTOPILOT, LANDED, LIST, STANDARD, base_mode, custom_mode, vehicle_type
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 
 U8, U16, I16, U32, I32 = 0xFF, 0xFFFF, 0x7FFF, 0xFFFFFFFF, 0x7FFFFFFF
@@ -135,7 +135,12 @@ def heartbeat(v: View) -> list[Message]:
     mode = custom_mode(status.mode, personality)
     return [
         mav.MAVLink_heartbeat_message(
-            HEXAROTOR, AUTOPILOT[personality], base_mode(status.mode, status.armed), mode, state, 3
+            vehicle_type(v.about.jets),
+            AUTOPILOT[personality],
+            base_mode(status.mode, status.armed),
+            mode,
+            state,
+            3,
         )
     ]
 

@@ -59,7 +59,18 @@ def test_a_command_is_one(words: list[str]) -> None:
     if flown and not name.startswith("runs/") and name != "mine.toml":
         open_study(name, **{option: options[option] for option in OF_A_SWEEP if options[option]})
     if words[0] == "search":
-        elsewhere = ("workers", "cluster", "time_limit", "out", "resume", "as_json", "name", "metrics", "wind")
+        elsewhere = (
+            "workers",
+            "cluster",
+            "time_limit",
+            "out",
+            "resume",
+            "as_json",
+            "name",
+            "metrics",
+            "wind",
+            "aircraft",
+        )
         searches.opened(name, **{option: value for option, value in options.items() if option not in elsewhere})
 
 

@@ -81,6 +81,21 @@ def test_what_ground_stations_look_for_is_there() -> None:
     assert not [name for name in values if name.startswith("BAT")]
 
 
+def test_a_ground_station_may_read_where_the_engines_are() -> None:
+    """PX4's names; its KM is positive for a rotor that turns left, whose reaction turns the nose right."""
+    vehicle, _ = load_vehicle("quadrotor")
+    settings = vehicle.control.pilot
+    assert settings is not None
+    shown = Parameters(table(vehicle.control, settings, "smith", 0.0, "", vehicle.jets))
+    values = shown.values
+    assert values["CA_ROTOR_COUNT"] == len([name for name in values if name.endswith("_KM")]) == 4
+    for number, jet in enumerate(vehicle.jets):
+        assert tuple(values[f"CA_ROTOR{number}_P{letter}"] for letter in "XYZ") == jet.position_m
+        assert values[f"CA_ROTOR{number}_KM"] == jet.reaction_m
+    with pytest.raises(InputError, match=r"CA_ROTOR1_PX = 0\.3: cannot be changed, it is -0\.08"):
+        shown.set("CA_ROTOR1_PX", 0.3)
+
+
 @pytest.mark.parametrize(
     ("name", "value", "complaint"),
     [

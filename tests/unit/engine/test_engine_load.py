@@ -207,8 +207,9 @@ def test_unknown_engine_lists_the_known_ones() -> None:
 @pytest.mark.parametrize("name", ["edf", "edf-fmi2"])
 @pytest.mark.parametrize("step", [0.005, 0.002, 0.0040001])
 def test_a_step_that_does_not_fit_names_both_numbers(name: str, step: float) -> None:
+    hint = "step_s of the scenario or the vehicle may be 0.004 or 0.008"
     words = f"{archive('edf', 2 if 'fmi2' in name else 3)}: step {step:g} s is not a whole multiple of the engine's"
-    assert refusal(name, step=step) == f"{words} internal step 0.004 s"
+    assert refusal(name, step=step) == f"{words} internal step 0.004 s; {hint}"
 
 
 def test_an_fmu_that_cannot_state_its_step_says_it_itself(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from cosim.control.autopilot.modes import (
 )
 from cosim.control.autopilot.requests import LinkBack, LinkLost
 from cosim.groundstation.mavlink.about import PERSONALITIES
-from cosim.groundstation.mavlink.modes import base_mode, custom_mode, from_custom
+from cosim.groundstation.mavlink.modes import base_mode, custom_mode, from_custom, vehicle_type
 from cosim.groundstation.mavlink.streams import BY_ID, DEFAULT
 from cosim.groundstation.mavlink.telemetry import (
     STREAMS,
@@ -431,6 +431,13 @@ def test_an_echo_of_its_own_is_no_command(bench: Bench) -> None:
     assert not [m for m in echo.ask(command(400, 1.0)) if m.get_type() == "COMMAND_ACK"]
     assert bench.link.refused["own"] == 1
     assert not bench.pilot.asked
+
+
+def test_the_kind_of_vehicle_is_the_one_of_so_many_engines() -> None:
+    """By the names of the dialect."""
+    names = {3: "TRICOPTER", 4: "QUADROTOR", 6: "HEXAROTOR", 8: "OCTOROTOR", 10: "DECAROTOR", 12: "DODECAROTOR"}
+    for jets in range(1, 17):
+        assert vehicle_type(jets) == getattr(mav, f"MAV_TYPE_{names.get(jets, 'GENERIC_MULTIROTOR')}")
 
 
 @pytest.mark.parametrize("personality", PERSONALITIES)
