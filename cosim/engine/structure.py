@@ -224,7 +224,8 @@ def _named(path: Path, name: str, found: Structure) -> Node:
     """What a name of a parameter set means: of the element itself, or of the longest element under it that it names."""
     if path in found.components:
         return path, name
-    inside = [each for each in found.components if each[: len(path)] == path]
+    elements = dict.fromkeys(each[:length] for each in found.components for length in range(1, len(each) + 1))
+    inside = [each for each in elements if each[: len(path)] == path and len(each) > len(path)]
     fitting = [each for each in inside if name.startswith(".".join(each[len(path) :]) + ".")]
     if fitting:
         best = max(fitting, key=lambda each: len(".".join(each)))

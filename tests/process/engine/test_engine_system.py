@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -128,6 +129,54 @@ def test_systems_in_systems_and_units_that_differ(tmp_path: Path, fmus: dict[str
         1000.0 / 4.4482216152605,
     )
     assert archive.ports["thrust"].scale == 4.4482216152605
+
+
+CONTROL_SSV = """<?xml version="1.0" encoding="UTF-8"?>
+<ssv:ParameterSet xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+ xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon" version="1.0" name="control">
+<ssv:Parameters><ssv:Parameter name="k"><ssv:Real value="30" unit="per cent"/></ssv:Parameter></ssv:Parameters>
+<ssv:Units><ssc:Unit name="per cent"><ssc:BaseUnit factor="0.01"/></ssc:Unit></ssv:Units>
+</ssv:ParameterSet>"""
+
+
+def test_an_archive_as_another_tool_writes_it_is_read_and_flies(tmp_path: Path, fmus: dict[str, bytes]) -> None:
+    """Written by hand from SSP 1.0: systems in a system, units on connectors, sets inline and in a file, transformations.
+
+    Geometry, notes and annotations of the tool's own, names with blanks: the lever is in per cent, the thrust in
+    pounds-force, the core's in kilonewtons, the gain 0.3 by the file and 0.4 by the set outside.  In the loop the core
+    is listed first, and so takes the fuel of the step before.
+    """
+
+    def by_hand(gain: float) -> list[float]:
+        flow = n = 0.0
+        found = []
+        for demand in THROTTLE:
+            n = n + 0.05 * (flow - n)
+            valve = min(max(demand + gain * (demand - n), 0.0), 1.0)
+            flow = flow + 0.2 * (valve - flow)
+            found.append(20.0 * n)
+        return found
+
+    text = (Path(systems.__file__).with_name("other_tool.ssd")).read_text(encoding="utf-8")
+
+    def packed(name: str, structure_text: str) -> Path:
+        contents = {"core of it": fmus["core"], "pump": fmus["pump"], "governor": fmus["governor"]}
+        return pack(tmp_path / name, structure_text, contents, **{"resources/control.ssv": CONTROL_SSV})
+
+    path = packed("other.ssp", text)
+    assert thrusts(path) == pytest.approx(by_hand(0.4), rel=1e-12)
+    inside = re.sub(
+        r"<ssd:ParameterBindings>\s*<ssd:ParameterBinding prefix.*?</ssd:ParameterBindings>", "", text, flags=re.S
+    )
+    assert thrusts(packed("inside.ssp", inside)) == pytest.approx(by_hand(0.3), rel=1e-12)
+    archive = find_source(str(path)).archive
+    assert (archive.throttle.unit, archive.thrust.unit, archive.model) == ("%", "lbf", "propulsion unit")
+    assert [part.name for part in archive.system.parts] == ["Hot section.core", "Control.governor", "pump"]
+    assert archive.system.late == ["pump.flow to Hot section.core.fuel"]
+    run = fly(Scenario.load("hover").replace(
+        engine=str(path), engine_unchecked=True, controller="baseline", duration_s=0.2, expect=[]
+    ))  # fmt: skip
+    assert run.outcome == "completed"
 
 
 def test_the_check_tries_it_as_any_engine(mine: Path) -> None:
