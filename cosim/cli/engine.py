@@ -20,13 +20,22 @@ def fmu() -> None:
     """Build and check engine FMUs."""
 
 
+_WINDOWS = click.option(
+    "--windows", is_flag=True, help="For 64-bit Windows, with MinGW's compiler (x86_64-w64-mingw32-gcc)."
+)
+
+
 @fmu.command("build", epilog=example("hexjet fmu build turbojet"))
 @click.argument("engines", nargs=-1)
-def fmu_build(engines: tuple[str, ...]) -> int:
+@_WINDOWS
+def fmu_build(engines: tuple[str, ...], windows: bool) -> int:
     """Build the FMUs of ENGINES, or of all, from their sources; those up to date are left alone."""
     from cosim.engine import build_engines
+    from cosim.engine.compile import compile_archive, has_windows
 
     for path in build_engines(list(engines) or None):
+        if windows and not has_windows(path):
+            compile_archive(path, windows=True)
         click.echo(str(path))
     return DONE
 
@@ -34,14 +43,16 @@ def fmu_build(engines: tuple[str, ...]) -> int:
 @fmu.command("compile", epilog=example("hexjet fmu compile their.fmu"))
 @click.argument("archive", metavar="FILE.fmu", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), metavar="FILE.fmu", help="[default: into FILE.fmu itself]")
-def fmu_compile(archive: Path, out: Path | None) -> int:
+@_WINDOWS
+def fmu_compile(archive: Path, out: Path | None, windows: bool) -> int:
     """Compile the sources that an FMU brings for this machine, and put the library into it.
 
-    For an FMU without a library for this machine.  Needs a C compiler.
+    For an FMU without a library for this machine, or, with --windows, for one that is to run on Windows too: an engine
+    of the library, an exported controller, anybody's.  Needs a C compiler.
     """
     from cosim.engine.compile import compile_archive
 
-    click.echo(str(compile_archive(archive, out)))
+    click.echo(str(compile_archive(archive, out, windows)))
     return DONE
 
 

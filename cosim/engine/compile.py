@@ -1,14 +1,16 @@
-"""An archive that brings its sources and no library for this machine, compiled by FMPy's CMake project."""
+"""The sources that an archive brings, compiled: for this machine by FMPy's CMake project, for Windows by MinGW."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
 import zipfile
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.files import replacing
@@ -26,6 +28,11 @@ build.build_platform_binary(sys.argv[1])
 """
 
 
+WINDOWS_COMPILER = "x86_64-w64-mingw32-gcc"  # 64 bit; on Debian the package gcc-mingw-w64-x86-64
+# No fused multiply-add, so that it computes the bits of every other build; and no library of MinGW's beside it.
+_WINDOWS_FLAGS = ("-shared", "-s", "-O2", "-DNDEBUG", "-ffp-contract=off", "-static")
+
+
 def needs_compiling(path: Path) -> bool:
     """Whether an archive has sources and no library for this machine; False too for what is no archive."""
     try:
@@ -39,10 +46,17 @@ def needs_compiling(path: Path) -> bool:
     )
 
 
-def compile_archive(path: Path, out: Path | None = None) -> Path:
-    """Compile an archive's sources for this machine and put the library into it, or into the copy ``out``.
+def has_windows(path: Path) -> bool:
+    """Whether an archive has a library for 64-bit Windows."""
+    with zipfile.ZipFile(path) as fmu:
+        return any(name.startswith(("binaries/win64/", "binaries/x86_64-windows/")) for name in fmu.namelist())
 
-    The compiler runs what the archive says, as a flight runs its library: compile what you would run.
+
+def compile_archive(path: Path, out: Path | None = None, windows: bool = False) -> Path:
+    """Compile an archive's sources and put the library into it, or into the copy ``out``.
+
+    For this machine, or for 64-bit ``windows``, which needs the compiler :data:`WINDOWS_COMPILER`.  The compiler runs
+    what the archive says, as a flight runs its library: compile what you would run.
 
     Raises InputError if there is nothing to compile or no compiler, or with what it complained of first.
     """
@@ -58,8 +72,11 @@ def compile_archive(path: Path, out: Path | None = None) -> Path:
     with tempfile.TemporaryDirectory(prefix="hexjet-compile-") as folder:
         with zipfile.ZipFile(BytesIO(data)) as fmu:
             fmu.extractall(folder)
-        _build(path, folder)
-        binaries = Path(folder) / "binaries" / platform_folder(2 if description.fmiVersion == "2.0" else 3)
+        if windows:
+            binaries = _build_for_windows(path, folder, description)
+        else:
+            _build(path, folder)
+            binaries = Path(folder) / "binaries" / platform_folder(2 if description.fmiVersion == "2.0" else 3)
         made = sorted(file for file in binaries.glob("*") if file.is_file()) if binaries.is_dir() else []
         if not made:
             raise InputError(f"{path}: its sources make no library")
@@ -74,6 +91,39 @@ def compile_archive(path: Path, out: Path | None = None) -> Path:
         except OSError as error:
             raise InputError(f"{target}: {error.strerror or error}") from error
     return target
+
+
+def _build_for_windows(path: Path, folder: str, description: Any) -> Path:
+    """Call the cross-compiler on the sources that the description lists; returns where the library is."""
+    import fmpy  # type: ignore[import-untyped]
+
+    compiler = shutil.which(WINDOWS_COMPILER)
+    if compiler is None:
+        raise InputError(
+            f"{path}: no compiler for Windows: {WINDOWS_COMPILER} is not found (on Debian: apt install "
+            "gcc-mingw-w64-x86-64)"
+        )
+    files = description.buildConfigurations[0].sourceFileSets[0]
+    sources = Path(folder) / "sources"
+    binaries = Path(folder) / "binaries" / ("win64" if description.fmiVersion == "2.0" else "x86_64-windows")
+    binaries.mkdir(parents=True, exist_ok=True)
+    defined = [f"-D{each.name}" + (f"={each.value}" if each.value else "") for each in files.preprocessorDefinitions]
+    command = [
+        compiler, *_WINDOWS_FLAGS, *defined, f"-I{sources}", f"-I{Path(fmpy.__file__).parent / 'c-code'}",
+        *(str(sources / name) for name in files.sourceFiles),
+        "-o", str(binaries / f"{description.coSimulation.modelIdentifier}.dll"), "-lm",
+    ]  # fmt: skip
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=LONGEST_S, check=False
+        )  # fmt: skip
+    except subprocess.TimeoutExpired as error:
+        raise InputError(f"{path}: its sources are not compiled within {LONGEST_S:g} s") from error
+    if done.returncode:
+        said = [line for line in done.stderr.splitlines() if "error" in line] or ["no word of it"]
+        first = one_line(said[0].replace(f"{folder}{os.sep}", ""))[:200]
+        raise InputError(f"{path}: its sources do not compile for Windows: {first}")
+    return binaries
 
 
 def _build(path: Path, folder: str) -> None:
