@@ -1,10 +1,14 @@
-/* Records made in one go: a named tuple called with all its fields in order skips its __new__, which is Python.
+/* Records made in one go, and what somebody else's code answers looked at in one go.
  *
- * A type's own vectorcall serves type(...) and is not inherited; whatever is not all fields in order goes the way it
- * always went.  https://docs.python.org/3/c-api/typeobj.html#c.PyTypeObject.tp_vectorcall
+ * A named tuple called with all its fields in order skips its __new__, which is Python.  A type's own vectorcall serves
+ * type(...) and is not inherited; whatever is not all fields in order goes the way it always went.
+ * https://docs.python.org/3/c-api/typeobj.html#c.PyTypeObject.tp_vectorcall
  */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
+
+#include <stdbool.h>
+#include <string.h>
 
 static PyObject *usual_way(PyObject *type, PyObject *const *args, size_t nargsf, PyObject *names)
 {
@@ -73,7 +77,82 @@ static PyObject *quick(PyObject *module, PyObject *type)
     return type;
 }
 
+enum { MOST_NUMBERS = 64 };
+
+/* So many floats of a tuple or a list; false where one is anything else. ``same``: it is a tuple of them already. */
+static bool read_items(PyObject *given, Py_ssize_t count, double *to, bool *same)
+{
+    if (PySequence_Fast_GET_SIZE(given) != count)
+        return false;
+    PyObject *const *const items = PySequence_Fast_ITEMS(given);
+    *same = PyTuple_CheckExact(given);
+    for (Py_ssize_t i = 0; i < count; i++) {
+        if (!PyFloat_Check(items[i]))
+            return false;
+        *same = *same && PyFloat_CheckExact(items[i]);
+        to[i] = PyFloat_AS_DOUBLE(items[i]);
+    }
+    return true;
+}
+
+/* So many numbers of an array of float64. */
+static bool read_array(PyObject *given, Py_ssize_t count, double *to)
+{
+    Py_buffer view;
+    if (!PyObject_CheckBuffer(given))
+        return false;
+    if (PyObject_GetBuffer(given, &view, PyBUF_FORMAT | PyBUF_C_CONTIGUOUS) < 0) {
+        PyErr_Clear(); /* an array that is not contiguous, say */
+        return false;
+    }
+    const bool good = view.ndim == 1 && view.shape[0] == count && view.format && strcmp(view.format, "d") == 0;
+    if (good)
+        memcpy(to, view.buf, (size_t)count * sizeof(double));
+    PyBuffer_Release(&view);
+    return good;
+}
+
+/* within(values, count, low, high) */
+static PyObject *within(PyObject *module, PyObject *const *args, Py_ssize_t given)
+{
+    (void)module;
+    if (given != 4)
+        return PyErr_Format(PyExc_TypeError, "within: takes values, count, low and high");
+    PyObject *const values = args[0];
+    const Py_ssize_t count = PyLong_AsSsize_t(args[1]);
+    const double low = PyFloat_AsDouble(args[2]), high = PyFloat_AsDouble(args[3]);
+    double numbers[MOST_NUMBERS];
+    bool same = false;
+    if (PyErr_Occurred())
+        return NULL;
+    if (count < 0 || count > MOST_NUMBERS)
+        Py_RETURN_NONE;
+    const bool items = PyTuple_Check(values) || PyList_CheckExact(values);
+    if (items ? !read_items(values, count, numbers, &same) : !read_array(values, count, numbers))
+        Py_RETURN_NONE;
+    for (Py_ssize_t i = 0; i < count; i++)
+        if (!(low <= numbers[i] && numbers[i] <= high)) /* NaN is not */
+            Py_RETURN_NONE;
+    if (same) {
+        Py_INCREF(values);
+        return values;
+    }
+    PyObject *made = PyTuple_New(count);
+    for (Py_ssize_t i = 0; made && i < count; i++) {
+        PyObject *number = PyFloat_FromDouble(numbers[i]);
+        if (number)
+            PyTuple_SET_ITEM(made, i, number);
+        else
+            Py_CLEAR(made);
+    }
+    return made;
+}
+
+#define CALLED(function) ((PyCFunction)(void (*)(void))(function)) /* as Python keeps functions of several arguments */
+
 static PyMethodDef methods[] = {
+    {"within", CALLED(within), METH_FASTCALL,
+     "within(values, count, low, high): the values as a tuple of so many floats from low to high, or None."},
     {"quick", quick, METH_O, "quick(type): make the named tuple's records at once when all fields are given in order."},
     {NULL, NULL, 0, NULL},
 };

@@ -18,6 +18,7 @@ from enum import Enum
 from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
+from cosim.base._records import quick
 from cosim.base.signals import (
     ZERO3,
     Actuation,
@@ -241,6 +242,7 @@ class Parameter(NamedTuple):
     most: float = inf
 
 
+@quick
 class Applied(NamedTuple):
     """What became of the step before: what the actuators were given, and what the engines report of it."""
 

@@ -17,12 +17,13 @@ from cosim.cli.options import (
     DONE,
     FLIGHT_FAILED,
     Number,
-    brought_changes,
     example,
     load_scenario,
     offer_to_compile,
+    own_blocks,
     refuse_others,
     warn_of_blemishes,
+    with_own_blocks,
 )
 
 if TYPE_CHECKING:
@@ -71,11 +72,7 @@ if TYPE_CHECKING:
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="The run's folder.  [default: a new one in runs/]"
 )
 @click.option("--seed", type=int, help="Overrides the scenario's seed.")
-@click.option("metrics", "--metric", metavar="NAME", multiple=True,
-              help="One of yours beside the built-in ones: FILE.py:Name, package.module:Name, an entry.")  # fmt: skip
-@click.option("own_observers", "--observer", metavar="NAME", multiple=True, help="One of yours, the same way.")
-@click.option("--sensors", metavar="NAME", help="Yours behind the built-in ones, the same way.")
-@click.option("--wind", metavar="NAME|FILE.csv", help="Yours over time and place, the same way, or a table over time.")
+@own_blocks
 @click.option("--unchecked-engine", is_flag=True, help="Fly an FMU that hexjet fmu check finds unfit, or has not seen.")
 @click.option("--realtime", is_flag=True, help="Pace the flight in real time; the same as --rtf 1.")
 @click.option(
@@ -136,8 +133,7 @@ def fly(
     finish_killed(Path(scenario))
     offer_to_compile(*engines)
     flown = load_scenario(scenario, controller, engines, seed, settings, model, aircraft)
-    brought = brought_changes(metrics, own_observers, sensors, wind)
-    flown = flown.replace(**brought, **({"expect": []} if sensors or wind else {})) if brought else flown
+    flown = with_own_blocks(flown, metrics, own_observers, sensors, wind)
     if unchecked_engine:
         flown = flown.replace(engine_unchecked=True)
     if controller is not None and is_design(controller):

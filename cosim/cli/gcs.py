@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cosim.cli.console import output_to_stderr, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, load_scenario
+from cosim.cli.options import (
+    DONE,
+    FLIGHT_FAILED,
+    Number,
+    example,
+    load_scenario,
+    own_blocks,
+    with_own_blocks,
+)
 
 if TYPE_CHECKING:
     from cosim.groundstation.links import Links
@@ -31,6 +39,7 @@ if TYPE_CHECKING:
 @click.option("--controller", metavar="NAME", help="See: hexjet list controllers.")
 @click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly.")
 @click.option("--seed", type=int, help="Overrides the scenario's seed.")
+@own_blocks
 @click.option("--unchecked-engine", is_flag=True, help="As in hexjet fly.")
 @click.option("--place", metavar="LAT,LON", help="Where it stands, in degrees.")
 @click.option(
@@ -81,6 +90,10 @@ def gcs(
     controller: str | None,
     settings: tuple[str, ...],
     seed: int | None,
+    metrics: tuple[str, ...],
+    own_observers: tuple[str, ...],
+    sensors: str | None,
+    wind: str | None,
     unchecked_engine: bool,
     place: str | None,
     links: tuple[str, ...],
@@ -111,6 +124,7 @@ def gcs(
     )
 
     flown = load_scenario(scenario, controller, engines, seed, settings, None, aircraft)
+    flown = with_own_blocks(flown, metrics, own_observers, sensors, wind)
     changes: dict[str, Any] = {"name": "gcs" if scenario == "hover" else flown.name}
     if unchecked_engine:
         changes["engine_unchecked"] = True

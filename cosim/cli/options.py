@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
@@ -139,6 +139,31 @@ def load_scenario(
     scenario = scenario.replace(**changes) if changes else scenario
     scenario.resolved_vehicle()  # a wrong key is told before anything is built
     return scenario
+
+
+def own_blocks(command: Callable[..., int]) -> Callable[..., int]:
+    """The options that name blocks of the user's beside the controller, for :func:`with_own_blocks`."""
+    options = (
+        click.option("metrics", "--metric", metavar="NAME", multiple=True,
+                     help="One of yours beside the built-in ones: FILE.py:Name, package.module:Name, an entry."),
+        click.option("own_observers", "--observer", metavar="NAME", multiple=True, help="One of yours, the same way."),
+        click.option("--sensors", metavar="NAME", help="Yours behind the built-in ones, the same way."),
+        click.option("--wind", metavar="NAME|FILE.csv",
+                     help="Yours over time and place, the same way, or a table over time."),
+    )  # fmt: skip
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def with_own_blocks(
+    scenario: Any, metrics: tuple[str, ...], observers: tuple[str, ...], sensors: str | None, wind: str | None
+) -> Any:
+    """The scenario with them; what it expects was stated without other sensors or wind."""
+    changes = brought_changes(metrics, observers, sensors, wind)
+    if sensors or wind:
+        changes["expect"] = []
+    return scenario.replace(**changes) if changes else scenario
 
 
 def brought_changes(

@@ -238,16 +238,18 @@ class EngineBank:
                 for station in self._stations(index):
                     held[station] = 0.0 if station in self._given_up else ignition.throttle
             throttle = tuple(held)
-        moment = f"at step {k} ({k * self._step:g} s)"
         try:
             output = self._native.step(k, throttle, ambient)
         except _bank.FailureError as failure:
-            raise self._failed(failure, moment) from failure
+            raise self._failed(failure, self._moment(k)) from failure
         if self._starts:
-            self._advance(moment)
+            self._advance(self._moment(k))
         if self._shows_aside:
             self._given = output
         return output
+
+    def _moment(self, k: int) -> str:
+        return f"at step {k} ({k * self._step:g} s)"
 
     def _stations(self, index: int) -> list[int]:
         return [station for station in self._crews[index] if station >= 0]

@@ -6,13 +6,15 @@ flight as a :class:`FlightError`.
 
 from __future__ import annotations
 
+import sys
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from cosim.base._records import within
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
 from cosim.base.limits import clamp
@@ -36,9 +38,11 @@ from cosim.base.signals import (
 from cosim.control.belief import Belief
 from cosim.simulation.controllers.deadline import Deadline, LateError
 
-_ROUNDING = 1e-9  # of a throttle: this far outside 0 to 1 is the rounding of somebody's arithmetic
-_AXES = tuple(f"the answer for {axis}" for axis in AXES)
-_FLY = EngineState.FLY
+_LARGEST: Final = sys.float_info.max
+_ROUNDING: Final = 1e-9  # of a throttle: this far outside 0 to 1 is the rounding of somebody's arithmetic
+_AXES: Final = tuple([f"the answer for {axis}" for axis in AXES])
+_TILTS: Final = ("the tilt of the left servo", "the tilt of the right servo")
+_FLY: Final = EngineState.FLY
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,9 @@ class Named:
 
     def numbers(self, answer: Any, names: Sequence[str], what: str = "update") -> tuple[float, ...]:
         """An answer as so many finite numbers.  Raises FlightError."""
+        found = within(answer, len(names), -_LARGEST, _LARGEST)
+        if found is not None:
+            return found
         try:
             values = tuple([float(value) for value in answer])
         except (TypeError, ValueError):
@@ -155,8 +162,10 @@ class GuardedRate:
         answer = self._named.call("update", self._block.update, setpoint, measured, applied)
         roll, pitch, yaw = self._named.numbers(answer, _AXES)
         self._asked = (roll, pitch, yaw)
-        x, y, z = getattr(self._block, "predicted", UNKNOWN3)
-        self.predicted = (float(x), float(y), float(z))
+        predicted = getattr(self._block, "predicted", None)
+        if predicted is not None:
+            x, y, z = within(predicted, 3, -_LARGEST, _LARGEST) or predicted
+            self.predicted = (float(x), float(y), float(z))
         return self._asked
 
     def tell(self, added: Vector3) -> None:
@@ -204,8 +213,10 @@ class GuardedController:
         self._names = tuple([f"throttle {number}" for number in range(1, jets + 1)])
         self._every_jet = frozenset(range(jets))
         self._flying = True
-        self._applied = Applied(self._idle, (0.0, 0.0), EngineOutput((), (), (), ()), 0.0)
-        self.signals = self._own_signals(0.0)
+        # what the next update is told of the step before
+        self._throttle, self._tilt = self._idle, (0.0, 0.0)
+        self._engines, self._burnt = EngineOutput((), (), (), ()), 0.0
+        self.signals = self._own_signals(self._idle)
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
         """The engines stand where they hold the vehicle up, or idle; see :class:`cosim.base.protocols.Controller`."""
@@ -214,10 +225,11 @@ class GuardedController:
             share = self._thrust_map.share((self._mass - burnt) * GRAVITY / jets)
         throttle = self._idle if on_ground else self._thrust_map.throttle((share,) * jets)
         unknown = (float("nan"),) * len(throttle)
-        self._applied = Applied(throttle, (0.0, 0.0), EngineOutput(unknown, unknown, unknown, unknown), burnt)
+        self._throttle, self._tilt = throttle, (0.0, 0.0)
+        self._engines, self._burnt = EngineOutput(unknown, unknown, unknown, unknown), burnt
         self._flying = True
         self._named.call("reset", self._block.reset)
-        self.signals = self._own_signals(sum(throttle) / len(throttle))
+        self.signals = self._own_signals(throttle)
         return throttle
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
@@ -229,22 +241,21 @@ class GuardedController:
         if not self._flying:
             self._named.call("reset", self._block.reset)
             self._flying = True
-        return self._given(
-            self._checked(self._named.call("update", self._block.update, command, measured, self._applied))
-        )
+        applied = Applied(self._throttle, self._tilt, self._engines, self._burnt)
+        return self._given(self._checked(self._named.call("update", self._block.update, command, measured, applied)))
 
     def _given(self, answer: Actuation) -> Actuation:
-        before = self._applied
-        self._applied = Applied(answer.throttle, answer.tilt, before.engines, before.burnt)
-        self.signals = self._own_signals(sum(answer.throttle) / len(answer.throttle))
+        self._throttle, self._tilt = answer.throttle, answer.tilt
+        self.signals = self._own_signals(answer.throttle)
         return answer
 
-    def _own_signals(self, mean: float) -> ControlSignals:
+    def _own_signals(self, throttle: PerJet) -> ControlSignals:
         """What the block shows of a cascade, and what can be said of any controller: its mean throttle."""
         signals = getattr(self._block, "signals", None)
-        return (
-            signals if isinstance(signals, ControlSignals) else ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, mean, mean)
-        )
+        if isinstance(signals, ControlSignals):
+            return signals
+        mean = sum(throttle) / len(throttle)
+        return ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, mean, mean)
 
     def _checked(self, answer: Any) -> Actuation:
         named = self._named
@@ -256,23 +267,29 @@ class GuardedController:
                 throttles, tilts = answer if self._range else (answer, (0.0, 0.0))
             except (TypeError, ValueError):
                 raise named.error(f"update gave {_short(answer)}: must be throttles and tilts") from None
-        throttle = named.numbers(throttles, self._names, "throttles: update")
-        for name, value in zip(self._names, throttle, strict=True):
-            if not -_ROUNDING <= value <= 1.0 + _ROUNDING:
-                raise named.error(f"{name} = {value:g}: must be from 0 to 1")
-        left, right = named.numbers(
-            tilts, ("the tilt of the left servo", "the tilt of the right servo"), "tilts: update"
-        )
+        throttle = within(throttles, len(self._names), 0.0, 1.0) or self._near(throttles)
+        tilt = within(tilts, 2, -self._range, self._range)
+        if tilt is None:
+            left, right = named.numbers(tilts, _TILTS, "tilts: update")
+            tilt = (clamp(left, self._range), clamp(right, self._range))
         return Actuation(
-            tuple([min(max(value, 0.0), 1.0) for value in throttle]),
-            (clamp(left, self._range), clamp(right, self._range)),
-            answer.unallocated if whole else Unallocated(),
+            throttle,
+            (tilt[0], tilt[1]),
+            answer.unallocated if whole else Unallocated(0.0, 0.0, 0.0, 0.0),
             answer.off if whole else NO_JETS,
         )
 
+    def _near(self, throttles: Any) -> PerJet:
+        """Throttles that are not all from 0 to 1, but for somebody's rounding.  Raises FlightError."""
+        throttle = self._named.numbers(throttles, self._names, "throttles: update")
+        for name, value in zip(self._names, throttle, strict=True):
+            if not -_ROUNDING <= value <= 1.0 + _ROUNDING:
+                raise self._named.error(f"{name} = {value:g}: must be from 0 to 1")
+        return tuple([min(max(value, 0.0), 1.0) for value in throttle])
+
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
         """What the engines report goes into what the next update is told."""
-        self._applied = Applied(self._applied.throttle, self._applied.tilt, engines, burnt)
+        self._engines, self._burnt = engines, burnt
         return ALL_WELL
 
     def forgive(self) -> None:

@@ -98,13 +98,18 @@ def processes(started: list[Processes], tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture(scope="module")
 def foreign(tmp_path_factory: pytest.TempPathFactory) -> Study:
-    """A study with an engine that is not of the library and commands from a file, in a folder of its own."""
+    """A study with an engine that is not of the library, commands from a file, and a metric and a wind of the user's."""
     folder = tmp_path_factory.mktemp("study")
     build_engines(["edf"])
     shutil.copy(data_folder("fmus") / "edf.fmu", folder / "theirs.fmu")
     (folder / "lean.csv").write_text("time_s,roll_deg\n0.0,0.0\n0.1,5.0\n")
+    (folder / "mine.py").write_text(
+        "def furthest_m(log, step_s):\n    return abs(log['north_m']).max()\n\n"
+        "class Blows:\n    def velocity(self, time, north, east, height):\n        return (20.0, 0.0, 0.0)\n"
+    )
     (folder / "lean.toml").write_text(
         'name = "lean"\nduration_s = 0.2\nengine = "theirs.fmu"\ncontroller = "baseline"\n'
+        'metrics = ["mine.py:furthest_m"]\nwind = "mine.py:Blows"\n'
         '[[command]]\nkind = "table"\nfile = "lean.csv"\n'
     )
     table = {"name": "lean", "scenario": "lean.toml", "design": "random", "runs": 12}
@@ -124,6 +129,10 @@ def test_the_rows_are_those_of_this_machine_though_no_file_is_shared(processes: 
     with LocalWorkers(1) as workers:
         here = list(workers.fly(foreign, flights(foreign)))
     assert {row["outcome"] for row in here} == {"completed"}
+    blown = [row["own.furthest_m"] for row in here]
+    assert len({*blown}) == len(blown)  # each has a mass of its own
+    assert min(map(float, blown)) > 1e-3  # type: ignore[arg-type]  # in still air it is a hundredth of that
+    assert len({row["brought_sha256"] for row in here}) == 1
     there = []
     with DaskWorkers(str(processes.file)) as workers:
         flying = workers.fly(foreign, flights(foreign))

@@ -457,16 +457,52 @@ def test_a_run_of_one_gets_its_page_again_and_says_that_nothing_watched(tmp_path
     assert own.sha256[:12] in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
 
 
+BLOCKS = """
+def rows(log, step_s):
+    return len(log["time_s"])
+
+class Blows:
+    def velocity(self, time, north, east, height):
+        return (3.0, 0.0, 0.0)
+
+class Low:
+    def reset(self, state, measured):
+        return measured
+    def sample(self, state, measured):
+        return measured._replace(altitude=-7.0)
+
+class Counts:
+    seen = 0
+    def observe(self, sample):
+        self.seen += 1
+    def close(self):
+        open("seen.txt", "w").write(str(self.seen))
+"""
+
+
 def test_a_ground_station_session_of_one_leaves_a_run_with_it(tmp_path: Path) -> None:
+    """And of the other blocks that a user brings."""
     whole = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
+    (tmp_path / "mine.py").write_text(BLOCKS)
     done = hexjet(
         tmp_path, "gcs", "--controller", whole, "--duration", "0.2", "--rtf", "0", "--params", "none", "--mavlink",
-        "udpout:127.0.0.1:9", "--out", "run", "--json",
+        "udpout:127.0.0.1:9", "--out", "run", "--json", "--metric", "mine.py:rows", "--wind", "mine.py:Blows",
+        "--sensors", "mine.py:Low", "--observer", "mine.py:Counts",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    own = json.loads(done.stdout)["runs"][0]["own_controller"]
+    summary = json.loads(done.stdout)["runs"][0]
+    own = summary["own_controller"]
     assert own["level"] == "controller"
     assert own["sha256"] == hashlib.sha256((tmp_path / "run" / "cascade.py").read_bytes()).hexdigest()
+    assert summary["own_metrics"] == {"own.rows": 50.0}
+    assert {each["key"] for each in summary["brought"]} == {"metrics", "observers", "sensors", "wind"}
+    assert (tmp_path / "seen.txt").read_text() == "50"
+    log = open_run(tmp_path / "run").log
+    assert set(log["altitude_measured_m"][1:]) == {-7.0}
+    assert log["wind_north_m_s"][-1] == pytest.approx(3.0)
+    wrong = hexjet(tmp_path, "gcs", "--observer", "mine.py:Count")
+    assert (wrong.returncode, wrong.stdout) == (2, "")
+    assert "mine.py:Count: mine.py has no 'Count'; did you mean 'Counts'?" in wrong.stderr
 
 
 def test_its_parameters_are_keys(mine: str) -> None:

@@ -8,10 +8,11 @@ import pickle
 import sys
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 from cosim.base import signals
-from cosim.base._records import quick
+from cosim.base._records import quick, within
 
 
 class Plain(NamedTuple):
@@ -79,3 +80,67 @@ def test_it_holds_its_fields_and_lets_them_go() -> None:
 def test_nothing_but_a_named_tuple_is_taken(other: Any) -> None:
     with pytest.raises(TypeError, match="quick"):
         quick(other)
+
+
+class Pair(NamedTuple):
+    a: Any
+    b: Any
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        (0.25, 1.0),
+        [0.25, 1.0],
+        np.array([0.25, 1.0]),
+        np.array([[0.25, 1.0]] * 2)[1],
+        [np.float64(0.25), 1.0],
+        Pair(0.25, 1.0),
+    ],
+)
+def test_numbers_within_are_a_tuple_of_floats(values: Any) -> None:
+    found = within(values, 2, 0.0, 1.0)
+    assert found == (0.25, 1.0)
+    assert type(found) is tuple
+    assert [type(each) for each in found] == [float, float]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        (0.25,),
+        (0.25, 1.0, 0.0),
+        (0.25, 1.0 + 1e-15),
+        (-1e-300, 1.0),
+        [float("nan"), 0.5],
+        np.array([0.5, float("inf")]),
+        (0.25, 1),
+        (0.25, None),
+        np.array([0.25, 1.0], np.float32),
+        np.array([0.25, 1.0], ">f8"),
+        np.array([0.25, 0.0, 1.0])[::2],
+        np.array([[0.25, 1.0]]),
+        "ab",
+        b"abcdefghabcdefgh",
+        {0.25: 1.0, 0.5: 1.0},
+        None,
+        0.5,
+    ],
+)
+def test_anything_else_is_left_to_who_can_say_what_it_is(values: Any) -> None:
+    assert within(values, 2, 0.0, 1.0) is None
+
+
+def test_within_lets_go_of_what_it_was_given() -> None:
+    values = [0.125, 0.5]
+    array = np.array(values)
+    before = sys.getrefcount(values), sys.getrefcount(array)
+    for _ in range(10):
+        within(values, 2, 0.0, 1.0), within(array, 2, 0.0, 1.0), within(values, 3, 0.0, 1.0)
+    assert (sys.getrefcount(values), sys.getrefcount(array)) == before
+    array.resize(3, refcheck=False)  # nobody holds its buffer
+    with pytest.raises(TypeError):
+        within(values, 2, 0.0)  # type: ignore[call-arg]
+    with pytest.raises(TypeError):
+        within(values, "2", 0.0, 1.0)  # type: ignore[arg-type]
+    assert within(values, 10**6, 0.0, 1.0) is None
