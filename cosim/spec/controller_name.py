@@ -9,13 +9,13 @@ from typing import NamedTuple
 _NAMED = re.compile(
     r"(?P<before>process:)(?P<program>[^ ]+)(?P<arguments>( .*)?)"
     r"|(?P<python>.+\.py)(?P<object>:[A-Za-z_]\w*)"
-    r"|(?P<whole>.+\.(fmu|toml))",
+    r"|(?P<whole>.+\.(fmu|toml|csv))",
     re.IGNORECASE | re.DOTALL,
 )
 
 
 class FileName(NamedTuple):
-    """A controller's name with the file in it: ``process:FILE ARGUMENTS``, ``FILE.py:Class``, ``FILE.fmu``."""
+    """A controller's name with the file in it: ``process:FILE ARGUMENTS``, ``FILE.py:Class``, ``FILE.fmu``, a table."""
 
     before: str
     file: str

@@ -1,7 +1,7 @@
 """Where a controller from outside comes from: its name, what it states of itself, and the files that it is.
 
-A name is ``FILE.py:Class``, ``package.module:Class``, ``FILE.fmu``, ``process:FILE ARGUMENTS``, or that of an entry
-point of an installed package::
+A name is ``FILE.py:Class``, ``package.module:Class``, ``FILE.fmu``, ``process:FILE ARGUMENTS``, ``FILE.csv`` (what was
+recorded of actuators), or that of an entry point of an installed package::
 
     [project.entry-points."hexjet.controllers"]
     my-controller = "my_package.my_module:MyController"
@@ -33,6 +33,7 @@ from cosim.base.controller_wire import EXTRAS
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Column, Parameter
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
+from cosim.simulation.controllers import recorded
 from cosim.simulation.controllers.guard import columns_from, described
 from cosim.simulation.controllers.process import Command, ProcessBlock, describe, program
 from cosim.spec.controller_name import file_name, is_design
@@ -131,7 +132,7 @@ def find(controller: str, folder: Path, complaint: str) -> Source | None:
         if named.before:
             return _of_process(controller, path, named.after)
         if not named.after:
-            return _of_fmu(controller, path)
+            return _of_record(controller, path) if path.suffix.lower() == ".csv" else _of_fmu(controller, path)
         return _of_file(controller, path, named.after[1:])
     if named is None and controller in PREDICTORS:
         return None
@@ -331,6 +332,15 @@ def _of_fmu(controller: str, path: Path) -> Source:
     key = (controller, str(path), *[_sha256(file) for file in fmu.files.values()])
     run = command(path)
     return _known.get(key, lambda: _described(controller, describing(fmu), fmu.files, lambda: run, path.parent))
+
+
+def _of_record(controller: str, path: Path) -> Source:
+    rows, columns = recorded.read(path, f"controller {label_of(controller)}")
+    source = Source(
+        controller, "controller", lambda: recorded.Recorded(rows, columns), {path.name: path}, columns=columns
+    )
+    source.hashes  # noqa: B018  of what was read just now
+    return source
 
 
 def _described(

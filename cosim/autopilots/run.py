@@ -1,0 +1,136 @@
+"""A flight that an autopilot of others flies, as a run: folder, report, and a record by which it flies again."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import IO, Any
+
+from cosim.autopilots.block import AutopilotBlock
+from cosim.autopilots.lockstep import Autopilot, Counts
+from cosim.base.errors import FlightError, InputError
+from cosim.base.protocols import Observer
+from cosim.base.signals import Sample
+from cosim.flight import record, resolve, with_page
+from cosim.results.run import Run
+from cosim.simulation.build import build
+from cosim.simulation.controllers.recorded import ACTUATORS, COLUMNS, header, line
+from cosim.simulation.controllers.source import Source
+from cosim.simulation.ending import Ending
+from cosim.simulation.pacing import Pace
+from cosim.spec.scenario import Scenario
+
+LOCKSTEP = "lockstep.json"  # in a run's folder: what was counted
+LONGEST_S = 3600.0  # of a step, by the scenario; the autopilots' own bounds are shorter
+_FLUSH = 250  # rows, a second of flight
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A run, and the books of its lockstep."""
+
+    run: Run
+    counts: Counts
+    autopilot: str
+
+
+class _Writer:
+    """Writes what the autopilot answered beside the log, so that what was flown is there after a kill too."""
+
+    def __init__(self, path: Path, block: AutopilotBlock, jets: int, servo: bool) -> None:
+        self._block, self._servo, self._written = block, servo, 0
+        try:
+            self._file: IO[str] = path.open("w")
+            self._file.write(header(jets, servo) + "\n")
+            self._file.flush()
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror or error}") from error
+
+    def observe(self, sample: Sample) -> None:
+        """Now and then."""
+        if len(self._block.rows) - self._written >= _FLUSH:
+            self.write()
+
+    def write(self) -> None:
+        """All that there is.  Raises FlightError where the disk is full."""
+        rows = self._block.rows
+        try:
+            for row in rows[self._written :]:
+                self._file.write(line(row, self._servo) + "\n")
+            self._file.flush()
+        except OSError as error:
+            raise FlightError(f"{self._file.name}: {error.strerror or error}") from error
+        self._written = len(rows)
+
+    def close(self) -> None:
+        self.write()
+        self._file.close()
+
+
+def fly_autopilot(
+    scenario: Scenario,
+    autopilot: Autopilot,
+    label: str,
+    folder: Path,
+    *,
+    before: float,
+    lean_deg: float,
+    turn_deg_s: float,
+    files: Sequence[Path] = (),
+    told: dict[str, Any] | None = None,
+    observers: Sequence[Observer] = (),
+    realtime_factor: float | None = None,
+) -> Flown:
+    """Fly a scenario with an autopilot in the place of the controller, and close that.
+
+    ``before``, ``lean_deg``, ``turn_deg_s``: see :class:`AutopilotBlock`.  ``files``: what flew, to be hashed.
+    ``told``: what else is to be known of it.  A crash, an autopilot that ends or hangs, and Ctrl-C are outcomes, and
+    the run is kept.  Raises InputError for what cannot be flown.
+    """
+    if scenario.engine_start == "in flight":
+        raise InputError(
+            f'scenario {scenario.name}: engine_start = "in flight": with an autopilot the engines run before the flight'
+        )
+    block = AutopilotBlock(autopilot, label, before, lean_deg, turn_deg_s, scenario.seed)
+    own = Source(
+        f"autopilot:{label}",
+        "controller",
+        lambda: block,
+        {path.name: path for path in files},
+        columns=COLUMNS,
+        copied=False,
+    )
+    scenario = scenario.replace(controller=own.name, controller_limit_s=LONGEST_S, expect=[])
+    try:
+        with build(scenario, own) as simulation:
+            recording = record(simulation, folder)
+            vehicle = simulation.vehicle
+            writer = _Writer(folder / ACTUATORS, block, len(vehicle.jets), vehicle.servo is not None)
+            again: dict[str, Any] = {"controller": ACTUATORS, "controller_sha256": None, "controller_parameters": {}}
+            recording.restate(resolve(simulation)[0].model_copy(update=again))
+            pace = Pace(simulation.dt, realtime_factor)
+            begin = time.perf_counter()
+            try:
+                block.begin(simulation.measured)
+                begin = time.perf_counter()
+                watching: list[Observer] = [recording, writer, *simulation.brought.observers, *observers]
+                ending = simulation.run(watching, pace if realtime_factor else None)
+                simulation.brought.over()
+            except FlightError as error:
+                ending = Ending("failed", f"{error}, before the flight" if simulation.k == 0 else str(error))
+            except KeyboardInterrupt:
+                ending = Ending("failed", f"interrupted at {simulation.k * simulation.dt:.3f} s")
+            wall = time.perf_counter() - begin
+            writer.close()
+            hashed = sha256((folder / ACTUATORS).read_bytes()).hexdigest()
+            recording.restate(resolve(simulation)[0].model_copy(update=again | {"controller_sha256": hashed}))
+            books = {"autopilot": label, "steps": simulation.k, **asdict(autopilot.counts), **(told or {})}
+            (folder / LOCKSTEP).write_text(json.dumps(books, indent=2) + "\n")
+            run = recording.finish(ending.outcome, ending.reason, wall, pace.report if realtime_factor else None)
+            return Flown(with_page(run), autopilot.counts, label)
+    finally:
+        autopilot.close()

