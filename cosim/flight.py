@@ -18,7 +18,7 @@ from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec, engine_names, load_engine
 from cosim.engine.spec import find_source
 from cosim.results.autopilot_record import PilotRecord
-from cosim.results.columns import log_columns
+from cosim.results.columns import flown_by, log_columns
 from cosim.results.limits import yardstick
 from cosim.results.metrics import Reach, metric_names
 from cosim.results.recorder import KeepingSink
@@ -188,7 +188,7 @@ def record(
     folder is not usable.
     """
     resolved, files = resolve(simulation)
-    columns = log_columns(len(simulation.vehicle.jets), simulation.columns)
+    columns = log_columns(flown_by(simulation.vehicle), simulation.columns)
     files |= dict(contents or {})
     metrics = simulation.brought.metrics
     return begin_run(_setup(simulation), resolved, folder, files, background, sink, columns, metrics)
@@ -460,8 +460,11 @@ def reach(simulation: Simulation) -> Reach:
             simulation.controller.thrust_map.throttle((share,) * jets)
             for share in (limits.throttle_min, limits.throttle_max)
         )
+    moved = (*(hinge.least_most for hinge in vehicle.hinges), *(surface.range for surface in vehicle.surfaces))
     return Reach(
-        throttle=tuple(zip(least, most, strict=True)), tilt_rad=vehicle.servo.range_rad if vehicle.servo else None
+        throttle=tuple(zip(least, most, strict=True)),
+        tilt_rad=vehicle.servo.range_rad if vehicle.servo else None,
+        servos=moved or None,
     )
 
 

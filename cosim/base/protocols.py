@@ -30,6 +30,7 @@ from cosim.base.signals import (
     JetHealth,
     Measured,
     PerJet,
+    PerServo,
     Sample,
     State,
     Vector3,
@@ -247,7 +248,7 @@ class Applied(NamedTuple):
     """What became of the step before: what the actuators were given, and what the engines report of it."""
 
     throttle: PerJet  # 0 to 1; before the first step those at which the engines stand
-    tilt: tuple[float, float]  # rad, left and right servo, kept within the servos' range
+    tilt: PerServo  # rad, left and right servo or hinges, kept within the servos' range
     engines: EngineOutput  # reported at its end
     burnt: float  # kg of fuel, counted from a full tank
 
@@ -339,6 +340,10 @@ class Allocator(Protocol):
     """Turns what the loops ask for into what the actuators can do.  It keeps its plan around lost engines, no more."""
 
     hover: float  # throttle at which the vehicle hovers
+    rest: PerServo  # where servos stand while nothing is asked of them
+
+    def trim(self, collective: float) -> PerJet:
+        """The shares that give ``collective`` [0..1] in balance, with nothing asked of the servos."""
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
         """What the actuators can do of what is asked for, once a step.

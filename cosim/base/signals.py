@@ -15,11 +15,15 @@ from cosim.base._records import quick
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 PerJet = tuple[float, ...]  # jet 1 first
+# What servos move: the left and the right bank, or the hinges of a vehicle and then its surfaces, as it states them.
+# Of a bank positive tilts the thrust forward, of a hinge it turns right-handed about its axis [rad]; a surface is in
+# the unit of its property.
+PerServo = tuple[float, ...]
 
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 UNKNOWN3: Vector3 = (nan, nan, nan)
 JETS = 6  # columns that every log has of what a jet has, so that logs can be laid side by side
-MOST_JETS = 12  # as many motors as a ULog's actuator_motors takes
+MOST_JETS = 16  # as many as MAVLink has servo outputs for; chosen by us
 ALL_WELL: Final[PerJet] = (1.0,) * MOST_JETS  # of engines that nobody watches, or that do as they are told
 NO_JETS: Final[frozenset[int]] = frozenset()
 # every jet of the log; left and right servo; gyro, attitude, GNSS, barometer
@@ -94,10 +98,10 @@ class Unallocated(NamedTuple):
 
 @quick
 class Actuation(NamedTuple):
-    """What the controller asks of the engines and of the two tilt servos."""
+    """What the controller asks of the engines and of the servos."""
 
     throttle: PerJet  # 0..1, jet 1 first
-    tilt: tuple[float, float]  # rad, left and right servo, positive tilts the thrust forward
+    tilt: PerServo
     unallocated: Unallocated
     off: frozenset[int] = NO_JETS  # the jets, from 0, that are shut off on purpose
 
@@ -108,7 +112,7 @@ class ControlSignals(NamedTuple):
 
     rate_setpoint: Vector3  # rad/s, body
     rate_predicted: Vector3  # rad/s, body: what the rate loop is fed with
-    torque: Vector3  # the rate loop's output: throttle, rad of tilt, rad of tilt
+    torque: Vector3  # the rate loop's output: throttle, rad of tilt, rad of tilt; or rad/s^2, see docs/own-aircraft.md
     collective: float  # mean throttle asked for
     allocated: float  # the collective that allocation gave
 
@@ -157,7 +161,7 @@ class Sample(NamedTuple):
     measured: Measured
     control: ControlSignals
     actuation: Actuation
-    tilt: tuple[float, float]  # rad, where the servos stand
+    tilt: PerServo  # where the servos stand
     engines: EngineOutput  # delivered and reported
     disturbance: Disturbance
     fuel: float = nan  # kg on board at t_k; NaN without a tank

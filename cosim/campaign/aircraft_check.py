@@ -123,6 +123,8 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
     }
     scenario = Scenario.from_table(table, Path(), "aircraft check")
     vehicle, _ = scenario.resolved_vehicle()
+    if vehicle.allocation == "effectiveness":
+        raise InputError(f"{vehicle.name}: is flown by effectiveness; hexjet aircraft check looks at banks and rotors")
     with build(scenario) as simulation:
         lines = [_forces(simulation), _masses(simulation), *_sizes(vehicle)]
         least, most = _thrust(simulation)

@@ -129,7 +129,8 @@ class Cascade:
             hover = self.thrust_map.share((self._mass - burnt) * GRAVITY / self._jets)
         if self.schedule is not None:
             self._follow(self.schedule.reset(hover))
-        throttle = self._throttle = self.thrust_map.throttle((self._low if on_ground else hover,) * self._jets)
+        shares = (self._low,) * self._jets if on_ground else self.allocator.trim(hover)
+        throttle = self._throttle = self.thrust_map.throttle(shares)
         if self.monitor is not None:
             self.monitor.reset(throttle)
         return throttle
@@ -226,7 +227,7 @@ class Cascade:
         share = (given / every - thrust_map.low) / thrust_map.span
         self._unallocated = Unallocated(torque[0], torque[1], torque[2], collective - share)
         self.signals = ControlSignals(rate_setpoint, self.rate.predicted, ZERO3, collective, share)
-        return self._actuated(Actuation(throttle, (0.0, 0.0), self._unallocated, NO_JETS), share)
+        return self._actuated(Actuation(throttle, self.allocator.rest, self._unallocated, NO_JETS), share)
 
     def _switch(self, engines: EngineState) -> None:
         """Engines off or on again as the pilot says; on again are all of them."""
@@ -237,7 +238,7 @@ class Cascade:
         self._cold = engines is EngineState.START
 
     def _idle(self, rate_setpoint: Vector3) -> Actuation:
-        """Every engine at its least throttle, the banks upright, and loops that remember nothing when needed again."""
+        """Every engine at its least throttle, the hinges at rest, and loops that remember nothing when needed again."""
         self._reset_loops()
         self._catching = False
         if self._reduced is not None:
@@ -245,7 +246,7 @@ class Cascade:
         low = self._low
         self._unallocated = Unallocated(0.0, 0.0, 0.0, -low)
         self.signals = ControlSignals(rate_setpoint, self.rate.predicted, ZERO3, 0.0, low)
-        return self._actuated(Actuation((low,) * self._jets, (0.0, 0.0), self._unallocated, NO_JETS), low)
+        return self._actuated(Actuation((low,) * self._jets, self.allocator.rest, self._unallocated, NO_JETS), low)
 
     def _injected(self, torque: Vector3, injected: Disturbance) -> Vector3:
         """The rate loop's output with what is added to it there, roll after the added delay."""

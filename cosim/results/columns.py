@@ -18,6 +18,7 @@ Where a place lies behind a field that is None the value is NaN.  :func:`program
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from itertools import count
 from typing import NamedTuple
@@ -41,6 +42,7 @@ from cosim.base.signals import (
     State,
     Unallocated,
 )
+from cosim.spec.vehicle import Vehicle
 
 RATES = ("p", "q", "r")
 _XYZ = ("x", "y", "z")
@@ -48,6 +50,8 @@ _NED = ("north", "east", "down")
 _EULER = "body to NED"
 _OUTPUT_UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
 _OWN = "throttle on roll, rad of tilt on pitch and yaw"
+# What a servo moves, by the name of its column: hinges and banks, surfaces
+_ANGLE, _DEFLECTION = "tilt_{}_rad", "deflection_{}"
 
 
 def _each(
@@ -60,15 +64,37 @@ def _each(
     ]
 
 
-def _torques(name: str, meaning: str, source: str) -> list[Column]:
+def _torques(name: str, meaning: str, source: str, accelerations: bool) -> list[Column]:
     """One column per axis, in the unit of the axis."""
     return [
-        Column(name.format(axis), _OUTPUT_UNITS[axis], "body", meaning.format(axis), source.format(n=n))
+        Column(
+            name.format(axis),
+            "rad/s^2" if accelerations else _OUTPUT_UNITS[axis],
+            "body",
+            meaning.format(axis),
+            source.format(n=n),
+        )
         for n, axis in enumerate(AXES)
     ]
 
 
-def _columns(jets: int) -> list[Column]:
+class Flown(NamedTuple):
+    """What of a vehicle its log has columns of.
+
+    ``servos``: of banks and hinges, and behind them the surfaces; ``accelerations``: its rate controller asks for
+    rad/s^2 about every axis, and not for throttle and tilt.
+    """
+
+    jets: int = JETS
+    servos: tuple[str, ...] = SERVOS
+    surfaces: tuple[str, ...] = ()
+    accelerations: bool = False
+
+
+def _columns(flown: Flown) -> list[Column]:
+    jets, servos = flown.jets, flown.servos
+    banks = servos == SERVOS and not flown.accelerations
+    moved = (*servos, *flown.surfaces)
     numbers = [str(jet) for jet in range(1, max(jets, JETS) + 1)]
 
     def of_jets(pattern: str, unit: str, frame: str, meaning: str, source: str) -> list[Column]:
@@ -109,8 +135,18 @@ def _columns(jets: int) -> list[Column]:
         *_each(
             RATES, "rate_{}_setpoint_rad_s", "rad/s", "body", "angular rate {} asked for", "control.rate_setpoint.{n}"
         ),
-        *_torques("torque_{}", f"rate controller's output on {{}} ({_OWN})", "control.torque.{n}"),
-        *_torques("refused_{}", "part of torque_{} that allocation did not give", "actuation.unallocated.{n}"),
+        *_torques(
+            "torque_{}",
+            "rate controller's output on {}" + ("" if flown.accelerations else f" ({_OWN})"),
+            "control.torque.{n}",
+            flown.accelerations,
+        ),
+        *_torques(
+            "refused_{}",
+            "part of torque_{} that allocation did not give",
+            "actuation.unallocated.{n}",
+            flown.accelerations,
+        ),
         Column(
             "refused_collective",
             "throttle",
@@ -122,14 +158,33 @@ def _columns(jets: int) -> list[Column]:
         *of_jets("throttle_{}", "throttle", "", "throttle of jet {}, 0 to 1", "actuation.throttle.{n}"),
         *of_jets("thrust_{}_N", "N", "along the jet", "thrust that jet {} delivers", "engines.thrust.{n}"),
         *_each(
-            SERVOS,
-            "tilt_{}_rad",
+            servos,
+            _ANGLE,
             "rad",
             "body",
-            "where the {} servo stands; positive tilts the thrust forward",
+            "where the {} servo stands; positive "
+            + ("tilts the thrust forward" if banks else "turns right-handed about its axis"),
             "tilt.{n}",
         ),
-        *_each(SERVOS, "tilt_{}_command_rad", "rad", "body", "where the {} servo is told to go", "actuation.tilt.{n}"),
+        *_each(servos, "tilt_{}_command_rad", "rad", "body", "where the {} servo is told to go", "actuation.tilt.{n}"),
+        *_each(
+            flown.surfaces,
+            _DEFLECTION,
+            "1",
+            "",
+            "where the surface {} stands, as its JSBSim property counts",
+            "tilt.{n}",
+            first=len(servos),
+        ),
+        *_each(
+            flown.surfaces,
+            "deflection_{}_command",
+            "1",
+            "",
+            "where the surface {} is told to go",
+            "actuation.tilt.{n}",
+            first=len(servos),
+        ),
         Column("north_m", "m", "NED", "true position north", "state.position.0"),
         Column("east_m", "m", "NED", "true position east", "state.position.1"),
         Column("down_m", "m", "NED", "true position down", "state.position.2"),
@@ -201,6 +256,7 @@ def _columns(jets: int) -> list[Column]:
             "added to torque_{}, unknown to the controller",
             # before and after the added delay; neither is ever -0, so that zeros change nothing
             "disturbance.torque_output.{n} + disturbance.torque_command.{n}",
+            flown.accelerations,
         ),
         Column("payload_kg", "kg", "", "mass of the payload", "disturbance.payload.0"),
         *_each(
@@ -244,20 +300,18 @@ def _columns(jets: int) -> list[Column]:
         ),
         *of_jets("health_{}", "1", "", "share of its command that jet {} gives, as the monitor believes", "health.{n}"),
         *_each(numbers, "fault_jet_{}", "0/1", "", "a fault acts on jet {}", "faults.{n}"),
-        *_each(SERVOS, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo", "faults.{n}", first=len(numbers)),
-        *_each(
-            SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}", "faults.{n}", first=len(numbers) + len(SERVOS)
-        ),
+        *_each(moved, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo", "faults.{n}", first=len(numbers)),
+        *_each(SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}", "faults.{n}", first=len(numbers) + len(moved)),
     ]
 
 
-def log_columns(jets: int = JETS, own: Sequence[Column] = ()) -> tuple[Column, ...]:
-    """The columns of a flight of a vehicle with so many ``jets``, whose blocks show ``own``.
+def log_columns(flown: Flown | int = JETS, own: Sequence[Column] = ()) -> tuple[Column, ...]:
+    """The columns of a flight of a vehicle, or of one with so many jets and two banks, whose blocks show ``own``.
 
     At least six of everything that a jet has, so that the logs of all vehicles can be laid side by side.  Raises
     InputError for a column of a block's own that cannot be one.
     """
-    made = _columns(jets)
+    made = _columns(flown if isinstance(flown, Flown) else Flown(flown))
     known = {column.name for column in made}
     for n, column in enumerate(own):
         if not column.name.isidentifier() or not column.name.isascii():
@@ -281,10 +335,33 @@ def jets_in(columns: Iterable[str]) -> int:
     return next(jets for jets in count(JETS) if f"throttle_{jets + 1}" not in names)
 
 
+def flown_by(vehicle: Vehicle) -> Flown:
+    """What the log of a flight of this vehicle has columns of."""
+    surfaces = tuple(surface.name for surface in vehicle.surfaces)
+    servos = vehicle.actuators[: len(vehicle.actuators) - len(surfaces)]
+    return Flown(len(vehicle.jets), servos, surfaces, vehicle.allocation == "effectiveness")
+
+
+def servos_in(columns: Iterable[str]) -> list[str]:
+    """The names of the banks and hinges that a log has columns of, in their order."""
+    found = [re.fullmatch(r"tilt_(.+)_command_rad", name) for name in columns]
+    return [each[1] for each in found if each]
+
+
+def surfaces_in(columns: Iterable[str]) -> list[str]:
+    """The same of surfaces."""
+    found = [re.fullmatch(r"deflection_(.+)_command", name) for name in columns]
+    return [each[1] for each in found if each]
+
+
 def own_columns(columns: Iterable[Column]) -> list[Column]:
     """Those that are not every flight's with as many engines: of blocks that show."""
     columns = tuple(columns)
-    names = {column.name for column in _columns(jets_in(column.name for column in columns))}
+    present = [column.name for column in columns]
+    names = {
+        column.name
+        for column in _columns(Flown(jets_in(present), tuple(servos_in(present)), tuple(surfaces_in(present))))
+    }
     return [column for column in columns if column.name not in names]
 
 

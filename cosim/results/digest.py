@@ -8,8 +8,9 @@ from hashlib import sha256
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.constants import SERVOS
 from cosim.base.protocols import Column
-from cosim.results.columns import jets_in, known, log_columns
+from cosim.results.columns import Flown, jets_in, known, log_columns, servos_in, surfaces_in
 from cosim.results.recorder import Log, MemoryLog
 
 _ROWS = 2048  # of a log, read at once: 2 MB
@@ -49,6 +50,11 @@ def log_digest(log: Log) -> str:
     return digest.hexdigest()
 
 
+def _shown(names: Sequence[str]) -> Flown:
+    """A vehicle whose log has these columns."""
+    return Flown(jets_in(names), tuple(servos_in(names)) or SERVOS, tuple(surfaces_in(names)))
+
+
 class DigestSink:
     """For a flight of which little is wanted: keeps the columns of some ``names``, and the :class:`Digest` of all.
 
@@ -59,7 +65,7 @@ class DigestSink:
     def __init__(self, names: Sequence[str], whole: bool = False) -> None:
         self._names, self._whole = tuple(names), whole
         self._kept: list[Array] = []
-        self.begin(log_columns(jets_in(self._names)))
+        self.begin(log_columns(_shown(self._names)))
 
     def begin(self, columns: Sequence[Column]) -> None:
         """See :class:`cosim.results.recorder.KeepingSink`."""

@@ -22,7 +22,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import nearest
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES, JETS
-from cosim.results.columns import RATES, jets_in
+from cosim.results.columns import RATES, Flown, jets_in, servos_in, surfaces_in
 from cosim.spec.scenario import Range
 
 HOLD_S = 0.2  # chosen by us: shorter than any doublet worth flying, longer than the holds of recorded sticks at 10 Hz
@@ -35,7 +35,8 @@ REFUSED = ("refused_roll", "refused_pitch", "refused_yaw", "refused_collective")
 PLACE = ("north_setpoint_m", "east_setpoint_m")
 WAYPOINTS_LEFT = "waypoints_left"  # shown by the pilot of a script that has waypoints
 THROTTLE, HEALTH, FLOW = "throttle_{}", "health_{}", "fuel_flow_{}_kg_s"  # of a jet
-TILTS = ("tilt_left_command_rad", "tilt_right_command_rad")
+TILT = "tilt_{}_command_rad"
+DEFLECTION = "deflection_{}_command"
 
 
 class Record(BaseModel):
@@ -107,7 +108,8 @@ class Reach(Record):
     """How far the actuators can be told to go."""
 
     throttle: tuple[tuple[float, float], ...]  # least and most, jet 1 first
-    tilt_rad: float | None = None  # either way; None: nothing tilts
+    tilt_rad: float | None = None  # of two banks, either way; None: nothing tilts, or as servos says
+    servos: tuple[tuple[float, float], ...] | None = None  # of hinges and surfaces, least and most
 
 
 class Step(NamedTuple):
@@ -134,25 +136,28 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
         effort=EffortMetrics(
             saturated_percent=share_percent(saturated(log, reach), ~contact),
             throttle_1_s=activity((log[name] for name in _of_jets(THROTTLE, jets_in(log.columns))), step_s),
-            tilt_rad_s=activity((log[name] for name in TILTS), step_s),
+            tilt_rad_s=activity((log[TILT.format(name)] for name in servos_in(log.columns)), step_s),
         ),
         fuel_burnt_kg=_fuel_of(log, step_s),
     )
 
 
-def columns(jets: int = JETS, waypoints: bool = False) -> tuple[str, ...]:
-    """The names of the columns that :func:`flight_metrics` and the limits of a flight read, of so many jets' log.
+def columns(flown: Flown | int = JETS, waypoints: bool = False) -> tuple[str, ...]:
+    """The names of the columns that :func:`flight_metrics` and the limits of a flight read, of such a vehicle's log,
+    or of so many jets' with two banks.
 
     ``waypoints``: of a flight along some.
     """
-    jets = max(jets, JETS)
+    flown = flown if isinstance(flown, Flown) else Flown(flown)
+    jets = max(flown.jets, JETS)
+    moved = [TILT.format(name) for name in flown.servos] + [DEFLECTION.format(name) for name in flown.surfaces]
     names = [name for axis, rate in zip(AXES, RATES, strict=True) for name in _axis_columns(axis, rate)]
     return (
         *names,
         *("altitude_setpoint_m", "altitude_m", "on_ground", "hull_contact", "velocity_down_m_s"),
         *("north_m", "east_m", *PLACE, "velocity_north_m_s", "velocity_east_m_s"),
         *([WAYPOINTS_LEFT] if waypoints else ()),
-        *(*REFUSED, *_of_jets(THROTTLE, jets), *_of_jets(HEALTH, jets), *TILTS, *_of_jets(FLOW, jets), "fuel_kg"),
+        *(*REFUSED, *_of_jets(THROTTLE, jets), *_of_jets(HEALTH, jets), *moved, *_of_jets(FLOW, jets), "fuel_kg"),
     )
 
 
@@ -262,9 +267,11 @@ def saturated(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
     for jet, (least, most) in enumerate(reach.throttle, 1):
         throttle, given_up = log[THROTTLE.format(jet)], log[HEALTH.format(jet)] < 1.0
         rows |= ((throttle <= least + AT_LIMIT) | (throttle >= most - AT_LIMIT)) & ~given_up
-    if reach.tilt_rad is not None:
-        for name in TILTS:
-            rows |= np.abs(log[name]) >= reach.tilt_rad - AT_LIMIT
+    banks = None if reach.tilt_rad is None else ((-reach.tilt_rad, reach.tilt_rad),) * 2
+    names = [TILT.format(name) for name in servos_in(log.columns)]
+    names += [DEFLECTION.format(name) for name in surfaces_in(log.columns)]
+    for name, (least, most) in zip(names, reach.servos or banks or (), strict=False):
+        rows |= (log[name] <= least + AT_LIMIT) | (log[name] >= most - AT_LIMIT)
     return rows
 
 

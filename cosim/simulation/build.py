@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from itertools import pairwise
 from math import hypot, inf
 from pathlib import Path
 from typing import Any
 
 from cosim.base.constants import GRAVITY, SERVOS
 from cosim.base.errors import FlightError, InputError
-from cosim.base.protocols import Predictor, Sensors
+from cosim.base.protocols import Allocator, Predictor, Sensors
 from cosim.base.signals import AXES
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
+from cosim.control.allocation.effectiveness import EffectivenessAllocator, Mover
 from cosim.control.allocation.engine_monitor import EngineMonitor
 from cosim.control.allocation.reallocation import get_ready
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
@@ -57,11 +59,12 @@ from cosim.simulation.mismatch import as_flown, engines_as_flown
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_places import PlacePilot, flies_to_places
 from cosim.spec.scenario import Scenario, Station, TorqueCommandDisturbance
-from cosim.spec.vehicle import EngineLead, RateModel, Vehicle, aircraft_seen_from, is_file
+from cosim.spec.vehicle import EngineLead, RateModel, Vehicle, aircraft_seen_from, file_seen_from, is_file
 from cosim.vehicle.airframe import Airframe, start_height
 from cosim.vehicle.atmosphere import standard_air
 from cosim.vehicle.banks import Banks
 from cosim.vehicle.ground_effect import GroundJets
+from cosim.vehicle.hinges import HingeReactions
 from cosim.vehicle.intakes import IntakeDrag
 from cosim.vehicle.propulsion import Propulsion
 from cosim.vehicle.rotors import RotorDynamics
@@ -87,7 +90,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
     laws = [spec.flame_out for spec in stations]
     step, initial = scenario.step_s, scenario.initial
     flown = as_flown(vehicle, scenario.mismatch)
-    spools = RotorDynamics(flown.jets, stations, step)
+    spools = RotorDynamics(flown.jets, stations, step, flown.hinges)
     with ExitStack() as made:
         plugged = None if own is None else _Plugged(own, told, scenario, vehicle, engine, stations)
         end = made.callback(plugged.close) if plugged is not None else None
@@ -111,6 +114,9 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             aside=bool(aside),
         )
         servos = [TiltServo(vehicle.servo, step) for _ in SERVOS] if vehicle.servo else []
+        servos += [TiltServo(hinge, step) for hinge in vehicle.hinges]
+        servos += [TiltServo(surface, step) for surface in vehicle.surfaces]
+        reactions = HingeReactions(flown.hinges, flown.jets, step)
         banks = Banks(vehicle.servo, flown.jets, step) if vehicle.servo else None
         propulsion = Propulsion(
             flown.jets,
@@ -119,9 +125,11 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             spools if spools.any else None,
             Tank(vehicle.fuel.mass_kg, step, initial.fuel) if vehicle.fuel else None,
             banks if banks and banks.any else None,
-            IntakeDrag(vehicle.airflow, flown.jets) if vehicle.airflow else None,
+            IntakeDrag(vehicle.airflow, flown.jets, flown.hinges) if vehicle.airflow else None,
             GroundJets(vehicle.ground_effect, flown.jets) if vehicle.ground_effect else None,
             airframe.air,
+            flown.hinges,
+            reactions if reactions.any else None,
             aside,
         )
         suite: Sensors = SensorSuite(vehicle.sensors, step, scenario.seed, scenario.sensor_noise)
@@ -142,7 +150,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             propulsion,
             airframe,
             sensors,
-            FaultSchedule(scenario, engines, servos, sensors, laws),
+            FaultSchedule(scenario, engines, servos, sensors, laws, vehicle.actuators),
             Judge(vehicle.limits),
             own,
             end,
@@ -208,7 +216,9 @@ def _engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
         return load(station.engine, station.parameters)
 
     engine = load(scenario.engine, scenario.engine_parameters)
-    stations = [scenario.stations.get(str(number)) for number in range(1, jets + 1)]
+    _, folder = scenario.resolved_vehicle()
+    own = [None if jet.engine is None else Station(engine=file_seen_from(jet.engine, folder)) for jet in vehicle.jets]
+    stations = [scenario.stations.get(str(number), own[number - 1]) for number in range(1, jets + 1)]
     found = [engine if station is None else at(station) for station in stations]
     for spec in found:
         held = len(spec.archive.engines)
@@ -284,7 +294,7 @@ class _Plugged:
         belief = self._belief
         if self._own.level != "predictor":
             return belief.predictors(self._own.predictor)
-        there = belief.models or (AXES[:1] if belief.vehicle.servo else AXES)
+        there = belief.models or (AXES if belief.vehicle.allocation == "rotors" else AXES[:1])
         return [
             GuardedPredictor(self._made(belief.of(axis)), self._named, axis) if axis in there else NoPredictor()
             for axis in AXES
@@ -376,7 +386,8 @@ def _cascade(
     step = scenario.step_s
     gains = vehicle.control
     thrust_map, hover = _hovering(vehicle, engine, stations)
-    if not gains.allocation.throttle_min < hover < gains.allocation.throttle_max:
+    general = vehicle.allocation == "effectiveness"
+    if not general and not gains.allocation.throttle_min < hover < gains.allocation.throttle_max:
         raise InputError(
             f"engine {engine.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at throttle {hover:.2f}, "
             f"outside {gains.allocation.throttle_min:g} to {gains.allocation.throttle_max:g}"
@@ -398,16 +409,7 @@ def _cascade(
             step,
             _lead(vehicle, "altitude", step),
         ),
-        TiltAllocator(
-            vehicle.jets,
-            gains.allocation,
-            vehicle.servo.range_rad,
-            hover,
-            thrust_map.idle,
-            _lift(scenario, vehicle, stations) if scenario.monitored and catch is None else inf,
-        )
-        if vehicle.servo
-        else RotorAllocator(vehicle.jets, gains.allocation, hover),
+        _allocator(scenario, vehicle, stations, thrust_map, hover, catch),
         thrust_map,
         _monitor(scenario, vehicle, stations) if scenario.monitored else None,
         GainSchedule(gains.schedule, gains.lead, step) if gains.schedule else None,
@@ -422,12 +424,71 @@ def _cascade(
     )
 
 
+def _allocator(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    stations: Sequence[EngineSpec],
+    thrust_map: ThrustMap,
+    hover: float,
+    catch: Catch | None,
+) -> Allocator:
+    """By what the vehicle has, or states."""
+    limits = vehicle.control.allocation
+    if vehicle.allocation == "effectiveness":
+        return _by_effectiveness(scenario, vehicle, stations, thrust_map)
+    if vehicle.servo is None:
+        return RotorAllocator(vehicle.jets, limits, hover)
+    lift = _lift(scenario, vehicle, stations) if scenario.monitored and catch is None else inf
+    return TiltAllocator(vehicle.jets, limits, vehicle.servo.range_rad, hover, thrust_map.idle, lift)
+
+
+def _by_effectiveness(
+    scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
+) -> EffectivenessAllocator:
+    limits, step = vehicle.control.allocation, scenario.step_s
+    jets = len(vehicle.jets)
+    ends: list[tuple[float, ...]] = []
+    for share in (limits.throttle_min, limits.throttle_max):
+        throttles = thrust_map.throttle((share,) * jets)
+        curves = [StaticCurve(spec.name, *spec.rising) for spec in stations]
+        thrusts = [_thrust_at(curve, u) for curve, u in zip(curves, throttles, strict=True)]
+        ends.append(tuple([(thrust - thrust_map.low) / thrust_map.span for thrust in thrusts]))
+    movers = [
+        Mover(*hinge.least_most, hinge.rest_rad, hinge.rate_limit_rad_s * step, hinge.effort)
+        for hinge in vehicle.hinges
+    ]
+    movers += [
+        Mover(*surface.range, 0.0, surface.rate_limit_1_s * step, surface.effort, (0.0,) * 6)
+        for surface in vehicle.surfaces
+    ]
+    return EffectivenessAllocator(
+        vehicle.name,
+        vehicle.layout(),
+        vehicle.mass_kg,
+        vehicle.tensor,
+        thrust_map.low,
+        thrust_map.span,
+        list(zip(*ends, strict=True)),
+        [jet.effort for jet in vehicle.jets],
+        movers,
+        limits.horizontal,
+    )
+
+
+def _thrust_at(curve: StaticCurve, throttle: float) -> float:
+    """Thrust at rest [N], linear between the points of the curve."""
+    for (u, v), (f, g) in zip(pairwise(curve.throttle), pairwise(curve.thrust), strict=True):
+        if throttle <= v:
+            return f + (g - f) * (throttle - u) / (v - u)
+    return curve.thrust[-1]
+
+
 def _reduced(
     scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
 ) -> ReducedAttitude | None:
     """Where rotors do not tilt and a lost one is to be caught."""
     monitor = vehicle.control.monitor
-    if vehicle.servo or not scenario.monitored or monitor is None or not monitor.catch:
+    if vehicle.allocation != "rotors" or not scenario.monitored or monitor is None or not monitor.catch:
         return None
     known = [engine_reference(spec, scenario.step_s) for spec in stations]
     lag, delay = max(each.lag for each in known), max(each.delay for each in known)
@@ -442,7 +503,13 @@ def _catch(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec],
     """
     monitor, lead = vehicle.control.monitor, getattr(vehicle.control.lead, "roll", None)
     own = scenario.engine == vehicle.engine and all(each.name == vehicle.engine for each in stations)
-    if not own or not scenario.monitored or monitor is None or not (monitor.shut_opposite and monitor.catch):
+    if (
+        vehicle.allocation != "banks"
+        or not own
+        or not scenario.monitored
+        or monitor is None
+        or not (monitor.shut_opposite and monitor.catch)
+    ):
         return None
     if not isinstance(lead, EngineLead) or lead.damping is None:
         return None
@@ -540,6 +607,6 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
                 f"scenario's step {scenario.step_s:g} s"
             )
         # jets that tilt give pitch and yaw by servo, which no predictor is for
-        predicted = model is not None if spec.needs_model else axis == "roll" or vehicle.servo is None
+        predicted = model is not None if spec.needs_model else axis == "roll" or vehicle.allocation == "rotors"
         made.append(spec.predictor(model, vehicle.control.predictor) if predicted else NoPredictor())
     return made

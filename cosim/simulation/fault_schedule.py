@@ -44,12 +44,14 @@ class FaultSchedule:
         servos: Sequence[TiltServo],
         sensors: FaultySensors,
         laws: Sequence[FlameOutLaw | None],
+        names: Sequence[str] = SERVOS,
     ) -> None:
         self._scenario = scenario
         self._engines, self._servos, self._sensors = engines, list(servos), sensors
         self._laws = list(laws)
+        self._names = list(names)  # of the servos, as the log has columns
         self._jets = max(len(self._laws), JETS)  # as the log has columns
-        self._none = (0.0,) * (self._jets + len(SERVOS) + len(SENSORS))
+        self._none = (0.0,) * (self._jets + len(self._names) + len(SENSORS))
         self.reset()
 
     def reset(self) -> None:
@@ -78,6 +80,11 @@ class FaultSchedule:
         if isinstance(fault, ServoJam):
             if not self._servos:
                 raise InputError(f"{name}.servo: {self._scenario.aircraft_name} has no tilt servos")
+            if fault.servo not in self._names:
+                known = ", ".join(self._names)
+                raise InputError(
+                    f"{name}.servo = {fault.servo!r}: {self._scenario.aircraft_name} has the servos {known}"
+                )
         elif not isinstance(fault, (SensorBias, SensorDropout)) and max(fault.jet) > len(self._laws):
             raise InputError(
                 f"{name}.jet = {max(fault.jet)}: {self._scenario.aircraft_name} has jets 1 to {len(self._laws)}"
@@ -142,7 +149,7 @@ class FaultSchedule:
     def _jam(self) -> None:
         """Jam the servos that are to be, by the first fault that acts, and free the others where they stand."""
         for i, servo in enumerate(self._servos):
-            jams = [fault for fault in self._acting if isinstance(fault, ServoJam) and fault.servo == SERVOS[i]]
+            jams = [fault for fault in self._acting if isinstance(fault, ServoJam) and fault.servo == self._names[i]]
             jam = jams[0] if jams else None
             if jam is self._jams[i]:
                 continue
@@ -157,9 +164,9 @@ class FaultSchedule:
         flags = list(self._none)
         for fault in acting:
             if isinstance(fault, ServoJam):
-                flags[self._jets + SERVOS.index(fault.servo)] = 1.0
+                flags[self._jets + self._names.index(fault.servo)] = 1.0
             elif isinstance(fault, (SensorBias, SensorDropout)):
-                flags[self._jets + len(SERVOS) + SENSORS.index(fault.sensor)] = 1.0
+                flags[self._jets + len(self._names) + SENSORS.index(fault.sensor)] = 1.0
             else:
                 for jet in fault.jet:
                     flags[jet - 1] = 1.0

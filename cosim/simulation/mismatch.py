@@ -36,6 +36,15 @@ def as_flown(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
         update={
             "mass_kg": mass,
             "jets": [jet.model_copy(update={"position_m": seen(jet.position_m)}) for jet in vehicle.jets],
+            "hinges": [
+                hinge.model_copy(
+                    update={
+                        "position_m": seen(hinge.position_m),
+                        "centre_m": None if hinge.centre_m is None else seen(hinge.centre_m),
+                    }
+                )
+                for hinge in vehicle.hinges
+            ],
             "contacts": [
                 contact.model_copy(update={"position_m": seen(contact.position_m)}) for contact in vehicle.contacts
             ],

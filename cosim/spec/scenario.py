@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
-from cosim.base.constants import Outcome, Sensor, Side
+from cosim.base.constants import Outcome, Sensor
 from cosim.base.errors import InputError, nearest
 from cosim.base.paths import data_folder
 from cosim.base.signals import MOST_JETS
@@ -348,8 +348,8 @@ class ServoJam(Model):
     kind: Literal["servo_jam"]
     start_s: Seconds
     duration_s: Duration | None = None
-    servo: Side
-    angle_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None
+    servo: str  # left or right of two banks, else the name of a hinge or a surface
+    angle_deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None
 
 
 class SensorBias(Model):

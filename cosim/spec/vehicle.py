@@ -5,15 +5,18 @@ Body frame: forward-right-down (FRD), origin at the centre of gravity of the veh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
+from math import hypot
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from cosim.base.cache import Memory
-from cosim.base.constants import Side
+from cosim.base.constants import SERVOS, Side
 from cosim.base.errors import InputError, nearest
+from cosim.base.layout import UP, Layout, Station, Turn
 from cosim.base.paths import data_folder, names_in
 from cosim.base.signals import MOST_JETS
 from cosim.base.toml import (
@@ -34,13 +37,38 @@ Axis3 = tuple[NotNegative, NotNegative, NotNegative]
 Samples = Annotated[int, Field(ge=0, le=1000)]
 
 
+def _unit(axis: Vector) -> Vector:
+    """The direction of a vector that is not zero; one of length 1 stays as it is, to the last bit."""
+    length = hypot(*axis)
+    if not length:
+        raise ValueError("must have a direction, not [0, 0, 0]")
+    if abs(length - 1.0) <= 1e-15:
+        return axis
+    return (axis[0] / length, axis[1] / length, axis[2] / length)
+
+
+Direction = Annotated[Vector, AfterValidator(_unit)]
+
+
 class Jet(Model):
-    """One engine station: a jet on a tilting bank, or a rotor that points straight up."""
+    """One engine station: fixed to the body, on a tilting bank, or on hinges."""
 
     position_m: Vector  # body, from the centre of gravity of the vehicle as built
+    axis: Direction | None = None  # of the thrust on the vehicle, body, hinges at zero; None: straight up, [0, 0, -1]
     servo: Side | None = None
-    reaction_m: float = 0.0  # yaw moment on the frame per thrust, positive turns the nose right
+    # moment on the frame per thrust, against the thrust's direction: with thrust straight up positive turns the nose
+    # right
+    reaction_m: float = 0.0
     spin: Literal[-1, 0, 1] = 0  # sense of the rotor about the thrust, right-handed; 0: its spin is not modelled
+    engine: str | None = None  # of another kind than the scenario's; None: as that
+    effort: Positive = 1.0  # of allocation by effectiveness: how dear its range is beside that of the others
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        if stated.get("effort") == 1.0:
+            del stated["effort"]
+        return {key: value for key, value in stated.items() if value is not None or key == "servo"}
 
 
 class Servo(Model):
@@ -51,6 +79,77 @@ class Servo(Model):
     range_rad: Positive  # either way from straight up
     bank_inertia_kg_m2: NotNegative = 0.0  # of one bank about its tilt axis; 0: turning it does not turn the body
     bank_imbalance_kg_m: float = 0.0  # mass of one bank times how far its centre is from that axis along the thrust
+
+
+class Hinge(Model):
+    """What turns about an axis, by a servo of its own, and moves jets or their thrust: a bank, a gimbal, a vane.
+
+    Its servo is a first-order lag with rate and range limited.  What turns has ``mass_kg`` with its centre at
+    ``centre_m`` (hinge at zero) and ``inertia_kg_m2`` about the hinge's axis, all of it a part of the vehicle's.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]  # in the log, and where faults name it
+    position_m: Vector  # body: a point of its axis
+    axis: Direction  # body; positive turns right-handed about it
+    carries: list[Annotated[int, Field(ge=1)]] = Field(default_factory=list)  # jets, from 1, that stand on it
+    deflects: list[Annotated[int, Field(ge=1)]] = Field(default_factory=list)  # jets whose thrust alone it turns
+    effect: float = 1.0  # angle of the thrust that it deflects over its own
+    lag_s: NotNegative
+    rate_limit_rad_s: Positive
+    range_rad: Positive | tuple[float, float]  # either way from zero, or least and most
+    rest_rad: float = 0.0  # where it stands at the start, and where allocation leaves it if nothing is asked of it
+    mass_kg: NotNegative = 0.0
+    centre_m: Vector | None = None  # body; None: on the axis
+    inertia_kg_m2: NotNegative = 0.0  # 0: turning it does not turn the body
+    effort: Positive = 1.0
+
+    @property
+    def least_most(self) -> tuple[float, float]:
+        """The ends of its range, rad."""
+        return self.range_rad if isinstance(self.range_rad, tuple) else (-self.range_rad, self.range_rad)
+
+    @model_validator(mode="after")
+    def _can_be(self) -> Hinge:
+        least, most = self.least_most
+        if least >= most:
+            raise ValueError(f"range_rad [{least:g}, {most:g}]: the first must be below the second")
+        if not least <= self.rest_rad <= most:
+            raise ValueError(f"rest_rad {self.rest_rad:g}: must be within range_rad, {least:g} to {most:g}")
+        if max(abs(least), abs(most)) > 3.2:
+            raise ValueError(f"range_rad [{least:g}, {most:g}]: is more than half a turn either way: which unit?")
+        if not self.carries and not self.deflects:
+            raise ValueError("carries, deflects: name the jets that it moves, numbered from 1")
+        if set(self.carries) & set(self.deflects):
+            raise ValueError(
+                f"deflects {self.deflects}: what a hinge carries turns with it as a whole; name a jet once"
+            )
+        if self.centre_m is not None:
+            x, y, z = (c - p for c, p in zip(self.centre_m, self.position_m, strict=True))
+            a, b, c = self.axis
+            off = x * x + y * y + z * z - (a * x + b * y + c * z) ** 2
+            if self.mass_kg * off > self.inertia_kg_m2 * (1.0 + 1e-9):
+                raise ValueError(
+                    f"inertia_kg_m2 {self.inertia_kg_m2:g}: {self.mass_kg:g} kg with the centre that far from the axis "
+                    f"have at least {self.mass_kg * off:.3g} about it"
+                )
+        return self
+
+
+class Surface(Model):
+    """A surface of the JSBSim model that is commanded: a property of it, set by a servo of its own."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]
+    property: Annotated[str, Field(pattern=r"^[A-Za-z0-9_./\[\]-]+$")]  # of the JSBSim model: fcs/elevator-cmd-norm
+    lag_s: NotNegative
+    rate_limit_1_s: Positive  # of the property's own unit
+    range: tuple[float, float] = (-1.0, 1.0)
+    effort: Positive = 1.0
+
+    @model_validator(mode="after")
+    def _has_a_range(self) -> Surface:
+        if not self.range[0] <= 0.0 <= self.range[1] or self.range[0] == self.range[1]:
+            raise ValueError(f"range {list(self.range)}: least and most, and 0 within them")
+        return self
 
 
 class Fuel(Model):
@@ -274,6 +373,15 @@ class AltitudeGains(Model):
 class AllocationLimits(Model):
     throttle_min: Annotated[float, Field(ge=0.0, lt=1.0)]
     throttle_max: Annotated[float, Field(gt=0.0, le=1.0)]
+    # banks: of a vehicle with [servo]; rotors: of one whose jets all point straight up; effectiveness: of any.  None:
+    # by what the vehicle has
+    method: Literal["banks", "rotors", "effectiveness"] | None = None
+    horizontal: bool = False  # effectiveness: keep the force along x and y at zero where that costs nothing else
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        return {key: value for key, value in stated.items() if key != "horizontal" or value}
 
     @model_validator(mode="after")
     def _ordered(self) -> AllocationLimits:
@@ -432,7 +540,10 @@ class Vehicle(Model):
     step_s: Step | None = None  # control step where a scenario states none; None: see control_step
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]
-    jets: Annotated[list[Jet], Field(min_length=4, max_length=MOST_JETS)]
+    products_kg_m2: Vector = (0.0, 0.0, 0.0)  # of inertia: integral of x y, x z and y z over the mass, body
+    jets: Annotated[list[Jet], Field(min_length=1, max_length=MOST_JETS)]
+    hinges: Annotated[list[Hinge], Field(max_length=MOST_JETS)] = Field(default_factory=list)  # from the body outwards
+    surfaces: Annotated[list[Surface], Field(max_length=MOST_JETS)] = Field(default_factory=list)
     contacts: Annotated[list[Contact], Field(min_length=1)]
     servo: Servo | None = None
     fuel: Fuel | None = None
@@ -452,13 +563,105 @@ class Vehicle(Model):
         return self
 
     @model_validator(mode="after")
+    def _hinges_move_jets(self) -> Vehicle:
+        names = [hinge.name for hinge in self.hinges] + [surface.name for surface in self.surfaces]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"hinges, surfaces: two are called {name!r}; names must differ")
+        for number, hinge in enumerate(self.hinges):
+            for jet in (*hinge.carries, *hinge.deflects):
+                if jet > len(self.jets):
+                    raise ValueError(f"hinges.{number}: jet {jet}: there are jets 1 to {len(self.jets)}")
+        if self.surfaces and self.model is None:
+            raise ValueError("surfaces: are moved in the vehicle's own JSBSim model, and model names none")
+        if self.servo is None:
+            return self
+        if self.hinges:
+            raise ValueError("hinges: a vehicle with a table [servo] has its two banks; state them as hinges instead")
+        for number, station in enumerate(self.jets):
+            if station.axis not in (None, UP):
+                raise ValueError(
+                    f"jets.{number}.axis {list(station.axis or UP)}: jets on the banks of [servo] point up"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _method_fits(self) -> Vehicle:
+        method, where = self.control.allocation.method, "control.allocation.method"
+        plain = not self.hinges and not self.surfaces and all(jet.axis in (None, UP) for jet in self.jets)
+        if method == "banks" and self.servo is None:
+            raise ValueError(f"{where} 'banks': is for two banks with a table [servo]; take 'effectiveness'")
+        if method == "rotors" and (self.servo is not None or not plain):
+            raise ValueError(f"{where} 'rotors': is for jets that all point straight up; take 'effectiveness'")
+        if method == "effectiveness" and self.servo is not None:
+            raise ValueError(f"{where} 'effectiveness': state the two banks of [servo] as [[hinges]]")
+        if self.allocation != "effectiveness" and len(self.jets) < 4:
+            raise ValueError(
+                f"jets: {len(self.jets)} that point straight up do not hold a vehicle level; four do, or hinges"
+            )
+        return self
+
+    @property
+    def allocation(self) -> Literal["banks", "rotors", "effectiveness"]:
+        """How commands become throttles and angles: as stated, or by what the vehicle has."""
+        if self.control.allocation.method is not None:
+            return self.control.allocation.method
+        if self.servo is not None:
+            return "banks"
+        plain = not self.hinges and not self.surfaces and all(jet.axis in (None, UP) for jet in self.jets)
+        return "rotors" if plain else "effectiveness"
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """The names of what servos move: hinges, then surfaces; the two banks where there is neither."""
+        return (*(hinge.name for hinge in self.hinges), *(surface.name for surface in self.surfaces)) or SERVOS
+
+    @property
+    def rest(self) -> tuple[float, ...]:
+        """Where each of :attr:`actuators` stands when nothing is asked of it."""
+        if not self.hinges and not self.surfaces:
+            return (0.0, 0.0)
+        return (*(hinge.rest_rad for hinge in self.hinges), *(0.0 for _ in self.surfaces))
+
+    @property
+    def tensor(self) -> tuple[Vector, Vector, Vector]:
+        """Of inertia, kg m^2, by rows, body: the products of inertia stand in it with the other sign."""
+        (a, b, c), (xy, xz, yz) = self.inertia_kg_m2, self.products_kg_m2
+        return ((a, -xy, -xz), (-xy, b, -yz), (-xz, -yz, c))
+
+    def layout(self) -> Layout:
+        """Where jets stand and push while hinges turn; its angles are the hinges', or those of the two banks."""
+        return layout_of(self.jets, self.hinges)
+
+    @model_validator(mode="after")
     def _inertia_exists(self) -> Vehicle:
         a, b, c = sorted(self.inertia_kg_m2)
         if a + b < c:
             raise ValueError(
                 f"inertia_kg_m2 {list(self.inertia_kg_m2)}: no body has one moment above the sum of the others"
             )
+        if any(self.products_kg_m2):
+            # the second moments of the mass, integral of x x^T, must be a positive definite matrix
+            (a, b, c), (xy, xz, yz) = self.inertia_kg_m2, self.products_kg_m2
+            xx, yy, zz = (b + c - a) / 2.0, (a + c - b) / 2.0, (a + b - c) / 2.0
+            minor = xx * yy - xy * xy
+            whole = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+            if minor < 0.0 or xx * zz < xz * xz or yy * zz < yz * yz or whole < 0.0:
+                raise ValueError(
+                    f"products_kg_m2 {list(self.products_kg_m2)}: no body with inertia_kg_m2 "
+                    f"{list(self.inertia_kg_m2)} has them: too large, or in another unit"
+                )
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_there(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        for key in ("hinges", "surfaces"):
+            if not stated.get(key, True):
+                del stated[key]
+        if not any(self.products_kg_m2):
+            stated.pop("products_kg_m2", None)
+        return stated
 
     @model_validator(mode="after")
     def _banks_are_a_part(self) -> Vehicle:
@@ -497,6 +700,31 @@ class Vehicle(Model):
             return self.step_s
         steps = {model.sample_time_s for models in self.identified.values() for model in models.values()}
         return steps.pop() if len(steps) == 1 else STEP_S
+
+
+_BANK: Vector = (0.0, -1.0, 0.0)  # positive leans the thrust forward
+
+
+def layout_of(jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> Layout:
+    """Stations and hinges; the banks of jets with a ``servo`` turn the thrust of each about its own station."""
+    stations = [Station(jet.position_m, jet.axis or UP, -jet.reaction_m) for jet in jets]
+    if any(jet.servo for jet in jets):
+        turns = [
+            Turn((0.0, 0.0, 0.0), _BANK, (), tuple(n for n, jet in enumerate(jets) if jet.servo == side))
+            for side in SERVOS
+        ]
+    else:
+        turns = [
+            Turn(
+                hinge.position_m,
+                hinge.axis,
+                tuple(jet - 1 for jet in hinge.carries),
+                tuple(jet - 1 for jet in hinge.deflects),
+                hinge.effect,
+            )
+            for hinge in hinges
+        ]
+    return Layout(stations, turns)
 
 
 class Scaled(Model):

@@ -32,12 +32,13 @@ from cosim.base.scratch import scratch
 from cosim.base.signals import (
     ZERO3,
     Disturbance,
+    PerServo,
     State,
     Vector3,
 )
 from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import Vehicle
-from cosim.vehicle.jsbsim_model import MOMENTUM, read_model, render, structural
+from cosim.vehicle.jsbsim_model import MOMENTUM, PRODUCT_SIGN, PRODUCTS, read_model, render, structural
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2
 
 NEAR_GROUND: Final = 2.0  # m: below this height the contacts are looked at
@@ -196,6 +197,7 @@ class Airframe:
         self._momentum = _Write(node, MOMENTUM, "xyz", SLUG_FT2) if self._spools else None
         self._pressure: Get = node("atmosphere/P-psf").get_double_value
         self._temperature: Get = node("atmosphere/T-R").get_double_value
+        self._surfaces: list[Set] = [node(surface.property).set_double_value for surface in self._vehicle.surfaces]
         if self._vehicle.fuel:
             self._set_burnt = node(f"inertia/pointmass-weight-lbs[{self._last_point_mass()}]").set_double_value
 
@@ -360,8 +362,15 @@ class Airframe:
         self._full = sum((self._vehicle.mass_kg, mass))
         self._mass = self._full - self._burnt
 
-    def carry(self, momentum: Vector3, burnt: float) -> None:
-        """From the next run on carry rotors of this ``momentum``, where they are modelled, and lack ``burnt`` kg."""
+    def carry(self, momentum: Vector3, burnt: float, standing: PerServo = ()) -> None:
+        """From the next run on carry rotors of this ``momentum``, where they are modelled, and lack ``burnt`` kg.
+
+        ``standing``: where the servos stand, of which the last are those of the surfaces.
+        """
+        if self._surfaces:
+            first = len(standing) - len(self._surfaces)
+            for number, surface in enumerate(self._surfaces):
+                surface(standing[first + number])
         if burnt != self._burnt:
             self.burn(burnt)
         if self._momentum is not None:
@@ -443,6 +452,22 @@ class Airframe:
         cg = [get(f"inertia/cg-{axis}-in") * INCH for axis in "xyz"]
         inertia = [get(f"inertia/i{axis}{axis}-slugs_ft2") * SLUG_FT2 for axis in "xyz"]
         return get("inertia/mass-slugs") * SLUG, (-cg[0], cg[1], -cg[2]), (inertia[0], inertia[1], inertia[2])
+
+    def products_of_inertia(self) -> Vector3:
+        """As JSBSim carries them: the integrals of x y, x z and y z over the mass, kg m^2, body."""
+        names = zip(PRODUCTS, ("xy", "xz", "yz"), strict=True)
+        xy, xz, yz = [
+            PRODUCT_SIGN[name] * self._fdm.get_property_value(f"inertia/i{axes}-slugs_ft2") * SLUG_FT2
+            for name, axes in names
+        ]
+        return (xy, xz, yz)
+
+    def aerodynamic_wrench(self) -> tuple[Vector3, Vector3]:
+        """What the model's aerodynamics does: N, and N m about the present centre of gravity, body."""
+        get = self._fdm.get_property_value
+        force = [get(f"forces/fb{axis}-aero-lbs") * POUND_FORCE for axis in "xyz"]
+        moment = [get(f"moments/{axis}-aero-lbsft") * POUND_FOOT for axis in "lmn"]
+        return (force[0], force[1], force[2]), (moment[0], moment[1], moment[2])
 
     def inertial_rate(self) -> Vector3:
         """Body rates against inertial space, rad/s."""

@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.base.frames import jet_axis
-from cosim.base.signals import Vector3
+from cosim.base.signals import PerServo, Vector3
 from cosim.spec.vehicle import Jet, Servo
 
 
@@ -50,7 +50,7 @@ class Banks:
         self._rates = (0.0, 0.0)
 
     def act(
-        self, forces: list[Vector3], tilt: tuple[float, float], rate: Vector3
+        self, forces: list[Vector3], tilt: PerServo, rate: Vector3
     ) -> tuple[list[Vector3], tuple[float, float, float]]:
         """``forces`` on the jets' stations (N, body) with what the banks push added, and their moment (N m, body).
 

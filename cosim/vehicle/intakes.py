@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from cosim.base.frames import (
     conjugate,
     cross,
-    jet_axis,
     rotate,
 )
-from cosim.base.signals import PerJet, State, Vector3
-from cosim.spec.vehicle import Airflow, Jet
+from cosim.base.signals import PerJet, PerServo, State, Vector3
+from cosim.spec.vehicle import Airflow, Hinge, Jet, layout_of
 
 
 class IntakeDrag:
-    """What the six streams do to the airframe beside their thrust, by the momentum theorem.
+    """What the streams do to the airframe beside their thrust, by the momentum theorem.
 
     ``m`` is one engine's mass flow, ``v`` the velocity of the centre of gravity through the air, ``e`` the jet's tilted
     axis, ``r`` its station: air enters at ``r_i = r + a e`` and leaves at ``r_o = r + b e``,
@@ -27,19 +26,19 @@ class IntakeDrag:
     air at rest in the engine is left out, a few grams.
     """
 
-    def __init__(self, flow: Airflow, jets: Sequence[Jet]) -> None:
+    def __init__(self, flow: Airflow, jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> None:
         self._flow = flow.kg_s
         self._thrust = flow.at_thrust_n
         self._exponent = flow.exponent
         self._intake, self._exhaust = flow.intake_m, flow.exhaust_m
         self._stations: list[Vector3] = [jet.position_m for jet in jets]
-        self._left = [jet.servo == "left" for jet in jets]
+        self._layout = layout_of(jets, hinges)
 
     def act(
         self,
         forces: list[Vector3],
         thrust: PerJet,
-        tilt: tuple[float, float],
+        tilt: PerServo,
         state: State,
         gusts: Sequence[Vector3] = (),
     ) -> tuple[list[Vector3], Vector3]:
@@ -50,14 +49,15 @@ class IntakeDrag:
         vx, vy, vz = state.velocity
         wx, wy, wz = state.wind
         through_air = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
-        left, right = jet_axis(tilt[0]), jet_axis(tilt[1])
+        axes, groups = self._layout.axes(tilt), self._layout.groups
+        moves, standing = self._layout.moves, self._layout.standing(tilt)
         a, b = self._intake, self._exhaust
         added: list[Vector3] = []
         moment_x = moment_y = moment_z = 0.0
         for i, newton in enumerate(thrust):
             fx, fy, fz = forces[i]
-            x, y, z = self._stations[i]
-            e = left if self._left[i] else right
+            x, y, z = standing[i]
+            e = axes[groups[i]]
             flow = self._flow * (newton / self._thrust) ** self._exponent if newton > 0.0 else 0.0
             outlet = (x + b * e[0], y + b * e[1], z + b * e[2])
             here = through_air
@@ -71,6 +71,11 @@ class IntakeDrag:
             push = (a * drag[0] + b * damping[0], a * drag[1] + b * damping[1], a * drag[2] + b * damping[2])
             couple_x, couple_y, couple_z = cross(e, push)
             moment_x, moment_y, moment_z = moment_x + couple_x, moment_y + couple_y, moment_z + couple_z
+            if moves:  # the station at which forces are handed over is where it stands with the hinges at zero
+                at_x, at_y, at_z = self._stations[i]
+                both = (drag[0] + damping[0], drag[1] + damping[1], drag[2] + damping[2])
+                couple_x, couple_y, couple_z = cross((x - at_x, y - at_y, z - at_z), both)
+                moment_x, moment_y, moment_z = moment_x + couple_x, moment_y + couple_y, moment_z + couple_z
         return added, (moment_x, moment_y, moment_z)
 
 

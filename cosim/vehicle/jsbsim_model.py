@@ -20,9 +20,21 @@ from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND
 
 MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the spools, body; a property of our own in the model
 
-_RENDERED = {"mass_kg", "inertia_kg_m2", "aero", "jets", "contacts", "fuel"}  # what render reads of a vehicle
+_RENDERED = {
+    "mass_kg",
+    "inertia_kg_m2",
+    "products_kg_m2",
+    "aero",
+    "jets",
+    "contacts",
+    "fuel",
+}  # what render reads of a vehicle
 _rendered: Memory[bytes] = Memory(64)
 PAYLOAD = "payload"
+PRODUCTS = ("ixy", "ixz", "iyz")
+# What JSBSim takes for the integrals of x y, x z and y z over the mass in body axes: it reads them as minus those in
+# its structural axes, x aft and z up (negated_crossproduct_inertia="true", the default).
+PRODUCT_SIGN = {"ixy": 1.0, "ixz": -1.0, "iyz": 1.0}
 _INCHES = {"IN": 1.0, "FT": 12.0, "M": 1.0 / INCH}  # in a unit of JSBSim's for places
 # parts in the order in which JSBSim's schema has them; it reads them in any
 _PARTS = (
@@ -121,6 +133,12 @@ def _render(vehicle: Vehicle, model: Path, text: bytes, spools: bool) -> bytes:
     write("mass_balance/emptywt", vehicle.mass_kg / SLUG * JSBSIM_POUNDS_PER_SLUG, "LBS")
     for axis, inertia in zip(("ixx", "iyy", "izz"), vehicle.inertia_kg_m2, strict=True):
         write(f"mass_balance/{axis}", inertia / SLUG_FT2, "SLUG*FT2")
+    if any(vehicle.products_kg_m2):  # else those of the file, if it has any
+        find("mass_balance").set("negated_crossproduct_inertia", "true")
+        for axis, product in zip(PRODUCTS, vehicle.products_kg_m2, strict=True):
+            if root.find(f"mass_balance/{axis}") is None:
+                ET.SubElement(find("mass_balance"), axis)
+            write(f"mass_balance/{axis}", PRODUCT_SIGN[axis] * product / SLUG_FT2, "SLUG*FT2")
     for number, jet in enumerate(vehicle.jets, 1):
         place(f"external_reactions/force[@name='jet{number}']/location", jet.position_m)
     for contact in vehicle.contacts:

@@ -14,9 +14,9 @@ from operator import mul
 from cosim.base.frames import (
     conjugate,
     cross,
-    jet_axis,
     rotate,
 )
+from cosim.base.layout import UP
 from cosim.base.signals import (
     NO_JETS,
     UNKNOWN3,
@@ -25,13 +25,15 @@ from cosim.base.signals import (
     Ambient,
     EngineOutput,
     PerJet,
+    PerServo,
     State,
     Vector3,
 )
 from cosim.engine.wrappers import EngineChain
-from cosim.spec.vehicle import Jet
+from cosim.spec.vehicle import Hinge, Jet, layout_of
 from cosim.vehicle.banks import Banks
 from cosim.vehicle.ground_effect import GroundJets
+from cosim.vehicle.hinges import HingeReactions
 from cosim.vehicle.intakes import IntakeDrag
 from cosim.vehicle.rotors import RotorDynamics
 from cosim.vehicle.servo import TiltServo
@@ -59,6 +61,8 @@ class Propulsion:
         streams: IntakeDrag | None,
         ground: GroundJets | None,
         air: Callable[[], tuple[float, float]],
+        hinges: Sequence[Hinge] = (),
+        reactions: HingeReactions | None = None,
         aside: Sequence[AbstractSet[str]] = (),
     ) -> None:
         self.engines = engines
@@ -67,7 +71,8 @@ class Propulsion:
         self._suckdown = ground if ground is not None and ground.suckdown else None
         self._hot_gas = ground if ground is not None and ground.hot_gas else None
         self._air = air
-        self._left = tuple(jet.servo == "left" for jet in jets)
+        self._layout = layout_of(jets, hinges)
+        self._jets = len(self._layout.stations)
         self._places: list[Vector3] = [jet.position_m for jet in jets]
         self._aside = bool(aside)
         self._gives: list[tuple[bool, bool, bool]] = [
@@ -77,12 +82,15 @@ class Propulsion:
             0.0 if aside and "torque" in aside[index] else jet.reaction_m for index, jet in enumerate(jets)
         )
         self._reacting = any(self._reactions)
+        self._straight_up = not self._layout.turns and all(station.axis == UP for station in self._layout.stations)
+        self._hinges = reactions
+        self._rest = tuple([servo.angle for servo in servos]) or (0.0, 0.0)
         self._wind = ZERO3
         self.gusts: list[Vector3] = []  # m/s NED, of the wind at each jet beyond that at the vehicle; none: it is one
         self._forget()
 
     def _forget(self) -> None:
-        self.tilt = (0.0, 0.0)  # rad, where the left and the right servo stand
+        self.tilt = self._rest  # where the servos stand
         self.output = EngineOutput((), (), (), ())
         self.fuel = nan  # kg on board at the step's beginning
         self.momentum, self.spool_moment = ZERO3, UNKNOWN3
@@ -119,6 +127,8 @@ class Propulsion:
             servo.reset()
         if self.banks is not None:
             self.banks.reset()
+        if self._hinges is not None:
+            self._hinges.reset()
         ambient = self.ambient(state, wind) if state is not None else None
         self.output = self.engines.reset(throttle, ambient)
         if self.spools is not None:
@@ -140,14 +150,14 @@ class Propulsion:
         ambient = self.ambient(state, state.wind if k else self._wind) if self.engines.wants_ambient else None
         output = self.output = self.engines.step(k, actuation.throttle, ambient)
         if self.servos:
-            left, right = actuation.tilt
-            self.tilt = (self.servos[0].update(left), self.servos[1].update(right))
+            asked = actuation.tilt
+            self.tilt = tuple([servo.update(asked[i]) for i, servo in enumerate(self.servos)])
         tilt = self.tilt
         if self.tank is not None:
             self._burn(self.tank, output.fuel_flow)
         moment = ZERO3
         if self._reacting:
-            moment = (0.0, 0.0, sum(map(mul, self._reactions, output.thrust)))
+            moment = self._reaction(output.thrust, tilt)
         if self.spools is not None:
             change = self.spools.update(output.spool_speed, tilt)
             self.momentum = self.spools.momentum
@@ -169,7 +179,40 @@ class Propulsion:
         if self.banks is not None:
             forces, more = self.banks.act(forces, tilt, state.rate)
             moment = _plus(moment, more)
+        if self._layout.moves:
+            pushes = self.forces(output.thrust, tilt)
+            if self._aside:
+                pushes = [_plus(force, more) for force, more in zip(pushes, across, strict=True)]
+            moment = _plus(moment, self._carried(pushes, tilt))
+        if self._hinges is not None:
+            push, more = self._hinges.act(tilt, state.rate)
+            x, y, z = forces[0]
+            forces[0] = (x + push[0], y + push[1], z + push[2])
+            moment = _plus(moment, more)
         return forces, moment
+
+    def _reaction(self, thrust: PerJet, tilt: PerServo) -> Vector3:
+        """What the rotors' drag turns the frame with, about the jets' own axes."""
+        if self._straight_up:
+            return (0.0, 0.0, sum(map(mul, self._reactions, thrust)))
+        axes, groups = self._layout.axes(tilt), self._layout.groups
+        mx = my = mz = 0.0
+        for jet, reaction in enumerate(self._reactions):
+            x, y, z = axes[groups[jet]]
+            size = -reaction * thrust[jet]
+            mx, my, mz = mx + size * x, my + size * y, mz + size * z
+        return (mx, my, mz)
+
+    def _carried(self, pushes: Sequence[Vector3], tilt: PerServo) -> Vector3:
+        """What forces have in moment because hinges carry their jets away from the stations where they are handed
+        over."""
+        standing = self._layout.standing(tilt)
+        moment = ZERO3
+        for jet, push in enumerate(pushes):
+            x, y, z = standing[jet]
+            at_x, at_y, at_z = self._places[jet]
+            moment = _plus(moment, cross((x - at_x, y - at_y, z - at_z), push))
+        return moment
 
     def _switch(self, off: frozenset[int]) -> None:
         """Shut off what is to be off, and let what no longer is run again, where there is fuel."""
@@ -184,38 +227,38 @@ class Propulsion:
         """Burn a step's fuel, and shut all engines off when there is none left."""
         self.fuel = tank.left
         if tank.burn(flows) and tank.empty:
-            for jet in range(len(self._left)):
+            for jet in range(self._jets):
                 self.engines.switch(jet, False)
 
-    def forces(self, thrust: PerJet, tilt: tuple[float, float]) -> list[Vector3]:
-        """Each jet's thrust along its own tilted axis: N, body."""
-        left_x, _, left_z = jet_axis(tilt[0])
-        right_x, _, right_z = jet_axis(tilt[1])
-        return [
-            (thrust[jet] * left_x, 0.0, thrust[jet] * left_z)
-            if on_left
-            else (thrust[jet] * right_x, 0.0, thrust[jet] * right_z)
-            for jet, on_left in enumerate(self._left)
-        ]
+    def forces(self, thrust: PerJet, tilt: PerServo) -> list[Vector3]:
+        """Each jet's thrust along its own turned axis: N, body."""
+        axes = self._layout.axes(tilt)
+        answer: list[Vector3] = []
+        for jet, group in enumerate(self._layout.groups):
+            x, y, z = axes[group]
+            newton = thrust[jet]
+            answer.append((newton * x, newton * y, newton * z))
+        return answer
 
-    def beside(self, output: EngineOutput, tilt: tuple[float, float]) -> tuple[list[Vector3], Vector3]:
+    def beside(self, output: EngineOutput, tilt: PerServo) -> tuple[list[Vector3], Vector3]:
         """What the engines do beside their thrust: a force at each jet's station [N, body], and a moment [N m, body].
 
-        The jet's frame is the body's, turned about body y with the jet: of a tilt t thrust is along
-        ``(sin t, 0, -cos t)``, forward ``(cos t, 0, sin t)``, right ``(0, 1, 0)``; the torque is about the thrust.
+        The jet's frame is the body's, turned with the thrust by the least turn from straight up to the jet's axis and
+        then by its hinges: on a bank at a tilt t thrust is along ``(sin t, 0, -cos t)``, forward
+        ``(cos t, 0, sin t)``, right ``(0, 1, 0)``; the torque is about the thrust.
         """
-        axes = [jet_axis(tilt[0]), jet_axis(tilt[1])]
+        frames = self._layout.frames(tilt)
         forces: list[Vector3] = []
         moment = ZERO3
-        for jet, on_left in enumerate(self._left):
-            x, _, z = axes[0] if on_left else axes[1]
+        for jet, group in enumerate(self._layout.groups):
+            (x, y, z), (a, b, c), (d, e, f) = frames[group]
             has_forward, has_right, has_torque = self._gives[jet]
             forward = output.force_forward[jet] if has_forward else 0.0
             right = output.force_right[jet] if has_right else 0.0
-            forces.append((-forward * z, right, forward * x))
+            forces.append((forward * a + right * d, forward * b + right * e, forward * c + right * f))
             if has_torque:
                 torque = output.torque[jet]
-                moment = _plus(moment, (torque * x, 0.0, torque * z))
+                moment = _plus(moment, (torque * x, torque * y, torque * z))
         return forces, moment
 
     def ambient(self, state: State, wind: Vector3) -> Ambient:
@@ -227,23 +270,22 @@ class Propulsion:
         vx, vy, vz = state.velocity
         wx, wy, wz = wind
         u, v, w = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
-        banks: list[tuple[float, Vector3]] = []
-        banks_axes: list[Vector3] = []
-        for tilt in self.tilt:
-            x, y, z = axis = jet_axis(tilt)
-            banks.append((u * x + v * y + w * z, cross(axis, state.rate)))
-            banks_axes.append(axis)
-        left, right = banks
+        kinds: list[tuple[float, Vector3]] = []
+        axes, groups, standing = self._layout.axes(self.tilt), self._layout.groups, self._layout.standing(self.tilt)
+        for axis in axes:
+            x, y, z = axis
+            kinds.append((u * x + v * y + w * z, cross(axis, state.rate)))
         speeds: list[float] = []
-        for (x, y, z), on_left in zip(self._places, self._left, strict=True):
+        for jet, group in enumerate(groups):
             # (velocity + rate x place) . axis = velocity . axis + place . (axis x rate)
-            along, (by_x, by_y, by_z) = left if on_left else right
+            along, (by_x, by_y, by_z) = kinds[group]
+            x, y, z = standing[jet]
             speeds.append(along + by_x * x + by_y * y + by_z * z)
         if self.gusts:
             back = conjugate(state.attitude)
             for jet, gust in enumerate(self.gusts):
                 a, b, c = rotate(back, gust)
-                x, y, z = banks_axes[0] if self._left[jet] else banks_axes[1]
+                x, y, z = axes[groups[jet]]
                 speeds[jet] -= a * x + b * y + c * z
         pressure, temperature = self._air()
         if self._hot_gas is not None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.base.errors import InputError
-from cosim.base.frames import cross, jet_axis
-from cosim.base.signals import PerJet, Vector3
+from cosim.base.frames import cross
+from cosim.base.signals import PerJet, PerServo, Vector3
 from cosim.engine import EngineSpec
-from cosim.spec.vehicle import Jet
+from cosim.spec.vehicle import Hinge, Jet, layout_of
 
 
 class RotorDynamics:
@@ -23,7 +23,9 @@ class RotorDynamics:
     from the step before, so that the impulse on the airframe is exact.  The airframe adds ``-omega x H`` itself.
     """
 
-    def __init__(self, jets: Sequence[Jet], engines: Sequence[EngineSpec], step: float) -> None:
+    def __init__(
+        self, jets: Sequence[Jet], engines: Sequence[EngineSpec], step: float, hinges: Sequence[Hinge] = ()
+    ) -> None:
         for number, (jet, engine) in enumerate(zip(jets, engines, strict=True), 1):
             if jet.spin and engine.rotor_inertia and not engine.has("spool_speed"):
                 raise InputError(
@@ -31,18 +33,23 @@ class RotorDynamics:
                     "spool_speed; leave out one or map the other"
                 )
         inertia = [jet.spin * engine.rotor_inertia for jet, engine in zip(jets, engines, strict=True)]
-        turning = [(i, jet.servo == "left") for i, jet in enumerate(jets) if inertia[i]]
-        self._left: list[tuple[int, float]] = [(i, inertia[i]) for i, on_left in turning if on_left]
-        self._right: list[tuple[int, float]] = [(i, inertia[i]) for i, on_left in turning if not on_left]
-        self.any = bool(self._left or self._right)
+        self._layout = layout_of(jets, hinges)
+        self._rest = tuple([hinge.rest_rad for hinge in hinges]) or (0.0, 0.0)
+        # of each group of jets that turn together, its number and its rotors
+        self._groups: list[tuple[int, list[tuple[int, float]]]] = []
+        for group in range(max(self._layout.groups) + 1):
+            turning = [(i, inertia[i]) for i, own in enumerate(self._layout.groups) if own == group and inertia[i]]
+            if turning:
+                self._groups.append((group, turning))
+        self.any = bool(self._groups)
         self._step = step
         self.momentum: Vector3 = (0.0, 0.0, 0.0)  # kg m^2/s, body
 
     def reset(self, speeds: PerJet) -> None:
-        """The rotors turn at ``speeds`` [rad/s], jets upright."""
-        self.momentum = self._sum(speeds, (0.0, 0.0))
+        """The rotors turn at ``speeds`` [rad/s], hinges at rest."""
+        self.momentum = self._sum(speeds, self._rest)
 
-    def update(self, speeds: PerJet, tilt: tuple[float, float]) -> Vector3:
+    def update(self, speeds: PerJet, tilt: PerServo) -> Vector3:
         """``-dH/dt`` [N m], body, for the speeds [rad/s] and tilts [rad] at the end of the step."""
         x, y, z = self.momentum
         self.momentum = a, b, c = self._sum(speeds, tilt)
@@ -54,12 +61,13 @@ class RotorDynamics:
         x, y, z = cross(rate, self.momentum)
         return (reaction[0] - x, reaction[1] - y, reaction[2] - z)
 
-    def _sum(self, speeds: PerJet, tilt: tuple[float, float]) -> Vector3:
-        left = right = 0.0
-        for i, inertia in self._left:
-            left += inertia * speeds[i]
-        for i, inertia in self._right:
-            right += inertia * speeds[i]
-        left_x, _, left_z = jet_axis(tilt[0])
-        right_x, _, right_z = jet_axis(tilt[1])
-        return (left * left_x + right * right_x, 0.0, left * left_z + right * right_z)
+    def _sum(self, speeds: PerJet, tilt: PerServo) -> Vector3:
+        axes = self._layout.axes(tilt)
+        x = y = z = 0.0
+        for group, rotors in self._groups:
+            momentum = 0.0
+            for i, inertia in rotors:
+                momentum += inertia * speeds[i]
+            ax, ay, az = axes[group]
+            x, y, z = x + momentum * ax, y + momentum * ay, z + momentum * az
+        return (x, y, z)

@@ -1,29 +1,38 @@
-"""The two tilt servos."""
+"""The servos of banks, hinges and surfaces."""
 
 from __future__ import annotations
 
 from math import exp
 
 from cosim.base.limits import clamp
-from cosim.spec.vehicle import Servo
+from cosim.spec.vehicle import Hinge, Servo, Surface
 
 
 class TiltServo:
     """First-order lag towards the limited command, with the rate limited: exact between samples while it is not.
 
-    ``a' = (clip(command, +-range) - a) / lag``, ``|a'| <= rate_limit``; the command is held over the step.
+    ``a' = (clip(command, range) - a) / lag``, ``|a'| <= rate_limit``; the command is held over the step.
     """
 
-    def __init__(self, servo: Servo, step: float) -> None:
-        self._range = servo.range_rad
-        self._most = servo.rate_limit_rad_s * step
+    def __init__(self, servo: Servo | Hinge | Surface, step: float) -> None:
+        self._rest = 0.0
+        if isinstance(servo, Surface):
+            self._low, self._high = servo.range
+            self._most = servo.rate_limit_1_s * step
+        else:
+            self._most = servo.rate_limit_rad_s * step
+            if isinstance(servo, Hinge):
+                self._low, self._high = servo.least_most
+                self._rest = servo.rest_rad
+            else:
+                self._low, self._high = -servo.range_rad, servo.range_rad
         self._share = 1.0 - exp(-step / servo.lag_s) if servo.lag_s > 0.0 else 1.0
         self._at: float | None = None  # rad, where a jam runs to; None: nowhere
         self.reset()
 
-    def reset(self, angle: float = 0.0) -> None:
-        """Stand at ``angle`` rad, free."""
-        self.angle = angle
+    def reset(self, angle: float | None = None) -> None:
+        """Stand at ``angle``, or where nothing is asked for, free."""
+        self.angle = self._rest if angle is None else angle
         self.free()
 
     def jam(self, angle: float | None) -> None:
@@ -40,8 +49,8 @@ class TiltServo:
             if self._at is None:
                 return self.angle
             command = self._at
-        limit = self._range
-        target = clamp(command, limit)
+        low, high = self._low, self._high
+        target = high if command > high else (low if command < low else command)
         move = self._share * (target - self.angle)
         most = self._most
         self.angle += clamp(move, most)

@@ -18,6 +18,7 @@ from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.flight import fly
 from cosim.results import metrics
+from cosim.results.columns import flown_by
 from cosim.results.digest import DigestSink
 from cosim.results.metrics import check_expectations, metric_names
 from cosim.simulation.brought import metrics_of
@@ -90,7 +91,7 @@ def _brought(study: Study) -> Kinds:
 def _sink(scenario: Scenario) -> DigestSink:
     """Keeps what metrics read, everything where one of the user's does not say what it reads."""
     waypoints = any(isinstance(entry, WaypointsCommand) for entry in scenario.command)
-    names = list(metrics.columns(len(scenario.resolved_vehicle()[0].jets), waypoints))
+    names = list(metrics.columns(flown_by(scenario.resolved_vehicle()[0]), waypoints))
     own = metrics_of(scenario)
     said = [name for each in own for name in each.columns or ()]
     return DigestSink([*names, *(name for name in dict.fromkeys(said) if name not in names)],

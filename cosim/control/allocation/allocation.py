@@ -23,6 +23,8 @@ from cosim.base.signals import (
     ZERO3,
     Actuation,
     JetHealth,
+    PerJet,
+    PerServo,
     Unallocated,
     Vector3,
 )
@@ -42,6 +44,8 @@ class TiltAllocator:
     allocation for collective beyond the plan's own, see :meth:`_beyond`.
     Raises InputError where the banks leave no lever for roll or pitch.
     """
+
+    rest: PerServo = (0.0, 0.0)
 
     def __init__(
         self,
@@ -78,6 +82,9 @@ class TiltAllocator:
     def reset(self) -> None:
         self._plan = None
         self._extra = 0.0
+
+    def trim(self, collective: float) -> PerJet:
+        return (collective,) * len(self.left)
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
         replanned = plan(self._jets, self._limits, self.hover, self._idle, health)
@@ -210,6 +217,8 @@ class RotorAllocator:
     Raises InputError where the rotors give no moment about an axis.
     """
 
+    rest: PerServo = (0.0, 0.0)
+
     def __init__(self, jets: Sequence[Jet], limits: AllocationLimits, hover: float) -> None:
         self._low, self._high = limits.throttle_min, limits.throttle_max
         self.hover = hover
@@ -221,6 +230,9 @@ class RotorAllocator:
 
     def reset(self) -> None:
         """Nothing to forget."""
+
+    def trim(self, collective: float) -> PerJet:
+        return (collective,) * len(self.signs)
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
         return False

@@ -31,7 +31,7 @@ SUBJECTS = {
     "/specific_force": r"specific_force_[xyz](_measured)?_m_s2",
     "/control": r"(torque|refused)_(roll|pitch|yaw)|(refused_)?collective",
     "/jet": r"throttle_\d+|thrust_\d+_N",
-    "/tilt": r"tilt_(left|right)(_command)?_rad",
+    "/tilt": r"tilt_.+_rad|deflection_.+",
     "/engine": r"(spool_speed|exhaust_temperature|fuel_flow)_\d+_\w+|fuel_kg|spool_moment_[xyz]_N_m",
     "/wind": r"wind_(north|east|down)_m_s|air_rate_[pqr]_rad_s",
     "/disturbance": r"disturbance_\w+|payload_\w+",

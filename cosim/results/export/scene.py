@@ -34,7 +34,8 @@ from mcap_protobuf.schema import register_schema
 from cosim.base.arrays import Array
 from cosim.base.constants import GRAVITY
 from cosim.base.geodesy import Geodesy
-from cosim.base.signals import AXES
+from cosim.base.layout import Layout
+from cosim.base.signals import AXES, Quaternion, Vector3
 from cosim.results.export.output import Block, Timed, quaternions
 from cosim.results.run import Summary
 from cosim.spec.scenario import Scenario
@@ -58,8 +59,13 @@ class Scene:
     def __init__(self, writer: Any, summary: Summary, scenario: Scenario | None) -> None:
         kinds: dict[str, Any] = {"/tf": FrameTransforms, "/pose": PoseInFrame}
         self._vehicle: Vehicle | None = None
+        self._layout: Layout | None = None
+        self._angles: list[str] = []  # columns of what turns the jets
         if scenario is not None:
             self._vehicle = scenario.resolved_vehicle()[0]
+            self._layout = self._vehicle.layout()
+            servos = self._vehicle.actuators[: len(self._layout.turns)]
+            self._angles = [f"tilt_{name}_rad" for name in servos]
             place = scenario.environment
             self._map = Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
             kinds |= {"/location": LocationFix, "/scene": SceneUpdate, "/scene/arrows": SceneUpdate}
@@ -92,10 +98,11 @@ class Scene:
 
         add("world", "ned", (0.0, 0.0, 0.0), _NED_IN_WORLD)
         add("ned", "body", _position(block, row), q[row])
-        for number, jet in enumerate(self._vehicle.jets if self._vehicle else (), 1):
-            tilt = 0.0 if jet.servo is None else float(block[f"tilt_{jet.servo}_rad"][row])
-            # positive tilt leans the thrust, along -z, to +x: the turn about +y is the other way
-            add("body", f"jet_{number}", jet.position_m, (cos(0.5 * tilt), 0.0, -sin(0.5 * tilt), 0.0))
+        if self._layout is not None:
+            angles = [float(block[name][row]) for name in self._angles]
+            axes, places = self._layout.axes(angles), self._layout.standing(angles)
+            for number, (place, group) in enumerate(zip(places, self._layout.groups, strict=True), 1):
+                add("body", f"jet_{number}", place, _upwards_to(axes[group]))
         return frames
 
     def _pose(self, block: Block, row: int, q: Array, time: int) -> PoseInFrame:
@@ -174,6 +181,16 @@ def along(x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """The quaternion that turns +x to this direction by a yaw and a pitch; none of it for no direction at all."""
     yaw, pitch = 0.5 * atan2(y, x), -0.5 * atan2(z, hypot(x, y))
     return cos(yaw) * cos(pitch), -sin(yaw) * sin(pitch), cos(yaw) * sin(pitch), sin(yaw) * cos(pitch)
+
+
+def _upwards_to(axis: Vector3) -> Quaternion:
+    """The least turn that brings a thrust along -z to a unit axis."""
+    x, y, z = axis
+    w = sqrt(max(0.0, 0.5 * (1.0 - z)))
+    if w < 1e-9:
+        return (0.0, 1.0, 0.0, 0.0)  # straight down: half a turn about x
+    # the cross product of -z and the axis, over 2 w
+    return (w, 0.5 * y / w, -0.5 * x / w, 0.0)
 
 
 def _position(block: Block, row: int) -> tuple[float, ...]:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.results.autopilot_record import read_pilot_record
-from cosim.results.columns import jets_in, own_columns
+from cosim.results.columns import jets_in, own_columns, servos_in, surfaces_in
 from cosim.results.export import ulog_autopilot
 from cosim.results.export.output import ROWS, Block, facts, meaning, output, said, scenario_of, settings
 from cosim.results.export.ulog_topics import BY_AUTOPILOT, EVERY_S, OWN, STATES, Field, column, topics
@@ -43,7 +43,7 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
     run = open_run(folder)
     step, lines = run.summary.step_s, read_pilot_record(folder)
     own = own_columns(run.log.described)
-    held = dict(_of(lines, jets_in(run.log.columns))) | (
+    held = dict(_of(lines, run.log.columns)) | (
         {OWN: [column("float", each.name, each.name) for each in own]} if own else {}
     )
     topics_held = {
@@ -101,11 +101,12 @@ class _Topic(NamedTuple):
 _Timed = tuple[int, bytes]  # a message and its step
 
 
-def _of(lines: Sequence[ulog_autopilot.Line], jets: int) -> list[tuple[str, list[Field]]]:
+def _of(lines: Sequence[ulog_autopilot.Line], names: Sequence[str]) -> list[tuple[str, list[Field]]]:
     """The topics of the rows: with an autopilot its own words stand for what follows from the loops."""
+    rows = topics(jets_in(names), servos_in(names), surfaces_in(names))
     if not any(line["kind"] == "state" for line in lines):
-        return list(topics(jets).items())
-    return [(name, fields) for name, fields in (topics(jets) | BY_AUTOPILOT).items() if name not in STATES]
+        return list(rows.items())
+    return [(name, fields) for name, fields in (rows | BY_AUTOPILOT).items() if name not in STATES]
 
 
 def _topic(fields: list[Field], seconds: float, step: float) -> _Topic:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.constants import SENSORS, SERVOS
-from cosim.base.signals import AXES, JETS, MOST_JETS
+from cosim.base.signals import AXES, JETS
 from cosim.results.columns import RATES, jets_in
 from cosim.results.export.output import Block, quaternions
 
+MOTORS = 12  # of PX4's actuator_motors
 _XYZ, _NED = ("x", "y", "z"), ("north", "east", "down")
 
 # PX4's vehicle_status: armed, and the flight mode that is nearest
@@ -79,8 +80,8 @@ def _accelerometer(block: Block) -> Array:
 
 def _motors(block: Block) -> Array:
     """Throttles of as many motors as the message has, NaN of those that do not exist."""
-    control = np.full((len(block["time_s"]), MOST_JETS), np.nan)
-    for jet in range(jets_in(block)):
+    control = np.full((len(block["time_s"]), MOTORS), np.nan)
+    for jet in range(min(jets_in(block), MOTORS)):  # throttles of all are in hexjet_throttle
         control[:, jet] = block[f"throttle_{jet + 1}"]
     return control
 
@@ -138,8 +139,9 @@ def _rates(suffix: str) -> list[str]:
     return [f"rate_{rate}{suffix}_rad_s" for rate in RATES]
 
 
-def topics(jets: int) -> dict[str, list[Field]]:
-    """What is in each topic, of a log of so many jets."""
+def topics(jets: int, servos: Sequence[str] = SERVOS, surfaces: Sequence[str] = ()) -> dict[str, list[Field]]:
+    """What is in each topic, of a log of so many jets, with banks or hinges and surfaces of these names."""
+    moved = [*servos, *surfaces]
 
     def of_jets(pattern: str) -> list[str]:
         return [pattern.format(jet) for jet in range(1, jets + 1)]
@@ -169,7 +171,7 @@ def topics(jets: int) -> dict[str, list[Field]]:
             _constant("int32_t", "accelerometer_timestamp_relative", 0.0),
             Field("float", "accelerometer_m_s2", 3, _accelerometer),
         ],
-        "actuator_motors": [_sampled(), Field("float", "control", MOST_JETS, _motors)],
+        "actuator_motors": [_sampled(), Field("float", "control", MOTORS, _motors)],
         "vehicle_status": [
             _constant("uint8_t", "arming_state", _ARMED),
             Field("uint8_t", "nav_state", 0, _mode),
@@ -198,10 +200,27 @@ def topics(jets: int) -> dict[str, list[Field]]:
             _columns("float", "spool_moment_n_m", *(f"spool_moment_{axis}_N_m" for axis in _XYZ)),
         ],
         "hexjet_rate_predicted": [_columns("float", "xyz", *_rates("_predicted"))],
-        "hexjet_tilt": [
-            _columns("float", "actual_rad", "tilt_left_rad", "tilt_right_rad"),
-            _columns("float", "command_rad", "tilt_left_command_rad", "tilt_right_command_rad"),
-        ],
+        **({"hexjet_throttle": [_columns("float", "throttle", *of_jets("throttle_{}"))]} if jets > MOTORS else {}),
+        **(
+            {
+                "hexjet_tilt": [
+                    _columns("float", "actual_rad", *(f"tilt_{name}_rad" for name in servos)),
+                    _columns("float", "command_rad", *(f"tilt_{name}_command_rad" for name in servos)),
+                ]
+            }
+            if servos
+            else {}
+        ),
+        **(
+            {
+                "hexjet_deflection": [
+                    _columns("float", "actual", *(f"deflection_{name}" for name in surfaces)),
+                    _columns("float", "command", *(f"deflection_{name}_command" for name in surfaces)),
+                ]
+            }
+            if surfaces
+            else {}
+        ),
         "hexjet_control": [
             _columns("float", "torque", *(f"torque_{axis}" for axis in AXES)),
             _columns("float", "refused", *(f"refused_{axis}" for axis in AXES)),
@@ -218,7 +237,7 @@ def topics(jets: int) -> dict[str, list[Field]]:
         ],
         "hexjet_fault": [  # 1 where a fault acts; and what the engine monitor believes of each jet, 1 for healthy
             _known("float", "jet", *of_jets("fault_jet_{}"), length=jets),
-            _known("float", "servo", *(f"fault_servo_{side}" for side in SERVOS), length=len(SERVOS)),
+            _known("float", "servo", *(f"fault_servo_{name}" for name in moved), length=len(moved)),
             _known("float", "sensor", *(f"fault_{name}" for name in SENSORS), length=len(SENSORS)),
             _known("float", "health", *of_jets("health_{}"), length=jets),
         ],
@@ -256,5 +275,7 @@ EVERY_S = dict.fromkeys((*TOPICS, *BY_AUTOPILOT, OWN), 0.2) | {
     "hexjet_thrust": 0.1,
     "hexjet_rate_predicted": 0.02,
     "hexjet_tilt": 0.1,
+    "hexjet_throttle": 0.1,
+    "hexjet_deflection": 0.1,
     "hexjet_control": 0.05,
 }

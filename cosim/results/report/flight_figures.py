@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
-from cosim.base.constants import SERVOS
 from cosim.base.signals import AXES, JETS
-from cosim.results.columns import RATES, jets_in, known, own_columns
+from cosim.results.columns import RATES, jets_in, known, own_columns, servos_in, surfaces_in
 from cosim.results.comparison import Flown, base_of, difference, step_of
 from cosim.results.events import Event
 from cosim.results.recorder import Log
@@ -107,16 +106,38 @@ RATE = [
     )
     for axis, rate in zip(AXES, RATES, strict=True)
 ]
-TILT = [
-    Panel(
-        f"{side.capitalize()} servo",
-        "deg",
-        [_asked(f"tilt_{side}_command_rad", "commanded"), Trace(f"tilt_{side}_rad", "actual", width=1.4)],
-        DEG,
-        least_span=4.0,
-    )
-    for side in SERVOS
-]
+
+
+def _tilt(log: Log) -> list[Panel]:
+    """What servos do: banks and hinges, and surfaces."""
+    angles = [
+        Panel(
+            f"{name.capitalize().replace('_', ' ')} servo",
+            "deg",
+            [_asked(f"tilt_{name}_command_rad", "commanded"), Trace(f"tilt_{name}_rad", "actual", width=1.4)],
+            DEG,
+            least_span=4.0,
+        )
+        for name in servos_in(log.columns)
+    ]
+    return angles + [
+        Panel(
+            name.capitalize().replace("_", " "),
+            "deflection",
+            [_asked(f"deflection_{name}_command", "commanded"), Trace(f"deflection_{name}", "actual", width=1.4)],
+            least_span=0.1,
+        )
+        for name in surfaces_in(log.columns)
+    ]
+
+
+def _efforts(log: Log) -> list[Panel]:
+    """What the loops ask for, in the units of the vehicle's allocation."""
+    if not any(column.name == "torque_roll" and column.unit == "rad/s^2" for column in log.described):
+        return EFFORT
+    return [EFFORT[0], *(Panel(axis.capitalize(), "rad/s²", _effort(axis), least_span=0.5) for axis in AXES)]
+
+
 EFFORT = [
     Panel(
         "Collective",
@@ -167,8 +188,8 @@ def run_figures(log: Log, summary: Summary, events: Sequence[Event] = ()) -> dic
         "attitude": stacked(reader, ATTITUDE, marks),
         "rate": stacked(reader, RATE, marks),
         "thrust": thrust_figure(reader, summary, marks),
-        "tilt": stacked(reader, TILT, marks),
-        "effort": stacked(reader, EFFORT, marks),
+        "tilt": stacked(reader, _tilt(log), marks),
+        "effort": stacked(reader, _efforts(log), marks),
         "height": stacked(reader, HEIGHT, marks),
         "track": track_figure([reader], ["track"], [BLUE]),
     }

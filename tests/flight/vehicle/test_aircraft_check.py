@@ -126,5 +126,5 @@ def test_the_page_has_the_commands_and_the_number_of_jets() -> None:
     page = (DOCS / "own-aircraft.md").read_text()
     assert "    hexjet aircraft new mine " in page
     assert "    hexjet aircraft check ./mine " in page
-    assert MOST_JETS == 12
-    assert "Four to twelve jets" in page
+    assert MOST_JETS == 16
+    assert "One to sixteen jets" in page

@@ -1,0 +1,170 @@
+"""Where every jet stands and which way it pushes while the hinges of a vehicle are turned.
+
+A jet has a station ``r0`` and a thrust axis ``e0`` (unit, body) with all hinges at zero.  A hinge turns what it carries
+about an axis through a point, right-handed.  Hinges that move the same jet form a chain in the order in which they are
+stated, from the body outwards: with ``R_k`` the rotation of hinge k by its angle about the axis *as stated*, at zero,
+
+    e = R_1 R_2 ... e0,        r = X_1 X_2 ... r0,        X_k x = p_k + R_k (x - p_k),
+
+the product of exponentials (Brockett, 1984; Murray, Li and Sastry, "A Mathematical Introduction to Robotic
+Manipulation", 1994, section 3.2).  A hinge that *carries* a jet turns station and thrust; one that *deflects* it turns
+its thrust alone, by ``effect`` of its own angle: a nozzle or a vane behind the engine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import atan2, cos, sin, sqrt
+from typing import NamedTuple
+
+from cosim.base.frames import cross
+from cosim.base.signals import Vector3
+
+UP: Vector3 = (0.0, 0.0, -1.0)  # body: thrust straight up
+
+
+class Station(NamedTuple):
+    """A jet: where it stands, which way it pushes, and its moment about that per thrust, right-handed [m]."""
+
+    place: Vector3
+    axis: Vector3
+    twist: float = 0.0
+
+
+class Turn(NamedTuple):
+    """A hinge: a point of its axis, the axis (unit), the jets that it carries and those that it deflects, from 0."""
+
+    point: Vector3
+    axis: Vector3
+    carries: tuple[int, ...] = ()
+    deflects: tuple[int, ...] = ()
+    effect: float = 1.0  # angle of the thrust over that of the hinge, of what it deflects
+
+
+def turned(axis: Vector3, angle: float, vector: Vector3) -> Vector3:
+    """``vector`` turned about the unit vector ``axis`` by ``angle`` rad, right-handed: Rodrigues' formula."""
+    x, y, z = axis
+    vx, vy, vz = vector
+    c, s = cos(angle), sin(angle)
+    along = (x * vx + y * vy + z * vz) * (1.0 - c)
+    return (
+        vx * c + (y * vz - z * vy) * s + x * along,
+        vy * c + (z * vx - x * vz) * s + y * along,
+        vz * c + (x * vy - y * vx) * s + z * along,
+    )
+
+
+class Layout:
+    """The stations and hinges of one vehicle.
+
+    Jets whose thrust points the same way whatever the hinges do are a group: ``groups[i]`` is that of jet ``i``.
+    ``moves``: some hinge carries a jet, so that stations move.
+    """
+
+    def __init__(self, stations: Sequence[Station], turns: Sequence[Turn] = ()) -> None:
+        self.stations, self.turns = tuple(stations), tuple(turns)
+        self.places: list[Vector3] = [station.place for station in stations]  # with all hinges at zero
+        chains: list[list[tuple[int, float]]] = []  # of each jet: hinges from the body outwards, and their effect on it
+        self._carriers: list[list[int]] = []
+        for jet in range(len(stations)):
+            chain = []
+            for number, turn in enumerate(turns):
+                if jet in turn.carries:
+                    chain.append((number, 1.0))
+                elif jet in turn.deflects:
+                    chain.append((number, turn.effect))
+            chains.append(chain)
+            self._carriers.append([number for number, turn in enumerate(turns) if jet in turn.carries])
+        self.chains = chains
+        self.moves = any(self._carriers)
+        kinds: list[tuple[Vector3, list[tuple[int, float]]]] = []
+        self.groups: list[int] = []
+        for station, chain in zip(stations, chains, strict=True):
+            kind = (station.axis, chain)
+            if kind not in kinds:
+                kinds.append(kind)
+            self.groups.append(kinds.index(kind))
+        self._kinds = kinds
+        self._still: list[Vector3] = [axis for axis, _ in kinds]
+
+    def axes(self, angles: Sequence[float]) -> list[Vector3]:
+        """Unit thrust, body, of each group, with the hinges at ``angles`` rad."""
+        if not self.turns:
+            return self._still
+        answer: list[Vector3] = []
+        for axis, chain in self._kinds:
+            for number, effect in reversed(chain):
+                axis = turned(self.turns[number].axis, effect * angles[number], axis)
+            answer.append(axis)
+        return answer
+
+    def frames(self, angles: Sequence[float]) -> list[tuple[Vector3, Vector3, Vector3]]:
+        """Thrust, forward and right of each group, body: the body's axes turned with the thrust.
+
+        From straight up to the axis as stated by the least turn (half a turn about y where it points straight down),
+        then by the hinges.
+        """
+        answer: list[tuple[Vector3, Vector3, Vector3]] = []
+        for axis, chain in self._kinds:
+            x, y, z = axis
+            forward: Vector3 = (1.0, 0.0, 0.0)
+            right: Vector3 = (0.0, 1.0, 0.0)
+            sine = sqrt(x * x + y * y)
+            if sine > 1e-12:
+                # the turn from -z to the axis is about (-z) x axis
+                about, angle = (y / sine, -x / sine, 0.0), atan2(sine, -z)
+                forward, right = turned(about, angle, forward), turned(about, angle, right)
+            elif z > 0.0:
+                forward = (-1.0, 0.0, 0.0)
+            for number, effect in reversed(chain):
+                hinge, angle = self.turns[number].axis, effect * angles[number]
+                axis, forward, right = (
+                    turned(hinge, angle, axis),
+                    turned(hinge, angle, forward),
+                    turned(hinge, angle, right),
+                )
+            answer.append((axis, forward, right))
+        return answer
+
+    def standing(self, angles: Sequence[float]) -> list[Vector3]:
+        """Where each jet is [m, body]."""
+        if not self.moves:
+            return self.places
+        answer: list[Vector3] = []
+        for place, carriers in zip(self.places, self._carriers, strict=True):
+            for number in reversed(carriers):
+                turn = self.turns[number]
+                px, py, pz = turn.point
+                x, y, z = turned(turn.axis, angles[number], (place[0] - px, place[1] - py, place[2] - pz))
+                place = (px + x, py + y, pz + z)
+            answer.append(place)
+        return answer
+
+    def hinge_axes(self, angles: Sequence[float], jet: int) -> list[tuple[int, float, bool, Vector3, Vector3]]:
+        """The chain of a jet as it stands: number, effect, whether it carries, axis and point of each hinge."""
+        chain, carriers = self.chains[jet], self._carriers[jet]
+        answer = []
+        for at, (number, effect) in enumerate(chain):
+            axis, point = self.turns[number].axis, self.turns[number].point
+            for outer, share in reversed(chain[:at]):
+                axis = turned(self.turns[outer].axis, share * angles[outer], axis)
+                if outer in carriers:
+                    other = self.turns[outer]
+                    px, py, pz = other.point
+                    x, y, z = turned(other.axis, angles[outer], (point[0] - px, point[1] - py, point[2] - pz))
+                    point = (px + x, py + y, pz + z)
+            answer.append((number, effect, number in carriers, axis, point))
+        return answer
+
+    def wrench(self, thrust: Sequence[float], angles: Sequence[float]) -> tuple[Vector3, Vector3]:
+        """Force [N] and moment [N m] of all jets on the body, about the origin of its places."""
+        axes, places = self.axes(angles), self.standing(angles)
+        fx = fy = fz = mx = my = mz = 0.0
+        for jet, newton in enumerate(thrust):
+            ex, ey, ez = axes[self.groups[jet]]
+            twist = self.stations[jet].twist
+            x, y, z = newton * ex, newton * ey, newton * ez
+            lx, ly, lz = cross(places[jet], (x, y, z))
+            fx, fy, fz = fx + x, fy + y, fz + z
+            mx, my, mz = mx + lx + twist * x, my + ly + twist * y, mz + lz + twist * z
+        return (fx, fy, fz), (mx, my, mz)

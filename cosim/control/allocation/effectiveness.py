@@ -1,0 +1,309 @@
+"""Allocation by effectiveness: what each throttle, hinge and surface does to force and moment is computed from the
+layout, at the point at which the vehicle works.
+
+Asked for are a lift, along body -z, and three angular accelerations [rad/s^2], which the tensor of inertia makes into
+moments.  Thrusts and angles ``u`` give the wrench ``f(u)`` of :class:`cosim.base.layout.Layout`, exactly: each step
+solves ``f(u) = wanted`` by Newton's method from the commands of the step before, every linear problem within limits and
+by priority (:mod:`cosim.control.allocation.prioritised`).  What is told as not given is wanted less
+``f(u)``: what the commands really give, once engines and servos have followed.
+
+The priority, chosen by us: roll and pitch moment, which turn the thrust and without which everything else is lost; then
+lift; then yaw, whose loss turns the nose and no more; last, where the vehicle asks for it, horizontal force.  Where the
+effectors leave a choice, it is the least use of them beside a preferred one, each counted by its range and weighed by
+its ``effort``: thrusts as they share the weight in hover, hinges at rest, surfaces at zero.
+
+A hinge's command moves no faster than its servo can.  An engine that is lost is taken out of the layout, one that is
+weak or stuck stays in it with what it gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.base.frames import cross
+from cosim.base.layout import Layout
+from cosim.base.signals import (
+    NO_JETS,
+    ZERO3,
+    Actuation,
+    JetHealth,
+    PerJet,
+    PerServo,
+    Unallocated,
+    Vector3,
+)
+from cosim.control.allocation.prioritised import prioritise
+
+ROLL, PITCH, LIFT, YAW, FORWARD, RIGHT = range(6)  # the rows
+LEVELS: Final = ((ROLL, PITCH), (LIFT,), (YAW,))
+HORIZONTAL: Final = ((FORWARD, RIGHT),)  # where it is asked for, below all others
+GIVEN: Final = 1e-10  # of the weight, or the weight at the radius of gyration: what is missing less is rounding
+PASSES: Final = 6  # of Newton's method in a step; from the step before two are the rule
+FIRST_PASSES: Final = 60  # without a step before
+
+
+class Mover(NamedTuple):
+    """A hinge or a surface as allocation sees it."""
+
+    least: float
+    most: float
+    rest: float
+    step: float  # by how much its command may change in a step
+    effort: float
+    wrench: tuple[float, ...] = ()  # of a surface: force and moment per unit and Pa of dynamic pressure, body
+
+
+class EffectivenessAllocator:
+    """Throttles and servo angles of a vehicle of any layout.
+
+    ``tensor``: of inertia, kg m^2, by rows; ``low`` and ``span``: thrust of the reference engine without throttle, and
+    what full throttle adds [N], which shares of thrust count in; ``shares``: least and most of each station;
+    ``efforts`` of the jets.  Raises InputError where the vehicle cannot be held in hover.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        layout: Layout,
+        mass: float,
+        tensor: tuple[Vector3, Vector3, Vector3],
+        low: float,
+        span: float,
+        shares: Sequence[tuple[float, float]],
+        efforts: Sequence[float],
+        movers: Sequence[Mover],
+        horizontal: bool = False,
+    ) -> None:
+        self._layout, self._tensor, self._mass = layout, tensor, mass
+        self._inverse = _inverted(tensor)
+        self._low, self._span = low, span
+        self._jets = len(layout.stations)
+        self._hinges = len(layout.turns)
+        self._movers = list(movers)
+        self._limits = list(shares)
+        self._levels = [*LEVELS, *(HORIZONTAL if horizontal else ())]
+        self._weight = mass * GRAVITY
+        self.hover = (self._weight / self._jets - low) / span
+        reach = (max(tensor[0][0], tensor[1][1], tensor[2][2]) / mass) ** 0.5  # a length: of gyration
+        force, moment = 1.0 / self._weight, 1.0 / (self._weight * reach)
+        self._norms = (moment, moment, force, moment, force, force)  # of the rows
+        self._scales = [
+            (most - least) * span / effort for (least, most), effort in zip(shares, efforts, strict=True)
+        ] + [(mover.most - mover.least) / mover.effort for mover in movers]
+        self.rest: PerServo = tuple([mover.rest for mover in movers]) or (0.0, 0.0)
+        self.pressure = 0.0  # Pa, dynamic: what surfaces work with
+        self.reset()
+        if not self._balanced:
+            raise InputError(
+                f"{name}: jets, hinges: in hover they leave {_said(self._missing, self._norms)} that nothing balances; "
+                "hexjet aircraft check says what the engines can do"
+            )
+
+    # ---- what stays between steps: the last commands, and the health of the engines
+
+    def reset(self) -> None:
+        """All engines are healthy, hinges at rest."""
+        self._use([JetHealth()] * self._jets)
+        self._settle()
+
+    def _use(self, health: Sequence[JetHealth]) -> None:
+        """Take every jet's thrust to be ``span (gain (idle + share) + fixed)``."""
+        idle = self._low / self._span
+        self._health = list(health)
+        self._ends: list[tuple[float, float]] = []
+        for (least, most), jet in zip(self._limits, health, strict=True):
+            self._ends.append(
+                (
+                    self._span * (jet.gain * (idle + least) + jet.fixed),
+                    self._span * (jet.gain * (idle + most) + jet.fixed),
+                )
+            )
+
+    def _settle(self) -> None:
+        """Find the hover: thrusts that carry the weight in balance, to begin with and to be left at."""
+        even = self._low + self._span * self.hover
+        self._preferred = [even] * self._jets
+        self._last = [even] * self._jets + [mover.rest for mover in self._movers]
+        wanted = [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
+        found, missing = self._solve(wanted, self._weight, FIRST_PASSES, False)
+        self._missing = [missing[row] * self._norms[row] for row in range(6)]
+        self._balanced = all(abs(self._missing[row]) <= 1e-6 for row in (ROLL, PITCH, LIFT))
+        self._preferred = found[: self._jets]
+        self._last = found
+
+    def replan(self, health: Sequence[JetHealth]) -> bool:
+        """Allocate for engines in this health from the next step on; always possible, whatever it then gives."""
+        before = self._last
+        self._use(health)
+        self._settle()
+        self._last = before  # commands go on from where they are
+        return True
+
+    @property
+    def balanced(self) -> bool:
+        """Whether the engines, as they are known to be, hold the vehicle up with no roll and no pitch moment."""
+        return self._balanced
+
+    def trim(self, collective: float) -> PerJet:
+        """The shares of the thrusts that give ``collective`` in balance, hinges near rest."""
+        wanted = [0.0, 0.0, self._jets * (self._low + self._span * collective), 0.0, 0.0, 0.0]
+        before = self._last
+        found, _ = self._solve(wanted, wanted[LIFT], FIRST_PASSES, False)
+        self._last = before
+        return self._shares(found)
+
+    # ---- a step
+
+    def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
+        """``collective``: lift, as the share at which each of the reference's engines would give its part of it.
+
+        ``torque``: angular accelerations [rad/s^2]; ``added``: of a disturbance that the controller does not know.
+        """
+        x, y, z = torque
+        if added != ZERO3:
+            x, y, z = x + added[0], y + added[1], z + added[2]
+        (a, b, c), (d, e, f), (g, h, i) = self._tensor
+        lift = self._jets * (self._low + self._span * collective)
+        wanted = [a * x + b * y + c * z, d * x + e * y + f * z, lift, g * x + h * y + i * z, 0.0, 0.0]
+        found, missing = self._solve(wanted, lift, PASSES, True)
+        self._last = found
+        for row in range(6):
+            if -GIVEN <= missing[row] * self._norms[row] <= GIVEN:
+                missing[row] = 0.0
+        roll = pitch = yaw = 0.0
+        if missing[ROLL] or missing[PITCH] or missing[YAW]:
+            (a, b, c), (d, e, f), (g, h, i) = self._inverse
+            x, y, z = missing[ROLL], missing[PITCH], missing[YAW]
+            roll, pitch, yaw = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+        return Actuation(
+            self._shares(found),
+            tuple(found[self._jets :]) or self.rest,
+            Unallocated(roll, pitch, yaw, missing[LIFT] / (self._jets * self._span)),
+            NO_JETS,
+        )
+
+    def _shares(self, found: Sequence[float]) -> PerJet:
+        idle = self._low / self._span
+        answer: list[float] = []
+        for jet, health in enumerate(self._health):
+            least, most = self._limits[jet]
+            if health.gain <= 0.0:
+                answer.append(health.command)
+                continue
+            share = (found[jet] / self._span - health.fixed) / health.gain - idle
+            answer.append(least if share < least else (most if share > most else share))
+        return tuple(answer)
+
+    def _solve(self, wanted: list[float], lift: float, passes: int, rated: bool) -> tuple[list[float], list[float]]:
+        """Thrusts [N] and angles for a wrench, and what is missing of it; ``rated``: no faster than servos go."""
+        jets, scales, norms = self._jets, self._scales, self._norms
+        low: list[float] = []
+        high: list[float] = []
+        start: list[float] = []
+        up = lift / self._weight
+        for jet, (least, most) in enumerate(self._ends):
+            low.append(least / scales[jet])
+            high.append(most / scales[jet])
+            start.append(up * self._preferred[jet] / scales[jet])
+        for number, mover in enumerate(self._movers):
+            least, most, scale = mover.least, mover.most, scales[jets + number]
+            if rated:
+                last = self._last[jets + number]
+                slowest, fastest = last - mover.step, last + mover.step
+                least = slowest if slowest > least else least
+                most = fastest if fastest < most else most
+            low.append(least / scale)
+            high.append(most / scale)
+            start.append(mover.rest / scale)
+        here = self._last
+        given, rows = self._linear(here)
+        for _ in range(passes):
+            targets: list[float] = []
+            for row in range(6):
+                steps = 0.0
+                for j, scale in enumerate(scales):
+                    steps += rows[row][j] * (here[j] / scale)
+                targets.append((wanted[row] - given[row]) * norms[row] + steps)
+            found = prioritise(rows, targets, self._levels, start, low, high)
+            before, steps_before = given, rows
+            moved = [value * scale for value, scale in zip(found, scales, strict=True)]
+            given, rows = self._linear(moved)
+            off = 0.0
+            for row in range(6):
+                change = 0.0
+                for j, scale in enumerate(scales):
+                    change += steps_before[row][j] * (found[j] - here[j] / scale)
+                error = (given[row] - before[row]) * norms[row] - change
+                off = error if error > off else (-error if -error > off else off)
+            here = moved
+            if off <= 0.1 * GIVEN:
+                break
+        return here, [wanted[row] - given[row] for row in range(6)]
+
+    def _linear(self, at: Sequence[float]) -> tuple[list[float], list[list[float]]]:
+        """The wrench in the order of the rows, and its change by each effector, scaled."""
+        jets, layout, scales, norms = self._jets, self._layout, self._scales, self._norms
+        angles = at[jets:]
+        axes, standing = layout.axes(angles), layout.standing(angles)
+        count = len(at)
+        rows = [[0.0] * count for _ in range(6)]
+        total = [0.0] * 6
+        for jet in range(jets):
+            thrust = at[jet]
+            axis, twist, place = axes[layout.groups[jet]], layout.stations[jet].twist, standing[jet]
+            ex, ey, ez = axis
+            mx, my, mz = cross(place, axis)
+            mx, my, mz = mx + twist * ex, my + twist * ey, mz + twist * ez
+            each = (mx, my, -ez, mz, ex, ey)
+            scale = scales[jet]
+            for row in range(6):
+                total[row] += thrust * each[row]
+                rows[row][jet] = each[row] * scale * norms[row]
+            if layout.chains[jet]:
+                for number, effect, carries, about, point in layout.hinge_axes(angles, jet):
+                    # the thrust turns with the hinge, and the station where it is carried
+                    fx, fy, fz = cross(about, axis)
+                    fx, fy, fz = effect * fx, effect * fy, effect * fz
+                    gx, gy, gz = cross(place, (fx, fy, fz))
+                    gx, gy, gz = gx + twist * fx, gy + twist * fy, gz + twist * fz
+                    if carries:
+                        moved = cross(about, (place[0] - point[0], place[1] - point[1], place[2] - point[2]))
+                        lx, ly, lz = cross(moved, axis)
+                        gx, gy, gz = gx + lx, gy + ly, gz + lz
+                    turn = (gx, gy, -fz, gz, fx, fy)
+                    size = thrust * scales[jets + number]
+                    for row in range(6):
+                        rows[row][jets + number] += turn[row] * size * norms[row]
+        for number in range(self._hinges, len(self._movers)):
+            fx, fy, fz, mx, my, mz = self._movers[number].wrench
+            surface = (mx, my, -fz, mz, fx, fy)
+            size = self.pressure * scales[jets + number]
+            deflected = self.pressure * at[jets + number]
+            for row in range(6):
+                total[row] += deflected * surface[row]
+                rows[row][jets + number] = surface[row] * size * norms[row]
+        return total, rows
+
+
+def _said(missing: Sequence[float], norms: Sequence[float]) -> str:
+    """The largest of what is missing, in words."""
+    names = {ROLL: ("roll", "N m"), PITCH: ("pitch", "N m"), LIFT: ("lift", "N")}
+    row = max(names, key=lambda each: abs(missing[each]))
+    name, unit = names[row]
+    return f"{missing[row] / norms[row]:.3g} {unit} of {name}"
+
+
+def _inverted(tensor: tuple[Vector3, Vector3, Vector3]) -> tuple[Vector3, Vector3, Vector3]:
+    """The inverse of a symmetric positive matrix."""
+    (a, b, c), (_, d, e), (_, _, f) = tensor
+    xx, xy, xz = d * f - e * e, c * e - b * f, b * e - c * d
+    determinant = a * xx + b * xy + c * xz
+    yy, yz, zz = a * f - c * c, b * c - a * e, a * d - b * b
+    return (
+        (xx / determinant, xy / determinant, xz / determinant),
+        (xy / determinant, yy / determinant, yz / determinant),
+        (xz / determinant, yz / determinant, zz / determinant),
+    )

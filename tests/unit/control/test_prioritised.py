@@ -1,0 +1,89 @@
+"""Bounded effectors for several things that are wanted, the more important first: against linear programs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from cosim.control.allocation.prioritised import prioritise
+
+LEVELS = ((0, 1), (2,), (3,))
+CLOSE = 1e-8  # rows are of numbers around 1
+
+
+def problem(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, wanted, start, limits; often with effectors that do nothing, do the same, or cannot move."""
+    draw = np.random.default_rng(seed)
+    count = int(draw.integers(1, 17))
+    rows = draw.normal(size=(4, count))
+    if draw.random() < 0.4:
+        rows[:, draw.random(count) < 0.3] = 0.0
+    if draw.random() < 0.3:
+        rows = np.round(rows)
+    if draw.random() < 0.2:
+        rows[3] = 2.0 * rows[0]
+    low, high = -draw.random(count), draw.random(count)
+    if draw.random() < 0.3:
+        high[draw.integers(0, count)] = low[0] if count == 1 else high[0]
+    high = np.maximum(low, high)
+    start = np.clip(0.3 * draw.normal(size=count), low, high)
+    return rows, draw.normal(size=4) * draw.choice([0.1, 1.0, 5.0]), start, low, high
+
+
+def solve(rows, wanted, start, low, high) -> np.ndarray:  # type: ignore[no-untyped-def]
+    return np.array(prioritise([list(row) for row in rows], wanted, LEVELS, start, low, high))
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=60, deadline=None)
+def test_each_level_goes_as_far_as_a_linear_program_does_and_the_ones_before_stay(seed: int) -> None:
+    rows, wanted, start, low, high = problem(seed)
+    x = solve(rows, wanted, start, low, high)
+    assert (x >= low).all()
+    assert (x <= high).all()
+    bounds = list(zip(low, high, strict=True))
+    got = rows @ x
+    for row in (2, 3):
+        held = rows[:row]
+        ends = [linprog(sign * rows[row], A_eq=held, b_eq=held @ x, bounds=bounds) for sign in (1.0, -1.0)]
+        if any(end.status for end in ends):
+            continue  # the program's own tolerance finds what is held out of reach
+        assert got[row] == pytest.approx(np.clip(wanted[row], ends[0].fun, -ends[1].fun), abs=1e-7)
+    # the first two together, along what is missing of them at the start
+    missing = wanted[:2] - rows[:2] @ start
+    along = linprog(
+        np.append(np.zeros(len(x)), -1.0),
+        A_eq=np.column_stack([rows[:2], -missing]), b_eq=rows[:2] @ start, bounds=[*bounds, (0.0, 1.0)],
+    )  # fmt: skip
+    reached = (got[:2] - rows[:2] @ start) @ missing / (missing @ missing)
+    assert reached >= -along.fun - 1e-7
+
+
+@given(st.integers(0, 10**6), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
+@settings(max_examples=60, deadline=None)
+def test_what_is_wanted_of_a_lower_level_changes_nothing_above_it(seed: int, lift: float, yaw: float) -> None:
+    rows, wanted, start, low, high = problem(seed)
+    x = solve(rows, wanted, start, low, high)
+    other = solve(rows, [*wanted[:3], yaw], start, low, high)
+    assert rows[:3] @ other == pytest.approx(rows[:3] @ x, abs=CLOSE)
+    other = solve(rows, [*wanted[:2], lift, yaw], start, low, high)
+    assert rows[:2] @ other == pytest.approx(rows[:2] @ x, abs=CLOSE)
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=30, deadline=None)
+def test_within_the_limits_it_is_the_pseudo_inverse_beside_the_start(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    rows, start = draw.normal(size=(4, 7)), draw.normal(size=7)
+    wanted = draw.normal(size=4)
+    x = solve(rows, wanted, start, np.full(7, -1e6), np.full(7, 1e6))
+    assert x == pytest.approx(start + np.linalg.pinv(rows) @ (wanted - rows @ start), abs=1e-8)
+    assert rows @ x == pytest.approx(wanted, abs=1e-9)
+
+
+def test_a_row_in_no_level_is_not_looked_at() -> None:
+    x = prioritise([[1.0, 0.0], [0.0, 1.0]], [0.3, 0.4], ((0,),), [0.0, 0.0], [-1.0, -1.0], [1.0, 1.0])
+    assert x == pytest.approx([0.3, 0.0])
