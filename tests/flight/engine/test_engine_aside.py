@@ -80,8 +80,9 @@ def test_force_and_moment_on_the_body(full: Path) -> None:
 
 def test_a_torque_takes_the_place_of_the_jets_reaction(fmu: Path, full: Path) -> None:
     reacting = {"vehicle": {"jets": {"1": {"reaction_m": 0.5}}}}
-    for _, thrust, _, _, moment in pushed(scenario(fmu, **reacting)):
-        assert moment == pytest.approx([0.0, 0.0, 0.5 * thrust[1]], abs=1e-12)
+    for _, thrust, tilt, _, moment in pushed(scenario(fmu, **reacting)):
+        against = [-sin(tilt[0]), 0.0, cos(tilt[0])]  # the thrust of the left bank, about which the rotor turns
+        assert moment == pytest.approx([0.5 * thrust[1] * part for part in against], abs=1e-12)
     moments = [moment for extra in ({}, reacting) for *_, moment in pushed(scenario(full, **extra))]
     assert moments[0].tolist() == moments[1].tolist()
 
