@@ -32,6 +32,7 @@ from cosim.base.signals import (
     EngineOutput,
     Measured,
     PerJet,
+    PerServo,
     Unallocated,
     Vector3,
 )
@@ -210,11 +211,15 @@ class GuardedController:
         self._idle = belief.thrust_map.throttle((low,) * jets)
         self._mass, self._thrust_map, self._share = vehicle.mass_kg, belief.thrust_map, belief.hover
         self._range = vehicle.servo.range_rad if vehicle.servo else 0.0
+        moved = [hinge.least_most for hinge in vehicle.hinges] + [surface.range for surface in vehicle.surfaces]
+        self._ends: list[tuple[float, float]] = moved  # of hinges and surfaces; none: two banks, or nothing tilts
+        self._servos = tuple([f"the servo {name}" for name in vehicle.actuators]) if moved else _TILTS
+        self._rest: PerServo = vehicle.rest
         self._names = tuple([f"throttle {number}" for number in range(1, jets + 1)])
         self._every_jet = frozenset(range(jets))
         self._flying = True
         # what the next update is told of the step before
-        self._throttle, self._tilt = self._idle, (0.0, 0.0)
+        self._throttle, self._tilt = self._idle, self._rest
         self._engines, self._burnt = EngineOutput((), (), (), ()), 0.0
         self.signals = self._own_signals(self._idle)
 
@@ -225,7 +230,7 @@ class GuardedController:
             share = self._thrust_map.share((self._mass - burnt) * GRAVITY / jets)
         throttle = self._idle if on_ground else self._thrust_map.throttle((share,) * jets)
         unknown = (float("nan"),) * len(throttle)
-        self._throttle, self._tilt = throttle, (0.0, 0.0)
+        self._throttle, self._tilt = throttle, self._rest
         self._engines, self._burnt = EngineOutput(unknown, unknown, unknown, unknown), burnt
         self._flying = True
         self._named.call("reset", self._block.reset)
@@ -237,7 +242,7 @@ class GuardedController:
         if engines is not _FLY:
             self._flying = False
             off = self._every_jet if engines is EngineState.OFF else NO_JETS
-            return self._given(Actuation(self._idle, (0.0, 0.0), Unallocated(), off))
+            return self._given(Actuation(self._idle, self._rest, Unallocated(), off))
         if not self._flying:
             self._named.call("reset", self._block.reset)
             self._flying = True
@@ -264,17 +269,22 @@ class GuardedController:
             throttles, tilts = answer.throttle, answer.tilt
         else:
             try:
-                throttles, tilts = answer if self._range else (answer, (0.0, 0.0))
+                throttles, tilts = answer if self._range or self._ends else (answer, (0.0, 0.0))
             except (TypeError, ValueError):
                 raise named.error(f"update gave {_short(answer)}: must be throttles and tilts") from None
         throttle = within(throttles, len(self._names), 0.0, 1.0) or self._near(throttles)
-        tilt = within(tilts, 2, -self._range, self._range)
-        if tilt is None:
-            left, right = named.numbers(tilts, _TILTS, "tilts: update")
-            tilt = (clamp(left, self._range), clamp(right, self._range))
+        tilt: PerServo | None = None
+        if self._ends:
+            asked = named.numbers(tilts, self._servos, "tilts: update")
+            tilt = tuple([min(max(asked[i], least), most) for i, (least, most) in enumerate(self._ends)])
+        else:
+            tilt = within(tilts, 2, -self._range, self._range)
+            if tilt is None:
+                left, right = named.numbers(tilts, _TILTS, "tilts: update")
+                tilt = (clamp(left, self._range), clamp(right, self._range))
         return Actuation(
             throttle,
-            (tilt[0], tilt[1]),
+            tilt,
             answer.unallocated if whole else Unallocated(0.0, 0.0, 0.0, 0.0),
             answer.off if whole else NO_JETS,
         )

@@ -184,6 +184,11 @@ class ProcessBlock:
     def prepare(self, belief: Belief) -> None:
         """Start it and tell it what it may believe."""
         jets, servo = len(belief.vehicle.jets), belief.vehicle.servo is not None
+        if self._level == "controller" and (belief.vehicle.hinges or belief.vehicle.surfaces):
+            raise InputError(
+                f"{belief.vehicle.name}: has hinges or surfaces, and a whole controller in a process or an FMU answers "
+                "with the tilts of two banks; write it as a class in a file, which is asked for one of each"
+            )
         inputs, outputs = wire.input_names(self._level, jets), wire.output_names(self._level, jets, servo, self._extras)
         self._outputs = len(outputs)
         self._jets, self._servo = jets, servo
