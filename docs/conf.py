@@ -39,6 +39,7 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sourcelink = False
+html_show_search_summary = False  # it would be fetched, which a page opened as a file may not
 html_math_renderer = "mathml"
 pygments_style = "friendly"
 

@@ -89,9 +89,11 @@ def _seen_from(page: Path, text: str, folder: Path) -> str:
             return match[0]
         target = (page.parent / link.partition("#")[0]).resolve()
         place = target.relative_to(ROOT)
+        up = "../" * (len(page.relative_to(ROOT).parts) - 1)
+        if target == DOCS / "README.md":
+            return f"]({up}index.md)"
         if target.is_dir():
             about = FOLDERS.get(place.as_posix(), f"{place.as_posix()}/README.md")
-            up = "../" * (len(page.relative_to(ROOT).parts) - 1)
             if (ROOT / about).is_file() or about.startswith("reference/"):
                 return f"]({up}{about})"
             return "]\0"
