@@ -60,7 +60,9 @@ G = 9.80665
 # "marks": a command writes figures between marks; a test's name: it, among others, compares the page with the product.
 COVERED: Mapping[str, tuple[str, ...]] = {
     "README.md": ("marks", "test_pages.py", "test_reproduce.py"),
+    "CHANGELOG.md": ("test_project_files.py",),
     "CONTRIBUTING.md": ("test_pages.py",),
+    "SECURITY.md": ("test_project_files.py",),
     "aircraft/hexjet/README.md": ("test_pages.py", "test_simulation.py", "test_pilot_navigation.py"),
     "aircraft/hexjet-100/README.md": ("test_pages.py", "test_full_scale.py"),
     "aircraft/hexjet-p220/README.md": ("test_full_scale.py",),
@@ -107,6 +109,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/packages.md": ("marks", "test_package.py"),
     "docs/paper.md": ("marks", "test_reproduce.py"),
     "docs/theory.md": ("test_theory.py",),
+    "docs/versions.md": ("test_project_files.py",),
     "docs/tutorial.md": ("test_site.py", "test_tutorial.py"),
     "docs/python.md": ("test_stepper.py", "test_gym.py", "test_tables.py"),
     "engines/README.md": ("test_pages.py",),
