@@ -28,6 +28,7 @@ typedef int (*SetInteger2)(void *, const unsigned int[], size_t, const int[]);
 typedef int (*GetInteger2)(void *, const unsigned int[], size_t, int[]);
 typedef int (*Step3)(void *, double, double, bool, bool *, bool *, bool *, double *);
 typedef int (*Mode3)(void *);
+typedef int (*SetClock3)(void *, const uint32_t[], size_t, const bool[]);
 typedef int (*Update3)(void *, bool *, bool *, bool *, bool *, bool *, double *);
 
 enum { OK = 0, WARNING = 1, DISCARD = 2 };
@@ -40,7 +41,7 @@ enum { THRUST, OUTPUTS = 7 };
 static const char *const INPUT_NAMES[INPUTS] = {"throttle", "ambient_pressure", "ambient_temperature", "air_speed", "altitude", "mach", "density", "total_pressure", "total_temperature"};
 static const char *const OUTPUT_NAMES[OUTPUTS] = {"thrust", "spool_speed", "exhaust_temperature", "fuel_flow", "force_forward", "force_right", "torque"};
 
-enum { BLOCKS = 3, MOST_PARTS = 10000 };
+enum { BLOCKS = 4, MOST_PARTS = 10000, CLOCKS = 16 };
 
 /* What values are passed as, in the order of cosim.engine.instance.VALUES. */
 typedef enum { DOUBLE, FLOAT, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, KINDS } Kind;
@@ -51,6 +52,7 @@ typedef struct {
     Kind kind;
     size_t references, values;
     size_t first_references, first_values; /* the part that is set in every step: the throttles */
+    bool clocked;                          /* it is set when the clock of the ports ticks, and only then */
     uint32_t *reference;
     double *value;
     void *other_value; /* the same in a kind that is not double */
@@ -72,6 +74,12 @@ typedef struct {
     double port[INPUTS]; /* what the inputs were last set to */
 } Lane;
 
+/* An input clock of FMI 3.0: it ticks before every so many parts of a step, from a first one on. */
+typedef struct {
+    uint32_t reference;
+    long long every, shift;
+} Clock;
+
 /* One instance. */
 typedef struct {
     int fmi; /* 2 or 3 */
@@ -81,6 +89,10 @@ typedef struct {
     bool has_ambient, has_derived;
     bool one_speed; /* its engines have one air speed, the mean of theirs */
     Block set[BLOCKS], get[BLOCKS];
+    uintptr_t set_clock; /* function */
+    size_t clocks;
+    Clock clock[CLOCKS];
+    long long parts; /* that a step is made in, so that every clock ticks between two */
     Py_ssize_t lanes;
     Lane *lane;
     long long steps; /* communication steps done, warming up included: FMU time = steps * step */
@@ -225,11 +237,11 @@ static Fault place_ambient(Engine *e, Lane *lane, const double *ambient, bool *c
     return NO_FAULT;
 }
 
-/* One call for each type: the throttles, or with ``all`` the ambient too. */
+/* One call for each type: the throttles, or with ``all`` the ambient too; not what a clock sets. */
 static Fault set_inputs(const Engine *e, bool all)
 {
     for (int i = 0; i < BLOCKS; i++) {
-        const int status = set_block(e, &e->set[i], all);
+        const int status = e->set[i].clocked ? OK : set_block(e, &e->set[i], all);
         if (status > WARNING)
             return FAULT("set", status);
     }
@@ -269,14 +281,36 @@ static Fault read_outputs(const Engine *e, const Lane *lane, double ports[OUTPUT
     return NO_FAULT;
 }
 
-/* FMI 3.0: from step mode through event mode and back. */
-static Fault handle_events(const Engine *e)
+/* Tick the first ``due`` of these clocks in event mode, and set what goes with them; the first clock is the ports'. */
+static Fault tick(const Engine *e, const uint32_t references[], size_t due)
+{
+    bool active[CLOCKS];
+    for (size_t i = 0; i < due; i++)
+        active[i] = true;
+    int status = ((SetClock3)e->set_clock)(e->instance, references, due, active);
+    if (status > WARNING)
+        return FAULT("clock", status);
+    for (int i = 0; references[0] == e->clock[0].reference && i < BLOCKS; i++) {
+        status = e->set[i].clocked ? set_block(e, &e->set[i], true) : OK;
+        if (status > WARNING)
+            return FAULT("set", status);
+    }
+    return NO_FAULT;
+}
+
+/* FMI 3.0: from step mode through event mode and back, with the ticks of clocks that are due. */
+static Fault handle_events(const Engine *e, const uint32_t references[], size_t due)
 {
     if (!e->update)
         return FAULT("event", OK);
     int status = ((Mode3)e->enter)(e->instance);
     if (status > WARNING)
         return FAULT("enter", status);
+    if (due) {
+        const Fault fault = tick(e, references, due);
+        if (fault.what)
+            return fault;
+    }
     bool again = true;
     for (int i = 0; again; i++) {
         bool terminate = false, nominals = false, states = false, timed = false;
@@ -309,7 +343,7 @@ static Fault step3(const Engine *e, double time, double step)
         if (terminate)
             return FAULT("terminate", status);
         if (event) {
-            const Fault fault = handle_events(e);
+            const Fault fault = handle_events(e, NULL, 0);
             if (fault.what)
                 return fault;
         }
@@ -321,6 +355,26 @@ static Fault step3(const Engine *e, double time, double step)
         length = end - now;
     }
     return FAULT("parts", OK);
+}
+
+/* A step of FMI 3.0 in the parts that its clocks ask for, each after the ticks that are due at its beginning. */
+static Fault step_with_clocks(const Engine *e, double time, double step)
+{
+    const double part = step / (double)e->parts;
+    for (long long n = 0; n < e->parts; n++) {
+        const long long now = e->steps * e->parts + n;
+        uint32_t references[CLOCKS];
+        size_t due = 0;
+        for (size_t i = 0; i < e->clocks; i++)
+            if (now >= e->clock[i].shift && (now - e->clock[i].shift) % e->clock[i].every == 0)
+                references[due++] = e->clock[i].reference;
+        Fault fault = due ? handle_events(e, references, due) : NO_FAULT;
+        if (!fault.what)
+            fault = step3(e, time + (double)n * part, part);
+        if (fault.what)
+            return fault;
+    }
+    return NO_FAULT;
 }
 
 /* Set what was placed, make one step, and get what is given at its end. */
@@ -335,7 +389,7 @@ static Fault advance(Engine *e, double step, bool all)
         if (status > WARNING)
             fault = FAULT("step", status);
     } else {
-        fault = step3(e, time, step);
+        fault = e->clocks ? step_with_clocks(e, time, step) : step3(e, time, step);
     }
     e->steps++;
     return fault.what ? fault : get_outputs(e);
@@ -451,19 +505,19 @@ static PyObject *fail(Bank *self, Py_ssize_t index, Fault fault)
     return NULL;
 }
 
-/* (function, kind, (reference, ...), (value, ...), first references, first values) */
+/* (function, kind, (reference, ...), (value, ...), first references, first values, clocked) */
 static bool read_block(PyObject *row, Block *b)
 {
     PyObject *references, *values;
     unsigned long long call;
-    int kind;
+    int kind, clocked;
     Py_ssize_t first_references, first_values;
     if (!PyTuple_Check(row)) {
         PyErr_SetString(PyExc_TypeError, "a block is a tuple");
         return false;
     }
-    if (!PyArg_ParseTuple(row, "KiO!O!nn", &call, &kind, &PyTuple_Type, &references, &PyTuple_Type, &values,
-                          &first_references, &first_values))
+    if (!PyArg_ParseTuple(row, "KiO!O!nnp", &call, &kind, &PyTuple_Type, &references, &PyTuple_Type, &values,
+                          &first_references, &first_values, &clocked))
         return false;
     const Py_ssize_t n = PyTuple_Size(references), m = PyTuple_Size(values);
     if (!call || kind < DOUBLE || kind >= KINDS || m < n || first_references < 0 || first_references > n || first_values < first_references ||
@@ -484,6 +538,7 @@ static bool read_block(PyObject *row, Block *b)
     b->values = (size_t)m;
     b->first_references = (size_t)first_references;
     b->first_values = (size_t)first_values;
+    b->clocked = clocked;
     for (Py_ssize_t i = 0; i < n; i++)
         b->reference[i] = (uint32_t)PyLong_AsUnsignedLong(PyTuple_GetItem(references, i));
     for (Py_ssize_t i = 0; i < m; i++)
@@ -545,18 +600,40 @@ static bool read_lane(PyObject *row, Engine *e, Lane *lane)
     return good;
 }
 
-/* (fmi, instance, step, (enter, update, leave), steps done, set blocks, get blocks, one speed, engines) */
+/* ((reference, every, shift), ...) */
+static bool read_clocks(PyObject *rows, Engine *e)
+{
+    if (PyTuple_Size(rows) > CLOCKS || e->parts < 1) {
+        PyErr_SetString(PyExc_ValueError, "too many clocks, or no part of a step");
+        return false;
+    }
+    for (Py_ssize_t i = 0; i < PyTuple_Size(rows); i++) {
+        Clock *clock = &e->clock[i];
+        if (!PyArg_ParseTuple(PyTuple_GetItem(rows, i), "ILL", &clock->reference, &clock->every, &clock->shift))
+            return false;
+        if (clock->every < 1 || clock->shift < 0 || !e->set_clock || !e->update) {
+            PyErr_SetString(PyExc_ValueError, "a clock needs an interval, and functions to tick it");
+            return false;
+        }
+    }
+    e->clocks = (size_t)PyTuple_Size(rows);
+    return true;
+}
+
+/* (fmi, instance, step, (enter, update, leave, set clock), steps done, set blocks, get blocks, one speed, parts of a
+ * step, clocks, engines) */
 static bool read_engine(PyObject *row, Engine *e)
 {
-    unsigned long long instance, step, enter, update, leave;
-    PyObject *sets, *gets, *lanes;
+    unsigned long long instance, step, enter, update, leave, set_clock;
+    PyObject *sets, *gets, *lanes, *clocks;
     int one_speed;
     if (!PyTuple_Check(row)) {
         PyErr_SetString(PyExc_TypeError, "an instance is a tuple");
         return false;
     }
-    if (!PyArg_ParseTuple(row, "iKK(KKK)LO!O!pO!", &e->fmi, &instance, &step, &enter, &update, &leave, &e->steps,
-                          &PyTuple_Type, &sets, &PyTuple_Type, &gets, &one_speed, &PyTuple_Type, &lanes))
+    if (!PyArg_ParseTuple(row, "iKK(KKKK)LO!O!pLO!O!", &e->fmi, &instance, &step, &enter, &update, &leave, &set_clock,
+                          &e->steps, &PyTuple_Type, &sets, &PyTuple_Type, &gets, &one_speed, &e->parts, &PyTuple_Type,
+                          &clocks, &PyTuple_Type, &lanes))
         return false;
     if ((e->fmi != 2 && e->fmi != 3) || !instance || !step || PyTuple_Size(sets) > BLOCKS ||
         PyTuple_Size(gets) > BLOCKS || PyTuple_Size(lanes) < 1) {
@@ -568,6 +645,7 @@ static bool read_engine(PyObject *row, Engine *e)
     e->enter = (uintptr_t)enter;
     e->update = (uintptr_t)update;
     e->leave = (uintptr_t)leave;
+    e->set_clock = (uintptr_t)set_clock;
     e->one_speed = one_speed;
     e->lane = PyMem_Calloc((size_t)PyTuple_Size(lanes), sizeof(Lane));
     if (!e->lane) {
@@ -575,7 +653,7 @@ static bool read_engine(PyObject *row, Engine *e)
         return false;
     }
     e->lanes = PyTuple_Size(lanes);
-    bool good = true;
+    bool good = read_clocks(clocks, e);
     for (Py_ssize_t i = 0; good && i < PyTuple_Size(sets); i++)
         good = read_block(PyTuple_GetItem(sets, i), &e->set[i]);
     for (Py_ssize_t i = 0; good && i < PyTuple_Size(gets); i++)

@@ -5,7 +5,7 @@ from cosim.base.signals import Ambient, EngineOutput
 LOGGER2: int
 LOGGER3: int
 
-Block = tuple[int, int, tuple[int, ...], tuple[float, ...], int, int]
+Block = tuple[int, int, tuple[int, ...], tuple[float, ...], int, int, bool]
 Place = tuple[int, int, float, float, float, float]
 Lane = tuple[int, tuple[Place | None, ...], tuple[Place | None, ...], tuple[float, ...]]
 Row = tuple[
@@ -17,6 +17,8 @@ Row = tuple[
     tuple[Block, ...],
     tuple[Block, ...],
     bool,
+    int,
+    tuple[tuple[int, int, int], ...],
     tuple[Lane, ...],
 ]
 

@@ -66,6 +66,22 @@ class Place(NamedTuple):
     offset: float = 0.0
 
 
+class InputClock(NamedTuple):
+    """FMI 3.0: a clock that the simulation ticks, at ``shift`` and every ``interval`` [s] from there on."""
+
+    name: str
+    reference: int
+    interval: float
+    shift: float
+
+    def grid(self, step: float, parts: int) -> tuple[int, int] | None:
+        """Interval and shift in parts of a step; None where they are no whole numbers of them."""
+        counts = [value * parts / step for value in (self.interval, self.shift)]
+        whole = [round(count) for count in counts]
+        fits = all(abs(count - n) <= 1e-6 for count, n in zip(counts, whole, strict=True)) and whole[0] >= 1
+        return (whole[0], whole[1]) if fits else None
+
+
 @dataclass(frozen=True)
 class Part:
     """A component of a system: an FMU in its archive."""
@@ -125,6 +141,11 @@ class Archive:
     serializes_state: bool
     starting: Starting = field(default_factory=Starting)  # what is done with an instance before it is asked for thrust
     system: System | None = field(default=None, repr=False)  # of a system of FMUs: what it is made of
+    clocks: tuple[InputClock, ...] = ()  # that are ticked; the first is that of its clocked ports, where it has such
+
+    def parts(self, step: float) -> int:
+        """In how many parts a step [s] is made, so that every clock ticks between two."""
+        return max([1, *(round(step / clock.interval) for clock in self.clocks)])
 
     @property
     def ports(self) -> Mapping[str, Port]:
@@ -232,6 +253,8 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
             notes += left_alone(inputs, named_ports(engines), begin)
     except PortError as error:
         raise UnusableError(str(error)) from error
+    events, clocks, said = _clocks(root, bool(slave.hasEventMode) and stated is not None, named_ports(engines))
+    notes += said
     experiment = description.defaultExperiment
     return Archive(
         path=path,
@@ -251,18 +274,73 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
         internal_step=_positive(slave.fixedInternalStepSize),
         preferred_step=_positive(experiment.stepSize if experiment else None),
         once_per_process=slave.canBeInstantiatedOnlyOncePerProcess,
-        event_mode=slave.hasEventMode
-        and stated is not None
-        and all(
-            port.variable.variability == "continuous"
-            for port in named_ports(engines).values()
-            if port.variable.causality == "input"
-        ),
+        event_mode=bool(events),
         returns_early=slave.mightReturnEarlyFromDoStep,
         saves_state=slave.canGetAndSetFMUstate,
         serializes_state=slave.canGetAndSetFMUstate and slave.canSerializeFMUstate,
         starting=begin,
+        clocks=clocks if events else (),
     )
+
+
+MOST_CLOCKS = 16  # of the C loop
+
+
+def _clocks(
+    root: ElementTree.Element, has_events: bool, ports: Mapping[str, Port]
+) -> tuple[bool, tuple[InputClock, ...], list[str]]:
+    """Whether event mode can be used, the input clocks that are ticked in it, and notes on those that are not.
+
+    An input may be set in step mode where it is continuous, and at its clock's ticks where it has one; one that is
+    discrete without a clock may be set in event mode alone, so with such a port event mode is left off.
+    """
+    found, notes = [], []
+    for element in root.iterfind("ModelVariables/Clock[@causality='input']"):
+        name, kind = element.get("name", ""), element.get("intervalVariability")
+        interval, shift = _seconds(element, "interval", None), _seconds(element, "shift", 0.0)
+        if (
+            kind in ("constant", "fixed", "tunable")
+            and interval
+            and interval > 0.0
+            and shift is not None
+            and shift >= 0.0
+        ):
+            found.append(InputClock(name, int(element.get("valueReference", "0")), interval, shift))
+        else:
+            notes.append(
+                f"its clock {name} never ticks: it is {kind or 'of no kind'}, and only one that states its interval "
+                "beforehand is ticked"
+            )
+    inputs = [port.variable for name, port in ports.items() if port.variable.causality == "input"]
+    of_ports = {v.clocks for v in inputs if v.clocks}
+    known = {clock.reference for clock in found}
+    free = all(v.variability == "continuous" or set(v.clocks) & known for v in inputs)
+    switch = any(v.clocks for name, port in ports.items() if name.startswith("run") for v in (port.variable,))
+    events = has_events and free and len(of_ports) <= 1 and not switch and len(found) <= MOST_CLOCKS
+    if found and not events:
+        why = (
+            "the FMU has no event mode" if not has_events
+            else "a port is discrete, without a clock that ticks" if not free
+            else "its ports have several clocks" if len(of_ports) > 1
+            else "its run switch has a clock" if switch
+            else f"it has more than {MOST_CLOCKS}"
+        )  # fmt: skip
+        notes += [f"its clock {clock.name} never ticks: {why}" for clock in found]
+    elif found:
+        notes += [f"its clock {clock.name} ticks every {clock.interval:g} s" for clock in found]
+    first = of_ports.pop() if of_ports else ()
+    return events, tuple(sorted(found, key=lambda clock: clock.reference not in first)), notes
+
+
+def _seconds(element: ElementTree.Element, what: str, otherwise: float | None) -> float | None:
+    """Interval or shift of a clock, in decimals or as a fraction of counts."""
+    decimal, count, resolution = (element.get(key) for key in (f"{what}Decimal", f"{what}Counter", "resolution"))
+    try:
+        if decimal is not None:
+            return float(decimal)
+        return int(count) / int(resolution) if count and resolution else otherwise
+    except (ValueError, ZeroDivisionError):
+        return None
 
 
 def equations_of(data: bytes, root: ElementTree.Element, description: Any) -> str | None:
@@ -385,6 +463,7 @@ def _variable(v: Any, name: str, index: int, starts: list[float | None], bases: 
         items=tuple((item.name, int(item.value)) for item in (declared.items if declared else None) or ()),
         index=index,
         starts=tuple(0.0 if start is None else start for start in starts),
+        clocks=tuple(int(clock.valueReference) for clock in v.clocks or ()),
     )
 
 

@@ -15,7 +15,7 @@ from statistics import fmean
 from typing import Any, Literal
 
 import cosim.engine._bank as _bank
-from cosim.engine.archive import Archive
+from cosim.engine.archive import Archive, InputClock
 from cosim.engine.container import one_line
 from cosim.engine.ports import (
     BASE,
@@ -34,7 +34,7 @@ FATAL = 4
 PENDING = 5
 LAST_SUCCESSFUL_TIME = 2  # of fmi2StatusKind
 
-EVENT_FUNCTIONS = ("fmi3EnterEventMode", "fmi3UpdateDiscreteStates", "fmi3EnterStepMode")
+EVENT_FUNCTIONS = ("fmi3EnterEventMode", "fmi3UpdateDiscreteStates", "fmi3EnterStepMode", "fmi3SetClock")
 MOST_UPDATES = 10_000  # of discrete states, before it counts as endless
 
 # What failed, in the words of the C loop -> in ours.
@@ -49,6 +49,7 @@ FAULTS = {
     "enter": "entering event mode returned {status}",
     "update": "updating its discrete states returned {status}",
     "leave": "leaving event mode returned {status}",
+    "clock": "ticking its clocks returned {status}",
     "endless": "its events do not come to an end",
     "nan": "{port} is not finite",
     "input": "{port} is not finite",
@@ -77,6 +78,7 @@ class Slave:
         self._python = any(self._resources.rglob("*.py"))
         self.log = _bank.Log()
         self._stepping = False
+        self._step = 1.0  # s, of communication, once it is known
         self._dead = False
         self._done = 0  # communication steps of the start
         self._inputs = [_canonical(0.0, STANDARD_AIR)] * len(archive.engines)  # what they were set to
@@ -150,7 +152,7 @@ class Slave:
             mean = fmean(each.speed for each in airs)
             airs = tuple(each._replace(speed=mean) for each in airs)
         self._inputs = [_canonical(*each) for each in zip(throttles, airs, strict=True)]
-        self._done = 0
+        self._done, self._step = 0, step
         if self.archive.fmi == 2:
             self.call("setupExperiment", startTime=0.0)
         self.write([*settings, *self.archive.starting.constants])
@@ -160,7 +162,7 @@ class Slave:
                 (ports[name].variable, ports[name].value(x))
                 for ports, inputs in zip(engines, self._inputs, strict=True)
                 for name, x in (*inputs.items(), ("run", 1.0))
-                if name in ports
+                if name in ports and not (self.archive.clocks and ports[name].variable.clocks)  # those at a tick
             ]
         )
         self.call("exitInitializationMode")
@@ -296,11 +298,19 @@ class Slave:
             sets,
             gets,
             archive.one_speed,
+            archive.parts(self._step),
+            tuple((clock.reference, *self._grid(clock)) for clock in archive.clocks),
             tuple(
                 (station, inputs[lane], outputs[lane], tuple(self._inputs[lane][name] for name in BASE))
                 for lane, station in enumerate(stations)
             ),
         )
+
+    def _grid(self, clock: InputClock) -> tuple[int, int]:
+        grid = clock.grid(self._step, self.archive.parts(self._step))
+        if grid is None:  # a step that need_whole_steps refuses
+            raise SlaveError(f"its clock {clock.name} does not tick at whole parts of a step of {self._step:g} s")
+        return grid
 
     def _address(self, name: str) -> int:
         return ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value or 0
@@ -314,17 +324,22 @@ class Slave:
         """
         engines = self.archive.engines
         ports = {(name, lane): each[name] for name in names for lane, each in enumerate(engines) if name in each}
-        types = list(dict.fromkeys(port.variable.type for port in ports.values()))
+        ticked = bool(way == "set" and self.archive.clocks)
+
+        def together(v: Variable) -> tuple[str, bool]:
+            return v.type, ticked and bool(v.clocks)
+
+        types = list(dict.fromkeys(together(port.variable) for port in ports.values()))
         # the throttles alone are set in every step: their references, and how many values these have
         alone = {v.reference: len(v.starts) for v in (each[names[0]].variable for each in engines)}
         blocks: list[_bank.Block] = []
         places: dict[tuple[str, int], _bank.Place] = {}
-        for number, kind in enumerate(types):
+        for number, (kind, clocked) in enumerate(types):
             values: list[float] = []
             begin: dict[int, int] = {}  # reference: its first value
             for (name, lane), port in ports.items():
                 v = port.variable
-                if v.type != kind:
+                if together(v) != (kind, clocked):
                     continue
                 if v.reference not in begin:
                     begin[v.reference] = len(values)
@@ -337,7 +352,7 @@ class Slave:
                     places[name, lane] = number, index, port.scale, port.offset, -math.inf, math.inf
             function = self._address(f"fmi{self.archive.fmi}{way.capitalize()}{kind}")
             first = (len(alone), sum(alone.values())) if number == 0 else (0, 0)
-            blocks.append((function, VALUES[kind], tuple(begin), tuple(values), *first))
+            blocks.append((function, VALUES[kind], tuple(begin), tuple(values), *first, clocked))
         return tuple(blocks), [tuple(places.get((name, lane)) for name in names) for lane in range(len(engines))]
 
     def close(self) -> None:

@@ -242,6 +242,13 @@ def need_whole_steps(archive: Archive, engine: build.Engine | None, step: float)
     if archive.system is not None:
         for part in archive.system.parts:
             need_whole_steps(part.archive, None, step)
+    for clock in archive.clocks:
+        if clock.grid(step, archive.parts(step)) is None:
+            raise InputError(
+                f"{archive.path}: its clock {clock.name} ticks every {clock.interval:g} s"
+                + (f" from {clock.shift:g} s on" if clock.shift else "")
+                + f", and a step of {step:g} s is no whole part or multiple of that"
+            )
     internal = engine.internal_step if engine else archive.internal_step
     if internal is None:
         return
