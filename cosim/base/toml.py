@@ -207,6 +207,8 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
         return f"{key} = {value!r}: must be a table{rest}"
     if kind == "too_short":
         return f"{key}: needs at least {first['ctx']['min_length']}{rest}"
+    if kind == "too_long":
+        return f"{key}: may have at most {first['ctx']['max_length']}, not {first['ctx']['actual_length']}{rest}"
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
     shown = "" if isinstance(value, (dict, list)) else f" = {value!r}"
     return f"{key}{shown}: {message}{rest}" if key else f"{message}{rest}"

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from math import hypot
 from pathlib import Path
+from re import fullmatch
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
@@ -28,6 +29,7 @@ from cosim.base.toml import (
     read_toml,
     validate,
 )
+from cosim.spec.plausible import implausible
 from cosim.spec.scaling import scaled
 
 VEHICLE = "vehicle.toml"  # in an aircraft's folder
@@ -76,7 +78,7 @@ class Servo(Model):
 
     lag_s: NotNegative
     rate_limit_rad_s: Positive
-    range_rad: Positive  # either way from straight up
+    range_rad: Annotated[float, Field(gt=0.0, le=3.2)]  # either way from straight up
     bank_inertia_kg_m2: NotNegative = 0.0  # of one bank about its tilt axis; 0: turning it does not turn the body
     bank_imbalance_kg_m: float = 0.0  # mass of one bank times how far its centre is from that axis along the thrust
 
@@ -530,10 +532,16 @@ class Limits(Model):
     touchdown_m_s: Positive  # a leg touching faster: crashed
 
 
+def _named(name: str) -> str:
+    if not fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
+        raise ValueError("letters, digits, - and _ are allowed, a letter or digit first")
+    return name
+
+
 class Vehicle(Model):
     """Everything that ``aircraft/<name>/vehicle.toml`` says."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
+    name: Annotated[str, AfterValidator(_named)]
     title: str
     model: str | None = None  # the JSBSim model's file, beside vehicle.toml; None: all is stated in that
     engine: str | None = None  # what it is made for, and flies with where only the aircraft is named
@@ -632,6 +640,14 @@ class Vehicle(Model):
     def layout(self) -> Layout:
         """Where jets stand and push while hinges turn; its angles are the hinges', or those of the two banks."""
         return layout_of(self.jets, self.hinges)
+
+    @model_validator(mode="after")
+    def _contacts_differ(self) -> Vehicle:
+        names = [contact.name for contact in self.contacts]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"contacts: two are called {name!r}; names must differ")
+        return self
 
     @model_validator(mode="after")
     def _inertia_exists(self) -> Vehicle:
@@ -866,7 +882,21 @@ def _read(path: Path) -> tuple[dict[str, Any], Vehicle]:
     vehicle = validate(Vehicle, stated, str(path))
     if path.parents[1] != data_folder("aircraft") and vehicle.name in aircraft_names():
         raise InputError(f"{path}: name = {vehicle.name!r}: is the name of an aircraft that is shipped; choose another")
+    for key, file in (("engine", vehicle.engine), ("model", vehicle.model)):
+        if file is not None and (key == "model" or is_file(file)) and not (path.parent / file).is_file():
+            raise InputError(f"{path}: {key} = {file!r}: no such file, as seen from the folder of {path.name}")
+    _refuse_implausible(vehicle, path)
     return stated, vehicle
+
+
+def _refuse_implausible(vehicle: Vehicle, path: Path) -> None:
+    places = {f"jets.{n}.position_m": jet.position_m for n, jet in enumerate(vehicle.jets)}
+    contacts = {f"contacts.{n}.position_m": contact.position_m for n, contact in enumerate(vehicle.contacts)}
+    legs = {key: place for contact, (key, place) in zip(vehicle.contacts, contacts.items(), strict=True)
+            if contact.kind == "leg"}  # fmt: skip
+    fuel = {"fuel.position_m": vehicle.fuel.position_m} if vehicle.fuel else {}
+    if why := implausible(vehicle.mass_kg, vehicle.inertia_kg_m2, places | contacts | fuel, legs):
+        raise InputError(f"{path}: {why}")
 
 
 def _stated(path: Path) -> dict[str, Any]:
