@@ -1,4 +1,4 @@
-"""hexjet identify: sweeps of an engine or an axis."""
+"""hexjet identify: sweeps of an engine or an axis, and logs of flights."""
 
 from __future__ import annotations
 
@@ -8,17 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.cli.console import terminal
 from cosim.cli.options import DONE, Number, example
 
 if TYPE_CHECKING:
     from cosim.design.identify import Identification
+    from cosim.design.logged.identify_log import LogIdentification
+    from cosim.results.logs import FlightLog
 
 
 @click.group()
 def identify() -> None:
-    """Sweep an engine or an axis in flight, and fit a model with a delay to its response."""
+    """Sweep an engine or an axis in flight, or take a flight's log, and fit a model with a delay."""
 
 
 def _sweep_options(command: Any) -> Any:
@@ -101,6 +104,145 @@ def _axis_command(axis: str) -> None:
 
 for _axis in AXES:
     _axis_command(_axis)
+
+
+@identify.command("log", epilog=example("hexjet identify log flight.ulg --axis roll --out roll-model"))
+@click.argument("log", metavar="FILE|RUN", type=click.Path(path_type=Path))
+@click.option("--axis", type=click.Choice(AXES), help="Identify torque command to measured rate of an axis.")
+@click.option("--engine", "number", type=click.IntRange(min=1), metavar="N", help="Identify engine N instead.")
+@click.option("--command", "command_text", metavar="SUM", help="The channels instead, such as 'm1 + m2 - 0.5*m3'.")
+@click.option("--output", "output_text", metavar="SUM", help="The same; deg(NAME) is one in degrees.")
+@click.option("--setpoint", "setpoint_text", metavar="SUM", help="What was asked of the output: to test for bias.")
+@click.option("--time", "time_column", metavar="NAME", help="A table's column of time.  [default: time_s, time or t]")
+@click.option("--time-unit", default="s", show_default=True, help="Of that column: s, ms, us or ns.")
+@click.option("--from", "begin", type=Number(), metavar="S", help="Use the log from here on, in its own time.")
+@click.option("--to", "end", type=Number(), metavar="S", help="And to here.")
+@click.option(
+    "--longest-delay", type=Number(min=0.0, min_open=True, max=5.0), default=0.4, show_default=True, metavar="S"
+)
+@click.option("--working-step", type=Number(min=0.0, min_open=True), metavar="S", help="Samples are averaged to it.")
+@click.option("--lags", type=click.IntRange(0, 3), help="Beside the pole.  [default: the better of two]")
+@click.option("holds", "--hold", metavar="NAME=VALUE", multiple=True, help="Keep a parameter: lag_s=0.009.")
+@click.option(
+    "--step", type=Number(min=0.0, min_open=True), default=0.004, show_default=True, help="Control step of the model."
+)
+@click.option(
+    "--filed-under",
+    "family",
+    metavar="NAME",
+    help="The engine of an axis' model file.  [default: the run's, or edf-as-flown]",
+)
+@click.option("--channels", is_flag=True, help="List what the log holds, and do nothing else.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+def identify_from_log(log: Path, channels: bool, out: Path | None, as_json: bool, **choices: Any) -> int:
+    """Identify an axis or an engine from a flight's log, whoever flew it: lag, gain and delay with its bounds.
+
+    Reads runs, ULog, ArduPilot DataFlash, Betaflight blackbox, Crazyflie, CSV and Parquet.  Leaves a page,
+    identification.json and, of an axis, a model file for hexjet fly and design --model.  Status 2: the log does not
+    tell.
+    """
+    from cosim.base.threads import one_thread
+
+    one_thread()
+    from cosim.results.logs import read_flight_log
+
+    read = read_flight_log(log, choices.pop("time_column"), choices.pop("time_unit"))
+    if channels:
+        print_channels(read)
+        return DONE
+    return _identify_log(read, out, as_json, **choices)
+
+
+def _identify_log(
+    log: FlightLog,
+    out: Path | None,
+    as_json: bool,
+    *,
+    axis: str | None,
+    number: int | None,
+    command_text: str | None,
+    output_text: str | None,
+    setpoint_text: str | None,
+    begin: float | None,
+    end: float | None,
+    longest_delay: float,
+    working_step: float | None,
+    lags: int | None,
+    holds: tuple[str, ...],
+    step: float,
+    family: str | None,
+) -> int:
+    from cosim.base.toml import parse_numbers
+    from cosim.design.logged.identify_log import identify_log
+    from cosim.design.logged.result import write
+    from cosim.flight import new_folder
+    from cosim.results.logs import Wanted, wanted
+
+    if (axis is None) == (number is None):
+        raise InputError("identify log: say --axis roll, pitch or yaw, or --engine N")
+    if axis is not None and lags == 0:
+        raise InputError("--lags 0: an axis has one at least")
+    what = axis or f"engine:{number}"
+    if command_text and output_text:
+        chosen = Wanted(command_text, output_text, setpoint_text or "", "command", "rad/s" if axis else "output")
+    elif command_text or output_text:
+        raise InputError("--command and --output: both or none")
+    else:
+        chosen = wanted(log, what)
+        chosen = chosen._replace(setpoint=setpoint_text or chosen.setpoint)
+    found = identify_log(
+        log,
+        what,
+        chosen,
+        longest_delay=longest_delay,
+        step=working_step,
+        begin=begin,
+        end=end,
+        hold=parse_numbers(holds, "--hold"),
+        lags=lags,
+    )
+    folder = out if out is not None else new_folder(Path("runs"), f"identify-log-{what.replace(':', '-')}")
+    paths = write(found, folder, step, family or log.engine or "edf-as-flown")
+    if as_json:
+        click.echo(json.dumps(found.to_dict(step), allow_nan=False))
+    else:
+        print_from_log(found, paths)
+    return DONE
+
+
+def print_channels(log: FlightLog) -> None:
+    """What a log holds: its remarks, and each channel with its rate and span."""
+    click.echo(f"{log.path}: {log.kind}")
+    for remark in log.remarks:
+        click.echo(f"note: {remark}")
+    for name, channel in log.channels.items():
+        seconds = float(channel.times[-1] - channel.times[0]) if len(channel.times) else 0.0
+        rate = (len(channel.times) - 1) / seconds if seconds > 0.0 else 0.0
+        click.echo(f"{name}  {len(channel.times)} values, {seconds:.1f} s, {rate:.4g} Hz  {channel.unit}".rstrip())
+
+
+def print_from_log(found: LogIdentification, paths: dict[str, Path]) -> None:
+    """The forms side by side, what is to be said of them, and where the files are."""
+    from rich import box
+    from rich.table import Table
+
+    from cosim.design.logged.result import rows, summary
+
+    console = terminal()
+    console.print(summary(found), highlight=False, markup=False)
+    table = Table(box=box.SIMPLE_HEAD)
+    table.add_column("with 95 % bounds")
+    for each in found.estimates:
+        table.add_column(each.form.label, justify="right")
+    for row in rows(found):
+        table.add_row(*row)
+    console.print(table)
+    for note in found.notes:
+        console.print(f"note: {note}", highlight=False, markup=False)
+    for name in ("model", "report"):
+        if name in paths:
+            console.print(f"{name}: {paths[name]}", highlight=False, soft_wrap=True)
 
 
 def print_identification(identification: Identification, paths: dict[str, Path]) -> None:

@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.results.arrow import read_numbers
 from cosim.results.columns import COLUMNS
+from cosim.results.logs.table import numbers_with_time
 from cosim.results.metrics import wrap
 from cosim.results.recorder import Log, MemoryLog
 from cosim.results.run import Run
 from cosim.results.tables import TIME
 from cosim.spec.scenario import Scenario
 
-TIMES = (TIME, "time", "t")  # what the time [s] may be called in a log of another tool
 _EULER = "body to NED"  # the frame of angles, whose difference is taken the short way round
 _SLACK = 1e-6  # of a step: times that are nearer are the same, k * dt being rounded
 
@@ -76,13 +75,10 @@ class Base(NamedTuple):
 def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
     """A CSV or Parquet log of another tool, and what is to be said of it.
 
-    Its columns are ours where they are called as ours; the time [s] is called as one of :data:`TIMES` and grows from
-    row to row.  Columns without numbers are left out.  Raises InputError.
+    Its columns are ours where they are called as ours; its time [s] is called and grows as
+    :mod:`cosim.results.logs.table` has it.  Columns without numbers are left out.  Raises InputError.
     """
-    columns, left_out = read_numbers(path)
-    time = next((name for name in TIMES if name in columns), None)
-    if time is None:
-        raise InputError(f"{path}: no column of time; allowed: {', '.join(TIMES)}, in seconds")
+    columns, time, left_out = numbers_with_time(path)
     times = columns.pop(time)
     if times.size < 2:
         raise InputError(f"{path}: {times.size} rows; at least two are needed")

@@ -28,6 +28,7 @@ HOMES = {
     "distributed": ["campaign/workers/cluster.py"],
     "gymnasium": ["gym.py"],
     "pandas": ["results/tables.py"],
+    "pyulog": ["results/logs/ulog.py"],
     "mcap": ["results/export/mcap_file.py"],
     "mcap_protobuf": ["results/export/mcap_file.py", "results/export/scene.py"],
     "foxglove_schemas_protobuf": ["results/export/mcap_file.py", "results/export/scene.py"],
@@ -209,7 +210,7 @@ def test_the_protocols_know_the_records_and_nothing_above() -> None:
 
 
 def test_the_product_imports_no_test_tools() -> None:
-    assert not importers("hypothesis", "pytest", "psutil", "pyulog", "matplotlib", "playwright")
+    assert not importers("hypothesis", "pytest", "psutil", "matplotlib", "playwright")
 
 
 def test_python_control_is_the_second_opinion_of_tests() -> None:

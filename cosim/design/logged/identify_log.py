@@ -1,0 +1,417 @@
+"""From a flight's log to a model with a delay: what was found, how sure it is, and what the flight lacked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.design.identify.fit import Model
+from cosim.design.logged.pem import Estimate, Form, Problem, identify
+from cosim.design.logged.stretches import Prepared, halves, prepare
+from cosim.results.logs import Channel, FlightLog, Wanted
+from cosim.spec.vehicle import RateModel
+
+LONGEST_DELAY_S = 0.4  # looked for; four times that of the Hex-Jet's engines
+LEAST_GAIN = 4.0  # standard deviations: a gain that is nearer to zero is refused
+DOUBT = 1e-3  # p-value below which a test is said to have failed
+TEST_LAGS = 12  # of the set-point and of the command, that the residuals are tested against
+TEST_S = 0.6  # over which they are spread
+APART = 3.29  # standard deviations by which two halves may differ: p = 0.001
+UNBOUNDED = 0.6  # of the longest delay: a wider interval says nothing
+TARGET = 0.5  # of a sample: half the width of the delay's interval that is asked of a flight
+NARROW = 0.5  # of the greatest information per command: the band that is recommended
+
+
+class Check(NamedTuple):
+    """A test of the residuals: its p-value, and the share of their power that contradicts."""
+
+    name: str
+    p: float
+    share: float
+
+    @property
+    def failed(self) -> bool:
+        """Whether the residuals contradict, by more than chance."""
+        return self.p < DOUBT
+
+
+@dataclass(frozen=True)
+class LogIdentification:
+    """What a log gave; ``estimates`` has the chosen form first."""
+
+    path: Path
+    kind: str
+    what: str
+    wanted: Wanted
+    prepared: Prepared
+    problem: Problem
+    estimates: tuple[Estimate, ...]
+    clock: str  # which times were taken: stamps, or an even clock
+    checks: tuple[Check, ...]
+    coherence: tuple[Array, Array]  # Hz, and of command with output
+    band_hz: tuple[float, float]  # in which a command tells most of the delay, in this noise
+    notes: tuple[str, ...]
+
+    @property
+    def chosen(self) -> Estimate:
+        """The estimate that goes into the model file."""
+        return self.estimates[0]
+
+    @property
+    def delay_bounds(self) -> tuple[float, float]:
+        """95 % bounds of the delay [s], with a lag more allowed for than the chosen form has, where that was tried."""
+        return hull(self.estimates)
+
+    @property
+    def engine(self) -> bool:
+        """Whether it is an engine, and not an axis."""
+        return self.chosen.form.engine
+
+    def model(self, step: float) -> Model:
+        """As a model behind a hold of this step."""
+        x = self.chosen.x
+        gain = self.chosen.gain * (float(x[0]) if self.engine else 1.0)
+        return Model(gain, float(x[0]), tuple(float(lag) for lag in x[1:-1]), float(x[-1]) / step, step)
+
+    def rate_model(self, step: float) -> RateModel:
+        """As a predictor reads it."""
+        low, high = self.delay_bounds
+        return self.model(step).discrete(
+            f"identified from {self.path.name} ({self.kind}): {self.wanted.command} to {self.wanted.output}, "
+            f"{self.prepared.seconds:.1f} s, {self.chosen.form.label}, delay {1e3 * low:.1f} to {1e3 * high:.1f} ms"
+        )
+
+    def to_dict(self, step: float) -> dict[str, Any]:
+        """All of it but the signals, for JSON."""
+        return {
+            "log": str(self.path),
+            "kind": self.kind,
+            "what": self.what,
+            "engine": self.engine,
+            **self.wanted._asdict(),
+            "seconds": self.prepared.seconds,
+            "stretches_s": [[s.start, s.start + s.seconds] for s in self.prepared.by_stamps],
+            "working_step_s": self.prepared.working_step,
+            "longest_delay_s": self.prepared.longest_delay,
+            "clock": self.clock,
+            "clocks": {"command": _clock(self.prepared.command), "output": _clock(self.prepared.output)},
+            "delay_s": self.chosen.delay,
+            "delay_bounds_95_s": list(self.delay_bounds),
+            "estimates": [estimate_dict(each, self.prepared.working_step) for each in self.estimates],
+            "checks": [check._asdict() | {"failed": check.failed} for check in self.checks],
+            "tells_most_hz": list(self.band_hz),
+            "discrete": self.rate_model(step).model_dump(),
+            "notes": list(self.notes),
+        }
+
+
+def estimate_dict(estimate: Estimate, sample: float) -> dict[str, Any]:
+    """One form: parameters, standard deviations, bounds and criteria."""
+    value, deviation = estimate.all_delay
+    low, high = estimate.delay_bounds
+    bounded = bool(np.isfinite(low))
+    return {
+        "form": estimate.form.label,
+        "gain": estimate.gain,
+        **{name: float(each) for name, each in zip(estimate.form.names, estimate.x, strict=True)},
+        "delay_bounds_95_s": [low, high] if bounded else None,
+        "delay_samples": estimate.delay / sample,
+        "standard_deviations": {
+            "gain": estimate.gain_deviation,
+            **{name: estimate.deviation(i) for i, name in enumerate(estimate.form.names)},
+        },
+        "all_delay_s": value,
+        "all_delay_deviation_s": deviation,
+        "noise_order": estimate.order,
+        "held": list(estimate.held),
+        "equations": estimate.count,
+        "residual_rms": float(np.sqrt(estimate.loss / estimate.count)),
+        "aic": estimate.aic,
+        "bic": estimate.bic,
+    }
+
+
+def identify_log(
+    log: FlightLog,
+    what: str,
+    wanted: Wanted,
+    *,
+    longest_delay: float = LONGEST_DELAY_S,
+    step: float | None = None,
+    begin: float | None = None,
+    end: float | None = None,
+    hold: Mapping[str, float] | None = None,
+    lags: int | None = None,
+) -> LogIdentification:
+    """Identify command to output of a log; ``what`` is an axis or begins with ``engine``.
+
+    ``lags`` is the number of lags beside the pole (an axis: 1 or more); the better of two forms by Schwarz' criterion
+    where it is None.  Raises InputError where the log does not tell, which says why.
+    """
+    command, output = log.signal(wanted.command), log.signal(wanted.output)
+    prepared = prepare(command, output, longest_delay, step, begin, end)
+    engine = what.startswith("engine")
+    problem, estimates, clock = _estimated(prepared, engine, dict(hold or {}), lags)
+    chosen = estimates[0]
+    where = f"{log.path}: {wanted.command} to {wanted.output}"
+    _refuse(estimates, prepared, where)
+    notes = [*log.remarks, *prepared.notes, *_doubts(chosen, problem)]
+    checks = _checks(problem, chosen, log.signal(wanted.setpoint) if wanted.setpoint else None)
+    notes += _failed(checks)
+    band = _band(chosen, problem.working_step)
+    notes += _advice(chosen, hull(estimates), prepared, band)
+    return LogIdentification(
+        log.path,
+        log.kind,
+        what,
+        wanted,
+        prepared,
+        problem,
+        tuple(estimates),
+        clock,
+        tuple(checks),
+        _coherence(problem),
+        band,
+        tuple(notes),
+    )
+
+
+# ---- estimating
+
+
+def _estimated(
+    prepared: Prepared, engine: bool, hold: dict[str, float], lags: int | None
+) -> tuple[Problem, list[Estimate], str]:
+    """By the stamps, and by an even clock where there is one: whichever leaves less."""
+    problem = Problem(prepared.by_stamps, prepared.working_step, prepared.longest_delay)
+    clock = "stamps"
+    if prepared.by_clock:
+        other = Problem(prepared.by_clock, prepared.working_step, prepared.longest_delay)
+        form = Form(engine, (0 if engine else 1) if lags is None else lags)
+        if other.fit(form, hold).deviance < problem.fit(form, hold).deviance:
+            problem, clock = other, "even clock"
+    if lags is not None:
+        return problem, [problem.bounded(problem.fit(Form(engine, lags), hold))], clock
+    return problem, identify(problem, engine, hold), clock
+
+
+def hull(estimates: Sequence[Estimate]) -> tuple[float, float]:
+    """Bounds of the delay by the chosen form, which is first, and by those that are richer: they hold it."""
+    chosen = estimates[0]
+    ends = [each.delay_bounds for each in estimates if each is chosen or each.form.lags > chosen.form.lags]
+    known = [(low, high) for low, high in ends if np.isfinite(low)]
+    return min(low for low, _ in known), max(high for _, high in known)
+
+
+def _refuse(estimates: Sequence[Estimate], prepared: Prepared, where: str) -> None:
+    chosen = estimates[0]
+    sure = abs(chosen.gain) / max(chosen.gain_deviation, 1e-300)
+    if not sure >= LEAST_GAIN:
+        raise InputError(
+            f"{where}: the output does not show the command (gain {chosen.gain:.3g}, {sure:.1f} standard deviations "
+            f"from none, {LEAST_GAIN:g} are needed); fly doublets or a sweep on it, or look at other channels"
+        )
+    if "delay_s" in chosen.held:
+        return
+    if chosen.delay > prepared.longest_delay - prepared.working_step:
+        raise InputError(
+            f"{where}: the delay is at the end of the search, {prepared.longest_delay:g} s; "
+            "try a longer --longest-delay, or the channels belong to different clocks"
+        )
+    low, high = hull(estimates)
+    if not high - low < UNBOUNDED * prepared.longest_delay:
+        raise InputError(
+            f"{where}: this log does not tell the delay: anything from {1e3 * low:.0f} to {1e3 * high:.0f} ms fits; "
+            "fly doublets or a sweep, or state what is known: --hold lag_s=..., --lags 1"
+        )
+
+
+def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
+    said = []
+    if chosen.gain < 0.0:
+        said.append("the gain is negative: the output moves against the command")
+    parts = halves(problem.stretches)
+    if parts is not None and "delay_s" not in chosen.held:
+        try:
+            ends = [
+                Problem(part, problem.working_step, problem.longest_delay).solve(
+                    chosen.form, chosen.x.copy(), chosen.ar.copy(), _fixed(chosen), chosen.order
+                )
+                for part in parts
+            ]
+        except (np.linalg.LinAlgError, ValueError):
+            return said
+        for name, values in (
+            ("the gain", [(each.gain, each.gain_deviation) for each in ends]),
+            ("the sum of delay and lags", [each.all_delay for each in ends]),
+        ):
+            (a, sa), (b, sb) = values
+            if abs(a - b) > APART * np.hypot(sa, sb) > 0.0:
+                said.append(
+                    f"{name} is not the same in the first half ({a:.4g}) and the second ({b:.4g}): "
+                    "what flew changed, and the bounds are too narrow"
+                )
+    return said
+
+
+def _fixed(estimate: Estimate) -> list[int]:
+    return [estimate.form.names.index(name) for name in estimate.held]
+
+
+# ---- tests of what is left
+
+
+def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None) -> list[Check]:
+    from scipy.stats import chi2
+
+    white, use = problem.residuals(estimate)
+    rows = np.flatnonzero(use)
+    lags = 20
+    value = np.where(use, white, 0.0)
+    power = float(value @ value)
+    count, total = len(rows), 0.0
+    for lag in range(estimate.order + 1, estimate.order + 1 + lags):
+        together = use[lag:] & use[:-lag]
+        if together.any():
+            r = float(value[lag:] @ value[:-lag]) / power
+            total += r * r * count * count / max(int(together.sum()), 1)
+    found = [Check("residuals: white", float(chi2.sf(total, lags)), total / count)]
+    spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
+    command = _on_blocks(problem, None)
+    found.append(_against("residuals: free of the command", white, use, command, spread))
+    if setpoint is not None:
+        found.append(_against("residuals: free of the set-point", white, use, _on_blocks(problem, setpoint), spread))
+    return found
+
+
+def _on_blocks(problem: Problem, channel: Channel | None) -> Array:
+    """The command, or a channel, at the working samples, 0 between stretches."""
+    parts = []
+    for stretch in problem.stretches:
+        first = stretch.averaged(stretch.times)
+        at = np.where(stretch.present, first, np.arange(stretch.blocks) * problem.working_step + first[0])
+        if channel is None:
+            cell = np.clip((at / stretch.step).astype(np.int64), 0, len(stretch.command) - 1)
+            values = stretch.command[cell]
+        else:
+            good = np.isfinite(channel.values) & np.isfinite(channel.times)
+            times, held = channel.times[good], channel.values[good]
+            row = np.clip(np.searchsorted(times, stretch.start + at, side="right") - 1, 0, None)
+            values = held[row] if held.size else np.zeros(len(at))
+        parts += [values - values.mean(), np.zeros(problem.gap)]
+    return np.concatenate(parts)
+
+
+def _against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spread: int) -> Check:
+    """Regress the residuals on what a signal was: the F test of nothing."""
+    from scipy.special import fdtrc
+
+    late = [np.concatenate([np.zeros(n * spread), signal[: len(signal) - n * spread]]) for n in range(TEST_LAGS)]
+    use = use.copy()
+    use[: TEST_LAGS * spread] = False
+    matrix = np.stack([*late, np.ones(len(signal))], axis=1)[use]
+    residual = white[use]
+    size = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
+    size[size == 0.0] = 1.0
+    solution, _, rank, _ = np.linalg.lstsq(matrix / size, residual, rcond=1e-8)
+    power = float(residual @ residual)
+    left = residual - matrix @ (solution / size)
+    explained = max(power - float(left @ left), 0.0)
+    freedom = len(residual) - int(rank)
+    if not power > 0.0 or freedom < 10 or rank < 1:
+        return Check(name, 1.0, 0.0)
+    ratio = (explained / int(rank)) / ((power - explained) / freedom)
+    return Check(name, float(fdtrc(int(rank), freedom, ratio)), explained / power)
+
+
+def _failed(checks: Sequence[Check]) -> list[str]:
+    words = {
+        "residuals: white": "what the model leaves over is not white: the bounds are too narrow",
+        "residuals: free of the command": (
+            "what the model leaves over still follows the command: the form does not fit the vehicle, and the "
+            "bounds do not cover that"
+        ),
+        "residuals: free of the set-point": (
+            "what the model leaves over still follows the set-point, which contains no noise: in the closed loop the "
+            "estimate is biased"
+        ),
+    }
+    return [
+        f"{words[check.name]} (p {check.p:.1g}, {100.0 * check.share:.2g} % of the residuals' power)"
+        for check in checks
+        if check.failed
+    ]
+
+
+# ---- what the flight lacked
+
+
+def _response(estimate: Estimate, hertz: Array) -> NDArray[np.complex128]:
+    s = 2j * np.pi * hertz
+    x = estimate.x
+    value = estimate.gain * (float(x[0]) if estimate.form.engine else 1.0) / (s + float(x[0]))
+    for lag in x[1:-1]:
+        value = value / (float(lag) * s + 1.0)
+    return np.asarray(value * np.exp(-s * float(x[-1])))
+
+
+def information(estimate: Estimate, hertz: Array, step: float) -> Array:
+    """What a command of unit power at each frequency tells of the delay: |w G A|^2 over the power of e."""
+    z = np.exp(-2j * np.pi * hertz * step)
+    whitening = np.polyval(np.concatenate([[1.0], estimate.ar])[::-1], z)
+    slope = 2.0 * np.pi * hertz * np.abs(_response(estimate, hertz) * whitening)
+    return np.asarray(slope**2 * estimate.count / estimate.loss)
+
+
+def _band(estimate: Estimate, step: float) -> tuple[float, float]:
+    hertz = np.geomspace(0.02, 0.45 / step, 400)
+    told = information(estimate, hertz, step)
+    peak = int(np.argmax(told))
+    low = high = peak
+    while low > 0 and told[low - 1] >= NARROW * told[peak]:
+        low -= 1
+    while high < len(told) - 1 and told[high + 1] >= NARROW * told[peak]:
+        high += 1
+    return float(hertz[low]), float(hertz[high])
+
+
+def _advice(
+    estimate: Estimate, bounds: tuple[float, float], prepared: Prepared, band: tuple[float, float]
+) -> list[str]:
+    low, high = bounds
+    target = TARGET * prepared.working_step
+    if "delay_s" in estimate.held or high - low <= 2.0 * target:
+        return []
+    more = 0.5 * (high - low) / target
+    return [
+        f"to know the delay within {1e3 * target:.2g} ms fly {more:.2g} times the command, or {more * more:.2g} times "
+        f"as long: doublets or a sweep; a command of {band[0]:.2g} to {band[1]:.2g} Hz tells most of it in this noise"
+    ]
+
+
+def _coherence(problem: Problem) -> tuple[Array, Array]:
+    """Of command with output, by Welch's method, the stretches one after the other, lost samples bridged."""
+    from scipy.signal import coherence
+
+    command = _on_blocks(problem, None)
+    rows = np.flatnonzero(problem.present)
+    output = np.interp(np.arange(len(problem.output)), rows, problem.output[rows])
+    whole = np.concatenate([command, output])
+    if not np.all(np.isfinite(whole)):
+        return np.empty(0), np.empty(0)
+    per = min(len(output), max(64, round(4.0 / problem.working_step)))
+    hertz, value = coherence(
+        np.diff(command), np.diff(output), 1.0 / problem.working_step, nperseg=per, detrend="constant"
+    )
+    return np.asarray(hertz[1:]), np.asarray(value[1:])
+
+
+def _clock(clock: Any) -> dict[str, float | None]:
+    return {name: (value if np.isfinite(value) else None) for name, value in clock._asdict().items()}

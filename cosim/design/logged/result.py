@@ -1,0 +1,204 @@
+"""What an identification from a log leaves in a folder, and what is said of it in a terminal."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.errors import FlightError
+from cosim.design.logged.identify_log import LogIdentification
+from cosim.design.logged.pem import Estimate
+from cosim.results.report.flight_figures import BLUE, GREEN, GREY, MAGENTA, ORANGE
+from cosim.results.report.page import render
+
+TEMPLATE = Path(__file__).parent / "templates" / "logged.html"
+_MOST = 4000  # points a curve
+
+
+def write(found: LogIdentification, folder: Path, step: float, family: str) -> dict[str, Path]:
+    """Write ``identification.json``, ``report.html`` and, of an axis, ``model.toml`` for a control step of ``step``.
+
+    ``family`` is the engine under which an axis' model is filed.  Raises FlightError if a file cannot be written.
+    """
+    import tomli_w
+
+    paths = {"json": folder / "identification.json"}
+    texts = {"json": json.dumps(found.to_dict(step), indent=2, allow_nan=False) + "\n"}
+    if not found.engine:
+        paths["model"] = folder / "model.toml"
+        table = {"identified": {family: {found.what: found.rate_model(step).model_dump()}}}
+        texts["model"] = tomli_w.dumps(table)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, path in paths.items():
+            path.write_text(texts[name], encoding="utf-8")
+    except OSError as error:
+        raise FlightError(f"{folder}: {error.strerror or error}") from error
+    paths["report"] = folder / "report.html"
+    render(
+        TEMPLATE,
+        paths["report"],
+        {"signals": _signals(found), "tells": _tells(found)},
+        found=found,
+        columns=[each.form.label for each in found.estimates],
+        rows=rows(found),
+        summary=summary(found),
+    )
+    return paths
+
+
+def summary(found: LogIdentification) -> str:
+    """The log and what of it was used, in a line."""
+    output, prepared = found.prepared.output, found.prepared
+    clock = f"{1.0 / output.step:.4g} Hz"
+    if np.isfinite(output.jitter) and output.jitter > 0.005:
+        clock += f", jitter {100.0 * output.jitter:.0f} % of a sample"
+    if output.lost > 0.0:
+        clock += f", {100.0 * output.lost:.2g} % lost"
+    return (
+        f"{found.path.name} ({found.kind}): {found.wanted.command} to {found.wanted.output}; {prepared.seconds:.1f} s "
+        f"used, output at {clock}; working step {1e3 * prepared.working_step:.3g} ms, times by {found.clock}"
+    )
+
+
+def rows(found: LogIdentification) -> list[list[str]]:
+    """The forms side by side, one row a quantity, each with its 95 % bounds."""
+    made: list[list[str]] = []
+    unit = f"{found.wanted.output_unit} per {found.wanted.command_unit}"
+    gain = (
+        f"gain at rest, {unit}"
+        if found.engine
+        else f"gain, {found.wanted.output_unit}/s per {found.wanted.command_unit}"
+    )
+    made.append([gain, *(_about(each.gain, each.gain_deviation) for each in found.estimates)])
+    names = sorted({name for each in found.estimates for name in each.form.names if name != "delay_s"}, key=_place)
+    for name in names:
+        cells = []
+        for each in found.estimates:
+            if name not in each.form.names:
+                cells.append("")
+                continue
+            i = each.form.names.index(name)
+            value, deviation = float(each.x[i]), each.deviation(i)
+            if name == "rate_1_s" and found.engine:
+                cells.append(_held(each, name, _about(1e3 / value, 1e3 * deviation / value**2)))
+            elif name == "rate_1_s":
+                cells.append(_held(each, name, _about(value, deviation) if deviation > 0.0 else "0 (at its limit)"))
+            else:
+                cells.append(_held(each, name, _about(1e3 * value, 1e3 * deviation)))
+        titles = {"rate_1_s": "time constant, ms" if found.engine else "slow pole, 1/s", "lag_s": "lag, ms"}
+        if found.engine:
+            titles["lag_s"] = "second lag, ms"
+        made.append([titles.get(name, "further lag, ms"), *cells])
+    made.append(["delay, ms", *(_delay(each) for each in found.estimates)])
+    low, high = found.delay_bounds
+    if len(found.estimates) > 1:
+        allowing = f"{1e3 * low:.4g} to {1e3 * high:.4g}"
+        made.append(["its bounds, another lag allowed for, ms", allowing, *[""] * (len(found.estimates) - 1)])
+    made.append(
+        ["delay and lags together, ms", *(_about(1e3 * v, 1e3 * s) for v, s in (e.all_delay for e in found.estimates))]
+    )
+    best = min(each.bic for each in found.estimates)
+    made.append(["Schwarz' criterion, above the best", *(f"{each.bic - best:.1f}" for each in found.estimates)])
+    made.append(["order of the noise", *(f"{each.order}" for each in found.estimates)])
+    return made
+
+
+def _place(name: str) -> int:
+    return ["rate_1_s", "lag_s", "lag_2_s", "lag_3_s"].index(name)
+
+
+def _held(estimate: Estimate, name: str, text: str) -> str:
+    return f"{text.split(' ±')[0]} held" if name in estimate.held else text
+
+
+def _about(value: float, deviation: float) -> str:
+    half = 1.96 * deviation
+    return f"{value:.4g} ±{float(f'{half:.2g}'):g}"
+
+
+def _delay(estimate: Estimate) -> str:
+    if "delay_s" in estimate.held:
+        return f"{1e3 * estimate.delay:.4g} held"
+    low, high = estimate.delay_bounds
+    if not np.isfinite(low):
+        return f"{1e3 * estimate.delay:.4g}"
+    return f"{1e3 * estimate.delay:.4g} ({1e3 * low:.4g} to {1e3 * high:.4g})"
+
+
+# ---- figures
+
+
+def _line(name: str, colour: str, x: Any, y: Any, axis: int, mode: str = "lines") -> dict[str, Any]:
+    return {
+        "type": "scatter",
+        "mode": mode,
+        "name": name,
+        "line": {"color": colour, "width": 1.3},
+        "marker": {"size": 3, "color": colour},
+        "x": np.asarray(x, np.float64),
+        "y": np.asarray(y, np.float64),
+        "yaxis": "y" if axis == 0 else f"y{axis + 1}",
+    }
+
+
+def _signals(found: LogIdentification) -> dict[str, Any]:
+    """Command, measured output and what the model makes of the command, over time; and the residuals."""
+    problem, estimate = found.problem, found.chosen
+    whole, _ = problem.simulated(estimate)
+    white, use = problem.residuals(estimate)
+    data: list[dict[str, Any]] = []
+    row = 0
+    for n, stretch in enumerate(problem.stretches):
+        rows_ = slice(row, row + stretch.blocks)
+        keep = np.flatnonzero(stretch.present)[:: max(1, stretch.blocks // _MOST)]
+        times = stretch.start + stretch.averaged(stretch.times)[keep]
+        cells = np.arange(len(stretch.command))[:: max(1, len(stretch.command) // _MOST)]
+        measured, model = problem.output[rows_][keep], whole[rows_][keep]
+        left = np.where(use[rows_], white[rows_], np.nan)[keep]
+        traces = [
+            _line("command", GREY, stretch.start + cells * stretch.step, stretch.command[cells], 0),
+            _line("measured", ORANGE, times, measured, 1),
+            _line("model, of the command alone", BLUE, times, model, 1),
+            _line("residuals, made white", MAGENTA, times, left, 2, "markers"),
+        ]
+        for trace in traces:
+            trace["legendgroup"], trace["showlegend"] = trace["name"], n == 0
+        data += traces
+        row += stretch.blocks + problem.gap
+    titles = (found.wanted.command_unit, found.wanted.output_unit, found.wanted.output_unit)
+    return {"data": data, "layout": _layout(titles, ((0.72, 1.0), (0.3, 0.68), (0.0, 0.24)), "time [s]", "linear")}
+
+
+def _tells(found: LogIdentification) -> dict[str, Any]:
+    """Coherence, and what a command of each frequency would tell of the delay."""
+    from cosim.design.logged.identify_log import information
+
+    hertz, value = found.coherence
+    grid = np.geomspace(0.05, 0.45 / found.problem.working_step, 300)
+    told = information(found.chosen, grid, found.problem.working_step)
+    data = [
+        _line("coherence of command and output", GREEN, hertz, value, 0),
+        _line("what a command tells of the delay, over its most", BLUE, grid, told / told.max(), 1),
+    ]
+    return {"data": data, "layout": _layout(("1", "1"), ((0.55, 1.0), (0.0, 0.45)), "frequency [Hz]", "log")}
+
+
+def _layout(titles: Any, domains: Any, across: str, kind: str) -> dict[str, Any]:
+    layout: dict[str, Any] = {
+        "height": 220 * len(domains),
+        "margin": {"l": 64, "r": 12, "t": 40, "b": 44},
+        "hovermode": "x unified",
+        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
+        "xaxis": {"type": kind, "title": {"text": across}, "anchor": "y" if len(domains) == 1 else f"y{len(domains)}"},
+    }
+    for number, (domain, title) in enumerate(zip(domains, titles, strict=True)):
+        layout["yaxis" if number == 0 else f"yaxis{number + 1}"] = {
+            "domain": list(domain),
+            "anchor": "x",
+            "title": {"text": title},
+        }
+    return layout

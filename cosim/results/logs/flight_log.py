@@ -1,0 +1,92 @@
+"""What every log comes to: channels with times of their own, and sums of channels under one name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError, nearest
+
+_TERM = re.compile(r"\s*([+-])?\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?([A-Za-z_][^\s+*]*)")
+DEGREE = np.pi / 180.0
+
+
+class Channel(NamedTuple):
+    """One quantity of a log: ``values[i]`` at ``times[i]`` [s]."""
+
+    times: Array
+    values: Array
+    unit: str = ""
+
+
+class Wanted(NamedTuple):
+    """What to look at in a log: sums of channels, as :meth:`FlightLog.signal` takes them."""
+
+    command: str
+    output: str
+    setpoint: str = ""
+    command_unit: str = "1"
+    output_unit: str = "rad/s"
+
+
+@dataclass(frozen=True)
+class FlightLog:
+    """A log: ``kind`` is what wrote it, ``remarks`` what is to be said of the file, ``events`` what it says itself."""
+
+    path: Path
+    kind: str
+    channels: Mapping[str, Channel]
+    remarks: tuple[str, ...] = ()
+    events: Sequence[tuple[float, str]] = field(default=())
+    engine: str = ""  # what flew, where the log says so
+
+    def signal(self, text: str) -> Channel:
+        """A channel, or a sum such as ``m1 + m2 - 0.5*m3``; ``deg(NAME)`` is one in degrees, brought to radians.
+
+        The terms must have the same times.  Raises InputError for a name that the log has not.
+        """
+        total: Array | None = None
+        times: Array | None = None
+        unit = ""
+        for factor, name in terms(text):
+            inner = name[4:-1] if name.startswith("deg(") and name.endswith(")") else name
+            if inner not in self.channels:
+                raise InputError(f"{self.path}: no channel {inner!r}; {nearest(inner, self.channels)}"[:600])
+            channel = self.channels[inner]
+            scale = factor * (DEGREE if inner != name else 1.0)
+            if times is None or total is None:
+                times, total, unit = channel.times, scale * channel.values, channel.unit
+            elif len(times) == len(channel.times) and bool(np.array_equal(times, channel.times)):
+                total = total + scale * channel.values
+            else:
+                raise InputError(f"{self.path}: {text!r}: its channels do not have the same times")
+        assert times is not None
+        assert total is not None
+        return Channel(times, total, unit)
+
+    def has(self, text: str) -> bool:
+        """Whether the log has all channels of a sum."""
+        return bool(text) and all(
+            (name[4:-1] if name.startswith("deg(") else name) in self.channels for _, name in terms(text)
+        )
+
+
+def terms(text: str) -> list[tuple[float, str]]:
+    """The factors and names of a sum.  Raises InputError for what is none."""
+    found, at = [], 0
+    while at < len(text.rstrip()):
+        match = _TERM.match(text, at)
+        if match is None or (at > 0 and match.group(1) is None):
+            raise InputError(f"{text!r}: is no sum of channels, such as m1 + m2 - 0.5*m3 (blanks around + and -)")
+        sign, factor, name = match.groups()
+        found.append(((-1.0 if sign == "-" else 1.0) * (float(factor) if factor else 1.0), name))
+        at = match.end()
+    if not found:
+        raise InputError("a channel, or a sum of channels, is needed")
+    return found

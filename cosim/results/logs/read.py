@@ -1,0 +1,97 @@
+"""Which reader a file is for, and what of each kind of log an axis or an engine is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES
+from cosim.results.columns import RATES
+from cosim.results.logs import crazyflie, dataflash, table, ulog
+from cosim.results.logs.flight_log import FlightLog, Wanted
+
+KINDS = "a run's folder, .ulg (ULog), .bin (ArduPilot DataFlash), .cfusdlog (Crazyflie), .csv, .parquet"
+
+
+def read_flight_log(path: Path, time: str | None = None, time_unit: str = "s") -> FlightLog:
+    """Read a log of any kind that is known: by its first bytes, or by its name where it is a table.
+
+    ``time`` and ``time_unit`` are a table's.  Raises InputError for what is no log or cannot be read.
+    """
+    if path.is_dir():
+        return table.read_run(path)
+    try:
+        with path.open("rb") as file:
+            head = file.read(64)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    if not head:
+        raise InputError(f"{path}: the file is empty")
+    readers = ((ulog.is_one, ulog.read), (dataflash.is_one, dataflash.read), (crazyflie.is_one, crazyflie.read))
+    for is_one, read in readers:
+        if is_one(head):
+            return read(path)
+    if path.suffix.lower() in (".csv", ".parquet"):
+        return table.read_table(path, time, time_unit)
+    raise InputError(f"{path}: no log that is known; allowed: {KINDS}")
+
+
+def wanted(log: FlightLog, what: str) -> Wanted:
+    """What of this log is ``roll``, ``pitch``, ``yaw`` or ``engine:N``, as far as its kind tells.
+
+    Raises InputError where it does not.
+    """
+    axis = AXES.index(what) if what in AXES else None
+    number = what.removeprefix("engine:") if what.startswith("engine:") else ""
+    if axis is None and not number.isdigit():
+        raise InputError(f"{what!r}: allowed: {', '.join(AXES)}, engine:N")
+    choices = _axis(axis) if axis is not None else _engine(int(number))
+    for choice in choices:
+        if log.has(choice.command) and log.has(choice.output):
+            return choice if log.has(choice.setpoint) else choice._replace(setpoint="")
+    needed = " or ".join(f"{choice.command} with {choice.output}" for choice in choices)
+    raise InputError(f"{log.path}: it has no {what}; say --command and --output, or log one of: {needed}")
+
+
+def _axis(n: int) -> list[Wanted]:
+    axis, rate = AXES[n], RATES[n]
+    letter = "RPY"[n]
+    gyro = "XYZ"[n]
+    motors = ("- motor.m1 - motor.m2 + motor.m3 + motor.m4", "motor.m1 - motor.m2 - motor.m3 + motor.m4")
+    yaw = "motor.m1 - motor.m2 + motor.m3 - motor.m4"
+    pids = " + ".join(f"axis{part}[{n}]" for part in "PIDF")
+    return [
+        Wanted(
+            f"torque_{axis} + disturbance_torque_{axis} - refused_{axis}",
+            f"rate_{rate}_measured_rad_s",
+            f"rate_{rate}_setpoint_rad_s",
+            "throttle" if axis == "roll" else "rad",
+        ),
+        Wanted(
+            f"hexjet_control.torque[{n}] + hexjet_disturbance.torque[{n}] - hexjet_control.refused[{n}]",
+            f"vehicle_angular_velocity.xyz[{n}]",
+            f"vehicle_rates_setpoint.{axis}",
+            "throttle" if axis == "roll" else "rad",
+        ),
+        Wanted(
+            f"vehicle_torque_setpoint.xyz[{n}]", f"vehicle_angular_velocity.xyz[{n}]", f"vehicle_rates_setpoint.{axis}"
+        ),
+        Wanted(f"vehicle_torque_setpoint.xyz[{n}]", f"sensor_combined.gyro_rad[{n}]", f"vehicle_rates_setpoint.{axis}"),
+        Wanted(f"RATE.{letter}Out", f"deg(RATE.{letter})", f"deg(RATE.{letter}Des)"),
+        Wanted(f"RATE.{letter}Out", f"IMU[0].Gyr{gyro}", f"deg(RATE.{letter}Des)"),
+        Wanted(pids, f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
+        Wanted(pids.rsplit(" + ", 1)[0], f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
+        Wanted((*motors, yaw)[n], f"deg(gyro.{'xyz'[n]})", "", "PWM counts"),
+    ]
+
+
+def _engine(n: int) -> list[Wanted]:
+    motors = "motor.m1 + motor.m2 + motor.m3 + motor.m4"
+    return [
+        Wanted(f"throttle_{n}", f"thrust_{n}_N", "", "throttle", "N"),
+        Wanted(f"actuator_motors.control[{n - 1}]", f"hexjet_thrust.newton[{n - 1}]", "", "throttle", "N"),
+        Wanted(f"actuator_motors.control[{n - 1}]", f"esc_status.esc[{n - 1}].esc_rpm", "", "throttle", "rpm"),
+        Wanted(f"RCOU.C{n}", f"ESC[{n - 1}].RPM", "", "us", "rpm"),
+        Wanted(f"motor[{n - 1}]", f"eRPM[{n - 1}]", "", "motor counts", "eRPM/100"),
+        Wanted(motors, "acc.z", "", "PWM counts of all four", "g"),
+    ]

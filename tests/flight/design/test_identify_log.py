@@ -1,0 +1,121 @@
+"""A model out of a log: the truth where it is known, and a refusal where a log does not tell (docs/identify-logs.md)."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_tools import Hexjet
+from known_logs import Flaws, Log, Truth, closed_loops
+from scipy.special import chdtr, ndtri
+
+from cosim.base.errors import InputError
+from cosim.design.logged.identify_log import LogIdentification, identify_log
+from cosim.design.logged.pem import CHI2_95
+from cosim.design.logged.stretches import WORKING_STEP_S
+from cosim.results.logs import Channel, FlightLog, Wanted
+
+WANTED = Wanted("u", "y", "r")
+TRUTH = Truth()
+
+
+def flight_log(log: Log) -> FlightLog:
+    signals = {"u": log.command, "y": log.output, "r": log.setpoint}
+    return FlightLog(Path("known.csv"), "table", {name: Channel(log.times, each) for name, each in signals.items()})
+
+
+def found(log: FlightLog, **choices: object) -> LogIdentification:
+    return identify_log(log, "roll", WANTED, **choices)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def logs() -> list[Log]:
+    return closed_loops(2, seconds=14.0, size=0.5)
+
+
+def test_a_closed_loop_with_noise_jitter_and_lost_rows_gives_the_truth(logs: list[Log]) -> None:
+    """Delay, gain and the sum of delay and lag within four standard deviations each; fewer would fail by chance."""
+    for log in logs[:1]:
+        result = found(flight_log(log), lags=1)
+        chosen = result.chosen
+        off = (chosen.delay - TRUTH.delay_samples * TRUTH.step) / chosen.deviation(2)
+        assert abs(off) < 4.0
+        assert abs(chosen.gain - TRUTH.gain) < 4.0 * chosen.gain_deviation
+        value, deviation = chosen.all_delay
+        assert abs(value - TRUTH.delay_samples * TRUTH.step - TRUTH.lags[0]) < 4.0 * deviation
+        assert chosen.deviation(2) < TRUTH.step
+        assert chosen.delay_bounds[0] < chosen.delay < chosen.delay_bounds[1]
+
+
+def test_the_page_says_what_is_done() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "identify-logs.md").read_text(encoding="utf-8")
+    assert f"every {1e3 * WORKING_STEP_S:g} ms are averaged" in page
+    assert f"has fallen by {CHI2_95:.2f}" in page
+    assert chdtr(1, CHI2_95) == pytest.approx(0.95, abs=1e-12)
+    assert f"Others are {ndtri(0.975):.2f} standard deviations" in page
+
+
+def test_without_noise_the_truth_comes_out(logs: list[Log]) -> None:
+    """Exactly but for what the solution of the known loop itself is off, a fifth of a sample squared."""
+    (log,) = closed_loops(1, seconds=8.0, size=0.5, flaws=Flaws(1e-7, 1e-6, 0.5, 0.0, 0.0, 0.0))
+    chosen = found(flight_log(log), lags=1).chosen
+    assert chosen.delay / TRUTH.step == pytest.approx(TRUTH.delay_samples, abs=0.02)
+    assert chosen.x[1] == pytest.approx(TRUTH.lags[0], rel=0.01)
+    assert chosen.gain == pytest.approx(TRUTH.gain, rel=0.01)
+
+
+def test_wrong_stamps_are_told_from_jitter() -> None:
+    for stamps, jitter, clock in ((0.15, 0.0, "even clock"), (0.0, 0.15, "stamps")):
+        flaws = Flaws(gyro=0.001, turbulence=0.02, jitter=jitter, stamps=stamps, lost=0.0)
+        (log,) = closed_loops(1, seconds=8.0, size=0.5, flaws=flaws)
+        assert found(flight_log(log), lags=1).clock == clock
+
+
+def test_a_file_becomes_a_model_that_flies(hexjet: Hexjet, tmp_path: Path, logs: list[Log]) -> None:
+    log = logs[1]
+    rows = np.column_stack([1e3 * log.times, log.command, log.output, log.setpoint])
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="ms,u,y,r", comments="")
+    arguments = ["--axis", "roll", "--time", "ms", "--time-unit", "ms", "--command", "u", "--output", "y"]
+    done = hexjet("identify", "log", "log.csv", *arguments, "--setpoint", "r", "--lags", "1", "--out", "model")
+    assert done.status == 0
+    assert "delay, ms" in done.out
+    assert (tmp_path / "model" / "report.html").stat().st_size > 100_000
+    flown = hexjet("fly", "hover", "--set", "duration_s=0.1", "--model", "model/model.toml", "--out", "flown")
+    assert flown.status == 0
+
+
+def refusal(log: FlightLog, **choices: object) -> str:
+    with pytest.raises(InputError) as error:
+        found(log, **choices)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def changed(
+    log: Log, command: np.ndarray | None = None, output: np.ndarray | None = None, **other: np.ndarray
+) -> FlightLog:
+    times = other.get("times", log.times)
+    signals = {"u": log.command if command is None else command, "y": log.output if output is None else output}
+    return FlightLog(
+        Path("bad.csv"), "table", {name: Channel(times, each) for name, each in (signals | {"r": log.setpoint}).items()}
+    )
+
+
+def test_a_log_that_does_not_tell_is_refused(logs: list[Log]) -> None:
+    log = logs[0]
+    noise = np.random.default_rng(1).standard_normal(len(log.times))
+    still = np.zeros(len(log.times))
+    assert "the command never changes" in refusal(changed(log, command=still))
+    assert "does not show the command" in refusal(changed(log, output=noise))
+    assert "no stretch that can be used" in refusal(flight_log(log), begin=3.0, end=5.0)
+    assert "have no time in common" in refusal(flight_log(log), begin=100.0)
+    assert "values that are numbers" in refusal(changed(log, output=still + np.nan))
+
+
+def test_what_is_wrong_with_a_log_is_said(logs: list[Log]) -> None:
+    log = logs[0]
+    output, times = log.output.copy(), log.times.copy()
+    output[100:103] = np.nan
+    times[3000:] -= 5.0
+    notes = " ".join(found(changed(log, output=output, times=times), lags=1).notes)
+    assert "3 of " in notes
+    assert "its clock goes back 1 times" in notes

@@ -1,0 +1,98 @@
+"""Logs whose truth is known: many closed loops at once, solved on a fifth of a sample, with all that spoils a log.
+
+Noise of the gyro, turbulence through the airframe, jitter of the sampling, stamps that are wrong, rows that are lost.
+The loop is a rate loop inside an attitude loop, flown through doublets: the command contains the noise that came back.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+SUB = 5  # steps of the solution in one of the controller
+
+
+@dataclass(frozen=True)
+class Truth:
+    """``gain / ((s + rate) prod(lag s + 1)) e^(-delay s)``; the delay a whole number of fifths of a step."""
+
+    gain: float = 433.0
+    rate: float = 0.04
+    lags: tuple[float, ...] = (0.0299,)
+    delay_samples: float = 25.4
+    step: float = 0.004
+
+
+@dataclass(frozen=True)
+class Flaws:
+    """What spoils the logs; standard deviations."""
+
+    gyro: float = 0.005  # rad/s
+    turbulence: float = 0.1  # rad/s^2, of a first-order process
+    turbulence_s: float = 0.5
+    jitter: float = 0.15  # of a sample: when it is taken, and the controller acts
+    stamps: float = 0.0  # of a sample: what the log says of that
+    lost: float = 0.02  # share of the rows
+
+
+@dataclass(frozen=True)
+class Log:
+    times: np.ndarray
+    command: np.ndarray
+    output: np.ndarray
+    setpoint: np.ndarray
+
+
+def closed_loops(count, seconds=20.0, seed=1, truth=Truth(), flaws=Flaws(), p=0.004, attitude=0.8, size=0.25):
+    """``count`` logs of an axis under control."""
+    rng = np.random.default_rng([seed, 16])
+    steps, fine = round(seconds / truth.step), truth.step / SUB
+    late = round(truth.delay_samples * SUB)
+    decays = [np.exp(-fine / lag) for lag in truth.lags]
+    decay = np.exp(-truth.rate * fine)
+    held = fine if truth.rate == 0.0 else (1.0 - decay) / truth.rate
+    keep = np.exp(-fine / flaws.turbulence_s)
+    kick = flaws.turbulence * np.sqrt(1.0 - keep**2)
+    doublets = np.zeros((steps, count))
+    for n in range(count):
+        at = rng.uniform(0.5, 1.5)
+        while at < seconds - 2.0:
+            half = rng.uniform(0.3, 0.8)
+            a, b, c = (round(t / truth.step) for t in (at, at + half, at + 2.0 * half))
+            doublets[a:b, n], doublets[b:c, n] = size, -size
+            at += rng.uniform(2.5, 4.0)
+    gyro = flaws.gyro * rng.standard_normal((steps, count))
+    most = SUB // 2 - 1
+    moved = np.clip(np.rint(flaws.jitter * SUB * rng.standard_normal((steps, count))), -most, most).astype(int)
+    instants = (np.arange(steps)[:, None] + 1) * SUB + moved
+    command, output, asked = (np.zeros((steps, count)) for _ in range(3))
+    rate, gust, lean, torque, since = (np.zeros(count) for _ in range(5))
+    lags = [np.zeros(count) for _ in truth.lags]
+    buffer = np.zeros((late + 1, count))
+    following, every = np.zeros(count, int), np.arange(count)
+    for m in range((steps + 1) * SUB):
+        act = (following < steps) & (instants[np.minimum(following, steps - 1), every] == m)
+        if act.any():
+            k = np.minimum(following, steps - 1)
+            measured = rate + gyro[k, every]
+            leaned = lean + measured * (m * fine - since)
+            wanted = attitude * (doublets[k, every] - leaned)
+            made = p * (wanted - measured)
+            lean, since = np.where(act, leaned, lean), np.where(act, m * fine, since)
+            torque = np.where(act, made, torque)
+            at = (k[act], every[act])
+            command[at], output[at], asked[at] = made[act], measured[act], wanted[act]
+            following += act
+        buffer[m % len(buffer)] = torque
+        value = truth.gain * buffer[(m - late) % len(buffer)]
+        for i, share in enumerate(decays):
+            before = lags[i]
+            lags[i] = share * before + (1.0 - share) * value
+            value = 0.5 * (before + lags[i])
+        gust = keep * gust + kick * rng.standard_normal(count)
+        rate = decay * rate + held * (value + gust)
+    times = instants * fine + flaws.stamps * truth.step * rng.standard_normal((steps, count))
+    kept = rng.random((steps, count)) >= flaws.lost
+    return [
+        Log(times[kept[:, n], n], command[kept[:, n], n], output[kept[:, n], n], asked[kept[:, n], n])
+        for n in range(count)
+    ]
