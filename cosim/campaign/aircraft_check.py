@@ -1,8 +1,8 @@
 """Is a ``vehicle.toml`` what its author meant: frames, signs, units, inertia, hover, authority, and a flight.
 
-Force and moment of every jet are read back from JSBSim and compared with ``r x F`` by hand.  Authority is computed by
-linear programs: the largest moment about one axis while the weight is held and the other two moments are zero, over all
-throttles within their limits and over pairs of tilts on a grid.
+Force and moment of every jet are read back from JSBSim and compared with ``r x F`` by hand.  Authority is the largest
+moment about one axis while the weight is held and the other two moments are zero, over all throttles within their
+limits and over the hinges (:mod:`cosim.control.allocation.authority`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from math import inf, sqrt
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
 from cosim.base.files import one_line, replacing
-from cosim.base.frames import jet_axis
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
+from cosim.campaign.authority_drawing import attainable_moments
+from cosim.control.allocation.authority import Authority, Reach
 from cosim.flight import fly
 from cosim.results.report.three_views import places, three_views
 from cosim.simulation.build import build
@@ -30,7 +31,6 @@ from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen
 
 HEIGHT_M, FLIGHT_S = 10.0, 5.0
 ALIKE = 1e-9  # how well JSBSim and r x F must agree, of the larger one: rounding
-TILTS = 7  # of the grid, each way of either servo
 LIFT = 1.15  # thrust over weight with less than which height and attitude fight for thrust; chosen by us
 HEIGHT_ERROR_M, LEAN_DEG = 1.0, 10.0  # in a calm hover; chosen by us
 # the radius of gyration about an axis over the farthest part from it: of a thin ring 1, of a dense core little
@@ -45,14 +45,6 @@ class Line:
     name: str
     said: str
     fault: str = ""  # why it is not as it must be
-
-
-class Authority(NamedTuple):
-    """The largest moments either way [N m, the smaller of the two], with these jets lost; None: it falls."""
-
-    lost: tuple[int, ...]
-    lift: float  # most thrust in balance over the weight
-    moment: Vector3 | None
 
 
 @dataclass(frozen=True)
@@ -123,15 +115,13 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
     }
     scenario = Scenario.from_table(table, Path(), "aircraft check")
     vehicle, _ = scenario.resolved_vehicle()
-    if vehicle.allocation == "effectiveness":
-        raise InputError(f"{vehicle.name}: is flown by effectiveness; hexjet aircraft check looks at banks and rotors")
     with build(scenario) as simulation:
         lines = [_forces(simulation), _masses(simulation), *_sizes(vehicle)]
         least, most = _thrust(simulation)
-        weight = vehicle.mass_kg * GRAVITY
         count = len(vehicle.jets)
         losses: list[tuple[int, ...]] = [(), *((jet,) for jet in range(1, count + 1))]
-        authority = [authority_of(vehicle, least, most, weight, lost) for lost in losses]
+        reach = reach_of(vehicle, least, most)
+        authority = [reach.authority(lost) for lost in losses]
         engine_name = simulation.engine.name
     lines += [_lift(authority[0]), *_axes(authority, vehicle), _flight(scenario)]
     return AircraftCheck(
@@ -141,27 +131,32 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
         lines,
         authority,
         vehicle.inertia_kg_m2,
-        None if out is None else _draw(vehicle, out),
+        None if out is None else _draw(vehicle, out, reach),
     )
 
 
 def _forces(simulation: Simulation) -> Line:
-    """Each jet alone, upright and at both ends of its tilt: force and moment in JSBSim against ``r x F``."""
+    """Each jet alone, hinges at zero and at the ends of their ranges: force and moment in JSBSim against ``r x F``."""
     vehicle, frame = simulation.vehicle, simulation.airframe
-    reach = vehicle.servo.range_rad if vehicle.servo else 0.0
+    layout, propulsion = vehicle.layout(), simulation.propulsion
+    ends: list[tuple[float, ...]]
+    if vehicle.servo is not None:
+        ends = [(-vehicle.servo.range_rad,) * 2, (vehicle.servo.range_rad,) * 2]
+    else:
+        pairs = [hinge.least_most for hinge in vehicle.hinges]
+        ends = [tuple(low for low, _ in pairs), tuple(high for _, high in pairs)] if pairs else []
     thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
     worst = 0.0
-    for number, jet in enumerate(vehicle.jets):
-        for tilt in {-reach, 0.0, reach}:
-            x, y, z = jet_axis(tilt)
-            forces = [ZERO3] * len(vehicle.jets)
-            forces[number] = (thrust * x, thrust * y, thrust * z)
+    for number in range(len(vehicle.jets)):
+        for angles in [(0.0,) * max(2, len(vehicle.hinges)), *ends]:
+            thrusts = tuple(thrust * (jet == number) for jet in range(len(vehicle.jets)))
+            forces, beside = propulsion.standing(thrusts, angles)
             frame.reset(simulation.scenario.initial, forces, ZERO3)
-            frame.step(forces, Disturbance())
+            frame.step(forces, Disturbance(), beside)
             force, moment = frame.external_wrench()
-            expected = np.concatenate([forces[number], np.cross(jet.position_m, forces[number])])
+            expected = np.concatenate(layout.wrench(thrusts, angles))
             worst = max(worst, float(np.max(np.abs(np.concatenate([force, moment]) - expected))) / thrust)
-    said = f"JSBSim and r x F differ by {worst:.1e} of a jet's thrust, upright and tilted"
+    said = f"JSBSim and r x F differ by {worst:.1e} of a jet's thrust, hinges at zero and at the ends of their ranges"
     return Line("forces", said, "" if worst <= ALIKE else f"more than {ALIKE:g}")
 
 
@@ -170,11 +165,16 @@ def _masses(simulation: Simulation) -> Line:
     vehicle, frame = simulation.vehicle, simulation.airframe
     frame.reset(simulation.scenario.initial, [ZERO3] * len(vehicle.jets), ZERO3)
     mass, cg, inertia = frame.mass_properties()
+    products = frame.products_of_inertia()
     size = sqrt(max(vehicle.inertia_kg_m2) / vehicle.mass_kg)
     worst = max(
         abs(mass / vehicle.mass_kg - 1.0),
         *(abs(value) / size for value in cg),
         *(abs(own / stated - 1.0) for own, stated in zip(inertia, vehicle.inertia_kg_m2, strict=True)),
+        *(
+            abs(own - stated) / max(vehicle.inertia_kg_m2)
+            for own, stated in zip(products, vehicle.products_kg_m2, strict=True)
+        ),
     )
     said = f"{mass:.4g} kg, inertia {', '.join(f'{value:.4g}' for value in inertia)} kg m^2"
     return Line("mass and inertia", said, "" if worst <= 1e-6 else f"JSBSim has others by {worst:.1e}")
@@ -210,50 +210,14 @@ def _thrust(simulation: Simulation) -> tuple[Array, Array]:
     return ends[0], ends[1]
 
 
-def wrench_of(vehicle: Vehicle, tilt: Sequence[float]) -> Array:
-    """Body force and moment of each jet per thrust, with the left and the right servo at ``tilt`` [rad]: (6, jets)."""
-    columns = []
-    for jet in vehicle.jets:
-        angle = 0.0 if jet.servo is None else tilt[("left", "right").index(jet.servo)]
-        axis = jet_axis(angle)
-        roll, pitch, yaw = np.cross(jet.position_m, axis)
-        columns.append([*axis, roll, pitch, yaw + jet.reaction_m])
-    return np.array(columns).T
-
-
-def authority_of(vehicle: Vehicle, least: Array, most: Array, weight: float, lost: Sequence[int] = ()) -> Authority:
-    """Lift and moments that are left without the jets ``lost``, numbered from 1.
-
-    ``least`` and ``most``: thrust of each engine at its limits, N; ``weight`` N.
-    """
-    from scipy.optimize import linprog
-
-    reach = vehicle.servo.range_rad if vehicle.servo else 0.0
-    angles = np.linspace(-reach, reach, TILTS) if reach else np.zeros(1)
-    dead = [jet - 1 for jet in lost]
-    low, high = least.copy(), most.copy()
-    low[dead] = high[dead] = 0.0
-    bounds = list(zip(low, high, strict=True))
-    lift, ends = 0.0, np.full((3, 2), -inf)
-    for left in angles:
-        for right in angles:
-            wrench = wrench_of(vehicle, (float(left), float(right)))
-            up, moments = -wrench[2], wrench[3:]
-            best = linprog(-up, A_eq=moments, b_eq=np.zeros(3), bounds=bounds, method="highs")
-            if best.status == 0:
-                lift = max(lift, -best.fun / weight)
-            for axis in range(3):
-                others = np.delete(moments, axis, axis=0)
-                held = np.vstack([up, others])
-                for side, sign in enumerate((1.0, -1.0)):
-                    end = linprog(
-                        -sign * moments[axis], A_eq=held, b_eq=[weight, 0.0, 0.0], bounds=bounds, method="highs"
-                    )
-                    if end.status == 0:
-                        ends[axis, side] = max(ends[axis, side], -end.fun)
-    roll, pitch, yaw = (float(value) for value in ends.min(axis=1))
-    holds = min(roll, pitch, yaw) > -inf and lift >= 1.0
-    return Authority(tuple(lost), lift, (max(roll, 0.0), max(pitch, 0.0), max(yaw, 0.0)) if holds else None)
+def reach_of(vehicle: Vehicle, least: Array, most: Array) -> Reach:
+    """What the vehicle's layout can do with engines of these thrusts [N] at the allocation's limits."""
+    if vehicle.servo is not None:
+        hinges = [(-vehicle.servo.range_rad, vehicle.servo.range_rad)] * 2
+    else:
+        hinges = [hinge.least_most for hinge in vehicle.hinges]
+    rest = [hinge.rest_rad for hinge in vehicle.hinges] or [0.0] * len(hinges)
+    return Reach(vehicle.layout(), least.tolist(), most.tolist(), hinges, rest, vehicle.mass_kg * GRAVITY)
 
 
 def _lift(whole: Authority) -> Line:
@@ -290,12 +254,14 @@ def _flight(scenario: Scenario) -> Line:
     return Line("a calm hover", said, fault)
 
 
-def _draw(vehicle: Vehicle, out: Path) -> Path:
+def _draw(vehicle: Vehicle, out: Path, reach: Reach) -> Path:
     path = out / "aircraft.svg"
+    drawings = {path: three_views(vehicle), out / "authority.svg": attainable_moments(vehicle, reach)}
     try:
         out.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as temporary:
-            temporary.write_text(three_views(vehicle), encoding="utf-8")
+        for each, drawing in drawings.items():
+            with replacing(each) as temporary:
+                temporary.write_text(drawing, encoding="utf-8")
     except OSError as error:
         raise FlightError(f"{path}: {one_line(error)}") from error
     return path

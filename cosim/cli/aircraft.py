@@ -46,7 +46,7 @@ def aircraft_new(name: str, base: str, out: Path | None) -> int:
 def aircraft_check(aircraft: str, engine: str | None, out: Path | None, as_json: bool) -> int:
     """Frames, signs, units, inertia, hover, authority with every engine and without any one of them, and a flight.
 
-    Draws it in three views.  Status 1: something is not as it must be.
+    Draws it in three views, and the moments that it can make in hover.  Status 1: something is not as it must be.
     """
     from cosim.campaign.aircraft_check import check_aircraft
     from cosim.spec.vehicle import aircraft_name
@@ -83,7 +83,7 @@ def print_check(report: AircraftCheck) -> None:
     console.print(table)
     console.print(
         "Largest moment either way while the weight is held and the other two moments are zero; all throttles and "
-        "tilts are free within their limits.",
+        "hinges are free within their limits.",
         highlight=False,
     )
     if report.drawing is not None:

@@ -203,6 +203,12 @@ class Propulsion:
             mx, my, mz = mx + size * x, my + size * y, mz + size * z
         return (mx, my, mz)
 
+    def standing(self, thrust: PerJet, tilt: PerServo) -> tuple[list[Vector3], Vector3]:
+        """What thrusts do with the servos standing: a force at each jet's station, and the moment beside them."""
+        forces = self.forces(thrust, tilt)
+        moment = self._reaction(thrust, tilt) if self._reacting else ZERO3
+        return forces, _plus(moment, self._carried(forces, tilt)) if self._layout.moves else moment
+
     def _carried(self, pushes: Sequence[Vector3], tilt: PerServo) -> Vector3:
         """What forces have in moment because hinges carry their jets away from the stations where they are handed
         over."""

@@ -13,7 +13,8 @@ from places import DOCS
 
 from cosim import InputError, Scenario, fly
 from cosim.base.signals import MOST_JETS
-from cosim.campaign.aircraft_check import AircraftCheck, authority_of, check_aircraft, wrench_of
+from cosim.campaign.aircraft_check import AircraftCheck, check_aircraft
+from cosim.control.allocation.authority import Reach
 from cosim.results.digest import log_digest
 from cosim.spec.vehicle import load_vehicle
 
@@ -25,16 +26,18 @@ def test_authority_of_a_quadrotor_is_what_it_is_by_hand() -> None:
     x, y, _ = np.abs(vehicle.jets[0].position_m)
     c = abs(vehicle.jets[0].reaction_m)
     d = min(4.0 - 1.5, 1.5 - 0.5)
-    whole = authority_of(vehicle, least, most, weight)
+    reach = Reach(vehicle.layout(), least.tolist(), most.tolist(), [], [], weight)
+    whole = reach.authority()
     assert whole.moment == pytest.approx((4 * d * y, 4 * d * x, 4 * d * c), rel=1e-9)
     assert whole.lift == pytest.approx(16.0 / 6.0, rel=1e-9)
-    lost = authority_of(vehicle, least, most, weight, [2])
+    lost = reach.authority([2])
     assert lost.moment is None
 
 
 def test_tilted_jets_push_forward_and_turn_about_their_lever() -> None:
     vehicle, _ = load_vehicle("hexjet")
-    wrench = wrench_of(vehicle, (0.2, -0.1))
+    reach = Reach(vehicle.layout(), [0.0] * 6, [1.0] * 6, [(-0.5, 0.5)] * 2, [0.0, 0.0], 1.0)
+    wrench = reach.effects((0.2, -0.1))
     left, right = vehicle.jets[1], vehicle.jets[0]
     assert wrench[:3, 1] == pytest.approx([np.sin(0.2), 0.0, -np.cos(0.2)])
     for column, jet, tilt in ((1, left, 0.2), (0, right, -0.1)):

@@ -1,0 +1,115 @@
+"""The moments that a vehicle makes while it holds its weight, as a drawing in SVG: sections of the attainable set."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from math import cos, inf, isfinite, pi, sin
+
+from cosim.base.signals import AXES
+from cosim.control.allocation.authority import Reach
+from cosim.spec.vehicle import Vehicle
+
+DIRECTIONS = 16  # in which a section is looked at
+VIEW, MARGIN, TITLE = 300.0, 44.0, 44.0  # px
+SECTIONS = ((0, 1), (0, 2), (1, 2))  # axes to the right and upwards
+STYLE = (
+    "text { font: 11px system-ui, sans-serif; fill: #222; } .name { font-weight: 600; } .dim { fill: #666; }"
+    " .frame { fill: #fff; } .axis { stroke: #999; stroke-width: 0.8; } .whole { fill: #1f4e79; fill-opacity: 0.12;"
+    " stroke: #1f4e79; stroke-width: 1.6; } .lost { fill: none; stroke: #c0392b; stroke-width: 0.9; }"
+)
+
+
+def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
+    """The drawing: filled with all engines, and a line without each one in the section of roll and pitch.
+
+    A section holds the weight and keeps the third moment at zero.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        What is drawn.
+    reach : Reach
+        What its layout can do, all engines well.
+
+    Returns
+    -------
+    str
+        A whole SVG document.
+    """
+    root = ET.Element(
+        "svg", xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {VIEW * len(SECTIONS):g} {VIEW + 2 * TITLE:g}",
+        role="img",
+    )  # fmt: skip
+    ET.SubElement(root, "title").text = f"{vehicle.name}: attainable moments in hover"
+    ET.SubElement(root, "style").text = STYLE
+    ET.SubElement(root, "rect", {"class": "frame", "width": "100%", "height": "100%"})
+    _text(root, 12, 22, f"{vehicle.title}: moments in hover, N m", "name")
+    _text(root, 12, 38, "filled: all engines; red: without each one, named by its number; the third moment is 0", "dim")
+    for number, (right, up) in enumerate(SECTIONS):
+        whole = _section(reach, right, up)
+        lost: dict[str, list[tuple[float, float]]] = {}
+        if not number:
+            for jet in range(1, len(vehicle.jets) + 1):
+                section = _section(reach.without([jet]), right, up, DIRECTIONS // 2)
+                if section:
+                    lost[str(jet)] = section
+        _draw(root, number * VIEW, (right, up), whole, lost)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _section(reach: Reach, right: int, up: int, directions: int = DIRECTIONS) -> list[tuple[float, float]]:
+    """Its corners, N m; none where the weight is not held."""
+    angles = [2.0 * pi * n / directions for n in range(directions)]
+    lines = []
+    for angle in angles:
+        direction = [0.0, 0.0, 0.0]
+        direction[right], direction[up] = cos(angle), sin(angle)
+        lines.append(direction)
+    sizes = reach.section(lines)
+    if not all(map(isfinite, sizes)):
+        return []
+    return [(size * cos(angle), size * sin(angle)) for size, angle in zip(sizes, angles, strict=True)]
+
+
+def _draw(
+    root: ET.Element,
+    left: float,
+    axes: tuple[int, int],
+    whole: list[tuple[float, float]],
+    lost: dict[str, list[tuple[float, float]]],
+) -> None:
+    corners = [*whole, *(corner for section in lost.values() for corner in section)]
+    wide = _largest(abs(x) for x, _ in corners)
+    high = _largest(abs(y) for _, y in corners)
+    middle_x, middle_y, half = left + VIEW / 2.0, TITLE + VIEW / 2.0, VIEW / 2.0 - MARGIN
+
+    def at(corner: tuple[float, float]) -> tuple[float, float]:
+        return middle_x + half * corner[0] / wide, middle_y - half * corner[1] / high
+
+    for (x, y), (u, v) in (((-wide, 0.0), (wide, 0.0)), ((0.0, -high), (0.0, high))):
+        (a, b), (c, d) = at((x, y)), at((u, v))
+        ends = {"x1": f"{a:g}", "y1": f"{b:g}", "x2": f"{c:g}", "y2": f"{d:g}"}
+        ET.SubElement(root, "line", {"class": "axis"} | ends)
+    if not whole:
+        _text(root, middle_x, middle_y - 8, "the weight is not held in balance", "dim", "middle")
+    for kind, section in (("whole", whole), *(("lost", each) for each in lost.values())):
+        if section:
+            points = " ".join(f"{x:.2f},{y:.2f}" for x, y in map(at, section))
+            ET.SubElement(root, "polygon", {"class": kind, "points": points})
+    for number, (name, section) in enumerate(lost.items()):  # each at another corner, as many lie on each other
+        x, y = at(section[number % len(section)])
+        _text(root, x + 3, y - 3, name, "dim")
+    _text(root, left + VIEW - 8, middle_y + 14, f"{AXES[axes[0]]} {wide:.3g}", "dim", "end")
+    _text(root, middle_x + 4, TITLE + MARGIN - 8, f"{AXES[axes[1]]} {high:.3g}", "dim")
+    _text(root, left + 12, TITLE + VIEW + 12, f"{AXES[axes[0]]} and {AXES[axes[1]]}", "dim")
+
+
+def _largest(values: Iterable[float]) -> float:
+    """The scale of an axis; of one about which there is no moment a small one."""
+    size = max(values, default=-inf)
+    return size if size > 1e-9 else 1.0
+
+
+def _text(root: ET.Element, x: float, y: float, text: str, kind: str, anchor: str = "start") -> None:
+    ET.SubElement(root, "text", {"class": kind, "x": f"{x:g}", "y": f"{y:g}", "text-anchor": anchor}).text = text
