@@ -129,6 +129,18 @@ def test_a_misfit_is_the_worst_engine_that_it_allows(sound: Design) -> None:
     assert 0.0 < search.excess(beyond, sound.need) < 10.0  # a slope, for a search that comes from there
 
 
+def test_a_search_sees_a_narrow_misfit_as_the_check_behind_it_does(sound: Design) -> None:
+    """However few its points are: else it stops inside what it takes for the requirements, and the check finds it out."""
+    roll = sound.axes["roll"]
+    assert roll.after is not None
+    narrow = ((0.05, 0.002), (8.88, 0.1), (8.893, 9.0), (8.9, 0.1), (12.0, 0.05))
+    actuator = roll.channel.actuator
+    channel = replace(roll.channel, actuator=replace(actuator, dynamics=replace(actuator.dynamics, unsure=narrow)))
+    few, many = (Closed(Points(channel, close=close), roll.after.tuning) for close in (600, 20_000))
+    assert few.beyond_stability == pytest.approx(many.beyond_stability, rel=1e-9)
+    assert few.distance == pytest.approx(many.distance, rel=1e-4)
+
+
 def test_what_a_model_leaves_of_the_response_is_carried_into_the_controller_file(sound: Design) -> None:
     """30 % too strong at the upper end; a model that follows carries nothing, and its file says nothing."""
     exact = response(0.1)
