@@ -49,6 +49,18 @@ LONG = (
 # What make test leaves to make long: searches of whole designs again, the wheel, long waits for other programs, and the
 # further cases of flights of which two are always flown.
 LENGTHY = {
+    "test_octojet": ("test_it_stays_up", "test_on_seven"),
+    "test_scenarios": tuple(
+        f"test_scenario_comes_to_what_it_expects[octojet-{name}-"
+        for name in (
+            "flame-out-inner",
+            "flame-out-in-wind",
+            "roll-doublet",
+            "pitch-doublet",
+            "waypoints",
+            "climb-and-land",
+        )
+    ),
     "test_design": ("test_where_there_is_no_design_it_says_which_delay_would_allow_one", "test_a_later_engine"),
     "test_design_stored": ("test_a_level_is_designed_where_a_straight_line_misses_a_requirement",),
     "test_gcs_conformance": ("test_connect_fly_and_land_as_qgroundcontrol[0.2]", "test_a_stranger_without_the_key"),
