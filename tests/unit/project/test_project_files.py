@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from places import DESIGNS, DOCS, ROOT, TESTS
+from stated_figures import stated
 
 from cosim import Scenario, fly, open_run
 from cosim.campaign import open_campaign
@@ -121,6 +122,7 @@ def test_what_travels_has_these_files() -> None:
     for name in ("CHANGELOG.md", "CITATION.cff", "SECURITY.md", "graft .github", "graft docs"):
         assert name in manifest
     assert "report" in (ROOT / "SECURITY.md").read_text(encoding="utf-8").lower()
+    stated("docs/versions.md", "Python {} and later. A wheel", float(PROJECT["requires-python"].removeprefix(">=")))
     assert "tests/older/" in (DOCS / "versions.md").read_text(encoding="utf-8")
 
 
