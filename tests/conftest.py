@@ -66,6 +66,7 @@ LENGTHY = {
     "test_gcs_conformance": ("test_connect_fly_and_land_as_qgroundcontrol[0.2]", "test_a_stranger_without_the_key"),
     "test_campaign_store": ("test_ten_kills_at_random_moments",),
     "test_campaign_workers": ("test_a_flight_that_does_not_end_is_ended",),
+    "test_open": ("test_by_keyboard[10000]",),
     "test_site": ("test_the_site_is_built_without_a_warning",),
     "test_tutorial": ("test_the_tutorial_as_written",),
     "test_engine_windows": ("test_it_computes_the_same_bits_there",),  # Wine makes itself a home first

@@ -88,6 +88,17 @@ def compare(
     return DONE
 
 
+def write_page(names: Sequence[str], folder: Path) -> Path:
+    """The comparison of these flights as a page in a new folder."""
+    from cosim.results.comparison import pairs
+    from cosim.results.report.comparison import write_comparison
+
+    flown = [_flown(letter, name) for letter, name in zip(LETTERS, _expanded(names, ()), strict=False)]
+    folder.mkdir(parents=True, exist_ok=True)
+    write_comparison(flown, pairs(flown), folder / PAGE)
+    return folder / PAGE
+
+
 def _expanded(names: Sequence[str], flights: Sequence[int]) -> list[str]:
     """The flights that are meant, one text each; a campaign's folder stands for the ``flights`` of it."""
     from cosim.campaign.folder import is_campaign

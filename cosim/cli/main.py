@@ -26,6 +26,7 @@ COMMANDS = {  # where each is, so that none is read for another
     "identify": "identify:identify",
     "list": "runs:list_",
     "margins": "margins:margins",
+    "open": "open:open_",
     "paper": "paper:paper",
     "report": "runs:report",
     "search": "campaign:search",

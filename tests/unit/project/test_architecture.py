@@ -24,7 +24,7 @@ HOMES = {
     "plotly": ["results/report/page.py"],
     "pyarrow": ["results/arrow.py"],
     "control": ["design/"],
-    "websockets": ["groundstation/web/"],
+    "websockets": ["groundstation/web/", "shelf/server.py"],
     "distributed": ["campaign/workers/cluster.py"],
     "gymnasium": ["gym.py"],
     "pandas": ["results/tables.py"],

@@ -111,6 +111,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/packages.md": ("marks", "test_package.py"),
     "docs/paper.md": ("marks", "test_reproduce.py"),
     "docs/theory.md": ("test_theory.py",),
+    "docs/runs.md": ("test_shelf.py",),
     "docs/versions.md": ("test_project_files.py",),
     "docs/tutorial.md": ("test_site.py", "test_tutorial.py"),
     "docs/python.md": ("test_stepper.py", "test_gym.py", "test_tables.py"),

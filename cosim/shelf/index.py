@@ -1,0 +1,183 @@
+"""What lies in a folder of runs, one row each: read once, and again only where a folder has changed.
+
+The rows are kept in ``.index.json`` of the folder, by name, with the times of the folder and of its summary: of ten
+thousand runs two looks at each are left, and no file is opened.  The index may be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cosim.base.errors import InputError
+from cosim.base.files import replacing
+from cosim.campaign.folder import FLIGHTS, STUDY
+from cosim.results.run import SUMMARY
+
+INDEX, TAGS = ".index.json", "tags.json"
+FORM = 1  # of the index; another one is read as none
+RUN, CAMPAIGN, PAGE, UNFINISHED = "run", "campaign", "page", "unfinished"
+SCENARIO = "scenario.toml"
+TAG = re.compile(r"[\w.+-]{1,40}")
+FACTS = ("scenario", "title", "aircraft", "engine", "controller", "started", "outcome", "verdict", "reason")
+
+
+class Entry(NamedTuple):
+    """One folder."""
+
+    name: str
+    kind: str
+    facts: dict[str, str]  # such as its scenario; empty where nothing says it
+    metrics: dict[str, float]  # SI, by the names of docs/metrics.md
+    tags: list[str]
+    page: str  # the file to look at; empty: none
+
+
+class Shelf:
+    """A folder of runs, campaigns and what else leaves a page.
+
+    Raises InputError where the folder cannot be read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if not folder.is_dir():
+            raise InputError(f"{folder}: is no folder of runs")
+        self.folder = folder
+        self._known: dict[str, tuple[list[int], Entry]] = {}
+        self._load()
+
+    def entries(self) -> list[Entry]:
+        """What is there now, the newest first; what has not changed since is not read again."""
+        found: dict[str, tuple[list[int], Entry]] = {}
+        try:
+            with os.scandir(self.folder) as inside:
+                folders = [each for each in inside if each.is_dir(follow_symlinks=False) and each.name[:1] != "."]
+        except OSError as error:
+            raise InputError(f"{self.folder}: {error.strerror or error}") from error
+        changed = len(folders) != len(self._known)
+        for each in folders:
+            stamp = _stamp(each)
+            known = self._known.get(each.name)
+            if known is None or known[0] != stamp:
+                changed, known = True, (stamp, read_entry(Path(each.path)))
+            if known[1].kind:
+                found[each.name] = known
+            elif each.name in self._known:
+                changed = True
+        self._known = found
+        if changed:
+            self._save()
+        ordered = sorted(found.values(), key=lambda pair: pair[0][0], reverse=True)
+        return [entry for _, entry in ordered]
+
+    def place(self, name: str) -> Path:
+        """The folder of an entry.  Raises InputError for a name that is none of the entries'."""
+        if name not in self._known:
+            raise InputError(f"{name}: is not here")
+        return self.folder / name
+
+    def tag(self, names: Iterable[str], add: Iterable[str] = (), remove: Iterable[str] = ()) -> None:
+        """Add and remove tags; they are kept in the runs' own folders.  Raises InputError for a tag that is none."""
+        add, remove = list(add), set(remove)
+        for tag in add:
+            if not TAG.fullmatch(tag):
+                raise InputError(f"{tag!r} is no tag: letters, digits and . _ + -, 40 of them at most")
+        for name in names:
+            path = self.place(name) / TAGS
+            tags = [tag for tag in dict.fromkeys([*_tags(path), *add]) if tag not in remove]
+            try:
+                with replacing(path) as temporary:
+                    temporary.write_text(json.dumps(tags), encoding="utf-8")
+            except OSError as error:
+                raise InputError(f"{path}: {error.strerror or error}") from error
+
+    def delete(self, name: str) -> None:
+        """Delete a folder with all that is in it.
+
+        Raises InputError where it is none of the entries, is a link, may still be written to, or cannot be deleted.
+        """
+        folder = self.place(name)
+        if folder.is_symlink() or folder.parent.resolve() != self.folder.resolve():
+            raise InputError(f"{name}: is a link; nothing was deleted")
+        if self._known[name][1].kind == UNFINISHED:
+            raise InputError(f"{name}: has no end yet, and may still be written to; nothing was deleted")
+        gone = self.folder / f".deleted-{name}"
+        try:
+            folder.rename(gone)  # whole or not at all, for whoever reads at the same time
+            shutil.rmtree(gone)
+        except OSError as error:
+            raise InputError(f"{name}: {error.strerror or error}") from error
+        self._known.pop(name, None)
+
+    def _load(self) -> None:
+        with suppress(OSError, ValueError, LookupError, TypeError):
+            kept = json.loads((self.folder / INDEX).read_text(encoding="utf-8"))
+            if kept["form"] == FORM:
+                self._known = {row[1][0]: (row[0], Entry(*row[1])) for row in kept["rows"]}
+
+    def _save(self) -> None:
+        rows = [[stamp, list(entry)] for stamp, entry in self._known.values()]
+        with suppress(OSError), replacing(self.folder / INDEX) as temporary:  # a folder that is not ours is looked at
+            temporary.write_text(json.dumps({"form": FORM, "rows": rows}), encoding="utf-8")
+
+
+def _stamp(folder: os.DirEntry[str]) -> list[int]:
+    """When the folder and what is read of it were last changed."""
+    stamp = [folder.stat(follow_symlinks=False).st_mtime_ns]
+    with suppress(OSError):
+        stamp.append(os.stat(f"{folder.path}/{SUMMARY}").st_mtime_ns)
+    return stamp
+
+
+def read_entry(folder: Path) -> Entry:
+    """One folder, read; its kind is empty where it is nothing of ours."""
+    page = next((name for name in ("report.html", "comparison.html", "search.html") if (folder / name).is_file()), "")
+    page = page or next((path.name for path in sorted(folder.glob("*.html"))), "")
+    tags = _tags(folder / TAGS)
+    with suppress(OSError, ValueError):
+        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        if isinstance(summary, dict):
+            return Entry(folder.name, RUN, _facts(summary), flat(summary), tags, page)
+    began = {"started": datetime.fromtimestamp(folder.stat().st_mtime, UTC).isoformat(timespec="seconds")}
+    if (folder / STUDY).is_file() and (folder / FLIGHTS).is_dir():
+        return Entry(folder.name, CAMPAIGN, _study(folder / STUDY) | began, {}, tags, page)
+    kind = PAGE if page else UNFINISHED if (folder / SCENARIO).is_file() else ""
+    return Entry(folder.name, kind, began, {}, tags, page)
+
+
+def _facts(summary: Mapping[str, Any]) -> dict[str, str]:
+    return {name: str(summary[name]) for name in FACTS if isinstance(summary.get(name), str)}
+
+
+def _study(path: Path) -> dict[str, str]:
+    with suppress(OSError, ValueError):
+        found = dict(re.findall(r'^(title|scenario) = "([^"\n]*)"', path.read_text(encoding="utf-8"), re.MULTILINE))
+        return {name: str(text) for name, text in found.items()}
+    return {}
+
+
+def flat(summary: Mapping[str, Any]) -> dict[str, float]:
+    """The metrics of a summary by their names: every number below the groups that have metrics."""
+    found: dict[str, Any] = {}
+    groups: dict[str, Any] = dict(summary.get("metrics") or {})
+    groups |= {name: summary.get(name) for name in ("altitude", "position", "speed", "effort")}
+    for name, group in groups.items():
+        for key, value in group.items() if isinstance(group, dict) else ():
+            found[f"{name}.{key}"] = value
+    own = summary.get("own_metrics") or {}
+    found |= {name: summary.get(name) for name in ("touchdown_m_s", "fuel_burnt_kg", "duration_s")} | dict(own)
+    return {name: value for name, value in found.items() if type(value) in (int, float)}
+
+
+def _tags(path: Path) -> list[str]:
+    with suppress(OSError, ValueError):
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        return [tag for tag in kept if isinstance(tag, str) and TAG.fullmatch(tag)] if isinstance(kept, list) else []
+    return []

@@ -1,0 +1,240 @@
+"""docs/runs.md: the folder of runs as rows, and the server that shows it: what is read, kept, deleted, and who may ask for it."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_tools import Hexjet
+from places import TESTS
+from shelves import shelf
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from cosim.base.errors import InputError
+from cosim.shelf import index
+from cosim.shelf.index import CAMPAIGN, INDEX, PAGE, RUN, UNFINISHED, Shelf
+from cosim.shelf.server import SANDBOX, WRONG_TOKEN, ShelfServer
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    """Six runs, a page, a flight that has no end yet, and a folder that is nothing of ours."""
+    folder = shelf(tmp_path / "runs", 6)
+    (folder / "drawn").mkdir()
+    (folder / "drawn" / "drawing.html").write_text("<title>drawn</title>")
+    (folder / "flying").mkdir()
+    (folder / "flying" / "scenario.toml").write_text('name = "flying"\n')
+    (folder / "other").mkdir()
+    (folder / "other" / "note.txt").write_text("mine")
+    return folder
+
+
+# --- rows -------------------------------------------------------------------------------------------------------------
+
+
+def test_what_a_folder_holds(runs: Path) -> None:
+    found = {entry.name: entry for entry in Shelf(runs).entries()}
+    assert {name: entry.kind for name, entry in found.items()} == {
+        **{f"run-{k:05d}": RUN for k in range(6)},
+        "drawn": PAGE,
+        "flying": UNFINISHED,
+    }
+    third = found["run-00003"]
+    assert third.facts["controller"] == "smith"
+    assert third.metrics == {"roll.rmse_rad": 0.003, "position.drift_m": 4.0, "own.jerk": 2.0, "duration_s": 20.0}
+    assert (third.page, found["drawn"].page) == ("report.html", "drawing.html")
+
+
+def test_a_real_run_and_a_real_campaign() -> None:
+    folder = next(path for path in sorted((TESTS / "older").iterdir()))
+    run, campaign = index.read_entry(folder / "run"), index.read_entry(folder / "campaign")
+    assert (run.kind, campaign.kind) == (RUN, CAMPAIGN)
+    assert {"roll.rmse_rad", "altitude.rmse_m", "effort.saturated_percent"} <= set(run.metrics)
+    assert run.facts["verdict"] == "as planned"
+
+
+def test_what_has_not_changed_is_not_read_again(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = Shelf(runs).entries()
+    read: list[str] = []
+    real = index.read_entry
+    monkeypatch.setattr(index, "read_entry", lambda folder: read.append(folder.name) or real(folder))
+    assert Shelf(runs).entries() == before
+    assert read == ["other"]  # what is nothing of ours is not kept
+    changed = json.loads((runs / "run-00002" / "summary.json").read_text())
+    (runs / "run-00002" / "summary.json").unlink()
+    (runs / "run-00002" / "summary.json").write_text(json.dumps(changed | {"controller": "state"}))
+    later = {entry.name: entry for entry in Shelf(runs).entries()}
+    assert later["run-00002"].facts["controller"] == "state"
+    assert sorted(read) == ["other", "other", "run-00002"]
+
+
+@pytest.mark.parametrize("kept", ["", "{", "[]", '{"form": 0}', '{"form": 1, "rows": [[1]]}'])
+def test_a_damaged_index_is_made_anew(runs: Path, kept: str) -> None:
+    before = Shelf(runs).entries()
+    (runs / INDEX).write_text(kept)
+    assert Shelf(runs).entries() == before
+
+
+def test_tags_stay_with_the_run(runs: Path) -> None:
+    place = Shelf(runs)
+    place.entries()
+    place.tag(["run-00001", "run-00002"], add=["good", "x1"])
+    place.tag(["run-00002"], remove=["good"])
+    tags = {entry.name: entry.tags for entry in Shelf(runs).entries() if entry.tags}
+    assert tags == {"run-00001": ["good", "x1"], "run-00002": ["x1"]}
+    with pytest.raises(InputError, match="'a b' is no tag"):
+        place.tag(["run-00001"], add=["a b"])
+
+
+def test_only_what_is_here_and_has_an_end_is_deleted(runs: Path, tmp_path: Path) -> None:
+    outside = shelf(tmp_path / "outside", 1) / "run-00000"
+    (runs / "linked").symlink_to(outside)
+    place = Shelf(runs)
+    place.entries()
+    place.delete("run-00004")
+    assert not (runs / "run-00004").exists()
+    assert not list(runs.glob(".deleted*"))
+    for name in ("other", "linked", "..", "../outside", "run-00004", ""):
+        with pytest.raises(InputError, match="is not here"):
+            place.delete(name)
+    with pytest.raises(InputError, match="has no end yet"):
+        place.delete("flying")
+    assert outside.exists()
+    assert (runs / "other" / "note.txt").exists()
+
+
+def test_wrong_folders_and_ports(hexjet: Hexjet, tmp_path: Path) -> None:
+    done = hexjet("open", "nowhere")
+    assert (done.status, done.err.splitlines()) == (2, ["hexjet: nowhere: is no folder of runs"])
+    assert hexjet("open", str(tmp_path), "--port", "70000").status == 2
+
+
+# --- the server -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def server(runs: Path) -> Iterator[ShelfServer]:
+    def compare(folders: Sequence[Path]) -> Path:
+        if len(folders) < 2:
+            raise InputError("compare: 1 chosen")
+        page = runs / "comparison-001" / "comparison.html"
+        page.parent.mkdir()
+        page.write_text(" ".join(folder.name for folder in folders))
+        return page
+
+    found = ShelfServer(Shelf(runs), 0, compare)
+    found.open()
+    thread = threading.Thread(target=found.run, daemon=True)
+    thread.start()
+    yield found
+    found.close()
+    thread.join()
+
+
+def get(server: ShelfServer, path: str, **headers: str) -> http.client.HTTPResponse:
+    line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
+    line.request("GET", path, headers=headers)
+    answer = line.getresponse()
+    answer.text = answer.read().decode()  # type: ignore[attr-defined]
+    line.close()
+    return answer
+
+
+def token(server: ShelfServer) -> str:
+    page = get(server, "/").text  # type: ignore[attr-defined]
+    return str(page.partition('name="token" content="')[2].partition('"')[0])
+
+
+def asked(server: ShelfServer, *questions: dict[str, Any]) -> list[dict[str, Any]]:
+    """What the page would be told: rows first, then of each question an answer and rows."""
+    with connect(f"ws://127.0.0.1:{server.port}/live", origin=f"http://127.0.0.1:{server.port}") as line:  # type: ignore[arg-type]
+        line.send(json.dumps({"token": token(server)}))
+        told = [json.loads(line.recv(60))]
+        for question in questions:
+            line.send(json.dumps(question))
+            told += [json.loads(line.recv(60)), json.loads(line.recv(60))]
+    return told
+
+
+def test_the_page_asks_nobody_else(server: ShelfServer) -> None:
+    answer = get(server, "/")
+    policy = answer.headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy
+    assert "frame-ancestors 'none'" in policy
+    assert "unsafe" not in policy
+    assert "@" not in policy
+    page = answer.text  # type: ignore[attr-defined]
+    assert "@TOKEN@" not in page
+    assert "@NONCE@" not in page
+    assert "http://" not in page
+    assert "https://" not in page
+
+
+def test_a_runs_page_is_shown_without_an_origin(server: ShelfServer) -> None:
+    answer = get(server, "/run/run-00001/report.html")
+    assert answer.status == 200
+    assert answer.headers["Content-Security-Policy"] == SANDBOX
+    assert "allow-same-origin" not in SANDBOX
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/run/../secret.html", "/run/%2e%2e/secret.html", "/run//etc/passwd", "/run/run-00001/", "/run/other/note.txt",
+     "/run/.index.json", "/run/linked/summary.json", "/run/run-00001/%00.html", "/nothing"],
+)  # fmt: skip
+def test_no_other_file_is_given_out(server: ShelfServer, runs: Path, path: str) -> None:
+    (runs.parent / "secret.html").write_text("secret")
+    (runs.parent / "away").mkdir()
+    (runs.parent / "away" / "summary.json").write_text("secret")
+    (runs / "linked").symlink_to(runs.parent / "away")
+    assert get(server, path).status == 404
+
+
+def test_another_name_of_this_machine_gets_nothing(server: ShelfServer) -> None:
+    assert get(server, "/", Host="evil.example").status == 421
+
+
+def test_another_page_can_ask_for_nothing(server: ShelfServer, runs: Path) -> None:
+    with pytest.raises(InvalidStatus), connect(f"ws://127.0.0.1:{server.port}/live", origin="http://evil.example"):  # type: ignore[arg-type]
+        pass
+    ours = f"http://127.0.0.1:{server.port}"
+    with connect(f"ws://127.0.0.1:{server.port}/live", origin=ours) as line:  # type: ignore[arg-type]
+        line.send(json.dumps({"token": "guessed", "do": "delete", "names": ["run-00001"]}))
+        with pytest.raises(ConnectionClosed) as end:
+            line.recv(60)
+    assert end.value.rcvd is not None
+    assert end.value.rcvd.code == WRONG_TOKEN
+    assert (runs / "run-00001").exists()
+
+
+def test_what_the_page_asks_for_is_done(server: ShelfServer, runs: Path) -> None:
+    first, deleted, rows, tagged, _, compared, _, wrong, last = asked(
+        server,
+        {"do": "delete", "names": ["run-00000", "run-00001"]},
+        {"do": "tag", "names": ["run-00002"], "add": ["kept"]},
+        {"do": "compare", "names": ["run-00002", "run-00003"]},
+        {"do": "delete", "names": ["../outside"]},
+    )
+    assert "roll.rmse_rad" in first["metrics"]
+    assert len(first["rows"]) - len(rows["rows"]) == 2
+    assert deleted == {"said": "2 deleted"}
+    assert tagged == {"said": "1 tagged"}
+    assert compared["open"] == "/run/comparison-001/comparison.html"
+    assert wrong == {"said": "../outside: is not here", "failed": True}
+    assert {row[0]: row[3] for row in last["rows"]}["run-00002"] == ["kept"]
+    assert get(server, compared["open"]).text == "run-00002 run-00003"  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    "question", [{}, {"do": "burn"}, {"do": "delete"}, {"do": "delete", "names": [1, None]}, {"names": 3}]
+)
+def test_what_makes_no_sense_does_nothing(server: ShelfServer, question: dict[str, Any]) -> None:
+    first, answer, rows = asked(server, question)
+    assert not answer.get("failed")
+    assert rows == first
