@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import radians
 
 import numpy as np
@@ -12,7 +13,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import conjugate, rotate
 from cosim.base.protocols import Applied
-from cosim.base.signals import ZERO3, Actuation, Command, Measured, Unallocated, Vector3
+from cosim.base.signals import ZERO3, Actuation, Command, Measured, State, Unallocated, Vector3
 from cosim.control.belief import Belief
 from cosim.simulation.controllers.recorded import COLUMNS, Row
 
@@ -25,6 +26,7 @@ class AutopilotBlock:
     ``before`` s pass between the autopilot's first frame and the flight's first step, in which the vehicle stands in a
     stand as it begins the flight: level or not, still, on its engines of a flight that has begun.  In that time the
     autopilot calibrates and is armed.  ``rows``: what it answered in the flight, step by step.
+    ``truth``: the true motion, for the autopilot's own log.
     """
 
     level = "controller"
@@ -38,6 +40,7 @@ class AutopilotBlock:
         self.rows: list[Row] = []
         self.shown: tuple[float, ...] = (0.0, 0.0)
         self._frames = 0
+        self.truth: Callable[[], State] | None = None
 
     def prepare(self, belief: Belief) -> None:
         """See :class:`cosim.base.protocols.RateLoop`."""
@@ -49,7 +52,7 @@ class AutopilotBlock:
         self._pilot.reset()
 
     def begin(self, measured: Measured) -> None:
-        """Start the autopilot and let it live through the time before the flight.  Raises InputError or FlightError.
+        """Let the autopilot, which has begun, live through the time before.  Raises InputError or FlightError.
 
         ``measured``: at the start of the flight.  What the stand's sensors say is its own noise, of the same size, from
         a generator of its own: the flight's own is as it is without.
@@ -61,7 +64,6 @@ class AutopilotBlock:
         force = rotate(conjugate(measured.attitude), (0.0, 0.0, -GRAVITY))
         steps = round(self._before / dt)
         arming, throttle = steps - round(ARMING_S / dt), steps - round(THROTTLE_S / dt)
-        self._autopilot.start()
         answer = None
         for k in range(steps):
             sticks = Sticks(throttle=self._pilot.hover if k >= throttle else 0.0, armed=k >= arming)
@@ -93,6 +95,7 @@ class AutopilotBlock:
             measured.altitude,
             sticks,
             spool,
+            None if self.truth is None else self.truth(),
         )
         answer = self._autopilot.exchange(frame)
         self._frames += 1

@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.processes import end_group
-from cosim.base.signals import PerJet, Quaternion, Vector3
+from cosim.base.signals import PerJet, Quaternion, State, Vector3
 
 LOCAL = "127.0.0.1"
 
@@ -43,6 +43,7 @@ class Frame(NamedTuple):
     altitude: float  # m above the ground, by the barometer
     sticks: Sticks
     spool: PerJet = ()  # rad/s, where the engines report it
+    truth: State | None = None  # for the autopilot's own log; no estimator sees it
 
 
 class Answer(NamedTuple):
@@ -141,8 +142,8 @@ def listen(kind: socket.SocketKind, port: int, what: str) -> socket.socket:
 class Waiting:
     """A bound on the wait for one answer: looks at the program meanwhile, and says in one line what did not come."""
 
-    def __init__(self, name: str, limit: float, program: Program | None) -> None:
-        self._name, self._limit, self._program = name, limit, program
+    def __init__(self, name: str, limit: float, program: Program | None, lacks: str = "did not answer") -> None:
+        self._name, self._limit, self._program, self._lacks = name, limit, program, lacks
         self.begun = monotonic()
 
     def left(self) -> float:
@@ -151,7 +152,7 @@ class Waiting:
             raise FlightError(f"{self._name} {ended}")
         left = self.begun + self._limit - monotonic()
         if left <= 0.0:
-            raise FlightError(f"{self._name} did not answer within {self._limit:g} s")
+            raise FlightError(f"{self._name} {self._lacks} within {self._limit:g} s")
         return min(left, 0.25)
 
     @property

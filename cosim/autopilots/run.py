@@ -89,26 +89,29 @@ def fly_autopilot(
 
     ``before``, ``lean_deg``, ``turn_deg_s``: see :class:`AutopilotBlock`.  ``files``: what flew, to be hashed.
     ``told``: what else is to be known of it.  A crash, an autopilot that ends or hangs, and Ctrl-C are outcomes, and
-    the run is kept.  Raises InputError for what cannot be flown.
+    the run is kept.  Raises InputError for what cannot be flown, and FlightError for an autopilot that does not begin;
+    there is no run then.
     """
-    if scenario.engine_start == "in flight":
-        raise InputError(
-            f'scenario {scenario.name}: engine_start = "in flight": with an autopilot the engines run before the flight'
-        )
-    block = AutopilotBlock(autopilot, label, before, lean_deg, turn_deg_s, scenario.seed)
-    own = Source(
-        f"autopilot:{label}",
-        "controller",
-        lambda: block,
-        {path.name: path for path in files},
-        columns=COLUMNS,
-        copied=False,
-    )
-    scenario = scenario.replace(controller=own.name, controller_limit_s=LONGEST_S, expect=[])
     try:
+        if scenario.engine_start == "in flight":
+            raise InputError(
+                f'scenario {scenario.name}: engine_start = "in flight": with an autopilot engines run before the flight'
+            )
+        block = AutopilotBlock(autopilot, label, before, lean_deg, turn_deg_s, scenario.seed)
+        own = Source(
+            f"autopilot:{label}",
+            "controller",
+            lambda: block,
+            {path.name: path for path in files},
+            columns=COLUMNS,
+            copied=False,
+        )
+        scenario = scenario.replace(controller=own.name, controller_limit_s=LONGEST_S, expect=[])
         with build(scenario, own) as simulation:
+            autopilot.start()
             recording = record(simulation, folder)
             vehicle = simulation.vehicle
+            block.truth = lambda: simulation.state
             writer = _Writer(folder / ACTUATORS, block, len(vehicle.jets), vehicle.servo is not None)
             again: dict[str, Any] = {"controller": ACTUATORS, "controller_sha256": None, "controller_parameters": {}}
             recording.restate(resolve(simulation)[0].model_copy(update=again))

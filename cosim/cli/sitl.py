@@ -132,6 +132,176 @@ def betaflight(
     return _told(done, as_json)
 
 
+def _instance(command: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option(
+        "--instance",
+        type=click.IntRange(0, 250),
+        default=0,
+        show_default=True,
+        metavar="N",
+        help="Which of several at the same time: its ports, and what it is started with.",
+    )(command)
+
+
+@sitl.command(epilog=example("hexjet sitl px4 --binary px4_sitl_default/bin/px4 --param MC_ROLLRATE_P=0.05"))
+@_common
+@_instance
+@click.option(
+    "parameters", "--param", metavar="NAME=VALUE", multiple=True, help="Over those of hexjet sitl params px4."
+)
+@click.option("--field", metavar="N,E,D", help="The magnetic field [gauss].  [default: a dipole's at the place]")
+def px4(
+    scenario: str,
+    aircraft: str | None,
+    engines: tuple[str, ...],
+    settings: tuple[str, ...],
+    seed: int | None,
+    binary: Path | None,
+    rtf: float,
+    timeout: float,
+    out: Path | None,
+    as_json: bool,
+    instance: int,
+    parameters: tuple[str, ...],
+    field: str | None,
+) -> int:
+    """PX4's SITL: that of --binary or PX4_SITL, or one that you start; the port is 4560 and the instance.
+
+    It flies in Stabilized and is flown by the sticks: lean as the scenario asks, height and heading held by the pilot
+    with the vehicle's own loops. Time is the flight's, but PX4's threads share it in an order of their own: two flights
+    are not the same to the bit, their repetitions by hexjet fly are.
+    """
+    from cosim.autopilots import px4 as theirs
+    from cosim.autopilots.parameters import px4_parameters
+    from cosim.base.toml import parse_numbers
+
+    flown = load_scenario(scenario, None, engines, seed, settings, None, aircraft)
+    vehicle, _ = flown.resolved_vehicle()
+    program, folder = theirs.program(binary), _folder(flown, "px4", out)
+    told = px4_parameters(vehicle) | parse_numbers(parameters, "--param")
+    place = _place(flown)
+    autopilot = theirs.Px4(
+        program, folder / "px4", vehicle, flown.step_s, place, told, instance, timeout, _field(field)
+    )
+    _wait_for("PX4", program, f"TCP port {theirs.PORT + instance}")
+    with output_to_stderr(as_json):
+        done = _flown(flown, autopilot, "px4", folder, theirs, program, {"parameters": told}, rtf)
+    return _told(done, as_json)
+
+
+@sitl.command(epilog=example("hexjet sitl ardupilot --binary build/sitl/bin/arducopter --set step_s=0.0025"))
+@_common
+@_instance
+@click.option(
+    "--defaults",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="FILE.parm",
+    help="Its parameters.  [default: as hexjet sitl params ardupilot writes them]",
+)
+def ardupilot(
+    scenario: str,
+    aircraft: str | None,
+    engines: tuple[str, ...],
+    settings: tuple[str, ...],
+    seed: int | None,
+    binary: Path | None,
+    rtf: float,
+    timeout: float,
+    out: Path | None,
+    as_json: bool,
+    instance: int,
+    defaults: Path | None,
+) -> int:
+    """ArduPilot's SITL over its JSON backend: that of --binary or ARDUPILOT_SITL, or one that you start.
+
+    The port is 9002, and ten more for each instance. It flies in Stabilize and is flown by the sticks, as PX4 is. It
+    must ask for as many frames a second as the flight has steps: SIM_RATE_HZ.
+    """
+    from cosim.autopilots import ardupilot as theirs
+    from cosim.autopilots.parameters import ardupilot_parameters, parameter_file
+
+    flown = load_scenario(scenario, None, engines, seed, settings, None, aircraft)
+    vehicle, _ = flown.resolved_vehicle()
+    program, folder = theirs.program(binary), _folder(flown, "ardupilot", out)
+    place, home = _place(flown), folder / "ardupilot"
+    if defaults is None and program is not None:
+        defaults = home / "hexjet.parm"
+        home.mkdir(parents=True, exist_ok=True)
+        defaults.write_text(parameter_file("ardupilot", ardupilot_parameters(vehicle, flown.step_s)))
+    autopilot = theirs.ArduPilot(program, home, vehicle, flown.step_s, place, defaults, instance, timeout)
+    _wait_for("ArduPilot", program, f"UDP port {theirs.PORT + theirs.APART * instance}")
+    with output_to_stderr(as_json):
+        done = _flown(flown, autopilot, "ardupilot", folder, theirs, program, {"defaults": str(defaults)}, rtf)
+    return _told(done, as_json)
+
+
+@sitl.command(epilog=example("hexjet sitl params px4 > hexjet.params"))
+@click.argument("autopilot", type=click.Choice(["px4", "ardupilot", "betaflight"]))
+@click.option("--aircraft", default="hexjet", show_default=True, metavar="NAME", help="See: hexjet list aircraft.")
+@click.option("--gains", metavar="FILE.toml", help="Of hexjet design, in the place of the vehicle's own.")
+@click.option("--rate", type=click.IntRange(50, 2000), default=250, show_default=True, help="Steps a second.")
+def params(autopilot: str, aircraft: str, gains: str | None, rate: int) -> int:
+    """The vehicle as an autopilot's parameters, on standard output: geometry, mixing, gains, filters, sticks.
+
+    What cannot be said in its parameters stands in the lines that begin with #. For Betaflight they are lines for its
+    console.
+    """
+    from cosim.autopilots import parameters as made
+    from cosim.autopilots.betaflight import fixed, gains_of, mixing
+
+    vehicle, _ = load_scenario("hover", gains, (), None, (), None, aircraft).resolved_vehicle()
+    if autopilot == "betaflight":
+        lines = [*mixing(vehicle, vehicle.control.allocation.throttle_min), *fixed(vehicle), *gains_of(vehicle), "save"]
+        click.echo("\n".join(lines))
+        return DONE
+    told = made.px4_parameters(vehicle) if autopilot == "px4" else made.ardupilot_parameters(vehicle, 1.0 / rate)
+    click.echo(made.parameter_file(autopilot, told), nl=False)
+    return DONE
+
+
+def _flown(
+    flown: Scenario, autopilot: Any, label: str, folder: Path, theirs: Any, program: Path | None, told: Any, rtf: float
+) -> Flown:
+    from cosim.autopilots.run import fly_autopilot
+
+    return fly_autopilot(
+        flown,
+        autopilot,
+        label,
+        folder,
+        before=theirs.BEFORE_S,
+        lean_deg=theirs.ANGLE_LIMIT_DEG,
+        turn_deg_s=theirs.YAW_RATE_DEG_S,
+        files=[program] if program is not None else [],
+        told=told,
+        realtime_factor=rtf or None,
+    )
+
+
+def _wait_for(name: str, program: Path | None, port: str) -> None:
+    if program is None:
+        click.echo(f"hexjet: no {name} is named (--binary): waiting for one at {port} of this machine", err=True)
+
+
+def _place(flown: Scenario) -> Any:
+    from cosim.base.geodesy import Geodesy
+
+    place = flown.environment
+    return Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
+
+
+def _field(text: str | None) -> tuple[float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        north, east, down = (float(each) for each in text.split(","))
+        if not 0.0 < north * north + east * east + down * down < 4.0:
+            raise ValueError
+    except ValueError:
+        raise InputError(f"--field {text}: must be north, east and down [gauss], such as 0.37,-0.02,0.24") from None
+    return north, east, down
+
+
 def _folder(scenario: Scenario, label: str, out: Path | None) -> Path:
     from cosim.flight import new_folder
 

@@ -1,0 +1,197 @@
+"""ArduPilot's SITL over its JSON backend: servo packets on UDP, answered with one line of JSON each.
+
+Protocol (``libraries/SITL/examples/JSON/readme.md``, ``SIM_JSON.cpp``): the physics listens on UDP 9002, ten more for
+each instance, and answers to whoever sent.  ArduPilot stands still until it is answered, and the answer's timestamp is
+its time.  Without one for a second it sends the same packet again, with the same frame count: that is answered again,
+and not stepped.  Sticks go to UDP 5501 before the state, as 16 pulses.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+from struct import Struct
+from time import monotonic
+
+from cosim.autopilots.lockstep import LOCAL, Answer, Counts, Frame, Program, Waiting, check_program, listen
+from cosim.base.errors import FlightError, InputError
+from cosim.base.geodesy import Geodesy
+from cosim.base.limits import clamp
+from cosim.spec.vehicle import Vehicle
+
+PORT, RC_PORT, APART = 9002, 5501, 10
+BEFORE_S = 40.0  # chosen by us: until its estimator has a position, without which it does not arm
+ANGLE_LIMIT_DEG, YAW_RATE_DEG_S = 30, 202  # ANGLE_MAX, and PILOT_Y_RATE as it ships
+_SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by their magic: frame rate, frame count, pulses [us]
+_STICKS = Struct("<16H")
+_START_S = 60.0  # until its first packet
+# A packet that comes again this soon after it was answered was sent before that.  It is not answered again: ArduPilot
+# would take the second answer for that to its next packet, and be a step late from there on.  It waits for a second.
+_PATIENCE_S = 0.5
+_LONGEST_STEP_S = 0.1  # a longer one does not move its clock
+
+
+def program(stated: Path | None) -> Path | None:
+    """The ArduPilot to start: as stated, or that of ``ARDUPILOT_SITL``; None: somebody does.  Raises InputError."""
+    if stated is not None:
+        return check_program(stated, "--binary")
+    named = os.environ.get("ARDUPILOT_SITL")
+    return check_program(Path(named), "ARDUPILOT_SITL") if named else None
+
+
+class ArduPilot:
+    """One ArduPilot, started here or by somebody.  ``parameters``: a file of its defaults.  Raises InputError."""
+
+    def __init__(
+        self,
+        binary: Path | None,
+        folder: Path,
+        vehicle: Vehicle,
+        step: float,
+        place: Geodesy,
+        parameters: Path | None = None,
+        instance: int = 0,
+        limit: float = 5.0,
+    ) -> None:
+        if step >= _LONGEST_STEP_S:
+            raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below {_LONGEST_STEP_S:g} s")
+        self.counts = Counts()
+        self.limit = limit
+        self.patience = _PATIENCE_S
+        self._binary, self._folder, self._step, self._place = binary, folder, step, place
+        self._parameters, self._instance = parameters, instance
+        self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
+        self._socket: socket.socket | None = None
+        self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._program: Program | None = None
+        self._peer: tuple[str, int] | None = None
+        self._count = -1  # frame count of the packet that was answered last, or is to be
+        self._anew = False  # a count that begins anew was seen
+
+    def start(self) -> None:
+        """Listen, start it, and wait for its first packet.  Raises InputError or FlightError."""
+        port = PORT + APART * self._instance
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._socket = listen(socket.SOCK_DGRAM, port, "ardupilot")
+        if self._binary is not None:
+            place = self._place
+            home = f"{place.latitude_deg!r},{place.longitude_deg!r},{place.ground!r},0"
+            command = [str(self._binary), "--model", f"JSON:{LOCAL}", "--home", home, f"-I{self._instance}", "--wipe"]
+            command += ["--defaults", str(self._parameters.absolute())] if self._parameters is not None else []
+            self._program = Program(command, self._folder, self._folder / "ardupilot.log", {})
+        waiting = Waiting("ardupilot", _START_S, self._program, f"sent nothing to port {port}")
+        rate = 0
+        while self._peer is None:
+            packet, sender = self._packet(waiting)
+            if (servos := self._servos(packet)) is None:
+                raise FlightError(f"what sends to ardupilot's port is no servo packet: it said {packet[:16]!r}")
+            self._peer, (_, rate, self._count, *_) = sender, servos
+        if abs(rate * self._step - 1.0) > 1e-3:
+            raise FlightError(
+                f"ardupilot asks for {rate} frames a second, and the flight has {1.0 / self._step:g}: set SIM_RATE_HZ "
+                f"to that, and SCHED_LOOP_RATE to no more, or fly with step_s = {1.0 / rate if rate else 0.0025:g}"
+            )
+
+    def exchange(self, frame: Frame) -> Answer:
+        """See :class:`cosim.autopilots.lockstep.Autopilot`."""
+        assert self._socket is not None
+        assert self._peer is not None
+        counts, opened, peer = self.counts, self._socket, self._peer
+        state = self._state(frame)
+        self._out.sendto(_STICKS.pack(*_pulses(frame)), (LOCAL, RC_PORT + APART * self._instance))
+        opened.sendto(state, peer)
+        said = monotonic()
+        counts.frames += 1
+        waiting = Waiting("ardupilot", self.limit, self._program)
+        while True:
+            try:
+                packet, sender = self._packet(waiting)
+            except FlightError as error:
+                raise FlightError(
+                    f"{error}; its frame count began anew: was it restarted?" if self._anew else str(error)
+                ) from None
+            servos = self._servos(packet)
+            if servos is None:
+                counts.foreign += 1
+                continue
+            count = servos[2]
+            if sender != peer:  # a second one, or it was started again: it is not answered, so it stands still
+                counts.foreign += 1
+                self._anew = self._anew or count < self._count
+                continue
+            if count == self._count:
+                counts.repeated += 1
+                if monotonic() - said > self.patience:  # it has waited for an answer since, which was lost
+                    opened.sendto(state, peer)
+                    said = monotonic()
+                continue
+            if count < self._count:
+                counts.repeated += 1  # a late copy, or it began anew: then it will not go on, and that is told
+                self._anew = True
+                continue
+            if count != self._count + 1:
+                raise FlightError(f"ardupilot went on from frame {self._count} to {count}: frames between were lost")
+            self._count, self._anew = count, False
+            counts.answers += 1
+            counts.longest_s = max(counts.longest_s, waiting.took)
+            return self._answer(servos[3:])
+
+    def _servos(self, packet: bytes) -> tuple[int, ...] | None:
+        if len(packet) < 2:
+            return None
+        form = _SERVOS.get(packet[0] | packet[1] << 8)
+        return form.unpack(packet) if form is not None and form.size == len(packet) else None
+
+    def _answer(self, pulses: tuple[int, ...]) -> Answer:
+        jets = self._jets
+        throttle = tuple([min(max((pulse - 1000.0) / 1000.0, 0.0), 1.0) for pulse in pulses[:jets]])
+        tilt = (0.0, 0.0)
+        if self._range:
+            left, right = (
+                self._range * clamp((pulse - 1500.0) / 500.0, 1.0) if pulse else 0.0
+                for pulse in pulses[jets : jets + 2]
+            )
+            tilt = (left, right)
+        return Answer(throttle, tilt, max(throttle) > 0.0)
+
+    def _state(self, frame: Frame) -> bytes:
+        """One line between two ends of lines; its parser wants no blank behind a colon, and one behind a comma."""
+        attitude = ", ".join([f"{value:.9g}" for value in frame.attitude])
+        return (
+            f'\n{{"timestamp":{frame.time:.6f},"imu":{{"gyro":[{_three(frame.rate)}],"accel_body":[{_three(frame.force)}]}},'
+            f'"position":[{_three(frame.position)}],"quaternion":[{attitude}],"velocity":[{_three(frame.velocity)}]}}\n'
+        ).encode()
+
+    def _packet(self, waiting: Waiting) -> tuple[bytes, tuple[str, int]]:
+        assert self._socket is not None
+        while True:
+            self._socket.settimeout(waiting.left())
+            try:
+                return self._socket.recvfrom(1024)
+            except TimeoutError:
+                continue
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+        if self._program is not None:
+            self._program.close()
+        if self._socket is not None:
+            self._socket.close()
+        self._out.close()
+
+
+def _three(vector: tuple[float, float, float]) -> str:
+    x, y, z = vector
+    return f"{x:.9g}, {y:.9g}, {z:.9g}"
+
+
+def _pulses(frame: Frame) -> list[int]:
+    roll, pitch, yaw, throttle, armed = frame.sticks
+    sticks = [
+        round(1500.0 + 500.0 * clamp(roll, 1.0)),
+        round(1500.0 - 500.0 * clamp(pitch, 1.0)),  # stick forward, a lower pulse, is nose down
+        round(1000.0 + 1000.0 * min(max(throttle, 0.0), 1.0)),
+        round(1500.0 + 500.0 * clamp(yaw, 1.0)),
+    ]
+    return [*sticks, 1500, 1500, 2000 if armed else 1000, *[1500] * 9]

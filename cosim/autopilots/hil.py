@@ -1,0 +1,97 @@
+"""The few MAVLink 2 messages between PX4 and a simulator, as bytes: those of ``common.xml``, laid out for speed.
+
+The payload of a message has its fields in the order of their size, then its extensions; zeros at its end are not sent.
+The checksum is CRC-16/MCRF4XX of all behind the magic byte, and of a byte that the definition of the message makes.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+from typing import NamedTuple
+
+from fastcrc import crc16
+
+MAGIC, HEADER, CHECKSUM = 0xFD, 10, 2
+MAGIC_1, HEADER_1 = 0xFE, 6
+_HEAD = Struct("<BBBBBBBHB")
+
+
+class Kind(NamedTuple):
+    """A message: its number, its payload, and the byte of its definition that goes into the checksum."""
+
+    number: int
+    payload: Struct
+    extra: int
+
+
+HEARTBEAT = Kind(0, Struct("<IBBBBB"), 50)
+RC_CHANNELS = Kind(65, Struct("<I18HBB"), 118)
+HIL_ACTUATOR_CONTROLS = Kind(93, Struct("<QQ16fB"), 47)  # time_usec, flags, controls, mode
+HIL_SENSOR = Kind(107, Struct("<Q13fIB"), 108)
+HIL_GPS = Kind(113, Struct("<QiiiHHHhhhHBBBH"), 124)
+HIL_STATE_QUATERNION = Kind(115, Struct("<Q4f3fiiihhhHHhhh"), 4)
+RAW_RPM = Kind(339, Struct("<fB"), 199)
+KINDS = {
+    kind.number: kind
+    for kind in (HEARTBEAT, RC_CHANNELS, HIL_ACTUATOR_CONTROLS, HIL_SENSOR, HIL_GPS, HIL_STATE_QUATERNION, RAW_RPM)
+}
+
+
+class Writer:
+    """Frames of one sender."""
+
+    def __init__(self, system: int = 1, component: int = 200) -> None:
+        self._system, self._component, self._sequence = system, component, 0
+
+    def frame(self, kind: Kind, *values: float | int) -> bytes:
+        """The next frame; ``values`` in the order of the payload."""
+        payload = kind.payload.pack(*values).rstrip(b"\0") or b"\0"
+        number = kind.number
+        head = _HEAD.pack(
+            MAGIC, len(payload), 0, 0, self._sequence, self._system, self._component, number & 0xFFFF, number >> 16
+        )
+        self._sequence = (self._sequence + 1) & 0xFF
+        body = head + payload
+        return body + crc16.mcrf4xx(body[1:] + bytes((kind.extra,))).to_bytes(2, "little")
+
+
+class Reader:
+    """Messages from a stream of bytes: those of :data:`KINDS`; ``noise`` counts bytes that were part of no frame."""
+
+    def __init__(self) -> None:
+        self.noise = 0
+        self.frames = 0
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[tuple[Kind, tuple[float, ...]]]:
+        """Every message that ``data`` completes; those of other kinds and with a wrong checksum are left out."""
+        rest = self._rest + data
+        found: list[tuple[Kind, tuple[float, ...]]] = []
+        at, end = 0, len(rest)
+        while at < end:
+            magic = rest[at]
+            if magic != MAGIC and magic != MAGIC_1:
+                self.noise += 1
+                at += 1
+                continue
+            if end - at < 3:
+                break
+            size, signed = rest[at + 1], magic == MAGIC and rest[at + 2] & 1
+            head = HEADER if magic == MAGIC else HEADER_1
+            stop = at + head + size
+            if stop + CHECKSUM + (13 if signed else 0) > end:
+                break
+            number = int.from_bytes(rest[at + 7 : at + 10], "little") if magic == MAGIC else rest[at + 5]
+            kind = KINDS.get(number)
+            if kind is not None:
+                told = rest[stop] | rest[stop + 1] << 8
+                if crc16.mcrf4xx(rest[at + 1 : stop] + bytes((kind.extra,))) != told:
+                    self.noise += 1
+                    at += 1
+                    continue
+                whole = kind.payload.size
+                found.append((kind, kind.payload.unpack(rest[at + head : stop][:whole].ljust(whole, b"\0"))))
+            self.frames += 1
+            at = stop + CHECKSUM + (13 if signed else 0)
+        self._rest = rest[at:]
+        return found

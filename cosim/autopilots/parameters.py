@@ -1,0 +1,168 @@
+"""The vehicle in the parameters of PX4 and ArduPilot: geometry, outputs, rate loops in their units, sticks.
+
+A rate loop of theirs answers with a torque from -1 to 1, and what 1 is of throttle or of a tilt is their mixer's: for
+PX4 the normalised pseudo-inverse of ``ControlAllocationPseudoInverse`` and ``ActuatorEffectivenessMCTilt`` (1.15), for
+ArduPilot half of the motors' range (``AP_MotorsMatrix::normalise_rpy_factors``, 4.6).  Computed from their sources, and
+flown with neither here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import degrees, pi
+
+import numpy as np
+
+from cosim.base.errors import InputError
+from cosim.base.signals import Vector3
+from cosim.spec.vehicle import RateGains, Vehicle
+
+_AXES = ("roll", "pitch", "yaw")
+_THRUST = 6.5  # CA_ROTOR_CT as it ships
+
+
+def px4_torque(vehicle: Vehicle) -> Vector3:
+    """What a torque of 1 is for PX4: throttle about roll, rad of tilt about pitch and yaw (throttle without tilts).
+
+    Tilts count with a torque of 1 each and rotors with their levers, roll and pitch have one scale, and with tilts the
+    rotors give no yaw and are told to stand at x = 0, so that they give no pitch.
+    """
+    columns = []
+    for jet in vehicle.jets:
+        x, y, _ = jet.position_m
+        columns.append(_THRUST * np.array([-y, 0.0 if vehicle.servo else x, 0.0 if vehicle.servo else jet.reaction_m]))
+    upward = [-_THRUST] * len(columns)
+    if vehicle.servo:
+        columns += [np.array([0.0, -1.0, 1.0]), np.array([0.0, -1.0, -1.0])]  # left and right bank, tilted forward
+        upward += [0.0, 0.0]
+    mix = np.linalg.pinv(np.vstack([np.array(columns).T, upward]))
+    both = [np.sqrt(np.sum(mix[:, i] ** 2) / (0.5 * np.count_nonzero(np.abs(mix[:, i]) > 1e-3))) for i in (0, 1)]
+    scales = (max(both), max(both), float(mix[:, 2].max()))
+    size = vehicle.servo.range_rad if vehicle.servo else 1.0
+    roll, pitch, yaw = (float(np.abs(mix[:, i]).max() / scales[i]) for i in range(3))
+    return roll, size * pitch, size * yaw
+
+
+def rates(vehicle: Vehicle, torque: Vector3) -> tuple[tuple[str, RateGains, float], ...]:
+    """Of each axis its gains, and what they are divided by."""
+    control = vehicle.control.rate
+    return tuple(zip(_AXES, (control.roll, control.pitch, control.yaw), torque, strict=True))
+
+
+def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
+    """PX4: control allocation as a multirotor, with tilts, outputs, rate and attitude gains, filters, sticks."""
+    jets, control = vehicle.jets, vehicle.control
+    told: dict[str, float] = {"CA_AIRFRAME": 8 if vehicle.servo else 0, "CA_ROTOR_COUNT": len(jets)}
+    for index, jet in enumerate(jets):
+        x, y, z = jet.position_m
+        told |= {f"CA_ROTOR{index}_PX": 0.0 if vehicle.servo else x, f"CA_ROTOR{index}_PY": y, f"CA_ROTOR{index}_PZ": z}
+        # positive for a rotor that turns counter-clockwise, whose reaction turns the nose to the right
+        told[f"CA_ROTOR{index}_KM"] = jet.reaction_m
+        told[f"HIL_ACT_FUNC{index + 1}"] = told[f"PWM_MAIN_FUNC{index + 1}"] = 101 + index
+        if vehicle.servo:
+            told[f"CA_ROTOR{index}_TILT"] = 1 if jet.servo == "left" else 2
+    if vehicle.servo:
+        limit = degrees(vehicle.servo.range_rad)
+        told["CA_SV_TL_COUNT"] = 2
+        for index in range(2):
+            told |= {f"CA_SV_TL{index}_MINA": -limit, f"CA_SV_TL{index}_MAXA": limit}
+            told[f"CA_SV_TL{index}_TD"] = 0.0  # towards the front
+            told[f"CA_SV_TL{index}_CT"] = 3  # for pitch and yaw
+            function = f"FUNC{len(jets) + index + 1}"
+            told[f"HIL_ACT_{function}"] = told[f"PWM_MAIN_{function}"] = 201 + index
+    for axis, gains, worth in rates(vehicle, px4_torque(vehicle)):
+        name = f"MC_{axis.upper()}RATE"
+        told |= {
+            f"{name}_P": gains.p / worth,
+            f"{name}_I": gains.i / worth,
+            f"{name}_D": gains.d / worth,
+            f"{name}_K": 1.0,
+        }
+    roll, pitch, yaw = control.attitude.gain_1_s
+    told |= {"MC_ROLL_P": roll, "MC_PITCH_P": pitch, "MC_YAW_P": yaw}
+    told |= {
+        f"MC_{axis.upper()}RATE_MAX": degrees(limit)
+        for axis, limit in zip(_AXES, control.attitude.rate_limit_rad_s, strict=True)
+    }
+    told |= {"IMU_GYRO_CUTOFF": 0.0, "MC_AIRMODE": 1.0}  # the gyro of the vehicle is filtered already
+    if control.rate.roll.d:
+        told["IMU_DGYRO_CUTOFF"] = 1.0 / (2.0 * pi * control.rate.roll.d_filter_s)
+    # sticks by the simulator's link: Stabilized in every position, the fifth channel arms
+    told |= {"COM_RC_IN_MODE": 0, "RC_MAP_ROLL": 1, "RC_MAP_PITCH": 2, "RC_MAP_THROTTLE": 3, "RC_MAP_YAW": 4}
+    told |= {"RC_MAP_ARM_SW": 5, "RC_MAP_FLTMODE": 6, "RC_CHAN_CNT": 8, "RC3_TRIM": 1000}
+    told |= {f"COM_FLTMODE{slot}": 8 for slot in range(1, 7)}
+    return told
+
+
+_X_FRAME = {(True, True): 0, (False, False): 1, (True, False): 2, (False, True): 3}  # front, right: its motor less one
+
+
+def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
+    """ArduPilot: a quadrotor of its X frame, rate and attitude gains, filters, sticks, and the flight's rate.
+
+    Raises InputError for a vehicle with tilts: no frame of ArduCopter has two banks that tilt for pitch and yaw.
+    """
+    jets, control = vehicle.jets, vehicle.control
+    if vehicle.servo or len(jets) != 4:
+        tilts = " on two tilting banks" if vehicle.servo else ""
+        raise InputError(
+            f"ardupilot: {vehicle.name}: no frame of ArduCopter has {len(jets)} engines{tilts}; state parameters of "
+            "yours (--defaults): the first outputs are the engines, the next two the tilts, left and right"
+        )
+    least = control.allocation.throttle_min
+    told: dict[str, float] = {"SIM_RATE_HZ": round(1.0 / step), "SCHED_LOOP_RATE": min(round(1.0 / step), 400)}
+    told |= {"FRAME_CLASS": 1, "FRAME_TYPE": 1}
+    for number, jet in enumerate(jets, 1):
+        x, y, _ = jet.position_m
+        told[f"SERVO{number}_FUNCTION"] = 33 + _X_FRAME[x > 0.0, y > 0.0]
+        told |= {f"SERVO{number}_MIN": 1000, f"SERVO{number}_MAX": 2000}
+    half = 0.5 * (1.0 - least)
+    for axis, gains, worth in rates(vehicle, (half, half, half)):
+        name = f"ATC_RAT_{'RLL' if axis == 'roll' else 'PIT' if axis == 'pitch' else 'YAW'}"
+        told |= {f"{name}_P": gains.p / worth, f"{name}_I": gains.i / worth, f"{name}_D": gains.d / worth}
+        told |= {f"{name}_FLTT": 0.0, f"{name}_FLTE": 0.0}
+        told[f"{name}_FLTD"] = 1.0 / (2.0 * pi * gains.d_filter_s) if gains.d else 0.0
+        told[f"{name}_IMAX"] = min(gains.integral_limit / worth, 1.0)
+    names = [f"ATC_ANG_{axis}_P" for axis in ("RLL", "PIT", "YAW")]
+    told |= dict(zip(names, control.attitude.gain_1_s, strict=True))
+    told |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.0, "MOT_SPIN_MAX": 1.0}
+    told |= {"MOT_SPIN_MIN": least, "MOT_SPIN_ARM": least, "INS_GYRO_FILTER": 0}
+    return told | {"RC7_OPTION": 153, "ARMING_CHECK": 0}  # armed by the seventh channel
+
+
+NOTES = {
+    "px4": (
+        "Written from its sources and not flown with it. The rate loop runs at IMU_GYRO_RATEMAX, not at our step;",
+        "its derivative has one filter for all axes, here roll's, and its integral a limit of its own (MC_RR_INT_LIM).",
+        "With tilts the engines are told to stand at x = 0, so that the tilts alone give pitch, as ours do.",
+    ),
+    "ardupilot": ("Written from its sources and not flown with it.",),
+}
+
+
+def parameter_file(autopilot: str, told: Mapping[str, float]) -> str:
+    """As the ground stations read it: for PX4 ids, name, value and type by tabs, for ArduPilot name and value."""
+    lines = [f"# {line}" for line in NOTES[autopilot]]
+    for name, value in sorted(told.items()):
+        if autopilot == "px4":
+            whole = float(value).is_integer() and not _real(name)
+            lines.append(f"1\t1\t{name}\t{value:.9g}\t{6 if whole else 9}")
+        else:
+            lines.append(f"{name},{value:.9g}")
+    return "\n".join(lines) + "\n"
+
+
+def _real(name: str) -> bool:
+    """Whether PX4 holds it as a float, whatever its value."""
+    counted = (
+        "CA_AIRFRAME",
+        "CA_ROTOR_COUNT",
+        "CA_SV_TL_COUNT",
+        "COM_",
+        "RC_MAP",
+        "RC_CHAN",
+        "MC_AIRMODE",
+        "HIL_ACT",
+        "PWM_MAIN",
+    )
+    return not (name.startswith(counted) or name.endswith(("_TILT", "_CT", "_TD")))

@@ -1,0 +1,252 @@
+"""PX4's SITL over its simulator link: MAVLink on TCP, sensors one way, actuators the other, matched by their time.
+
+Protocol (PX4 ``docs/en/simulation``, ``SimulatorMavlink.cpp``): the simulator is the server, port 4560 and one more
+for each instance.  HIL_SENSOR with id 0 is PX4's clock; one HIL_ACTUATOR_CONTROLS comes back for each, with its time.
+Until the first of these PX4 starts up, and frames are sent without waiting for answers.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+from collections.abc import Mapping
+from contextlib import suppress
+from math import atan2, degrees, hypot, pi
+from pathlib import Path
+
+from cosim.autopilots import hil
+from cosim.autopilots.instruments import compass, dipole_field
+from cosim.autopilots.lockstep import Answer, Counts, Frame, Program, Waiting, check_program, listen
+from cosim.base.errors import FlightError
+from cosim.base.geodesy import Geodesy
+from cosim.base.limits import clamp
+from cosim.base.signals import Vector3
+from cosim.spec.vehicle import Vehicle
+from cosim.vehicle.atmosphere import standard_air
+
+PORT = 4560
+BEFORE_S = 30.0  # chosen by us: EKF2 wants some 10 s of GNSS, and arming looks at 10 s of health
+ANGLE_LIMIT_DEG, YAW_RATE_DEG_S = 35, 150  # MPC_MAN_TILT_MAX and MPC_MAN_Y_MAX as they ship
+_IMU, _MAG, _BARO = 7 | 56, 448, 6656  # fields_updated
+_MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
+_ARMED = 128  # of mode
+_START_S = 60.0  # until it connects; a start on a busy machine
+_PATIENCE = 64  # bytes that are no MAVLink, after which what is connected is no PX4
+_BOOT_WAIT = 0.02  # s of the clock for an answer before there was one
+
+
+def program(stated: Path | None) -> Path | None:
+    """The PX4 to start: the one stated, or that of ``PX4_SITL``; None: somebody starts it.  Raises InputError."""
+    if stated is not None:
+        return check_program(stated, "--binary")
+    named = os.environ.get("PX4_SITL")
+    return check_program(Path(named), "PX4_SITL") if named else None
+
+
+class Px4:
+    """One PX4, started here or by somebody.
+
+    ``parameters``: over those of its airframe, as ``PX4_PARAM_<NAME>``.  ``field``: north, east, down [gauss].
+    """
+
+    def __init__(
+        self,
+        binary: Path | None,
+        folder: Path,
+        vehicle: Vehicle,
+        step: float,
+        place: Geodesy,
+        parameters: Mapping[str, float] | None = None,
+        instance: int = 0,
+        limit: float = 5.0,
+        field: Vector3 | None = None,
+    ) -> None:
+        self.counts = Counts()
+        self.limit = limit
+        self.field = field or dipole_field(place.latitude_deg, place.longitude_deg)
+        self._binary, self._folder, self._step, self._place = binary, folder, step, place
+        self._instance, self._parameters = instance, parameters or {}
+        self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
+        self._fix_every = vehicle.sensors.gnss.period_samples
+        self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # cm
+        self._mag_every = max(1, round(_MAG_EVERY / step))
+        self._baro_every = max(1, round(_BARO_EVERY / step))
+        self._writer, self._reader = hil.Writer(), hil.Reader()
+        self._server: socket.socket | None = None
+        self._link: socket.socket | None = None
+        self._program: Program | None = None
+
+    def start(self) -> None:
+        """Listen, start it, and wait until it connects.  Raises InputError or FlightError."""
+        port = PORT + self._instance
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._server = listen(socket.SOCK_STREAM, port, "px4")
+        if self._binary is not None:
+            told = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
+            told |= {f"PX4_PARAM_{name}": f"{value:g}" for name, value in self._parameters.items()}
+            etc = self._binary.parent.parent / "etc"
+            command = [str(self._binary), "-d", "-i", str(self._instance), "-w", str(self._folder), str(etc)]
+            self._program = Program(command, self._folder, self._folder / "px4.log", told)
+        waiting = Waiting("px4", _START_S, self._program, f"did not connect to port {port}")
+        while self._link is None:
+            self._server.settimeout(waiting.left())
+            with suppress(TimeoutError):
+                self._link, _ = self._server.accept()
+        self._server.setblocking(False)
+        self._link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def exchange(self, frame: Frame) -> Answer:
+        """See :class:`cosim.autopilots.lockstep.Autopilot`."""
+        assert self._link is not None
+        counts = self.counts
+        now = round(1e6 * frame.time) + 1  # 0 would be no time
+        self._send(self._told(frame, now))
+        counts.frames += 1
+        booting = counts.answers == 0
+        waiting = Waiting("px4", _BOOT_WAIT if booting else self.limit, self._program)
+        while True:
+            try:
+                left = waiting.left()
+            except FlightError:
+                if not booting or self._gone():
+                    raise
+                counts.boot += 1
+                return Answer((0.0,) * self._jets, (0.0, 0.0), False)
+            answer = None
+            for values in self._controls(left):
+                if values[0] > now:
+                    raise FlightError(f"px4 answered for {values[0] / 1e6:.3f} s and was told of {now / 1e6:.3f} s")
+                if values[0] < now or answer is not None:
+                    counts.repeated += 1  # of a frame before: late, or twice
+                else:
+                    answer = self._answer(values)
+            if answer is not None:
+                counts.answers += 1
+                counts.longest_s = max(counts.longest_s, waiting.took)
+                return answer
+
+    def _gone(self) -> bool:
+        return self._program is not None and bool(self._program.ended)
+
+    def _answer(self, values: tuple[float, ...]) -> Answer:
+        controls, armed = values[2:18], bool(int(values[18]) & _ARMED)
+        throttle = tuple([clamp(max(value, 0.0), 1.0) for value in controls[: self._jets]])
+        if not self._range:
+            return Answer(throttle, (0.0, 0.0), armed)
+        left, right = (self._range * clamp(value, 1.0) for value in controls[self._jets : self._jets + 2])
+        return Answer(throttle, (left, right), armed)
+
+    def _controls(self, left: float) -> list[tuple[float, ...]]:
+        """The HIL_ACTUATOR_CONTROLS that come within so many seconds.  Raises FlightError for a link that is none."""
+        link, server = self._link, self._server
+        assert link is not None
+        assert server is not None
+        ready, _, _ = select.select([link, server], [], [], left)
+        if server in ready:
+            with suppress(BlockingIOError):
+                second, _ = server.accept()
+                second.close()
+                self.counts.foreign += 1
+        if link not in ready:
+            return []
+        try:
+            data = link.recv(65536)
+        except ConnectionError:
+            data = b""
+        if not data:
+            ended = f" and {self._program.ended}" if self._program is not None and self._program.ended else ""
+            raise FlightError(f"px4 closed its connection{ended}")
+        found = self._reader.feed(data)
+        if self._reader.noise >= _PATIENCE and not self._reader.frames:
+            raise FlightError(f"what is connected to px4's port speaks no MAVLink: it said {data[:16]!r}")
+        return [values for kind, values in found if kind is hil.HIL_ACTUATOR_CONTROLS]
+
+    def _send(self, data: bytes) -> None:
+        assert self._link is not None
+        try:
+            self._link.sendall(data)
+        except OSError:
+            ended = f" and {self._program.ended}" if self._program is not None and self._program.ended else ""
+            raise FlightError(f"px4 closed its connection{ended}") from None
+
+    def _told(self, frame: Frame, now: int) -> bytes:
+        """What goes out in one step: HIL_SENSOR last, because it moves PX4's clock."""
+        k = self.counts.frames
+        parts = [self._sticks(frame)]
+        if k % self._fix_every == 0:
+            parts.append(self._fix(frame, now))
+        for index, spool in enumerate(frame.spool if k % self._baro_every == 0 else ()):
+            if spool == spool:
+                parts.append(self._writer.frame(hil.RAW_RPM, 60.0 * spool / (2.0 * pi), index))
+        if frame.truth is not None and k % self._mag_every == 0:
+            parts.append(self._truth(frame, now))
+        fields = _IMU
+        magnetic: Vector3 = (0.0, 0.0, 0.0)
+        pressure = temperature = 0.0
+        if k % self._mag_every == 0:
+            fields |= _MAG
+            magnetic = compass(self.field, frame.attitude)
+        if k % self._baro_every == 0:
+            fields |= _BARO
+            pascal, kelvin = standard_air(self._place.ground + frame.altitude)
+            pressure, temperature = 0.01 * pascal, kelvin - 273.15
+        parts.append(
+            self._writer.frame(
+                hil.HIL_SENSOR,
+                now,
+                *frame.force,
+                *frame.rate,
+                *magnetic,
+                pressure,
+                0.0,
+                self._place.ground + frame.altitude,
+                temperature,
+                fields,
+                0,
+            )
+        )
+        return b"".join(parts)
+
+    def _sticks(self, frame: Frame) -> bytes:
+        roll, pitch, yaw, throttle, armed = frame.sticks
+        pulses = [
+            round(1500.0 + 500.0 * clamp(roll, 1.0)),
+            round(1500.0 + 500.0 * clamp(pitch, 1.0)),  # PX4: a higher pulse is forward
+            round(1000.0 + 1000.0 * min(max(throttle, 0.0), 1.0)),
+            round(1500.0 + 500.0 * clamp(yaw, 1.0)),
+            2000 if armed else 1000,
+        ]
+        filled = [*pulses, *[1500] * 3, *[0xFFFF] * 10]
+        return self._writer.frame(hil.RC_CHANNELS, round(1e3 * frame.time), *filled, 8, 255)
+
+    def _fix(self, frame: Frame, now: int) -> bytes:
+        north, east, down = frame.position
+        latitude, longitude, height = self._place.to_geodetic(north, east, -down)
+        vn, ve, vd = frame.velocity
+        course = degrees(atan2(ve, vn)) % 360.0
+        return self._writer.frame(
+            hil.HIL_GPS, now, round(1e7 * latitude), round(1e7 * longitude), round(1e3 * height), self._accuracy,
+            self._accuracy, round(1e2 * hypot(vn, ve)), round(1e2 * vn), round(1e2 * ve), round(1e2 * vd),
+            round(1e2 * course) % 36000, 3, 14, 0, 0,
+        )  # fmt: skip
+
+    def _truth(self, frame: Frame, now: int) -> bytes:
+        assert frame.truth is not None
+        true = frame.truth
+        latitude, longitude, height = self._place.to_geodetic(true.position[0], true.position[1], true.altitude)
+        cm = [round(clamp(1e2 * value, 32767.0)) for value in true.velocity]
+        air = round(min(1e2 * hypot(*(v - w for v, w in zip(true.velocity, true.wind, strict=True))), 65535.0))
+        mg = [round(clamp(1e3 * value / 9.80665, 32767.0)) for value in true.specific_force]
+        return self._writer.frame(
+            hil.HIL_STATE_QUATERNION, now, *true.attitude, *true.rate, round(1e7 * latitude), round(1e7 * longitude),
+            round(1e3 * height), *cm, air, air, *mg,
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+        if self._program is not None:
+            self._program.close()
+        for each in (self._link, self._server):
+            if each is not None:
+                each.close()

@@ -1,0 +1,330 @@
+"""The lockstep with stand-ins written from the protocols: no sample lost or doubled, and every fault named."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import degrees, pi, sin
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from autopilot_standins import ArduPilotStandIn, Px4StandIn
+from command_tools import Hexjet
+
+from cosim.autopilots import hil, px4
+from cosim.autopilots.ardupilot import ArduPilot
+from cosim.autopilots.instruments import compass, dipole_field
+from cosim.autopilots.lockstep import Frame, Sticks
+from cosim.autopilots.px4 import Px4
+from cosim.base.errors import FlightError, InputError
+from cosim.base.frames import from_euler
+from cosim.base.geodesy import Geodesy
+from cosim.groundstation.mavlink.wire.dialect import KINDS, mav
+from cosim.spec.vehicle import load_vehicle
+
+STEP = 0.004
+HEXJET = load_vehicle("hexjet")[0]
+PLACE = Geodesy(22.35, 113.59, 5.0)
+STICKS = Sticks(0.5, -0.25, 0.1, 0.4, True)
+
+
+def frame(k: int, **changes: Any) -> Frame:
+    made = Frame(
+        k * STEP, (0.1, -0.2, 0.3), (0.5, -0.4, -9.8), from_euler(0.1, 0.2, 0.3), (1.0, 2.0, -30.0), (0.1, 0.2, -0.3), 30.0, STICKS
+    )  # fmt: skip
+    return made._replace(**changes)
+
+
+def fifty(ours: ArduPilot | Px4) -> None:
+    for k in range(50):
+        ours.exchange(frame(k))
+
+
+def free(instances: range, port: int, apart: int, kind: socket.SocketKind) -> int:
+    """An instance whose port is free."""
+    for instance in np.random.default_rng().permutation(list(instances)):
+        with socket.socket(socket.AF_INET, kind) as asked:
+            try:
+                asked.bind(("127.0.0.1", port + apart * int(instance)))
+            except OSError:
+                continue
+            return int(instance)
+    raise AssertionError("no port is free")
+
+
+@contextmanager
+def ardupilot(
+    folder: Path, limit: float = 20.0, step: float = STEP, **faults: Any
+) -> Iterator[tuple[ArduPilot, ArduPilotStandIn]]:
+    instance = free(range(100, 4000), 9002, 10, socket.SOCK_DGRAM)
+    ours = ArduPilot(None, folder, HEXJET, step, PLACE, instance=instance, limit=limit)
+    theirs = ArduPilotStandIn(9002 + 10 * instance, **faults)
+    try:
+        ours.start()
+        yield ours, theirs
+    finally:
+        ours.close()
+        theirs.close()
+
+
+@contextmanager
+def px4_pair(folder: Path, limit: float = 20.0, **faults: Any) -> Iterator[tuple[Px4, Px4StandIn]]:
+    instance = free(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
+    ours = Px4(None, folder, HEXJET, STEP, PLACE, instance=instance, limit=limit)
+    theirs = Px4StandIn(4560 + instance, **faults)
+    try:
+        ours.start()
+        yield ours, theirs
+    finally:
+        ours.close()
+        theirs.thread.join(5.0)
+
+
+# --- ArduPilot ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("steps", [2000, pytest.param(100_000, marks=pytest.mark.long)])
+def test_ardupilot_loses_and_doubles_nothing(steps: int, tmp_path: Path) -> None:
+    """With answers that are lost, packets that come twice and late: its clock goes through every step once, in order."""
+    rng = np.random.default_rng(7)
+    twice, late = (sorted(rng.choice(np.arange(2, steps - 2), 20, replace=False).tolist()) for _ in range(2))
+    lose = (700, 1900)
+    with ardupilot(tmp_path, lose=lose, twice=twice, late=late, waits=0.2) as (ours, theirs):
+        ours.patience = 0.1
+        for k in range(steps):
+            answer = ours.exchange(frame(k))
+        assert answer.throttle == (0.5,) * 6
+        counts = ours.counts
+    assert (counts.frames, counts.answers) == (steps, steps)
+    assert counts.repeated >= len(twice) + len(late) + len(lose)
+    assert theirs.wrong == []
+    assert theirs.times == pytest.approx([k * STEP for k in range(len(theirs.times))], abs=1e-9)
+    assert len(theirs.times) == steps
+
+
+def test_what_came_twice_is_answered_once(tmp_path: Path) -> None:
+    """A second answer would be taken for that to the next packet."""
+    with ardupilot(tmp_path, twice=range(200)) as (ours, theirs):
+        for k in range(200):
+            ours.exchange(frame(k))
+        assert (ours.counts.answers, theirs.stale) == (200, 0)
+        assert ours.counts.repeated >= 199
+
+
+def test_ardupilot_is_told_what_was_measured(tmp_path: Path) -> None:
+    """All numbers in its frames and units, and its pulses as throttles and tilts."""
+    pulses = [1000, 1250, 1500, 1750, 2000, 2100, 1600, 1000, *[0] * 24]
+    with ardupilot(tmp_path, channels=32, pulses=lambda told: pulses) as (ours, theirs):
+        answer = ours.exchange(frame(0))
+        told = theirs.told
+    assert answer.throttle == (0.0, 0.25, 0.5, 0.75, 1.0, 1.0)
+    assert HEXJET.servo is not None
+    assert answer.tilt == pytest.approx((0.2 * HEXJET.servo.range_rad, -HEXJET.servo.range_rad))
+    given = frame(0)
+    assert told["imu"] == {"gyro": list(given.rate), "accel_body": list(given.force)}
+    assert told["quaternion"] == pytest.approx(given.attitude, rel=1e-8)
+    assert (told["position"], told["velocity"]) == (list(given.position), list(given.velocity))
+
+
+@pytest.mark.parametrize(
+    ("faults", "said"),
+    [
+        ({"hang": 20}, r"ardupilot did not answer within 0\.3 s"),
+        ({"anew": 20}, r"did not answer within 0\.3 s; its frame count began anew: was it restarted\?"),
+        ({"skip": 20}, r"ardupilot went on from frame 19 to 21: frames between were lost"),
+    ],
+)
+def test_what_ardupilot_does_wrong_is_named(faults: dict[str, int], said: str, tmp_path: Path) -> None:
+    with ardupilot(tmp_path, limit=0.3, **faults) as (ours, _):
+        with pytest.raises(FlightError, match=said):
+            fifty(ours)
+        assert 19 <= ours.counts.answers <= 21
+
+
+def test_another_rate_than_the_flights_is_refused(tmp_path: Path) -> None:
+    with (
+        pytest.raises(FlightError, match="asks for 400 frames a second, and the flight has 250: set SIM_RATE_HZ"),
+        ardupilot(tmp_path, rate=400),
+    ):
+        pass
+    with pytest.raises(InputError, match=r"step_s = 0\.1: its clock is moved by steps below 0\.1 s"):
+        ArduPilot(None, tmp_path, HEXJET, 0.1, PLACE)
+
+
+def test_a_second_sender_is_left_alone_and_counted(tmp_path: Path) -> None:
+    with ardupilot(tmp_path) as (ours, theirs):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            for k in range(20):
+                stranger.sendto(theirs._packet(k), ("127.0.0.1", theirs.port))
+                stranger.sendto(b"hello", ("127.0.0.1", theirs.port))
+                ours.exchange(frame(k))
+        assert ours.counts.answers == 20
+        assert ours.counts.foreign >= 30
+
+
+def test_a_wrong_protocol_on_the_port_is_named(tmp_path: Path) -> None:
+    instance = free(range(100, 4000), 9002, 10, socket.SOCK_DGRAM)
+    ours = ArduPilot(None, tmp_path, HEXJET, STEP, PLACE, instance=instance)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        talking = threading.Timer(0.05, stranger.sendto, (b"\xfd\x09 MAVLink", ("127.0.0.1", 9002 + 10 * instance)))
+        talking.start()
+        with pytest.raises(FlightError, match=r"is no servo packet: it said b'.xfd"):
+            ours.start()
+        talking.join()
+    ours.close()
+
+
+# --- PX4 ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("steps", [1000, pytest.param(100_000, marks=pytest.mark.long)])
+def test_px4_loses_and_doubles_nothing(steps: int, tmp_path: Path) -> None:
+    """Its first frames are its boot; then every frame has its answer, whatever comes twice or late."""
+    twice, late = range(50, steps, 97), range(60, steps, 89)
+    with px4_pair(tmp_path, boot=10, twice=twice, late=late) as (ours, theirs):
+        for k in range(steps):
+            answer = ours.exchange(frame(k))
+        counts = ours.counts
+    assert answer.armed
+    assert answer.throttle == (0.5,) * 6
+    assert (counts.boot, counts.answers) == (10, steps - 10)
+    assert counts.repeated >= len(twice) + len(late) - 2
+    assert theirs.times == [4000 * k + 1 for k in range(steps)]
+
+
+def test_px4_is_told_what_was_measured(tmp_path: Path) -> None:
+    """As pymavlink reads it: units, rates of each sensor, sticks, fixes, engine speeds."""
+    with px4_pair(tmp_path, boot=0, controls=lambda told: [0.1, 0.2, 0.3, 0.4, 0.5, 1.5, 0.5, -2.0, *[0.0] * 8]) as (
+        ours,
+        theirs,
+    ):
+        for k in range(100):
+            answer = ours.exchange(frame(k, spool=(100.0,) * 6))
+            if k == 0:
+                sensor = theirs.told["HIL_SENSOR"]
+        seen, told = theirs.seen, theirs.told
+    assert HEXJET.servo is not None
+    assert answer.throttle == pytest.approx((0.1, 0.2, 0.3, 0.4, 0.5, 1.0))
+    assert answer.tilt == pytest.approx((0.5 * HEXJET.servo.range_rad, -HEXJET.servo.range_rad))
+    assert {kind: seen[kind] for kind in ("HIL_SENSOR", "RC_CHANNELS", "HIL_GPS", "RAW_RPM")} == {
+        "HIL_SENSOR": 100, "RC_CHANNELS": 100, "HIL_GPS": 4, "RAW_RPM": 120,
+    }  # fmt: skip
+    given = frame(0)
+    assert (sensor.xgyro, sensor.ygyro, sensor.zgyro) == pytest.approx(given.rate)
+    assert (sensor.xacc, sensor.yacc, sensor.zacc) == pytest.approx(given.force)
+    assert (sensor.xmag, sensor.ymag, sensor.zmag) == pytest.approx(compass(ours.field, given.attitude), rel=1e-6)
+    assert sensor.fields_updated == 7 | 56 | 448 | 6656
+    assert sensor.abs_pressure == pytest.approx(1013.25 * (1.0 - 0.0065 * 35.0 / 288.15) ** 5.2559, rel=1e-4)
+    sticks, fix = told["RC_CHANNELS"], told["HIL_GPS"]
+    assert (sticks.chan1_raw, sticks.chan2_raw, sticks.chan3_raw, sticks.chan4_raw, sticks.chan5_raw) == (
+        1750,
+        1375,
+        1400,
+        1550,
+        2000,
+    )
+    assert (fix.lat, fix.lon, fix.alt) == (pytest.approx(223500090, abs=5), pytest.approx(1135900194, abs=5), 35000)
+    assert (fix.vn, fix.ve, fix.vd, fix.satellites_visible, fix.fix_type) == (10, 20, -30, 14, 3)
+    assert fix.cog == round(100 * degrees(np.arctan2(0.2, 0.1)))
+    assert told["RAW_RPM"].frequency == pytest.approx(100.0 * 60.0 / (2.0 * pi))
+
+
+@pytest.mark.parametrize(
+    ("faults", "said"),
+    [
+        ({"hang": 20}, r"px4 did not answer within 0\.3 s"),
+        ({"gone": 20}, "px4 closed its connection"),
+        ({"ahead": 20}, r"px4 answered for 1\.080 s and was told of 0\.080 s"),
+        ({"says": b"GET / HTTP/1.1\r\nHost: here\r\n" * 4}, "speaks no MAVLink: it said b'GET / HTTP/1.1"),
+    ],
+)
+def test_what_px4_does_wrong_is_named(faults: dict[str, Any], said: str, tmp_path: Path) -> None:
+    with px4_pair(tmp_path, limit=0.3, boot=2, **faults) as (ours, _), pytest.raises(FlightError, match=said):
+        fifty(ours)
+
+
+def test_a_second_client_is_turned_away(tmp_path: Path) -> None:
+    with px4_pair(tmp_path, boot=0) as (ours, theirs):
+        ours.exchange(frame(0))
+        with socket.create_connection(("127.0.0.1", theirs.port), 10.0) as second:
+            for k in range(1, 20):
+                ours.exchange(frame(k))
+            assert second.recv(1) == b""
+        assert (ours.counts.answers, ours.counts.foreign) == (20, 1)
+
+
+def test_one_that_never_connects_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(px4, "_START_S", 0.1)
+    instance = free(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
+    ours = Px4(None, tmp_path, HEXJET, STEP, PLACE, instance=instance)
+    with pytest.raises(FlightError, match=rf"px4 did not connect to port {4560 + instance} within 0\.1 s"):
+        ours.start()
+    ours.close()
+
+
+@pytest.mark.parametrize("name", ["px4", "ardupilot"])
+def test_a_command_names_a_port_that_is_in_use(name: str, hexjet: Hexjet, tmp_path: Path) -> None:
+    """All of a command but the flight; no run is left."""
+    kind, port = (socket.SOCK_STREAM, 4560) if name == "px4" else (socket.SOCK_DGRAM, 9002)
+    apart = 1 if name == "px4" else 10
+    instance = free(range(100, 250), port, apart, kind)
+    with socket.socket(socket.AF_INET, kind) as held:
+        held.bind(("127.0.0.1", port + apart * instance))
+        out = tmp_path / "run"
+        done = hexjet("sitl", name, "--aircraft", "quadrotor", "--instance", str(instance), "--out", str(out))
+    assert done.status == 2
+    waiting, said = done.err.splitlines()
+    assert "waiting for one at" in waiting
+    assert said.startswith(f"hexjet: {name}: port {port + apart * instance} is in use")
+    assert not (out / "scenario.toml").exists()
+
+
+# --- messages and field ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", hil.KINDS.values(), ids=lambda kind: mav.mavlink_map[kind.number].msgname)
+def test_messages_are_those_of_pymavlink(kind: hil.Kind) -> None:
+    """Length, order and checksum byte as its generator makes them; and read back by ours."""
+    theirs = KINDS[kind.number]
+    assert kind.extra == theirs.crc_extra
+    assert kind.payload.format.replace("<", "") == "".join(theirs.unpacker.format.replace("<", "")) or (
+        kind.payload.size == theirs.unpacker.size
+    )
+    values = kind.payload.unpack(bytes(range(kind.payload.size)))
+    raw = hil.Writer().frame(kind, *values)
+    (message,) = mav.MAVLink(None).parse_buffer(raw)
+    assert message.get_msgId() == kind.number
+    ((again, read),) = hil.Reader().feed(b"\x00noise" + raw)
+    assert again is kind
+    assert read == pytest.approx(values, nan_ok=True)
+
+
+def test_a_stream_may_come_in_pieces_and_with_wrong_bytes() -> None:
+    raw = hil.Writer().frame(hil.HIL_ACTUATOR_CONTROLS, 4001, 1, *[0.25] * 16, 129)
+    broken = raw[:-1] + bytes((raw[-1] ^ 1,))
+    reader, found = hil.Reader(), []
+    for byte in raw + broken + raw:
+        found += reader.feed(bytes((byte,)))
+    assert [values[0] for _, values in found] == [4001, 4001]
+    assert reader.noise > 0
+
+
+def test_the_field_is_that_of_a_dipole() -> None:
+    """At its own pole straight down and twice as strong as at its own equator, where it lies flat and points north."""
+    g10, g11, h11 = 29350.0, 1410.3, -4545.5
+    strength = (g10**2 + g11**2 + h11**2) ** 0.5
+    latitude = degrees(np.arcsin(g10 / strength))
+    longitude = degrees(np.arctan2(h11, g11))
+    north, east, down = dipole_field(latitude, longitude)
+    assert (north, east) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert down == pytest.approx(2e-5 * strength)
+    north, east, down = dipole_field(latitude - 90.0, longitude)
+    assert (east, down) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert north == pytest.approx(1e-5 * strength)
+    assert compass((1.0, 0.0, 0.0), from_euler(0.0, 0.0, 0.5 * pi)) == pytest.approx(
+        (0.0, -sin(0.5 * pi), 0.0), abs=1e-12
+    )

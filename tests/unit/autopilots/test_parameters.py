@@ -1,0 +1,88 @@
+"""The vehicle in PX4's and ArduPilot's parameters: what a torque of 1 is there, against closed forms; and the files."""
+
+from __future__ import annotations
+
+from math import degrees, sqrt
+
+import pytest
+from command_tools import Hexjet
+
+from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_parameters, px4_torque
+from cosim.spec.vehicle import load_vehicle
+
+HEXJET = load_vehicle("hexjet")[0]
+QUADROTOR = load_vehicle("quadrotor")[0]
+
+
+def test_a_torque_of_one_for_px4_with_tilts() -> None:
+    """Six equal levers L and thrusts C, two tilts of torque 1: the pseudo-inverse is 1 / (6 C L) and 1/2 each; both are
+    divided by sqrt(2)/2, the greater of their root mean squares times sqrt(2); yaw by its own greatest, 1/2."""
+    assert HEXJET.servo is not None
+    lever = HEXJET.jets[0].position_m[1]
+    torque = px4_torque(HEXJET)
+    assert torque[0] == pytest.approx(sqrt(2.0) / (6.0 * 6.5 * lever), rel=1e-12)
+    assert torque[1] == pytest.approx(HEXJET.servo.range_rad / sqrt(2.0), rel=1e-12)
+    assert torque[2] == pytest.approx(HEXJET.servo.range_rad, rel=1e-12)
+
+
+def test_a_torque_of_one_for_px4_without_tilts() -> None:
+    """A square quadrotor: four equal entries a, divided by sqrt(4 a^2 / 2): 0.707 about roll and pitch, 1 about yaw."""
+    assert px4_torque(QUADROTOR) == pytest.approx((sqrt(0.5), sqrt(0.5), 1.0), rel=1e-9)
+
+
+@pytest.mark.parametrize("vehicle", [HEXJET, QUADROTOR], ids=["hexjet", "quadrotor"])
+def test_gains_times_a_torque_of_one_are_ours(vehicle: object) -> None:
+    assert vehicle in (HEXJET, QUADROTOR)
+    chosen = HEXJET if vehicle is HEXJET else QUADROTOR
+    told = px4_parameters(chosen)
+    for axis, gains, worth in zip(
+        ("ROLL", "PITCH", "YAW"),
+        (chosen.control.rate.roll, chosen.control.rate.pitch, chosen.control.rate.yaw),
+        px4_torque(chosen),
+        strict=True,
+    ):
+        assert told[f"MC_{axis}RATE_P"] * worth == pytest.approx(gains.p)
+        assert told[f"MC_{axis}RATE_I"] * worth == pytest.approx(gains.i)
+    assert told["CA_ROTOR_COUNT"] == len(chosen.jets)
+    assert told[f"PWM_MAIN_FUNC{len(chosen.jets)}"] == 100 + len(chosen.jets)
+
+
+def test_the_tilts_of_px4_are_the_banks() -> None:
+    told = px4_parameters(HEXJET)
+    assert (told["CA_AIRFRAME"], told["CA_SV_TL_COUNT"]) == (8, 2)
+    assert [told[f"CA_ROTOR{index}_TILT"] for index in range(6)] == [
+        1 if jet.servo == "left" else 2 for jet in HEXJET.jets
+    ]
+    assert HEXJET.servo is not None
+    assert told["CA_SV_TL0_MAXA"] == pytest.approx(degrees(HEXJET.servo.range_rad))
+    assert (told["PWM_MAIN_FUNC7"], told["PWM_MAIN_FUNC8"]) == (201, 202)
+
+
+def test_ardupilots_quadrotor() -> None:
+    """Half of the motors' range for a torque of 1; its X frame counts front right, rear left, front left, rear right."""
+    told = ardupilot_parameters(QUADROTOR, 0.0025)
+    half = 0.5 * (1.0 - QUADROTOR.control.allocation.throttle_min)
+    assert told["ATC_RAT_RLL_P"] * half == pytest.approx(QUADROTOR.control.rate.roll.p)
+    assert (told["SIM_RATE_HZ"], told["SCHED_LOOP_RATE"]) == (400, 400)
+    places = {(True, True): 33, (False, False): 34, (True, False): 35, (False, True): 36}
+    for number, jet in enumerate(QUADROTOR.jets, 1):
+        assert told[f"SERVO{number}_FUNCTION"] == places[jet.position_m[0] > 0.0, jet.position_m[1] > 0.0]
+
+
+def test_the_files(hexjet: Hexjet) -> None:
+    """For PX4 counts are whole numbers and the rest is real, whatever its value; what is not to be had is one line."""
+    lines = [line.split("\t") for line in parameter_file("px4", px4_parameters(HEXJET)).splitlines() if line[0] != "#"]
+    kinds = {name: kind for _, _, name, _, kind in lines}
+    assert (kinds["CA_ROTOR_COUNT"], kinds["CA_ROTOR0_TILT"], kinds["CA_ROTOR0_PX"], kinds["MC_PITCHRATE_D"]) == (
+        "6",
+        "6",
+        "9",
+        "9",
+    )
+    done = hexjet("sitl", "params", "ardupilot")
+    assert done.status == 2
+    assert done.err.startswith("hexjet: ardupilot: hexjet: no frame of ArduCopter has 6 engines on two tilting banks")
+    done = hexjet("sitl", "params", "betaflight", "--aircraft", "quadrotor")
+    assert done.status == 0
+    assert done.out.splitlines()[0] == "mixer CUSTOM"
+    assert done.out.splitlines()[-1] == "save"
