@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from cosim.base.errors import InputError
 from cosim.cli.console import terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, offer_to_compile
 
@@ -71,8 +72,11 @@ def fmu_compile(archive: Path, out: Path | None, windows: bool) -> int:
     help="Write each row into this page as it is found, between the marks 'measured: engines' and 'end'; other rows "
     "of its table stay.",
 )
+@click.option("--missing", is_flag=True, help="Leave out the engines that have a row in the page already.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
-def fmu_survey(engines: tuple[Path, ...], controller: str, time_limit: float, page: Path | None, as_json: bool) -> int:
+def fmu_survey(
+    engines: tuple[Path, ...], controller: str, time_limit: float, page: Path | None, missing: bool, as_json: bool
+) -> int:
     """One line for each of many engines: is it fit, is there a design for it, does that fly as promised.
 
     Checked, designed for and flown in processes of their own.  Status 1: a command of ours failed on one of them.
@@ -80,11 +84,16 @@ def fmu_survey(engines: tuple[Path, ...], controller: str, time_limit: float, pa
     from dataclasses import asdict
 
     from cosim.cli.console import part_progress
-    from cosim.design.survey import COLUMNS, FAULT, MARK, add_to_page, survey
+    from cosim.design.survey import COLUMNS, FAULT, MARK, add_to_page, rows_of, survey
     from cosim.results.report.marks import check_marks, table
 
+    if missing and page is None:
+        raise InputError("--missing: goes with --page, which has the rows")
     if page:
         check_marks(page, [MARK])
+    if page and missing:
+        there = rows_of(page)
+        engines = tuple(each for each in engines if each.stem not in there)
     rows = []
     with part_progress("survey", quiet=as_json) as tell:
         for number, row in enumerate(survey(engines, controller, time_limit), start=1):

@@ -57,12 +57,17 @@ def add_to_page(page: Path, row: Row) -> None:
     Raises InputError for a page that cannot be read or written, or has no mark for the table.
     """
     marks.check_marks(page, [MARK])
-    before = marks.parts_of(page.read_text(encoding="utf-8"), page)[MARK].splitlines()[2:]
-    rows = {line.split("|")[1].strip(): line for line in before}
+    rows = rows_of(page)
     line = marks.row(row.cells)
     rows[line.split("|")[1].strip()] = line
     head = marks.table(COLUMNS, [], left=len(COLUMNS) - 1)
     marks.write_marks(page, {MARK: head + "".join(f"{each}\n" for each in rows.values())})
+
+
+def rows_of(page: Path) -> dict[str, str]:
+    """The rows of the table of a page, by engine."""
+    before = marks.parts_of(page.read_text(encoding="utf-8"), page)[MARK].splitlines()[2:]
+    return {line.split("|")[1].strip(): line for line in before}
 
 
 def _one(path: Path, controller: str, limit: float, folder: Path) -> tuple[str, str, str, str]:

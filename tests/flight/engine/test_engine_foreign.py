@@ -506,6 +506,13 @@ def test_a_survey_tells_what_came_of_each(place: Path, capfd: pytest.CaptureFixt
     assert made[:3] == ["Before.", "<!-- measured: engines -->", out[0]]
     assert [line.split("|")[1].strip() for line in made[4:-1]] == ["other", "missing", "furlong"]  # in their places
     assert made[5] == out[3]
+    with pytest.raises(SystemExit):
+        main(["fmu", "survey", str(refused), "--page", str(page), "--missing"])  # it has a row: nothing is tried
+    assert len(capfd.readouterr().out.splitlines()) == 2
+    assert page.read_text().splitlines() == made
+    with pytest.raises(SystemExit) as ended:
+        main(["fmu", "survey", str(refused), "--missing"])
+    assert ended.value.code == 2
     assert re.match(r"\| furlong \| .*its thrust is in furlong.* \|  \|  \| refused \| \d+ \|", out[2])
     assert re.match(r"\| missing \| .*no such file \|  \|  \| refused \|", out[3])
 
@@ -549,6 +556,7 @@ def test_the_page_of_kinds_is_what_the_survey_wrote() -> None:
     assert parts["kinds"] == kinds_table()
     rows = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in parts[MARK].splitlines()[2:]]
     assert {row[0] for row in rows} <= set(KINDS)
+    assert len(rows) >= 44
     for _, check, design, kept, verdict, seconds in rows:
         assert verdict in (FLIES, NONE, UNFIT, REFUSED)  # never a fault of ours
         assert float(seconds) > 0.0
