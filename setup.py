@@ -71,6 +71,17 @@ ignore_missing_imports = True
 """
 NATIVE = "cosim._native"
 
+# What mypyc's C calls on its way out with an error, told to the compiler as hardly ever called: it then keeps what
+# leads there apart, and a step finds more of itself in the processor's instruction cache.
+UNLIKELY = """struct _object;
+__attribute__((cold)) void CPy_AddTraceback(const char *, const char *, int, struct _object *);
+__attribute__((cold)) void CPy_TypeErrorTraceback(const char *, const char *, int, struct _object *, const char *,
+                                                  struct _object *);
+__attribute__((cold)) void CPy_AttributeError(const char *, const char *, const char *, const char *, int,
+                                              struct _object *);
+__attribute__((cold)) void CPy_TypeError(const char *, struct _object *);
+"""
+
 
 class BuildExtensions(build_ext):
     """The C extensions, and the modules that mypyc compiles.
@@ -140,9 +151,13 @@ def by_mypyc(modules: list[str], folder: Path) -> list[Extension]:
     }
     for path in folder.rglob("__native*.c"):
         path.write_text(documented(path.read_text(encoding="utf-8"), sources), encoding="utf-8")
+    unlikely = folder / "unlikely.h"
+    unlikely.write_text(UNLIKELY, encoding="ascii")
     gc.freeze()  # mypy leaves so much that to collect it when the process ends takes longer than mypy did
     for extension in found:
         extension.extra_compile_args = [*c_flags(os.environ.get("HEXJET_OPTIMISATION", "-O2")), "-g0", "-w", *DIRECT]
+        if os.name != "nt":
+            extension.extra_compile_args += ["-include", str(unlikely)]
         extension.extra_link_args = list(SYMBOLIC)
     return found
 

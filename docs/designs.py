@@ -195,8 +195,9 @@ def flown(name: str) -> str:
         for label, settings in (("held", ["vehicle.control.schedule=false"]), ("scheduled", [])):
             given = [f'engine="{name}"', f"initial.fuel={fuel}", *settings]
             path = DESIGNS / f"{name}.toml"
-            doublet = fly(with_controller("full-scale-roll-doublet", path, given))
-            gust = fly(with_controller("full-scale-gust", path, given))
+            aircraft = read_controller(path).design.aircraft
+            doublet = fly(with_controller("full-scale-roll-doublet", path, given, aircraft))
+            gust = fly(with_controller("full-scale-gust", path, given, aircraft))
             roll = doublet.metrics["roll"]
             if doublet.outcome == "completed":
                 settled = f"{roll.settling_time_s:.1f} s" if roll.settling_time_s is not None else "not in 4.5 s"
@@ -249,10 +250,9 @@ def main() -> None:
         if aircraft == "hexjet-p220":
             parts["more inertia"] = heavier(name)
         if flights:
-            parts["flights with part of the fuel"] = flown(name) if aircraft == "hexjet-p220" else ""
+            parts["flights with part of the fuel"] = flown(name)
             if aircraft == "hexjet-p220":
                 parts["a late ECU"] = late()
-            parts = {key: text for key, text in parts.items() if text}
         write_marks(ROOT / "aircraft" / aircraft / "README.md", parts)
     write_marks(ROOT / "docs" / "control-design.md", {"designs": designs()})
     parts = {"fuel p220-2025": levels("p220-2025")}

@@ -48,6 +48,7 @@ MODULES = (
     "engine/wrappers.py",
     "simulation/fault_schedule.py",
     "base/frames.py",
+    "base/layout.py",
     "base/limits.py",
     "vehicle/tank.py",
     "vehicle/ground_effect.py",

@@ -85,6 +85,10 @@ class Layout:
                 kinds.append(kind)
             self.groups.append(kinds.index(kind))
         self._kinds = kinds
+        # of each group the hinges from the outermost inwards: axis, number, effect
+        self._turning: list[list[tuple[Vector3, int, float]]] = [
+            [(self.turns[number].axis, number, effect) for number, effect in reversed(chain)] for _, chain in kinds
+        ]
         self._still: list[Vector3] = [axis for axis, _ in kinds]
 
     def axes(self, angles: Sequence[float]) -> list[Vector3]:
@@ -92,9 +96,9 @@ class Layout:
         if not self.turns:
             return self._still
         answer: list[Vector3] = []
-        for axis, chain in self._kinds:
-            for number, effect in reversed(chain):
-                axis = turned(self.turns[number].axis, effect * angles[number], axis)
+        for group, axis in enumerate(self._still):
+            for about, number, effect in self._turning[group]:
+                axis = turned(about, effect * angles[number], axis)
             answer.append(axis)
         return answer
 

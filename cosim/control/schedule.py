@@ -47,9 +47,8 @@ class GainSchedule:
 
     def __init__(self, stated: Schedule, leads: Leads | None, step: float) -> None:
         self._shares = [level.share for level in stated.level]
-        self._roll = [level.roll for level in stated.level]
-        self._altitude = [level.altitude for level in stated.level]
-        self._leads = (bool(leads and leads.roll), bool(leads and leads.altitude))
+        self._roll = [_stated(level.roll, bool(leads and leads.roll)) for level in stated.level]
+        self._altitude = [_stated(level.altitude, bool(leads and leads.altitude)) for level in stated.level]
         self._follow = 1.0 - exp(-step / stated.filter_s)
         self._fine = FINE * (self._shares[-1] - self._shares[0])
         self.reset(self._shares[-1])
@@ -80,11 +79,14 @@ class GainSchedule:
         while k < len(shares) - 1 and share > shares[k]:
             k += 1
         part = (share - shares[k - 1]) / (shares[k] - shares[k - 1])
-        roll, altitude = self._leads
-        return Scheduled(share, _between(self._roll, k, part, roll), _between(self._altitude, k, part, altitude))
+        return Scheduled(share, _between(self._roll, k, part), _between(self._altitude, k, part))
 
 
-def _between(levels: Sequence[ScheduledGains], k: int, part: float, led: bool) -> Factors:
+def _stated(level: ScheduledGains, led: bool) -> Factors:
+    return Factors(level.angle, level.p, level.i, level.d, level.lead if led else None)
+
+
+def _between(levels: Sequence[Factors], k: int, part: float) -> Factors:
     low, high = levels[k - 1], levels[k]
 
     def of(a: float, b: float) -> float:
@@ -92,11 +94,12 @@ def _between(levels: Sequence[ScheduledGains], k: int, part: float, led: bool) -
 
     lead: EngineLead | None = None
     one, other = low.lead, high.lead
-    if led and one is not None and other is not None:
+    if one is not None and other is not None:
         damping: float | None = None
         if one.damping is not None and other.damping is not None:
             damping = of(one.damping, other.damping)
-        lead = EngineLead(
+        # between two that were checked: not checked again, which takes as long as a step
+        lead = EngineLead.model_construct(
             natural_rad_s=of(one.natural_rad_s, other.natural_rad_s),
             damping=damping,
             pole_rad_s=of(one.pole_rad_s, other.pole_rad_s),

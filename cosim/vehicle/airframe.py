@@ -188,8 +188,8 @@ class Airframe:
             node(f"{name}/magnitude").set_double_value(1.0)
             node(f"{name}/y").set_double_value(0.0)
         node("external_reactions/twist/magnitude-lbsft").set_double_value(1.0)
-        self._push.put(*ZERO3)  # instead of the directions that the model's file needs to state
-        self._twist.put(*ZERO3)
+        self._push.put(0.0, 0.0, 0.0)  # instead of the directions that the model's file needs to state
+        self._twist.put(0.0, 0.0, 0.0)
         self._legs, self._hull = self._contacts("leg"), self._contacts("hull")
         self._set_wind = _Write(node, "atmosphere/wind-{}-fps", _NED, FOOT)
         self._set_payload = node("inertia/pointmass-weight-lbs").set_double_value
@@ -338,9 +338,9 @@ class Airframe:
 
     def _act_beside(self, push: Vector3, twist: Vector3) -> None:
         if push != self._pushed:
-            self._push.put(*push)
+            self._push.put(push[0], push[1], push[2])
         if twist != self._twisted:
-            self._twist.put(*twist)
+            self._twist.put(twist[0], twist[1], twist[2])
         self._pushed, self._twisted = push, twist
 
     def _apply(self, disturbance: Disturbance) -> None:
@@ -374,7 +374,7 @@ class Airframe:
         if burnt != self._burnt:
             self.burn(burnt)
         if self._momentum is not None:
-            self._momentum.put(*momentum)
+            self._momentum.put(momentum[0], momentum[1], momentum[2])
 
     def set_momentum(self, momentum: Vector3) -> None:
         """Hold the spools' angular momentum (kg m^2/s, body, against the airframe) from the next run on.
@@ -384,7 +384,7 @@ class Airframe:
         nutation neither grows nor dies to speak of, where the rectangular rule would feed energy into it.
         """
         assert self._momentum is not None
-        self._momentum.put(*momentum)
+        self._momentum.put(momentum[0], momentum[1], momentum[2])
 
     def burn(self, mass: float) -> None:
         """From the next run on the vehicle lacks ``mass`` [kg] of fuel: mass, centre of gravity and inertia follow.

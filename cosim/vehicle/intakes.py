@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import pow  # of floats, without an object in compiled code
 
 from cosim.base.frames import (
     conjugate,
@@ -58,7 +59,7 @@ class IntakeDrag:
             fx, fy, fz = forces[i]
             x, y, z = standing[i]
             e = axes[groups[i]]
-            flow = self._flow * (newton / self._thrust) ** self._exponent if newton > 0.0 else 0.0
+            flow = self._flow * pow(newton / self._thrust, self._exponent) if newton > 0.0 else 0.0
             outlet = (x + b * e[0], y + b * e[1], z + b * e[2])
             here = through_air
             if gusts:

@@ -48,7 +48,7 @@ class ThrustMap:
         inverse = {id(curve): inverted(curve) for curve in (reference, *stations)}
         self.low, self.span = reference.thrust[0], reference.span
         # None: the throttle is the share, to the last bit
-        self.stations = [
+        self.stations: list[Inverse | None] = [
             None if reference.straight and _same(curve, reference) else inverse[id(curve)] for curve in stations
         ]
         self.identity = not any(self.stations)
@@ -68,13 +68,12 @@ class ThrustMap:
         """One throttle per station."""
         if self.identity:
             return shares
-        low, span = self.low, self.span
-        return tuple(
-            [
-                c if throttle is None else min(max(throttle(low + c * span), 0.0), 1.0)
-                for throttle, c in zip(self.stations, shares, strict=True)
-            ]
-        )
+        low, span, stations = self.low, self.span, self.stations
+        throttles: list[float] = []
+        for i, c in enumerate(shares):
+            inverse = stations[i]
+            throttles.append(c if inverse is None else min(max(inverse.at(low + c * span), 0.0), 1.0))
+        return tuple(throttles)
 
 
 def _same(one: StaticCurve, other: StaticCurve) -> bool:
@@ -115,6 +114,10 @@ class Inverse:
         self._to = thrusts[line + 1] if line < last else inf
 
     def __call__(self, thrust: float) -> float:
+        return self.at(thrust)
+
+    def at(self, thrust: float) -> float:
+        """The throttle that gives ``thrust`` [N]."""
         if not self._above < thrust <= self._to:
             thrusts = self.thrusts
             # bisect_left of the points between the ends
