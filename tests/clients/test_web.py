@@ -30,9 +30,11 @@ from cosim.groundstation.exchange import Exchange, Snapshot
 from cosim.groundstation.session import Session
 from cosim.groundstation.web import feed, server
 from cosim.groundstation.web.server import WebServer
+from cosim.results.report.page import ASSETS
 from cosim.spec.scenario import Scenario
 
 STATIC = Path(server.__file__).parent / "static"
+VENDOR = ASSETS / "vendor"
 SOON = PATIENCE  # for what takes milliseconds
 
 
@@ -147,7 +149,7 @@ def test_the_page_is_served_with_everything_it_names(flown: Flown) -> None:
     for path in named:
         found = flown.get(path)
         assert found.status == 200, path
-        assert found.read() == (STATIC / path[1:]).read_bytes()
+        assert found.read() == ((ASSETS if path.startswith("/vendor/") else STATIC) / path[1:]).read_bytes()
 
 
 def test_nothing_comes_from_elsewhere_and_nothing_is_inline(flown: Flown) -> None:
@@ -157,7 +159,8 @@ def test_nothing_comes_from_elsewhere_and_nothing_is_inline(flown: Flown) -> Non
     assert rules["script-src"] == rules["style-src"] == ["'self'"]
     assert rules["frame-ancestors"] == ["'none'"]
     assert "unsafe" not in policy
-    for path in (each for each in STATIC.rglob("*") if each.suffix in (".html", ".js", ".css")):
+    there = [*STATIC.rglob("*"), *VENDOR.glob("uPlot*")]
+    for path in (each for each in there if each.suffix in (".html", ".js", ".css")):
         text = path.read_text(encoding="utf-8")
         for name in ("http://www.w3.org/2000/svg", "https://github.com/leeoniya/uPlot (v"):  # a name space, a comment
             text = text.replace(name, "")
@@ -183,10 +186,10 @@ def test_there_are_no_other_files(flown: Flown, path: str) -> None:
 
 
 def test_the_parts_of_others_are_as_stated() -> None:
-    stated = (STATIC / "vendor" / "README.md").read_text(encoding="utf-8")
+    stated = (VENDOR / "README.md").read_text(encoding="utf-8")
     sums = {name: hexes for hexes, name in re.findall(r"^([0-9a-f]{64})  (\S+)$", stated, re.M)}
-    shipped = [path for path in (STATIC / "vendor").iterdir() if path.suffix in (".js", ".css")]
-    assert len(shipped) == 2
+    shipped = [path for path in VENDOR.iterdir() if path.suffix in (".js", ".css")]
+    assert len(shipped) == 3
     for path in shipped:
         assert hashlib.sha256(path.read_bytes()).hexdigest() == sums[path.name]
 

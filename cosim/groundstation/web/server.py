@@ -398,7 +398,10 @@ def _read(token: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
     )
     served = {
         path: (_TYPES[path.rpartition(".")[2]], body, policy)
-        for path, body in _walk(files("cosim.groundstation.web") / "static", "/")
+        for path, body in [
+            *_walk(files("cosim.groundstation.web") / "static", "/"),
+            *_walk(files("cosim.results.report") / "assets" / "vendor", "/vendor/"),
+        ]
         if path.rpartition(".")[2] in _TYPES
     }
     kind, body, _ = served.pop("/index.html")

@@ -11,8 +11,9 @@ from typing import Any
 from cosim.results.columns import own_columns
 from cosim.results.events import Event, events_of
 from cosim.results.metrics import AxisMetrics
-from cosim.results.report.flight_figures import run_figures
-from cosim.results.report.page import TEMPLATES, render
+from cosim.results.report.flight_figures import BLUE, Reader, at_rest, run_figures
+from cosim.results.report.page import TEMPLATES, Flights, render
+from cosim.results.report.signals_data import run_data, vehicle_of
 from cosim.results.run import (
     LOG,
     SCENARIO,
@@ -41,16 +42,37 @@ def write_report(run: Run, path: Path) -> None:
     """Write the page of one run.  Raises FlightError if the file cannot be written."""
     summary = run.summary
     events = events_of(run)
-    figures = run_figures(run.log, summary, events) if summary.steps else {}
+    flights = None
+    if summary.steps:
+        vehicle = vehicle_of(run)
+        said = run_data(
+            run.log,
+            summary.controller,
+            BLUE,
+            step_s=summary.step_s,
+            events=events,
+            vehicle=vehicle,
+            jets_m=summary.jets_m,
+            derived=at_rest(run.log, summary),
+            upsets=Reader(run.log, summary.step_s).upsets(),
+        )
+        flights = Flights(summary.scenario, [said], run_figures(run.log, summary))
+    strips = {} if flights is None else flights.figures
     render(
         TEMPLATES / "report.html",
         path,
-        figures,
+        {},
+        flights,
+        strips=strips,
         axis_rows=AXIS_ROWS,
-        shaded=bool(figures and figures["attitude"]["layout"]["shapes"]),
+        shaded=bool(flights and (flights.runs[0][0]["upsets"] or flights.runs[0][0]["events"])),
         events=event_rows(events),
         kinds={event.kind for event in events},
-        refused=any(trace["name"] == "refused" for trace in figures.get("effort", {"data": []})["data"]),
+        refused=any(
+            trace["label"] == "refused"
+            for panel in strips.get("effort", {"panels": []})["panels"]
+            for trace in panel["signals"]
+        ),
         summary=summary,
         verdict=verdict(summary),
         metrics=metric_table(summary),

@@ -1,6 +1,7 @@
-"""The figures of a report: plain dicts of Plotly's figure schema, made from the columns of a log.
+"""What the pages of flights show at first: strips of one flight, and the figures of several laid over each other.
 
-No library draws here; Plotly's JavaScript does, in the page.  Angles are shown in degrees, everything else in SI.
+Strips are drawn by ``assets/strips.js``, figures (dicts of Plotly's schema) by Plotly, both in the page.  Angles are
+shown in degrees, everything else in SI.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from cosim.base.arrays import Array
 from cosim.base.signals import AXES, JETS
 from cosim.results.columns import RATES, jets_in, known, own_columns, servos_in, surfaces_in
 from cosim.results.comparison import Flown, base_of, difference, step_of
-from cosim.results.events import Event
 from cosim.results.recorder import Log
 from cosim.results.report.page import drawn
 from cosim.results.run import Run, Summary
@@ -26,13 +26,13 @@ Figure = dict[str, Any]
 
 MOST_POINTS = 4000  # per trace; more cannot be seen and makes the page slow
 MOST_SHADES = 30  # per figure
-MOST_MARKS = 60
 PANEL_PX = 165
 DEG = 180.0 / pi
 
 BLUE, ORANGE, MAGENTA, GREEN, RED, GREY = "#2f7de1", "#f08c00", "#c2339b", "#2f9e44", "#e03131", "#868e96"
 RUN_COLOURS = (ORANGE, BLUE, GREEN, MAGENTA, RED, "#7048e8", "#1098ad", "#a0522d")
 _DASHES = ("solid", "dash", "dot", "dashdot")  # of several runs in one plot
+AT_REST = "thrust_{}_at_rest_N"
 JET_ROWS = ((3, 1), (6, 5), (2, 4))  # front to back, left and right: the Hex-Jet's numbering
 
 
@@ -180,49 +180,62 @@ SPOOLS = Panel("Moment of the spools", "N m", _vector("spool_moment_{}_N_m", ("x
 TANK = Panel("Fuel on board", "kg", [Trace("fuel_kg", "fuel", BLUE)])
 
 
-def run_figures(log: Log, summary: Summary, events: Sequence[Event] = ()) -> dict[str, Figure]:
-    """The figures of one run, by the name of their place on the page; ``events`` are marked in all over time."""
+def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
+    """The strips of one run that its page shows at first, by the name of their place: panels and their signals.
+
+    ``shared``: one scale for all panels.  ``equal``: cross-plots with both axes to one scale, east and north.
+    """
     reader = Reader(log, summary.step_s)
-    marks = [*reader.upsets(), *event_marks(events, len(log) * summary.step_s)]
+    east_north = [Trace("east_m", "track", BLUE), Trace("north_m", "track", BLUE)]
     figures = {
-        "attitude": stacked(reader, ATTITUDE, marks),
-        "rate": stacked(reader, RATE, marks),
-        "thrust": thrust_figure(reader, summary, marks),
-        "tilt": stacked(reader, _tilt(log), marks),
-        "effort": stacked(reader, _efforts(log), marks),
-        "height": stacked(reader, HEIGHT, marks),
-        "track": track_figure([reader], ["track"], [BLUE]),
+        "attitude": strips(reader, ATTITUDE),
+        "rate": strips(reader, RATE),
+        "thrust": strips(reader, thrust_panels(summary)) | {"shared": True},
+        "tilt": strips(reader, _tilt(log)),
+        "effort": strips(reader, _efforts(log)),
+        "height": strips(reader, HEIGHT),
+        "track": strips(reader, [Panel("Track", "m", east_north)]) | {"equal": True},
     }
     if any(reader.known(trace.column) for panel in PLACE for trace in panel.traces if trace.label == "set-point"):
-        figures["place"] = stacked(reader, PLACE, marks)
+        figures["place"] = strips(reader, PLACE)
     outside = [panel for panel in OUTSIDE if any(reader.moves(trace.column) for trace in panel.traces)]
     if outside:
-        figures["outside"] = stacked(reader, outside, marks)
+        figures["outside"] = strips(reader, outside)
     own = [column for column in own_columns(log.described) if reader.known(column.name)]
     if own:
-        panels = [Panel(column.name, column.unit, [Trace(column.name, column.name)]) for column in own]
-        figures["own"] = stacked(reader, panels, marks)
+        figures["own"] = strips(reader, [Panel(each.name, each.unit, [Trace(each.name, each.name)]) for each in own])
     inside = engine_panels(reader)
     if inside:
-        figures["engines"] = stacked(reader, inside, marks)
+        figures["engines"] = strips(reader, inside)
     return figures
 
 
-def event_marks(events: Sequence[Event], end: float) -> list[Figure]:
-    """Shades over faults, gusts and changes of the wind, and a line where the monitor or the autopilot says something.
-
-    Other disturbances are shaded from the log.
-    """
-    shades, lines = [], []
-    for event in events:
-        if event.kind == "fault" and event.banded:
-            shades.append(_shade(event.time_s, end if event.end_s is None else event.end_s, RED))
-        elif event.kind == "disturbance" and event.banded and event.text.startswith(("gust", "wind")):
-            shades.append(_shade(event.time_s, end if event.end_s is None else event.end_s))
-        elif event.kind in ("monitor", "pilot"):
-            lines.append(_mark(event.time_s, ORANGE if event.kind == "monitor" else BLUE))
-    unlike = {tuple(sorted((key, str(value)) for key, value in mark.items())): mark for mark in [*shades, *lines]}
-    return list(unlike.values())[:MOST_MARKS]
+def strips(reader: Reader, panels: Sequence[Panel]) -> Figure:
+    """Panels as ``assets/strips.js`` draws them; signals that never move are left out where their trace says so."""
+    return {
+        "panels": [
+            {
+                "title": panel.title,
+                "unit": panel.unit,
+                "least": panel.least_span,
+                "signals": [
+                    {
+                        "column": trace.column,
+                        "label": trace.label,
+                        "colour": trace.colour,
+                        "dash": trace.dash,
+                        "width": trace.width,
+                        "held": trace.held,
+                        "scale": panel.scale,
+                        "shown": panel.unit,
+                    }
+                    for trace in panel.traces
+                    if not trace.only_if_moving or reader.moves(trace.column)
+                ],
+            }
+            for panel in panels
+        ]
+    }
 
 
 def engine_panels(reader: Reader) -> list[Panel]:
@@ -369,12 +382,12 @@ class Reader:
         """Whether a column is there and ever a number."""
         return column in self.log.columns and bool(np.any(np.isfinite(self.log[column])))
 
-    def upsets(self) -> list[Figure]:
-        """Shades over the times at which something disturbs the vehicle, wind apart."""
+    def upsets(self) -> list[tuple[float, float]]:
+        """The times at which something disturbs the vehicle, wind apart."""
         disturbed = np.zeros(len(self.log), dtype=bool)
         for column in _UPSETS:
             disturbed |= self.log[column] != 0.0
-        return [_shade(start, end) for start, end in self.stretches(disturbed)]
+        return self.stretches(disturbed)
 
     def stretches(self, mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
         """The times between which a mask is true, gaps of less than 0.1 s closed; none if there are too many to see."""
@@ -408,7 +421,7 @@ def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp] | None:
 # ---- figures over time
 
 
-def stacked(reader: Reader, panels: Sequence[Panel], shades: Sequence[Figure] = ()) -> Figure:
+def stacked(reader: Reader, panels: Sequence[Panel]) -> Figure:
     """Panels above each other over one time axis."""
     data = [
         _line(reader, panel, number, trace)
@@ -416,7 +429,7 @@ def stacked(reader: Reader, panels: Sequence[Panel], shades: Sequence[Figure] = 
         for trace in panel.traces
         if not trace.only_if_moving or reader.moves(trace.column)
     ]
-    return {"data": _named_once(data), "layout": _stacked_layout(panels, data) | {"shapes": list(shades)}}
+    return {"data": _named_once(data), "layout": _stacked_layout(panels, data)}
 
 
 def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
@@ -455,43 +468,32 @@ def _asks_as(reader: Reader, other: Reader, column: str) -> bool:
     return np.array_equal(ours, other.log[column][: ours.size], equal_nan=True)
 
 
-def thrust_figure(reader: Reader, summary: Summary, marks: Sequence[Figure] = ()) -> Figure:
-    """A panel for each jet, where the jet sits: the thrust at rest for its throttle, and the thrust it delivered.
+def thrust_panels(summary: Summary) -> list[Panel]:
+    """A panel for each jet, where the jet sits: the thrust at rest for its throttle, and the thrust it delivered."""
+    curves = thrust_curves(summary)
+    return [
+        Panel(
+            f"Jet {jet}",
+            "N",
+            [
+                *([_asked(AT_REST.format(jet), "commanded")] if curves[jet - 1] else []),
+                Trace(f"thrust_{jet}_N", "delivered", width=1.5),
+            ],
+            least_span=4.0,
+        )
+        for row in jet_rows(summary.jets_m)
+        for jet in row
+    ]
 
-    All have one scale.
-    """
-    curves = [np.array(curve, dtype=float).reshape(-1, 2) for curve in thrust_curves(summary)]
-    rows = jet_rows(summary.jets_m)
-    count = sum(len(row) for row in rows)
-    layout = _layout(len(rows) * PANEL_PX + 100)
-    layout["annotations"] = []
-    layout["margin"]["t"] = 62
-    layout["legend"]["y"] = 1.04
-    data: list[Figure] = []
-    for number, (row, side, jet) in enumerate((r, s, jet) for r, pair in enumerate(rows) for s, jet in enumerate(pair)):
-        panel = Panel(f"Jet {jet}", "N", [])
-        axes = {"xaxis": _axis("x", side), "yaxis": _axis("y", number)}
-        curve = curves[jet - 1]
-        if len(curve):
-            at_rest = np.interp(reader.log[f"throttle_{jet}"], curve[:, 0], curve[:, 1])
-            data.append(_values(reader, at_rest, panel, _asked("", "commanded")) | axes)
-        data.append(_values(reader, reader.log[f"thrust_{jet}_N"], panel, Trace("", "delivered", width=1.5)) | axes)
-        low, high = _domain(row, len(rows), gap=0.08)
-        layout[_axis("yaxis", number)] = {"domain": [low, high], "anchor": axes["xaxis"], "showticklabels": side == 0}
-        if side == 0:
-            layout[_axis("yaxis", number)]["title"] = {"text": "thrust [N]"}
-        layout["annotations"].append(_heading(panel.title, 0.52 * side, high))
-    scale = _span([trace["y"] for trace in data], least=4.0)
-    for number in range(count):
-        layout[_axis("yaxis", number)]["range"] = scale
-    for side in range(2):
-        layout[_axis("xaxis", side)] = _time_axis(data) | {
-            "domain": [0.52 * side, 0.48 + 0.52 * side],
-            "anchor": _axis("y", count - 1 - (count + side + 1) % 2),
-            **({"matches": "x"} if side else {}),
-        }
-    layout["shapes"] = [mark | {"xref": _axis("x", side)} for side in range(2) for mark in marks]
-    return {"data": _named_once(data), "layout": layout}
+
+def at_rest(log: Log, summary: Summary) -> dict[str, Array]:
+    """Columns that a page has beside the log's: where each engine's thrust would settle if its throttle were held."""
+    columns = {}
+    for jet, curve in enumerate(thrust_curves(summary), 1):
+        if curve and f"throttle_{jet}" in log.columns:
+            points = np.array(curve, dtype=float)
+            columns[AT_REST.format(jet)] = np.interp(log[f"throttle_{jet}"], points[:, 0], points[:, 1])
+    return columns
 
 
 def thrust_curves(summary: Summary) -> list[list[tuple[float, float]]]:
@@ -631,29 +633,6 @@ def _domain(row: int, rows: int, gap: float) -> tuple[float, float]:
     height = (1.0 - gap * (rows - 1)) / rows
     low = (rows - 1 - row) * (height + gap)
     return round(low, 6), round(low + height, 6)
-
-
-def _heading(text: str, x: float, y: float) -> Figure:
-    place = {"x": x, "y": y, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
-    return {"text": f"<b>{text}</b>", "showarrow": False, **place}
-
-
-def _mark(at: float, colour: str) -> Figure:
-    return {
-        "type": "line",
-        **{"xref": "x", "yref": "paper", "x0": at, "x1": at, "y0": 0, "y1": 1, "layer": "below"},
-        "line": {"width": 1.2, "color": colour, "dash": "dot"},
-    }
-
-
-def _shade(start: float, end: float, colour: str = GREY) -> Figure:
-    return {
-        "type": "rect",
-        **{"xref": "x", "yref": "paper", "x0": start, "x1": end, "y0": 0, "y1": 1, "layer": "below"},
-        "fillcolor": colour,
-        "opacity": 0.14,
-        "line": {"width": 0},
-    }
 
 
 def _span(values: Sequence[Array], least: float) -> list[float]:

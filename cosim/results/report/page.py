@@ -1,4 +1,4 @@
-"""Pages that open offline: a template, its figures and the library that draws them, in one HTML file.
+"""Pages that open offline: a template, its figures or flights and the libraries that draw them, in one HTML file.
 
 The only module that touches ``plotly``: its JavaScript, which goes into the page, and its figure, for a notebook.
 Whoever has something to show keeps its template, and extends ``base.html`` here.
@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import base64
 import json
+import zlib
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,11 +20,20 @@ from cosim.base.errors import FlightError
 from cosim.base.files import one_line, replacing
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
+ASSETS = Path(__file__).resolve().parent / "assets"
 
 
-def render(template: Path, path: Path, figures: dict[str, Any], **values: Any) -> None:
-    """Write the page of ``template``, a file beside others that it may include, with ``values`` and ``figures`` (dicts
-    of Plotly's schema).  Raises FlightError if the file cannot be written.
+class Flights(NamedTuple):
+    """What strips and replay of a page draw: see ``signals_data``."""
+
+    name: str  # of files that are saved from it
+    runs: list[tuple[dict[str, Any], dict[str, str]]]
+    figures: dict[str, Any]
+
+
+def render(template: Path, path: Path, figures: dict[str, Any], flights: Flights | None = None, **values: Any) -> None:
+    """Write the page of ``template``, a file beside others that it may include, with ``values``, ``figures`` (dicts
+    of Plotly's schema) and ``flights``.  Raises FlightError if the file cannot be written.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -35,7 +46,8 @@ def render(template: Path, path: Path, figures: dict[str, Any], **values: Any) -
     )
     page = environment.get_template(template.name).render(
         figures={name: figure_json(figure) for name, figure in figures.items()},
-        plotly_js=(files("plotly") / "package_data" / "plotly.min.js").read_text(encoding="utf-8"),
+        plotly_js=plotly_js() if figures else "",
+        flights=flight_parts(flights) if flights is not None else None,
         **values,
     )
     try:
@@ -43,6 +55,33 @@ def render(template: Path, path: Path, figures: dict[str, Any], **values: Any) -
             temporary.write_text(page, encoding="utf-8")
     except OSError as error:
         raise FlightError(f"{path}: {one_line(error)}") from error
+
+
+def plotly_js() -> str:
+    """Plotly's library."""
+    return (files("plotly") / "package_data" / "plotly.min.js").read_text(encoding="utf-8")
+
+
+def flight_parts(flights: Flights) -> dict[str, Any]:
+    """What the page's script elements for ``flights`` hold; the library of three dimensions deflated, as the data."""
+    told = {"name": flights.name, "runs": [said for said, _ in flights.runs], "figures": flights.figures}
+    scripts = ("vendor/uPlot.iife.min.js", "strips.js", "replay.js")
+    uplot, strips, replay = ((ASSETS / name).read_text(encoding="utf-8") for name in scripts)
+    return {
+        "told": figure_json(told),
+        "data": [(f"data-{n}-{name}", text) for n, (_, data) in enumerate(flights.runs) for name, text in data.items()],
+        "style": "".join(
+            (ASSETS / name).read_text(encoding="utf-8") for name in ("vendor/uPlot.min.css", "strips.css")
+        ),
+        "scripts": [uplot, strips, replay],
+        "three": deflated(ASSETS / "vendor" / "three.iife.min.js"),
+    }
+
+
+@cache
+def deflated(path: Path) -> str:
+    """A file of the package, deflated, as base64."""
+    return base64.b64encode(zlib.compress(path.read_bytes(), 9)).decode()
 
 
 def drawn(figure: dict[str, Any]) -> Any:

@@ -337,7 +337,7 @@ def test_the_page_names_the_odd_engine_and_draws_its_own_curve(tmp_path: Path) -
     assert curves[2][-1] == (1.0, pytest.approx(20.005, abs=0.01))
     assert curves[3][-1][1] == pytest.approx(24.0, abs=0.1)
     engines = run_figures(run.log, run.summary)["engines"]
-    names = {trace["name"] for trace in engines["data"]}
+    names = {signal["label"] for panel in engines["panels"] for signal in panel["signals"]}
     assert "jet 1" in names
     assert "jet 3" not in names  # it says nothing but its thrust
 

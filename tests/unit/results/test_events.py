@@ -21,7 +21,8 @@ from cosim.results.events import (
 from cosim.results.export.ulog import export_ulog
 from cosim.results.recorder import MemoryLog
 from cosim.results.report.flight import write_report
-from cosim.results.report.flight_figures import MOST_MARKS, event_marks, run_figures
+from cosim.results.report.flight_figures import BLUE, Reader
+from cosim.results.report.signals_data import run_data
 from cosim.results.run import Run, open_run
 from cosim.spec.scenario import Scenario
 
@@ -133,15 +134,12 @@ def test_every_fault_and_disturbance_has_words() -> None:
     ]
 
 
-def test_the_figures_have_their_bands(run: Run) -> None:
-    figures = run_figures(run.log, run.summary, events_of(run))
-    for name in ("attitude", "rate", "thrust", "tilt", "effort", "height", "engines", "outside"):
-        shapes = figures[name]["layout"]["shapes"]
-        bands = {(shape["x0"], shape["x1"]) for shape in shapes if shape["type"] == "rect"}
-        assert bands == {(1.0, 2.0), (2.5, 3.0), (3.0, 4.0)}, name
-        assert [shape["x0"] for shape in shapes if shape["type"] == "line"], name
-    many = [event.model_copy(update={"time_s": 0.01 * k}) for k, event in enumerate(events_of(run) * 100)]
-    assert len(event_marks(many, 4.0)) == MOST_MARKS
+def test_the_strips_have_their_bands(run: Run) -> None:
+    said, _ = run_data(run.log, "one", BLUE, step_s=run.summary.step_s, events=events_of(run))
+    bands = {(each["t"], each["end"]) for each in said["events"] if each["banded"]}
+    bands |= set(Reader(run.log, run.summary.step_s).upsets())
+    assert {(start, 4.0 if end is None else end) for start, end in bands} == {(1.0, 2.0), (2.5, 3.0), (3.0, 4.0)}
+    assert [each["t"] for each in said["events"] if not each["lasts"]]
 
 
 def test_the_page_tells_of_them(run: Run) -> None:

@@ -29,6 +29,7 @@ from cosim.results.report.flight import verdict, write_report
 from cosim.results.report.flight_figures import (
     ATTITUDE,
     Reader,
+    at_rest,
     comparison_figures,
     jet_rows,
     run_figures,
@@ -36,6 +37,7 @@ from cosim.results.report.flight_figures import (
     thinned,
 )
 from cosim.results.report.page import figure_json
+from cosim.results.report.signals_data import Packed, packed, step_of, unpacked
 from cosim.results.run import DelayRow, Run, begin_run
 
 Change = Callable[[Sample], Sample]
@@ -68,6 +70,7 @@ class Page(HTMLParser):
         self.text = ""
         self.elements: list[tuple[str, dict[str, str | None]]] = []
         self.figures: dict[str, Any] = {}
+        self.data: dict[str, str] = {}  # columns and libraries, deflated
         self._open: list[tuple[str, dict[str, str | None]]] = []
         self.feed(path.read_text(encoding="utf-8"))
 
@@ -83,6 +86,8 @@ class Page(HTMLParser):
         tag, attrs = self._open[-1] if self._open else ("", {})
         if tag == "script" and attrs.get("type") == "application/json":
             self.figures[str(attrs["id"]).removeprefix("figure-")] = json.loads(data)
+        elif tag == "script" and attrs.get("type") == "text/plain":
+            self.data[str(attrs["id"])] = data
         elif tag not in ("script", "style"):
             self.text += " " + " ".join(data.split())
 
@@ -104,12 +109,19 @@ def decoded(values: Any) -> np.ndarray:
 # ---- figures
 
 
-def test_plotly_accepts_every_figure(run: Run) -> None:
+def signals(figure: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The signals of strips, by panel and label."""
+    return {f"{p['title']}, {each['label']}": each for p in figure["panels"] for each in p["signals"]}
+
+
+def test_every_strip_names_columns_that_are_there(run: Run) -> None:
     figures = run_figures(run.log, run.summary)
     assert set(figures) == {"attitude", "rate", "thrust", "tilt", "height", "effort", "track", "outside"}
-    for figure in figures.values():
-        plotly.graph_objects.Figure(figure)  # raises ValueError for a key or a value outside Plotly's schema
-        plotly.graph_objects.Figure(json.loads(figure_json(figure)))
+    there = {*run.log.columns, *at_rest(run.log, run.summary)}
+    for name, figure in figures.items():
+        assert figure["panels"], name
+        assert {each["column"] for each in signals(figure).values()} <= there
+    json.loads(figure_json(figures))
 
 
 def test_a_figure_plotly_would_not_accept_is_noticed() -> None:
@@ -119,31 +131,26 @@ def test_a_figure_plotly_would_not_accept_is_noticed() -> None:
 
 def test_angles_are_drawn_in_degrees_and_nothing_else_is_changed(run: Run) -> None:
     figures = run_figures(run.log, run.summary)
-    data = {trace["hovertemplate"].split(":")[0]: trace for trace in figures["attitude"]["data"]}
-    # float32 on the page: 24 bits
-    np.testing.assert_allclose(data["Roll, true"]["y"], np.degrees(run.log["roll_rad"]), rtol=2**-23)
-    np.testing.assert_allclose(data["Yaw, set-point"]["y"], np.degrees(run.log["yaw_setpoint_rad"]), rtol=2**-23)
-    assert (data["Roll, true"]["x0"], data["Roll, true"]["dx"]) == (0.0, STEP)
-    rates = {trace["hovertemplate"].split(":")[0]: trace for trace in figures["rate"]["data"]}
-    expected = np.degrees(run.log["rate_p_predicted_rad_s"])
-    np.testing.assert_allclose(rates["Roll rate, predicted"]["y"], expected, rtol=2**-23)
-    climb = figures["height"]["data"][-1]
-    np.testing.assert_allclose(climb["y"], -run.log["velocity_down_m_s"], rtol=2**-23)
+    attitude = signals(figures["attitude"])
+    for label, column in (("Roll, true", "roll_rad"), ("Yaw, set-point", "yaw_setpoint_rad")):
+        assert attitude[label]["column"] == column
+        assert attitude[label]["scale"] == pytest.approx(180.0 / np.pi, rel=1e-15)
+    assert signals(figures["rate"])["Roll rate, predicted"]["column"] == "rate_p_predicted_rad_s"
+    climb = signals(figures["height"])["Climb rate, true"]
+    assert (climb["column"], climb["scale"]) == ("velocity_down_m_s", -1.0)
+    assert signals(figures["height"])["Altitude, true"]["scale"] == 1.0
 
 
 def test_thrust_is_drawn_where_the_jet_sits(run: Run) -> None:
     figure = run_figures(run.log, run.summary)["thrust"]
-    titles = [note["text"] for note in figure["layout"]["annotations"]]
-    assert titles == [f"<b>Jet {jet}</b>" for jet in (3, 1, 6, 5, 2, 4)]
-    for number, jet in enumerate((3, 1, 6, 5, 2, 4)):
-        told, delivered = figure["data"][2 * number : 2 * number + 2]
+    assert [panel["title"] for panel in figure["panels"]] == [f"Jet {jet}" for jet in (3, 1, 6, 5, 2, 4)]
+    assert figure["shared"]  # one scale
+    resting = at_rest(run.log, run.summary)
+    for panel, jet in zip(figure["panels"], (3, 1, 6, 5, 2, 4), strict=True):
+        told, delivered = panel["signals"]
         # the curve of the made-up engine is a line through 0 with 20 N per unit of throttle
-        np.testing.assert_allclose(told["y"], 20.0 * run.log[f"throttle_{jet}"], rtol=2**-23)
-        np.testing.assert_allclose(delivered["y"], run.log[f"thrust_{jet}_N"], rtol=2**-23)
-    layout = figure["layout"]
-    assert layout["yaxis"]["domain"][0] > layout["yaxis5"]["domain"][1]  # jets 3 and 1 are in front
-    assert layout["xaxis"]["domain"][1] < layout["xaxis2"]["domain"][0]
-    assert len({tuple(layout[f"yaxis{n}" if n > 1 else "yaxis"]["range"]) for n in range(1, 7)}) == 1
+        np.testing.assert_allclose(resting[told["column"]], 20.0 * run.log[f"throttle_{jet}"], rtol=1e-12)
+        assert delivered["column"] == f"thrust_{jet}_N"
 
 
 def test_jets_are_placed_by_the_vehicle() -> None:
@@ -153,18 +160,21 @@ def test_jets_are_placed_by_the_vehicle() -> None:
 
 def test_without_a_static_curve_only_what_was_delivered_is_drawn(tmp_path: Path) -> None:
     run = flown(50, engine_curve=[])
-    assert [trace["name"] for trace in run_figures(run.log, run.summary)["thrust"]["data"]] == ["delivered"] * 6
+    thrust = run_figures(run.log, run.summary)["thrust"]
+    assert [each["label"] for panel in thrust["panels"] for each in panel["signals"]] == ["delivered"] * 6
     assert "its thrust at rest is not known" in page_of(run, tmp_path).text
 
 
 def test_disturbances_are_shaded_and_what_is_not_there_is_left_out(run: Run, tmp_path: Path) -> None:
     figures = run_figures(run.log, run.summary)
-    shade = figures["attitude"]["layout"]["shapes"][0]
+    ((start, end),) = Reader(run.log, STEP).upsets()
     # on for 6 < t < 7: from the row at 6.004 s to the one that begins at 7 s
-    assert (shade["x0"], shade["x1"]) == (pytest.approx(6.004), pytest.approx(7.0))
-    titles = [axis["title"]["text"] for key, axis in figures["outside"]["layout"].items() if key.startswith("yaxis")]
-    assert titles == ["Moment [N m]", "Wind [m/s]"]
-    assert not any(trace["name"] == "refused" for trace in figures["effort"]["data"])
+    assert (start, end) == (pytest.approx(6.004), pytest.approx(7.0))
+    assert [(panel["title"], panel["unit"]) for panel in figures["outside"]["panels"]] == [
+        ("Moment", "N m"),
+        ("Wind", "m/s"),
+    ]
+    assert not any(label.endswith("refused") for label in signals(figures["effort"]))
     calm = flown(100, change=lambda s: s._replace(state=s.state._replace(wind=(0.0, 0.0, 0.0))))
     assert "outside" not in run_figures(calm.log, calm.summary)
     assert "Nothing came from outside" in page_of(calm, tmp_path).text
@@ -221,12 +231,48 @@ def test_a_long_flight_is_drawn_with_its_times() -> None:
     plotly.graph_objects.Figure(figure)
 
 
+# ---- what a page carries
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 1000])
+@pytest.mark.parametrize("kind", ["smooth", "noise", "flags", "constant", "huge", "gaps", "spike", "far", "tiny"])
+def test_a_packed_column_is_what_it_was_to_half_a_step(kind: str, rows: int) -> None:
+    rng, k = np.random.default_rng(1), np.arange(rows, dtype=float)
+    values = {
+        "smooth": np.sin(0.01 * k),
+        "noise": rng.normal(size=rows),
+        "flags": (k % 7 == 0).astype(float),
+        "constant": np.full(rows, 0.1),
+        "huge": 1e30 * rng.normal(size=rows),
+        "gaps": np.where(k % 5 == 1, nan, rng.normal(size=rows)),
+        "spike": np.where(k == rows // 2, 1e12, 1e-3 * rng.normal(size=rows)),
+        "far": 1e9 + 1e-3 * rng.normal(size=rows),
+        "tiny": 1e-200 * rng.normal(size=rows),
+    }[kind]
+    column = packed(values)
+    assert column is not None
+    again = unpacked(column, rows)
+    assert np.array_equal(np.isnan(again), np.isnan(values))
+    assert np.nanmax(np.abs(again - values)) <= 0.5 * column.step * (1.0 + 1e-6)
+    if kind in ("flags", "constant"):
+        assert np.array_equal(again, values)
+    elif kind in ("smooth", "noise") and rows > 3:
+        first, last = np.percentile(values, (1.0, 99.0))
+        assert column.step <= 2.0**-16 * (last - first)
+
+
+def test_a_column_without_a_number_is_not_carried() -> None:
+    assert packed(np.full(5, nan)) is None
+    assert step_of(np.array([0.0, 2.0, 5.0]), 0.0, 5.0) == 1.0
+
+
 # ---- the page
 
 
 def test_the_page_is_whole_and_needs_nothing_else(run: Run, tmp_path: Path) -> None:
     page = page_of(run, tmp_path)
-    assert page.places == set(page.figures) == set(run_figures(run.log, run.summary))
+    told = page.figures["flight-data"]
+    assert page.places == set(told["figures"]) == set(run_figures(run.log, run.summary))
     loaded = [
         attrs
         for tag, attrs in page.elements
@@ -237,8 +283,20 @@ def test_the_page_is_whole_and_needs_nothing_else(run: Run, tmp_path: Path) -> N
     assert style is not None
     assert "url(" not in style[1]
     assert "@import" not in style[1]
-    drawn = decoded(page.figures["attitude"]["data"][1]["y"])
-    np.testing.assert_allclose(drawn, np.degrees(run.log["roll_rad"]), rtol=2**-23)
+    (said,) = told["runs"]
+    for about in said["columns"]:
+        text = page.data.get(f"data-0-{about['name']}", "")
+        column = Packed(*(about[key] for key in Packed._fields[:-1]), text)
+        values = unpacked(column, said["rows"])
+        if about["name"] in run.log.columns:
+            exact = run.log[about["name"]]
+            assert np.nanmax(np.abs(values - exact)) <= 0.5 * about["step"] * (1.0 + 1e-9), about["name"]
+            assert np.array_equal(np.isnan(values), np.isnan(exact)), about["name"]
+    names = {about["name"] for about in said["columns"]}
+    assert {*run.log.columns, "time_s"} - names - {*said["empty"]} == {"time_s"}
+    assert len(said["vehicle"]["jets"]) == 6
+    assert {turn["column"] for jet in said["vehicle"]["jets"] for turn in jet["turns"]} <= {*run.log.columns}
+    assert (tmp_path / "report.html").stat().st_size < 1.5e6
 
 
 def test_the_page_says_what_there_is_to_say(run: Run, tmp_path: Path) -> None:
@@ -306,8 +364,6 @@ def test_every_flight_gets_a_page(tmp_path: Path, rows: int, outcome: str) -> No
     assert reason in page.text
     assert bool(page.figures) == bool(rows)
     assert ("nothing to draw" in page.text) == (rows == 0)
-    for figure in page.figures.values():
-        plotly.graph_objects.Figure(figure)
 
 
 def test_values_that_are_no_numbers_are_gaps(tmp_path: Path) -> None:
@@ -319,9 +375,10 @@ def test_values_that_are_no_numbers_are_gaps(tmp_path: Path) -> None:
 
     run = flown(300, "failed", "engine 1", change=spoil)
     page = page_of(run, tmp_path)
-    for figure in page.figures.values():
-        plotly.graph_objects.Figure(figure)
-    setpoint = decoded(page.figures["attitude"]["data"][2]["y"])
+    (said,) = page.figures["flight-data"]["runs"]
+    about = next(each for each in said["columns"] if each["name"] == "roll_setpoint_rad")
+    column = Packed(*(about[key] for key in Packed._fields[:-1]), page.data["data-0-roll_setpoint_rad"])
+    setpoint = unpacked(column, said["rows"])
     assert np.isnan(setpoint[:100]).all()
     assert np.isfinite(setpoint[100:]).all()
 
@@ -342,7 +399,8 @@ def test_text_of_a_scenario_cannot_become_markup(tmp_path: Path) -> None:
     compare_report([run, flown(20)], tmp_path / "compare.html")
     for page in (page_of(run, tmp_path), Page(tmp_path / "compare.html")):
         assert not [tag for tag, attrs in page.elements if tag == "img" or "onerror" in attrs]
-        assert [tag for tag, _ in page.elements].count("script") == len(page.figures) + 2
+        own = 3 if page.data else 2  # scripts
+        assert [tag for tag, _ in page.elements].count("script") == len(page.figures) + len(page.data) + own
         assert evil.split("<")[0] in page.text
     assert html.escape("<img src=x") in (tmp_path / "report.html").read_text()
     assert "<" not in figure_json({"data": [{"name": evil}]})

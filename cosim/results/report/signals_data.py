@@ -1,0 +1,237 @@
+"""A flight as a page carries it: every sample of every column, what happened, and the vehicle to draw.
+
+A column is rounded to whole multiples of a power of two, at most 2^-16 of the range in which 98 % of its values lie
+(whole numbers exactly), then differenced, split into bytes and deflated, as the browser's DecompressionStream undoes.
+A page decodes a column when it is looked at.  What is exact to the last bit is in the log.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Mapping, Sequence
+from math import floor, log2
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+from cosim.base.errors import FlightError, InputError
+from cosim.base.layout import UP
+from cosim.results.events import Event, spans
+from cosim.results.metrics import REFUSED, Reach, saturated
+from cosim.results.recorder import Log
+from cosim.results.run import Run
+from cosim.results.tables import TIME
+from cosim.spec.vehicle import Vehicle
+
+BITS = 16  # of the usual range, chosen by us: sixteen times finer than a screen of 4000 pixels shows
+_MOST = 2.0**28  # steps from zero; second differences of such numbers still are 32 bits
+_LEVEL = 6  # of deflate
+DERIVED = "where the engine would settle if its throttle were held; from its static curve, not in the log"
+
+
+class Packed(NamedTuple):
+    """A column as it goes into a page: ``base + step * n`` of whole numbers n, differenced ``order`` times."""
+
+    base: float
+    step: float
+    order: int
+    planes: int  # bytes kept of each number, the lowest first
+    gaps: bool  # a byte a row after them: 1 where there is no number
+    data: str  # deflated, base64; empty where all rows are ``base``
+
+
+def packed(values: Array) -> Packed | None:
+    """A column packed; None where it has no number at all."""
+    known = np.isfinite(values)
+    if not known.any():
+        return None
+    gaps = not known.all()
+    whole = values if not gaps else _held(values, known)
+    low, high = float(whole.min()), float(whole.max())
+    if low == high and not gaps:
+        return Packed(low, 1.0, 0, 0, False, "")
+    step = step_of(whole, low, high)
+    base = 0.0 if max(abs(low), abs(high)) / step < _MOST else step * floor(low / step)
+    numbers = np.rint((whole - base) / step).astype(np.int64)
+    best = min((_differenced(numbers, order) for order in range(3)), key=_cost)
+    order = next(order for order in range(3) if np.array_equal(best, _differenced(numbers, order)))
+    zigzag = ((best << 1) ^ (best >> 63)).astype("<u4")
+    planes = zigzag.view(np.uint8).reshape(-1, 4).T
+    kept = max((n + 1 for n in range(4) if planes[n].any()), default=0)
+    raw = planes[:kept].tobytes() + ((~known).astype(np.uint8).tobytes() if gaps else b"")
+    return Packed(base, step, order, kept, gaps, base64.b64encode(zlib.compress(raw, _LEVEL)).decode())
+
+
+def step_of(values: Array, low: float, high: float) -> float:
+    """The power of two that a column of numbers between ``low`` and ``high`` is rounded to."""
+    if max(abs(low), abs(high)) < _MOST and np.array_equal(values, np.rint(values)):
+        return 1.0
+    first, last = np.percentile(values, (1.0, 99.0))
+    usual = float(last - first) or (high - low) or abs(high) or 1.0
+    return float(2.0 ** floor(max(log2(usual) - BITS, log2(max(high - low, 1e-300)) - log2(_MOST) + 1.0, -1000.0)))
+
+
+def unpacked(column: Packed, rows: int) -> Array:
+    """What a page makes of a packed column: the inverse of :func:`packed`."""
+    if not column.data:
+        return np.full(rows, column.base)
+    raw = np.frombuffer(zlib.decompress(base64.b64decode(column.data)), dtype=np.uint8)
+    zigzag = np.zeros(rows, dtype=np.int64)
+    for n in range(column.planes):
+        zigzag |= raw[n * rows : (n + 1) * rows].astype(np.int64) << (8 * n)
+    numbers = (zigzag >> 1) ^ -(zigzag & 1)
+    for _ in range(column.order):
+        numbers = np.cumsum(numbers)
+    values: Array = column.base + column.step * numbers.astype(np.float64)
+    if column.gaps:
+        values[raw[column.planes * rows :] == 1] = np.nan
+    return values
+
+
+def _held(values: Array, known: NDArray[np.bool_]) -> Array:
+    """Gaps filled with the last number before them, or the first of all."""
+    rows = np.maximum.accumulate(np.where(known, np.arange(values.size), -1))
+    rows[rows < 0] = int(np.argmax(known))
+    filled: Array = values[rows]
+    return filled
+
+
+def _differenced(numbers: NDArray[np.int64], order: int) -> NDArray[np.int64]:
+    for _ in range(order):
+        numbers = np.diff(numbers, prepend=np.int64(0))
+    return numbers
+
+
+def _cost(numbers: NDArray[np.int64]) -> float:
+    return float(np.log2(np.abs(numbers[2:]) + 1.0).sum())
+
+
+# ---- a run
+
+
+def run_data(
+    log: Log,
+    label: str,
+    colour: str,
+    *,
+    step_s: float,
+    events: Sequence[Event] = (),
+    vehicle: Vehicle | None = None,
+    jets_m: Sequence[Sequence[float]] = (),
+    times: Array | None = None,
+    derived: Mapping[str, Array] | None = None,
+    upsets: Sequence[tuple[float, float]] = (),
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """What a page says of a run, as JSON has it, and its columns' data by name.
+
+    ``times`` are those of the rows where they are not 0, ``step_s``, ...; ``derived`` are columns that the log has not;
+    ``upsets`` the times when something disturbs the flight as the log has it.
+    """
+    told: list[dict[str, Any]] = []
+    data: dict[str, str] = {}
+    empty: list[str] = []
+    described = {column.name: column for column in log.described}
+    more = derived or {}
+    for name in (*log.columns, *more):
+        if name == TIME and times is None:
+            continue
+        column = packed(np.asarray(more[name] if name in more else log[name], dtype=np.float64))
+        if column is None:
+            empty.append(name)
+            continue
+        about = described.get(name)
+        told.append(
+            {
+                "name": name,
+                "unit": about.unit if about else "",
+                "frame": about.frame if about else "",
+                "meaning": about.meaning if about else DERIVED if name in more else "",
+                **{key: value for key, value in column._asdict().items() if key != "data"},
+            }
+        )
+        if column.data:
+            data[name] = column.data
+    said = {
+        "label": label,
+        "colour": colour,
+        "rows": len(log),
+        "step": step_s,
+        "uniform": times is None,
+        "columns": told,
+        "empty": empty,
+        "events": [
+            {"t": event.time_s, "end": event.end_s, "kind": event.kind, "text": event.text, "banded": _banded(event),
+             "lasts": event.lasts, "severity": event.severity}
+            for event in events
+        ],
+        "upsets": upsets,
+        "saturated": _saturated(log, vehicle, step_s) if len(log) and times is None else [],
+        "vehicle": shape(vehicle) if vehicle is not None else _places(jets_m),
+    }  # fmt: skip
+    return said, data
+
+
+def _banded(event: Event) -> bool:
+    """Whether an event is a band of its own: faults, gusts and changes of the wind; the rest is in the log."""
+    wind = event.kind == "disturbance" and event.text.startswith(("gust", "wind"))
+    return event.banded and (event.kind == "fault" or wind)
+
+
+def vehicle_of(run: Run) -> Vehicle | None:
+    """The vehicle of a run; None where its scenario is of another version, or gone."""
+    try:
+        vehicle: Vehicle = run.scenario.resolved_vehicle()[0]
+    except (InputError, FlightError, OSError):
+        return None
+    return vehicle
+
+
+def shape(vehicle: Vehicle) -> dict[str, Any]:
+    """What is drawn of a vehicle, m and rad in the body frame: from ``vehicle.toml``.
+
+    A jet has its place and its thrust's direction, both with all hinges at zero, and what turns it from the body
+    outwards: the column of the angle, a point of the axis, the axis, and whether it turns the thrust alone.
+    """
+    layout = vehicle.layout()
+    angles = [f"tilt_{name}_rad" for name in vehicle.actuators[: len(layout.turns)]]
+    jets = [
+        {
+            "position": station.place,
+            "axis": station.axis,
+            "turns": [
+                {
+                    "column": angles[number],
+                    "point": layout.turns[number].point,
+                    "axis": layout.turns[number].axis,
+                    "effect": effect,
+                    "deflects": jet in layout.turns[number].deflects,
+                }
+                for number, effect in reversed(layout.chains[jet])  # the innermost of the product first
+            ],
+        }
+        for jet, station in enumerate(layout.stations)
+    ]
+    return {
+        "name": vehicle.name,
+        "title": vehicle.title,
+        "mass": vehicle.mass_kg,
+        "jets": jets,
+        "contacts": [{"kind": contact.kind, "position": contact.position_m} for contact in vehicle.contacts],
+    }
+
+
+def _places(jets_m: Sequence[Sequence[float]]) -> dict[str, Any]:
+    """A vehicle of which no more is known than where its jets are."""
+    jets = [{"position": list(place), "axis": UP, "turns": []} for place in jets_m]
+    return {"name": "", "title": "", "mass": None, "jets": jets, "contacts": []}
+
+
+def _saturated(log: Log, vehicle: Vehicle | None, step_s: float) -> list[tuple[float, float | None]]:
+    """When allocation refused something or a tilt was told to go to an end of its range, in the air or not."""
+    if not {"on_ground", *REFUSED}.issubset(log.columns):  # of another tool
+        return []
+    tilt = None if vehicle is None or vehicle.servo is None else vehicle.servo.range_rad
+    return spans(saturated(log, Reach(throttle=(), tilt_rad=tilt)), step_s)

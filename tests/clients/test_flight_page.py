@@ -1,0 +1,207 @@
+"""The page of a flight in a real browser: the replay, strips with every sample, keys, a phone, no request, no error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from flights import STEP, samples, scenario, setup
+from patience import PATIENCE
+from places import ROOT
+
+from cosim.flight import with_page
+from cosim.results.recorder import MemoryLog
+from cosim.results.report.flight import write_report
+from cosim.results.report.flight_figures import Panel, Reader, Trace, strips
+from cosim.results.report.page import ASSETS, Flights, render
+from cosim.results.report.signals_data import BITS, run_data
+from cosim.results.run import Run, begin_run
+
+HOUR = 900_000  # steps
+SOON = 1000 * PATIENCE  # ms
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
+    recording = begin_run(setup(), scenario(), None)
+    for sample in samples(2000):
+        recording.observe(sample)
+    run = with_page(recording.finish("completed", "", wall_s=0.1))
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    write_report(run, path)
+    return run, path
+
+
+@contextmanager
+def opened(browser: Any, path: Path, script: str = "", **context: Any) -> Iterator[Any]:
+    """The page, ready; nothing that it loads or complains of passes."""
+    held = browser.new_context(**({"viewport": {"width": 1200, "height": 900}} | context))
+    page = held.new_page()
+    wrong: list[str] = []
+    page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("request", lambda asked: None if asked.url == path.as_uri() else wrong.append(asked.url))
+    if script:
+        page.add_init_script(script)
+    page.goto(path.as_uri())
+    page.wait_for_function("document.documentElement.dataset.replay", timeout=SOON)
+    try:
+        yield page
+    finally:
+        held.close()
+    assert wrong == []
+
+
+def shown(page: Any, time: float) -> bytes:
+    """The picture at a time."""
+    page.evaluate("t => hexjet.setTime(t)", time)
+    page.wait_for_function(
+        "t => document.querySelector('.stage canvas').dataset.time === t", arg=f"{time:.4f}", timeout=SOON
+    )
+    picture: bytes = page.locator(".stage canvas").screenshot()
+    return picture
+
+
+def test_the_picture_moves_as_the_log_says(browser: Any, flown: tuple[Run, Path]) -> None:
+    run, path = flown
+    with opened(browser, path) as page:
+        assert page.evaluate("document.documentElement.dataset.replay") == "ready"
+        pictures = set()
+        for k in (0, 700, 1990):
+            pictures.add(shown(page, k * STEP))
+            pose = page.evaluate("hexjet.pose(0)")
+            log = run.log
+            place = [log[name][k] for name in ("north_m", "east_m", "down_m")]
+            assert pose["place"] == pytest.approx(place, abs=1e-3)
+            roll, pitch, yaw = (0.5 * log[f"{axis}_rad"][k] for axis in ("roll", "pitch", "yaw"))
+            # yaw, then pitch, then roll: the product of three turns, w first
+            z, y, x = ((np.cos(a), np.eye(3)[i] * np.sin(a)) for a, i in ((yaw, 2), (pitch, 1), (roll, 0)))
+            q = product(product(z, y), x)
+            assert pose["quaternion"] == pytest.approx([q[0], *q[1]], abs=1e-4)
+        assert len(pictures) == 3
+        # the thrust of the bank that a servo tilts turns with it
+        turns = page.evaluate("hexjet.flights[0].vehicle.jets.map((jet) => jet.turns.length)")
+        assert turns == [1] * 6
+
+
+def product(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Of two quaternions, each a scalar and a vector."""
+    return a[0] * b[0] - a[1] @ b[1], a[0] * b[1] + b[0] * a[1] + np.cross(a[1], b[1])
+
+
+def test_the_page_of_the_documentation_says_how_exact_and_which_keys() -> None:
+    text = " ".join((ROOT / "docs" / "flight-page.md").read_text(encoding="utf-8").split())
+    assert f"at most 1/{2**BITS:,} of the range between its first and its last percentile" in text
+    script = (ASSETS / "replay.js").read_text(encoding="utf-8")
+    for key in ("ArrowRight", "ArrowLeft", "Home", "End", "n", "p", "a", "b", "c", "k"):
+        assert f"{key}: " in script
+
+
+def test_the_keyboard_is_enough(browser: Any, flown: tuple[Run, Path]) -> None:
+    run, path = flown
+    with opened(browser, path) as page:
+        press, state = page.keyboard.press, lambda name: page.evaluate(f"hexjet.state.{name}")
+        press("ArrowRight")
+        press("ArrowRight")
+        assert state("t") == pytest.approx(2 * STEP)
+        press("a")
+        press("Shift+ArrowRight")
+        press("b")
+        assert state("marks") == pytest.approx([2 * STEP, 1.0 + 2 * STEP])
+        assert "B − A 1.000 s" in page.locator(".marks").inner_text()
+        press("+")
+        assert state("to") - state("from") == pytest.approx(0.5 * state("end"))
+        press("0")
+        assert state("to") == pytest.approx((len(run.log) - 1) * STEP)
+        press("Home")
+        press("k")
+        page.wait_for_function("hexjet.state.t > 0.05", timeout=SOON)
+        press("k")
+        assert not state("playing")
+        press("End")
+        assert state("t") == pytest.approx(state("end"))
+        # any column, found by words
+        page.focus("#signal-search")
+        page.fill("#signal-search", "rate p measured")
+        press("Enter")
+        page.wait_for_function("[...hexjet.panels].some((p) => p.free && p.signals.length === 1)", timeout=SOON)
+        assert page.evaluate("[...hexjet.panels].find((p) => p.free).signals[0].column") == "rate_p_measured_rad_s"
+
+
+def test_what_is_seen_goes_out_with_every_sample(browser: Any, flown: tuple[Run, Path]) -> None:
+    run, path = flown
+    with opened(browser, path) as page:
+        page.locator('[data-figure="attitude"]').scroll_into_view_if_needed()
+        page.wait_for_function("document.querySelector('[data-figure=attitude] .strip').panel.chart", timeout=SOON)
+        page.evaluate("hexjet.setView(1, 2)")
+        lines = page.evaluate("document.querySelector('[data-figure=attitude] .strip').panel.csv()").splitlines()
+        assert lines[0] == "time_s,roll_measured_rad,roll_rad,roll_setpoint_rad"
+        assert len(lines) == 1 + 251
+        row = [float(cell) for cell in lines[1].split(",")]
+        assert row[:3] == pytest.approx([1.0, run.log["roll_measured_rad"][250], run.log["roll_rad"][250]], abs=1e-4)
+        svg = page.evaluate("document.querySelector('[data-figure=attitude] .strip').panel.svg()")
+        assert svg.count("<path") == 3
+        # a sine of 2 at 25 Hz
+        tops = page.evaluate(
+            """() => { const y = Float64Array.from({ length: 4096 }, (_, i) => 2 * Math.sin(2 * Math.PI * 25 * i / 1024));
+                 const [f, a] = hexjet.amplitudes(y, 1 / 1024, 1); const n = a.indexOf(Math.max(...a)); return [f[n], a[n]]; }"""
+        )
+        assert tops == pytest.approx([25.0, 2.0], rel=1e-6)
+        for kind in ("spectrum", "cross"):
+            page.evaluate("k => document.querySelector('[data-figure=attitude] .strip').panel.turn(k)", kind)
+            page.wait_for_function("document.querySelector('[data-figure=attitude] .strip').panel.chart", timeout=SOON)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_phone_in_daylight_and_at_night(browser: Any, flown: tuple[Run, Path], scheme: str) -> None:
+    with opened(browser, flown[1], viewport={"width": 390, "height": 800}, color_scheme=scheme) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        ink = page.evaluate("getComputedStyle(document.body).color")
+        assert (ink == "rgb(228, 233, 238)") == (scheme == "dark")
+        assert page.locator(".stage canvas").bounding_box()["width"] <= 390
+
+
+def test_without_webgl_it_says_so_and_the_strips_remain(browser: Any, flown: tuple[Run, Path]) -> None:
+    none = """const real = HTMLCanvasElement.prototype.getContext;
+        HTMLCanvasElement.prototype.getContext = function (kind, ...more) { return kind.startsWith("webgl") ? null : real.call(this, kind, ...more); };"""
+    with opened(browser, flown[1], none) as page:
+        assert "no WebGL" in page.locator(".no-webgl").inner_text()
+        page.locator('[data-figure="attitude"]').scroll_into_view_if_needed()
+        page.wait_for_selector('[data-figure="attitude"] .u-over', timeout=SOON)
+
+
+def test_the_last_samples_of_an_hour(browser: Any, tmp_path: Path) -> None:
+    names = ("roll_rad", "pitch_rad", "yaw_rad", "north_m", "east_m", "down_m")
+    k = np.arange(HOUR)
+    rng = np.random.default_rng(3)
+    table = np.zeros((len(names), HOUR))
+    table[0] = 0.1 * np.sin(0.001 * k) + 1e-3 * rng.normal(size=HOUR)
+    table[0, 123_456] = 7.0  # a peak that no thinning may lose
+    log = MemoryLog([table], names)
+    said = run_data(log, "hour", "#2f7de1", step_s=STEP, jets_m=[(0.1, 0.1, 0.0), (-0.1, 0.1, 0.0), (0.0, -0.1, 0.0)])
+    figure = strips(Reader(log, STEP), [Panel("Roll", "rad", [Trace("roll_rad", "true")])])
+    path = tmp_path / "hour.html"
+    template = tmp_path / "hour.page"
+    template.write_text(
+        '{% extends "base.html" %}{% block content %}<div class="strips" data-figure="roll"></div>'
+        '<div id="replay"></div>{% endblock %}'
+    )
+    render(template, path, {}, Flights("hour", [said], {"roll": figure}))
+    with opened(browser, path) as page:
+        panel = "document.querySelector('.strip').panel"
+        page.wait_for_function(f"{panel}.chart", timeout=SOON)
+        # the whole hour: no more points than pixels, and the peak is there
+        count, top = page.evaluate(f"[{panel}.data[0].length, Math.max(...{panel}.data[1])]")
+        assert count < 3000
+        assert top == pytest.approx(7.0, abs=1e-3)
+        end = (HOUR - 1) * STEP
+        page.evaluate("([a, b]) => hexjet.setView(a, b)", [end - 9 * STEP, end])
+        x, y = page.evaluate(f"{panel}.data.map((list) => [...list])")
+        assert np.diff(x) == pytest.approx(STEP)
+        assert x[-1] == pytest.approx(end)
+        assert y == pytest.approx(table[0, -len(y) :], abs=2e-5)
+        assert 10 <= len(y) <= 12
