@@ -24,7 +24,6 @@ MODULES = (
     "vehicle/intakes.py",
     "vehicle/banks.py",
     "vehicle/hinges.py",
-    "base/layout.py",
     "simulation/commander.py",
     "simulation/controllers/deadline.py",
     "simulation/controllers/guard.py",
