@@ -54,19 +54,28 @@ def test_a_flight_is_the_same_with_its_engines_apart() -> None:
     assert log_digest(one.log) == log_digest(other.log)
 
 
+LITTLE = isolated._SERVE.replace("serve(int", "import cosim.engine.isolated as it; it.MOST_MB = 150.0; serve(int")
+
+
 @pytest.mark.parametrize(
     ("made_of", "said"),
     [
         ("lag=0.1,crashes=1", r"engines \(crashes.fmu\): its process crashed \(SIGSEGV\) at step 1\d\d \(0\.\d+ s\)"),
         ("lag=0.1,hangs=1", r"engines \(hangs.fmu\): no answer within 0.5 s at step 1\d\d .* a call to the FMU hangs"),
+        ("lag=0.1,leaks=0.5", r"engines: their process takes \d+ MB of memory at step 250, 150 MB at most: it leaks"),
     ],
 )
 def test_what_an_fmu_does_to_its_process_ends_the_flight_and_nothing_else(
     made_of: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Fit for the check, and bad with six of it after 3 s of its own time, 0.4 s into the flight; the log is kept."""
+    assert isolated.HANG_S < 5.0  # of the clock, and of the flight the leak: a named end within 5 s
+    assert isolated.LOOKED_AT * STEP < 5.0
     monkeypatch.setattr(isolated, "HANG_S", 0.5)
-    path = mapped(foreign(tmp_path, "crashes" if "crash" in made_of else "hangs", made_of), "isolated = true")
+    if "leaks" in made_of:
+        monkeypatch.setattr(isolated, "_SERVE", LITTLE)
+    name = made_of.partition(",")[2].partition("=")[0]
+    path = mapped(foreign(tmp_path, name, made_of), "isolated = true")
     scenario = Scenario.load("hover").replace(
         engine=str(path), controller="baseline", engine_unchecked=True, duration_s=2.0, expect=[]
     )
@@ -91,8 +100,7 @@ IN_FLIGHT = {
 def test_other_flights_of_a_campaign_are_unharmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One worker flies a sound engine, those that misbehave, and the sound one again: the same row as before."""
     monkeypatch.setattr(isolated, "HANG_S", 0.5)
-    less = "import cosim.engine.isolated as it; it.MOST_MB = 150.0; serve("
-    monkeypatch.setattr(isolated, "_SERVE", isolated._SERVE.replace("serve(int", less + "int"))
+    monkeypatch.setattr(isolated, "_SERVE", LITTLE)
     sound = study(runs=1, duration=0.1, controllers=["baseline"])
     before = fly_one(sound, flights(sound)[0])
     for made_of, reason in IN_FLIGHT.items():
