@@ -16,6 +16,7 @@ from cosim.cli.console import output_to_stderr, part_progress, terminal
 from cosim.cli.options import (
     DONE,
     FLIGHT_FAILED,
+    TOLD,
     Number,
     brought_settings,
     example,
@@ -213,7 +214,8 @@ def sweep_progress(folder: Path, quiet: bool) -> Iterator[Callable[[Tally, int, 
                 show(tally, done, of)
 
             yield tell
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
+        stop.add_note(TOLD)
         done, of = reached
         print(
             f"hexjet: stopped; {done} of {of} flights are kept: hexjet sweep {folder} --resume goes on"
@@ -317,7 +319,8 @@ def search_progress(folder: Path, quiet: bool) -> Iterator[Callable[[int], None]
                 show(f"{flights} flights", flights, 0)
 
             yield tell
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
+        stop.add_note(TOLD)
         kept = f"{reached} flights are kept: the same command with --out {folder} --resume goes on"
         print(f"hexjet: stopped; {kept if reached else 'before the first flight'}", file=sys.stderr)
         raise

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-_PIPE_WIDTH = 120
+_PIPE_WIDTH = 120  # in a pipe there is no width to fit, unless COLUMNS states one
+_NARROWEST = 20
 
 
 @contextmanager
@@ -50,7 +51,15 @@ def cell(value: float | None, form: str) -> str:
 
 
 def terminal() -> Any:
+    """Where tables go: as wide as the terminal, or as COLUMNS says, also in a pipe."""
+    import os
+    from io import StringIO
+
     from rich.console import Console
 
-    # in a pipe there is no width to fit
+    if sys.stdout is None:  # closed by whoever started this
+        return Console(file=StringIO(), width=_PIPE_WIDTH, emoji=False)
+    stated = os.environ.get("COLUMNS", "")
+    if stated.isdigit():
+        return Console(width=max(int(stated), _NARROWEST), emoji=False)
     return Console(emoji=False) if sys.stdout.isatty() else Console(width=_PIPE_WIDTH, emoji=False)

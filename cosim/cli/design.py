@@ -120,6 +120,8 @@ def design(
     from cosim.design.tune import Requirements
 
     if out is not None:  # before minutes of searching
+        if out.suffix.lower() != ".toml":
+            raise InputError(f"--out {out}: must end in .toml, by which --controller knows it")
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:

@@ -244,6 +244,9 @@ def print_run(run: Run) -> None:
         console.print(f"report: {run.folder / 'report.html'}", highlight=False, soft_wrap=True)
 
 
+_WIDE = 110  # columns of the terminal that a row an axis takes
+
+
 def print_metrics(runs: Sequence[Run], by: str = "axis") -> None:
     """A table of the axes' metrics in the units of the page, one row an axis and run; ``by`` names the first column."""
     from rich import box
@@ -252,16 +255,30 @@ def print_metrics(runs: Sequence[Run], by: str = "axis") -> None:
     from cosim.results.report.flight import axis_cell
     from cosim.results.wording import AXIS_ROWS
 
+    heads = [f"{row.title}, {row.unit}".lower().replace("rmse", "RMSE") for row in AXIS_ROWS]
+    lines = [
+        [
+            axis if by == "axis" else f"{run.summary.controller}, {axis}",
+            *(axis_cell(metrics, row.key, row.factor, row.digits) for row in AXIS_ROWS),
+        ]
+        for run in runs
+        for axis, metrics in run.metrics.items()
+        if metrics.commanded or by == "axis"
+    ]
+    console = terminal()
+    if console.width < _WIDE:  # lying down: a metric a row
+        heads, lines = (
+            [line[0] for line in lines],
+            [list(each) for each in zip(heads, *(line[1:] for line in lines), strict=True)],
+        )
+        by = "metric"
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column(by)
-    for row in AXIS_ROWS:
-        table.add_column(f"{row.title}, {row.unit}".lower().replace("rmse", "RMSE"), justify="right")
-    for run in runs:
-        for axis, metrics in run.metrics.items():
-            if metrics.commanded or by == "axis":
-                label = axis if by == "axis" else f"{run.summary.controller}, {axis}"
-                table.add_row(label, *[axis_cell(metrics, row.key, row.factor, row.digits) for row in AXIS_ROWS])
-    terminal().print(table)
+    for head in heads:
+        table.add_column(head, justify="right")
+    for line in lines:
+        table.add_row(*line)
+    console.print(table)
 
 
 def _print_whole(run: Run) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 import tempfile
 from importlib import import_module
+from io import TextIOWrapper
 
 import click
 
 from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
-from cosim.cli.options import DONE, FLIGHT_FAILED, WRONG_INPUT, Terminated
+from cosim.cli.options import DONE, FLIGHT_FAILED, TOLD, WRONG_INPUT, Terminated
 
 INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
 COMMANDS = {  # where each is, so that none is read for another
@@ -60,6 +61,10 @@ def cli() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """The command ``hexjet``: exits with 0, 1 (the flight failed) or 2 (wrong input, one line)."""
+    for stream in (sys.stdout, sys.stderr):  # a sign that a terminal has not is no reason to fail
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    output = sys.stdout
     try:
         status = cli.main(args=arguments, prog_name="hexjet", standalone_mode=False)
     except InputError as error:
@@ -75,9 +80,10 @@ def main(arguments: list[str] | None = None) -> None:
     except FlightError as error:
         _complain(str(error))
         status = FLIGHT_FAILED
-    except BrokenPipeError:
-        # whoever read the output has gone; keep Python from complaining about it while it shuts down
-        sys.stdout = None
+    except SystemExit:
+        if sys.stdout is output:
+            raise
+        # whoever read the output has gone: click has put in its place what does not complain while Python shuts down
         status = DONE
     except OSError as error:
         if error.errno not in MACHINE_TROUBLE:
@@ -85,7 +91,10 @@ def main(arguments: list[str] | None = None) -> None:
         _complain(f"{error.strerror}; temporary files are in {tempfile.gettempdir()}")
         status = FLIGHT_FAILED
     except (click.Abort, KeyboardInterrupt) as error:
-        status = TERMINATED if isinstance(error.__cause__ or error, Terminated) else INTERRUPTED
+        stop = error.__cause__ or error
+        if TOLD not in getattr(stop, "__notes__", ()):
+            _complain("stopped; what was written before is kept")
+        status = TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
     sys.exit(status if isinstance(status, int) else DONE)
 
 

@@ -31,6 +31,9 @@ class Number(click.FloatRange):
         return "" if self.min is None and self.max is None else super()._describe_range()
 
 
+TOLD = "told"  # a note of an interruption: the command has said itself what is kept
+
+
 class Terminated(KeyboardInterrupt):
     """SIGTERM, by which a batch system or a service manager asks a process to end."""
 
