@@ -556,6 +556,7 @@ ENVIRONMENT = {
     "HEXJET_PURE": "set at run time: everything runs from source, nothing compiled; set at the build: nothing is compiled",
     "HEXJET_OPTIMISATION": "at the build: the C compiler's level for the compiled modules, `-O2` without it; the bits are the same",
     "HEXJET_PORT": "set by `hexjet sitl` for Betaflight: where its ports begin",
+    "ARDUPILOT_SITL": "the ArduPilot program that `hexjet sitl` runs",
     "BETAFLIGHT_SITL": "the Betaflight program that `hexjet sitl` runs",
     "HEXJET_BROWSER": "for the tests: the browser that they drive",
     "CC": "the C compiler that builds FMUs and extensions; `cc` without it",
