@@ -1,4 +1,4 @@
-"""The entry of the command: until all is read that it is made of, Ctrl-C ends it without a word, as nothing is begun."""
+"""The entry of the command: until what it is made of is read, Ctrl-C ends it without a word: nothing is begun yet."""
 
 from __future__ import annotations
 
