@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.engine.archive import Archive
+from cosim.engine.archive import Archive, named_ports
 from cosim.engine.container import DAMAGE
 from cosim.engine.measure import Measured, measure_once
 from cosim.engine.ports import (
@@ -245,7 +245,7 @@ def _check(
         fmi_version=archive.version,
         sha256=archive.sha256,
         step=step,
-        ports=[_described_port(name, port, source) for name, port in archive.ports.items()],
+        ports=[_described_port(name, port, source) for name, port in named_ports(archive.engines).items()],
         inputs=_described(archive.inputs),
         outputs=_described(archive.outputs),
         parameters=_described(archive.parameters),
@@ -376,8 +376,9 @@ def _described(variables: Iterable[Variable]) -> list[dict[str, Any]]:
     return [{key: getattr(v, key) for key in DESCRIBED} for v in variables]
 
 
-def _described_port(name: str, port: Port, source: EngineSource) -> dict[str, Any]:
+def _described_port(label: str, port: Port, source: EngineSource) -> dict[str, Any]:
     v = port.variable
+    name = label.partition(" ")[0]  # without whose it is
     stated = source.engine.ports if source.engine else source.mapping.ports.model_dump(exclude_none=True)
     if name in stated:
         place = "in engine.toml" if source.engine else "in the mapping file"
@@ -389,7 +390,7 @@ def _described_port(name: str, port: Port, source: EngineSource) -> dict[str, An
         place = "by its unit" if name == "thrust" else "as the only one"
     ranged = KINDS[name].causality == "input" and name in ("throttle",)
     return {
-        "port": name,
+        "port": label,
         "name": v.name,
         "unit": v.unit if name in ("throttle", "run", "start") else _unit(name, source) or v.unit,
         "from": port.value(0.0) if ranged else None,

@@ -14,6 +14,7 @@ from cosim import Scenario, fly
 from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient
 from cosim.engine import EngineBank, EngineSpec, IsolatedBank, load_engine
+from cosim.engine.qualify import check
 from cosim.engine.qualify.trial import perform
 from cosim.results.digest import log_digest
 from cosim.stepper import Stepper
@@ -166,6 +167,10 @@ def test_the_check_tries_two_instances_of_it(place: Path) -> None:
     found = {each["of"]: each for each in said if "of" in each}
     assert [each["problems"] for each in found.values()] == [[]] * 4
     assert len(found["measure"]["found"]["measured"]["others"]) == 5  # type: ignore[index]
+    report, _ = check._check(str(path), STEP, {}, check.LIMITS, ("start",))
+    said_of = dict(report.lines())
+    assert said_of["thrust of engine 6"].startswith("F5 [N], found in the mapping file")
+    assert "input" not in said_of  # none is left over
 
 
 def test_what_fails_names_those_that_it_serves(place: Path) -> None:
