@@ -34,6 +34,7 @@ COMMANDS = {  # where each is, so that none is read for another
     "show": "show:show",
     "sitl": "sitl:sitl",
     "sweep": "campaign:sweep",
+    "validate": "validate:validate",
 }
 
 

@@ -42,8 +42,12 @@ class Log:
     setpoint: np.ndarray
 
 
-def closed_loops(count, seconds=20.0, seed=1, truth=Truth(), flaws=Flaws(), p=0.004, attitude=0.8, size=0.25):
-    """``count`` logs of an axis under control."""
+def closed_loops(
+    count, seconds=20.0, seed=1, truth=Truth(), flaws=Flaws(), p=0.004, attitude=0.8, size=0.25, loop=True, sweep=0.0
+):
+    """``count`` logs of an axis under control; without ``loop`` the doublets are the command;
+    ``sweep`` is the amplitude of one that is added to it, from 0.3 to 8 Hz.
+    """
     rng = np.random.default_rng([seed, 16])
     steps, fine = round(seconds / truth.step), truth.step / SUB
     late = round(truth.delay_samples * SUB)
@@ -60,6 +64,9 @@ def closed_loops(count, seconds=20.0, seed=1, truth=Truth(), flaws=Flaws(), p=0.
             a, b, c = (round(t / truth.step) for t in (at, at + half, at + 2.0 * half))
             doublets[a:b, n], doublets[b:c, n] = size, -size
             at += rng.uniform(2.5, 4.0)
+    at = np.arange(steps) * truth.step
+    growth = np.log(8.0 / 0.3) / seconds
+    chirp = sweep * np.sin(2.0 * np.pi * 0.3 * np.expm1(growth * at) / growth)
     gyro = flaws.gyro * rng.standard_normal((steps, count))
     most = SUB // 2 - 1
     moved = np.clip(np.rint(flaws.jitter * SUB * rng.standard_normal((steps, count))), -most, most).astype(int)
@@ -76,7 +83,8 @@ def closed_loops(count, seconds=20.0, seed=1, truth=Truth(), flaws=Flaws(), p=0.
             measured = rate + gyro[k, every]
             leaned = lean + measured * (m * fine - since)
             wanted = attitude * (doublets[k, every] - leaned)
-            made = p * (wanted - measured)
+            made = p * (wanted - measured) if loop else doublets[k, every]
+            made = made + chirp[k]
             lean, since = np.where(act, leaned, lean), np.where(act, m * fine, since)
             torque = np.where(act, made, torque)
             at = (k[act], every[act])

@@ -19,7 +19,7 @@ from cosim.results.logs import Channel, FlightLog, Wanted
 from cosim.spec.vehicle import RateModel
 
 LONGEST_DELAY_S = 0.4  # looked for; four times that of the Hex-Jet's engines
-LEAST_GAIN = 4.0  # standard deviations: a gain that is nearer to zero is refused
+SHOWN = 30.0  # by which the command must lower the deviance: chance alone gives 10 once in 25 (four parameters)
 DOUBT = 1e-3  # p-value below which a test is said to have failed
 TEST_LAGS = 12  # of the set-point and of the command, that the residuals are tested against
 TEST_S = 0.6  # over which they are spread
@@ -66,8 +66,8 @@ class LogIdentification:
 
     @property
     def delay_bounds(self) -> tuple[float, float]:
-        """95 % bounds of the delay [s], with a lag more allowed for than the chosen form has, where that was tried."""
-        return hull(self.estimates)
+        """95 % bounds of the delay [s], by the richest form that was tried: of a short lag more no log is sure."""
+        return bounds(self.estimates)
 
     @property
     def engine(self) -> bool:
@@ -152,7 +152,7 @@ def identify_log(
 ) -> LogIdentification:
     """Identify command to output of a log; ``what`` is an axis or begins with ``engine``.
 
-    ``lags`` is the number of lags beside the pole (an axis: 1 or more); the better of two forms by Schwarz' criterion
+    ``lags`` is the number of lags beside the pole (an axis: 1 or more); the better of two forms by Akaike's criterion
     where it is None.  Raises InputError where the log does not tell, which says why.
     """
     command, output = log.signal(wanted.command), log.signal(wanted.output)
@@ -161,12 +161,12 @@ def identify_log(
     problem, estimates, clock = _estimated(prepared, engine, dict(hold or {}), lags)
     chosen = estimates[0]
     where = f"{log.path}: {wanted.command} to {wanted.output}"
-    _refuse(estimates, prepared, where)
+    _refuse(problem, estimates, prepared, where)
     notes = [*log.remarks, *prepared.notes, *_doubts(chosen, problem)]
     checks = _checks(problem, chosen, log.signal(wanted.setpoint) if wanted.setpoint else None)
     notes += _failed(checks)
     band = _band(chosen, problem.working_step)
-    notes += _advice(chosen, hull(estimates), prepared, band)
+    notes += _advice(chosen, bounds(estimates), prepared, band)
     return LogIdentification(
         log.path,
         log.kind,
@@ -195,28 +195,27 @@ def _estimated(
     if prepared.by_clock:
         other = Problem(prepared.by_clock, prepared.working_step, prepared.longest_delay)
         form = Form(engine, (0 if engine else 1) if lags is None else lags)
-        if other.fit(form, hold).deviance < problem.fit(form, hold).deviance:
+        first = problem.fit(form, hold)
+        second = other.solve(form, first.x.copy(), first.ar.copy(), _fixed(first), first.order)
+        if second.loss / second.count < first.loss / first.count:
             problem, clock = other, "even clock"
     if lags is not None:
         return problem, [problem.bounded(problem.fit(Form(engine, lags), hold))], clock
     return problem, identify(problem, engine, hold), clock
 
 
-def hull(estimates: Sequence[Estimate]) -> tuple[float, float]:
-    """Bounds of the delay by the chosen form, which is first, and by those that are richer: they hold it."""
-    chosen = estimates[0]
-    ends = [each.delay_bounds for each in estimates if each is chosen or each.form.lags > chosen.form.lags]
-    known = [(low, high) for low, high in ends if np.isfinite(low)]
-    return min(low for low, _ in known), max(high for _, high in known)
+def bounds(estimates: Sequence[Estimate]) -> tuple[float, float]:
+    """Bounds of the delay by the richest form: it holds the others, so that no data refute it."""
+    return max(estimates, key=lambda each: each.form.lags).delay_bounds
 
 
-def _refuse(estimates: Sequence[Estimate], prepared: Prepared, where: str) -> None:
+def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared, where: str) -> None:
     chosen = estimates[0]
-    sure = abs(chosen.gain) / max(chosen.gain_deviation, 1e-300)
-    if not sure >= LEAST_GAIN:
+    fall = problem.without_command(chosen) - chosen.deviance
+    if not fall >= SHOWN:
         raise InputError(
-            f"{where}: the output does not show the command (gain {chosen.gain:.3g}, {sure:.1f} standard deviations "
-            f"from none, {LEAST_GAIN:g} are needed); fly doublets or a sweep on it, or look at other channels"
+            f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, {SHOWN:g} are "
+            "needed); fly doublets or a sweep on it, or look at other channels"
         )
     if "delay_s" in chosen.held:
         return
@@ -225,7 +224,7 @@ def _refuse(estimates: Sequence[Estimate], prepared: Prepared, where: str) -> No
             f"{where}: the delay is at the end of the search, {prepared.longest_delay:g} s; "
             "try a longer --longest-delay, or the channels belong to different clocks"
         )
-    low, high = hull(estimates)
+    low, high = bounds(estimates)
     if not high - low < UNBOUNDED * prepared.longest_delay:
         raise InputError(
             f"{where}: this log does not tell the delay: anything from {1e3 * low:.0f} to {1e3 * high:.0f} ms fits; "
@@ -382,10 +381,8 @@ def _band(estimate: Estimate, step: float) -> tuple[float, float]:
     return float(hertz[low]), float(hertz[high])
 
 
-def _advice(
-    estimate: Estimate, bounds: tuple[float, float], prepared: Prepared, band: tuple[float, float]
-) -> list[str]:
-    low, high = bounds
+def _advice(estimate: Estimate, ends: tuple[float, float], prepared: Prepared, band: tuple[float, float]) -> list[str]:
+    low, high = ends
     target = TARGET * prepared.working_step
     if "delay_s" in estimate.held or high - low <= 2.0 * target:
         return []
@@ -406,7 +403,7 @@ def _coherence(problem: Problem) -> tuple[Array, Array]:
     whole = np.concatenate([command, output])
     if not np.all(np.isfinite(whole)):
         return np.empty(0), np.empty(0)
-    per = min(len(output), max(64, round(4.0 / problem.working_step)))
+    per = min(len(output) - 1, max(64, round(4.0 / problem.working_step)))
     hertz, value = coherence(
         np.diff(command), np.diff(output), 1.0 / problem.working_step, nperseg=per, detrend="constant"
     )

@@ -32,7 +32,7 @@ from cosim.base.errors import InputError
 ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40)  # of A, tried
 LEAST_VALID = 0.4  # share of the equations that lost samples may leave, which bounds the order
 CHI2_95 = 3.841458820694124  # of one degree of freedom
-SHORTEST_LAG = 0.1  # of a sample
+SHORTEST_LAG = 0.002  # of a sample
 LONGEST_LAG_S = 5.0
 FASTEST = 20.0  # 1/s: the slow pole of an axis, at most
 _STEPS = 25  # of Gauss and Newton
@@ -41,6 +41,7 @@ _START_LAGS = (0.5, 2.0, 8.0, 32.0)  # samples, where the search begins
 _START_RATE = 0.3  # 1/s, of an axis
 _TRIED = 2  # starts of each kind that are followed to their end
 _DIFFERENCE = 0.98  # 1 but for a constant, which it would not see
+_NOTHING = 1e-150  # of a column's size: its square would be none
 _KEPT = 8  # answers that are remembered
 
 Ints = NDArray[np.int64]
@@ -343,8 +344,8 @@ class Problem:
         assert estimate is not None
         return estimate
 
-    def fit(self, form: Form, keep: dict[str, float] | None = None) -> Estimate:
-        """The estimate from the best of the starts, without the bounds of the delay.
+    def fit(self, form: Form, keep: Mapping[str, float] | None = None, near: Estimate | None = None) -> Estimate:
+        """The estimate from the best of the starts, without the bounds of the delay; ``near``: of a lag less.
 
         Raises InputError for an unknown name in ``keep``.
         """
@@ -354,20 +355,24 @@ class Problem:
                 raise InputError(f"--hold {name}: not a parameter of this form; allowed: {', '.join(form.names)}")
         fixed = [form.names.index(name) for name in keep]
         tried = []
-        for x, ar in self.starts(form, dict(zip(fixed, keep.values(), strict=True))):
+        held = dict(zip(fixed, keep.values(), strict=True))
+        for x, ar in self.starts(form, held) if near is None else _with_a_lag(near):
             x[fixed] = list(keep.values())
             tried.append(self.solve(form, x, ar, fixed, len(ar)))
         best = min(tried, key=lambda estimate: estimate.loss)
-        return replace(self.solve(form, best.x, best.ar, fixed), held=tuple(keep))
+        # two forms are compared on the same equations, which the order of A decides
+        order = None if near is None else near.order
+        return replace(self.solve(form, best.x, best.ar, fixed, order), held=tuple(keep))
 
-    def bounded(self, estimate: Estimate) -> Estimate:
+    def bounded(self, estimate: Estimate, best: float | None = None) -> Estimate:
         """With the ends of the delay's profile likelihood, 95 %: where twice the likelihood's logarithm has fallen by
-        chi-squared's 3.84.
+        chi-squared's 3.84, from that of the estimate, or of a richer form whose deviance is ``best``.
         """
         last = len(estimate.x) - 1
         if estimate.form.names[last] in estimate.held:
             return replace(estimate, delay_bounds=(estimate.delay, estimate.delay))
-        ends = (self._end(estimate, -1.0), self._end(estimate, 1.0))
+        best = estimate.deviance if best is None else best
+        ends = (self._end(estimate, -1.0, best), self._end(estimate, 1.0, best))
         return replace(estimate, delay_bounds=ends)
 
     def profile(self, estimate: Estimate, delay: float, near: Estimate | None = None) -> Estimate:
@@ -378,7 +383,7 @@ class Problem:
         fixed = [*(i for i in range(len(x)) if estimate.form.names[i] in estimate.held), len(x) - 1]
         return self.solve(estimate.form, x, near.ar, fixed, estimate.order)
 
-    def _end(self, estimate: Estimate, side: float) -> float:
+    def _end(self, estimate: Estimate, side: float, best: float) -> float:
         wide = 1.96 * estimate.deviation(len(estimate.x) - 1)
         wide = min(max(wide, 1e-4 * self.working_step), self.longest_delay)
         inside, outside = 0.0, np.inf
@@ -387,7 +392,7 @@ class Problem:
         for _ in range(12):
             wide = min(wide, limit)
             near = self.profile(estimate, estimate.delay + side * wide, near)
-            fall = near.deviance - estimate.deviance
+            fall = near.deviance - best
             if abs(fall - CHI2_95) < 0.02 * CHI2_95:
                 break
             if fall < CHI2_95:
@@ -415,6 +420,17 @@ class Problem:
         """e, and where it is one."""
         error = self._error(estimate.form, estimate.x, estimate.linear)
         return _whitened(error, estimate.ar), self.equations(estimate.order)
+
+    def without_command(self, estimate: Estimate) -> float:
+        """The deviance of a model of noise alone, A of the same order on the same equations."""
+        columns = self.columns(estimate.form, estimate.x)[:, 1:]
+        ar, use = estimate.ar, self.equations(estimate.order)
+        for _ in range(4):
+            linear = _least_squares(_whitened(columns, ar)[use], _whitened(self.output, ar)[use])
+            error = np.where(self.present, self.output - columns @ linear, 0.0)
+            ar = self._noise(error, estimate.order)
+        loss = float(np.sum(_whitened(error, ar)[use] ** 2))
+        return int(use.sum()) * log(loss / int(use.sum()))
 
     def simulated(self, estimate: Estimate) -> tuple[Array, Array]:
         """What the model says of the output, and its part that the command makes."""
@@ -459,7 +475,7 @@ class Problem:
         for _ in range(_STEPS):
             jacobian = self._jacobian(form, x, linear, ar, columns, error, free, use, high)
             size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-            size[size == 0.0] = 1.0
+            size[size < _NOTHING] = 1.0
             scaled = jacobian / size
             right = -scaled.T @ white
             if not noise:
@@ -518,7 +534,7 @@ class Problem:
         within = [n for n, i in enumerate(free) if low[i] < x[i] < high[i]]
         kept = [*within, *range(len(free), jacobian.shape[1])]
         size = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-        size[size == 0.0] = 1.0
+        size[size < _NOTHING] = 1.0
         scaled = (jacobian / size)[:, kept]
         variance = loss / max(count - len(kept), 1)
         inverse = variance * np.linalg.pinv(scaled.T @ scaled, rcond=1e-13)
@@ -529,18 +545,34 @@ class Problem:
 
 
 def identify(problem: Problem, engine: bool, keep: dict[str, float] | None = None, most: int = 2) -> list[Estimate]:
-    """So many forms, each with a lag more, the best by Schwarz' criterion first.
+    """So many forms, each with a lag more, the best by Akaike's criterion first.
 
     The bounds of the delay are of the best, and of the richest: which holds the others, and no data refute it.
     """
     fewest = 0 if engine else 1
-    found = [problem.fit(Form(engine, lags), keep) for lags in range(fewest, fewest + most)]
-    richest = found[-1]
-    found.sort(key=lambda estimate: estimate.bic)
-    return [problem.bounded(each) if each is richest or each is found[0] else each for each in found]
+    found: list[Estimate] = []
+    for lags in range(fewest, fewest + most):
+        found.append(problem.fit(Form(engine, lags), keep, found[-1] if found else None))
+    richest = problem.bounded(found.pop())
+    ends = [richest.delay_bounds]
+    for each in found:  # a form that is not refuted is the richest one with a lag of nothing, which Newton only nears
+        if "delay_s" not in each.held and each.deviance < richest.deviance + CHI2_95:
+            ends.append(problem.bounded(each, richest.deviance).delay_bounds)
+    richest = replace(richest, delay_bounds=(min(low for low, _ in ends), max(high for _, high in ends)))
+    return sorted([*map(problem.bounded, found), richest], key=lambda estimate: estimate.aic)
 
 
 # ---- small things
+
+
+def _with_a_lag(near: Estimate) -> list[tuple[Array, Array]]:
+    """Where the search for a form begins that has a lag more: that lag shorter or as long, out of the delay."""
+    last = float(near.x[-2]) if near.form.lags else 1.0 / float(near.x[0])
+    made = []
+    for share in (0.2, 1.0):
+        lag = share * last
+        made.append((np.array([*near.x[:-1], lag, max(near.delay - lag, 0.0)]), near.ar))
+    return made
 
 
 def _apart(poles: list[float]) -> list[float]:
@@ -565,6 +597,6 @@ def _whitened(values: Array, ar: Array) -> Array:
 def _least_squares(matrix: Array, right: Array) -> Array:
     """By the normal equations, the columns brought to one size."""
     size = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
-    size[size == 0.0] = 1.0
+    size[size < _NOTHING] = 1.0
     scaled = matrix / size
     return np.asarray(np.linalg.lstsq(scaled.T @ scaled, scaled.T @ right, rcond=1e-13)[0] / size)

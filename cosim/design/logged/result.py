@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.base.errors import FlightError
+from cosim.base.paths import data_folder
 from cosim.design.logged.identify_log import LogIdentification
 from cosim.design.logged.pem import Estimate
 from cosim.results.report.flight_figures import BLUE, GREEN, GREY, MAGENTA, ORANGE
 from cosim.results.report.page import render
 
+ENGINE, ENGINE_STEP_S = "turbojet", 0.004  # the library's first-order engine, and its internal step
 TEMPLATE = Path(__file__).parent / "templates" / "logged.html"
 _MOST = 4000  # points a curve
 
@@ -31,10 +34,15 @@ def write(found: LogIdentification, folder: Path, step: float, family: str) -> d
         paths["model"] = folder / "model.toml"
         table = {"identified": {family: {found.what: found.rate_model(step).model_dump()}}}
         texts["model"] = tomli_w.dumps(table)
+    if found.engine and found.wanted.output_unit == "N":
+        paths["engine"] = folder / "engine.toml"
+        texts["engine"] = tomli_w.dumps(engine_table(found))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, path in paths.items():
             path.write_text(texts[name], encoding="utf-8")
+        if "engine" in paths:
+            shutil.copyfile(data_folder("fmus") / f"{ENGINE}.fmu", folder / "engine.fmu")
     except OSError as error:
         raise FlightError(f"{folder}: {error.strerror or error}") from error
     paths["report"] = folder / "report.html"
@@ -48,6 +56,28 @@ def write(found: LogIdentification, folder: Path, step: float, family: str) -> d
         summary=summary(found),
     )
     return paths
+
+
+def engine_table(found: LogIdentification) -> dict[str, object]:
+    """A mapping file: the library's first-order engine (a lag behind a whole delay) with what was identified.
+
+    Its internal step is 4 ms, which the delay is rounded to; a second lag is added to the delay, which is what low
+    frequencies see of it.
+    """
+    step = ENGINE_STEP_S
+    x = found.chosen.x
+    delay = float(x[-1]) + float(x[1:-1].sum())
+    pole = float(np.exp(-float(x[0]) * step))
+    return {
+        "fmu": "engine.fmu",
+        "title": f"Engine identified from {found.path.name}",
+        "parameters": {
+            "gain": found.chosen.gain * (1.0 - pole),
+            "pole": pole,
+            "delay_samples": round(delay / step),
+            "newton_per_unit": 1.0,
+        },
+    }
 
 
 def summary(found: LogIdentification) -> str:
@@ -97,12 +127,12 @@ def rows(found: LogIdentification) -> list[list[str]]:
     low, high = found.delay_bounds
     if len(found.estimates) > 1:
         allowing = f"{1e3 * low:.4g} to {1e3 * high:.4g}"
-        made.append(["its bounds, another lag allowed for, ms", allowing, *[""] * (len(found.estimates) - 1)])
+        made.append(["its bounds, by the richest form, ms", allowing, *[""] * (len(found.estimates) - 1)])
     made.append(
         ["delay and lags together, ms", *(_about(1e3 * v, 1e3 * s) for v, s in (e.all_delay for e in found.estimates))]
     )
-    best = min(each.bic for each in found.estimates)
-    made.append(["Schwarz' criterion, above the best", *(f"{each.bic - best:.1f}" for each in found.estimates)])
+    best = min(each.aic for each in found.estimates)
+    made.append(["Akaike's criterion, above the best", *(f"{each.aic - best:.1f}" for each in found.estimates)])
     made.append(["order of the noise", *(f"{each.order}" for each in found.estimates)])
     return made
 

@@ -18,7 +18,8 @@ WORKING_STEP_S = 0.004  # of the house's control steps; samples that come faster
 GAP = 12  # samples that may be missing in a row; after more a new stretch begins
 SETTLE_S = 0.3  # beside the longest delay, before the first output that counts: what was commanded before is not known
 SHORTEST_S = 3.0  # that a stretch must have beyond that, and all of them together
-IDLE_S = 0.5  # in which a command that does not move is no flight
+IDLE_S = 0.5  # windows in which a command moves or does not
+PAUSE_S = 2.0  # for which it may stand still in flight
 IDLE = 1e-3  # of the command's standard deviation: less is no movement
 EDGE_S = 1.0  # cut off where the command begins or ceases to move: on the ground a vehicle answers otherwise
 LOSSY = 0.005  # share of lost samples from which two are averaged: an equation needs all its predecessors
@@ -214,6 +215,7 @@ def _moving(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tupl
             part = command.values[(command.times >= at) & (command.times < at + IDLE_S)]
             moving.append(bool(part.size) and float(np.ptp(part)) > IDLE * size)
         first = None
+        moving = _bridged(moving, round(PAUSE_S / IDLE_S))
         for n, yes in enumerate([*moving, False]):
             if yes and first is None:
                 first = n
@@ -223,6 +225,17 @@ def _moving(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tupl
                 found.append((float(low), float(high)))
                 first = None
     return found
+
+
+def _bridged(moving: list[bool], most: int) -> list[bool]:
+    """Pauses of at most so many windows between movement are no rest."""
+    made, last = list(moving), -1
+    for n, yes in enumerate(moving):
+        if yes:
+            if last >= 0 and n - last - 1 <= most:
+                made[last:n] = [True] * (n - last)
+            last = n
+    return made
 
 
 def _filled(command: Channel) -> Channel:

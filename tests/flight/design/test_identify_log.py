@@ -1,5 +1,7 @@
 """A model out of a log: the truth where it is known, and a refusal where a log does not tell (docs/identify-logs.md)."""
 
+import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +14,10 @@ from cosim.base.errors import InputError
 from cosim.design.logged.identify_log import LogIdentification, identify_log
 from cosim.design.logged.pem import CHI2_95
 from cosim.design.logged.stretches import WORKING_STEP_S
-from cosim.results.logs import Channel, FlightLog, Wanted
+from cosim.design.logged.validate import Stated, validate
+from cosim.results.logs import Channel, FlightLog, Wanted, read_flight_log, wanted
 
+DATA = Path(__file__).parents[4] / "shared" / "data" / "flight-logs"
 WANTED = Wanted("u", "y", "r")
 TRUTH = Truth()
 
@@ -119,3 +123,63 @@ def test_what_is_wrong_with_a_log_is_said(logs: list[Log]) -> None:
     notes = " ".join(found(changed(log, output=output, times=times), lags=1).notes)
     assert "3 of " in notes
     assert "its clock goes back 1 times" in notes
+
+
+def test_an_engines_log_becomes_an_engine(hexjet: Hexjet, tmp_path: Path) -> None:
+    """The thrust of the engine that is written rests at the gain, and its pole is that of the truth."""
+    truth = Truth(gain=46.03, rate=1.0 / 0.3286, lags=())
+    (log,) = closed_loops(1, 10.0, truth=truth, flaws=Flaws(0.01, 0.0, lost=0.0), size=0.0, sweep=0.2, loop=False)
+    rows = np.column_stack([log.times, log.command, log.output])
+    np.savetxt(tmp_path / "bench.csv", rows, delimiter=",", header="t,throttle_1,thrust_1_N", comments="")
+    done = hexjet("identify", "log", "bench.csv", "--engine", "1", "--lags", "0", "--out", "engine")
+    assert done.status == 0
+    stated = tomllib.loads((tmp_path / "engine" / "engine.toml").read_text(encoding="utf-8"))["parameters"]
+    assert stated["delay_samples"] == 25
+    assert stated["pole"] == pytest.approx(np.exp(-truth.rate * 0.004), abs=2e-4)
+    assert stated["gain"] / (1.0 - stated["pole"]) == pytest.approx(truth.gain / truth.rate, rel=0.01)
+    flown = hexjet(
+        "fly", "hover", "--set", "duration_s=0.1", "--engine", "engine/engine.toml", "--controller", "baseline"
+    )
+    assert flown.status == 0
+
+
+def test_a_model_is_laid_beside_another_flight(hexjet: Hexjet, tmp_path: Path, logs: list[Log]) -> None:
+    for n, log in enumerate(logs):
+        rows = np.column_stack([log.times, log.command, log.output])
+        np.savetxt(tmp_path / f"{n}.csv", rows, delimiter=",", header="t,u,y", comments="")
+    told = ["--command", "u", "--output", "y", "--lags", "1"]
+    assert hexjet("identify", "log", "0.csv", "--axis", "roll", *told, "--out", "model").status == 0
+    done = hexjet("validate", "model", "1.csv", "--out", "beside", "--json")
+    assert done.status == 0
+    told_by = json.loads(done.out)
+    assert abs(told_by["better_delay_by_s"]) <= TRUTH.step
+    assert told_by["fit_of_changes"] > 0.5
+    assert 0.0 <= told_by["theil_u"] < 0.5
+    assert (tmp_path / "beside" / "report.html").stat().st_size > 100_000
+    refused = hexjet("validate", "1.csv", "0.csv")
+    assert refused.status == 2
+    assert "no identification.json" in refused.err
+
+
+def test_two_real_flights_of_one_vehicle_predict_each_other() -> None:
+    """Motors to specific force: the delays agree within their bounds, and either model predicts the other's flight."""
+    if not DATA.is_dir():
+        pytest.skip("the shared flight logs are not here")
+    read = [read_flight_log(DATA / f"crazyflie-log{n}.cfusdlog") for n in (10, 16)]
+    both = [identify_log(each, "engine:1", wanted(each, "engine:1"), longest_delay=0.1, lags=0) for each in read]
+    (a, b), (c, d) = (each.chosen.delay_bounds for each in both)
+    assert max(a, c) <= min(b, d)
+    for model, other in ((both[0], read[1]), (both[1], read[0])):
+        stated = Stated(Path("model"), "engine:1", model.wanted, model.chosen.form, model.chosen.x, model.chosen.gain)
+        assert validate(stated, other).fit > 0.5
+
+
+def test_forty_logs_hold_the_truth_as_often_as_they_say() -> None:
+    """Of 40 intervals of 95 % fewer than 34 hold the truth once in 300 (binomial); the page has more logs."""
+    rows = []
+    for batch in range(4):
+        truth = Truth(lags=(0.0299, 0.009))
+        for log in closed_loops(10, 14.0, seed=100 + batch, truth=truth, size=0.5, sweep=0.006):
+            low, high = found(flight_log(log), longest_delay=0.3).delay_bounds
+            rows.append(low <= truth.delay_samples * truth.step <= high)
+    assert sum(rows) >= 34

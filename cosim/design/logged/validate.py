@@ -1,0 +1,230 @@
+"""A model flown with the command of a log, beside what happened."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import FlightError, InputError
+from cosim.base.files import one_line
+from cosim.design.logged.pem import Form, Problem, Stretch
+from cosim.design.logged.stretches import prepare
+from cosim.results.logs import FlightLog, Wanted, wanted
+from cosim.results.report.flight_figures import BLUE, GREY, ORANGE
+from cosim.results.report.page import render
+
+TEMPLATE = Path(__file__).parent / "templates" / "validated.html"
+AHEAD_S = 1.0  # of the prediction that is judged: the loops that a predictor serves are faster
+_MOST = 4000  # points a curve
+
+
+@dataclass(frozen=True)
+class Stated:
+    """A model as ``identification.json`` states it."""
+
+    path: Path
+    what: str
+    wanted: Wanted
+    form: Form
+    x: Array
+    gain: float
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How a model answers the commands of a log."""
+
+    model: Stated
+    log: Path
+    seconds: float
+    step: float
+    fit: float  # 1 less the error's standard deviation over the output's; 1 is perfect, 0 the mean
+    nrmse: float  # of the simulation, over the output's standard deviation
+    theil: float  # U of the simulation: 0 perfect, 1 useless
+    ahead: float  # the same as fit, of the change of the output over AHEAD_S
+    autocorrelation: float  # of the simulation's error from one sample to the next but AHEAD_S
+    delay_off: float  # s by which another delay would fit better, the rest of the model kept
+    signals: tuple[tuple[Array, Array, Array, Array], ...]  # of each stretch: times, command, output, model
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "model": str(self.model.path),
+            "log": str(self.log),
+            "what": self.model.what,
+            **self.model.wanted._asdict(),
+            "seconds": self.seconds,
+            "fit": self.fit,
+            "nrmse": self.nrmse,
+            "theil_u": self.theil,
+            "fit_of_changes": self.ahead,
+            "changes_over_s": AHEAD_S,
+            "error_autocorrelation": self.autocorrelation,
+            "better_delay_by_s": self.delay_off,
+            "notes": list(self.notes),
+        }
+
+
+def read_model(path: Path) -> Stated:
+    """``identification.json`` of ``hexjet identify log``, or its folder.  Raises InputError."""
+    file = path / "identification.json" if path.is_dir() else path
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+        best = data["estimates"][0]
+        form = Form(bool(data["engine"]), sum(name.startswith("lag") and name.endswith("_s") for name in best))
+        wants = Wanted(*(str(data[name]) for name in Wanted._fields))
+        x = np.array([float(best[name]) for name in form.names])
+        return Stated(file, str(data["what"]), wants, form, x, float(best["gain"]))
+    except OSError as error:
+        raise InputError(f"{file}: {error.strerror or error}") from error
+    except (ValueError, KeyError, IndexError, TypeError) as error:
+        raise InputError(
+            f"{file}: is no identification.json of hexjet identify log ({one_line(error)}); "
+            "allowed: that file or its folder"
+        ) from error
+
+
+def validate(model: Stated, log: FlightLog, begin: float | None = None, end: float | None = None) -> Validation:
+    """Fly the model with the log's command; each stretch may choose its offset and what was under way at its start.
+
+    Raises InputError where the log has not the model's channels, or no stretch that can be used.
+    """
+    chosen = model.wanted
+    if not (log.has(chosen.command) and log.has(chosen.output)):
+        chosen = wanted(log, model.what)
+    longest = max(2.0 * float(model.x[-1]), 0.1)
+    prepared = prepare(log.signal(chosen.command), log.signal(chosen.output), longest, None, begin, end)
+    problem = Problem(prepared.by_stamps, prepared.working_step, longest)
+    signals, fits = [], []
+    for stretch in prepared.by_stamps:
+        simulated = _simulated(stretch, model, model.x)
+        rows = np.flatnonzero(stretch.present)
+        times = stretch.averaged(stretch.times)[rows]
+        cell = np.clip((times / stretch.step).astype(np.int64), 0, len(stretch.command) - 1)
+        output = stretch.averaged(stretch.output)[rows]
+        signals.append((stretch.start + times, stretch.command[cell], output, simulated[rows]))
+        fits.append((output, simulated[rows]))
+    measured = np.concatenate([each - each.mean() for each, _ in fits])
+    error = np.concatenate([output - answer for output, answer in fits])
+    size = float(np.std(measured))
+    if not size > 0.0:
+        raise InputError(f"{log.path}: {chosen.output} does not move")
+    lag = max(1, round(AHEAD_S / problem.working_step))
+    changes = [(o[lag:] - o[:-lag], m[lag:] - m[:-lag]) for o, m in fits if len(o) > 2 * lag]
+    moved = np.concatenate([o for o, _ in changes]) if changes else measured
+    missed = np.concatenate([o - m for o, m in changes]) if changes else error
+    rms = float(np.sqrt(np.mean(error**2)))
+    model_rms = np.sqrt(np.mean(np.concatenate([m - m.mean() for _, m in fits]) ** 2))
+    return Validation(
+        model,
+        log.path,
+        prepared.seconds,
+        problem.working_step,
+        1.0 - float(np.std(error)) / size,
+        rms / size,
+        rms / (float(np.sqrt(np.mean(measured**2))) + float(model_rms)),
+        1.0 - float(np.sqrt(np.mean(missed**2))) / float(np.sqrt(np.mean(moved**2))),
+        _correlation([o - m for o, m in fits], lag),
+        _better_delay(prepared.by_stamps, model, longest),
+        tuple(signals),
+        (*log.remarks, *prepared.notes),
+    )
+
+
+def _basis(stretch: Stretch, model: Stated, x: Array) -> Array:
+    return Problem([stretch], 1.0, 1.0, gap=0).columns(model.form, x)
+
+
+def _simulated(stretch: Stretch, model: Stated, x: Array) -> Array:
+    """With the stated gain; offset and what was under way as suit the output best."""
+    columns = _basis(stretch, model, x)
+    answer, others = model.gain * columns[:, 0], columns[:, 1:]
+    use = stretch.present
+    output = stretch.averaged(stretch.output)
+    rest = np.linalg.lstsq(others[use], (output - answer)[use], rcond=1e-12)[0]
+    return np.asarray(answer + others @ rest)
+
+
+def _better_delay(stretches: Sequence[Stretch], model: Stated, longest: float) -> float:
+    """By how much another delay would lower the error of the output's changes from sample to sample."""
+    best = (np.inf, 0.0)
+    step = stretches[0].step
+    for delay in np.arange(0.0, longest, step):
+        x = model.x.copy()
+        x[-1] = delay
+        loss = 0.0
+        for stretch in stretches:
+            use = stretch.present
+            error = (stretch.averaged(stretch.output) - _simulated(stretch, model, x))[use]
+            loss += float(np.sum(np.diff(error) ** 2))
+        best = min(best, (loss, float(delay) - float(model.x[-1])))
+    return best[1]
+
+
+def _correlation(errors: Sequence[Array], lag: int) -> float:
+    long = [error - error.mean() for error in errors if len(error) > 2 * lag]
+    if not long:
+        return float("nan")
+    power = sum(float(e @ e) for e in long)
+    return sum(float(e[lag:] @ e[:-lag]) for e in long) / power if power > 0.0 else 0.0
+
+
+def rows(found: Validation) -> list[tuple[str, str]]:
+    """What the table says."""
+    made = [
+        ("fit of the simulation (1: perfect, 0: no better than its mean)", f"{found.fit:.3f}"),
+        ("NRMSE, over the output's standard deviation", f"{found.nrmse:.3f}"),
+        ("Theil's U (0: perfect, 1: useless)", f"{found.theil:.3f}"),
+        (f"fit of the change over {AHEAD_S:g} s", f"{found.ahead:.3f}"),
+    ]
+    if np.isfinite(found.autocorrelation):
+        made.append((f"autocorrelation of the error after {AHEAD_S:g} s", f"{found.autocorrelation:.2f}"))
+    made.append(("a delay that fits better by, ms", f"{1e3 * found.delay_off:+.1f}"))
+    return made
+
+
+def write(found: Validation, folder: Path) -> dict[str, Path]:
+    """Write ``validation.json`` and ``report.html``.  Raises FlightError if a file cannot be written."""
+    paths = {"json": folder / "validation.json", "report": folder / "report.html"}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        paths["json"].write_text(json.dumps(found.to_dict(), indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise FlightError(f"{folder}: {error.strerror or error}") from error
+    render(TEMPLATE, paths["report"], {"signals": _figure(found)}, found=found, rows=rows(found))
+    return paths
+
+
+def _figure(found: Validation) -> dict[str, Any]:
+    data = []
+    for n, (times, command, output, model) in enumerate(found.signals):
+        every = slice(None, None, max(1, len(times) // _MOST))
+        for name, colour, values, axis in (
+            ("command", GREY, command, "y"),
+            ("flown", ORANGE, output, "y2"),
+            ("model", BLUE, model, "y2"),
+        ):
+            data.append(
+                {
+                    "type": "scatter", "mode": "lines", "name": name, "legendgroup": name, "showlegend": n == 0,
+                    "line": {"color": colour, "width": 1.4}, "x": times[every], "y": values[every], "yaxis": axis,
+                }
+            )  # fmt: skip
+    wants = found.model.wanted
+    layout = {
+        "height": 520,
+        "margin": {"l": 64, "r": 12, "t": 40, "b": 44},
+        "hovermode": "x unified",
+        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
+        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y2"},
+        "yaxis": {"domain": [0.7, 1.0], "anchor": "x", "title": {"text": wants.command_unit}},
+        "yaxis2": {"domain": [0.0, 0.65], "anchor": "x", "title": {"text": wants.output_unit}},
+    }
+    return {"data": data, "layout": layout}
