@@ -51,6 +51,7 @@ LONG = (
 # further cases of flights of which two are always flown.
 LENGTHY = {
     "test_octojet": ("test_it_stays_up", "test_on_seven"),
+    "test_quadjet": ("test_the_figures",),
     "test_scenarios": tuple(
         f"test_scenario_comes_to_what_it_expects[octojet-{name}-"
         for name in (
@@ -61,6 +62,10 @@ LENGTHY = {
             "waypoints",
             "climb-and-land",
         )
+    )
+    + tuple(
+        f"test_scenario_comes_to_what_it_expects[quadjet-{name}-"
+        for name in ("pitch-doublet", "yaw-doublet", "hover-in-wind", "waypoints", "gust", "velocity")
     ),
     "test_design": ("test_where_there_is_no_design_it_says_which_delay_would_allow_one", "test_a_later_engine"),
     "test_design_stored": ("test_a_level_is_designed_where_a_straight_line_misses_a_requirement",),

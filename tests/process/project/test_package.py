@@ -196,6 +196,18 @@ def test_the_installed_command_flies_and_reports(installed: Path, tmp_path: Path
     assert {"summary.json", "scenario.toml", "flight.parquet", "report.html"} <= left
 
 
+def test_an_aircraft_from_an_empty_folder_as_its_page_has_it(installed: Path, tmp_path: Path) -> None:
+    """The commands of docs/own-aircraft.md, each as it is written, one after the other."""
+    page = (ROOT / "docs" / "own-aircraft.md").read_text(encoding="utf-8")
+    commands = page.split("```sh\n")[1].split("```")[0].splitlines()
+    assert len(commands) == 10
+    for command in commands:
+        name, *arguments = command.split()
+        run(installed / name, *arguments, cwd=tmp_path)
+    assert (tmp_path / "runs" / "check-mine" / "aircraft.svg").is_file()
+    assert list(tmp_path.glob("runs/gcs-mine-*"))
+
+
 # ---- what is installed with it
 
 # asked for where the rest can do without: at the build, in `hexjet bench`, on a cluster, on a serial line, by one law
