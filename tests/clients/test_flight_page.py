@@ -18,7 +18,7 @@ from cosim.results.recorder import MemoryLog
 from cosim.results.report.flight import write_report
 from cosim.results.report.flight_figures import Panel, Reader, Trace, strips
 from cosim.results.report.page import ASSETS, Flights, render
-from cosim.results.report.signals_data import BITS, run_data
+from cosim.results.report.signals_data import BITS, NOISE_BITS, run_data
 from cosim.results.run import Run, begin_run
 
 HOUR = 900_000  # steps
@@ -96,6 +96,7 @@ def product(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
 def test_the_page_of_the_documentation_says_how_exact_and_which_keys() -> None:
     text = " ".join((ROOT / "docs" / "flight-page.md").read_text(encoding="utf-8").split())
     assert f"at most 1/{2**BITS:,} of the range between its first and its last percentile" in text
+    assert f"1/{2**NOISE_BITS} of its roughness" in text
     script = (ASSETS / "replay.js").read_text(encoding="utf-8")
     for key in ("ArrowRight", "ArrowLeft", "Home", "End", "n", "p", "a", "b", "c", "k"):
         assert f"{key}: " in script

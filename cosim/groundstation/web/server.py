@@ -400,7 +400,11 @@ def _read(token: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
         path: (_TYPES[path.rpartition(".")[2]], body, policy)
         for path, body in [
             *_walk(files("cosim.groundstation.web") / "static", "/"),
-            *_walk(files("cosim.results.report") / "assets" / "vendor", "/vendor/"),
+            *(
+                (path, body)
+                for path, body in _walk(files("cosim.results.report") / "assets" / "vendor", "/vendor/")
+                if path.startswith("/vendor/uPlot")
+            ),
         ]
         if path.rpartition(".")[2] in _TYPES
     }

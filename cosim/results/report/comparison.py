@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.signals import AXES
-from cosim.results.comparison import Flown, Pair, Signal, inputs_differ, pairs
+from cosim.results.comparison import Flown, Pair, Signal, inputs_differ, pairs, step_of
+from cosim.results.events import events_of
 from cosim.results.report.flight import axis_cell, verdict
 from cosim.results.report.flight_figures import comparison_figures, run_colour
-from cosim.results.report.page import TEMPLATES, render
+from cosim.results.report.page import TEMPLATES, Flights, render
+from cosim.results.report.signals_data import run_data, vehicle_of
 from cosim.results.run import REPORT, Run, Summary
+from cosim.results.tables import TIME
 from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, metric, shown, unit_shown
 
 
@@ -35,6 +38,7 @@ def write_comparison(flown: Sequence[Flown], compared: Sequence[Pair], path: Pat
         TEMPLATES / "compare.html",
         path,
         comparison_figures(flown),
+        Flights("comparison", [flight_data(each, number) for number, each in enumerate(flown)], {}),
         title=title,
         description=known[0].description.strip() if title != "Comparison" else "",
         runs=[
@@ -61,6 +65,24 @@ def write_comparison(flown: Sequence[Flown], compared: Sequence[Pair], path: Pat
             }
             for number, pair in enumerate(compared, 1)
         ],
+    )
+
+
+def flight_data(flown: Flown, number: int) -> tuple[dict[str, Any], dict[str, str]]:
+    """What replay and strips draw of one of several flights, in its colour."""
+    colour = run_colour(number)
+    if flown.run is None:
+        times = flown.log[TIME]
+        return run_data(flown.log, flown.label, colour, step_s=step_of(times), times=times)
+    summary = flown.run.summary
+    return run_data(
+        flown.log,
+        flown.label,
+        colour,
+        step_s=summary.step_s,
+        events=events_of(flown.run),
+        vehicle=vehicle_of(flown.run),
+        jets_m=summary.jets_m,
     )
 
 

@@ -1,6 +1,6 @@
 """Pages that open offline: a template, its figures or flights and the libraries that draw them, in one HTML file.
 
-The only module that touches ``plotly``: its JavaScript, which goes into the page, and its figure, for a notebook.
+The only module that touches Plotly: its JavaScript, which goes into the page, and ``plotly``'s figure, for a notebook.
 Whoever has something to show keeps its template, and extends ``base.html`` here.
 """
 
@@ -10,7 +10,6 @@ import base64
 import json
 import zlib
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,8 +57,8 @@ def render(template: Path, path: Path, figures: dict[str, Any], flights: Flights
 
 
 def plotly_js() -> str:
-    """Plotly's library."""
-    return (files("plotly") / "package_data" / "plotly.min.js").read_text(encoding="utf-8")
+    """Plotly's library, as far as pages need it: figures with two axes."""
+    return (ASSETS / "vendor" / "plotly-cartesian.min.js").read_text(encoding="utf-8")
 
 
 def flight_parts(flights: Flights) -> dict[str, Any]:

@@ -1,7 +1,9 @@
 """A flight as a page carries it: every sample of every column, what happened, and the vehicle to draw.
 
-A column is rounded to whole multiples of a power of two, at most 2^-16 of the range in which 98 % of its values lie
-(whole numbers exactly), then differenced, split into bytes and deflated, as the browser's DecompressionStream undoes.
+A column is rounded to whole multiples of a power of two (whole numbers exactly): at most 2^-16 of the range between its
+first and last percentile or, where it is rougher than that, 2^-5 of its roughness, the first quartile of its second
+differences, so that noise is not carried to bits that nobody can see; then differenced, split into bytes and deflated,
+as the browser's DecompressionStream undoes.
 A page decodes a column when it is looked at.  What is exact to the last bit is in the log.
 """
 
@@ -27,7 +29,9 @@ from cosim.results.tables import TIME
 from cosim.spec.vehicle import Vehicle
 
 BITS = 16  # of the usual range, chosen by us: sixteen times finer than a screen of 4000 pixels shows
+NOISE_BITS = 5  # of the roughness, chosen by us: half a step is 1/64 of it
 _MOST = 2.0**28  # steps from zero; second differences of such numbers still are 32 bits
+_TRIED = 20_000  # rows in the middle of a flight, by which the order of differences is chosen
 _LEVEL = 6  # of deflate
 DERIVED = "where the engine would settle if its throttle were held; from its static curve, not in the log"
 
@@ -56,8 +60,10 @@ def packed(values: Array) -> Packed | None:
     step = step_of(whole, low, high)
     base = 0.0 if max(abs(low), abs(high)) / step < _MOST else step * floor(low / step)
     numbers = np.rint((whole - base) / step).astype(np.int64)
-    best = min((_differenced(numbers, order) for order in range(3)), key=_cost)
-    order = next(order for order in range(3) if np.array_equal(best, _differenced(numbers, order)))
+    middle = max(0, numbers.size // 2 - _TRIED // 2)
+    tried = numbers[middle : middle + _TRIED]
+    order = min(range(3), key=lambda order: _cost(_differenced(tried, order)))
+    best = _differenced(numbers, order)
     zigzag = ((best << 1) ^ (best >> 63)).astype("<u4")
     planes = zigzag.view(np.uint8).reshape(-1, 4).T
     kept = max((n + 1 for n in range(4) if planes[n].any()), default=0)
@@ -71,7 +77,9 @@ def step_of(values: Array, low: float, high: float) -> float:
         return 1.0
     first, last = np.percentile(values, (1.0, 99.0))
     usual = float(last - first) or (high - low) or abs(high) or 1.0
-    return float(2.0 ** floor(max(log2(usual) - BITS, log2(max(high - low, 1e-300)) - log2(_MOST) + 1.0, -1000.0)))
+    rough = float(np.percentile(np.abs(np.diff(values, 2)), 25.0)) if values.size > 2 else 0.0
+    finest = max(log2(usual) - BITS, log2(max(rough, 1e-300)) - NOISE_BITS)
+    return float(2.0 ** floor(max(finest, log2(max(high - low, 1e-300)) - log2(_MOST) + 1.0, -1000.0)))
 
 
 def unpacked(column: Packed, rows: int) -> Array:
@@ -133,6 +141,7 @@ def run_data(
     told: list[dict[str, Any]] = []
     data: dict[str, str] = {}
     empty: list[str] = []
+    held: dict[str, str] = {}  # data and the first column that has it: jets of one bank are often told the same
     described = {column.name: column for column in log.described}
     more = derived or {}
     for name in (*log.columns, *more):
@@ -143,6 +152,7 @@ def run_data(
             empty.append(name)
             continue
         about = described.get(name)
+        first = held.setdefault(column.data, name) if column.data else name
         told.append(
             {
                 "name": name,
@@ -150,9 +160,10 @@ def run_data(
                 "frame": about.frame if about else "",
                 "meaning": about.meaning if about else DERIVED if name in more else "",
                 **{key: value for key, value in column._asdict().items() if key != "data"},
+                "data": first,
             }
         )
-        if column.data:
+        if column.data and first == name:
             data[name] = column.data
     said = {
         "label": label,

@@ -210,7 +210,7 @@
         body.add(new THREE.LineSegments(new THREE.EdgesGeometry(geometry, 20), new THREE.LineBasicMaterial({ color: colour, transparent: true, opacity: ghost ? 0.8 : 0.9 })));
       }
       const nose = new THREE.Mesh(new THREE.CylinderGeometry(0, 0.09 * size, 0.22 * size, 12), paint(0xf08c00, 1)); // it points forward
-      nose.position.set(Math.max(...places.map((at) => at[0])) + 0.13 * size, 0, Math.min(...places.map((at) => at[2])) * 0.5);
+      nose.position.set(Math.max(0, ...places.map((at) => at[0])) + 0.13 * size, 0, Math.min(0, ...places.map((at) => at[2])) * 0.5);
       turned(UP, new THREE.Vector3(1, 0, 0), nose);
       body.add(nose);
       for (const contact of about.contacts) {

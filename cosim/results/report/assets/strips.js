@@ -122,7 +122,7 @@
       const about = this.known.get(name);
       if (!about) return Promise.resolve(null);
       if (!this.read.has(name)) {
-        const place = document.getElementById(`data-${this.number}-${name}`);
+        const place = document.getElementById(`data-${this.number}-${about.data}`);
         const work = unpack(about, this.rows, place ? place.textContent : "").then((values) => {
           const made = new Pyramid(values);
           made.about = about;
