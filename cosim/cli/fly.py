@@ -79,7 +79,8 @@ if TYPE_CHECKING:
     "--rtf",
     type=Number(min=0.0),
     metavar="X",
-    help="Pace the flight at X times real time; 0 is as fast as it goes.  [default: 0, or 1 with --mavlink]",
+    help="Pace the flight at X times real time; 0 is as fast as it goes.  "
+    "[default: 0, or 1 with --mavlink or --flightgear]",
 )
 @click.option(
     "links",
@@ -87,6 +88,11 @@ if TYPE_CHECKING:
     metavar="URL",
     multiple=True,
     help="Let a ground station watch, e.g. udpout:127.0.0.1:14550; see: hexjet gcs --help.",
+)
+@click.option(
+    "--flightgear",
+    metavar="[HOST:]PORT",
+    help="Let FlightGear show it: fgfs --fdm=null --native-fdm=socket,in,60,,5550,udp.",
 )
 @click.option("--flight", type=click.IntRange(min=0), metavar="N", help="Of a campaign in the folder SCENARIO.")
 @click.option("as_json", "--json", is_flag=True, help="Print the run's summary as one JSON object and nothing else.")
@@ -109,6 +115,7 @@ def fly(
     realtime: bool,
     rtf: float | None,
     links: tuple[str, ...],
+    flightgear: str | None,
     flight: int | None,
     as_json: bool,
 ) -> int:
@@ -129,7 +136,7 @@ def fly(
 
     if realtime and rtf is not None:
         raise InputError("--realtime and --rtf: give one of them")
-    factor = (rtf or None) if rtf is not None else 1.0 if realtime or links else None
+    factor = (rtf or None) if rtf is not None else 1.0 if realtime or links or flightgear else None
     finish_killed(Path(scenario))
     offer_to_compile(*engines)
     flown = load_scenario(scenario, controller, engines, seed, settings, model, aircraft)
@@ -143,7 +150,12 @@ def fly(
             click.echo(f"hexjet: warning: {controller}: {text}", err=True)
     warn_of_blemishes(flown.engine, *(s.engine for s in flown.stations.values() if s.engine), folder=flown.folder)
     folder = out if out is not None else new_folder(Path("runs"), f"{flown.name}-{folder_name(flown.controller)}")
-    with output_to_stderr(as_json), flight_progress(flown, quiet=as_json) as observers:
+    with (
+        output_to_stderr(as_json),
+        _shown(flown, flightgear) as viewers,
+        flight_progress(flown, quiet=as_json) as watching,
+    ):
+        observers = (*watching, *viewers)
         if links:
             from cosim.groundstation.links import Links
 
@@ -173,6 +185,22 @@ def _fly_again(folder: Path, number: int, out: Path | None, as_json: bool) -> in
     else:
         print_again(again)
     return DONE if again.same else FLIGHT_FAILED
+
+
+@contextmanager
+def _shown(scenario: Scenario, flightgear: str | None) -> Iterator[Sequence[Observer]]:
+    """FlightGear as an observer, where it is asked for."""
+    if flightgear is None:
+        yield ()
+        return
+    from cosim.results.export.flightgear import FlightGear
+
+    place = scenario.environment
+    viewer = FlightGear(flightgear, place.latitude_deg, place.longitude_deg, place.ground_m)
+    try:
+        yield (viewer,)
+    finally:
+        viewer.close()
 
 
 @contextmanager

@@ -102,7 +102,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/ground-station.md": ("marks", "test_mavlink_lines.py", "test_pilot_fence.py"),
     "docs/identification.md": ("test_pages.py",),
     "docs/identify-logs.md": ("test_identify_log.py",),
-    "docs/log-export.md": ("test_export_formats.py",),
+    "docs/log-export.md": ("test_export_formats.py", "test_flightgear.py"),
     "docs/laws.md": ("marks", "test_laws.py"),
     "docs/margins.md": ("test_measured_margins.py",),
     "docs/metrics.md": ("test_metrics_docs.py",),
