@@ -18,6 +18,7 @@ from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.frames import conjugate, from_euler, multiply
 from cosim.base.signals import AXES, Command, Sample
 from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle
 from cosim.stepper import Stepper
 
 try:
@@ -162,15 +163,11 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
             ]
             return (*angles, Signal("height_above_start", "m", "up", -1.0, 1.0, CLIMB))
         throttles = [Signal(f"throttle_{jet}", "throttle", "", 0.0, 1.0) for jet in range(1, len(vehicle.jets) + 1)]
-        if vehicle.servo is None:
-            return tuple(throttles)
-        most = vehicle.servo.range_rad
-        return (*throttles, *[Signal(f"tilt_{side}", "rad", "body", -1.0, 1.0, most) for side in ("left", "right")])
+        return (*throttles, *_moved(vehicle, ""))
 
     def _observations(self, memory: int) -> tuple[Signal, ...]:
         vehicle = self.flight.simulation.vehicle
         rate, speed, height = 2.0 * radians(vehicle.limits.rate_deg_s), MOST_SPEED, MOST_HEIGHT
-        tilt = vehicle.servo.range_rad if vehicle.servo else 0.0
         found = [
             *[Signal(f"rate_{name}", "rad/s", "body", -rate, rate) for name in "pqr"],
             *[Signal(f"attitude_{name}", "1", "body to NED", -1.0, 1.0) for name in "wxyz"],
@@ -182,10 +179,10 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         for back in range(1, memory + 1):
             jets = range(1, len(vehicle.jets) + 1)
             found += [Signal(f"throttle_{jet}_before_{back}", "throttle", "", 0.0, 1.0) for jet in jets]
-            if tilt:
-                found += [
-                    Signal(f"tilt_{side}_before_{back}", "rad", "body", -tilt, tilt) for side in ("left", "right")
-                ]
+            moved = _moved(vehicle, f"_before_{back}")
+            found += [
+                each._replace(low=each.low * each.scale, high=each.high * each.scale, scale=1.0) for each in moved
+            ]
         return tuple(found)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
@@ -201,7 +198,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         self.flight.reset(noise, scenario)
         _check(self.flight)
         simulation = self.flight.simulation
-        standing = simulation.standing + ((0.0, 0.0) if simulation.vehicle.servo else ())
+        standing = simulation.standing + (simulation.vehicle.rest if simulation.vehicle.ranges else ())
         self._told.extend([standing] * (self._told.maxlen or 0))
         self._start = self.flight.state.altitude
         self._seen = self._observation()
@@ -225,7 +222,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
                 sample = self._fly(values.tolist(), wanted)
             except FlightError:  # an engine or a controller failed, and nothing of this step is to be seen
                 break
-            told = sample.actuation.throttle + (sample.actuation.tilt if flight.simulation.vehicle.servo else ())
+            told = sample.actuation.throttle + (sample.actuation.tilt if flight.simulation.vehicle.ranges else ())
             self._told.appendleft(told)
             total += self._reward(flight, sample, wanted)
             if flight.ending is not None:
@@ -278,6 +275,17 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
     def close(self) -> None:
         """Free engines and airframe; may be called twice."""
         self.flight.close()
+
+
+def _moved(vehicle: Vehicle, ending: str) -> list[Signal]:
+    """What servos move, each in shares of the farther end of its range."""
+    turning = len(vehicle.actuators) - len(vehicle.surfaces)
+    found = []
+    for n, (low, high) in enumerate(vehicle.ranges):
+        kind, unit, frame = ("tilt", "rad", "body") if n < turning else ("deflection", "1", "")
+        most = max(-low, high)
+        found.append(Signal(f"{kind}_{vehicle.actuators[n]}{ending}", unit, frame, low / most, high / most, most))
+    return found
 
 
 def _check(flight: Stepper) -> None:

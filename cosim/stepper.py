@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.protocols import Applied
-from cosim.base.signals import Actuation, Command, Measured, PerJet, Sample, State, Unallocated
+from cosim.base.signals import Actuation, Command, Measured, PerJet, PerServo, Sample, State, Unallocated
 from cosim.flight import opened, record
 from cosim.results.run import Run
 from cosim.simulation.build import build
@@ -28,7 +28,7 @@ from cosim.simulation.controllers.source import OBJECT, Source
 from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario
 
-Tilts = tuple[float, float]
+Tilts = PerServo
 
 
 class Given(NamedTuple):
@@ -189,7 +189,7 @@ class Stepper:
         throttle : sequence of float or None
             By hand, 0 to 1 per jet, jet 1 first; None: as before.
         tilt : sequence of float or None
-            By hand, left and right servo [rad]; None: as before.
+            By hand, left and right servo [rad], or one a hinge and a surface; None: as before.
 
         Returns
         -------
@@ -225,8 +225,7 @@ class Stepper:
                     raise InputError(f"throttle {number} = {value:g}: must be from 0 to 1")
             self._hand.throttle = found
         if tilt is not None:
-            left, right = _numbers(tilt, 2, "tilt")
-            self._hand.tilt = left, right
+            self._hand.tilt = _numbers(tilt, len(self.simulation.vehicle.actuators), "tilt")
 
     def _fly(self, command: Command | None) -> Sample:
         simulation = self.simulation

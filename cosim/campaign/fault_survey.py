@@ -14,7 +14,7 @@ from math import degrees, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.base.constants import GRAVITY, SERVOS
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.files import write_records
 from cosim.base.signals import AXES
@@ -152,9 +152,13 @@ def cases(vehicle: Vehicle) -> list[Case]:
     ]
     for title, fault in per_jet:
         kinds += [Case(title, f"jet {jet}", fault | {"jet": jet}) for jet in range(1, len(vehicle.jets) + 1)]
-    if vehicle.servo is not None:
-        for title, angle in (("servo jam where it is", {}), ("servo jam at 5 deg", {"angle_deg": 5.0})):
-            kinds += [Case(title, side, {"kind": "servo_jam", "servo": side} | angle) for side in SERVOS]
+    if vehicle.ranges:
+        turning = len(vehicle.actuators) - len(vehicle.surfaces)
+        for title, angle, servos in (
+            ("servo jam where it is", {}, vehicle.actuators),
+            ("servo jam at 5 deg", {"angle_deg": 5.0}, vehicle.actuators[:turning]),
+        ):
+            kinds += [Case(title, name, {"kind": "servo_jam", "servo": name} | angle) for name in servos]
     biases: list[tuple[str, str, dict[str, Any]]] = [
         ("gyro bias 3 deg/s", "gyro", {"bias": [0.0524, 0.0, 0.0]}),
         ("attitude bias 3 deg", "attitude", {"bias": [0.0524, 0.0, 0.0]}),

@@ -131,7 +131,17 @@ def _aircraft(name: str) -> Iterator[Number]:
     yield Number("mass", vehicle.mass_kg, "kg", "with fuel, without payload")
     for axis, inertia in zip("xyz", vehicle.inertia_kg_m2, strict=True):
         yield Number(f"inertia {axis}", inertia, "kg m^2", f"about the body's {axis}")
+    for pair, product in zip(("x y", "x z", "y z"), vehicle.products_kg_m2, strict=True):
+        if product:
+            yield Number(f"product {pair}", product, "kg m^2", f"integral of {pair} over the mass")
     yield Number("jets", jets, "", "engines" + ("" if vehicle.servo is None else " on two tilting banks"))
+    for hinge in vehicle.hinges:
+        moved = [f"carries {', '.join(map(str, hinge.carries))}"] if hinge.carries else []
+        moved += [f"deflects {', '.join(map(str, hinge.deflects))}"] if hinge.deflects else []
+        least, most = hinge.least_most
+        yield Number(f"hinge {hinge.name}", most, "rad", f"the most, {least:g} the least; {' and '.join(moved)}")
+    for surface in vehicle.surfaces:
+        yield Number(f"surface {surface.name}", surface.range[1], "", f"the most, {surface.range[0]:g} the least")
     arms = [(max(abs(jet.position_m[n]) for jet in vehicle.jets), word) for n, word in ((1, "sideways"), (0, "ahead"))]
     for arm, word in arms:
         yield Number(f"arm {word}", arm, "m", "of the farthest jet from the centre of gravity")

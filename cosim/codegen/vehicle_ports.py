@@ -33,6 +33,7 @@ from cosim.engine.ports import AMBIENT, OUTPUTS, Air
 from cosim.simulation.build import build
 from cosim.simulation.commander import Commander
 from cosim.spec.scenario import EngineFault, Scenario
+from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.propulsion import Propulsion
 
 XYZ, WXYZ, NED = "xyz", "wxyz", ("north", "east", "down")
@@ -166,6 +167,10 @@ class Flight:
             if simulation.vehicle.servo is not None:
                 yield Number("tilt_left", "rad", "Tilt asked of the left servo, positive forward")
                 yield Number("tilt_right", "rad", "Tilt asked of the right servo, positive forward")
+            else:
+                for n, name in enumerate(_moved(simulation.vehicle)):
+                    unit, rest = _unit_of(simulation.vehicle, n), simulation.vehicle.rest[n]
+                    yield Number(f"tilt_{name}", unit, f"Asked of the servo {name}", rest)
         if not self.parts.engines:
             for name, starts in zip(REPORTS, self.start_engines, strict=True):
                 for jet, (start, spec) in enumerate(zip(starts, simulation.stations, strict=True), 1):
@@ -182,6 +187,13 @@ class Flight:
         if simulation.vehicle.servo is not None:
             sides = [Number(f"servo_{side}", "rad", f"Where the {side} servo stands") for side in ("left", "right")]
             yield Group(sides, lambda: propulsion.tilt)
+        elif _moved(simulation.vehicle):
+            names = enumerate(_moved(simulation.vehicle))
+            stand = [
+                Number(f"servo_{name}", _unit_of(simulation.vehicle, n), f"Where the servo {name} stands")
+                for n, name in names
+            ]
+            yield Group(stand, lambda: propulsion.tilt)
         yield from self._reported() if self.parts.engines else self._to_engines()
         if propulsion.tank is not None:
             yield Group([Number("fuel_burnt", "kg", "Fuel burnt since the full tank")], lambda: (propulsion.burnt,))
@@ -371,7 +383,10 @@ class _ControllerOutside:
         flight.command = command
         flight.meet()
         given = flight.given
-        tilt = given.get("tilt_left", 0.0), given.get("tilt_right", 0.0)
+        vehicle = flight.simulation.vehicle
+        tilt = tuple(
+            [given.get(f"tilt_{name}", rest) for name, rest in zip(vehicle.actuators, vehicle.rest, strict=True)]
+        )
         if not flight.parts.engines:
             return Actuation(flight.throttle, tilt, Unallocated())
         off = frozenset([i for i, value in enumerate(flight.per_jet("off")) if value > 0.5])
@@ -382,6 +397,15 @@ class _ControllerOutside:
 
     def forgive(self) -> None:
         """It takes no engine for lost."""
+
+
+def _moved(vehicle: Vehicle) -> tuple[str, ...]:
+    """The hinges and surfaces, by their names; none of two banks, or where nothing moves."""
+    return vehicle.actuators if vehicle.servo is None and vehicle.ranges else ()
+
+
+def _unit_of(vehicle: Vehicle, number: int) -> str:
+    return "rad" if number < len(vehicle.hinges) else "1"
 
 
 def _each(throttle: float | Sequence[float], jets: int) -> PerJet:

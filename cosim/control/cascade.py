@@ -7,6 +7,7 @@ from math import nan
 from typing import Final, Protocol, cast
 
 from cosim.base.constants import GRAVITY
+from cosim.base.frames import conjugate, rotate
 from cosim.base.protocols import Allocator, Column, Diagnostics, EngineState, Predictor, Shows, columns_of
 from cosim.base.signals import (
     ALL_WELL,
@@ -25,6 +26,7 @@ from cosim.base.signals import (
     Unallocated,
     Vector3,
 )
+from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.allocation.engine_monitor import EngineMonitor
 from cosim.control.allocation.thrust_map import ThrustMap
 from cosim.control.altitude import LEAST_UPRIGHT, AltitudeController
@@ -39,6 +41,8 @@ from cosim.spec.vehicle import Vehicle
 # s from switching engines on to where they must run: chosen by us, longer than a jet takes to spool up to idle
 _LONGEST_START: Final = 10.0
 _FLY: Final = EngineState.FLY
+# kg/m^3, at sea level in the standard atmosphere (ISO 2533): what is known of the air without a sensor for it
+_DENSITY: Final = 1.225
 
 
 class OwnRate(Protocol):
@@ -98,6 +102,7 @@ class Cascade:
         self._mass, self._jets, self._step = vehicle.mass_kg, len(vehicle.jets), step
         self._low = vehicle.control.allocation.throttle_min
         self._opposites = list(opposites)
+        self._winged = allocator if isinstance(allocator, EffectivenessAllocator) and allocator.surfaces else None
         self._every_jet = frozenset(range(self._jets))
         self._throttle: PerJet = ()
         self._shows: list[tuple[str, Predictor, tuple[Column, ...]]] = []  # the predictors that show of their own
@@ -165,6 +170,8 @@ class Cascade:
             return self._spun(self._reduced, command, measured, injected, rate_setpoint, torque, collective)
         if self._catching and self._catch is not None and command.rate is None:
             return self._caught(self._catch, command, measured, injected, rate_setpoint, torque, collective)
+        if self._winged is not None:
+            self._winged.pressure = _dynamic_pressure(measured)
         given = self.allocator.allocate(collective, self._injected(torque, injected), injected.torque_command)
         self._unallocated = given.unallocated
         share = collective - given.unallocated.collective
@@ -368,3 +375,9 @@ class Cascade:
             if columns_of(block):
                 answer += cast(Shows, block).shown
         return tuple(answer)
+
+
+def _dynamic_pressure(measured: Measured) -> float:
+    """Pa, of the speed ahead over the ground in still air of standard density; 0 backwards."""
+    ahead = rotate(conjugate(measured.attitude), measured.velocity)[0]
+    return 0.5 * _DENSITY * ahead * ahead if ahead > 0.0 else 0.0

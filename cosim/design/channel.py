@@ -26,6 +26,7 @@ from cosim.base.signals import AXES
 from cosim.control.predictors.linear import delayed_response
 from cosim.design.dynamics import Dynamics, lags
 from cosim.engine import EngineSpec
+from cosim.simulation.build import effectiveness_of
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (
     RateModel,
@@ -34,6 +35,7 @@ from cosim.spec.vehicle import (
     Vehicle,
 )
 
+PURE = 0.1  # of an axis: what gives no more of it than this is not looked at; chosen by us
 INSTANT = 1e-9  # a pole in z below which a lag is over within a step: a 20th of one; chosen by us, far below what acts
 
 
@@ -220,6 +222,8 @@ def channels(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics:
 
 def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
     index = AXES.index(axis)
+    if vehicle.allocation == "effectiveness":
+        return _by_effectiveness(axis, scenario, vehicle, engine, dynamics)
     inertia = vehicle.inertia_kg_m2[index]
     span, jets = thrust_span(engine), vehicle.jets
     thrust = vehicle.mass_kg * GRAVITY / len(jets)
@@ -244,6 +248,38 @@ def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, d
         **_gyro(vehicle.sensors),  # type: ignore[arg-type]
         added_delay=scenario.added_delay_samples if axis == "roll" else 0,
         reaction=_reaction(axis, vehicle, moment, scenario.step_s),
+    )
+
+
+def _by_effectiveness(
+    axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator
+) -> Channel:
+    """Angular acceleration asked for, through what gives it in hover.  Raises InputError where engines and servos of
+    unlike lags share it, so that no one actuator stands for both."""
+    index = AXES.index(axis)
+    allocator = effectiveness_of(scenario, vehicle, engine)
+    by_thrust = allocator.by_thrust(index)
+    if PURE < by_thrust < 1.0 - PURE:
+        raise InputError(
+            f"{vehicle.name}: {axis} is given by thrust to {100.0 * by_thrust:.0f} % and by hinges for the rest, of "
+            "which no one lag stands for both; raise effort of the hinges or of the jets until one of them gives it"
+        )
+    thrusts = by_thrust >= 0.5
+    slowest = max(vehicle.hinges, key=lambda hinge: hinge.lag_s, default=None)
+    actuator = dynamics
+    if not thrusts and slowest is not None:
+        actuator = Actuator.of("tilt servo", lags([slowest.lag_s], 0.0, scenario.step_s))
+    return Channel(
+        axis,
+        "rad/s^2",
+        actuator,
+        1.0,
+        vehicle.aero.damping_n_m_s[index] / vehicle.inertia_kg_m2[index],
+        scenario.step_s,
+        scenario.substeps,
+        allocator.room(index),
+        **_gyro(vehicle.sensors),  # type: ignore[arg-type]
+        added_delay=scenario.added_delay_samples if axis == "roll" else 0,
     )
 
 

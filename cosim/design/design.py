@@ -338,7 +338,7 @@ def _again(
         start = replace(
             start, model=believed(channel, source), lead=lead_there(start.lead, channel), predictor=predictor
         )
-        free = axis == "roll" or vehicle.servo is not None or axis == "altitude"
+        free = axis == "roll" or vehicle.allocation != "rotors" or axis == "altitude"
         tuned = near(channel, start, asked, free)
         before = assess(channel, shipped(channel, vehicle, spec), asked)
         key = start.controller + (WITH_LEAD if start.lead else "")
@@ -422,7 +422,7 @@ def _axes(
     for axis in AXES[1:]:
         channel = plants[axis]
         # jets that tilt give pitch and yaw by servo; rotors give them like roll, through the same predictor
-        predicted = chosen is not None and axis != "altitude" and vehicle.servo is None
+        predicted = chosen is not None and axis != "altitude" and vehicle.allocation == "rotors"
         names = (chosen.controller if predicted and chosen else BASELINE.name,)
         predictor = chosen.predictor if chosen else vehicle.control.predictor
         designs[axis] = _axis(
@@ -492,7 +492,7 @@ def engine_lead(channel: Channel) -> EngineLead | None:
 
     Its own poles are where the engine's are, for the search to move.
     """
-    if channel.identified is not None or channel.unit == "rad":
+    if channel.identified is not None or channel.actuator.name == "tilt servo":
         return None
     slowest, *others = sorted(channel.actuator.dynamics.poles, key=abs)
     w = abs(slowest)
@@ -600,7 +600,7 @@ def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> di
 
 
 def _what(channel: Channel) -> str:
-    return "tilt servo" if channel.unit == "rad" else "engine"
+    return "tilt servo" if channel.actuator.name == "tilt servo" else "engine"
 
 
 def _whole(low: float, high: float) -> list[float]:

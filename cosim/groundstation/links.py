@@ -202,6 +202,8 @@ def about_of(facts: Facts, personality: Personality, system: int = 1) -> About:
         personality,
         system,
         tilt_range=vehicle.servo.range_rad if vehicle.servo else float("nan"),
+        servos=vehicle.actuators,
+        ranges=() if vehicle.servo else vehicle.ranges,
         full_thrust=tuple(spec.curve.thrust[-1] for spec in facts.stations),
         fuel_capacity=vehicle.fuel.mass_kg if vehicle.fuel else float("nan"),
         position_noise=sensors.gnss.position_noise_m,

@@ -58,7 +58,7 @@ from cosim.simulation.fault_schedule import FaultSchedule
 from cosim.simulation.mismatch import as_flown, engines_as_flown
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_places import PlacePilot, flies_to_places
-from cosim.spec.scenario import Scenario, Station, TorqueCommandDisturbance
+from cosim.spec.scenario import Environment, Scenario, Station, TorqueCommandDisturbance
 from cosim.spec.vehicle import EngineLead, RateModel, Vehicle, aircraft_seen_from, file_seen_from, is_file
 from cosim.vehicle.airframe import Airframe, start_height
 from cosim.vehicle.atmosphere import standard_air
@@ -150,7 +150,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             propulsion,
             airframe,
             sensors,
-            FaultSchedule(scenario, engines, servos, sensors, laws, vehicle.actuators),
+            FaultSchedule(scenario, engines, servos, sensors, laws, vehicle.actuators, len(vehicle.surfaces)),
             Judge(vehicle.limits),
             own,
             end,
@@ -442,6 +442,13 @@ def _allocator(
     return TiltAllocator(vehicle.jets, limits, vehicle.servo.range_rad, hover, thrust_map.idle, lift)
 
 
+def effectiveness_of(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> EffectivenessAllocator:
+    """The allocation of a vehicle with this engine at every station.  Raises InputError as :func:`build`."""
+    stations = [engine] * len(vehicle.jets)
+    thrust_map, _ = _hovering(vehicle, engine, stations)
+    return _by_effectiveness(scenario, vehicle, stations, thrust_map)
+
+
 def _by_effectiveness(
     scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
 ) -> EffectivenessAllocator:
@@ -458,8 +465,8 @@ def _by_effectiveness(
         for hinge in vehicle.hinges
     ]
     movers += [
-        Mover(*surface.range, 0.0, surface.rate_limit_1_s * step, surface.effort, (0.0,) * 6)
-        for surface in vehicle.surfaces
+        Mover(*surface.range, 0.0, surface.rate_limit_1_s * step, surface.effort, effect)
+        for surface, effect in zip(vehicle.surfaces, _surface_effects(scenario, vehicle), strict=True)
     ]
     return EffectivenessAllocator(
         vehicle.name,
@@ -473,6 +480,18 @@ def _by_effectiveness(
         movers,
         limits.horizontal,
     )
+
+
+def _surface_effects(scenario: Scenario, vehicle: Vehicle) -> list[tuple[float, ...]]:
+    """What each surface of the vehicle's own JSBSim model does per unit and Pa, as the model says."""
+    if not vehicle.surfaces:
+        return []
+    _, folder = scenario.resolved_vehicle()
+    frame = Airframe(vehicle, folder, Environment(), scenario.step_s, 1, 0)
+    try:
+        return frame.surface_effects()
+    finally:
+        frame.close()
 
 
 def _thrust_at(curve: StaticCurve, throttle: float) -> float:

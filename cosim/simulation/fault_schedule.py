@@ -45,11 +45,13 @@ class FaultSchedule:
         sensors: FaultySensors,
         laws: Sequence[FlameOutLaw | None],
         names: Sequence[str] = SERVOS,
+        surfaces: int = 0,
     ) -> None:
         self._scenario = scenario
         self._engines, self._servos, self._sensors = engines, list(servos), sensors
         self._laws = list(laws)
         self._names = list(names)  # of the servos, as the log has columns
+        self._surfaces = self._names[len(self._names) - surfaces :]  # which are the last
         self._jets = max(len(self._laws), JETS)  # as the log has columns
         self._none = (0.0,) * (self._jets + len(self._names) + len(SENSORS))
         self.reset()
@@ -85,6 +87,8 @@ class FaultSchedule:
                 raise InputError(
                     f"{name}.servo = {fault.servo!r}: {self._scenario.aircraft_name} has the servos {known}"
                 )
+            if fault.angle_deg is not None and fault.servo in self._surfaces:
+                raise InputError(f"{name}.angle_deg: {fault.servo} is a surface: it jams where it stands; leave it out")
         elif not isinstance(fault, (SensorBias, SensorDropout)) and max(fault.jet) > len(self._laws):
             raise InputError(
                 f"{name}.jet = {max(fault.jet)}: {self._scenario.aircraft_name} has jets 1 to {len(self._laws)}"

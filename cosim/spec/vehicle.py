@@ -145,6 +145,8 @@ class Surface(Model):
     lag_s: NotNegative
     rate_limit_1_s: Positive  # of the property's own unit
     range: tuple[float, float] = (-1.0, 1.0)
+    # airspeed along x at which allocation has the model say what it does; chosen by us: of small jets in transition
+    at_m_s: Positive = 20.0
     effort: Positive = 1.0
 
     @model_validator(mode="after")
@@ -623,6 +625,13 @@ class Vehicle(Model):
     def actuators(self) -> tuple[str, ...]:
         """The names of what servos move: hinges, then surfaces; the two banks where there is neither."""
         return (*(hinge.name for hinge in self.hinges), *(surface.name for surface in self.surfaces)) or SERVOS
+
+    @property
+    def ranges(self) -> tuple[tuple[float, float], ...]:
+        """Least and most of each of :attr:`actuators`; empty where nothing moves."""
+        if self.servo is not None:
+            return ((-self.servo.range_rad, self.servo.range_rad),) * len(SERVOS)
+        return (*(hinge.least_most for hinge in self.hinges), *(surface.range for surface in self.surfaces))
 
     @property
     def rest(self) -> tuple[float, ...]:

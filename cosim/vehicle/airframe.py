@@ -59,6 +59,9 @@ IN_THE_AIR: Final = ADAMS_BASHFORTH_2  # of both rates
 # JSBSim's friction is the force that stops a contact within one run of the rectangular rule.  Adams and Bashforth's
 # method would take half as much again and leave the rates swinging from run to run, for good.
 ON_THE_GROUND: Final = RECTANGULAR  # of both rates, while anything touches
+# A surface is moved by this share of its range, for so many seconds, to see what it does; chosen by us: small beside
+# where tables bend, long beside actuators
+SETTLING: Final = (0.05, 2.0)
 MAKE_UP: Final = {IN_THE_AIR: 0.5, ON_THE_GROUND: 1.0}
 
 _POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
@@ -468,6 +471,32 @@ class Airframe:
         force = [get(f"forces/fb{axis}-aero-lbs") * POUND_FORCE for axis in "xyz"]
         moment = [get(f"moments/{axis}-aero-lbsft") * POUND_FOOT for axis in "lmn"]
         return (force[0], force[1], force[2]), (moment[0], moment[1], moment[2])
+
+    def surface_effects(self) -> list[tuple[float, ...]]:
+        """Of each surface force [N] and moment [N m] about the centre of gravity as built, body, per unit of its
+        property and Pa of dynamic pressure.
+
+        By what the model says a little to either side of zero, each surface at its ``at_m_s`` straight ahead and
+        level, with the state held until its own actuators have settled.
+        """
+        effects = []
+        for surface in self._vehicle.surfaces:
+            ends = []
+            size = SETTLING[0] * max(-surface.range[0], surface.range[1])
+            for deflection in (size, -size):
+                flying = Initial(altitude_m=100.0, velocity_ned_m_s=(surface.at_m_s, 0.0, 0.0))
+                self.reset(flying, [ZERO3] * len(self._jets), ZERO3)
+                for kind in ("rotational", "translational"):
+                    self._set(f"simulation/integrator/rate/{kind}", 0.0)
+                    self._set(f"simulation/integrator/position/{kind}", 0.0)
+                self._set(surface.property, deflection)
+                for _ in range(round(SETTLING[1] / self._dt)):
+                    self._fdm.run()
+                force, moment = self.aerodynamic_wrench()
+                ends.append((*force, *moment))
+            pressure = self._fdm.get_property_value("aero/qbar-psf") * _POUND_SQUARE_FOOT
+            effects.append(tuple((a - b) / (2.0 * size * pressure) for a, b in zip(*ends, strict=True)))
+        return effects
 
     def inertial_rate(self) -> Vector3:
         """Body rates against inertial space, rad/s."""

@@ -203,6 +203,8 @@ def complete(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
         _drag(_one(root, "flight_control"), aerodynamics)
     for name in ("ROLL", "PITCH", "YAW"):
         _named(aerodynamics, "axis", name)
+    if {axis.get("name") for axis in aerodynamics.findall("axis")} <= {"ROLL", "PITCH", "YAW"}:
+        _named(aerodynamics, "axis", "X")  # else JSBSim says on standard output which axes it takes forces to have
     return own
 
 

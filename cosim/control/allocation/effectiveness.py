@@ -19,6 +19,7 @@ weak or stuck stays in it with what it gives.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
 from typing import Final, NamedTuple
 
 from cosim.base.constants import GRAVITY
@@ -41,7 +42,10 @@ ROLL, PITCH, LIFT, YAW, FORWARD, RIGHT = range(6)  # the rows
 LEVELS: Final = ((ROLL, PITCH), (LIFT,), (YAW,))
 HORIZONTAL: Final = ((FORWARD, RIGHT),)  # where it is asked for, below all others
 GIVEN: Final = 1e-10  # of the weight, or the weight at the radius of gyration: what is missing less is rounding
+NEARLY: Final = 1e-4  # the same for a design, which asks for the largest that is given from far away
 PASSES: Final = 6  # of Newton's method in a step; from the step before two are the rule
+SETTLED: Final = 1e-9  # of a hinge's range: it goes nowhere any more
+FAR: Final = 0.1  # of a hinge's range, in a pass without a step before
 FIRST_PASSES: Final = 60  # without a step before
 
 
@@ -95,6 +99,7 @@ class EffectivenessAllocator:
         ] + [(mover.most - mover.least) / mover.effort for mover in movers]
         self.rest: PerServo = tuple([mover.rest for mover in movers]) or (0.0, 0.0)
         self.pressure = 0.0  # Pa, dynamic: what surfaces work with
+        self.surfaces = len(self._movers) - self._hinges
         self.reset()
         if not self._balanced:
             raise InputError(
@@ -108,6 +113,8 @@ class EffectivenessAllocator:
         """All engines are healthy, hinges at rest."""
         self._use([JetHealth()] * self._jets)
         self._settle()
+        # commands begin where servos stand
+        self._last = [*self._preferred, *(mover.rest for mover in self._movers)]
 
     def _use(self, health: Sequence[JetHealth]) -> None:
         """Take every jet's thrust to be ``span (gain (idle + share) + fixed)``."""
@@ -154,6 +161,49 @@ class EffectivenessAllocator:
         found, _ = self._solve(wanted, wanted[LIFT], FIRST_PASSES, False)
         self._last = before
         return self._shares(found)
+
+    # ---- what a design asks
+
+    def hovering(self, torque: Vector3) -> tuple[list[float], list[float]]:
+        """Thrusts [N] and servos that give angular accelerations [rad/s^2] in hover, however fast servos are, and what
+        is missing of force and moment, in the order of the rows."""
+        (a, b, c), (d, e, f), (g, h, i) = self._tensor
+        x, y, z = torque
+        wanted = [a * x + b * y + c * z, d * x + e * y + f * z, self._weight, g * x + h * y + i * z, 0.0, 0.0]
+        before = self._last
+        found, missing = self._solve(wanted, self._weight, FIRST_PASSES, False)
+        self._last = before
+        return found, [0.0 if -GIVEN <= m * norm <= GIVEN else m for m, norm in zip(missing, self._norms, strict=True)]
+
+    def by_thrust(self, axis: int) -> float:
+        """The share of a small angular acceleration about an axis in hover that thrusts give; hinges give the rest."""
+        row = (ROLL, PITCH, YAW)[axis]
+        small = 1e-3
+        still, _ = self.hovering(ZERO3)
+        moved, _ = self.hovering((small * (axis == 0), small * (axis == 1), small * (axis == 2)))
+        jets = self._jets
+        at_rest, _ = self._linear(still)
+        of_thrust, _ = self._linear([*moved[:jets], *still[jets:]])
+        of_all, _ = self._linear(moved)
+        whole = of_all[row] - at_rest[row]
+        return (of_thrust[row] - at_rest[row]) / whole if whole else 1.0
+
+    def room(self, axis: int) -> float:
+        """The largest angular acceleration [rad/s^2] about an axis, either way, that hover leaves to allocation."""
+        most = inf
+        for sign in (1.0, -1.0):
+            low, high = 0.0, 1.0
+            while high < 1e4 and self._gives(axis, sign * high):
+                low, high = high, 2.0 * high
+            for _ in range(20):
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if self._gives(axis, sign * middle) else (low, middle)
+            most = min(most, low)
+        return most
+
+    def _gives(self, axis: int, size: float) -> bool:
+        _, missing = self.hovering((size * (axis == 0), size * (axis == 1), size * (axis == 2)))
+        return all(abs(missing[row]) * self._norms[row] <= NEARLY for row in (ROLL, PITCH, LIFT, YAW))
 
     # ---- a step
 
@@ -221,6 +271,11 @@ class EffectivenessAllocator:
         here = self._last
         given, rows = self._linear(here)
         for _ in range(passes):
+            if not rated:  # from far away: no hinge goes further at once than a line stands for
+                for number, mover in enumerate(self._movers):
+                    j, far = jets + number, FAR * (mover.most - mover.least)
+                    low[j] = max(mover.least, here[j] - far) / scales[j]
+                    high[j] = min(mover.most, here[j] + far) / scales[j]
             targets: list[float] = []
             for row in range(6):
                 steps = 0.0
@@ -238,8 +293,12 @@ class EffectivenessAllocator:
                     change += steps_before[row][j] * (found[j] - here[j] / scale)
                 error = (given[row] - before[row]) * norms[row] - change
                 off = error if error > off else (-error if -error > off else off)
+            far = 0.0
+            for number, mover in enumerate(self._movers):
+                went = (moved[jets + number] - here[jets + number]) / (mover.most - mover.least)
+                far = went if went > far else (-went if -went > far else far)
             here = moved
-            if off <= 0.1 * GIVEN:
+            if off <= 0.1 * GIVEN and (rated or far <= SETTLED):
                 break
         return here, [wanted[row] - given[row] for row in range(6)]
 

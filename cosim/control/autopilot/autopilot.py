@@ -103,7 +103,7 @@ class Autopilot:
         self._mission = MissionFlight(course, self._circle, self._homeward, step)
         self._inject, self._clear = inject, clear
         self._airborne = airborne
-        self._rotors = vehicle.servo is None  # of which none can be lost without a spin
+        self._rotors = vehicle.allocation == "rotors"  # of which none can be lost without a spin
         # a flight that begins in the air knows the ground as 0: it stands on its legs there
         legs = (contact.position_m[2] for contact in vehicle.contacts if contact.kind == "leg")
         self._standing = max(legs, default=0.0) if airborne else 0.0

@@ -72,6 +72,6 @@ def _tuning(channel: Channel, scenario: Scenario, vehicle: Vehicle, spec: Engine
         return own
     chosen = PREDICTORS[scenario.controller]
     modelled = own.controller != BASELINE.name
-    predicted = modelled if chosen.needs_model else channel.name == "roll" or vehicle.servo is None
+    predicted = modelled if chosen.needs_model else channel.name == "roll" or vehicle.allocation == "rotors"
     name = scenario.controller if predicted else BASELINE.name
     return Tuning(name, own.angle_gain, own.gains, own.predictor, own.model, own.lead)

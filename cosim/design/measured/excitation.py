@@ -85,6 +85,11 @@ class Tap:
 
     def __init__(self, axis: str, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
         index = AXES.index(axis)
+        if vehicle.allocation == "effectiveness":
+            raise InputError(
+                f"{vehicle.name}: its {axis} is given by throttles and hinges together, of which no one number is the "
+                "command; margins are measured of vehicles with two banks and of those whose jets all point up"
+            )
         self.tilts = vehicle.servo is not None and axis != "roll"
         self._sides = (1.0, 1.0) if axis == "pitch" else (1.0, -1.0)
         levers = [(-jet.position_m[1], jet.position_m[0], jet.reaction_m)[index] for jet in vehicle.jets]

@@ -25,6 +25,8 @@ class About:
     system: int = 1
     component: int = 1
     tilt_range: float = nan  # rad, either way; NaN: the outputs are told in rad
+    servos: tuple[str, ...] = ("left", "right")  # by which faults know them
+    ranges: tuple[tuple[float, float], ...] = ()  # of each, where they are not two banks
     full_thrust: PerJet = ()  # N, each engine at full throttle; empty: not known
     fuel_capacity: float = nan  # kg; NaN: no tank
     position_noise: float = nan  # m, standard deviation of the GNSS; NaN: not known

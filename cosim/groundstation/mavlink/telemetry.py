@@ -12,7 +12,7 @@ from math import atan2, ceil, degrees, hypot, isfinite, isnan, nan, pi
 
 from cosim.base.constants import GRAVITY
 from cosim.base.frames import conjugate, from_euler, rotate, to_euler
-from cosim.base.signals import Vector3
+from cosim.base.signals import PerServo, Vector3
 from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.status import Status
 from cosim.groundstation.exchange import Snapshot
@@ -240,25 +240,41 @@ def global_position_int(v: View) -> list[Message]:
 
 
 def servo_output_raw(v: View) -> list[Message]:
-    """Throttles, and two tilts from the seventh or behind the last, as pulses: 1000 to 2000 us, 1500 is straight up."""
+    """Throttles, and servos from the seventh or behind the last, as pulses: 1000 to 2000 us, 1500 is straight up, or
+    the middle of a hinge's range; as many as the message has."""
     actuation, reach = v.sample.actuation, v.about.tilt_range
     pulses = [0] * 16
     for i, throttle in enumerate(actuation.throttle[: v.about.jets]):
         pulses[i] = clamp(1000.0 + 1000.0 * throttle, 0, U16)
-    for i, tilt in enumerate(actuation.tilt):
-        pulses[max(6, v.about.jets) + i] = 0 if isnan(reach) else clamp(1500.0 + 500.0 * tilt / reach, 0, U16)
+    first = max(6, v.about.jets)
+    if v.about.ranges:
+        for i, share in enumerate(_shares(actuation.tilt, v.about.ranges)[: len(pulses) - first]):
+            pulses[first + i] = clamp(1500.0 + 500.0 * share, 0, U16)
+    else:
+        for i, tilt in enumerate(actuation.tilt[: len(pulses) - first]):
+            pulses[first + i] = 0 if isnan(reach) else clamp(1500.0 + 500.0 * tilt / reach, 0, U16)
     return [mav.MAVLink_servo_output_raw_message(v.us & U32, 0, *pulses)]
 
 
 def actuator_output_status(v: View) -> list[Message]:
-    """Throttles 0 to 1 from 0 on, tilts at 6 and 7 or behind them: -1 to 1, or rad where their range is not stated."""
+    """Throttles 0 to 1 from 0 on, servos from 6 on or behind them: -1 to 1, or rad where their range is not stated."""
     actuation, reach = v.sample.actuation, v.about.tilt_range
     values = [0.0] * 32
     jets = v.about.jets
     values[:jets] = actuation.throttle[:jets]
     first = max(6, jets)
-    values[first : first + 2] = [tilt if isnan(reach) else tilt / reach for tilt in actuation.tilt]
-    return [mav.MAVLink_actuator_output_status_message(v.us, (1 << jets) - 1 | 0b11 << first, values)]
+    if v.about.ranges:
+        moved = _shares(actuation.tilt, v.about.ranges)[: len(values) - first]
+    else:
+        moved = [tilt if isnan(reach) else tilt / reach for tilt in actuation.tilt]
+    values[first : first + len(moved)] = moved
+    active = (1 << jets) - 1 | ((1 << len(moved)) - 1) << first
+    return [mav.MAVLink_actuator_output_status_message(v.us, active, values)]
+
+
+def _shares(tilt: PerServo, ranges: tuple[tuple[float, float], ...]) -> list[float]:
+    """Where servos stand in their ranges, -1 to 1."""
+    return [(2.0 * at - least - most) / (most - least) for at, (least, most) in zip(tilt, ranges, strict=True)]
 
 
 def vfr_hud(v: View) -> list[Message]:

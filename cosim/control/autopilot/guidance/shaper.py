@@ -15,11 +15,13 @@ from typing import NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.base.limits import clamp
 from cosim.base.signals import AXES, Vector3
+from cosim.control.allocation.authority import Reach
 from cosim.control.autopilot.geometry import Pair, limited, wrap
 from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.spec.vehicle import EngineLead, Vehicle
 
 # Chosen by us.
+LEAST = 0.02  # rad/s^2 about an axis that hardly anything turns: set-points creep there, and do not stand
 SHARE = 0.25  # of the torque's room goes to what is asked for; the rest is for wind, noise and overshoot
 MEAN = 0.5  # of the attitude loop's time constant: the acceleration asked for takes this long to build up
 _SLOWEST = 0.1  # 1/s: an attitude loop with less gain than this is not flown
@@ -69,6 +71,8 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
     turn the vehicle at the loop's own speed K [1/s] through lags of ``w``, ``zeta`` (``1 + K/w`` for a single one,
     ``1 + K tau`` through a servo).
     """
+    if vehicle.allocation == "effectiveness":
+        return _by_layout(vehicle, hover, idle, gain)
     jets, control = vehicle.jets, vehicle.control
     limits, inertia = control.allocation, vehicle.inertia_kg_m2
     weight = vehicle.mass_kg * GRAVITY
@@ -89,6 +93,30 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
         lead = getattr(control.lead, name, None)
         authority.append(SHARE * room * lever * per_jet / inertia[axis] / _extra(lead, gain[axis]))
     return (authority[0], authority[1], authority[2])
+
+
+def _by_layout(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float]) -> Vector3:
+    """The same where every throttle and hinge may have a part: a quarter of what the layout attains about each axis,
+    the slowest hinge taken for all."""
+    per_jet = vehicle.mass_kg * GRAVITY / len(vehicle.jets) / (hover + idle)
+    limits, jets = vehicle.control.allocation, len(vehicle.jets)
+    reach = Reach(
+        vehicle.layout(),
+        [per_jet * (limits.throttle_min + idle)] * jets,
+        [per_jet * (limits.throttle_max + idle)] * jets,
+        [hinge.least_most for hinge in vehicle.hinges],
+        [hinge.rest_rad for hinge in vehicle.hinges],
+        vehicle.mass_kg * GRAVITY,
+    )
+    lines = [tuple(sign * (n == axis) for n in range(3)) for axis in range(3) for sign in (1.0, -1.0)]
+    sizes = reach.section(lines)
+    slowest = max([hinge.lag_s for hinge in vehicle.hinges], default=0.0)
+    answer = []
+    for axis, name in enumerate(AXES):
+        extra = max(1.0 + gain[axis] * slowest, _extra(getattr(vehicle.control.lead, name, None), gain[axis]))
+        most = max(0.0, min(sizes[2 * axis], sizes[2 * axis + 1]))
+        answer.append(SHARE * max(most / vehicle.inertia_kg_m2[axis], LEAST) / extra)
+    return (answer[0], answer[1], answer[2])
 
 
 def _extra(lead: EngineLead | bool | None, gain: float) -> float:

@@ -349,9 +349,12 @@ def _fail(order: Order, context: Context) -> Plan:
             return _refuse(f"failure: engine {which}; there are 1 to {context.about.jets}, and 0 for all")
         faults = _engine_fault(kind, (which,) if which else tuple(range(1, context.about.jets + 1)))
     elif unit == _SERVO and kind in (_OFF, _STUCK):
-        if not 0 <= which <= len(_SIDES):
-            return _refuse(f"failure: servo {which}; 1 is the left one, 2 the right one, 0 both")
-        sides = (_SIDES[which - 1],) if which else _SIDES
+        known = context.about.servos
+        if not 0 <= which <= len(known):
+            if known == _SIDES:
+                return _refuse(f"failure: servo {which}; 1 is the left one, 2 the right one, 0 both")
+            return _refuse(f"failure: servo {which}; there are 1 to {len(known)}, and 0 for all")
+        sides = (known[which - 1],) if which else known
         faults = tuple(InjectFault("servo_jam", servo=side) for side in sides)
     elif unit in _SENSORS:
         faults = _sensor_fault(kind, _SENSORS[unit])

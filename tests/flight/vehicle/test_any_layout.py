@@ -1,0 +1,138 @@
+"""A vehicle with single gimballed nozzles, a surface and products of inertia: built, flown, its log, its faults."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim import Scenario, fly
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.design.channel import Actuator, channels
+from cosim.design.dynamics import lags
+from cosim.engine import load_engine
+from cosim.results.report.flight_figures import run_figures
+from cosim.simulation.build import build
+from cosim.spec.scenario import Environment
+from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.stepper import Stepper
+from cosim.vehicle.airframe import Airframe
+
+# pitch moment -0.5 m^3 times pressure times the elevator's position, which a lag of 0.05 s brings to its command
+WING = """<fdm_config>
+<flight_control name="fcs">
+ <channel name="p"><lag_filter name="fcs/elevator"><input>fcs/elevator-cmd-norm</input><c1>20</c1>
+ <output>fcs/elevator-pos-norm</output></lag_filter></channel>
+</flight_control>
+<aerodynamics>
+ <axis name="PITCH"><function name="aero/m"><product><property>aero/qbar-psf</property>
+ <property>fcs/elevator-pos-norm</property><value>-17.657333360744296</value></product></function></axis>
+</aerodynamics>
+</fdm_config>"""
+GAINS = {"p": 6.0, "i": 4.0, "d": 0.0, "d_filter_s": 0.01, "integral_limit": 5.0}
+
+
+def nozzle(jet: int, place: tuple[float, ...], axis: tuple[float, ...], name: str) -> dict[str, Any]:
+    return {
+        "name": f"{name}{jet}", "position_m": place, "axis": axis, "deflects": [jet], "lag_s": 0.01,
+        "rate_limit_rad_s": 10.0, "range_rad": 0.3, "mass_kg": 0.01, "inertia_kg_m2": 1e-6, "effort": 0.3,
+    }  # fmt: skip
+
+
+def gimballed(folder: Path, **changes: Any) -> Scenario:
+    """The quadrotor with a gimbal of two hinges at each of its jets, and a tail."""
+    (folder / "wing.xml").write_text(WING)
+    jets = load_vehicle("quadrotor")[0].jets
+    hinges = []
+    for number, jet in enumerate(jets, 1):
+        hinges.append(nozzle(number, jet.position_m, (0.0, -1.0, 0.0), "ahead"))
+        hinges.append(nozzle(number, jet.position_m, (1.0, 0.0, 0.0), "aside"))
+    elevator = {"name": "elevator", "property": "fcs/elevator-cmd-norm", "lag_s": 0.02, "rate_limit_1_s": 10.0}
+    vehicle = {
+        "model": str(folder / "wing.xml"),
+        "products_kg_m2": [0.0, 0.0002, 0.0],
+        "hinges": hinges,
+        "surfaces": [elevator],
+        "control": {"rate": dict.fromkeys(("roll", "pitch", "yaw"), GAINS)},
+    }
+    table = {
+        "aircraft": "quadrotor", "engine": "motor", "controller": "baseline", "step_s": 0.0025, "expect": [],
+        "duration_s": 0.5, "vehicle": vehicle,
+    }  # fmt: skip
+    return Scenario.load("hover").replace(**(table | changes))
+
+
+def test_it_hovers_and_its_log_has_what_moves(tmp_path: Path) -> None:
+    run = fly(gimballed(tmp_path))
+    assert run.outcome == "completed"
+    assert np.abs(run.log["roll_rad"]).max() < 0.01
+    assert np.abs(run.log["refused_roll"]).max() == 0.0
+    assert {"tilt_ahead1_rad", "tilt_aside4_command_rad", "deflection_elevator", "fault_servo_elevator"} <= set(
+        run.log.columns
+    )
+    assert "tilt_left_rad" not in run.log.columns
+    units = {column.name: column.unit for column in run.log.described}
+    assert (units["torque_roll"], units["tilt_ahead1_rad"], units["deflection_elevator"]) == ("rad/s^2", "rad", "1")
+    efforts = run_figures(run.log, run.summary)["effort"]["layout"]
+    assert any("Yaw [rad/s²]" in str(axis) for axis in efforts.values())
+
+
+def test_a_nozzle_that_jams_is_a_fault_by_its_name(tmp_path: Path) -> None:
+    jam = {"kind": "servo_jam", "servo": "ahead2", "start_s": 0.1, "angle_deg": 5.0}
+    run = fly(gimballed(tmp_path, fault=[jam], duration_s=0.3))
+    assert run.log["tilt_ahead2_rad"][-1] == pytest.approx(np.radians(5.0), abs=1e-4)
+    assert run.log["fault_servo_ahead2"].sum() > 0.0
+    for wrong, said in (({"servo": "left"}, "has the servos ahead1"), ({"servo": "elevator"}, "is a surface")):
+        with pytest.raises(InputError, match=said):
+            build(gimballed(tmp_path, fault=[jam | wrong]))
+
+
+def test_what_a_surface_does_is_what_the_model_says(tmp_path: Path) -> None:
+    vehicle, folder = gimballed(tmp_path).resolved_vehicle()
+    frame = Airframe(vehicle, folder, Environment(), 0.0025, 1, 0)
+    try:
+        (effect,) = frame.surface_effects()
+    finally:
+        frame.close()
+    # 17.657333 ft^3 are half a cubic metre
+    assert effect == pytest.approx((0.0, 0.0, 0.0, 0.0, -0.5, 0.0), abs=1e-9)
+
+
+def test_by_hand_every_servo_has_a_number(tmp_path: Path) -> None:
+    with Stepper(gimballed(tmp_path), actuators=True) as flight:
+        flight.step(throttle=[0.5] * 4, tilt=[0.1] * 8 + [0.5])
+        with pytest.raises(InputError, match="tilt"):
+            flight.step(tilt=[0.1, 0.1])
+
+
+def test_a_design_says_where_two_lags_share_an_axis(tmp_path: Path) -> None:
+    scenario = gimballed(tmp_path)
+    vehicle, _ = scenario.resolved_vehicle()
+    engine = load_engine("motor", {}, scenario.step_s)
+
+    def with_effort(effort: float) -> Vehicle:
+        return vehicle.model_copy(
+            update={"hinges": [hinge.model_copy(update={"effort": effort}) for hinge in vehicle.hinges]}
+        )
+
+    answer = Actuator.of("engine", lags([0.05], 0.0, scenario.step_s))
+    with pytest.raises(InputError, match=r"yaw is given by thrust to \d+ % and by hinges for the rest"):
+        channels(scenario, with_effort(1.0), engine, answer)
+    # hinges that are dear leave it to the jets
+    roll = channels(scenario, with_effort(100.0), engine, answer)["roll"]
+    assert (roll.unit, roll.gain, roll.actuator.name) == ("rad/s^2", 1.0, "engine")
+    # more than the jets give alone, each as far as hover leaves either way at its lever
+    span = engine.curve.thrust[-1] - engine.curve.thrust[0]
+    assert roll.room > 4 * 0.08 * span * _spread(vehicle, engine) / 0.001928
+
+
+def _spread(vehicle: Any, engine: Any) -> float:
+    """Of the range, that hover leaves either way."""
+    share = (vehicle.mass_kg * GRAVITY / 4 - engine.curve.thrust[0]) / (
+        engine.curve.thrust[-1] - engine.curve.thrust[0]
+    )
+    limits = vehicle.control.allocation
+    return min(share - limits.throttle_min, limits.throttle_max - share)
