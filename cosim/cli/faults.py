@@ -148,7 +148,7 @@ def _engine_out(
 
 @click.command(epilog=example("hexjet failsafes --failsafe GNSS --height 10 --wind 5"))
 @click.option(
-    "--aircraft", metavar="NAME", multiple=True, default=["hexjet"], show_default=True, help="all: every one."
+    "--aircraft", metavar="NAME", multiple=True, default=["hexjet"], show_default=True, help="all: those of the table."
 )
 @click.option("--engine", metavar="NAME|FILE", help="See: hexjet list engines.  [default: the aircraft's own]")
 @click.option("--controller", metavar="NAME", help="[default: smith, or baseline where there is no model]")
