@@ -56,6 +56,7 @@ kinds: setup ## check, design and fly every kind of foreign engine that the test
 pictures: setup ## draw the documentation's pictures anew, from flights
 	@$(BIN)/python docs/pictures.py
 	@$(BIN)/python docs/engine_pictures.py
+	@$(BIN)/python docs/page_pictures.py
 	@$(BIN)/python docs/rooms.py
 
 docs: setup ## make the documentation's site, in build/site; a warning or a link that leads nowhere is an error
