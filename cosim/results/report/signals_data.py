@@ -245,4 +245,5 @@ def _saturated(log: Log, vehicle: Vehicle | None, step_s: float) -> list[tuple[f
     if not {"on_ground", *REFUSED}.issubset(log.columns):  # of another tool
         return []
     tilt = None if vehicle is None or vehicle.servo is None else vehicle.servo.range_rad
-    return spans(saturated(log, Reach(throttle=(), tilt_rad=tilt)), step_s)
+    hinges = None if vehicle is None or not vehicle.hinges else tuple(hinge.least_most for hinge in vehicle.hinges)
+    return spans(saturated(log, Reach(throttle=(), tilt_rad=tilt, servos=hinges)), step_s)
