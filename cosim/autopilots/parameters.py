@@ -52,6 +52,8 @@ def rates(vehicle: Vehicle, torque: Vector3) -> tuple[tuple[str, RateGains, floa
 def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
     """PX4: control allocation as a multirotor, with tilts, outputs, rate and attitude gains, filters, sticks."""
     jets, control = vehicle.jets, vehicle.control
+    if vehicle.allocation == "effectiveness":
+        raise InputError(f"px4: {vehicle.name}: is flown by effectiveness, whose gains are not in PX4's torques")
     told: dict[str, float] = {"CA_AIRFRAME": 8 if vehicle.servo else 0, "CA_ROTOR_COUNT": len(jets)}
     for index, jet in enumerate(jets):
         x, y, z = jet.position_m
@@ -103,6 +105,8 @@ def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
     Raises InputError for a vehicle with tilts: no frame of ArduCopter has two banks that tilt for pitch and yaw.
     """
     jets, control = vehicle.jets, vehicle.control
+    if vehicle.allocation == "effectiveness":
+        raise InputError(f"ardupilot: {vehicle.name}: is flown by effectiveness, whose gains are not in throttle")
     if vehicle.servo or len(jets) != 4:
         tilts = " on two tilting banks" if vehicle.servo else ""
         raise InputError(

@@ -97,6 +97,12 @@ def fly_autopilot(
             raise InputError(
                 f'scenario {scenario.name}: engine_start = "in flight": with an autopilot engines run before the flight'
             )
+        known = scenario.resolved_vehicle()[0]
+        if known.allocation == "effectiveness":
+            raise InputError(
+                f"{known.name}: is flown by effectiveness; the outputs and parameters of an autopilot are known here "
+                "for two banks, and for jets that all point straight up"
+            )
         block = AutopilotBlock(autopilot, label, before, lean_deg, turn_deg_s, scenario.seed)
         own = Source(
             f"autopilot:{label}",
