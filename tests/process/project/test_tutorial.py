@@ -35,5 +35,5 @@ def test_the_tutorial_as_written(tmp_path: Path) -> None:
         assert (tmp_path / "runs" / page).stat().st_size > 1000
     assert (tmp_path / "mine.html").exists()
     verdict = next(out for line, out in said.items() if line.startswith("hexjet sweep"))
-    assert "mine.toml" in verdict
+    assert "\n  mine: " in verdict  # the designed one, by its file
     assert "my_controller.py:Mine" in verdict
