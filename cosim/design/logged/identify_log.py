@@ -20,6 +20,7 @@ from cosim.spec.vehicle import RateModel
 
 LONGEST_DELAY_S = 0.4  # looked for; four times that of the Hex-Jet's engines
 SHOWN = 30.0  # by which the command must lower the deviance: chance alone gives 10 once in 25 (four parameters)
+MISFIT = 0.02  # share of the residuals' power that may follow the command; chosen by us
 DOUBT = 1e-3  # p-value below which a test is said to have failed
 TEST_LAGS = 12  # of the set-point and of the command, that the residuals are tested against
 TEST_S = 0.6  # over which they are spread
@@ -164,6 +165,11 @@ def identify_log(
     _refuse(problem, estimates, prepared, where)
     notes = [*log.remarks, *prepared.notes, *_doubts(chosen, problem)]
     checks = _checks(problem, chosen, log.signal(wanted.setpoint) if wanted.setpoint else None)
+    if checks[1].failed and checks[1].share > MISFIT:
+        raise InputError(
+            f"{where}: no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows the "
+            "command; try --lags, a known --hold, a shorter --longest-delay, or hexjet identify engine"
+        )
     notes += _failed(checks)
     band = _band(chosen, problem.working_step)
     notes += _advice(chosen, bounds(estimates), prepared, band)

@@ -42,6 +42,7 @@ _START_RATE = 0.3  # 1/s, of an axis
 _TRIED = 2  # starts of each kind that are followed to their end
 _DIFFERENCE = 0.98  # 1 but for a constant, which it would not see
 _NOTHING = 1e-150  # of a column's size: its square would be none
+_DITHER = 1e-4  # of the output's standard deviation
 _KEPT = 8  # answers that are remembered
 
 Ints = NDArray[np.int64]
@@ -221,6 +222,9 @@ class Problem:
             marks += [stretch.present, np.zeros(self.gap, bool)]
         self.output = np.concatenate(parts)
         self.present = np.concatenate(marks)
+        # a log without any noise has no likelihood: so little is added that real noise hides it
+        made = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(16,))).standard_normal(len(self.output))
+        self.output = self.output + _DITHER * float(np.std(self.output[self.present])) * made * self.present
         self.samples = int(self.present.sum())
 
     # ---- the model's parts
@@ -262,10 +266,12 @@ class Problem:
         plain = np.zeros(len(arx))
         plain[0] = -_DIFFERENCE
         found = [(x, arx) for x in self._starts(form, arx)[:_TRIED]]
-        for x in self._starts(form, plain)[:_TRIED]:
+        kept = []
+        for x in self._starts(form, plain):
             x[list(held)] = list(held.values())
-            kept = self._newton(form, x, self._linear(form, x, plain), plain, list(held), noise=False)
-            found.append((kept.x, plain))
+            kept.append(self._newton(form, x, self._linear(form, x, plain), plain, list(held), noise=False))
+        kept.sort(key=lambda estimate: estimate.loss)
+        found += [(estimate.x, plain) for estimate in kept[:_TRIED]]
         return found
 
     def _starts(self, form: Form, ar: Array) -> list[Array]:

@@ -61,13 +61,13 @@ def write(found: LogIdentification, folder: Path, step: float, family: str) -> d
 def engine_table(found: LogIdentification) -> dict[str, object]:
     """A mapping file: the library's first-order engine (a lag behind a whole delay) with what was identified.
 
-    Its internal step is 4 ms, which the delay is rounded to; a second lag is added to the delay, which is what low
-    frequencies see of it.
+    Its internal step is 4 ms, which the delay is rounded to; the shorter lag of two is added to the delay, which is
+    what low frequencies see of it.
     """
     step = ENGINE_STEP_S
     x = found.chosen.x
-    delay = float(x[-1]) + float(x[1:-1].sum())
-    pole = float(np.exp(-float(x[0]) * step))
+    *shorter, slowest = sorted([1.0 / float(x[0]), *map(float, x[1:-1])])
+    delay, pole = float(x[-1]) + sum(shorter), float(np.exp(-step / slowest))
     return {
         "fmu": "engine.fmu",
         "title": f"Engine identified from {found.path.name}",

@@ -15,6 +15,7 @@ from cosim.results.run import open_run
 from cosim.results.tables import TIME
 
 TIMES = (TIME, "time", "t")  # what the time [s] may be called in a log of another tool
+AT_THE_END = ("thrust_",)
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -51,5 +52,9 @@ def read_run(folder: Path) -> FlightLog:
     times = np.asarray(run.log[TIME])
     units = {column.name: column.unit for column in run.log.described}
     names = [name for name in run.log.columns if name != TIME]
-    channels = {name: Channel(times, np.asarray(run.log[name]), units.get(name, "")) for name in names}
+    after = times + run.summary.step_s  # a thrust is logged with the step at whose end the engine has it
+    channels = {
+        name: Channel(after if name.startswith(AT_THE_END) else times, np.asarray(run.log[name]), units.get(name, ""))
+        for name in names
+    }
     return FlightLog(folder, "run", channels, engine=Path(run.summary.engine).name.removesuffix("-fmi2"))

@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.files import one_line
 from cosim.results.logs.flight_log import Channel, FlightLog
@@ -40,13 +42,15 @@ def read(path: Path) -> FlightLog:
     for topic in log.data_list:
         stamp = topic.data.get("timestamp_sample", topic.data["timestamp"])
         times = 1e-6 * np.asarray(stamp, np.float64)
+        if topic.name == "hexjet_thrust":  # ours: what the engine has at the end of the step that the message is of
+            times = times + _step(log, times)
         name = topic.name + (f"#{topic.multi_id}" if topic.multi_id else "")
         for field, values in topic.data.items():
             if not field.startswith("timestamp"):
                 channels[f"{name}.{field}"] = Channel(times, np.asarray(values, np.float64))
     if not channels:
         raise InputError(f"{path}: the ULog holds no data: it was cut short before the first message, or damaged")
-    remarks = []
+    remarks: list[str] = []
     if log.file_corruption or said.getvalue().strip():
         remarks.append("parts of the file are damaged and were passed over")
     if log.dropouts:
@@ -54,3 +58,11 @@ def read(path: Path) -> FlightLog:
         remarks.append(f"{len(log.dropouts)} times the logger lost data, {lost:.1f} s together")
     events = [(1e-6 * message.timestamp, str(message.message)) for message in log.logged_messages]
     return FlightLog(path, "ULog", channels, tuple(remarks), events)
+
+
+def _step(log: Any, times: Array) -> float:
+    """The control step of a log of ours: stated where it is not the default, which is as often as rows are written."""
+    stated = log.initial_parameters.get("step_s")
+    if stated is not None or times.size < 2:
+        return float(stated or 0.0)
+    return float(np.median(np.diff(times)))

@@ -6,7 +6,7 @@ from zlib import crc32
 
 import numpy as np
 import pytest
-from flights import exported, samples, scenario, setup
+from flights import STEP, exported, samples, scenario, setup
 
 from cosim.base.errors import InputError
 from cosim.results.logs import FlightLog, read_flight_log, wanted
@@ -128,6 +128,10 @@ def test_a_ulog_of_ours_is_read_as_the_run(doublet: Path, tmp_path: Path) -> Non
             np.testing.assert_allclose(other.times, one.times, atol=1e-6)
             np.testing.assert_allclose(other.values, one.values, rtol=1e-6, atol=1e-8)
     assert wanted(ulog, "engine:2").output == "hexjet_thrust.newton[1]"
+    for log in (run, ulog):  # the engine has it at the end of the step
+        engine = wanted(log, "engine:2")
+        shift = log.signal(engine.output).times - log.signal(engine.command).times
+        np.testing.assert_allclose(shift, STEP, atol=2e-6)
 
 
 def test_a_table_says_its_time(tmp_path: Path) -> None:
