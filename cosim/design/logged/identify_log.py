@@ -167,8 +167,8 @@ def identify_log(
     checks = _checks(problem, chosen, log.signal(wanted.setpoint) if wanted.setpoint else None)
     if checks[1].failed and checks[1].share > MISFIT:
         raise InputError(
-            f"{where}: no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows the "
-            "command; try --lags, a known --hold, a shorter --longest-delay, or hexjet identify engine"
+            f"{where}: no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows "
+            "the command; try --lags, a known --hold, a shorter --longest-delay, or hexjet identify engine"
         )
     notes += _failed(checks)
     band = _band(chosen, problem.working_step)
