@@ -10,6 +10,7 @@ import importlib.util
 import os
 import platform
 import shutil
+import subprocess
 import sys
 import sysconfig
 from hashlib import sha256
@@ -48,6 +49,19 @@ def build_fmus(engines: Path, fmus: Path) -> None:
         builder.build_all(engines=engines, fmus=fmus)
     except builder.BuildError as error:
         raise CompileError(str(error)) from error
+
+
+# What is not built when it has ended is built by build_fmus, which says why where it cannot be.
+BUILD_FMUS = """import runpy, sys
+from pathlib import Path
+runpy.run_path(sys.argv[1])["build_all"](engines=Path(sys.argv[2]), fmus=Path(sys.argv[3]))"""
+
+
+def begin_fmus(engines: Path, fmus: Path) -> subprocess.Popen[bytes]:
+    """Build them in a process of its own: most of the time one compiler is at the one large file of the modules."""
+    words = [str(path) for path in (ROOT / "cosim" / "engine" / "build.py", engines, fmus)]
+    quiet = subprocess.DEVNULL
+    return subprocess.Popen([sys.executable, "-c", BUILD_FMUS, *words], stdin=quiet, stdout=quiet, stderr=quiet)
 
 
 def build_messages(package: Path) -> Path:
@@ -90,6 +104,8 @@ class BuildExtensions(build_ext):
     """
 
     def run(self) -> None:
+        if self.editable_mode:
+            self.distribution.fmus = begin_fmus(ROOT / "engines", ROOT / "fmus")
         self.parallel = self.parallel or os.cpu_count()
         compiled = by_path("compiled", ROOT / "cosim" / "base" / "compiled.py")
         package = ROOT / "cosim" if self.inplace else Path(self.build_lib) / "cosim"
@@ -179,6 +195,9 @@ class BuildData(Command):
 
     def run(self) -> None:
         if self.editable_mode:
+            begun: subprocess.Popen[bytes] | None = getattr(self.distribution, "fmus", None)
+            if begun is not None:
+                begun.wait()
             build_fmus(ROOT / "engines", ROOT / "fmus")
             build_messages(ROOT / "cosim")
             return
