@@ -316,7 +316,7 @@ def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
     Raises
     ------
     InputError
-        For a column that a log has not.
+        For a column that a log has not, or where Plotly is not installed.
     """
     flown = [runs] if isinstance(runs, Run) else list(runs)
     readers = [Reader(run.log, run.summary.step_s) for run in flown]

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cosim.base.errors import FlightError
+from cosim.base.errors import FlightError, InputError
 from cosim.base.files import one_line, replacing
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
@@ -84,9 +84,11 @@ def deflated(path: Path) -> str:
 
 
 def drawn(figure: dict[str, Any]) -> Any:
-    """A figure as Plotly's own, which a notebook draws."""
-    from plotly.graph_objects import Figure
-
+    """A figure as Plotly's own, which a notebook draws.  Raises InputError where Plotly is not installed."""
+    try:
+        from plotly.graph_objects import Figure
+    except ImportError:
+        raise InputError("a plot needs plotly, which is not installed: pip install 'hexjet-cosim[notebook]'") from None
     return Figure(figure)
 
 

@@ -53,6 +53,12 @@ def test_without_pandas_it_says_how_to_get_it(run: Run, monkeypatch: pytest.Monk
         run.log.table()
 
 
+def test_without_plotly_it_says_how_to_get_it(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
+    with pytest.raises(InputError, match=r"a plot needs plotly, .*: pip install 'hexjet-cosim\[notebook\]'"):
+        plot(run)
+
+
 def test_a_log_shows_what_its_columns_are() -> None:
     columns = (Column("x_rad", "rad", "body", "an <angle>"), Column("gone", "", "", ""))
     log = MemoryLog([np.array([[1.0, -2.0], [np.nan, np.nan]])], ("x_rad", "gone"), columns)
