@@ -56,7 +56,7 @@ from cosim.spec.scenario import (
     TableCommand,
     TrackCommand,
 )
-from cosim.spec.vehicle import VEHICLE, aircraft_names, as_read, engine_of, is_file, is_own, load_vehicle
+from cosim.spec.vehicle import VEHICLE, aircraft_names, as_read, is_file, is_own, load_vehicle
 from cosim.vehicle.airframe import (
     IN_THE_AIR,
     METHODS,
@@ -214,9 +214,8 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
         controller |= {"controller": copied_controller(own, files), "controller_sha256": own.sha256 or None}
         told = own.values(scenario.controller_parameters, "controller_parameters")
         controller["controller_parameters"] = _floats(told)
-    aircraft, vehicle = copied_aircraft(simulation, files)
-    engine = simulation.engine
-    names = engine_files([engine, *simulation.stations], files)
+    aircraft, vehicle, names = copied_aircraft(simulation, files)
+    engine, jets = simulation.engine, simulation.vehicle.jets
     # each part was checked when the scenario was read, so nothing is checked once more
     return scenario.model_copy(
         update={
@@ -227,7 +226,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
             "stations": {
                 str(number): Station(engine=names[id(station)], parameters=_floats(station.parameters))
                 for number, station in enumerate(simulation.stations, 1)
-                if station.source != engine.source
+                if station.source != engine.source or jets[number - 1].engine is not None
             },
             "aircraft": aircraft,
             "expect": [
@@ -240,15 +239,18 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
     ), files
 
 
-def copied_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> tuple[str, dict[str, Any]]:
-    """What the aircraft is called beside a resolved scenario, and its numbers; its own files are added to ``files``.
+def copied_aircraft(
+    simulation: Simulation, files: dict[str, Path | bytes]
+) -> tuple[str, dict[str, Any], dict[int, str]]:
+    """What the aircraft is called beside a resolved scenario, its numbers, and the names of the engines (their specs'
+    ids) there; its own files and theirs are added to ``files``.
 
-    Raises InputError where another file has the name of one of them.
+    Raises InputError where another file has the name of one of its own.
     """
-    scenario = simulation.flown
+    scenario, specs = simulation.flown, [simulation.engine, *simulation.stations]
     stated = simulation.vehicle.model_dump(mode="json", exclude_none=True)
     if not is_own(scenario.aircraft):
-        return scenario.aircraft, stated
+        return scenario.aircraft, stated, engine_files(specs, files)
     import tomli_w
 
     _, folder = scenario.resolved_vehicle()
@@ -258,12 +260,31 @@ def copied_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> t
         own[Path(model).name] = read_model(folder / model)
         renamed = {"model": Path(model).name}
         table, stated = table | renamed, stated | renamed
-    own[VEHICLE] = tomli_w.dumps(_written(table)).encode()
+    own[VEHICLE] = b""
     for name in own:
         if name in files:
             raise InputError(f"aircraft {scenario.aircraft_name}: another file of the flight has the name {name!r}")
     files |= own
-    return VEHICLE, stated
+    names = engine_files(specs, files)
+    called = {(spec.mapping or spec.path).resolve(): names[id(spec)] for spec in specs}
+    table, stated = (_with_engines(each, folder, called) for each in (table, stated))
+    files[VEHICLE] = tomli_w.dumps(_written(table)).encode()
+    return VEHICLE, stated, names
+
+
+def _with_engines(table: dict[str, Any], folder: Path, called: Mapping[Path, str]) -> dict[str, Any]:
+    """What a vehicle states, its engines that are files, seen from ``folder``, by what they are called beside a
+    scenario; one that does not fly is left out."""
+
+    def renamed(part: dict[str, Any]) -> dict[str, Any]:
+        engine = part.get("engine")
+        if engine is None or not is_file(engine):
+            return part
+        name = called.get((folder / engine).resolve())
+        return {key: value for key, value in part.items() if key != "engine"} | ({"engine": name} if name else {})
+
+    jets = {"jets": [renamed(jet) for jet in table["jets"]]} if "jets" in table else {}
+    return renamed(table) | jets
 
 
 def copied_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) -> str:
@@ -280,10 +301,10 @@ def copied_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) 
         name = f"{vehicle.name}-{Path(vehicle.model).name}"
         own[name] = read_model(place / vehicle.model)
         table = table | {"model": name}
-    engine = engine_of(aircraft, folder)
-    if engine is not None and is_file(engine):
-        spec = load_engine(engine, {}, vehicle.control_step)
-        table = table | {"engine": engine_files([spec], files)[id(spec)]}
+    stated = {each: None for each in (vehicle.engine, *(jet.engine for jet in vehicle.jets)) if each and is_file(each)}
+    specs = {(place / each).resolve(): load_engine(str(place / each), {}, vehicle.control_step) for each in stated}
+    names = engine_files(list(specs.values()), files)
+    table = _with_engines(table, place, {source: names[id(spec)] for source, spec in specs.items()})
     own[f"{vehicle.name}-{VEHICLE}"] = tomli_w.dumps(_written(table)).encode()
     for name in own:
         if name in files:

@@ -891,7 +891,8 @@ def _read(path: Path) -> tuple[dict[str, Any], Vehicle]:
     vehicle = validate(Vehicle, stated, str(path))
     if path.parents[1] != data_folder("aircraft") and vehicle.name in aircraft_names():
         raise InputError(f"{path}: name = {vehicle.name!r}: is the name of an aircraft that is shipped; choose another")
-    for key, file in (("engine", vehicle.engine), ("model", vehicle.model)):
+    engines = ((f"jets.{number}.engine", jet.engine) for number, jet in enumerate(vehicle.jets, 1))
+    for key, file in (("engine", vehicle.engine), ("model", vehicle.model), *engines):
         if file is not None and (key == "model" or is_file(file)) and not (path.parent / file).is_file():
             raise InputError(f"{path}: {key} = {file!r}: no such file, as seen from the folder of {path.name}")
     _refuse_implausible(vehicle, path)

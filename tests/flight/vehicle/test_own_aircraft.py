@@ -9,9 +9,10 @@ import pytest
 from command_tools import Hexjet
 from places import DESIGNS, ROOT
 
-from cosim import Run, Scenario, fly
+from cosim import InputError, Run, Scenario, fly
 from cosim.base.toml import read_toml
 from cosim.results.digest import log_digest
+from cosim.spec.vehicle import load_vehicle
 
 SHORT = {"controller": "baseline", "duration_s": 0.4, "expect": []}
 SCALED = 'name = "same"\ntitle = "a copy, at the same mass"\n[scaled]\nbase = "hexjet"\nmass_kg = 5.525\n'
@@ -76,6 +77,36 @@ def test_its_own_engine_is_seen_from_its_own_folder(mine: Path, hexjet: Hexjet) 
     )
     assert done.status == 0, done.err
     assert Path("r/motor.fmu").is_file()
+
+
+def test_engines_of_single_jets_go_along_and_stay_theirs(mine: Path, tmp_path: Path) -> None:
+    """One seen from elsewhere, one that the scenario replaces by the common one, and an engine that does not fly."""
+    data = {name: (ROOT / "fmus" / f"{name}.fmu").read_bytes() for name in ("edf", "edf-as-flown")}
+    (tmp_path / "shelf").mkdir()
+    (tmp_path / "shelf" / "other.fmu").write_bytes(data["edf"])
+    (mine / "motor.fmu").write_bytes(data["edf-as-flown"])
+    replace_in(mine, 'engine = "edf-as-flown"', 'engine = "motor.fmu"')
+    jets = (mine / "vehicle.toml").read_text().split("[[jets]]")
+    for number in (2, 5):
+        jets[number] = '\nengine = "../shelf/other.fmu"' + jets[number]
+    (mine / "vehicle.toml").write_text("[[jets]]".join(jets))
+    changes = SHORT | {"aircraft": str(mine), "engine": "edf-as-flown", "stations": {"5": {"engine": "edf-as-flown"}}}
+    first = fly(Scenario.load("roll-doublet").replace(**changes), tmp_path / "run")
+    digest, moved = log_digest(first.log), (tmp_path / "run").rename(tmp_path / "moved")
+    assert digest != log_digest(flown("hexjet").log)
+    shutil.rmtree(mine)
+    shutil.rmtree(tmp_path / "shelf")
+    assert log_digest(fly(moved / "scenario.toml").log) == digest
+    assert (moved / "other.fmu").is_file()
+    assert "engine" not in read_toml(moved / "vehicle.toml")
+
+
+def test_an_engine_of_a_jet_that_is_not_there_is_named(mine: Path) -> None:
+    jets = (mine / "vehicle.toml").read_text().split("[[jets]]")
+    jets[2] = '\nengine = "nowhere.fmu"' + jets[2]
+    (mine / "vehicle.toml").write_text("[[jets]]".join(jets))
+    with pytest.raises(InputError, match=r"jets.2.engine = 'nowhere.fmu': no such file, as seen from the folder"):
+        load_vehicle(str(mine))
 
 
 def test_a_study_of_it_flies_from_its_folder_alone(mine: Path, hexjet: Hexjet, tmp_path: Path) -> None:
