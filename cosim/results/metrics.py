@@ -125,7 +125,7 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
 
     Without ``reach`` only what allocation refused counts as saturation.
     """
-    contact = (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
+    contact = touching(log)
     altitude = log["altitude_m"]
     return Metrics(
         axes={axis: _axis_of(log, axis, rate, step_s) for axis, rate in zip(AXES, RATES, strict=True)},
@@ -134,7 +134,7 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
         position=_position_of(log),
         speed=speed_metrics(np.hypot(log["velocity_north_m_s"], log["velocity_east_m_s"])),
         effort=EffortMetrics(
-            saturated_percent=share_percent(saturated(log, reach), ~contact),
+            saturated_percent=share_percent(saturated_in_flight(log, reach), ~contact),
             throttle_1_s=activity((log[name] for name in _of_jets(THROTTLE, jets_in(log.columns))), step_s),
             tilt_rad_s=activity((log[TILT.format(name)] for name in servos_in(log.columns)), step_s),
         ),
@@ -254,8 +254,19 @@ def speed_metrics(speed: Array) -> SpeedMetrics:
     return SpeedMetrics(max_m_s=_largest(speed), final_m_s=_at_end(speed))
 
 
+def touching(log: Columns) -> NDArray[np.bool_]:
+    """The rows on which a leg or the hull touches the ground."""
+    return (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
+
+
+def saturated_in_flight(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
+    """The rows that count as saturation, of :func:`saturated` those in the air: what the metric counts, pages mark."""
+    return saturated(log, reach) & ~touching(log)
+
+
 def saturated(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
-    """The rows on which allocation refused something, or a throttle or tilt was told to go to an end of its range.
+    """The rows on which allocation refused something, or a throttle, tilt, hinge or surface was told to go to an end
+    of its range.
 
     A jet that the monitor has given up, whose throttle is closed for that, does not count.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +19,7 @@ from cosim.results.recorder import MemoryLog
 from cosim.results.report.flight import write_report
 from cosim.results.report.flight_figures import Panel, Reader, Trace, strips
 from cosim.results.report.page import ASSETS, Flights, render
-from cosim.results.report.signals_data import BITS, NOISE_BITS, run_data
+from cosim.results.report.signals_data import BITS, MOST_BANDS, NOISE_BITS, run_data
 from cosim.results.run import Run, begin_run
 
 HOUR = 900_000  # steps
@@ -97,6 +98,10 @@ def test_the_page_of_the_documentation_says_how_exact_and_which_keys() -> None:
     text = " ".join((ROOT / "docs" / "flight-page.md").read_text(encoding="utf-8").split())
     assert f"at most 1/{2**BITS:,} of the range between its first and its last percentile" in text
     assert f"1/{2**NOISE_BITS} of its roughness" in text
+    assert f"more than {MOST_BANDS:,} times" in text
+    width = re.search(r"PAPER = {.* width: (\d+) }", (ASSETS / "strips.js").read_text(encoding="utf-8"))
+    assert width is not None
+    assert f"{width[1]} pixels" in text
     script = (ASSETS / "replay.js").read_text(encoding="utf-8")
     for key in ("ArrowRight", "ArrowLeft", "Home", "End", "n", "p", "a", "b", "c", "k"):
         assert f"{key}: " in script
@@ -155,6 +160,27 @@ def test_what_is_seen_goes_out_with_every_sample(browser: Any, flown: tuple[Run,
         for kind in ("spectrum", "cross"):
             page.evaluate("k => document.querySelector('[data-figure=attitude] .strip').panel.turn(k)", kind)
             page.wait_for_function("document.querySelector('[data-figure=attitude] .strip').panel.chart", timeout=SOON)
+
+
+def test_all_strips_are_drawn_for_paper(browser: Any, flown: tuple[Run, Path]) -> None:
+    with opened(browser, flown[1], color_scheme="dark") as page:
+        page.wait_for_function("document.documentElement.dataset.drawn === 'all'", timeout=SOON)
+        assert page.evaluate("window.scrollY") == 0
+        drawn = "[...hexjet.panels].filter((panel) => panel.signals.length && panel.lines.length)"
+        assert page.evaluate(f"{drawn}.length") > 10
+        assert page.evaluate(f"{drawn}.every((panel) => panel.chart)")
+        labels = f"{drawn}.filter((p) => p.mode === 'time').map((p) => p.chart.axes[1]._values.filter(Boolean).length)"
+        assert min(page.evaluate(labels)) >= 3
+        widths = f"[...new Set({drawn}.map((panel) => panel.chart.width))]"
+        before = page.evaluate(widths)
+        ink = f"{drawn}[0].chart.axes[0].stroke()"
+        dark = page.evaluate(ink)
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        assert page.evaluate(widths) == [690]
+        assert page.evaluate(ink) == "#444" != dark
+        page.evaluate("dispatchEvent(new Event('afterprint'))")
+        assert page.evaluate(widths) == before
+        assert page.evaluate(ink) == dark
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

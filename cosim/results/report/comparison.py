@@ -83,6 +83,7 @@ def flight_data(flown: Flown, number: int) -> tuple[dict[str, Any], dict[str, st
         events=events_of(flown.run),
         vehicle=vehicle_of(flown.run),
         jets_m=summary.jets_m,
+        reach=summary.reach,
     )
 
 

@@ -55,6 +55,7 @@ def write_report(run: Run, path: Path) -> None:
             jets_m=summary.jets_m,
             derived=at_rest(run.log, summary),
             upsets=Reader(run.log, summary.step_s).upsets(),
+            reach=summary.reach,
         )
         flights = Flights(summary.scenario, [said], run_figures(run.log, summary))
     strips = {} if flights is None else flights.figures

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.layout import UP
-from cosim.results.events import Event, spans
-from cosim.results.metrics import REFUSED, Reach, saturated
+from cosim.results.events import Event
+from cosim.results.metrics import REFUSED, Reach, saturated_in_flight
 from cosim.results.recorder import Log
 from cosim.results.run import Run
 from cosim.results.tables import TIME
@@ -33,6 +33,7 @@ NOISE_BITS = 5  # of the roughness, chosen by us: half a step is 1/64 of it
 _MOST = 2.0**28  # steps from zero; second differences of such numbers still are 32 bits
 _TRIED = 20_000  # rows in the middle of a flight, by which the order of differences is chosen
 _LEVEL = 6  # of deflate
+MOST_BANDS = 2000  # times in saturation that are told apart, chosen by us: more than a screen has pixels for
 DERIVED = "where the engine would settle if its throttle were held; from its static curve, not in the log"
 
 
@@ -132,11 +133,13 @@ def run_data(
     times: Array | None = None,
     derived: Mapping[str, Array] | None = None,
     upsets: Sequence[tuple[float, float]] = (),
+    reach: Reach | None = None,
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """What a page says of a run, as JSON has it, and its columns' data by name.
 
     ``times`` are those of the rows where they are not 0, ``step_s``, ...; ``derived`` are columns that the log has not;
-    ``upsets`` the times when something disturbs the flight as the log has it.
+    ``upsets`` the times when something disturbs the flight as the log has it; ``reach`` that by which the flight's
+    metrics were made.
     """
     told: list[dict[str, Any]] = []
     data: dict[str, str] = {}
@@ -179,7 +182,7 @@ def run_data(
             for event in events
         ],
         "upsets": upsets,
-        "saturated": _saturated(log, vehicle, step_s) if len(log) and times is None else [],
+        "saturated": _saturated(log, reach, step_s) if len(log) and times is None else [],
         "vehicle": shape(vehicle) if vehicle is not None else _places(jets_m),
     }  # fmt: skip
     return said, data
@@ -240,10 +243,19 @@ def _places(jets_m: Sequence[Sequence[float]]) -> dict[str, Any]:
     return {"name": "", "title": "", "mass": None, "jets": jets, "contacts": []}
 
 
-def _saturated(log: Log, vehicle: Vehicle | None, step_s: float) -> list[tuple[float, float | None]]:
-    """When allocation refused something or a tilt was told to go to an end of its range, in the air or not."""
-    if not {"on_ground", *REFUSED}.issubset(log.columns):  # of another tool
+def _saturated(log: Log, reach: Reach | None, step_s: float) -> list[tuple[float, float | None]]:
+    """When the flight was in saturation, as its metric counts it; where that changes more than ``MOST_BANDS`` times,
+    the shortest gaps are closed.
+    """
+    if not {"on_ground", "hull_contact", *REFUSED}.issubset(log.columns):  # of another tool
         return []
-    tilt = None if vehicle is None or vehicle.servo is None else vehicle.servo.range_rad
-    hinges = None if vehicle is None or not vehicle.hinges else tuple(hinge.least_most for hinge in vehicle.hinges)
-    return spans(saturated(log, Reach(throttle=(), tilt_rad=tilt, servos=hinges)), step_s)
+    rows = saturated_in_flight(log, reach)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], rows.astype(np.int8), [0]))))
+    starts, ends = edges[::2], edges[1::2]
+    if starts.size > MOST_BANDS:
+        apart = np.sort(np.argsort(starts[1:] - ends[:-1], kind="stable")[1 - MOST_BANDS :])
+        starts, ends = np.append(starts[:1], starts[apart + 1]), np.append(ends[apart], ends[-1:])
+    return [
+        (float(start * step_s), None if end == rows.size else float(end * step_s))
+        for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
+    ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import itertools
 import json
 import re
 import sys
@@ -23,11 +24,14 @@ from cosim.base.signals import Command, Sample
 from cosim.flight import integration, with_page
 from cosim.results.columns import NAMES
 from cosim.results.comparison import Flown
+from cosim.results.metrics import Reach, flight_metrics
 from cosim.results.recorder import MemoryLog
+from cosim.results.report import signals_data
 from cosim.results.report.comparison import compare_report, run_labels
 from cosim.results.report.flight import verdict, write_report
 from cosim.results.report.flight_figures import (
     ATTITUDE,
+    BLUE,
     Reader,
     at_rest,
     comparison_figures,
@@ -37,7 +41,7 @@ from cosim.results.report.flight_figures import (
     thinned,
 )
 from cosim.results.report.page import figure_json
-from cosim.results.report.signals_data import Packed, packed, step_of, unpacked
+from cosim.results.report.signals_data import Packed, packed, run_data, step_of, unpacked
 from cosim.results.run import DelayRow, Run, begin_run
 
 Change = Callable[[Sample], Sample]
@@ -122,6 +126,31 @@ def test_every_strip_names_columns_that_are_there(run: Run) -> None:
         assert figure["panels"], name
         assert {each["column"] for each in signals(figure).values()} <= there
     json.loads(figure_json(figures))
+
+
+def test_the_bands_of_saturation_are_the_steps_that_the_metric_counts(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reach = Reach(throttle=((0.0, 0.46),) * 6)  # within what the doublet asks for
+    end = len(run.log) * STEP
+
+    def bands() -> list[tuple[float, float]]:
+        said, _ = run_data(run.log, "one", BLUE, step_s=STEP, reach=reach)
+        return [(start, end if stop is None else stop) for start, stop in said["saturated"]]
+
+    share = flight_metrics(run.log, STEP, reach).effort.saturated_percent
+    assert share is not None
+    assert 0.0 < share < 100.0
+    all_of_them = bands()
+    assert 100.0 * sum(stop - start for start, stop in all_of_them) / end == pytest.approx(share)
+    # where there are too many to tell apart the longest gaps remain
+    gaps = [after[0] - before[1] for before, after in itertools.pairwise(all_of_them)]
+    assert len(gaps) > 1
+    monkeypatch.setattr(signals_data, "MOST_BANDS", 2)
+    widest = int(np.argmax(gaps))
+    assert bands() == [(all_of_them[0][0], all_of_them[widest][1]), (all_of_them[widest + 1][0], all_of_them[-1][1])]
+    said, _ = run_data(run.log, "one", BLUE, step_s=STEP)
+    assert said["saturated"] == []
 
 
 def test_a_figure_plotly_would_not_accept_is_noticed() -> None:

@@ -3,7 +3,10 @@
 "use strict";
 (() => {
   const told = JSON.parse(document.getElementById("flight-data").textContent);
-  const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  // on paper: the colours of the page's print style, which scripts do not see in time, and the width of a page
+  const PAPER = { "--ink": "#000", "--dim": "#444", "--grid": "#ddd", "--card": "#fff", width: 690 };
+  let printing = false;
+  const style = (name) => printing && PAPER[name] || getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const element = (kind, attributes = {}, ...children) => {
     const made = document.createElement(kind);
     for (const [key, value] of Object.entries(attributes)) {
@@ -217,6 +220,21 @@
 
   // ---- a panel
 
+  // panels are drawn when they come near; the others when nothing else is to be done, for paper and pictures of the page
+  const idle = window.requestIdleCallback || ((act) => setTimeout(act, 50));
+  let loaded = false, resting = true;
+  const drawRest = () => {
+    if (!loaded || !resting) return;
+    resting = false;
+    delete document.documentElement.dataset.drawn;
+    idle(async () => {
+      const next = [...panels].find((panel) => !panel.drawnFor);
+      if (next) await next.refresh(true);
+      resting = true;
+      if (next) drawRest(); else document.documentElement.dataset.drawn = "all";
+    });
+  };
+
   const COLOURS = ["#2f7de1", "#f08c00", "#2f9e44", "#c2339b", "#e03131", "#7048e8", "#1098ad", "#a0522d"];
   const DASHES = { solid: [], dash: [7, 4], dot: [2, 3], dashdot: [7, 3, 2, 3] };
   const KINDS = { fault: "#e03131", monitor: "#f08c00", pilot: "#2f7de1", contact: "#2f9e44", disturbance: "#868e96" };
@@ -282,13 +300,23 @@
     // what is drawn is another
     changed() {
       if (this.chart) { this.chart.destroy(); this.chart = null; }
+      this.drawnFor = null;
       this.refresh();
+      drawRest();
+    }
+
+    // once more of what is there, at once
+    again() {
+      if (!this.chart) return;
+      this.chart.destroy();
+      this.build();
     }
 
     label(signal) { return signal.label || signal.column; }
 
-    async refresh() {
-      if (!this.seen || this.building) return;
+    // draws what is seen; with `unseen` in any case
+    async refresh(unseen = false) {
+      if (!(this.seen || unseen) || this.building) return;
       if (this.chart) { if (this.drawnFor !== this.wanted()) this.redraw(); else this.values(); return; }
       this.building = true;
       const wanted = this.signals.slice();
@@ -299,12 +327,14 @@
         if (column) lines.push({ ...signal, flight, column, scale: signal.scale === undefined ? 1 : signal.scale });
       }
       this.building = false;
-      if (wanted.length !== this.signals.length || wanted.some((each, n) => each !== this.signals[n])) return this.refresh();
+      if (wanted.length !== this.signals.length || wanted.some((each, n) => each !== this.signals[n])) return this.refresh(unseen);
       this.lines = lines;
       this.build();
     }
 
-    wanted() { return `${state.from} ${state.to} ${this.body.clientWidth} ${state.marks}`; }
+    wanted() { return `${state.from} ${state.to} ${this.width()} ${state.marks}`; }
+
+    width() { return printing ? PAPER.width : Math.max(120, this.body.clientWidth); }
 
     heading() {
       const units = this.unit || [...new Set(this.lines.map((line) => line.shown))].filter(Boolean).join(", ");
@@ -312,9 +342,10 @@
       this.head.firstChild.textContent = (this.title ? this.title + " " : "") + (units ? `[${units}]` : "") + extra;
       this.chips.replaceChildren(...this.lines.map((line, n) => {
         const value = element("b", {}, "");
-        const chip = element("button", { type: "button", class: "chip-line", "aria-pressed": "true", title: this.about(line),
-          onclick: () => { this.chart && this.chart.setSeries(n + 1, { show: !this.chart.series[n + 1].show });
-            chip.setAttribute("aria-pressed", this.chart ? String(this.chart.series[n + 1].show) : "true"); } },
+        const chip = element("button", { type: "button", class: "chip-line", "aria-pressed": String(this.shows(line)), title: this.about(line),
+          onclick: () => { if (this.shows(line)) this.hidden.add(this.label(line)); else this.hidden.delete(this.label(line));
+            if (this.chart) this.chart.setSeries(n + 1, { show: this.shows(line) });
+            chip.setAttribute("aria-pressed", String(this.shows(line))); } },
         element("i", { style: `border-top:3px ${line.dash && line.dash !== "solid" ? "dashed" : "solid"} ${line.colour}` }), this.label(line), " ", value);
         line.value = value;
         if (!this.free) return chip;
@@ -322,6 +353,8 @@
           onclick: () => { this.signals = this.signals.filter((each) => !(each.column === line.column && (each.run || 0) === line.flight.number)); this.changed(); } }, "×"));
       }));
     }
+
+    shows(line) { return !this.hidden.has(this.label(line)); }
 
     about(line) {
       const { about } = line.column;
@@ -332,28 +365,29 @@
     build() {
       this.heading();
       this.body.replaceChildren();
+      this.drawnFor = this.wanted();
       if (!this.lines.length) { this.body.append(element("p", { class: "dim small" }, this.free ? "Nothing in this panel yet: find a column above and add it." : "Not in this log.")); return; }
-      const width = Math.max(120, this.body.clientWidth);
+      const width = this.width();
       if (this.mode === "time") this.buildTime(width);
       else if (this.mode === "spectrum") this.buildSpectrum(width);
       else this.buildCross(width);
-      this.drawnFor = this.wanted();
     }
 
     common(width, more) {
       const ink = style("--dim"), grid = { stroke: style("--grid"), width: 1 }, ticks = { stroke: style("--grid"), width: 1 };
       const font = `11px ${getComputedStyle(document.body).fontFamily}`;
       return { width, height: this.height, legend: { show: false }, pxAlign: 0, padding: [6, 8, 0, 0],
-        axes: [{ stroke: ink, grid, ticks, font, size: 26, values: more.xValues }, { stroke: ink, grid, ticks, font, size: 58 }], ...more.options };
+        axes: [{ stroke: ink, grid, ticks, font, size: 26, values: more.xValues }, { stroke: ink, grid, ticks, font, size: 58, ...more.yAxis }], ...more.options };
     }
 
     buildTime(width) {
       const lines = this.lines;
-      const series = lines.map((line) => ({ label: this.label(line), stroke: line.colour, width: line.width || 1.4,
+      const series = lines.map((line) => ({ label: this.label(line), show: this.shows(line), stroke: line.colour, width: line.width || 1.4,
         dash: DASHES[line.dash] || [], spanGaps: false,
         points: { show: (u) => { const x = u.data[0]; return x.length > 1 && x.length < u.bbox.width / devicePixelRatio / 6; }, size: 4 },
         paths: line.held ? uPlot.paths.stepped({ align: 1 }) : uPlot.paths.linear() }));
-      const options = this.common(width, { options: {
+      // uPlot's steps are at most twice the least space apart: three labels stand on a sixth of the height
+      const options = this.common(width, { yAxis: { space: (u, axis, low, high, size) => Math.max(13, Math.min(30, size / 6)) }, options: {
         scales: { x: { time: false, range: () => [state.from, state.to] }, y: { range: (u, low, high) => this.yRange(low, high) } },
         series: [{}, ...series],
         cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false } },
@@ -395,7 +429,7 @@
 
     redraw() {
       if (!this.chart) return;
-      const width = Math.max(120, this.body.clientWidth);
+      const width = this.width();
       if (this.mode !== "time") { if (this.drawnFor !== this.wanted()) this.changed(); return; }
       if (this.chart.width !== width) this.chart.setSize({ width, height: this.height });
       this.data = windowOf(this.lines, state.from, state.to, width - 66);
@@ -483,7 +517,7 @@
       const table = uPlot.join(made.map(([f, a]) => [f, a]));
       const options = this.common(width, { options: {
         scales: { x: { time: false, distr: 3 }, y: { distr: 3 } },
-        series: [{}, ...this.lines.map((line) => ({ label: this.label(line), stroke: line.colour, width: 1.2, spanGaps: true, points: { show: false } }))],
+        series: [{}, ...this.lines.map((line) => ({ label: this.label(line), show: this.shows(line), stroke: line.colour, width: 1.2, spanGaps: true, points: { show: false } }))],
         cursor: { drag: { x: false, y: false } } } });
       this.data = table;
       this.chart = new uPlot(options, table, this.body);
@@ -730,7 +764,11 @@
     new ResizeObserver(() => { clearTimeout(wait); wait = setTimeout(() => panels.forEach((panel) => panel.refresh()), 60); }).observe(document.body);
     const repaint = () => panels.forEach((panel) => panel.changed());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
-    addEventListener("beforeprint", () => panels.forEach((panel) => { panel.seen = true; panel.refresh(); }));
+    const paper = (on) => () => { printing = on; panels.forEach((panel) => panel.again()); };
+    addEventListener("beforeprint", paper(true));
+    addEventListener("afterprint", paper(false));
+    const finish = () => { loaded = true; drawRest(); };
+    if (document.readyState === "complete") finish(); else addEventListener("load", finish);
     document.documentElement.dataset.strips = "ready";
   };
 
