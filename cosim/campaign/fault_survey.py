@@ -18,6 +18,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.files import write_records
 from cosim.base.signals import AXES
+from cosim.base.toml import merge
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
@@ -26,7 +27,7 @@ from cosim.results.columns import jets_in
 from cosim.results.metrics import wrap
 from cosim.results.report.marks import table, write_marks
 from cosim.results.report.page import render
-from cosim.spec.controller_name import label
+from cosim.spec.controller_name import is_design, label
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, load_vehicle
 
@@ -112,6 +113,7 @@ class Survival:
     moments: Moments | None  # of a vehicle whose engines have a known delay
     limits: list[Limit]  # empty if they were not asked for
     own: tuple[Source, ...] = ()  # the controllers from outside
+    warnings: tuple[str, ...] = ()  # where a design is not flown as what it was made for
 
     @property
     def unwatched(self) -> list[str]:
@@ -123,6 +125,7 @@ class Survival:
         return {
             "aircraft": self.aircraft,
             "engine": self.engine,
+            "warnings": list(self.warnings),
             "own_controllers": [
                 {
                     "name": own.name,
@@ -197,6 +200,7 @@ def survival(
     ``engine`` None is the one that the aircraft is made for; ``say`` is told what was flown, how many are, of how many.
     Raises InputError for an unknown kind, aircraft, engine or controller.
     """
+    from cosim.design.controller_file import differences
     from cosim.simulation.build import build
 
     aircraft = aircraft_seen_from(aircraft, Path())
@@ -219,6 +223,12 @@ def survival(
         with build(scenario) as simulation:  # wrong input is found here, before anything is spent on it
             if simulation.own is not None:
                 own[controller] = simulation.own
+    warnings = tuple(
+        f"{label(name)}: {text}"
+        for _, _, name, scenario in flights[: len(controllers)]
+        if is_design(name)
+        for text in differences(scenario, Path(name))
+    )
     # another file than the one that was looked at is refused by whoever flies it
     flights = [
         (case, start, name, scenario.replace(controller_sha256=own[name].sha256) if name in own else scenario)
@@ -237,7 +247,7 @@ def survival(
         survived.append(limit)
         say(limit.quantity, len(survived), len(scans))
     sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
-    return Survival(vehicle.name, engine, rows, sets, moments, survived, tuple(own.values()))
+    return Survival(vehicle.name, engine, rows, sets, moments, survived, tuple(own.values()), warnings)
 
 
 def step_of(aircraft: str) -> float:
@@ -249,6 +259,9 @@ def scenario_of(case: Case, start: str, controller: str, aircraft: str, engine: 
     """The flight of one cell of the table."""
     begin = SETTLED_S[start]
     fault = [] if case.fault is None else [case.fault | {"start_s": begin}]
+    gains: dict[str, Any] = {}
+    if is_design(controller):
+        controller, gains = _designed(Path(controller), aircraft, step)
     roll = {"kind": "step", "signal": "roll_deg", "start_s": 0.5, "amplitude": ROLL_DEG}
     return Scenario.from_table(
         {
@@ -256,6 +269,7 @@ def scenario_of(case: Case, start: str, controller: str, aircraft: str, engine: 
             "aircraft": aircraft,
             "engine": engine,
             "controller": controller,
+            "vehicle": gains,
             "step_s": step,
             "duration_s": begin + AFTER_S,
             "initial": {"altitude_m": HEIGHT_M},
@@ -265,6 +279,16 @@ def scenario_of(case: Case, start: str, controller: str, aircraft: str, engine: 
         Path(),
         "survival",
     )
+
+
+def _designed(path: Path, aircraft: str, step: float) -> tuple[str, dict[str, Any]]:
+    """The built-in controller and the gains of a file of hexjet design."""
+    from cosim.design.controller_file import read_controller
+
+    file = read_controller(path, aircraft)
+    if abs(file.design.step_s - step) > 1e-9:
+        raise InputError(f"{path}: designed for steps of {file.design.step_s:g} s, not of {step:g} s")
+    return file.controller, file.vehicle
 
 
 def _fly(flight: tuple[Case, str, str, Scenario]) -> Row:
@@ -298,7 +322,7 @@ def _scan(task: tuple[str, str, str, str, str, float]) -> Limit:
         kind = {"kind": "thrust_loss", "share": value} if quantity == LOSS else {"kind": "flame_out"}
         flown = scenario_of(Case("", "", kind | {"jet": 1}), start, controller, aircraft, engine, step)
         if quantity != LOSS:
-            flown = flown.replace(vehicle={"control": {"monitor": {"confirm_s": value}}})
+            flown = flown.replace(vehicle=merge(flown.vehicle, {"control": {"monitor": {"confirm_s": value}}}))
         run = fly(flown)
         verdict = verdict_of(run.outcome, run.log, step)
         if verdict == "lost":
@@ -346,7 +370,7 @@ def _moments(vehicle: Vehicle, delay: float | None) -> Moments | None:
 
 
 def write(result: Survival, folder: Path) -> dict[str, Path]:
-    """``survival.csv`` and ``survival.html`` in ``folder``, and the files of controllers from outside.
+    """``survival.csv`` and ``survival.html`` in ``folder``, and the files of controllers.
 
     Raises InputError if they cannot be written.
     """
@@ -359,6 +383,7 @@ def write(result: Survival, folder: Path) -> dict[str, Path]:
         files: dict[str, Path | bytes] = {}
         for own in result.own:
             copied_controller(own, files)
+        files |= {Path(name).name: Path(name) for name in controllers if is_design(name)}
         for name, source in files.items():
             assert isinstance(source, Path)
             shutil.copyfile(source, folder / name)

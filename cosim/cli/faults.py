@@ -106,6 +106,8 @@ def faults(
         named = [seen_from(each, Path()) for each in controllers]
         result = survival(aircraft, engine, named, kinds, workers, say, limits or page is not None)
     paths = write(result, out if out is not None else new_folder(Path("runs"), f"faults-{result.aircraft}"))
+    for text in result.warnings:
+        click.echo(f"hexjet: warning: {text}", err=True)
     if page is not None:
         write_page(result, page)
     if as_json:

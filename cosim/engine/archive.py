@@ -253,7 +253,12 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
             notes += left_alone(inputs, named_ports(engines), begin)
     except PortError as error:
         raise UnusableError(str(error)) from error
-    events, clocks, said = _clocks(root, bool(slave.hasEventMode) and stated is not None, named_ports(engines))
+    without = (
+        "the FMU has no event mode" if not slave.hasEventMode
+        else "the components of a system are stepped without event mode" if stated is None
+        else None
+    )  # fmt: skip
+    events, clocks, said = _clocks(root, without, named_ports(engines))
     notes += said
     experiment = description.defaultExperiment
     return Archive(
@@ -287,12 +292,13 @@ MOST_CLOCKS = 16  # of the C loop
 
 
 def _clocks(
-    root: ElementTree.Element, has_events: bool, ports: Mapping[str, Port]
+    root: ElementTree.Element, without: str | None, ports: Mapping[str, Port]
 ) -> tuple[bool, tuple[InputClock, ...], list[str]]:
     """Whether event mode can be used, the input clocks that are ticked in it, and notes on those that are not.
 
     An input may be set in step mode where it is continuous, and at its clock's ticks where it has one; one that is
-    discrete without a clock may be set in event mode alone, so with such a port event mode is left off.
+    discrete without a clock may be set in event mode alone, so with such a port event mode is left off.  ``without``
+    is why there is none anyway.
     """
     found, notes = [], []
     for element in root.iterfind("ModelVariables/Clock[@causality='input']"):
@@ -316,10 +322,10 @@ def _clocks(
     known = {clock.reference for clock in found}
     free = all(v.variability == "continuous" or set(v.clocks) & known for v in inputs)
     switch = any(v.clocks for name, port in ports.items() if name.startswith("run") for v in (port.variable,))
-    events = has_events and free and len(of_ports) <= 1 and not switch and len(found) <= MOST_CLOCKS
+    events = without is None and free and len(of_ports) <= 1 and not switch and len(found) <= MOST_CLOCKS
     if found and not events:
         why = (
-            "the FMU has no event mode" if not has_events
+            without if without is not None
             else "a port is discrete, without a clock that ticks" if not free
             else "its ports have several clocks" if len(of_ports) > 1
             else "its run switch has a clock" if switch

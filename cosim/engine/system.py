@@ -149,6 +149,7 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, mad
     except PortError as error:
         raise UnusableError(str(error)) from error
     notes += left_alone(inputs, named_ports(engines), begin)
+    notes += [f"component {part.name}: {text}" for part in parts for text in part.archive.port_notes]  # on clocks
     notes += [f"exchanged a step late, because it is in a loop: {text}" for text in system.late]
     return Archive(
         path=path,

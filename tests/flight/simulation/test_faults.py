@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from math import exp, log, sqrt
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import DESIGNS
 
 from cosim import flight
 from cosim.base.errors import InputError
@@ -802,3 +804,23 @@ def test_a_small_table(tmp_path: Path) -> None:
     assert "| 1 and 2; 3 and 4 | 1.48 | 39 % |" in text
     with pytest.raises(InputError, match="no fault begins with 'flat'"):
         survival("hexjet", kinds=("flat",))
+
+
+def test_the_gains_of_a_design_are_flown_and_its_file_is_kept(tmp_path: Path) -> None:
+    """Each refused in one line for another aircraft or step, and warned of with another engine."""
+    path = DESIGNS / "turbojet.toml"
+    found = survival("hexjet", "edf", (str(path),), ("none",), workers=1)
+    assert {row.controller for row in found.rows} == {str(path)}
+    assert [text.partition(" (")[0] for text in found.warnings] == ["turbojet.toml: designed for engine turbojet"]
+    assert found.to_dict()["warnings"] == list(found.warnings)
+    page = write(found, tmp_path / "table")["report"].read_text(encoding="utf-8")
+    assert "designed for engine turbojet" in page
+    assert (tmp_path / "table" / "turbojet.toml").read_bytes() == path.read_bytes()
+    scenario = scenario_of(Case("none", "", None), "hover", str(path), "hexjet", "edf", STEP)
+    made = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert scenario.controller == made["controller"]
+    assert scenario.vehicle["control"]["rate"] == made["vehicle"]["control"]["rate"]
+    with pytest.raises(InputError, match=r"turbojet.toml: designed for steps of 0.004 s, not of 0.002 s"):
+        scenario_of(Case("none", "", None), "hover", str(path), "hexjet", "edf", 0.002)
+    with pytest.raises(InputError, match=r"turbojet.toml: designed for aircraft 'hexjet', not for 'quadjet'"):
+        survival("quadjet", None, (str(path),), ("none",), workers=1)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import pickle
 import re
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -245,6 +247,28 @@ def test_a_lever_in_whole_numbers_is_rounded_as_that_of_an_fmu(tmp_path: Path) -
             found.append([bank.hold(0, value, 3) for value in throttle])
     assert found[0] == found[1]
     assert found[0][0][-1] > 0.0
+
+
+def test_a_clock_of_a_component_is_said_not_to_tick(fmus: dict[str, bytes], tmp_path: Path) -> None:
+    clock = (
+        '<Clock name="tick" valueReference="77" causality="input" variability="discrete" '
+        'intervalVariability="constant" intervalDecimal="0.02"/></ModelVariables>'
+    )
+    for events, why in (
+        ("true", "the components of a system are stepped without event mode"),
+        ("false", "the FMU has no event mode"),
+    ):
+        pump = io.BytesIO()
+        with zipfile.ZipFile(io.BytesIO(fmus["pump"])) as source, zipfile.ZipFile(pump, "w") as changed:
+            for name in source.namelist():
+                text = source.read(name)
+                if name == "modelDescription.xml":
+                    text = text.replace(b"<CoSimulation ", f'<CoSimulation hasEventMode="{events}" '.encode())
+                    text = text.replace(b"</ModelVariables>", clock.encode())
+                changed.writestr(name, text)
+        path = pack(tmp_path / f"{events}.ssp", structure(), fmus | {"pump": pump.getvalue()})
+        notes = find_source(str(path)).archive.port_notes
+        assert f"component pump: its clock tick never ticks: {why}" in notes
 
 
 def test_part_of_an_array_is_not_connected(tmp_path: Path) -> None:
