@@ -21,6 +21,8 @@ from cosim.spec.vehicle import RateModel
 LONGEST_DELAY_S = 0.4  # looked for; four times that of the Hex-Jet's engines
 SHOWN = 30.0  # by which the command must lower the deviance: chance alone gives 10 once in 25 (four parameters)
 MISFIT = 0.02  # share of the residuals' power that may follow the command; chosen by us
+LEFT = 1e-3  # of what the command explains: less left over is a small misfit, however little noise there is beside it
+NOISELESS = 1e-6  # of the output's standard deviation: residuals below it are rounding, and no test says anything
 DOUBT = 1e-3  # p-value below which a test is said to have failed
 TEST_LAGS = 12  # of the set-point and of the command, that the residuals are tested against
 TEST_S = 0.6  # over which they are spread
@@ -28,6 +30,9 @@ APART = 3.29  # standard deviations by which two halves may differ: p = 0.001
 UNBOUNDED = 0.6  # of the longest delay: a wider interval says nothing
 TARGET = 0.5  # of a sample: half the width of the delay's interval that is asked of a flight
 NARROW = 0.5  # of the greatest information per command: the band that is recommended
+
+
+NO_NOISE = "the log has no noise: what is left over is rounding, and its tests and the bounds say nothing"
 
 
 class Check(NamedTuple):
@@ -165,12 +170,12 @@ def identify_log(
     _refuse(problem, estimates, prepared, where)
     notes = [*log.remarks, *prepared.notes, *_doubts(chosen, problem)]
     checks = _checks(problem, chosen, log.signal(wanted.setpoint) if wanted.setpoint else None)
-    if checks[1].failed and checks[1].share > MISFIT:
+    if _misfit(problem, chosen, checks[1]):
         raise InputError(
             f"{where}: no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows "
             "the command; try --lags, a known --hold, a shorter --longest-delay, or hexjet identify engine"
         )
-    notes += _failed(checks)
+    notes += _failed(checks) if _noisy(problem, chosen) else [NO_NOISE]
     band = _band(chosen, problem.working_step)
     notes += _advice(chosen, bounds(estimates), prepared, band)
     return LogIdentification(
@@ -312,6 +317,18 @@ def _on_blocks(problem: Problem, channel: Channel | None) -> Array:
             values = held[row] if held.size else np.zeros(len(at))
         parts += [values - values.mean(), np.zeros(problem.gap)]
     return np.concatenate(parts)
+
+
+def _noisy(problem: Problem, chosen: Estimate) -> bool:
+    return float(np.sqrt(chosen.loss / chosen.count)) > NOISELESS * float(np.std(problem.output[problem.present]))
+
+
+def _misfit(problem: Problem, chosen: Estimate, command: Check) -> bool:
+    """Whether more of what the command does is left over than a small misfit of the form leaves."""
+    if not command.failed or command.share <= MISFIT or not _noisy(problem, chosen):
+        return False
+    explained = np.exp(problem.without_command(chosen) / chosen.count) * chosen.count - chosen.loss
+    return command.share * chosen.loss > LEFT * float(explained)
 
 
 def _against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spread: int) -> Check:

@@ -42,7 +42,6 @@ _START_RATE = 0.3  # 1/s, of an axis
 _TRIED = 2  # starts of each kind that are followed to their end
 _DIFFERENCE = 0.98  # 1 but for a constant, which it would not see
 _NOTHING = 1e-150  # of a column's size: its square would be none
-_DITHER = 1e-4  # of the output's standard deviation
 _KEPT = 8  # answers that are remembered
 
 Ints = NDArray[np.int64]
@@ -222,9 +221,6 @@ class Problem:
             marks += [stretch.present, np.zeros(self.gap, bool)]
         self.output = np.concatenate(parts)
         self.present = np.concatenate(marks)
-        # a log without any noise has no likelihood: so little is added that real noise hides it
-        made = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(16,))).standard_normal(len(self.output))
-        self.output = self.output + _DITHER * float(np.std(self.output[self.present])) * made * self.present
         self.samples = int(self.present.sum())
 
     # ---- the model's parts
@@ -284,16 +280,16 @@ class Problem:
             lag_s = min(lag * self.working_step, 0.5 * LONGEST_LAG_S)
             rate = 1.0 / lag_s if form.engine else _START_RATE
             lags = [(0.3 if form.engine else 1.0) * lag_s * 0.6**i for i in range(form.lags)]
-            base = self.columns(form, np.array([rate, *lags, 0.0]))
-            frame = np.linalg.qr(_whitened(base[:, 1:], ar)[use])[0]
-            left = output - frame @ (frame.T @ output)
-            whitened = _whitened(base[:, 0], ar)
-            won = []
+            frame, won = None, []
             for delay in delays:
-                shifted = _late(whitened, round(delay / self.working_step))[use]
-                shifted = shifted - frame @ (frame.T @ shifted)
-                power = float(shifted @ shifted)
-                won.append(float(shifted @ left) ** 2 / power if power > 0.0 else 0.0)
+                columns = self.columns(form, np.array([rate, *lags, delay]))
+                if frame is None:  # what is not the answer does not depend on the delay
+                    frame = np.linalg.qr(_whitened(columns[:, 1:], ar)[use])[0]
+                    left = output - frame @ (frame.T @ output)
+                answer = _whitened(columns[:, 0], ar)[use]
+                answer = answer - frame @ (frame.T @ answer)
+                power = float(answer @ answer)
+                won.append(float(answer @ left) ** 2 / power if power > 0.0 else 0.0)
             best = int(np.argmax(won))
             found.append((won[best], np.array([rate, *lags, delays[best]])))
         found.sort(key=lambda start: -start[0])

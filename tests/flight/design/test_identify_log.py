@@ -18,6 +18,7 @@ from cosim.design.logged.validate import Stated, validate
 from cosim.results.logs import Channel, FlightLog, Wanted, read_flight_log, wanted
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "flight-logs"
+ENGINES = Path(__file__).parents[3] / "engines"
 WANTED = Wanted("u", "y", "r")
 TRUTH = Truth()
 
@@ -51,11 +52,16 @@ def test_a_closed_loop_with_noise_jitter_and_lost_rows_gives_the_truth(logs: lis
 
 
 def test_the_page_says_what_is_done() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "identify-logs.md").read_text(encoding="utf-8")
-    assert f"every {1e3 * WORKING_STEP_S:g} ms are averaged" in page
-    assert f"has fallen by {CHI2_95:.2f}" in page
+    docs = Path(__file__).parents[3] / "docs"
+    page = " ".join((docs / "identify-logs.md").read_text(encoding="utf-8").split())
+    assert "Samples that come faster than every 4 ms are averaged" in page
+    assert WORKING_STEP_S == TRUTH.step == 0.004
+    assert "of the delay, in samples of 4 ms." in page
+    assert "likelihood's logarithm has fallen by {} is the end".format(f"{CHI2_95:.2f}") in page
     assert chdtr(1, CHI2_95) == pytest.approx(0.95, abs=1e-12)
-    assert f"Others are {ndtri(0.975):.2f} standard deviations" in page
+    assert "Others are {} standard deviations".format(f"{ndtri(0.975):.2f}") in page
+    assert "apart from the co-simulation: 14 s of an axis" in page
+    assert "SECONDS, LONGEST = 14.0," in (docs / "logs.py").read_text(encoding="utf-8")
 
 
 def test_without_noise_the_truth_comes_out(logs: list[Log]) -> None:
@@ -65,6 +71,38 @@ def test_without_noise_the_truth_comes_out(logs: list[Log]) -> None:
     assert chosen.delay / TRUTH.step == pytest.approx(TRUTH.delay_samples, abs=0.02)
     assert chosen.x[1] == pytest.approx(TRUTH.lags[0], rel=0.01)
     assert chosen.gain == pytest.approx(TRUTH.gain, rel=0.01)
+
+
+def test_an_own_flights_engine_comes_out_of_its_run_and_its_ulog(hexjet: Hexjet, tmp_path: Path) -> None:
+    """The thrust has no noise, so the pole too comes out as engines/edf-as-flown states it; the ULog is in microseconds
+    and floats, from which a hundredth of a sample is asked.
+    """
+    assert hexjet("fly", "roll-doublet", "--set", "duration_s=4.5", "--out", "flown").status in (0, 1)
+    assert hexjet("export", "flown", "--to", "ulog", "--out", "flown.ulg").status == 0
+    stated = tomllib.loads((ENGINES / "edf-as-flown" / "engine.toml").read_text(encoding="utf-8"))["variables"]
+    for name, near in (("flown", 1e-6), ("flown.ulg", 0.01)):
+        log = read_flight_log(tmp_path / name)
+        result = identify_log(log, "engine:1", wanted(log, "engine:1"), longest_delay=0.2, lags=0)
+        model = result.model(0.004)
+        assert model.delay_samples == pytest.approx(stated["delay_samples"]["start"], abs=near)
+        assert np.exp(-0.004 * result.chosen.x[0]) == pytest.approx(stated["pole"]["start"], abs=1e-3 * near)
+        assert any("the log has no noise" in note for note in result.notes) == (name == "flown")
+
+
+def test_a_form_that_leaves_the_command_in_what_is_left_over_is_refused() -> None:
+    """An echo of the thrust, which no lag makes; without it the same log passes."""
+    truth = Truth(gain=46.03, rate=1.0 / 0.3286, lags=())
+    flaws = Flaws(0.01, 0.0, jitter=0.0, lost=0.0)
+    (log,) = closed_loops(1, 6.0, truth=truth, flaws=flaws, size=0.0, sweep=0.2, loop=False)
+    late = 40
+    for echo in (0.0, 0.3):
+        output = log.output - echo * np.concatenate([np.zeros(late), log.output[:-late]])
+        flight = changed(log, output=output)
+        if echo:
+            with pytest.raises(InputError, match=r"no model of this form fits: \d+ % of what is left over"):
+                identify_log(flight, "engine:1", Wanted("u", "y"), longest_delay=0.3, lags=0)
+        else:
+            identify_log(flight, "engine:1", Wanted("u", "y"), longest_delay=0.3, lags=0)
 
 
 def test_wrong_stamps_are_told_from_jitter() -> None:
