@@ -74,6 +74,7 @@ def fly(
     observers: Sequence[Observer] = (),
     realtime_factor: float | None = None,
     report: bool = True,
+    shared_assets: bool = False,
     watch: Callable[[Simulation, Pace, Path | None, float | None], Observer] | None = None,
     sink: KeepingSink | None = None,
 ) -> Run:
@@ -96,6 +97,8 @@ def fly(
         Seconds of flight in a second of the clock, 1.0 is real time; None: as fast as it goes.
     report : bool
         Whether ``report.html`` is written into the folder.
+    shared_assets : bool
+        Whether what draws that page goes into one folder beside those of runs, rather than into each page.
     watch : callable or None
         Makes a further observer of the flight when it is built, from the simulation, its pace, the folder and the
         planned duration [s].
@@ -148,7 +151,7 @@ def fly(
             recording.restate(resolve(simulation)[0])
         recording.repeats(simulation.repeats())
         run = recording.finish(ending.outcome, reason, wall, pace.report if realtime_factor else None)
-        return with_page(run) if report else run
+        return with_page(run, shared_assets) if report else run
 
 
 def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Scenario, Source | None]:
@@ -166,12 +169,12 @@ def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Sce
     return scenario.replace(controller=own.name), own
 
 
-def with_page(run: Run) -> Run:
+def with_page(run: Run, shared_assets: bool = False) -> Run:
     """The run, with its page beside its log where it has a folder.  Raises FlightError if that cannot be written."""
     if run.folder is not None:
         from cosim.results.report.flight import write_report
 
-        write_report(run, run.folder / REPORT)
+        write_report(run, run.folder / REPORT, shared_assets)
     return run
 
 

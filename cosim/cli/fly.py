@@ -22,6 +22,7 @@ from cosim.cli.options import (
     offer_to_compile,
     own_blocks,
     refuse_others,
+    shared_assets,
     warn_of_blemishes,
     with_own_blocks,
 )
@@ -94,6 +95,7 @@ if TYPE_CHECKING:
     metavar="[HOST:]PORT",
     help="Let FlightGear show it: fgfs --fdm=null --native-fdm=socket,in,60,,5550,udp.",
 )
+@shared_assets
 @click.option("--flight", type=click.IntRange(min=0), metavar="N", help="Of a campaign in the folder SCENARIO.")
 @click.option("as_json", "--json", is_flag=True, help="Print the run's summary as one JSON object and nothing else.")
 @click.pass_context
@@ -116,6 +118,7 @@ def fly(
     rtf: float | None,
     links: tuple[str, ...],
     flightgear: str | None,
+    shared_assets: bool,
     flight: int | None,
     as_json: bool,
 ) -> int:
@@ -161,9 +164,11 @@ def fly(
 
             with Links(links) as opened:
                 watch = opened.onlookers()
-                run = fly_scenario(flown, folder, observers=observers, realtime_factor=factor, watch=watch)
+                run = fly_scenario(
+                    flown, folder, observers=observers, realtime_factor=factor, watch=watch, shared_assets=shared_assets
+                )
         else:
-            run = fly_scenario(flown, folder, observers=observers, realtime_factor=factor)
+            run = fly_scenario(flown, folder, observers=observers, realtime_factor=factor, shared_assets=shared_assets)
     if as_json:
         click.echo(json.dumps(run.summary.model_dump(mode="json"), allow_nan=False))
     else:

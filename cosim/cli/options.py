@@ -144,6 +144,12 @@ def load_scenario(
     return scenario
 
 
+def shared_assets(command: Callable[..., int]) -> Callable[..., int]:
+    """The option of commands that write a run's page."""
+    said = "What draws the page goes into one folder beside DIR, assets-..., for all runs there; move them together."
+    return click.option("--shared-assets", is_flag=True, help=said)(command)
+
+
 def own_blocks(command: Callable[..., int]) -> Callable[..., int]:
     """The options that name blocks of the user's beside the controller, for :func:`with_own_blocks`."""
     options = (

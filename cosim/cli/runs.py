@@ -8,10 +8,11 @@ from typing import Any
 
 import click
 
+from cosim.base.errors import InputError
 from cosim.base.paths import data_folder, files_in, names_in
 from cosim.base.toml import read_toml
 from cosim.cli.console import terminal
-from cosim.cli.options import DONE, example
+from cosim.cli.options import DONE, example, shared_assets
 
 KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
 
@@ -32,7 +33,8 @@ def list_(kind: str | None, as_json: bool) -> int:
 
 @click.command(epilog=example("hexjet report runs/roll-doublet-smith-001"))
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
-def report(folder: Path) -> int:
+@shared_assets
+def report(folder: Path, shared_assets: bool) -> int:
     """Write the report of the run or the campaign in DIR again.
 
     A run that was killed is finished first, with all that it recorded; a campaign may still be flown.
@@ -44,6 +46,8 @@ def report(folder: Path) -> int:
     from cosim.results.run import REPORT, open_run
 
     if is_campaign(folder):
+        if shared_assets:
+            raise InputError(f"--shared-assets: {folder} is a campaign, whose page has all in it; leave it out")
         from cosim.campaign import open_campaign
         from cosim.campaign.analysis.page import write_campaign_report
 
@@ -51,7 +55,7 @@ def report(folder: Path) -> int:
         print_campaign(campaign, write_campaign_report(campaign))
         return DONE
     run = open_run(folder)
-    write_report(run, folder / REPORT)
+    write_report(run, folder / REPORT, shared_assets)
     print_run(run)
     return DONE
 

@@ -38,8 +38,11 @@ KINDS = {
 GRAVE = 3  # severities up to this, errors, are set off
 
 
-def write_report(run: Run, path: Path) -> None:
-    """Write the page of one run.  Raises FlightError if the file cannot be written."""
+def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
+    """Write the page of one run.  Raises FlightError if the file cannot be written.
+
+    ``shared_assets``: what draws it goes into one folder for all runs, beside that of this one.
+    """
     summary = run.summary
     events = events_of(run)
     flights = None
@@ -64,6 +67,7 @@ def write_report(run: Run, path: Path) -> None:
         path,
         {},
         flights,
+        path.resolve().parent.parent if shared_assets else None,
         strips=strips,
         axis_rows=AXIS_ROWS,
         shaded=bool(flights and (flights.runs[0][0]["upsets"] or flights.runs[0][0]["events"])),

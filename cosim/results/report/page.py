@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import zlib
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +22,10 @@ from cosim.base.files import one_line, replacing
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 ASSETS = Path(__file__).resolve().parent / "assets"
+STYLES = ("vendor/uPlot.min.css", "strips.css")
+SCRIPTS = ("vendor/uPlot.iife.min.js", "strips.js", "replay.js")
+THREE = "vendor/three.iife.min.js"
+SHARED = "assets-"  # and the first of a hash: the folder that pages share
 
 
 class Flights(NamedTuple):
@@ -30,9 +36,18 @@ class Flights(NamedTuple):
     figures: dict[str, Any]
 
 
-def render(template: Path, path: Path, figures: dict[str, Any], flights: Flights | None = None, **values: Any) -> None:
+def render(
+    template: Path,
+    path: Path,
+    figures: dict[str, Any],
+    flights: Flights | None = None,
+    shared: Path | None = None,
+    **values: Any,
+) -> None:
     """Write the page of ``template``, a file beside others that it may include, with ``values``, ``figures`` (dicts
     of Plotly's schema) and ``flights``.  Raises FlightError if the file cannot be written.
+
+    ``shared``: the folder that gets what draws ``flights``, once for all pages; None: it is in the page.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -46,7 +61,7 @@ def render(template: Path, path: Path, figures: dict[str, Any], flights: Flights
     page = environment.get_template(template.name).render(
         figures={name: figure_json(figure) for name, figure in figures.items()},
         plotly_js=plotly_js() if figures else "",
-        flights=flight_parts(flights) if flights is not None else None,
+        flights=flight_parts(flights, path, shared) if flights is not None else None,
         **values,
     )
     try:
@@ -61,20 +76,42 @@ def plotly_js() -> str:
     return (ASSETS / "vendor" / "plotly-cartesian.min.js").read_text(encoding="utf-8")
 
 
-def flight_parts(flights: Flights) -> dict[str, Any]:
+def flight_parts(flights: Flights, path: Path, shared: Path | None) -> dict[str, Any]:
     """What the page's script elements for ``flights`` hold; the library of three dimensions deflated, as the data."""
     told = {"name": flights.name, "runs": [said for said, _ in flights.runs], "figures": flights.figures}
-    scripts = ("vendor/uPlot.iife.min.js", "strips.js", "replay.js")
-    uplot, strips, replay = ((ASSETS / name).read_text(encoding="utf-8") for name in scripts)
-    return {
-        "told": figure_json(told),
-        "data": [(f"data-{n}-{name}", text) for n, (_, data) in enumerate(flights.runs) for name, text in data.items()],
-        "style": "".join(
-            (ASSETS / name).read_text(encoding="utf-8") for name in ("vendor/uPlot.min.css", "strips.css")
-        ),
-        "scripts": [uplot, strips, replay],
-        "three": deflated(ASSETS / "vendor" / "three.iife.min.js"),
-    }
+    data = [(f"data-{n}-{name}", text) for n, (_, data) in enumerate(flights.runs) for name, text in data.items()]
+    parts: dict[str, Any] = {"told": figure_json(told), "data": data, "shared": None}
+    if shared is not None:
+        folder = shared_assets(shared)
+        place = Path(os.path.relpath(folder, path.resolve().parent)).as_posix()
+        styles, scripts = ([f"{place}/{Path(name).name}" for name in names] for names in (STYLES, SCRIPTS))
+        links = {"place": place, "styles": styles, "scripts": scripts, "three": f"{place}/{Path(THREE).name}"}
+        return parts | {"shared": links}
+    style, *scripts = ("".join(map(_asset, names)) for names in (STYLES, *((name,) for name in SCRIPTS)))
+    return parts | {"style": style, "scripts": scripts, "three": deflated(ASSETS / THREE)}
+
+
+def shared_assets(folder: Path) -> Path:
+    """The folder within ``folder`` that has what pages share, by its hash; what is not there is written.
+
+    Raises FlightError if that is not possible.
+    """
+    held = {Path(name).name: (ASSETS / name).read_bytes() for name in (*STYLES, *SCRIPTS, THREE)}
+    name = sha256(b"".join(key.encode() + value for key, value in held.items())).hexdigest()[:12]
+    place = folder.resolve() / f"{SHARED}{name}"
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        for key, value in held.items():
+            if not (place / key).is_file():
+                with replacing(place / key) as temporary:
+                    temporary.write_bytes(value)
+    except OSError as error:
+        raise FlightError(f"{place}: {one_line(error)}") from error
+    return place
+
+
+def _asset(name: str) -> str:
+    return (ASSETS / name).read_text(encoding="utf-8")
 
 
 @cache

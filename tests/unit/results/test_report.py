@@ -17,10 +17,12 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects
 import pytest
+from click.testing import CliRunner
 from flights import STEP, samples, scenario, setup
 
-from cosim.base.errors import FlightError
+from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import Command, Sample
+from cosim.cli.runs import report
 from cosim.flight import integration, with_page
 from cosim.results.columns import NAMES
 from cosim.results.comparison import Flown
@@ -40,7 +42,7 @@ from cosim.results.report.flight_figures import (
     stacked,
     thinned,
 )
-from cosim.results.report.page import figure_json
+from cosim.results.report.page import ASSETS, SCRIPTS, STYLES, THREE, deflated, figure_json
 from cosim.results.report.signals_data import Packed, packed, run_data, step_of, unpacked
 from cosim.results.run import DelayRow, Run, begin_run
 
@@ -151,6 +153,42 @@ def test_the_bands_of_saturation_are_the_steps_that_the_metric_counts(
     assert bands() == [(all_of_them[0][0], all_of_them[widest][1]), (all_of_them[widest + 1][0], all_of_them[-1][1])]
     said, _ = run_data(run.log, "one", BLUE, step_s=STEP)
     assert said["saturated"] == []
+
+
+def test_what_draws_pages_is_written_once_beside_the_folders_of_runs(run: Run, tmp_path: Path) -> None:
+    pages = [tmp_path / name / "report.html" for name in ("one", "two")]
+    for page in pages:
+        page.parent.mkdir()
+        write_report(run, page, shared_assets=True)
+    (place,) = tmp_path.glob("assets-*")
+    assert {path.name for path in place.iterdir()} == {Path(name).name for name in (*STYLES, *SCRIPTS, THREE)}
+    names = {f"../{place.name}/{path.name}" for path in place.iterdir()}
+    for page in map(Page, pages):
+        named = {attrs.get(key) for _, attrs in page.elements for key in ("href", "src", "data-src")}
+        assert named & names == names
+        write_report(run, tmp_path / "whole.html")
+        saved = (tmp_path / "whole.html").stat().st_size - page.path.stat().st_size
+        assert saved > 0.5 * sum(len(deflated(ASSETS / name)) for name in (*SCRIPTS, THREE))
+    # what is there stays; what is not is written again
+    gone, kept = place / Path(THREE).name, place / "strips.js"
+    kept_at = kept.stat().st_mtime_ns
+    gone.unlink()
+    write_report(run, pages[0], shared_assets=True)
+    assert gone.read_bytes() == (ASSETS / THREE).read_bytes()
+    assert kept.stat().st_mtime_ns == kept_at
+    # a file where the folder should be
+    (tmp_path / "off").mkdir()
+    (tmp_path / "off" / place.name).touch()
+    (tmp_path / "off" / "run").mkdir()
+    with pytest.raises(FlightError, match=place.name):
+        write_report(run, tmp_path / "off" / "run" / "report.html", shared_assets=True)
+
+
+def test_the_page_of_a_campaign_shares_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cosim.campaign.folder.is_campaign", lambda folder: True)
+    said = CliRunner().invoke(report, [str(tmp_path), "--shared-assets"])
+    assert isinstance(said.exception, InputError)
+    assert str(said.exception) == f"--shared-assets: {tmp_path} is a campaign, whose page has all in it; leave it out"
 
 
 def test_a_figure_plotly_would_not_accept_is_noticed() -> None:

@@ -147,10 +147,14 @@
     if (!(probe.getContext("webgl2"))) return without("This browser shows no WebGL, so there is no picture of the vehicle.");
     if (typeof THREE === "undefined") {
       const library = document.getElementById("three-js");
-      const code = new TextDecoder().decode(await inflate(library.textContent));
       const script = document.createElement("script");
-      script.textContent = code;
+      const shared = library.dataset.src;
+      const loaded = shared && new Promise((done) => { script.onload = script.onerror = done; });
+      if (shared) script.src = shared;
+      else script.textContent = new TextDecoder().decode(await inflate(library.textContent));
       document.head.append(script);
+      await loaded;
+      if (typeof THREE === "undefined") return without(`Not there: ${shared}, so there is no picture of the vehicle.`);
     }
     for (const flight of flown) {
       const jets = flight.vehicle.jets.map((_, n) => n + 1);
