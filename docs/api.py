@@ -64,6 +64,7 @@ def _signature(name: str, each: Any) -> str:
     ]
     plain = str(found.replace(parameters=told, return_annotation=inspect.Signature.empty))
     plain = re.sub(r"<function (\w+) at [^>]*>", r"\1", plain)
+    plain = re.sub(r"'(\w*)'", r'"\1"', plain)  # as the formatter of pages has it
     return f"```python\n{name}{plain}\n```\n\n"
 
 

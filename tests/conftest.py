@@ -73,6 +73,7 @@ LENGTHY = {
     "test_campaign_store": ("test_ten_kills_at_random_moments",),
     "test_campaign_workers": ("test_a_flight_that_does_not_end_is_ended",),
     "test_open": ("test_by_keyboard[10000]",),
+    "test_flight_page": ("test_a_phone", "test_all_strips_are_drawn", "test_the_last_samples"),
     "test_site": ("test_the_site_is_built_without_a_warning",),
     "test_tutorial": ("test_the_tutorial_as_written",),
     "test_identify_log": ("test_two_real", "test_wrong_stamps", "test_an_engines_log", "test_forty_logs"),
