@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from cosim.base.signals import AXES
 from cosim.cli.console import terminal
 from cosim.cli.options import DONE, Number, example
 
@@ -14,6 +15,7 @@ from cosim.cli.options import DONE, Number, example
 @click.command(epilog=example("hexjet validate roll-model other-flight.ulg"))
 @click.argument("model", metavar="MODEL", type=click.Path(path_type=Path))
 @click.argument("log", metavar="LOG", type=click.Path(path_type=Path))
+@click.option("--axis", type=click.Choice(AXES), help="Of a model file that has more than one.")
 @click.option("--time", "time_column", metavar="NAME", help="A table's column of time.  [default: time_s, time or t]")
 @click.option("--time-unit", default="s", show_default=True, help="Of that column: s, ms, us or ns.")
 @click.option("--from", "begin", type=Number(), metavar="S", help="Use the log from here on, in its own time.")
@@ -23,6 +25,7 @@ from cosim.cli.options import DONE, Number, example
 def validate(
     model: Path,
     log: Path,
+    axis: str | None,
     time_column: str | None,
     time_unit: str,
     begin: float | None,
@@ -32,8 +35,9 @@ def validate(
 ) -> int:
     """Fly a model with the commands of a log, beside what happened.
 
-    MODEL is the folder that hexjet identify log left, or its identification.json; LOG is what that command
-    reads, of another flight best.  Leaves a page and validation.json.  Status 0, however well it fits.
+    MODEL is the folder that hexjet identify log left, its identification.json, or a model file (.toml) that any
+    hexjet identify wrote; LOG is what hexjet identify log reads, of another flight best.  Leaves a page and
+    validation.json.  Status 0, however well it fits.
     """
     from cosim.base.threads import one_thread
 
@@ -43,7 +47,7 @@ def validate(
     from cosim.flight import new_folder
     from cosim.results.logs import read_flight_log
 
-    found = compare(read_model(model), read_flight_log(log, time_column, time_unit), begin, end)
+    found = compare(read_model(model, axis), read_flight_log(log, time_column, time_unit), begin, end)
     paths = write(found, out if out is not None else new_folder(Path("runs"), "validation"))
     if as_json:
         click.echo(json.dumps(found.to_dict(), allow_nan=False))

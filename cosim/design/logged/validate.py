@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +13,23 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.files import one_line
+from cosim.design.identify.fit import Model as Continuous
 from cosim.design.logged.pem import Form, Problem, Stretch
 from cosim.design.logged.stretches import prepare
 from cosim.results.logs import FlightLog, Wanted, wanted
 from cosim.results.report.flight_figures import BLUE, GREY, ORANGE
 from cosim.results.report.page import render
+from cosim.spec.vehicle import RateModel, read_models
 
 TEMPLATE = Path(__file__).parent / "templates" / "validated.html"
 AHEAD_S = 1.0  # of the prediction that is judged: the loops that a predictor serves are faster
 _MOST = 4000  # points a curve
+OTHER_FORM = "no held model of a slow pole and lags, which hexjet identify writes; nothing else can be flown here"
 
 
 @dataclass(frozen=True)
 class Stated:
-    """A model as ``identification.json`` states it."""
+    """A model as a file states it; without channels where that does not."""
 
     path: Path
     what: str
@@ -72,9 +75,14 @@ class Validation:
         }
 
 
-def read_model(path: Path) -> Stated:
-    """``identification.json`` of ``hexjet identify log``, or its folder.  Raises InputError."""
+def read_model(path: Path, axis: str | None = None) -> Stated:
+    """``identification.json`` of ``hexjet identify log``, its folder, or a model file of any ``hexjet identify``.
+
+    ``axis`` chooses from a model file of more than one.  Raises InputError.
+    """
     file = path / "identification.json" if path.is_dir() else path
+    if file.suffix.lower() == ".toml":
+        return _of_model_file(file, axis)
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
         best = data["estimates"][0]
@@ -87,8 +95,34 @@ def read_model(path: Path) -> Stated:
     except (ValueError, KeyError, IndexError, TypeError) as error:
         raise InputError(
             f"{file}: is no identification.json of hexjet identify log ({one_line(error)}); "
-            "allowed: that file or its folder"
+            "allowed: that file, its folder, a model file (.toml)"
         ) from error
+
+
+def _of_model_file(file: Path, axis: str | None) -> Stated:
+    """From z back to the continuous form; the file does not say which channels of a log it is of."""
+    found = [
+        (name, RateModel.model_validate(model))
+        for models in read_models(file).values()
+        for name, model in models.items()
+        if axis in (None, name)
+    ]
+    if len(found) != 1:
+        raise InputError(f"{file}: {len(found)} models{f' of {axis}' if axis else ''}; say --axis of one that is there")
+    what, model = found[0]
+    step = model.sample_time_s
+    if model.pole_pairs or model.zero_pairs or not all(0.0 < pole <= 1.0 for pole in model.poles):
+        raise InputError(f"{file}: {what}: {OTHER_FORM}")
+    rate, *fast = sorted(-np.log(pole) / step for pole in model.poles)
+    if not all(each > 0.0 for each in fast) or not fast:
+        raise InputError(f"{file}: {what}: {OTHER_FORM}")
+    lags = tuple(float(1.0 / each) for each in fast)
+    unit = Continuous(1.0, float(rate), lags, model.delay_samples, step).discrete("")
+    gain = model.gain / unit.gain
+    if len(unit.zeros) != len(model.zeros) or not np.allclose(unit.zeros, sorted(model.zeros), rtol=1e-3, atol=1e-3):
+        raise InputError(f"{file}: {what}: {OTHER_FORM}")
+    x = np.array([rate, *lags, model.delay_samples * step])
+    return Stated(file, what, Wanted("", ""), Form(False, len(lags)), x, float(gain))
 
 
 def validate(model: Stated, log: FlightLog, begin: float | None = None, end: float | None = None) -> Validation:
@@ -99,6 +133,7 @@ def validate(model: Stated, log: FlightLog, begin: float | None = None, end: flo
     chosen = model.wanted
     if not (log.has(chosen.command) and log.has(chosen.output)):
         chosen = wanted(log, model.what)
+        model = replace(model, wanted=chosen)
     longest = max(2.0 * float(model.x[-1]), 0.1)
     prepared = prepare(log.signal(chosen.command), log.signal(chosen.output), longest, None, begin, end)
     problem = Problem(prepared.by_stamps, prepared.working_step, longest)

@@ -1,6 +1,7 @@
 """A model out of a log: the truth where it is known, and a refusal where a log does not tell (docs/identify-logs.md)."""
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from cosim.base.errors import InputError
 from cosim.design.logged.identify_log import LogIdentification, identify_log
 from cosim.design.logged.pem import CHI2_95
 from cosim.design.logged.stretches import WORKING_STEP_S
-from cosim.design.logged.validate import Stated, validate
+from cosim.design.logged.validate import Stated, read_model, validate
 from cosim.results.logs import Channel, FlightLog, Wanted, read_flight_log, wanted
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "flight-logs"
@@ -194,6 +195,15 @@ def test_a_model_is_laid_beside_another_flight(hexjet: Hexjet, tmp_path: Path, l
     assert told_by["fit_of_changes"] > 0.5
     assert 0.0 <= told_by["theil_u"] < 0.5
     assert (tmp_path / "beside" / "report.html").stat().st_size > 100_000
+    stated, written = (read_model(tmp_path / "model" / name) for name in ("identification.json", "model.toml"))
+    assert written.what == stated.what == "roll"
+    assert written.x == pytest.approx(stated.x, rel=1e-9)
+    assert written.gain == pytest.approx(stated.gain, rel=1e-9)
+    text = (tmp_path / "model" / "model.toml").read_text(encoding="utf-8")
+    (tmp_path / "other.toml").write_text(re.sub(r"zeros = \[[^]]*\]", "zeros = [-1.4538]", text), encoding="utf-8")
+    for name, axis, said in (("model/model.toml", "yaw", "0 models of yaw"), ("other.toml", "roll", "no held model")):
+        with pytest.raises(InputError, match=said):
+            read_model(tmp_path / name, axis)
     refused = hexjet("validate", "1.csv", "0.csv")
     assert refused.status == 2
     assert "no identification.json" in refused.err
