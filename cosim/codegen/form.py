@@ -17,6 +17,7 @@ from cosim.control.allocation.thrust_map import Inverse, ThrustMap
 from cosim.control.attitude import AttitudeController
 from cosim.control.cascade import Cascade
 from cosim.control.lead import Lead
+from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.smith import (
     DelayedModel,
     DelayLine,
@@ -39,6 +40,9 @@ def form_of(simulation: Simulation) -> Form:
 
     Raises InputError for a controller, predictor or allocator that has no C form.
     """
+    if simulation.own is not None:
+        allowed = ", ".join(PREDICTORS)
+        raise InputError(f"controller {simulation.own.label} has no C form; allowed: {allowed}, or a design's file")
     cascade, vehicle, step = simulation.cascade, simulation.vehicle, simulation.dt
     for loop, ours in ((cascade.attitude, AttitudeController), (cascade.rate, RateController)):
         if type(loop) is not ours:

@@ -146,6 +146,8 @@ def find(controller: str, folder: Path, complaint: str) -> Source | None:
     for entry in entry_points(group=GROUP):
         if entry.name == controller:
             return _of_entry(entry)
+    if controller.lower().endswith(".py"):
+        raise InputError(f"controller {controller}: a file alone is none; name its class too: {controller}:Mine")
     names = [*PREDICTORS, *(entry.name for entry in entry_points(group=GROUP))]
     raise InputError(f"{complaint}; {nearest(controller, names)}")
 

@@ -465,6 +465,18 @@ def test_loops_from_outside_are_refused() -> None:
             form_of(simulation)
 
 
+@pytest.mark.parametrize("level", ["predictor", "rate", "controller"])
+def test_a_controller_of_the_users_is_refused_by_its_name(level: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(
+        f"class Mine:\n    level = {level!r}\n    def reset(self): ...\n    def update(self, *given): ...\n"
+    )
+    flight = scenario(HEXJET).replace(controller=f"{path}:Mine")
+    with pytest.raises(InputError, match=r"^controller mine\.py:Mine has no C form; allowed: baseline, "):
+        export_controller(flight, tmp_path / "out", "ours")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_predictor_of_somebody_elses_has_no_c_form() -> None:
     class Own:
         def reset(self) -> None: ...
