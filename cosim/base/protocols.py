@@ -343,7 +343,18 @@ class Allocator(Protocol):
     rest: PerServo  # where servos stand while nothing is asked of them
 
     def trim(self, collective: float) -> PerJet:
-        """The shares that give ``collective`` [0..1] in balance, with nothing asked of the servos."""
+        """The shares in balance, with nothing asked of the servos.
+
+        Parameters
+        ----------
+        collective : float
+            Share of an engine's range, 0 to 1.
+
+        Returns
+        -------
+        PerJet
+            Of every jet, 0 to 1.
+        """
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
         """What the actuators can do of what is asked for, once a step.

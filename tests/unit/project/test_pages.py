@@ -313,8 +313,11 @@ def words(block: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize("command", ["hexjet identify engine turbojet", "hexjet identify roll --out roll-model"])
-def test_identification_prints_what_the_page_shows(command: str, hexjet: Hexjet) -> None:
+def test_identification_prints_what_the_page_shows(
+    command: str, hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Words alike, and figures to a unit of the last digit; of those that are rounding errors that they are."""
+    monkeypatch.setenv("COLUMNS", "120")
     done = hexjet(*command.split()[1:])
     assert done.status == 0
     now, then = words(done.out), printed(command)
