@@ -30,6 +30,7 @@ from cosim.bench.measures.growth import (
 )
 from cosim.bench.measures.others import Others, measure_others
 from cosim.bench.measures.own_blocks import OwnBlocks, measure_own_blocks
+from cosim.bench.measures.pages import Pages, measure_pages
 from cosim.bench.measures.process import (
     Memory,
     Startup,
@@ -42,10 +43,10 @@ from cosim.bench.peers.peers import Peers, measure_peers
 from cosim.bench.timing import Cost
 
 STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY = "step", "blocks", "others", "own", "peers", "rotorpy"
-TIME, ENGINES, LOG = "time", "engines", "log"
+TIME, ENGINES, LOG, PAGES = "time", "engines", "log", "pages"
 START, MEMORY, CAMPAIGN = "start", "memory", "campaign"
-PARTS = (STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN)
-QUICK = (STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, START)  # less than a minute
+PARTS = (STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, PAGES, START, MEMORY, CAMPAIGN)
+QUICK = (STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, PAGES, START)  # less than a minute
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Plan:
     """What to measure, and how much of it.
 
     ``steps`` of a flight, ``rounds`` through the jobs, ``starts`` of processes; ``lengths_s`` of flights compared and
-    ``hover_s`` of those beside RotorPy; ``others_s`` of other flights;
+    ``hover_s`` of those beside RotorPy; ``others_s`` of other flights; ``pages_s`` of those whose pages are written;
     ``memory_minutes`` of the long flight.
 
     ``folder``: where flights are recorded; None is the system's place for temporary files.
@@ -66,6 +67,7 @@ class Plan:
     lengths_s: tuple[int, ...] = (10, 60)
     hover_s: float = 1.0
     others_s: float = 6.0
+    pages_s: tuple[int, ...] = (20,)
     memory_minutes: float = 5.0
     campaign: CampaignPlan = field(default_factory=CampaignPlan)
     folder: str | None = None
@@ -77,6 +79,7 @@ FULL = Plan(
     rounds=9,
     lengths_s=(10, 60, 600),
     hover_s=10.0,
+    pages_s=(20, 600),
     memory_minutes=60.0,
     campaign=CampaignPlan(rounds=7, flights=50, study=2000),
 )
@@ -120,6 +123,7 @@ class Result:
     time: Lengths | None = None
     engines: EngineCounts | None = None
     log: LogRates | None = None
+    pages: Pages | None = None
     start: Startup | None = None
     memory: Memory | None = None
     campaign: CampaignCost | None = None
@@ -180,6 +184,7 @@ def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], o
         ),
         ENGINES: (partial(measure_engine_counts, steps, rounds, folder), rounds),
         LOG: (partial(measure_log_rates, steps, rounds, folder), rounds),
+        PAGES: (partial(measure_pages, plan.pages_s, rounds, folder), rounds * len(plan.pages_s)),
         START: (partial(measure_startup, plan.starts, folder), plan.starts + 1),
         MEMORY: (partial(measure_memory, plan.memory_minutes, plan.starts, folder), plan.starts),
         CAMPAIGN: (

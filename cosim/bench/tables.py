@@ -10,6 +10,7 @@ from cosim.bench.measures.campaign import EARLY, PROCESSES, CampaignCost
 from cosim.bench.measures.growth import EngineCounts, Lengths, LogRates
 from cosim.bench.measures.others import Others
 from cosim.bench.measures.own_blocks import BASELINE, OwnBlocks
+from cosim.bench.measures.pages import Pages
 from cosim.bench.measures.process import Memory, Startup
 from cosim.bench.measures.speed import BARE
 from cosim.bench.peers.multirotor import Multirotor
@@ -22,6 +23,7 @@ from cosim.bench.suite import (
     MEMORY,
     OTHERS,
     OWN,
+    PAGES,
     PEERS,
     ROTORPY,
     START,
@@ -33,7 +35,7 @@ from cosim.bench.targets import judge, runs_a_step
 from cosim.bench.timing import Cost, Spread
 
 ASKED, MACHINE = "asked", "machine"
-KEYS = (ASKED, STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, START, MEMORY, CAMPAIGN, MACHINE)
+KEYS = (ASKED, STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, PAGES, START, MEMORY, CAMPAIGN, MACHINE)
 
 Row = tuple[str, ...]
 
@@ -69,6 +71,8 @@ def tables(result: Result) -> dict[str, list[Table]]:
         parts[ENGINES] = list(_engines(result.engines))
     if result.log:
         parts[LOG] = [_log(result.log)]
+    if result.pages:
+        parts[PAGES] = [_pages(result.pages)]
     if result.start:
         parts[START] = [_start(result.start)]
     if result.memory:
@@ -194,6 +198,20 @@ def _log(rates: LogRates) -> Table:
     names = {0: "nothing is recorded", 1: "every step"}
     rows = [(names.get(every, f"one step in {every}"), *_cost(cost)) for every, cost in rates.steps.items()]
     return Table("whole step by what is recorded, 4 JSBSim runs in it", US, rows)
+
+
+def _pages(pages: Pages) -> Table:
+    rows = [
+        (
+            f"{seconds} s",
+            *(f"{size:.2f}" for size in (page.whole_mb, page.shared_mb, page.log_mb)),
+            spread(page.write_s),
+            spread(page.by_flight),
+        )
+        for seconds, page in pages.by_length.items()
+    ]
+    columns = ("MB", "MB with shared assets", "MB of the log", "s to write it", "by the flight's own time")
+    return Table(f"the page of a flight ({pages.flight}) by the time that is flown", columns, rows)
 
 
 def _start(startup: Startup) -> Table:

@@ -18,6 +18,7 @@ BY_BARE = {1: 4.5, 4: 2.0}  # whole flight by bare JSBSim, by runs a step
 ENGINE_UNITS = 1.5  # JSBSim runs: six engine FMUs, a control step
 CLASS_UNITS = 1.5  # JSBSim runs more: a controller from outside, as a class
 FIRST_STEP_S = 1.5
+PAGE_MB = {20: 1.5, 600: 12.0}  # by the seconds flown
 STEP_GROWTH = 1.05  # the step of the longest flight by that of the shortest: what a quiet machine can tell from 1
 FLIGHT_GROWTH_MB = 2.0  # from the first quarter of a long flight to its end: blocks of the log come and go
 PEAK_MB = 300.0
@@ -79,6 +80,10 @@ def _step(result: Result) -> Iterator[Judged]:
 
 
 def _processes(result: Result) -> Iterator[Judged]:
+    if result.pages:
+        for seconds, page in result.pages.by_length.items():
+            if seconds in PAGE_MB:
+                yield Judged(f"the page of {seconds} s flown", Spread.of([page.whole_mb]), PAGE_MB[seconds], "MB")
     if result.start:
         yield Judged("from command to first step", result.start.first_step_s, FIRST_STEP_S, "s")
     if result.memory:

@@ -21,8 +21,8 @@ from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example
     "parts",
     multiple=True,
     metavar="PART",
-    help="This part alone, or these: step, blocks, others, own, peers, rotorpy, time, engines, log, start, memory, "
-    "campaign.",
+    help="This part alone, or these: step, blocks, others, own, peers, rotorpy, time, engines, log, pages, start, "
+    "memory, campaign.",
 )
 @click.option("--steps", type=click.IntRange(min=250), help="Steps of a timed flight.  [2500, with --full 5000]")
 @click.option("--rounds", type=click.IntRange(min=1), help="Repetitions.  [5, with --full 9]")

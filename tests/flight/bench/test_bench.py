@@ -81,6 +81,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Result:
         lengths_s=(1, 2),
         hover_s=0.2,
         others_s=0.2,
+        pages_s=(1,),
         memory_minutes=0.1,
         campaign=CampaignPlan(rounds=2, bare_s=0.02, flights=11, flight_s=0.1, study=24),
         folder=str(folder),
