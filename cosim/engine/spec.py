@@ -274,7 +274,12 @@ def resolve_parameters(
         if name not in [v.name for v in archive.parameters if v.name != start]:
             known = [v.name for v in archive.parameters if v.name != start]
             allowed = nearest(name, known) if known else "it has none"
-            owned = " is set by the simulation itself" if name == start else ": no such parameter"
+            owned = (
+                " is set by the simulation itself" if name == start
+                else " is an input, which a mapping file holds under [inputs], and no parameter"
+                if any(v.name == name for v in archive.inputs)
+                else ": no such parameter"
+            )  # fmt: skip
             raise InputError(f"{archive.path}: {name}{owned}; {allowed}")
         variable = archive.parameter(name)
         _need_value(archive, variable, value)

@@ -230,6 +230,8 @@ def test_an_input_that_cannot_be_held_is_refused(held: str, place: Path) -> None
     with pytest.raises(InputError, match=WRONG_INPUTS[held]) as caught:
         load(path, "[inputs]", held)
     assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match=r"fuel.valve is an input, which a mapping file holds under \[inputs\]"):
+        load_engine(str(path), {"fuel.valve": 1.0}, STEP, unchecked=True)
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
