@@ -151,10 +151,10 @@ def test_the_machine_is_stated(result: dict[str, Any]) -> None:
 
 
 def test_every_package_that_is_needed_is_stated() -> None:
-    """Those that we name, and those that they need: narwhals is Plotly's."""
+    """Those that we name, and those that they need: annotated-types is Pydantic's."""
     found = package_versions()
     assert list(found)[:2] == ["python", "hexjet-cosim"]
-    assert {"jsbsim", "numpy", "fmpy", "pyarrow", "plotly", "narwhals"} <= set(found)
+    assert {"jsbsim", "numpy", "fmpy", "pyarrow", "pydantic", "annotated-types"} <= set(found)
     assert "pytest" not in found  # of an extra
 
 
