@@ -58,6 +58,7 @@ class AircraftCheck:
     authority: list[Authority]
     inertia: Vector3
     drawing: Path | None = None
+    exact: bool = True  # the authority; False where hinges turn: then it is what a local search found, at least
 
     @property
     def fit(self) -> bool:
@@ -72,6 +73,7 @@ class AircraftCheck:
             "fit": self.fit,
             "checks": [asdict(line) for line in self.lines],
             "authority": [each._asdict() for each in self.authority],
+            "authority_exact": self.exact,
             "inertia_kg_m2": self.inertia,
             "drawing": None if self.drawing is None else str(self.drawing),
         }
@@ -132,6 +134,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
         authority,
         vehicle.inertia_kg_m2,
         None if out is None else _draw(vehicle, out, reach),
+        vehicle.servo is None and not vehicle.hinges,
     )
 
 
@@ -229,13 +232,22 @@ def _lift(whole: Authority) -> Line:
 
 def _axes(authority: Sequence[Authority], vehicle: Vehicle) -> list[Line]:
     whole, lines = authority[0].moment, []
+    turns = vehicle.servo is not None or bool(vehicle.hinges)
+    least = "at least " if turns else ""
     for number, axis in enumerate(AXES):
         moment = 0.0 if whole is None else whole[number]
         turn = moment / vehicle.inertia_kg_m2[number]
         fault = "" if moment > 0.0 else "nothing turns it while the weight is held"
-        lines.append(Line(f"{axis} authority", f"{moment:.3g} N m either way in hover, {turn:.3g} rad/s^2", fault))
+        lines.append(
+            Line(f"{axis} authority", f"{least}{moment:.3g} N m either way in hover, {turn:.3g} rad/s^2", fault)
+        )
     held = [each.lost[0] for each in authority[1:] if each.moment is not None and min(each.moment) > 0.0]
     said = f"balanced, with authority about every axis, without any one of: {', '.join(map(str, held)) or 'none'}"
+    said += (
+        "; of the others the search over the hinges found none, which does not prove that there is none"
+        if turns
+        else ""
+    )
     return [*lines, Line("one engine lost", said)]
 
 

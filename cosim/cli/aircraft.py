@@ -77,13 +77,18 @@ def print_check(report: AircraftCheck) -> None:
     for head in ("engine lost", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"):
         table.add_column(head, justify="right")
     for row in report.authority:
-        moments = ("falls", "", "") if row.moment is None else tuple(f"{moment:.3g}" for moment in row.moment)
+        moments = (
+            ("falls" if report.exact else "none found", "", "")
+            if row.moment is None
+            else tuple(f"{moment:.3g}" for moment in row.moment)
+        )
         lift = f"{row.lift:.2f}" if math.isfinite(row.lift) else "-"
         table.add_row(", ".join(map(str, row.lost)) or "none", lift, *moments)
     console.print(table)
     console.print(
         "Largest moment either way while the weight is held and the other two moments are zero; all throttles and "
-        "hinges are free within their limits.",
+        "hinges are free within their limits."
+        + ("" if report.exact else " A local search over the hinges: at least so much, and 0 or none is no proof."),
         highlight=False,
     )
     if report.drawing is not None:
