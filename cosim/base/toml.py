@@ -35,6 +35,23 @@ class Model(BaseModel):
                         raise ValueError(f"{name} = {number!r}: must be a number")
         return data
 
+    @model_validator(mode="before")
+    @classmethod
+    def _places_over_defaults(cls, data: Any) -> Any:
+        """A table of places of a list that nobody states is written over the list's default."""
+        if not isinstance(data, dict):
+            return data
+        lists = _lists(cls)
+        placed = {name: data[name] for name in lists if isinstance(data.get(name), Mapping)}
+        return {**data, **merge({name: lists[name] for name in placed}, placed)} if placed else data
+
+
+@cache
+def _lists(model: type[BaseModel]) -> Mapping[str, list[Any]]:
+    """The fields whose default is a tuple, with it."""
+    defaults = {name: field.default for name, field in model.model_fields.items()}
+    return {name: list(default) for name, default in defaults.items() if isinstance(default, tuple)}
+
 
 @cache
 def _numeric(model: type[BaseModel]) -> frozenset[str]:

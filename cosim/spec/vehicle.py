@@ -5,7 +5,7 @@ Body frame: forward-right-down (FRD), origin at the centre of gravity of the veh
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from math import hypot
 from pathlib import Path
@@ -860,8 +860,6 @@ def load_vehicle(
     path = find_aircraft(name, folder)
     stated, vehicle = _known.get((path, *_texts(path)), lambda: _read(path))
     if overrides:
-        if isinstance(overrides.get("products_kg_m2"), Mapping):  # single ones, over those that no file need state
-            stated = {"products_kg_m2": [0.0, 0.0, 0.0], **stated}
         vehicle = validate(Vehicle, merge(stated, _with_own_banks(overrides)), where)
     return vehicle, path.parent
 
