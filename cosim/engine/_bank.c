@@ -88,6 +88,7 @@ typedef struct {
     uintptr_t enter, update, leave;      /* functions of FMI 3.0's event mode; 0 if it is not used */
     bool has_ambient, has_derived;
     bool one_speed; /* its engines have one air speed, the mean of theirs */
+    int sets, gets; /* blocks that there are */
     Block set[BLOCKS], get[BLOCKS];
     uintptr_t set_clock; /* function */
     size_t clocks;
@@ -240,7 +241,7 @@ static Fault place_ambient(Engine *e, Lane *lane, const double *ambient, bool *c
 /* One call for each type: the throttles, or with ``all`` the ambient too; not what a clock sets. */
 static Fault set_inputs(const Engine *e, bool all)
 {
-    for (int i = 0; i < BLOCKS; i++) {
+    for (int i = 0; i < e->sets; i++) {
         const int status = e->set[i].clocked ? OK : set_block(e, &e->set[i], all);
         if (status > WARNING)
             return FAULT("set", status);
@@ -250,33 +251,10 @@ static Fault set_inputs(const Engine *e, bool all)
 
 static Fault get_outputs(const Engine *e)
 {
-    for (int i = 0; i < BLOCKS; i++) {
+    for (int i = 0; i < e->gets; i++) {
         const int status = get_block(e, &e->get[i]);
         if (status > WARNING)
             return FAULT("get", status);
-    }
-    return NO_FAULT;
-}
-
-/* What one engine gives, of what was got. */
-static Fault read_outputs(const Engine *e, const Lane *lane, double ports[OUTPUTS])
-{
-    for (int i = THRUST; i < OUTPUTS; i++) {
-        const Place *p = &lane->output[i];
-        if (p->block < 0)
-            continue;
-        double value = p->scale * e->get[p->block].value[p->index];
-        if (p->offset != 0.0)
-            value += p->offset;
-        if (!isfinite(value))
-            return (Fault){"nan", OK, OUTPUT_NAMES[i]};
-        ports[i] = value;
-    }
-    const Place *drag = &lane->drag;
-    if (drag->block >= 0) {
-        ports[THRUST] -= drag->scale * e->get[drag->block].value[drag->index] + drag->offset;
-        if (!isfinite(ports[THRUST]))
-            return (Fault){"nan", OK, "ram_drag"};
     }
     return NO_FAULT;
 }
@@ -290,7 +268,7 @@ static Fault tick(const Engine *e, const uint32_t references[], size_t due)
     int status = ((SetClock3)e->set_clock)(e->instance, references, due, active);
     if (status > WARNING)
         return FAULT("clock", status);
-    for (int i = 0; references[0] == e->clock[0].reference && i < BLOCKS; i++) {
+    for (int i = 0; references[0] == e->clock[0].reference && i < e->sets; i++) {
         status = e->set[i].clocked ? set_block(e, &e->set[i], true) : OK;
         if (status > WARNING)
             return FAULT("set", status);
@@ -490,6 +468,7 @@ typedef struct {
     Server *at; /* by station */
     PyObject *record;           /* the type of what step returns: a tuple of as many tuples as there are outputs */
     PyObject *silent[OUTPUTS];  /* NaN for every engine, where no engine has the output; else NULL */
+    int reported[OUTPUTS], reports; /* the outputs that some engine has, thrust first, and how many */
 } Bank;
 
 static PyObject *failure_type; /* one module state per process is all that FMUs allow for */
@@ -653,10 +632,12 @@ static bool read_engine(PyObject *row, Engine *e)
         return false;
     }
     e->lanes = PyTuple_Size(lanes);
+    e->sets = (int)PyTuple_Size(sets);
+    e->gets = (int)PyTuple_Size(gets);
     bool good = read_clocks(clocks, e);
-    for (Py_ssize_t i = 0; good && i < PyTuple_Size(sets); i++)
+    for (int i = 0; good && i < e->sets; i++)
         good = read_block(PyTuple_GetItem(sets, i), &e->set[i]);
-    for (Py_ssize_t i = 0; good && i < PyTuple_Size(gets); i++)
+    for (int i = 0; good && i < e->gets; i++)
         good = read_block(PyTuple_GetItem(gets, i), &e->get[i]);
     for (Py_ssize_t i = 0; good && i < e->lanes; i++)
         good = read_lane(PyTuple_GetItem(lanes, i), e, &e->lane[i]);
@@ -689,15 +670,18 @@ static void bank_clear(Bank *self)
         Py_CLEAR(self->silent[i]);
 }
 
-/* The shared tuples of NaN for what no engine reports. */
+/* Which outputs are reported, and the shared tuples of NaN for what no engine reports. */
 static bool make_silent(Bank *self)
 {
+    self->reports = 0;
     for (int i = 0; i < OUTPUTS; i++) {
         bool reported = false;
         for (Py_ssize_t j = 0; j < self->count; j++)
             reported = reported || self->at[j].lane->output[i].block >= 0;
-        if (reported)
+        if (reported) {
+            self->reported[self->reports++] = i;
             continue;
+        }
         self->silent[i] = PyTuple_New(self->count);
         for (Py_ssize_t j = 0; self->silent[i] && j < self->count; j++)
             if (PyTuple_SetItem(self->silent[i], j, PyFloat_FromDouble(NAN)) < 0)
@@ -776,6 +760,31 @@ static void bank_dealloc(PyObject *self)
     plain_dealloc(self);
 }
 
+/* What one engine gives, of what was got: those of the reported outputs, NaN for one that it has not. */
+static Fault read_outputs(const Bank *self, const Engine *e, const Lane *lane, double ports[OUTPUTS])
+{
+    for (int n = 0; n < self->reports; n++) {
+        const int i = self->reported[n];
+        const Place *p = &lane->output[i];
+        ports[i] = NAN;
+        if (p->block < 0)
+            continue;
+        double value = p->scale * e->get[p->block].value[p->index];
+        if (p->offset != 0.0)
+            value += p->offset;
+        if (!isfinite(value))
+            return (Fault){"nan", OK, OUTPUT_NAMES[i]};
+        ports[i] = value;
+    }
+    const Place *drag = &lane->drag;
+    if (drag->block >= 0) {
+        ports[THRUST] -= drag->scale * e->get[drag->block].value[drag->index] + drag->offset;
+        if (!isfinite(ports[THRUST]))
+            return (Fault){"nan", OK, "ram_drag"};
+    }
+    return NO_FAULT;
+}
+
 /* hold(index, throttle, count, together=False) -> [thrust, ...] */
 static PyObject *bank_hold(Bank *self, PyObject *args)
 {
@@ -800,7 +809,7 @@ static PyObject *bank_hold(Bank *self, PyObject *args)
         if (!fault.what)
             fault = advance(e, self->step, false);
         if (!fault.what)
-            fault = read_outputs(e, at.lane, ports);
+            fault = read_outputs(self, e, at.lane, ports);
         PyObject *item = fault.what ? fail(self, index, fault) : PyFloat_FromDouble(ports[THRUST]);
         if (!item || PyList_SetItem(list, i, item) < 0) {
             Py_DECREF(list);
@@ -830,9 +839,8 @@ static PyObject *new_output(const Bank *self)
 
 static bool put_output(const Bank *self, PyObject *output, Py_ssize_t index, const double ports[OUTPUTS])
 {
-    for (int i = 0; i < OUTPUTS; i++) {
-        if (self->silent[i])
-            continue;
+    for (int n = 0; n < self->reports; n++) {
+        const int i = self->reported[n];
         PyObject *item = PyFloat_FromDouble(ports[i]);
         if (!item || PyTuple_SetItem(PyTuple_GetItem(output, i), index, item) < 0)
             return false;
@@ -864,9 +872,7 @@ static bool take_outputs(Bank *self, const Engine *e, PyObject *output)
         if (lane->station < 0)
             continue;
         double ports[OUTPUTS];
-        for (int i = 0; i < OUTPUTS; i++)
-            ports[i] = NAN;
-        const Fault fault = read_outputs(e, lane, ports);
+        const Fault fault = read_outputs(self, e, lane, ports);
         if (fault.what)
             fail(self, lane->station, fault);
         if (fault.what || !put_output(self, output, lane->station, ports))
