@@ -109,7 +109,6 @@ class EngineBank:
         self._folders: dict[tuple[str, int], Unpacked] = {}
         self.wants_ambient = any(each.has(port) for each in self._specs for port in AMBIENT)
         self._native = _bank.Bank((), step, EngineOutput)
-        self._shows_aside = any(each.has(port) for each in self._specs for port in ASIDE)
         self._given = EngineOutput((), (), (), ())  # last
         self._used = False
         try:
@@ -137,7 +136,7 @@ class EngineBank:
 
     def _spec(self, index: int) -> EngineSpec:
         """That of the first station which an instance serves."""
-        return self._specs[next(station for station in self._crews[index] if station >= 0)]
+        return self._specs[self._stations(index)[0]]
 
     def _label(self, index: int) -> str:
         return f"{_numbers(self._crews[index])} ({self._spec(index).path.name})"
@@ -170,18 +169,17 @@ class EngineBank:
         self._given_up = set()
         for index, crew in enumerate(self._crews):
             idle = throttles[0] if count == 1 else 0.0
-            at = next(station for station in crew if station >= 0)
+            at = self._stations(index)[0]
             self._initialize(
                 index,
                 [throttles[station] if station >= 0 else idle for station in crew],
                 [airs[station if station >= 0 else at] for station in crew],
             )
         self._hand_over()
-        for index, crew in enumerate(self._crews):
+        for index in range(len(self._crews)):
             if self._spec(index).start is None and index not in self._starts:
-                for station in crew:
-                    if station >= 0:
-                        self._run_up(station, throttles[station])
+                for station in self._stations(index):
+                    self._run_up(station, throttles[station])
         self._advance("at the start")
         try:
             self._given = self._native.outputs()
@@ -244,8 +242,7 @@ class EngineBank:
             raise self._failed(failure, self._moment(k)) from failure
         if self._starts:
             self._advance(self._moment(k))
-        if self._shows_aside:
-            self._given = output
+        self._given = output
         return output
 
     def _moment(self, k: int) -> str:
