@@ -101,7 +101,7 @@ def _lengthy(items: list[pytest.Item]) -> None:
         case = seen[file, name] = seen.get((file, name), 0) + 1
         fixtures = set(getattr(item, "fixturenames", ()))
         if (
-            item.name.startswith(LENGTHY.get(file, ("\0",)))
+            item.name.startswith(LENGTHY.get(file, ()))
             or fixtures & LENGTHY_FIXTURES.get(file, set())
             or (file in SOME_CASES and case > CASES and "wrong" not in name)
         ):

@@ -187,11 +187,10 @@ class Flight:
         if simulation.vehicle.servo is not None:
             sides = [Number(f"servo_{side}", "rad", f"Where the {side} servo stands") for side in ("left", "right")]
             yield Group(sides, lambda: propulsion.tilt)
-        elif _moved(simulation.vehicle):
-            names = enumerate(_moved(simulation.vehicle))
+        elif moved := _moved(simulation.vehicle):
             stand = [
                 Number(f"servo_{name}", _unit_of(simulation.vehicle, n), f"Where the servo {name} stands")
-                for n, name in names
+                for n, name in enumerate(moved)
             ]
             yield Group(stand, lambda: propulsion.tilt)
         yield from self._reported() if self.parts.engines else self._to_engines()

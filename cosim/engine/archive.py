@@ -279,7 +279,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
         internal_step=_positive(slave.fixedInternalStepSize),
         preferred_step=_positive(experiment.stepSize if experiment else None),
         once_per_process=slave.canBeInstantiatedOnlyOncePerProcess,
-        event_mode=bool(events),
+        event_mode=events,
         returns_early=slave.mightReturnEarlyFromDoStep,
         saves_state=slave.canGetAndSetFMUstate,
         serializes_state=slave.canGetAndSetFMUstate and slave.canSerializeFMUstate,
@@ -321,7 +321,7 @@ def _clocks(
     of_ports = {v.clocks for v in inputs if v.clocks}
     known = {clock.reference for clock in found}
     free = all(v.variability == "continuous" or set(v.clocks) & known for v in inputs)
-    switch = any(v.clocks for name, port in ports.items() if name.startswith("run") for v in (port.variable,))
+    switch = any(port.variable.clocks for name, port in ports.items() if name.startswith("run"))
     events = without is None and free and len(of_ports) <= 1 and not switch and len(found) <= MOST_CLOCKS
     if found and not events:
         why = (
