@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 Verdict = Literal["landed", "slid", "holds", "flies on", "stands armed", "crashed", "lost"]
 
-TABLED = ("hexjet", "hexjet-100", "hexjet-p220", "quadrotor")  # of docs/failsafes.md
+TABLED = ("hexjet", "hexjet-100", "hexjet-p220", "quadrotor")  # of docs/failsafes.md; others by their names
 HEIGHTS_M = (3.0, 10.0, 30.0)
 WINDS_M_S = (0.0, 5.0, 10.0)
 # Chosen by us.
@@ -207,11 +207,6 @@ def starts(case: Case, heights: Sequence[float], winds: Sequence[float], speed: 
     if case.moving and speed:
         begun += [Start(height, min(winds), speed) for height in heights if height >= MOVING_FROM_M]
     return begun
-
-
-def pilotable() -> list[str]:
-    """The vehicles of the table; others are surveyed by their names."""
-    return list(TABLED)
 
 
 @dataclass(frozen=True)

@@ -193,10 +193,10 @@ def failsafes(
     """
     from cosim.campaign.failsafe_survey import (
         HEIGHTS_M,
+        TABLED,
         WINDS_M_S,
         mark,
         markdown,
-        pilotable,
         write,
     )
     from cosim.campaign.failsafe_survey import failsafes as fly_all
@@ -207,7 +207,7 @@ def failsafes(
     if "all" in aircraft:
         if len(aircraft) > 1:
             raise InputError("--aircraft all: leave out the others")
-        aircraft = tuple(pilotable())
+        aircraft = TABLED
     aircraft = tuple(dict.fromkeys(aircraft))
     several = len(aircraft) > 1
     if page is not None:

@@ -57,7 +57,7 @@ def test_losing_the_gnss_lands(aircraft: str, height: float, wind: float) -> Non
     assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
 
 
-@pytest.mark.parametrize("aircraft", table.pilotable())
+@pytest.mark.parametrize("aircraft", table.TABLED)
 def test_losing_the_gnss_at_speed_stops_and_lands(aircraft: str) -> None:
     """It touched at 1.9 to 3.7 m/s sideways: the drag learnt at speed was taken for a push that went on at rest."""
     vehicle = load_vehicle(aircraft)[0]
@@ -442,7 +442,7 @@ def test_wrong_input_is_one_line(options: list[str], complaint: str, hexjet: Hex
     assert done.out == ""
 
 
-@pytest.mark.parametrize("aircraft", table.pilotable())
+@pytest.mark.parametrize("aircraft", table.TABLED)
 def test_docs_failsafes_md_explains_every_flight_that_did_not_land(aircraft: str) -> None:
     """Every failsafe of the command, nothing faster than the vehicle's limit, and what is worse is what the text says."""
     vehicle = load_vehicle(aircraft)[0]
@@ -502,5 +502,5 @@ def test_docs_failsafes_md_states_what_an_engine_lost_between_its_heights_does()
 
 def test_every_vehicle_with_an_autopilot_has_its_table_on_the_page() -> None:
     page = (DOCS / "failsafes.md").read_text(encoding="utf-8")
-    for name in table.pilotable():
+    for name in table.TABLED:
         assert f"<!-- measured: {table.mark(name)} -->" in page

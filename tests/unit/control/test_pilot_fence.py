@@ -15,7 +15,7 @@ from pilot_flights import Flight
 from stated_figures import stated
 
 from cosim.base.signals import State
-from cosim.campaign.failsafe_survey import pilotable
+from cosim.campaign.failsafe_survey import TABLED
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.fence import beyond, depth
 from cosim.control.autopilot.geometry import wrap
@@ -118,7 +118,7 @@ def test_a_drawn_fence_is_kept_in_flight() -> None:
 
 
 def test_the_fence_is_passed_by_the_way_to_stop_that_the_page_states() -> None:
-    fans, slowest, jets, _ = pilotable()
+    fans, slowest, jets, _ = TABLED
     stated(
         "docs/ground-station.md",
         "From {} m/s hexjet goes {} m on, and hexjet-p220 goes {} m on; against a headwind of {} m/s hexjet-p220 goes "
