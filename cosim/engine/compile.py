@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -113,25 +114,23 @@ def _build_for_windows(path: Path, folder: str, description: Any) -> Path:
         *(str(sources / name) for name in files.sourceFiles),
         "-o", str(binaries / f"{description.coSimulation.modelIdentifier}.dll"), "-lm",
     ]  # fmt: skip
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, errors="replace", timeout=LONGEST_S, check=False
-        )  # fmt: skip
-    except subprocess.TimeoutExpired as error:
-        raise InputError(f"{path}: its sources are not compiled within {LONGEST_S:g} s") from error
-    if done.returncode:
-        said = [line for line in done.stderr.splitlines() if "error" in line] or ["no word of it"]
-        first = one_line(said[0].replace(f"{folder}{os.sep}", ""))[:200]
-        raise InputError(f"{path}: its sources do not compile for Windows: {first}")
+    _run(path, folder, command, "for Windows")
     return binaries
 
 
 def _build(path: Path, folder: str) -> None:
     here = os.path.dirname(sys.executable)  # where a CMake that came as a package is
     environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ.get('PATH', os.defpath)}"}
+    _run(path, folder, [sys.executable, "-c", _BUILD, folder], "(CMake and a C compiler are needed)", environment)
+
+
+def _run(
+    path: Path, folder: str, command: Sequence[str], how: str, environment: Mapping[str, str] | None = None
+) -> None:
+    """Call what compiles.  Raises InputError with what it complained of first."""
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _BUILD, folder],
+            command,
             capture_output=True,
             text=True,
             errors="replace",
@@ -146,4 +145,4 @@ def _build(path: Path, folder: str) -> None:
     said = [*done.stdout.splitlines(), *done.stderr.splitlines()]
     wrong = [line for line in said if "error" in line.lower() and "CalledProcessError" not in line] or said
     first = wrong[0].replace(f"{folder}{os.sep}", "") if wrong else "no word of it"
-    raise InputError(f"{path}: its sources do not compile (CMake and a C compiler are needed): {one_line(first)[:200]}")
+    raise InputError(f"{path}: its sources do not compile {how}: {one_line(first)[:200]}")
