@@ -8,7 +8,6 @@ pages are shown in a sandbox, without an origin: what stands in a run from someb
 
 from __future__ import annotations
 
-import hmac
 import json
 import logging
 import os
@@ -23,26 +22,22 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 from websockets.typing import Origin
 
 from cosim.base.errors import FlightError, InputError
+from cosim.groundstation.web import loopback
+from cosim.groundstation.web.loopback import TEXT, WRONG_TOKEN, is_token, no_socket, response, stranger
 from cosim.shelf.index import Shelf
 
 LARGEST = 1 << 20  # bytes of a message from the page: ten thousand names
-WRONG_TOKEN = 4401  # a close code of our own
 HELLO_S = 5.0  # for the token to arrive
-TYPES = {
-    "html": "text/html; charset=utf-8",
-    "css": "text/css; charset=utf-8",
-    "js": "text/javascript; charset=utf-8",
-    "svg": "image/svg+xml",
+TYPES = loopback.TYPES | {
     "png": "image/png",
     "json": "application/json",
-    "toml": "text/plain; charset=utf-8",
+    "toml": TEXT,
     "csv": "text/csv; charset=utf-8",
 }
 ASSETS = ("css", "js")  # which a page in a sandbox asks for as if from elsewhere
@@ -105,14 +100,11 @@ class ShelfServer:
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """A file, a refusal, or None where a WebSocket may be opened (its origin is looked at next)."""
-        host = request.headers.get_all("Host")
-        if len(host) != 1 or host[0].lower() not in self._hosts:
-            return _response(HTTPStatus.MISDIRECTED_REQUEST, b"This is not the server you are looking for.\n")
+        if refusal := stranger(request, self._hosts):
+            return refusal
         path = unquote(request.path.partition("?")[0])
         if path == "/live":
-            if request.headers.get("Upgrade", "").lower() != "websocket":
-                return _response(HTTPStatus.UPGRADE_REQUIRED, b"A WebSocket.\n")
-            return None
+            return no_socket(request)
         if path == "/":
             nonce = f"'nonce-{self._nonce}'"
             policy = (
@@ -120,9 +112,9 @@ class ShelfServer:
                 f"connect-src ws://127.0.0.1:{self.port} ws://localhost:{self.port}; base-uri 'none'; "
                 "form-action 'none'; frame-ancestors 'none'"
             )
-            return _response(HTTPStatus.OK, self._page(), TYPES["html"], policy)
+            return response(HTTPStatus.OK, self._page(), TYPES["html"], policy)
         if path == "/favicon.ico":  # asked for by a page in a sandbox, as if from elsewhere
-            return _response(HTTPStatus.NO_CONTENT, b"", share="cross-origin")
+            return response(HTTPStatus.NO_CONTENT, b"", share="cross-origin")
         return self._file(path.removeprefix("/run/")) if path.startswith("/run/") else _not_found()
 
     def _page(self) -> bytes:
@@ -142,7 +134,7 @@ class ShelfServer:
         except (OSError, ValueError):
             return _not_found()
         share = "cross-origin" if ending in ASSETS else "same-origin"
-        return _response(HTTPStatus.OK, body, TYPES[ending], SANDBOX, share)
+        return response(HTTPStatus.OK, body, TYPES[ending], SANDBOX, share)
 
     # --- the page's questions ------------------------------------------------------------------------------------
 
@@ -150,7 +142,7 @@ class ShelfServer:
         """One WebSocket, from its first message to its end."""
         try:
             token = _parsed(connection.recv(HELLO_S)).get("token")
-            if not (isinstance(token, str) and token.isascii() and hmac.compare_digest(token, self._token)):
+            if not is_token(token, self._token):
                 connection.close(WRONG_TOKEN, "wrong token")
                 return
             connection.send(self._rows())
@@ -206,28 +198,4 @@ def _parsed(text: str | bytes) -> dict[str, Any]:
 
 
 def _not_found() -> Response:
-    return _response(HTTPStatus.NOT_FOUND, b"Not found.\n")
-
-
-def _response(
-    status: HTTPStatus,
-    body: bytes,
-    kind: str = "text/plain; charset=utf-8",
-    policy: str = "",
-    share: str = "same-origin",
-) -> Response:
-    headers = Headers(
-        {
-            "Content-Type": kind,
-            "Content-Length": str(len(body)),
-            "Connection": "close",
-            "Cache-Control": "no-store",
-            "Content-Security-Policy": policy or "default-src 'none'; frame-ancestors 'none'",
-            "X-Content-Type-Options": "nosniff",
-            "X-Frame-Options": "DENY",
-            "Referrer-Policy": "no-referrer",
-            "Cross-Origin-Opener-Policy": "same-origin",
-            "Cross-Origin-Resource-Policy": share,
-        }
-    )
-    return Response(status.value, status.phrase, headers, body)
+    return response(HTTPStatus.NOT_FOUND, b"Not found.\n")

@@ -8,7 +8,6 @@ must carry the token that is written into the page, which no foreign page can re
 from __future__ import annotations
 
 import asyncio
-import hmac
 import json
 import logging
 import os
@@ -26,7 +25,6 @@ from importlib.resources.abc import Traversable
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection, broadcast, serve
-from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request as HttpRequest
 from websockets.http11 import Response
@@ -37,6 +35,7 @@ from cosim.base.signals import Sample
 from cosim.control.autopilot import requests as rq
 from cosim.groundstation.exchange import Asked, Done, Exchange, Restart, Snapshot, untold
 from cosim.groundstation.web import feed
+from cosim.groundstation.web.loopback import TYPES, WRONG_TOKEN, is_token, no_socket, response, stranger
 
 # Chosen by us, with the reason.
 FRAMES_1_S = 20  # smooth to the eye, a tenth of what a core can send
@@ -52,8 +51,7 @@ _STRIP = 4000  # points of the strip chart that may wait: a second at 16 times r
 _POINTS = 40  # of the strip chart in one frame; 20 frames a second show four times the bandwidth of any loop here
 _TOKEN = "@TOKEN@"
 
-WRONG_TOKEN = 4401  # close codes of our own
-TOO_MANY = 4429
+TOO_MANY = 4429  # a close code of our own
 
 # what the page offers; parameters, missions and faults are for ground stations
 ALLOWED = (
@@ -69,12 +67,6 @@ ALLOWED = (
     rq.Kill,
     rq.Sticks,
 )
-_TYPES = {
-    "html": "text/html; charset=utf-8",
-    "js": "text/javascript; charset=utf-8",
-    "css": "text/css; charset=utf-8",
-    "svg": "image/svg+xml",
-}
 
 
 class WebServer:
@@ -176,25 +168,22 @@ class WebServer:
 
     def _answer(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
         """A file, a refusal, or None where a WebSocket may be opened (its origin is looked at next)."""
-        host = request.headers.get_all("Host")
-        if len(host) != 1 or host[0].lower() not in self._hosts:
+        if refusal := stranger(request, self._hosts):
             self.refused += 1
-            return _response(HTTPStatus.MISDIRECTED_REQUEST, b"This is not the server you are looking for.\n")
+            return refusal
         if request.method != "GET":
             self.refused += 1
-            refusal = _response(HTTPStatus.METHOD_NOT_ALLOWED, b"GET only.\n")
+            refusal = response(HTTPStatus.METHOD_NOT_ALLOWED, b"GET only.\n")
             refusal.headers["Allow"] = "GET"
             return refusal
         path = request.path.partition("?")[0]
         if path == "/live":
-            if request.headers.get("Upgrade", "").lower() != "websocket":
-                return _response(HTTPStatus.UPGRADE_REQUIRED, b"A WebSocket.\n")
-            return None
+            return no_socket(request)
         file = self._files.get(path)
         if file is None:
-            return _response(HTTPStatus.NOT_FOUND, b"Not found.\n")
+            return response(HTTPStatus.NOT_FOUND, b"Not found.\n")
         kind, body, policy = file
-        return _response(HTTPStatus.OK, body, kind, policy)
+        return response(HTTPStatus.OK, body, kind, policy)
 
     # --- one page ------------------------------------------------------------------------------------------------
 
@@ -225,7 +214,7 @@ class WebServer:
             token = hello.get("token")
         except (TimeoutError, InputError):
             token = None
-        if not (isinstance(token, str) and token.isascii() and hmac.compare_digest(token, self._token)):
+        if not is_token(token, self._token):
             self.refused += 1
             await connection.close(WRONG_TOKEN, "wrong token")
             return False
@@ -397,7 +386,7 @@ def _read(token: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
         f"connect-src 'self' {sockets}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
     served = {
-        path: (_TYPES[path.rpartition(".")[2]], body, policy)
+        path: (TYPES[path.rpartition(".")[2]], body, policy)
         for path, body in [
             *_walk(files("cosim.groundstation.web") / "static", "/"),
             *(
@@ -406,7 +395,7 @@ def _read(token: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
                 if path.startswith("/vendor/uPlot")
             ),
         ]
-        if path.rpartition(".")[2] in _TYPES
+        if path.rpartition(".")[2] in TYPES
     }
     kind, body, _ = served.pop("/index.html")
     page = body.decode().replace(_TOKEN, escape(token)).encode()
@@ -421,21 +410,3 @@ def _walk(folder: Traversable, above: str) -> list[tuple[str, bytes]]:
         else:
             files.append((above + entry.name, entry.read_bytes()))
     return files
-
-
-def _response(status: HTTPStatus, body: bytes, kind: str = "text/plain; charset=utf-8", policy: str = "") -> Response:
-    headers = Headers(
-        {
-            "Content-Type": kind,
-            "Content-Length": str(len(body)),
-            "Connection": "close",
-            "Cache-Control": "no-store",
-            "Content-Security-Policy": policy or "default-src 'none'; frame-ancestors 'none'",
-            "X-Content-Type-Options": "nosniff",
-            "X-Frame-Options": "DENY",
-            "Referrer-Policy": "no-referrer",
-            "Cross-Origin-Opener-Policy": "same-origin",
-            "Cross-Origin-Resource-Policy": "same-origin",
-        }
-    )
-    return Response(status.value, status.phrase, headers, body)

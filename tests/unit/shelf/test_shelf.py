@@ -17,9 +17,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from cosim.base.errors import InputError
+from cosim.groundstation.web.loopback import WRONG_TOKEN
 from cosim.shelf import index
 from cosim.shelf.index import CAMPAIGN, INDEX, PAGE, RUN, UNFINISHED, Shelf
-from cosim.shelf.server import SANDBOX, WRONG_TOKEN, ShelfServer
+from cosim.shelf.server import SANDBOX, ShelfServer
 
 
 @pytest.fixture
