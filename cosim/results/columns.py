@@ -50,8 +50,6 @@ _NED = ("north", "east", "down")
 _EULER = "body to NED"
 _OUTPUT_UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
 _OWN = "throttle on roll, rad of tilt on pitch and yaw"
-# What a servo moves, by the name of its column: hinges and banks, surfaces
-_ANGLE, _DEFLECTION = "tilt_{}_rad", "deflection_{}"
 
 
 def _each(
@@ -89,6 +87,9 @@ class Flown(NamedTuple):
     servos: tuple[str, ...] = SERVOS
     surfaces: tuple[str, ...] = ()
     accelerations: bool = False
+
+
+HEXJET = Flown()  # six jets in two banks
 
 
 def _columns(flown: Flown) -> list[Column]:
@@ -159,7 +160,7 @@ def _columns(flown: Flown) -> list[Column]:
         *of_jets("thrust_{}_N", "N", "along the jet", "thrust that jet {} delivers", "engines.thrust.{n}"),
         *_each(
             servos,
-            _ANGLE,
+            "tilt_{}_rad",
             "rad",
             "body",
             "where the {} servo stands; positive "
@@ -169,7 +170,7 @@ def _columns(flown: Flown) -> list[Column]:
         *_each(servos, "tilt_{}_command_rad", "rad", "body", "where the {} servo is told to go", "actuation.tilt.{n}"),
         *_each(
             flown.surfaces,
-            _DEFLECTION,
+            "deflection_{}",
             "1",
             "",
             "where the surface {} stands, as its JSBSim property counts",
@@ -305,13 +306,13 @@ def _columns(flown: Flown) -> list[Column]:
     ]
 
 
-def log_columns(flown: Flown | int = JETS, own: Sequence[Column] = ()) -> tuple[Column, ...]:
-    """The columns of a flight of a vehicle, or of one with so many jets and two banks, whose blocks show ``own``.
+def log_columns(flown: Flown = HEXJET, own: Sequence[Column] = ()) -> tuple[Column, ...]:
+    """The columns of a flight of a vehicle whose blocks show ``own``.
 
     At least six of everything that a jet has, so that the logs of all vehicles can be laid side by side.  Raises
     InputError for a column of a block's own that cannot be one.
     """
-    made = _columns(flown if isinstance(flown, Flown) else Flown(flown))
+    made = _columns(flown)
     known = {column.name for column in made}
     for n, column in enumerate(own):
         if not column.name.isidentifier() or not column.name.isascii():
@@ -342,26 +343,31 @@ def flown_by(vehicle: Vehicle) -> Flown:
     return Flown(len(vehicle.jets), servos, surfaces, vehicle.allocation == "effectiveness")
 
 
-def servos_in(columns: Iterable[str]) -> list[str]:
+def servos_in(columns: Iterable[str]) -> tuple[str, ...]:
     """The names of the banks and hinges that a log has columns of, in their order."""
-    found = [re.fullmatch(r"tilt_(.+)_command_rad", name) for name in columns]
-    return [each[1] for each in found if each]
+    return _named(r"tilt_(.+)_command_rad", columns)
 
 
-def surfaces_in(columns: Iterable[str]) -> list[str]:
+def surfaces_in(columns: Iterable[str]) -> tuple[str, ...]:
     """The same of surfaces."""
-    found = [re.fullmatch(r"deflection_(.+)_command", name) for name in columns]
-    return [each[1] for each in found if each]
+    return _named(r"deflection_(.+)_command", columns)
+
+
+def _named(pattern: str, columns: Iterable[str]) -> tuple[str, ...]:
+    found = [re.fullmatch(pattern, name) for name in columns]
+    return tuple([each[1] for each in found if each])
+
+
+def flown_in(columns: Iterable[str]) -> Flown:
+    """What a log with these columns was flown by, as far as their names tell it."""
+    names = tuple(columns)
+    return Flown(jets_in(names), servos_in(names), surfaces_in(names))
 
 
 def own_columns(columns: Iterable[Column]) -> list[Column]:
     """Those that are not every flight's with as many engines: of blocks that show."""
     columns = tuple(columns)
-    present = [column.name for column in columns]
-    names = {
-        column.name
-        for column in _columns(Flown(jets_in(present), tuple(servos_in(present)), tuple(surfaces_in(present))))
-    }
+    names = {column.name for column in _columns(flown_in(column.name for column in columns))}
     return [column for column in columns if column.name not in names]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.constants import SERVOS
 from cosim.base.protocols import Column
-from cosim.results.columns import Flown, jets_in, known, log_columns, servos_in, surfaces_in
+from cosim.results.columns import flown_in, known, log_columns
 from cosim.results.recorder import Log, MemoryLog
 
 _ROWS = 2048  # of a log, read at once: 2 MB
@@ -50,11 +50,6 @@ def log_digest(log: Log) -> str:
     return digest.hexdigest()
 
 
-def _shown(names: Sequence[str]) -> Flown:
-    """A vehicle whose log has these columns."""
-    return Flown(jets_in(names), tuple(servos_in(names)) or SERVOS, tuple(surfaces_in(names)))
-
-
 class DigestSink:
     """For a flight of which little is wanted: keeps the columns of some ``names``, and the :class:`Digest` of all.
 
@@ -65,7 +60,8 @@ class DigestSink:
     def __init__(self, names: Sequence[str], whole: bool = False) -> None:
         self._names, self._whole = tuple(names), whole
         self._kept: list[Array] = []
-        self.begin(log_columns(_shown(self._names)))
+        flown = flown_in(self._names)  # until the flight begins
+        self.begin(log_columns(flown._replace(servos=flown.servos or SERVOS)))
 
     def begin(self, columns: Sequence[Column]) -> None:
         """See :class:`cosim.results.recorder.KeepingSink`."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cosim.base.constants import SENSORS
 from cosim.base.errors import FlightError, InputError
 from cosim.results.autopilot_record import read_pilot_record
-from cosim.results.columns import jets_in, servos_in, surfaces_in
+from cosim.results.columns import flown_in, jets_in
 from cosim.results.metrics import Record
 
 if TYPE_CHECKING:
@@ -77,9 +77,9 @@ def spans(mask: NDArray[np.bool_], step: float) -> list[tuple[float, float | Non
 
 def faults(log: Log, step: float, stated: Sequence[Fault] = ()) -> Iterator[Event]:
     """Every stretch in which a fault acts, by jet, servo and sensor; in the words of the scenario where it has them."""
-    places = [("jet", str(jet)) for jet in range(1, jets_in(log.columns) + 1)] + [
-        ("servo", name) for name in (*servos_in(log.columns), *surfaces_in(log.columns))
-    ]
+    flown = flown_in(log.columns)
+    places = [("jet", str(jet)) for jet in range(1, flown.jets + 1)]
+    places += [("servo", name) for name in (*flown.servos, *flown.surfaces)]
     places += [("sensor", name) for name in SENSORS]
     for what, name in places:
         column = f"fault_{name}" if what == "sensor" else f"fault_{what}_{name}"

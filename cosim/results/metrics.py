@@ -22,7 +22,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import nearest
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES, JETS
-from cosim.results.columns import RATES, Flown, jets_in, servos_in, surfaces_in
+from cosim.results.columns import HEXJET, RATES, Flown, flown_in, jets_in, servos_in
 from cosim.spec.scenario import Range
 
 HOLD_S = 0.2  # chosen by us: shorter than any doublet worth flying, longer than the holds of recorded sticks at 10 Hz
@@ -142,23 +142,32 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
     )
 
 
-def columns(flown: Flown | int = JETS, waypoints: bool = False) -> tuple[str, ...]:
-    """The names of the columns that :func:`flight_metrics` and the limits of a flight read, of such a vehicle's log,
-    or of so many jets' with two banks.
+def columns(flown: Flown = HEXJET, waypoints: bool = False) -> tuple[str, ...]:
+    """The names of the columns that :func:`flight_metrics` and the limits of a flight read, of such a vehicle's log.
 
     ``waypoints``: of a flight along some.
     """
-    flown = flown if isinstance(flown, Flown) else Flown(flown)
     jets = max(flown.jets, JETS)
-    moved = [TILT.format(name) for name in flown.servos] + [DEFLECTION.format(name) for name in flown.surfaces]
     names = [name for axis, rate in zip(AXES, RATES, strict=True) for name in _axis_columns(axis, rate)]
     return (
         *names,
         *("altitude_setpoint_m", "altitude_m", "on_ground", "hull_contact", "velocity_down_m_s"),
         *("north_m", "east_m", *PLACE, "velocity_north_m_s", "velocity_east_m_s"),
         *([WAYPOINTS_LEFT] if waypoints else ()),
-        *(*REFUSED, *_of_jets(THROTTLE, jets), *_of_jets(HEALTH, jets), *moved, *_of_jets(FLOW, jets), "fuel_kg"),
+        *(
+            *REFUSED,
+            *_of_jets(THROTTLE, jets),
+            *_of_jets(HEALTH, jets),
+            *_moved(flown),
+            *_of_jets(FLOW, jets),
+            "fuel_kg",
+        ),
     )
+
+
+def _moved(flown: Flown) -> list[str]:
+    """The columns of where servos are told to go: banks and hinges, and behind them surfaces."""
+    return [TILT.format(name) for name in flown.servos] + [DEFLECTION.format(name) for name in flown.surfaces]
 
 
 def _of_jets(pattern: str, jets: int) -> list[str]:
@@ -279,9 +288,7 @@ def saturated(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
         throttle, given_up = log[THROTTLE.format(jet)], log[HEALTH.format(jet)] < 1.0
         rows |= ((throttle <= least + AT_LIMIT) | (throttle >= most - AT_LIMIT)) & ~given_up
     banks = None if reach.tilt_rad is None else ((-reach.tilt_rad, reach.tilt_rad),) * 2
-    names = [TILT.format(name) for name in servos_in(log.columns)]
-    names += [DEFLECTION.format(name) for name in surfaces_in(log.columns)]
-    for name, (least, most) in zip(names, reach.servos or banks or (), strict=False):
+    for name, (least, most) in zip(_moved(flown_in(log.columns)), reach.servos or banks or (), strict=False):
         rows |= (log[name] <= least + AT_LIMIT) | (log[name] >= most - AT_LIMIT)
     return rows
 

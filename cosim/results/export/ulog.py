@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.results.autopilot_record import read_pilot_record
-from cosim.results.columns import jets_in, own_columns, servos_in, surfaces_in
+from cosim.results.columns import flown_in, own_columns
 from cosim.results.export import ulog_autopilot
 from cosim.results.export.output import ROWS, Block, facts, meaning, output, said, scenario_of, settings
 from cosim.results.export.ulog_topics import BY_AUTOPILOT, EVERY_S, OWN, STATES, Field, column, topics
@@ -103,7 +103,7 @@ _Timed = tuple[int, bytes]  # a message and its step
 
 def _of(lines: Sequence[ulog_autopilot.Line], names: Sequence[str]) -> list[tuple[str, list[Field]]]:
     """The topics of the rows: with an autopilot its own words stand for what follows from the loops."""
-    rows = topics(jets_in(names), servos_in(names), surfaces_in(names))
+    rows = topics(flown_in(names))
     if not any(line["kind"] == "state" for line in lines):
         return list(rows.items())
     return [(name, fields) for name, fields in (rows | BY_AUTOPILOT).items() if name not in STATES]

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.constants import SENSORS, SERVOS
-from cosim.base.signals import AXES, JETS
-from cosim.results.columns import RATES, jets_in
+from cosim.base.constants import SENSORS
+from cosim.base.signals import AXES
+from cosim.results.columns import HEXJET, RATES, Flown, jets_in
 from cosim.results.export.output import Block, quaternions
 
 MOTORS = 12  # of PX4's actuator_motors
@@ -139,8 +139,9 @@ def _rates(suffix: str) -> list[str]:
     return [f"rate_{rate}{suffix}_rad_s" for rate in RATES]
 
 
-def topics(jets: int, servos: Sequence[str] = SERVOS, surfaces: Sequence[str] = ()) -> dict[str, list[Field]]:
-    """What is in each topic, of a log of so many jets, with banks or hinges and surfaces of these names."""
+def topics(flown: Flown) -> dict[str, list[Field]]:
+    """What is in each topic, of a log of such a vehicle."""
+    jets, servos, surfaces, _ = flown
     moved = [*servos, *surfaces]
 
     def of_jets(pattern: str) -> list[str]:
@@ -244,7 +245,7 @@ def topics(jets: int, servos: Sequence[str] = SERVOS, surfaces: Sequence[str] = 
     }
 
 
-TOPICS = topics(JETS)
+TOPICS = topics(HEXJET)
 
 OWN = "hexjet_own"  # what the flight's blocks show of their own; an info message of the file says what each field is
 
