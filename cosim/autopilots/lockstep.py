@@ -15,6 +15,7 @@ from time import monotonic
 from typing import NamedTuple, Protocol
 
 from cosim.base.errors import FlightError, InputError
+from cosim.base.limits import clamp
 from cosim.base.processes import end_group
 from cosim.base.signals import PerJet, Quaternion, State, Vector3
 
@@ -29,6 +30,11 @@ class Sticks(NamedTuple):
     yaw: float = 0.0  # 1: nose right
     throttle: float = 0.0
     armed: bool = False
+
+
+def pulse(share: float) -> int:
+    """A stick's channel [us], for a share of full stick."""
+    return round(1500.0 + 500.0 * clamp(share, 1.0))
 
 
 class Frame(NamedTuple):
@@ -113,6 +119,17 @@ class Program:
         end_group(self.process)
 
 
+def stated_program(stated: Path | None, variable: str) -> Path | None:
+    """The program to start: of ``--binary``, or what that variable of the environment names; None: neither does.
+
+    Raises InputError for what is no program.
+    """
+    if stated is not None:
+        return check_program(stated, "--binary")
+    named = os.environ.get(variable)
+    return check_program(Path(named), variable) if named else None
+
+
 def check_program(path: Path, where: str) -> Path:
     """The path, absolute.  Raises InputError for what is no program."""
     if not path.is_file():
@@ -155,19 +172,25 @@ class Waiting:
             raise FlightError(f"{self._name} {self._lacks} within {self._limit:g} s")
         return min(left, 0.25)
 
+    def packet(self, opened: socket.socket) -> tuple[bytes, tuple[str, int]]:
+        """The next packet, and who sent it.  Raises FlightError as :meth:`left`."""
+        while True:
+            opened.settimeout(self.left())
+            try:
+                return opened.recvfrom(1024)
+            except TimeoutError:
+                continue
+
     @property
     def took(self) -> float:
         """Since it began."""
         return monotonic() - self.begun
 
 
-def drain(opened: socket.socket) -> int:
-    """Throw away the packets that wait, and say how many there were."""
-    count = 0
+def drain(opened: socket.socket) -> None:
+    """Throw away the packets that wait."""
     opened.setblocking(False)
     with suppress(BlockingIOError):
         while True:
             opened.recv(65536)
-            count += 1
     opened.setblocking(True)
-    return count

@@ -14,10 +14,9 @@ from math import degrees, pi
 import numpy as np
 
 from cosim.base.errors import InputError
-from cosim.base.signals import Vector3
+from cosim.base.signals import AXES, Vector3
 from cosim.spec.vehicle import RateGains, Vehicle
 
-_AXES = ("roll", "pitch", "yaw")
 _THRUST = 6.5  # CA_ROTOR_CT as it ships
 
 
@@ -46,7 +45,7 @@ def px4_torque(vehicle: Vehicle) -> Vector3:
 def rates(vehicle: Vehicle, torque: Vector3) -> tuple[tuple[str, RateGains, float], ...]:
     """Of each axis its gains, and what they are divided by."""
     control = vehicle.control.rate
-    return tuple(zip(_AXES, (control.roll, control.pitch, control.yaw), torque, strict=True))
+    return tuple(zip(AXES, (control.roll, control.pitch, control.yaw), torque, strict=True))
 
 
 def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
@@ -84,7 +83,7 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
     told |= {"MC_ROLL_P": roll, "MC_PITCH_P": pitch, "MC_YAW_P": yaw}
     told |= {
         f"MC_{axis.upper()}RATE_MAX": degrees(limit)
-        for axis, limit in zip(_AXES, control.attitude.rate_limit_rad_s, strict=True)
+        for axis, limit in zip(AXES, control.attitude.rate_limit_rad_s, strict=True)
     }
     told |= {"IMU_GYRO_CUTOFF": 0.0, "MC_AIRMODE": 1.0}  # the gyro of the vehicle is filtered already
     if control.rate.roll.d:

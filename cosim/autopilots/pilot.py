@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from math import atan2, pi
+from math import pi
 
 from cosim.autopilots.lockstep import Sticks
 from cosim.base.errors import FlightError
+from cosim.base.frames import to_euler
 from cosim.base.signals import Command, Measured, PerJet, Unallocated
 from cosim.control.altitude import AltitudeController
 from cosim.control.belief import Belief
@@ -36,8 +37,7 @@ class Pilot:
         if command.rate is not None:
             raise FlightError("the scenario asks for body rates; its sticks ask for angles: roll, pitch, yaw, altitude")
         roll, pitch, yaw = command.attitude
-        w, x, y, z = measured.attitude
-        heading = atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        _, _, heading = to_euler(measured.attitude)
         off = (yaw - heading + pi) % (2.0 * pi) - pi
         collective = self._altitude.update(command, measured, Unallocated(), burnt)
         return Sticks(

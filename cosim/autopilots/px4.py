@@ -7,7 +7,6 @@ Until the first of these PX4 starts up, and frames are sent without waiting for 
 
 from __future__ import annotations
 
-import os
 import select
 import socket
 from collections.abc import Mapping
@@ -17,7 +16,7 @@ from pathlib import Path
 
 from cosim.autopilots import hil
 from cosim.autopilots.instruments import compass, dipole_field
-from cosim.autopilots.lockstep import Answer, Counts, Frame, Program, Waiting, check_program, listen
+from cosim.autopilots.lockstep import Answer, Counts, Frame, Program, Waiting, listen, pulse
 from cosim.base.errors import FlightError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp
@@ -34,14 +33,6 @@ _ARMED = 128  # of mode
 _START_S = 60.0  # until it connects; a start on a busy machine
 _PATIENCE = 64  # bytes that are no MAVLink, after which what is connected is no PX4
 _BOOT_WAIT = 0.02  # s of the clock for an answer before there was one
-
-
-def program(stated: Path | None) -> Path | None:
-    """The PX4 to start: the one stated, or that of ``PX4_SITL``; None: somebody starts it.  Raises InputError."""
-    if stated is not None:
-        return check_program(stated, "--binary")
-    named = os.environ.get("PX4_SITL")
-    return check_program(Path(named), "PX4_SITL") if named else None
 
 
 class Px4:
@@ -109,7 +100,7 @@ class Px4:
             try:
                 left = waiting.left()
             except FlightError:
-                if not booting or self._gone():
+                if not booting or self._ended:
                     raise
                 counts.boot += 1
                 return Answer((0.0,) * self._jets, (0.0, 0.0), False)
@@ -126,8 +117,13 @@ class Px4:
                 counts.longest_s = max(counts.longest_s, waiting.took)
                 return answer
 
-    def _gone(self) -> bool:
-        return self._program is not None and bool(self._program.ended)
+    @property
+    def _ended(self) -> str:
+        return "" if self._program is None else self._program.ended
+
+    def _closed(self) -> FlightError:
+        ended = self._ended
+        return FlightError(f"px4 closed its connection and {ended}" if ended else "px4 closed its connection")
 
     def _answer(self, values: tuple[float, ...]) -> Answer:
         controls, armed = values[2:18], bool(int(values[18]) & _ARMED)
@@ -155,8 +151,7 @@ class Px4:
         except ConnectionError:
             data = b""
         if not data:
-            ended = f" and {self._program.ended}" if self._program is not None and self._program.ended else ""
-            raise FlightError(f"px4 closed its connection{ended}")
+            raise self._closed()
         found = self._reader.feed(data)
         if self._reader.noise >= _PATIENCE and not self._reader.frames:
             raise FlightError(f"what is connected to px4's port speaks no MAVLink: it said {data[:16]!r}")
@@ -167,8 +162,7 @@ class Px4:
         try:
             self._link.sendall(data)
         except OSError:
-            ended = f" and {self._program.ended}" if self._program is not None and self._program.ended else ""
-            raise FlightError(f"px4 closed its connection{ended}") from None
+            raise self._closed() from None
 
     def _told(self, frame: Frame, now: int) -> bytes:
         """What goes out in one step: HIL_SENSOR last, because it moves PX4's clock."""
@@ -211,10 +205,10 @@ class Px4:
     def _sticks(self, frame: Frame) -> bytes:
         roll, pitch, yaw, throttle, armed = frame.sticks
         pulses = [
-            round(1500.0 + 500.0 * clamp(roll, 1.0)),
-            round(1500.0 + 500.0 * clamp(pitch, 1.0)),  # PX4: a higher pulse is forward
+            pulse(roll),
+            pulse(pitch),  # PX4: a higher pulse is forward
             round(1000.0 + 1000.0 * min(max(throttle, 0.0), 1.0)),
-            round(1500.0 + 500.0 * clamp(yaw, 1.0)),
+            pulse(yaw),
             2000 if armed else 1000,
         ]
         filled = [*pulses, *[1500] * 3, *[0xFFFF] * 10]

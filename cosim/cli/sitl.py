@@ -172,12 +172,13 @@ def px4(
     are not the same to the bit, their repetitions by hexjet fly are.
     """
     from cosim.autopilots import px4 as theirs
+    from cosim.autopilots.lockstep import stated_program
     from cosim.autopilots.parameters import px4_parameters
     from cosim.base.toml import parse_numbers
 
     flown = load_scenario(scenario, None, engines, seed, settings, None, aircraft)
     vehicle, _ = flown.resolved_vehicle()
-    program, folder = theirs.program(binary), _folder(flown, "px4", out)
+    program, folder = stated_program(binary, "PX4_SITL"), _folder(flown, "px4", out)
     told = px4_parameters(vehicle) | parse_numbers(parameters, "--param")
     place = _place(flown)
     autopilot = theirs.Px4(
@@ -218,11 +219,12 @@ def ardupilot(
     must ask for as many frames a second as the flight has steps: SIM_RATE_HZ.
     """
     from cosim.autopilots import ardupilot as theirs
+    from cosim.autopilots.lockstep import stated_program
     from cosim.autopilots.parameters import ardupilot_parameters, parameter_file
 
     flown = load_scenario(scenario, None, engines, seed, settings, None, aircraft)
     vehicle, _ = flown.resolved_vehicle()
-    program, folder = theirs.program(binary), _folder(flown, "ardupilot", out)
+    program, folder = stated_program(binary, "ARDUPILOT_SITL"), _folder(flown, "ardupilot", out)
     place, home = _place(flown), folder / "ardupilot"
     if defaults is None and program is not None:
         defaults = home / "hexjet.parm"

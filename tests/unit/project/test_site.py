@@ -103,10 +103,10 @@ def test_every_name_in_the_environment(reference: dict[str, Any]) -> None:
     sources = [*ours, ROOT / "setup.py", ROOT / "tests" / "conftest.py"]
     text = "\n".join(path.read_text(encoding="utf-8") for path in sources)
     asked = set(re.findall(r"environ(?:\.get\(|\[)\"([A-Z_]+)\"(?!\] = )", text)) | set(
-        re.findall(r"\"(HEXJET_[A-Z]+)\"", text)
+        re.findall(r"\"(HEXJET_[A-Z]+|[A-Z0-9]+_SITL)\"", text)
     )
     assert asked <= set(reference["ENVIRONMENT"])
-    assert {"HEXJET_PURE", "XDG_CACHE_HOME"} <= asked
+    assert {"HEXJET_PURE", "XDG_CACHE_HOME", "PX4_SITL"} <= asked
 
 
 # --- plain pages ------------------------------------------------------------------------------------------------------
