@@ -8,7 +8,7 @@ import pytest
 from command_tools import Hexjet
 
 from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_parameters, px4_torque
-from cosim.spec.vehicle import load_vehicle
+from cosim.spec.vehicle import Vehicle, load_vehicle
 
 HEXJET = load_vehicle("hexjet")[0]
 QUADROTOR = load_vehicle("quadrotor")[0]
@@ -31,20 +31,15 @@ def test_a_torque_of_one_for_px4_without_tilts() -> None:
 
 
 @pytest.mark.parametrize("vehicle", [HEXJET, QUADROTOR], ids=["hexjet", "quadrotor"])
-def test_gains_times_a_torque_of_one_are_ours(vehicle: object) -> None:
-    assert vehicle in (HEXJET, QUADROTOR)
-    chosen = HEXJET if vehicle is HEXJET else QUADROTOR
-    told = px4_parameters(chosen)
+def test_gains_times_a_torque_of_one_are_ours(vehicle: Vehicle) -> None:
+    told, ours = px4_parameters(vehicle), vehicle.control.rate
     for axis, gains, worth in zip(
-        ("ROLL", "PITCH", "YAW"),
-        (chosen.control.rate.roll, chosen.control.rate.pitch, chosen.control.rate.yaw),
-        px4_torque(chosen),
-        strict=True,
+        ("ROLL", "PITCH", "YAW"), (ours.roll, ours.pitch, ours.yaw), px4_torque(vehicle), strict=True
     ):
         assert told[f"MC_{axis}RATE_P"] * worth == pytest.approx(gains.p)
         assert told[f"MC_{axis}RATE_I"] * worth == pytest.approx(gains.i)
-    assert told["CA_ROTOR_COUNT"] == len(chosen.jets)
-    assert told[f"PWM_MAIN_FUNC{len(chosen.jets)}"] == 100 + len(chosen.jets)
+    assert told["CA_ROTOR_COUNT"] == len(vehicle.jets)
+    assert told[f"PWM_MAIN_FUNC{len(vehicle.jets)}"] == 100 + len(vehicle.jets)
 
 
 def test_the_tilts_of_px4_are_the_banks() -> None:
