@@ -7,7 +7,7 @@ sample included (modified z-transform), so that pole, gain and delay of a differ
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import exp, log, prod
 
@@ -47,14 +47,11 @@ class Model:
 
     def modes(self) -> list[tuple[float, float]]:
         """``(c, pole in 1/s)`` of ``sum c / (z - p)``: the held and sampled model without its delay."""
-        poles = list(self.poles_1_s)
-        for i in range(1, len(poles)):
-            while any(abs(poles[i] - other) <= 1e-6 * poles[i] for other in poles[:i]):
-                poles[i] *= 1.0 + 1e-5  # partial fractions need different poles
+        poles = apart(self.poles_1_s)
         modes = []
         for i, pole in enumerate(poles):
-            apart = prod(other - pole for j, other in enumerate(poles) if j != i)
-            residue = self.gain / prod(self.lags) / apart
+            between = prod(other - pole for j, other in enumerate(poles) if j != i)
+            residue = self.gain / prod(self.lags) / between
             held = -np.expm1(-pole * self.step) / pole if pole * self.step > 1e-12 else self.step
             modes.append((float(residue * held), pole))
         return modes
@@ -85,6 +82,15 @@ class Model:
             sample_time_s=self.step,
             source=source,
         )
+
+
+def apart(poles: Iterable[float]) -> list[float]:
+    """The poles, those that are equal moved a little: partial fractions need different ones."""
+    made = list(poles)
+    for i in range(1, len(made)):
+        while any(abs(made[i] - other) <= 1e-6 * made[i] for other in made[:i]):
+            made[i] *= 1.0 + 1e-5
+    return made
 
 
 def _share(decay: float, fraction: float) -> float:

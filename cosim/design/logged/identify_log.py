@@ -308,8 +308,7 @@ def _on_blocks(problem: Problem, channel: Channel | None) -> Array:
         first = stretch.averaged(stretch.times)
         at = np.where(stretch.present, first, np.arange(stretch.blocks) * problem.working_step + first[0])
         if channel is None:
-            cell = np.clip((at / stretch.step).astype(np.int64), 0, len(stretch.command) - 1)
-            values = stretch.command[cell]
+            values = stretch.commanded(at)
         else:
             good = np.isfinite(channel.values) & np.isfinite(channel.times)
             times, held = channel.times[good], channel.values[good]

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
+from cosim.design.identify.fit import apart
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40)  # of A, tried
 LEAST_VALID = 0.4  # share of the equations that lost samples may leave, which bounds the order
@@ -77,6 +78,13 @@ class Stretch:
         """The working samples that there are."""
         return self._counts > 0.0
 
+    def commanded(self, times: Array) -> Array:
+        """The command that acts at these times."""
+        return self.command[self._cell(times)]
+
+    def _cell(self, times: Array) -> Ints:
+        return np.clip((times / self.step).astype(np.int64), 0, len(self.command) - 1)
+
     def averaged(self, values: Array) -> Array:
         """The mean over each working sample, 0 for one that there is not."""
         return np.bincount(self.block, values, minlength=self.blocks) / np.maximum(self._counts, 1.0)
@@ -112,7 +120,7 @@ class Stretch:
             if len(kept) >= _KEPT:
                 kept.pop(next(iter(kept)))
             late = self.times - delay
-            cell = np.clip((late / self.step).astype(np.int64), 0, len(self.command) - 1)
+            cell = self._cell(late)
             kept[delay] = cell, late - cell * self.step, (late > 0.0).astype(np.float64)
         return kept[delay]
 
@@ -228,7 +236,7 @@ class Problem:
     def columns(self, form: Form, x: Array) -> Array:
         """What the linear parameters multiply: the answer, and for each stretch an offset and what was under way."""
         rate, lags, delay = float(x[0]), x[1:-1], float(x[-1])
-        poles = _apart([rate, *(1.0 / lag for lag in lags)])
+        poles = apart([rate, *(1.0 / lag for lag in lags)])
         scale = (rate if form.engine else 1.0) / prod(lags)
         shares = [scale / prod(other - pole for other in poles if other != pole) for pole in poles]
         made = np.zeros((len(self.output), 1 + 2 * len(self.stretches)))
@@ -299,9 +307,8 @@ class Problem:
         """A of ``A y = B u + e`` with as many terms of B as the longest delay has samples."""
         commands = []
         for stretch in self.stretches:
-            at = np.arange(stretch.blocks) * self.working_step
-            cell = np.clip((at / stretch.step).astype(np.int64), 0, len(stretch.command) - 1)
-            commands += [stretch.command[cell], np.zeros(self.gap)]
+            at = np.arange(stretch.blocks, dtype=np.float64) * self.working_step
+            commands += [stretch.commanded(at), np.zeros(self.gap)]
         command = np.concatenate(commands)
         while order > 1 and self.equations(order).sum() < LEAST_VALID * self.samples:
             order -= 1
@@ -434,10 +441,9 @@ class Problem:
         loss = float(np.sum(_whitened(error, ar)[use] ** 2))
         return int(use.sum()) * log(loss / int(use.sum()))
 
-    def simulated(self, estimate: Estimate) -> tuple[Array, Array]:
-        """What the model says of the output, and its part that the command makes."""
-        columns = self.columns(estimate.form, estimate.x)
-        return columns @ estimate.linear, columns[:, 0] * estimate.linear[0]
+    def simulated(self, estimate: Estimate) -> Array:
+        """What the model says of the output."""
+        return np.asarray(self.columns(estimate.form, estimate.x) @ estimate.linear)
 
     def _noise(self, error: Array, order: int) -> Array:
         use = self.equations(order)
@@ -574,15 +580,6 @@ def _with_a_lag(near: Estimate) -> list[tuple[Array, Array]]:
     for share in (0.2, 1.0):
         lag = share * last
         made.append((np.array([*near.x[:-1], lag, max(near.delay - lag, 0.0)]), near.ar))
-    return made
-
-
-def _apart(poles: list[float]) -> list[float]:
-    """Partial fractions need different poles."""
-    made = list(poles)
-    for i in range(1, len(made)):
-        while any(abs(made[i] - other) <= 1e-6 * made[i] for other in made[:i]):
-            made[i] *= 1.0 + 1e-5
     return made
 
 

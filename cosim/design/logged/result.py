@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.base.errors import FlightError
 from cosim.base.paths import data_folder
-from cosim.design.logged.identify_log import LogIdentification
+from cosim.design.logged.identify_log import LogIdentification, information
 from cosim.design.logged.pem import Estimate
 from cosim.results.report.flight_figures import BLUE, GREEN, GREY, MAGENTA, ORANGE
 from cosim.results.report.page import render
@@ -178,7 +178,7 @@ def _line(name: str, colour: str, x: Any, y: Any, axis: int, mode: str = "lines"
 def _signals(found: LogIdentification) -> dict[str, Any]:
     """Command, measured output and what the model makes of the command, over time; and the residuals."""
     problem, estimate = found.problem, found.chosen
-    whole, _ = problem.simulated(estimate)
+    whole = problem.simulated(estimate)
     white, use = problem.residuals(estimate)
     data: list[dict[str, Any]] = []
     row = 0
@@ -205,8 +205,6 @@ def _signals(found: LogIdentification) -> dict[str, Any]:
 
 def _tells(found: LogIdentification) -> dict[str, Any]:
     """Coherence, and what a command of each frequency would tell of the delay."""
-    from cosim.design.logged.identify_log import information
-
     hertz, value = found.coherence
     grid = np.geomspace(0.05, 0.45 / found.problem.working_step, 300)
     told = information(found.chosen, grid, found.problem.working_step)

@@ -14,7 +14,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.files import one_line
 from cosim.design.identify.fit import Model as Continuous
-from cosim.design.logged.pem import Form, Problem, Stretch
+from cosim.design.logged.pem import Form, Problem
 from cosim.design.logged.stretches import prepare
 from cosim.results.logs import FlightLog, Wanted, wanted
 from cosim.results.report.flight_figures import BLUE, GREY, ORANGE
@@ -136,22 +136,19 @@ def validate(model: Stated, log: FlightLog, begin: float | None = None, end: flo
         model = replace(model, wanted=chosen)
     longest = max(2.0 * float(model.x[-1]), 0.1)
     prepared = prepare(log.signal(chosen.command), log.signal(chosen.output), longest, None, begin, end)
-    problem = Problem(prepared.by_stamps, prepared.working_step, longest)
-    signals, fits = [], []
-    for stretch in prepared.by_stamps:
-        simulated = _simulated(stretch, model, model.x)
-        rows = np.flatnonzero(stretch.present)
-        times = stretch.averaged(stretch.times)[rows]
-        cell = np.clip((times / stretch.step).astype(np.int64), 0, len(stretch.command) - 1)
-        output = stretch.averaged(stretch.output)[rows]
-        signals.append((stretch.start + times, stretch.command[cell], output, simulated[rows]))
-        fits.append((output, simulated[rows]))
+    problems = [Problem([stretch], prepared.working_step, longest, gap=0) for stretch in prepared.by_stamps]
+    signals = []
+    for stretch, problem in zip(prepared.by_stamps, problems, strict=True):
+        use = problem.present
+        times, answer = stretch.averaged(stretch.times)[use], _simulated(problem, model, model.x)
+        signals.append((stretch.start + times, stretch.commanded(times), problem.output[use], answer[use]))
+    fits = [(output, answer) for _, _, output, answer in signals]
     measured = np.concatenate([each - each.mean() for each, _ in fits])
     error = np.concatenate([output - answer for output, answer in fits])
     size = float(np.std(measured))
     if not size > 0.0:
         raise InputError(f"{log.path}: {chosen.output} does not move")
-    lag = max(1, round(AHEAD_S / problem.working_step))
+    lag = max(1, round(AHEAD_S / prepared.working_step))
     changes = [(o[lag:] - o[:-lag], m[lag:] - m[:-lag]) for o, m in fits if len(o) > 2 * lag]
     moved = np.concatenate([o for o, _ in changes]) if changes else measured
     missed = np.concatenate([o - m for o, m in changes]) if changes else error
@@ -161,43 +158,37 @@ def validate(model: Stated, log: FlightLog, begin: float | None = None, end: flo
         model,
         log.path,
         prepared.seconds,
-        problem.working_step,
+        prepared.working_step,
         1.0 - float(np.std(error)) / size,
         rms / size,
         rms / (float(np.sqrt(np.mean(measured**2))) + float(model_rms)),
         1.0 - float(np.sqrt(np.mean(missed**2))) / float(np.sqrt(np.mean(moved**2))),
         _correlation([o - m for o, m in fits], lag),
-        _better_delay(prepared.by_stamps, model, longest),
+        _better_delay(problems, model, longest),
         tuple(signals),
         (*log.remarks, *prepared.notes),
     )
 
 
-def _basis(stretch: Stretch, model: Stated, x: Array) -> Array:
-    return Problem([stretch], 1.0, 1.0, gap=0).columns(model.form, x)
-
-
-def _simulated(stretch: Stretch, model: Stated, x: Array) -> Array:
+def _simulated(problem: Problem, model: Stated, x: Array) -> Array:
     """With the stated gain; offset and what was under way as suit the output best."""
-    columns = _basis(stretch, model, x)
+    columns = problem.columns(model.form, x)
     answer, others = model.gain * columns[:, 0], columns[:, 1:]
-    use = stretch.present
-    output = stretch.averaged(stretch.output)
-    rest = np.linalg.lstsq(others[use], (output - answer)[use], rcond=1e-12)[0]
+    use = problem.present
+    rest = np.linalg.lstsq(others[use], (problem.output - answer)[use], rcond=1e-12)[0]
     return np.asarray(answer + others @ rest)
 
 
-def _better_delay(stretches: Sequence[Stretch], model: Stated, longest: float) -> float:
+def _better_delay(problems: Sequence[Problem], model: Stated, longest: float) -> float:
     """By how much another delay would lower the error of the output's changes from sample to sample."""
     best = (np.inf, 0.0)
-    step = stretches[0].step
+    step = problems[0].stretches[0].step
     for delay in np.arange(0.0, longest, step):
         x = model.x.copy()
         x[-1] = delay
         loss = 0.0
-        for stretch in stretches:
-            use = stretch.present
-            error = (stretch.averaged(stretch.output) - _simulated(stretch, model, x))[use]
+        for problem in problems:
+            error = (problem.output - _simulated(problem, model, x))[problem.present]
             loss += float(np.sum(np.diff(error) ** 2))
         best = min(best, (loss, float(delay) - float(model.x[-1])))
     return best[1]
