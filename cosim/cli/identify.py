@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +12,11 @@ import click
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.cli.console import terminal
-from cosim.cli.options import DONE, Number, example
+from cosim.cli.options import DONE, Number, example, log_options
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from cosim.design.identify import Identification
     from cosim.design.logged.identify_log import LogIdentification
     from cosim.results.logs import FlightLog
@@ -113,10 +116,7 @@ for _axis in AXES:
 @click.option("--command", "command_text", metavar="SUM", help="The channels instead, such as 'm1 + m2 - 0.5*m3'.")
 @click.option("--output", "output_text", metavar="SUM", help="The same; deg(NAME) is one in degrees.")
 @click.option("--setpoint", "setpoint_text", metavar="SUM", help="What was asked of the output: to test for bias.")
-@click.option("--time", "time_column", metavar="NAME", help="A table's column of time.  [default: time_s, time or t]")
-@click.option("--time-unit", default="s", show_default=True, help="Of that column: s, ms, us or ns.")
-@click.option("--from", "begin", type=Number(), metavar="S", help="Use the log from here on, in its own time.")
-@click.option("--to", "end", type=Number(), metavar="S", help="And to here.")
+@log_options
 @click.option(
     "--longest-delay", type=Number(min=0.0, min_open=True, max=5.0), default=0.4, show_default=True, metavar="S"
 )
@@ -224,20 +224,11 @@ def print_channels(log: FlightLog) -> None:
 
 def print_from_log(found: LogIdentification, paths: dict[str, Path]) -> None:
     """The forms side by side, what is to be said of them, and where the files are."""
-    from rich import box
-    from rich.table import Table
-
     from cosim.design.logged.result import rows, summary
 
     console = terminal()
     console.print(summary(found), highlight=False, markup=False)
-    table = Table(box=box.SIMPLE_HEAD)
-    table.add_column("with 95 % bounds")
-    for each in found.estimates:
-        table.add_column(each.form.label, justify="right")
-    for row in rows(found):
-        table.add_row(*row)
-    console.print(table)
+    console.print(_side_by_side([each.form.label for each in found.estimates], rows(found)))
     for note in found.notes:
         console.print(f"note: {note}", highlight=False, markup=False)
     for name in ("model", "engine", "report"):
@@ -245,11 +236,22 @@ def print_from_log(found: LogIdentification, paths: dict[str, Path]) -> None:
             console.print(f"{name}: {paths[name]}", highlight=False, soft_wrap=True)
 
 
-def print_identification(identification: Identification, paths: dict[str, Path]) -> None:
-    """The models side by side, the chosen one's discrete form, how the stated one compares, and where the files are."""
+def _side_by_side(labels: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Models beside each other, a row a parameter."""
     from rich import box
     from rich.table import Table
 
+    table = Table(box=box.SIMPLE_HEAD)
+    table.add_column("with 95 % bounds")
+    for label in labels:
+        table.add_column(label, justify="right")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def print_identification(identification: Identification, paths: dict[str, Path]) -> None:
+    """The models side by side, the chosen one's discrete form, how the stated one compares, and where the files are."""
     from cosim.design.identify.result import equations, fit_rows
 
     console = terminal()
@@ -260,13 +262,7 @@ def print_identification(identification: Identification, paths: dict[str, Path])
         f"coherence at least {response.coherence.min():.4f}",
         highlight=False,
     )
-    table = Table(box=box.SIMPLE_HEAD)
-    table.add_column("with 95 % bounds")
-    for fit in identification.fits:
-        table.add_column(fit.label, justify="right")
-    for row in fit_rows(identification):
-        table.add_row(*row)
-    console.print(table)
+    console.print(_side_by_side([fit.label for fit in identification.fits], fit_rows(identification)))
     for text in equations(identification):
         console.print(f"G(z) = {text}", highlight=False, markup=False)
     deviation = identification.reference_deviation()

@@ -56,6 +56,24 @@ def example(text: str) -> str:
     return f"\b\nExample:\n  {text}"
 
 
+def log_options(command: Any) -> Any:
+    """What of a flight's log is read: its time, where it is a table, and from when to when."""
+    for option in reversed(
+        [
+            click.option(
+                "--time", "time_column", metavar="NAME", help="A table's column of time.  [default: time_s, time or t]"
+            ),
+            click.option("--time-unit", default="s", show_default=True, help="Of that column: s, ms, us or ns."),
+            click.option(
+                "--from", "begin", type=Number(), metavar="S", help="Use the log from here on, in its own time."
+            ),
+            click.option("--to", "end", type=Number(), metavar="S", help="And to here."),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
 def refuse_others(context: click.Context, why: str, *allowed: str) -> None:
     """Refuse what was given on the command line and is not allowed beside the rest, and say ``why``."""
     for parameter in context.command.params:

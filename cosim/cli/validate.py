@@ -9,17 +9,14 @@ import click
 
 from cosim.base.signals import AXES
 from cosim.cli.console import terminal
-from cosim.cli.options import DONE, Number, example
+from cosim.cli.options import DONE, example, log_options
 
 
 @click.command(epilog=example("hexjet validate roll-model other-flight.ulg"))
 @click.argument("model", metavar="MODEL", type=click.Path(path_type=Path))
 @click.argument("log", metavar="LOG", type=click.Path(path_type=Path))
 @click.option("--axis", type=click.Choice(AXES), help="Of a model file that has more than one.")
-@click.option("--time", "time_column", metavar="NAME", help="A table's column of time.  [default: time_s, time or t]")
-@click.option("--time-unit", default="s", show_default=True, help="Of that column: s, ms, us or ns.")
-@click.option("--from", "begin", type=Number(), metavar="S", help="Use the log from here on, in its own time.")
-@click.option("--to", "end", type=Number(), metavar="S", help="And to here.")
+@log_options
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
 def validate(
