@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.design.closed_loop import Closed, Points
 from cosim.design.design import AxisDesign, Design
+from cosim.design.panels import Figure, panels, trace
 from cosim.design.tuning import Tuning
 from cosim.results.report.flight_figures import (
     BLUE,
@@ -16,8 +15,6 @@ from cosim.results.report.flight_figures import (
     ORANGE,
     RED,
 )
-
-Figure = dict[str, Any]
 
 POINTS = 1500
 DRAWN = 1500  # points in time
@@ -52,43 +49,6 @@ def _loops(axis_design: AxisDesign) -> list[tuple[str, str, Closed, bool]]:
 
 def _hertz(loop: Closed) -> Array:
     return np.asarray(loop.points.theta / (2.0 * np.pi * loop.points.channel.step))
-
-
-def trace(label: str, colour: str, x: Array, y: Array, panel: int = 0, **more: Any) -> Figure:
-    """A line in one of the panels, which share the horizontal axis."""
-    drawn: Figure = {
-        "type": "scatter",
-        "mode": "lines",
-        "name": label,
-        "legendgroup": label,
-        "showlegend": panel == 0,
-        "line": {"color": colour, "width": 1.8},
-        "x": np.asarray(x, np.float64),
-        "y": np.asarray(y, np.float64),
-        "yaxis": "y" if panel == 0 else f"y{panel + 1}",
-    }
-    return drawn | more
-
-
-def panels(height: int, x: str, titles: list[str], log: bool) -> Figure:
-    """Panels above each other, the first on top; ``log`` of the horizontal axis."""
-    layout: Figure = {
-        "height": height,
-        "margin": {"l": 64, "r": 12, "t": 36, "b": 44},
-        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
-        "xaxis": {"title": {"text": x}, "anchor": f"y{len(titles)}" if len(titles) > 1 else "y"},
-    }
-    if log:
-        layout["xaxis"]["type"] = "log"
-    share = 1.0 / len(titles)
-    for k, title in enumerate(titles):
-        top = 1.0 - k * share
-        layout["yaxis" if k == 0 else f"yaxis{k + 1}"] = {
-            "domain": [max(0.0, top - share + 0.05), top],
-            "anchor": "x",
-            "title": {"text": title},
-        }
-    return layout
 
 
 def _bode(loops: list[tuple[str, str, Closed, bool]]) -> Figure:

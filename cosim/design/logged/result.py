@@ -13,6 +13,7 @@ from cosim.base.errors import FlightError
 from cosim.base.paths import data_folder
 from cosim.design.logged.identify_log import LogIdentification, information
 from cosim.design.logged.pem import Estimate
+from cosim.design.panels import HOVER, panels, trace
 from cosim.results.report.flight_figures import BLUE, GREEN, GREY, MAGENTA, ORANGE
 from cosim.results.report.page import render
 
@@ -162,19 +163,6 @@ def _delay(estimate: Estimate) -> str:
 # ---- figures
 
 
-def _line(name: str, colour: str, x: Any, y: Any, axis: int, mode: str = "lines") -> dict[str, Any]:
-    return {
-        "type": "scatter",
-        "mode": mode,
-        "name": name,
-        "line": {"color": colour, "width": 1.3},
-        "marker": {"size": 3, "color": colour},
-        "x": np.asarray(x, np.float64),
-        "y": np.asarray(y, np.float64),
-        "yaxis": "y" if axis == 0 else f"y{axis + 1}",
-    }
-
-
 def _signals(found: LogIdentification) -> dict[str, Any]:
     """Command, measured output and what the model makes of the command, over time; and the residuals."""
     problem, estimate = found.problem, found.chosen
@@ -189,18 +177,18 @@ def _signals(found: LogIdentification) -> dict[str, Any]:
         cells = np.arange(len(stretch.command))[:: max(1, len(stretch.command) // _MOST)]
         measured, model = problem.output[rows_][keep], whole[rows_][keep]
         left = np.where(use[rows_], white[rows_], np.nan)[keep]
-        traces = [
-            _line("command", GREY, stretch.start + cells * stretch.step, stretch.command[cells], 0),
-            _line("measured", ORANGE, times, measured, 1),
-            _line("model, of the command alone", BLUE, times, model, 1),
-            _line("residuals, made white", MAGENTA, times, left, 2, "markers"),
+        named = {"showlegend": n == 0}
+        dots = {"mode": "markers", "marker": {"size": 3, "color": MAGENTA}}
+        data += [
+            trace("command", GREY, stretch.start + cells * stretch.step, stretch.command[cells], 0, **named),
+            trace("measured", ORANGE, times, measured, 1, **named),
+            trace("model, of the command alone", BLUE, times, model, 1, **named),
+            trace("residuals, made white", MAGENTA, times, left, 2, **named, **dots),
         ]
-        for trace in traces:
-            trace["legendgroup"], trace["showlegend"] = trace["name"], n == 0
-        data += traces
         row += stretch.blocks + problem.gap
     titles = (found.wanted.command_unit, found.wanted.output_unit, found.wanted.output_unit)
-    return {"data": data, "layout": _layout(titles, ((0.72, 1.0), (0.3, 0.68), (0.0, 0.24)), "time [s]", "linear")}
+    layout = panels(660, "time [s]", titles, log=False, domains=((0.72, 1.0), (0.3, 0.68), (0.0, 0.24)))
+    return {"data": data, "layout": layout | HOVER}
 
 
 def _tells(found: LogIdentification) -> dict[str, Any]:
@@ -209,24 +197,8 @@ def _tells(found: LogIdentification) -> dict[str, Any]:
     grid = np.geomspace(0.05, 0.45 / found.problem.working_step, 300)
     told = information(found.chosen, grid, found.problem.working_step)
     data = [
-        _line("coherence of command and output", GREEN, hertz, value, 0),
-        _line("what a command tells of the delay, over its most", BLUE, grid, told / told.max(), 1),
+        trace("coherence of command and output", GREEN, hertz, value),
+        trace("what a command tells of the delay, over its most", BLUE, grid, told / told.max(), 1, showlegend=True),
     ]
-    return {"data": data, "layout": _layout(("1", "1"), ((0.55, 1.0), (0.0, 0.45)), "frequency [Hz]", "log")}
-
-
-def _layout(titles: Any, domains: Any, across: str, kind: str) -> dict[str, Any]:
-    layout: dict[str, Any] = {
-        "height": 220 * len(domains),
-        "margin": {"l": 64, "r": 12, "t": 40, "b": 44},
-        "hovermode": "x unified",
-        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
-        "xaxis": {"type": kind, "title": {"text": across}, "anchor": "y" if len(domains) == 1 else f"y{len(domains)}"},
-    }
-    for number, (domain, title) in enumerate(zip(domains, titles, strict=True)):
-        layout["yaxis" if number == 0 else f"yaxis{number + 1}"] = {
-            "domain": list(domain),
-            "anchor": "x",
-            "title": {"text": title},
-        }
-    return layout
+    layout = panels(440, "frequency [Hz]", ("1", "1"), log=True, domains=((0.55, 1.0), (0.0, 0.45)))
+    return {"data": data, "layout": layout | HOVER}

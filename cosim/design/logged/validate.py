@@ -16,6 +16,7 @@ from cosim.base.files import one_line
 from cosim.design.identify.fit import Model as Continuous
 from cosim.design.logged.pem import Form, Problem
 from cosim.design.logged.stretches import prepare
+from cosim.design.panels import HOVER, panels, trace
 from cosim.results.logs import FlightLog, Wanted, wanted
 from cosim.results.report.flight_figures import BLUE, GREY, ORANGE
 from cosim.results.report.page import render
@@ -231,26 +232,13 @@ def write(found: Validation, folder: Path) -> dict[str, Path]:
 def _figure(found: Validation) -> dict[str, Any]:
     data = []
     for n, (times, command, output, model) in enumerate(found.signals):
-        every = slice(None, None, max(1, len(times) // _MOST))
-        for name, colour, values, axis in (
-            ("command", GREY, command, "y"),
-            ("flown", ORANGE, output, "y2"),
-            ("model", BLUE, model, "y2"),
+        every, named = slice(None, None, max(1, len(times) // _MOST)), {"showlegend": n == 0}
+        for name, colour, values, panel in (
+            ("command", GREY, command, 0),
+            ("flown", ORANGE, output, 1),
+            ("model", BLUE, model, 1),
         ):
-            data.append(
-                {
-                    "type": "scatter", "mode": "lines", "name": name, "legendgroup": name, "showlegend": n == 0,
-                    "line": {"color": colour, "width": 1.4}, "x": times[every], "y": values[every], "yaxis": axis,
-                }
-            )  # fmt: skip
-    wants = found.model.wanted
-    layout = {
-        "height": 520,
-        "margin": {"l": 64, "r": 12, "t": 40, "b": 44},
-        "hovermode": "x unified",
-        "legend": {"orientation": "h", "x": 0, "y": 1.0, "xanchor": "left", "yanchor": "bottom"},
-        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y2"},
-        "yaxis": {"domain": [0.7, 1.0], "anchor": "x", "title": {"text": wants.command_unit}},
-        "yaxis2": {"domain": [0.0, 0.65], "anchor": "x", "title": {"text": wants.output_unit}},
-    }
-    return {"data": data, "layout": layout}
+            data.append(trace(name, colour, times[every], values[every], panel, **named))
+    titles = (found.model.wanted.command_unit, found.model.wanted.output_unit)
+    layout = panels(520, "time [s]", titles, log=False, domains=((0.7, 1.0), (0.0, 0.65)))
+    return {"data": data, "layout": layout | HOVER}

@@ -12,9 +12,10 @@ import numpy as np
 
 from cosim.base.errors import FlightError
 from cosim.base.files import one_line
-from cosim.design.figures import FAR, Figure, panels, trace
+from cosim.design.figures import FAR
 from cosim.design.measured.estimate import TINY
 from cosim.design.measured.margins import AxisMargins, Margins
+from cosim.design.panels import Figure, panels, trace
 from cosim.results.report.flight_figures import BLUE, GREY, ORANGE, RED
 from cosim.results.report.page import render
 
