@@ -286,8 +286,7 @@ def _designed(path: Path, aircraft: str, step: float) -> tuple[str, dict[str, An
     from cosim.design.controller_file import read_controller
 
     file = read_controller(path, aircraft)
-    if abs(file.design.step_s - step) > 1e-9:
-        raise InputError(f"{path}: designed for steps of {file.design.step_s:g} s, not of {step:g} s")
+    file.check_step(path, step)
     return file.controller, file.vehicle
 
 

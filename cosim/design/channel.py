@@ -29,6 +29,7 @@ from cosim.engine import EngineSpec
 from cosim.simulation.build import effectiveness_of
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (
+    Hinge,
     RateModel,
     Sensors,
     Servo,
@@ -36,6 +37,7 @@ from cosim.spec.vehicle import (
 )
 
 PURE = 0.1  # of an axis: what gives no more of it than this is not looked at; chosen by us
+SERVO = "tilt servo"  # what an actuator that turns a thrust is called
 INSTANT = 1e-9  # a pole in z below which a lag is over within a step: a 20th of one; chosen by us, far below what acts
 
 
@@ -192,14 +194,19 @@ class Channel:
         return replace(self, actuator=Actuator.of(self.actuator.name, self.actuator.dynamics.slower(factor)))
 
     @property
+    def by_servo(self) -> bool:
+        """Whether its command turns thrusts, and does not change them."""
+        return self.actuator.name == SERVO
+
+    @property
     def actuator_delay(self) -> float:
         """Samples that :meth:`with_delay` replaces."""
         return (self.identified or self.actuator.model).delay_samples
 
 
-def servo_actuator(servo: Servo, step: float) -> Actuator:
-    """A tilt servo while its rate limit is not reached."""
-    return Actuator.of("tilt servo", lags([servo.lag_s], 0.0, step))
+def servo_actuator(servo: Servo | Hinge, step: float) -> Actuator:
+    """A tilt servo, or a hinge's, while its rate limit is not reached."""
+    return Actuator.of(SERVO, lags([servo.lag_s], 0.0, step))
 
 
 def thrust_span(engine: EngineSpec) -> float:
@@ -268,7 +275,7 @@ def _by_effectiveness(
     slowest = max(vehicle.hinges, key=lambda hinge: hinge.lag_s, default=None)
     actuator = dynamics
     if not thrusts and slowest is not None:
-        actuator = Actuator.of("tilt servo", lags([slowest.lag_s], 0.0, scenario.step_s))
+        actuator = servo_actuator(slowest, scenario.step_s)
     return Channel(
         axis,
         "rad/s^2",

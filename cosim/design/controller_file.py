@@ -22,6 +22,8 @@ from cosim.design.tune import Requirements
 from cosim.spec.scenario import Scenario, find_scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
+SAME_STEP_S = 1e-9  # control steps nearer to each other than this are one
+
 
 class AxisRecord(Model):
     """What a design says about one channel; for people, a flight does not read it."""
@@ -77,6 +79,11 @@ class ControllerFile(Model):
     controller: str
     vehicle: dict[str, Any]
     design: Purpose
+
+    def check_step(self, path: Path, step: float) -> None:
+        """Raises InputError where it was made for another control step than ``step`` [s]."""
+        if abs(step - self.design.step_s) > SAME_STEP_S:
+            raise InputError(f"{path}: designed for steps of {self.design.step_s:g} s, not of {step:g} s")
 
 
 def purpose_of(path: Path) -> Purpose:
@@ -135,7 +142,7 @@ def with_controller(
         key, value = parse_setting(text)
         set_path(table, key, value, f"{source}: --set")
     scenario = Scenario.from_table(table, source.parent, str(source))
-    if abs(scenario.step_s - file.design.step_s) > 1e-9:
+    if abs(scenario.step_s - file.design.step_s) > SAME_STEP_S:
         raise InputError(
             f"{path}: designed for steps of {file.design.step_s:g} s; {source.name} has step_s = {scenario.step_s:g}"
         )

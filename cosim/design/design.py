@@ -18,6 +18,7 @@ from cosim.base.toml import (
 )
 from cosim.control.predictors.registry import BASELINE, PREDICTORS, SMITH
 from cosim.design.channel import (
+    SERVO,
     Actuator,
     Channel,
     channels,
@@ -492,7 +493,7 @@ def engine_lead(channel: Channel) -> EngineLead | None:
 
     Its own poles are where the engine's are, for the search to move.
     """
-    if channel.identified is not None or channel.actuator.name == "tilt servo":
+    if channel.identified is not None or channel.by_servo:
         return None
     slowest, *others = sorted(channel.actuator.dynamics.poles, key=abs)
     w = abs(slowest)
@@ -600,7 +601,7 @@ def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> di
 
 
 def _what(channel: Channel) -> str:
-    return "tilt servo" if channel.actuator.name == "tilt servo" else "engine"
+    return SERVO if channel.by_servo else "engine"
 
 
 def _whole(low: float, high: float) -> list[float]:

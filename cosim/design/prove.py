@@ -117,9 +117,7 @@ def _measured(design: Design, dynamics: Dynamics) -> Proof:
     loops = {
         axis: (axis_design.channel, axis_design.after.tuning)
         for axis, axis_design in design.axes.items()
-        if axis_design.after is not None
-        and axis_design.channel.actuator.name != "tilt servo"
-        and axis_design.channel.identified is None
+        if axis_design.after is not None and not axis_design.channel.by_servo and axis_design.channel.identified is None
     }
     wide = {axis: Closed(Points(channel), tuning) for axis, (channel, tuning) in loops.items()}
     crossing = max(_crossover(closed) for closed in wide.values())

@@ -257,8 +257,7 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
     aircraft = str(values.get("aircraft", scenario.aircraft))
     file = read_controller(Path(path), aircraft, scenario.folder)
     step = float(values.get("step_s") or scenario.replace(aircraft=aircraft, vehicle={}).step_s)
-    if abs(step - file.design.step_s) > 1e-9:
-        raise InputError(f"{path}: designed for steps of {file.design.step_s:g} s, not of {step:g} s")
+    file.check_step(Path(path), step)
     return {"vehicle": file.vehicle}, {**values, "controller": file.controller}
 
 
