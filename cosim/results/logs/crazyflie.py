@@ -48,11 +48,10 @@ def read(path: Path) -> FlightLog:
             name, at = _text(data, at + 2)
             (fields,) = struct.unpack_from("<H", data, at)
             at += 2
-            layout: list[tuple[str, str]] = [("", "<u2"), ("time", clock)]
+            layout = [("event", "<u2"), ("time", clock)]
             for _ in range(fields):
                 text, at = _text(data, at)
                 layout.append((text[:-3], _SIZES[text[-2]]))
-            layout[0] = ("event", "<u2")
             kinds[number] = name, np.dtype(layout)
     except (struct.error, ValueError, KeyError, IndexError) as error:
         raise InputError(f"{path}: the head of the Crazyflie log is damaged or cut short") from error

@@ -55,7 +55,7 @@ class FlightLog:
         times: Array | None = None
         unit = ""
         for factor, name in terms(text):
-            inner = name[4:-1] if name.startswith("deg(") and name.endswith(")") else name
+            inner = _inner(name)
             if inner not in self.channels:
                 raise InputError(f"{self.path}: no channel {inner!r}; {nearest(inner, self.channels)}"[:600])
             channel = self.channels[inner]
@@ -72,9 +72,12 @@ class FlightLog:
 
     def has(self, text: str) -> bool:
         """Whether the log has all channels of a sum."""
-        return bool(text) and all(
-            (name[4:-1] if name.startswith("deg(") else name) in self.channels for _, name in terms(text)
-        )
+        return bool(text) and all(_inner(name) in self.channels for _, name in terms(text))
+
+
+def _inner(name: str) -> str:
+    """The channel of a term, which may be ``deg(NAME)``."""
+    return name[4:-1] if name.startswith("deg(") and name.endswith(")") else name
 
 
 def terms(text: str) -> list[tuple[float, str]]:
