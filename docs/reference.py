@@ -24,8 +24,9 @@ from pydantic_core import PydanticUndefined
 from cosim.base.paths import data_folder, files_in
 from cosim.base.signals import JETS, MOST_JETS
 from cosim.base.toml import read_toml
+from cosim.campaign.study.keys import unit_of
 from cosim.campaign.study.study import Study
-from cosim.cli.main import COMMANDS, INTERRUPTED, TERMINATED, cli
+from cosim.cli.main import INTERRUPTED, TERMINATED, cli
 from cosim.cli.options import DONE, FLIGHT_FAILED, WRONG_INPUT
 from cosim.design.controller_file import ControllerFile
 from cosim.engine.ports import MappingFile
@@ -534,17 +535,7 @@ def metrics_page() -> str:
 
 
 def _unit(name: str) -> str:
-    units = {
-        "_rad_s": "rad/s",
-        "_m_s": "m/s",
-        "_1_s": "1/s",
-        "_percent": "%",
-        "_rad": "rad",
-        "_kg": "kg",
-        "_m": "m",
-        "_s": "s",
-    }
-    return next((unit for end, unit in units.items() if name.endswith(end)), "-")
+    return "%" if name.endswith("_percent") else unit_of(name) or "-"
 
 
 # The names in the environment that anything reads.
@@ -628,6 +619,3 @@ def pages() -> dict[str, str]:
         "scenarios.md": catalogue_page("scenarios", "# Scenarios that are shipped\n\nEach is an example and a test.\n"),
         "studies.md": catalogue_page("studies", "# Studies that are shipped\n\nEach is an example.\n"),
     }
-
-
-__all__ = ["COMMANDS", "ENVIRONMENT", "columns_page", "commands", "keys", "metrics", "pages"]

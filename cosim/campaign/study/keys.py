@@ -351,7 +351,7 @@ def _of_entry(key: Key, entry: BaseModel, scenario: Scenario) -> Key:
     if last in WHOLE_STEPS and kind not in ("table", "sticks"):
         return replace(key, grid=scenario.step_s)
     if last == "amplitude" and hasattr(entry, "signal"):
-        return replace(key, unit=_unit(entry.signal))
+        return replace(key, unit=unit_of(entry.signal))
     return key
 
 
@@ -405,7 +405,7 @@ def _leaf(path: str, plain: Any, bounds: list[Any], value: Any) -> Key | None:
         return Key(path, "bool", value)
     if plain not in (float, int):
         return None
-    key = Key(path, "int" if plain is int else "float", value, _unit(path))
+    key = Key(path, "int" if plain is int else "float", value, unit_of(path))
     for bound in bounds:
         if isinstance(bound, Ge):
             key = replace(key, low=float(bound.ge))  # type: ignore[arg-type]
@@ -441,7 +441,7 @@ def _is_union(annotation: Any) -> bool:
     return get_origin(annotation) in (Union, UnionType)
 
 
-def _unit(path: str) -> str:
+def unit_of(path: str) -> str:
     """The unit that the name says, its place in a list aside."""
     name = next((part for part in reversed(path.split(".")) if not part.isdigit()), "")
     if name in ODD_UNITS:
@@ -478,7 +478,7 @@ def _parameters(path: str, archive: Archive, given: Mapping[str, float]) -> Iter
 
 
 def _declared(name: str, unit: str | None) -> str:
-    return unit if unit and unit != "1" else _unit(name)
+    return unit if unit and unit != "1" else unit_of(name)
 
 
 def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
