@@ -3,6 +3,7 @@
 import json
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,9 @@ WANTED = Wanted("u", "y", "r")
 TRUTH = Truth()
 
 
-def flight_log(log: Log) -> FlightLog:
+def flight_log(log: Log, **changed: np.ndarray) -> FlightLog:
+    """As it is read, or with some of its times, command and output as stated."""
+    log = replace(log, **changed)
     signals = {"u": log.command, "y": log.output, "r": log.setpoint}
     return FlightLog(Path("known.csv"), "table", {name: Channel(log.times, each) for name, each in signals.items()})
 
@@ -40,16 +43,14 @@ def logs() -> list[Log]:
 
 def test_a_closed_loop_with_noise_jitter_and_lost_rows_gives_the_truth(logs: list[Log]) -> None:
     """Delay, gain and the sum of delay and lag within four standard deviations each; fewer would fail by chance."""
-    for log in logs[:1]:
-        result = found(flight_log(log), lags=1)
-        chosen = result.chosen
-        off = (chosen.delay - TRUTH.delay_samples * TRUTH.step) / chosen.deviation(2)
-        assert abs(off) < 4.0
-        assert abs(chosen.gain - TRUTH.gain) < 4.0 * chosen.gain_deviation
-        value, deviation = chosen.all_delay
-        assert abs(value - TRUTH.delay_samples * TRUTH.step - TRUTH.lags[0]) < 4.0 * deviation
-        assert chosen.deviation(2) < TRUTH.step
-        assert chosen.delay_bounds[0] < chosen.delay < chosen.delay_bounds[1]
+    chosen = found(flight_log(logs[0]), lags=1).chosen
+    off = (chosen.delay - TRUTH.delay_samples * TRUTH.step) / chosen.deviation(2)
+    assert abs(off) < 4.0
+    assert abs(chosen.gain - TRUTH.gain) < 4.0 * chosen.gain_deviation
+    value, deviation = chosen.all_delay
+    assert abs(value - TRUTH.delay_samples * TRUTH.step - TRUTH.lags[0]) < 4.0 * deviation
+    assert chosen.deviation(2) < TRUTH.step
+    assert chosen.delay_bounds[0] < chosen.delay < chosen.delay_bounds[1]
 
 
 def test_the_page_says_what_is_done() -> None:
@@ -65,7 +66,7 @@ def test_the_page_says_what_is_done() -> None:
     assert "SECONDS, LONGEST = 14.0," in (docs / "logs.py").read_text(encoding="utf-8")
 
 
-def test_without_noise_the_truth_comes_out(logs: list[Log]) -> None:
+def test_without_noise_the_truth_comes_out() -> None:
     """Exactly but for what the solution of the known loop itself is off, a fifth of a sample squared."""
     (log,) = closed_loops(1, seconds=8.0, size=0.5, flaws=Flaws(1e-7, 1e-6, 0.5, 0.0, 0.0, 0.0))
     chosen = found(flight_log(log), lags=1).chosen
@@ -98,7 +99,7 @@ def test_a_form_that_leaves_the_command_in_what_is_left_over_is_refused() -> Non
     late = 40
     for echo in (0.0, 0.3):
         output = log.output - echo * np.concatenate([np.zeros(late), log.output[:-late]])
-        flight = changed(log, output=output)
+        flight = flight_log(log, output=output)
         if echo:
             with pytest.raises(InputError, match=r"no model of this form fits: \d+ % of what is left over"):
                 identify_log(flight, "engine:1", Wanted("u", "y"), longest_delay=0.3, lags=0)
@@ -133,25 +134,15 @@ def refusal(log: FlightLog, **choices: object) -> str:
     return str(error.value)
 
 
-def changed(
-    log: Log, command: np.ndarray | None = None, output: np.ndarray | None = None, **other: np.ndarray
-) -> FlightLog:
-    times = other.get("times", log.times)
-    signals = {"u": log.command if command is None else command, "y": log.output if output is None else output}
-    return FlightLog(
-        Path("bad.csv"), "table", {name: Channel(times, each) for name, each in (signals | {"r": log.setpoint}).items()}
-    )
-
-
 def test_a_log_that_does_not_tell_is_refused(logs: list[Log]) -> None:
     log = logs[0]
     noise = np.random.default_rng(1).standard_normal(len(log.times))
     still = np.zeros(len(log.times))
-    assert "the command never changes" in refusal(changed(log, command=still))
-    assert "does not show the command" in refusal(changed(log, output=noise))
+    assert "the command never changes" in refusal(flight_log(log, command=still))
+    assert "does not show the command" in refusal(flight_log(log, output=noise))
     assert "no stretch that can be used" in refusal(flight_log(log), begin=3.0, end=5.0)
     assert "have no time in common" in refusal(flight_log(log), begin=100.0)
-    assert "values that are numbers" in refusal(changed(log, output=still + np.nan))
+    assert "values that are numbers" in refusal(flight_log(log, output=still + np.nan))
 
 
 def test_what_is_wrong_with_a_log_is_said(logs: list[Log]) -> None:
@@ -159,7 +150,7 @@ def test_what_is_wrong_with_a_log_is_said(logs: list[Log]) -> None:
     output, times = log.output.copy(), log.times.copy()
     output[100:103] = np.nan
     times[3000:] -= 5.0
-    notes = " ".join(found(changed(log, output=output, times=times), lags=1).notes)
+    notes = " ".join(found(flight_log(log, output=output, times=times), lags=1).notes)
     assert "3 of " in notes
     assert "its clock goes back 1 times" in notes
 

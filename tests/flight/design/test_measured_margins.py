@@ -22,12 +22,12 @@ from cosim.base.signals import Actuation, Ambient, Unallocated
 from cosim.design.controller_file import with_controller
 from cosim.design.measured import margins, measure_margins
 from cosim.design.measured.computed import computed
-from cosim.design.measured.estimate import loop_margins, measured
+from cosim.design.measured.estimate import LoopMargins, loop_margins, measured
 from cosim.design.measured.excitation import LINES, Record, Tap, fly_with, multisine, still
-from cosim.engine import load_engine
+from cosim.engine import EngineSpec, load_engine
 from cosim.engine.bank import EngineBank
 from cosim.simulation.build import build
-from cosim.spec.vehicle import load_vehicle
+from cosim.spec.vehicle import Vehicle, load_vehicle
 
 DESIGNS = ROOT / "tests" / "designs"
 CLOSE = 0.05  # of what is computed
@@ -119,6 +119,36 @@ def test_three_designs_are_measured_as_they_are_computed(design: str) -> None:
     assert not roll.notes
 
 
+def streams(vehicle: Vehicle) -> float:
+    """Damping of roll by the air that engines take along in hover: ``m omega x r_o`` at ``r_o`` (cosim.vehicle.intakes),
+    about x, the part across an axis that points up [N m s]."""
+    flow = vehicle.airflow
+    assert flow is not None
+    thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
+    kg_s = flow.kg_s * (thrust / flow.at_thrust_n) ** flow.exponent
+    return sum(kg_s * (jet.position_m[2] - flow.exhaust_m) ** 2 for jet in vehicle.jets)
+
+
+def computed_roll(
+    scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, more: float
+) -> tuple[LoopMargins, LoopMargins]:
+    """The margins of roll as a design has them, and with so much more damping."""
+    roll, *others = vehicle.aero.damping_n_m_s
+    damped = vehicle.aero.model_copy(update={"damping_n_m_s": (roll + more, *others)})
+    found = []
+    for each in (vehicle, vehicle.model_copy(update={"aero": damped})):
+        known = computed(scenario, each, spec, ["roll"])
+        assert not isinstance(known, str), known
+        found.append(known["roll"].margins)
+    return found[0], found[1]
+
+
+def apart(db: float, other: float | None) -> float:
+    """By which share two gains differ."""
+    assert other is not None
+    return 10.0 ** ((db - other) / 20.0) - 1.0
+
+
 def test_what_is_off_of_hexjet_p220s_roll_is_the_air_it_takes_along_and_its_rotors_spin() -> None:
     """docs/margins.md: taken away one by one, what is left is as computed, to 2 % of every factor."""
     still_rotors = [f"vehicle.jets.{jet}.spin=0" for jet in range(6)]
@@ -132,25 +162,7 @@ def test_what_is_off_of_hexjet_p220s_roll_is_the_air_it_takes_along_and_its_roto
     )
     vehicle, _ = scenario.resolved_vehicle()
     spec = load_engine("p220", {}, scenario.step_s)
-    # m omega x r_o at r_o (cosim.vehicle.intakes), about x: the part across an axis that points up
-    flow = vehicle.airflow
-    assert flow is not None
-    hover = vehicle.mass_kg * GRAVITY / 6
-    kg_s = flow.kg_s * (hover / flow.at_thrust_n) ** flow.exponent
-    streams = sum(kg_s * (jet.position_m[2] - flow.exhaust_m) ** 2 for jet in vehicle.jets)
-    damping = vehicle.aero.damping_n_m_s
-    damped = vehicle.aero.model_copy(update={"damping_n_m_s": (damping[0] + streams, *damping[1:])})
-    found = []
-    for each in (vehicle, vehicle.model_copy(update={"aero": damped})):
-        known = computed(scenario, each, spec, ["roll"])
-        assert not isinstance(known, str), known
-        found.append(known["roll"].margins)
-    design, whole = found
-
-    def apart(db: float, other: float | None) -> float:
-        assert other is not None
-        return 10.0 ** ((db - other) / 20.0) - 1.0
-
+    design, whole = computed_roll(scenario, vehicle, spec, streams(vehicle))
     up, down = flown["gain_db"].value, flown["gain_down_db"].value
     assert apart(up, whole.gain_db) > 0.1  # with the rotors' spin
     assert abs(apart(silent["gain_db"].value, whole.gain_db)) < 0.02
@@ -164,7 +176,7 @@ def test_what_is_off_of_hexjet_p220s_roll_is_the_air_it_takes_along_and_its_roto
     assert whole.gain_db is not None
     assert whole.gain_down_db is not None
     assert design.gain_down_db is not None
-    stated(page, "takes its part of the roll rate with it, {} N m s in all", streams)
+    stated(page, "takes its part of the roll rate with it, {} N m s in all", streams(vehicle))
     stated(
         page,
         "the margin downwards is {} dB both ways; computed as a design has it, it is {} dB",
@@ -187,7 +199,7 @@ def test_what_is_off_of_hexjet_100s_roll_is_the_air_it_takes_along_and_what_its_
     flown = measured(fly_with(scenario, "roll", sine, 0.004, 2).sensitivity(), sine.hertz).margins
     with build(scenario) as simulation:
         vehicle, spec = simulation.vehicle, simulation.engine
-    thrust = vehicle.mass_kg * GRAVITY / 6
+    thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
     throttle = float(np.interp(thrust, spec.curve.thrust, spec.curve.throttle))
     settled = []
     with EngineBank(spec, 1, scenario.step_s) as bank:
@@ -196,19 +208,8 @@ def test_what_is_off_of_hexjet_100s_roll_is_the_air_it_takes_along_and_what_its_
             bank.reset(throttle, ambient)
             settled.append([bank.step(k, (throttle,), ambient).thrust[0] for k in range(2000)][-1])
     less = 0.5 * (settled[0] - settled[1])  # N per m/s along the thrust
-    flow = vehicle.airflow
-    assert flow is not None
-    kg_s = flow.kg_s * (thrust / flow.at_thrust_n) ** flow.exponent
-    streams = sum(kg_s * (jet.position_m[2] - flow.exhaust_m) ** 2 for jet in vehicle.jets)
     felt = sum(less * jet.position_m[1] ** 2 for jet in vehicle.jets)
-    damping = vehicle.aero.damping_n_m_s
-    damped = vehicle.aero.model_copy(update={"damping_n_m_s": (damping[0] + streams + felt, *damping[1:])})
-    found = []
-    for each in (vehicle, vehicle.model_copy(update={"aero": damped})):
-        known = computed(scenario, each, spec, ["roll"])
-        assert not isinstance(known, str), known
-        found.append(known["roll"].margins)
-    design, whole = found
+    design, whole = computed_roll(scenario, vehicle, spec, streams(vehicle) + felt)
     for name in ("phase_deg", "delay_s", "peak_sensitivity"):
         assert flown[name].value == pytest.approx(getattr(whole, name), rel=0.02), name
     assert whole.gain_down_db is not None
@@ -216,9 +217,9 @@ def test_what_is_off_of_hexjet_100s_roll_is_the_air_it_takes_along_and_what_its_
     assert design.gain_down_db is not None
     assert design.phase_deg is not None
     for name in ("gain_db", "gain_down_db"):
-        assert abs(10.0 ** ((flown[name].value - getattr(whole, name)) / 20.0) - 1.0) < 0.02, name
+        assert abs(apart(flown[name].value, getattr(whole, name))) < 0.02, name
     page = "docs/margins.md"
-    stated(page, "Of hexjet-100's roll it is the streams, {} N m s", streams)
+    stated(page, "Of hexjet-100's roll it is the streams, {} N m s", streams(vehicle))
     stated(page, "a turbine gives {} N less for every metre a second", less)
     stated(page, "which damps with another {} N m s", felt)
     stated(
