@@ -484,11 +484,10 @@ def reach(simulation: Simulation) -> Reach:
             simulation.controller.thrust_map.throttle((share,) * jets)
             for share in (limits.throttle_min, limits.throttle_max)
         )
-    moved = (*(hinge.least_most for hinge in vehicle.hinges), *(surface.range for surface in vehicle.surfaces))
     return Reach(
         throttle=tuple(zip(least, most, strict=True)),
         tilt_rad=vehicle.servo.range_rad if vehicle.servo else None,
-        servos=moved or None,
+        servos=None if vehicle.servo else vehicle.ranges or None,
     )
 
 

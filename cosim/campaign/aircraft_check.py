@@ -21,7 +21,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.files import one_line, replacing
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
 from cosim.campaign.authority_drawing import attainable_moments
-from cosim.control.allocation.authority import Authority, Reach
+from cosim.control.allocation.authority import Authority, Reach, reach_of
 from cosim.flight import fly
 from cosim.results.report.three_views import places, three_views
 from cosim.simulation.build import build
@@ -122,7 +122,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
         least, most = _thrust(simulation)
         count = len(vehicle.jets)
         losses: list[tuple[int, ...]] = [(), *((jet,) for jet in range(1, count + 1))]
-        reach = reach_of(vehicle, least, most)
+        reach = reach_of(vehicle, least.tolist(), most.tolist())
         authority = [reach.authority(lost) for lost in losses]
         engine_name = simulation.engine.name
     lines += [_lift(authority[0]), *_axes(authority, vehicle), _flight(scenario)]
@@ -134,7 +134,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
         authority,
         vehicle.inertia_kg_m2,
         None if out is None else _draw(vehicle, out, reach),
-        vehicle.servo is None and not vehicle.hinges,
+        not vehicle.turns,
     )
 
 
@@ -142,16 +142,11 @@ def _forces(simulation: Simulation) -> Line:
     """Each jet alone, hinges at zero and at the ends of their ranges: force and moment in JSBSim against ``r x F``."""
     vehicle, frame = simulation.vehicle, simulation.airframe
     layout, propulsion = vehicle.layout(), simulation.propulsion
-    ends: list[tuple[float, ...]]
-    if vehicle.servo is not None:
-        ends = [(-vehicle.servo.range_rad,) * 2, (vehicle.servo.range_rad,) * 2]
-    else:
-        pairs = [hinge.least_most for hinge in vehicle.hinges]
-        ends = [tuple(low for low, _ in pairs), tuple(high for _, high in pairs)] if pairs else []
+    stances = [(0.0,) * len(vehicle.turns), *zip(*vehicle.turns, strict=True)]
     thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
     worst = 0.0
     for number in range(len(vehicle.jets)):
-        for angles in [(0.0,) * max(2, len(vehicle.hinges)), *ends]:
+        for angles in stances:
             thrusts = tuple(thrust * (jet == number) for jet in range(len(vehicle.jets)))
             forces, beside = propulsion.standing(thrusts, angles)
             frame.reset(simulation.scenario.initial, forces, ZERO3)
@@ -213,16 +208,6 @@ def _thrust(simulation: Simulation) -> tuple[Array, Array]:
     return ends[0], ends[1]
 
 
-def reach_of(vehicle: Vehicle, least: Array, most: Array) -> Reach:
-    """What the vehicle's layout can do with engines of these thrusts [N] at the allocation's limits."""
-    if vehicle.servo is not None:
-        hinges = [(-vehicle.servo.range_rad, vehicle.servo.range_rad)] * 2
-    else:
-        hinges = [hinge.least_most for hinge in vehicle.hinges]
-    rest = [hinge.rest_rad for hinge in vehicle.hinges] or [0.0] * len(hinges)
-    return Reach(vehicle.layout(), least.tolist(), most.tolist(), hinges, rest, vehicle.mass_kg * GRAVITY)
-
-
 def _lift(whole: Authority) -> Line:
     said = f"thrust in balance {whole.lift:.2f} times the weight"
     if whole.lift < 1.0:
@@ -232,8 +217,7 @@ def _lift(whole: Authority) -> Line:
 
 def _axes(authority: Sequence[Authority], vehicle: Vehicle) -> list[Line]:
     whole, lines = authority[0].moment, []
-    turns = vehicle.servo is not None or bool(vehicle.hinges)
-    least = "at least " if turns else ""
+    least = "at least " if vehicle.turns else ""
     for number, axis in enumerate(AXES):
         moment = 0.0 if whole is None else whole[number]
         turn = moment / vehicle.inertia_kg_m2[number]
@@ -243,11 +227,8 @@ def _axes(authority: Sequence[Authority], vehicle: Vehicle) -> list[Line]:
         )
     held = [each.lost[0] for each in authority[1:] if each.moment is not None and min(each.moment) > 0.0]
     said = f"balanced, with authority about every axis, without any one of: {', '.join(map(str, held)) or 'none'}"
-    said += (
-        "; of the others the search over the hinges found none, which does not prove that there is none"
-        if turns
-        else ""
-    )
+    if vehicle.turns:
+        said += "; of the others the search over the hinges found none, which does not prove that there is none"
     return [*lines, Line("one engine lost", said)]
 
 

@@ -598,10 +598,9 @@ class Vehicle(Model):
     @model_validator(mode="after")
     def _method_fits(self) -> Vehicle:
         method, where = self.control.allocation.method, "control.allocation.method"
-        plain = not self.hinges and not self.surfaces and all(jet.axis in (None, UP) for jet in self.jets)
         if method == "banks" and self.servo is None:
             raise ValueError(f"{where} 'banks': is for two banks with a table [servo]; take 'effectiveness'")
-        if method == "rotors" and (self.servo is not None or not plain):
+        if method == "rotors" and (self.servo is not None or not self._plain):
             raise ValueError(f"{where} 'rotors': is for jets that all point straight up; take 'effectiveness'")
         if method == "effectiveness" and self.servo is not None:
             raise ValueError(f"{where} 'effectiveness': state the two banks of [servo] as [[hinges]]")
@@ -618,8 +617,12 @@ class Vehicle(Model):
             return self.control.allocation.method
         if self.servo is not None:
             return "banks"
-        plain = not self.hinges and not self.surfaces and all(jet.axis in (None, UP) for jet in self.jets)
-        return "rotors" if plain else "effectiveness"
+        return "rotors" if self._plain else "effectiveness"
+
+    @property
+    def _plain(self) -> bool:
+        """Whether all jets point straight up and nothing but banks moves."""
+        return not self.hinges and not self.surfaces and all(jet.axis in (None, UP) for jet in self.jets)
 
     @property
     def actuators(self) -> tuple[str, ...]:
@@ -627,11 +630,16 @@ class Vehicle(Model):
         return (*(hinge.name for hinge in self.hinges), *(surface.name for surface in self.surfaces)) or SERVOS
 
     @property
-    def ranges(self) -> tuple[tuple[float, float], ...]:
-        """Least and most of each of :attr:`actuators`; empty where nothing moves."""
+    def turns(self) -> tuple[tuple[float, float], ...]:
+        """Least and most of each angle of :meth:`layout` [rad]; empty where no thrust turns."""
         if self.servo is not None:
             return ((-self.servo.range_rad, self.servo.range_rad),) * len(SERVOS)
-        return (*(hinge.least_most for hinge in self.hinges), *(surface.range for surface in self.surfaces))
+        return tuple(hinge.least_most for hinge in self.hinges)
+
+    @property
+    def ranges(self) -> tuple[tuple[float, float], ...]:
+        """Least and most of each of :attr:`actuators`; empty where nothing moves."""
+        return (*self.turns, *(surface.range for surface in self.surfaces))
 
     @property
     def rest(self) -> tuple[float, ...]:

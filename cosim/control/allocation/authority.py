@@ -13,8 +13,10 @@ from collections.abc import Sequence
 from math import inf
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from cosim.base.constants import GRAVITY
 from cosim.base.layout import Layout
 from cosim.base.signals import Vector3
+from cosim.spec.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -178,6 +180,12 @@ class Reach:
             *[(0.0, None)] * (2 * len(rows)),
         ]
         return _solved(cost, equal, values, bounds)[jets : jets + count]
+
+
+def reach_of(vehicle: Vehicle, least: Sequence[float], most: Sequence[float]) -> Reach:
+    """What the vehicle's layout can do with engines of these thrusts [N] at the allocation's limits."""
+    turns = vehicle.turns
+    return Reach(vehicle.layout(), least, most, turns, vehicle.rest[: len(turns)], vehicle.mass_kg * GRAVITY)
 
 
 def _solved(cost: Array, equal: Array, values: Array, bounds: Any) -> Array:

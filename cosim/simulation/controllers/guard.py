@@ -211,8 +211,8 @@ class GuardedController:
         self._idle = belief.thrust_map.throttle((low,) * jets)
         self._mass, self._thrust_map, self._share = vehicle.mass_kg, belief.thrust_map, belief.hover
         self._range = vehicle.servo.range_rad if vehicle.servo else 0.0
-        moved = [hinge.least_most for hinge in vehicle.hinges] + [surface.range for surface in vehicle.surfaces]
-        self._ends: list[tuple[float, float]] = moved  # of hinges and surfaces; none: two banks, or nothing tilts
+        moved: list[tuple[float, float]] = [] if vehicle.servo else list(vehicle.ranges)
+        self._ends = moved  # of hinges and surfaces; none: two banks, or nothing tilts
         self._servos = tuple([f"the servo {name}" for name in vehicle.actuators]) if moved else _TILTS
         self._rest: PerServo = vehicle.rest
         self._names = tuple([f"throttle {number}" for number in range(1, jets + 1)])

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.base.limits import clamp
 from cosim.base.signals import AXES, Vector3
-from cosim.control.allocation.authority import Reach
+from cosim.control.allocation.authority import reach_of
 from cosim.control.autopilot.geometry import Pair, limited, wrap
 from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.spec.vehicle import EngineLead, Vehicle
@@ -100,22 +100,16 @@ def _by_layout(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float
     the slowest hinge taken for all."""
     per_jet = vehicle.mass_kg * GRAVITY / len(vehicle.jets) / (hover + idle)
     limits, jets = vehicle.control.allocation, len(vehicle.jets)
-    reach = Reach(
-        vehicle.layout(),
-        [per_jet * (limits.throttle_min + idle)] * jets,
-        [per_jet * (limits.throttle_max + idle)] * jets,
-        [hinge.least_most for hinge in vehicle.hinges],
-        [hinge.rest_rad for hinge in vehicle.hinges],
-        vehicle.mass_kg * GRAVITY,
-    )
+    least, most = ([per_jet * (share + idle)] * jets for share in (limits.throttle_min, limits.throttle_max))
+    reach = reach_of(vehicle, least, most)
     lines = [tuple(sign * (n == axis) for n in range(3)) for axis in range(3) for sign in (1.0, -1.0)]
     sizes = reach.section(lines)
     slowest = max([hinge.lag_s for hinge in vehicle.hinges], default=0.0)
     answer = []
     for axis, name in enumerate(AXES):
         extra = max(1.0 + gain[axis] * slowest, _extra(getattr(vehicle.control.lead, name, None), gain[axis]))
-        most = max(0.0, min(sizes[2 * axis], sizes[2 * axis + 1]))
-        answer.append(SHARE * max(most / vehicle.inertia_kg_m2[axis], LEAST) / extra)
+        moment = max(0.0, min(sizes[2 * axis], sizes[2 * axis + 1]))
+        answer.append(SHARE * max(moment / vehicle.inertia_kg_m2[axis], LEAST) / extra)
     return (answer[0], answer[1], answer[2])
 
 
