@@ -540,6 +540,12 @@ def _named(name: str) -> str:
     return name
 
 
+def _differ(where: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{where}: two are called {name!r}; names must differ")
+
+
 class Vehicle(Model):
     """Everything that ``aircraft/<name>/vehicle.toml`` says."""
 
@@ -574,10 +580,7 @@ class Vehicle(Model):
 
     @model_validator(mode="after")
     def _hinges_move_jets(self) -> Vehicle:
-        names = [hinge.name for hinge in self.hinges] + [surface.name for surface in self.surfaces]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"hinges, surfaces: two are called {name!r}; names must differ")
+        _differ("hinges, surfaces", [each.name for each in (*self.hinges, *self.surfaces)])
         for number, hinge in enumerate(self.hinges):
             for jet in (*hinge.carries, *hinge.deflects):
                 if jet > len(self.jets):
@@ -660,10 +663,7 @@ class Vehicle(Model):
 
     @model_validator(mode="after")
     def _contacts_differ(self) -> Vehicle:
-        names = [contact.name for contact in self.contacts]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"contacts: two are called {name!r}; names must differ")
+        _differ("contacts", [contact.name for contact in self.contacts])
         return self
 
     @model_validator(mode="after")
