@@ -591,6 +591,8 @@ class Vehicle(Model):
             return self
         if self.hinges:
             raise ValueError("hinges: a vehicle with a table [servo] has its two banks; state them as hinges instead")
+        if self.surfaces:
+            raise ValueError("surfaces: the allocation of the two banks of [servo] moves none; state them as hinges")
         for number, station in enumerate(self.jets):
             if station.axis not in (None, UP):
                 raise ValueError(

@@ -59,6 +59,8 @@ def legs(table: Table, *places: list[float]) -> None:
 HINGE = {"name": "nose", "position_m": [0.1, 0.0, 0.0], "axis": [0.0, 1.0, 0.0], "carries": [1], "lag_s": 0.02,
          "rate_limit_rad_s": 5.0, "range_rad": 0.3}  # fmt: skip
 
+SURFACE = {"name": "elevator", "property": "fcs/elevator-cmd-norm", "lag_s": 0.02, "rate_limit_1_s": 10.0}
+
 
 def hinged(**changes: object) -> Change:
     """Jets on a hinge in place of the banks."""
@@ -129,6 +131,7 @@ MISTAKES: dict[str, tuple[Change, str]] = {
     "hinge of a jet that there is not": (hinged(carries=[7]), r"hinges\.0: jet 7: there are jets 1 to 6"),
     "hinge without a direction": (hinged(axis=[0.0, 0.0, 0.0]), r"hinges\.0\.axis: must have a direction, not \[0, 0, 0\]"),
     "two hinges of one name": (twice, r"hinges, surfaces: two are called 'nose'; names must differ"),
+    "surfaces beside banks": (put("surfaces", to=[SURFACE]), r"surfaces: the allocation of the two banks of \[servo\] moves none"),
     "no gains": (lambda t: t["control"].pop("attitude"), r"control\.attitude is missing"),
     "a name with a space": (put("name", to="my own"), r"name = 'my own': letters, digits, - and _ are allowed"),
     "a shipped one's name": (put("name", to="hexjet"), r"name = 'hexjet': is the name of an aircraft that is shipped"),
