@@ -40,6 +40,14 @@ class Authority(NamedTuple):
     moment: Vector3 | None
 
 
+class _Asked(NamedTuple):
+    """The most of ``goal . (force, moment)`` with ``rows . (force, moment) = values``."""
+
+    goal: Array
+    rows: Array
+    values: Array
+
+
 class Reach:
     """A layout with the thrusts that its engines give [N, least and most] and the ranges of its hinges [rad]."""
 
@@ -58,7 +66,6 @@ class Reach:
         self._least, self._most = np.array(least, float), np.array(most, float)
         self._low, self._high = np.array([low for low, _ in hinges]), np.array([high for _, high in hinges])
         self._rest = np.array(rest, float)
-        self._start, self._fine = self._rest, SMALL
 
     def without(self, lost: Sequence[int]) -> Reach:
         """The same without some jets, numbered from 1."""
@@ -70,9 +77,11 @@ class Reach:
 
     def section(self, directions: Sequence[Any]) -> list[float]:
         """:meth:`moment` along neighbouring directions, to some percent: each begins where the one before ended."""
-        self._fine = COARSE
-        found = [self.moment(direction) for direction in directions]
-        self._start, self._fine = self._rest, SMALL
+        at, found = self._rest, []
+        for direction in directions:
+            # the better of where the direction before it ended and of the rest
+            at, most = self._best(self._about(direction), [(at, 0.3), (self._rest, 0.5)], COARSE)
+            found.append(most)
         return found
 
     def authority(self, lost: Sequence[int] = ()) -> Authority:
@@ -80,7 +89,7 @@ class Reach:
         import numpy as np
 
         left = self.without(lost)
-        lift = left.largest(-np.eye(6)[DOWN], [(3, 0.0), (4, 0.0), (5, 0.0)]) / self._weight
+        lift = left._largest(_Asked(-np.eye(6)[DOWN], np.eye(6)[3:], np.zeros(3))) / self._weight
         ends = []
         for axis in range(3):
             ends.append(min(left.moment(sign * np.eye(3)[axis]) for sign in (1.0, -1.0)))
@@ -92,41 +101,34 @@ class Reach:
     def moment(self, direction: Any) -> float:
         """The largest moment [N m] along a unit direction about the body's axes, with none across it and the weight
         held; minus infinity where the weight cannot be held so."""
+        return self._largest(self._about(direction))
+
+    def _about(self, direction: Any) -> _Asked:
         import numpy as np
 
         along = np.concatenate([np.zeros(3), np.asarray(direction, float)])
         _, _, turned = np.linalg.svd(along[3:].reshape(1, 3))
         across = [np.concatenate([np.zeros(3), row]) for row in turned[1:]]
-        return self.largest(along, [(DOWN, -self._weight)], across)
+        return _Asked(along, np.array([np.eye(6)[DOWN], *across]), np.array([-self._weight, 0.0, 0.0]))
 
-    def largest(self, goal: Any, held: Sequence[tuple[int, float]], zero: Sequence[Any] = ()) -> float:
-        """The most of ``goal . (force, moment)`` with some of its rows held at values, and others at zero."""
-        import numpy as np
+    def _largest(self, asked: _Asked) -> float:
+        return self._best(asked, [(self._rest, trust) for trust in TRUST], SMALL)[1]
 
-        rows = np.array([*(np.eye(6)[row] for row, _ in held), *zero])
-        values = np.array([*(value for _, value in held), *(0.0 for _ in zero)])
+    def _best(self, asked: _Asked, starts: Sequence[tuple[Array, float]], fine: float) -> tuple[Array, float]:
+        """Where the best of some climbs ends, each from an angle with a trust, and what it attains there."""
         if not len(self._rest):
-            _, merit, missed = self._exact(goal, rows, values, self._rest)
-            return merit if missed <= MEETS * self._weight else -inf
-        if self._fine != SMALL:
-            # the better of where the direction before it ended and of the rest
-            starts = ((self._start, 0.3), (self._rest, 0.5))
-            ends = [self._climbed(goal, rows, values, at, trust, COARSE) for at, trust in starts]
-            self._start, most = max(ends, key=lambda end: end[1])
-            return most
-        return max(self._climbed(goal, rows, values, self._rest, trust, SMALL)[1] for trust in TRUST)
+            starts = starts[:1]  # nothing turns: the program is exact
+        return max((self._climbed(asked, at, trust, fine) for at, trust in starts), key=lambda end: end[1])
 
-    def _climbed(
-        self, goal: Any, rows: Array, values: Array, at: Array, trust: float, fine: float
-    ) -> tuple[Array, float]:
+    def _climbed(self, asked: _Asked, at: Array, trust: float, fine: float) -> tuple[Array, float]:
         """Where a climb from ``at`` ends, and what it attains there."""
         import numpy as np
 
-        thrust, merit, missed = self._exact(goal, rows, values, at)
-        for _ in range(STEPS):
-            step = self._stepped(goal, rows, values, at, thrust, trust)
+        thrust, merit, missed = self._exact(asked, at)
+        for _ in range(STEPS if len(at) else 0):
+            step = self._stepped(asked, at, thrust, trust)
             new = np.clip(at + step, self._low, self._high)
-            other, better, still = self._exact(goal, rows, values, new)
+            other, better, still = self._exact(asked, new)
             if better - MISSED * still > merit - MISSED * missed + 1e-9 * self._weight:
                 at, thrust, merit, missed = new, other, better, still
             else:
@@ -147,10 +149,11 @@ class Reach:
             columns.append([*axis, *(np.cross(places[jet], axis) + layout.stations[jet].twist * axis)])
         return np.array(columns).T
 
-    def _exact(self, goal: Any, rows: Array, values: Array, at: Array) -> tuple[Array, float, float]:
+    def _exact(self, asked: _Asked, at: Array) -> tuple[Array, float, float]:
         """The best thrusts with the hinges standing, what they give of the goal, and what they miss of what is held."""
         import numpy as np
 
+        goal, rows, values = asked
         effects = self.effects(at)
         jets = effects.shape[1]
         cost = np.concatenate([-(goal @ effects), np.full(2 * len(rows), MISSED)])
@@ -160,10 +163,11 @@ class Reach:
         thrust = found[:jets]
         return thrust, float(goal @ effects @ thrust), float(np.sum(found[jets:]))
 
-    def _stepped(self, goal: Any, rows: Array, values: Array, at: Array, thrust: Array, trust: float) -> Array:
+    def _stepped(self, asked: _Asked, at: Array, thrust: Array, trust: float) -> Array:
         """A step of the hinges that is best to first order, within ``trust`` of their ranges."""
         import numpy as np
 
+        goal, rows, values = asked
         effects, count = self.effects(at), len(at)
         turns = np.empty((6, count))
         for hinge in range(count):
