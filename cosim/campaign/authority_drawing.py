@@ -8,6 +8,7 @@ from math import cos, inf, isfinite, pi, sin
 
 from cosim.base.signals import AXES
 from cosim.control.allocation.authority import Reach
+from cosim.results.report.svg import begun, ended, text
 from cosim.spec.vehicle import Vehicle
 
 DIRECTIONS = 16  # in which a section is looked at
@@ -37,15 +38,11 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
     str
         A whole SVG document.
     """
-    root = ET.Element(
-        "svg", xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {VIEW * len(SECTIONS):g} {VIEW + 2 * TITLE:g}",
-        role="img",
-    )  # fmt: skip
-    ET.SubElement(root, "title").text = f"{vehicle.name}: attainable moments in hover"
-    ET.SubElement(root, "style").text = STYLE
+    title = f"{vehicle.name}: attainable moments in hover"
+    root = begun(title, VIEW * len(SECTIONS), VIEW + 2 * TITLE, STYLE)
     ET.SubElement(root, "rect", {"class": "frame", "width": "100%", "height": "100%"})
-    _text(root, 12, 22, f"{vehicle.title}: moments in hover, N m", "name")
-    _text(root, 12, 38, "filled: all engines; red: without each one, named by its number; the third moment is 0", "dim")
+    text(root, 12, 22, f"{vehicle.title}: moments in hover, N m", "name")
+    text(root, 12, 38, "filled: all engines; red: without each one, named by its number; the third moment is 0", "dim")
     for number, (right, up) in enumerate(SECTIONS):
         whole = _section(reach, right, up)
         lost: dict[str, list[tuple[float, float]]] = {}
@@ -55,7 +52,7 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
                 if section:
                     lost[str(jet)] = section
         _draw(root, number * VIEW, (right, up), whole, lost)
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    return ended(root)
 
 
 def _section(reach: Reach, right: int, up: int, directions: int = DIRECTIONS) -> list[tuple[float, float]]:
@@ -92,24 +89,20 @@ def _draw(
         ends = {"x1": f"{a:g}", "y1": f"{b:g}", "x2": f"{c:g}", "y2": f"{d:g}"}
         ET.SubElement(root, "line", {"class": "axis"} | ends)
     if not whole:
-        _text(root, middle_x, middle_y - 8, "the weight is not held in balance", "dim", "middle")
+        text(root, middle_x, middle_y - 8, "the weight is not held in balance", "dim", "middle")
     for kind, section in (("whole", whole), *(("lost", each) for each in lost.values())):
         if section:
             points = " ".join(f"{x:.2f},{y:.2f}" for x, y in map(at, section))
             ET.SubElement(root, "polygon", {"class": kind, "points": points})
     for number, (name, section) in enumerate(lost.items()):  # each at another corner, as many lie on each other
         x, y = at(section[number % len(section)])
-        _text(root, x + 3, y - 3, name, "dim")
-    _text(root, left + VIEW - 8, middle_y + 14, f"{AXES[axes[0]]} {wide:.3g}", "dim", "end")
-    _text(root, middle_x + 4, TITLE + MARGIN - 8, f"{AXES[axes[1]]} {high:.3g}", "dim")
-    _text(root, left + 12, TITLE + VIEW + 12, f"{AXES[axes[0]]} and {AXES[axes[1]]}", "dim")
+        text(root, x + 3, y - 3, name, "dim")
+    text(root, left + VIEW - 8, middle_y + 14, f"{AXES[axes[0]]} {wide:.3g}", "dim", "end")
+    text(root, middle_x + 4, TITLE + MARGIN - 8, f"{AXES[axes[1]]} {high:.3g}", "dim")
+    text(root, left + 12, TITLE + VIEW + 12, f"{AXES[axes[0]]} and {AXES[axes[1]]}", "dim")
 
 
 def _largest(values: Iterable[float]) -> float:
     """The scale of an axis; of one about which there is no moment a small one."""
     size = max(values, default=-inf)
     return size if size > 1e-9 else 1.0
-
-
-def _text(root: ET.Element, x: float, y: float, text: str, kind: str, anchor: str = "start") -> None:
-    ET.SubElement(root, "text", {"class": kind, "x": f"{x:g}", "y": f"{y:g}", "text-anchor": anchor}).text = text

@@ -8,6 +8,7 @@ from math import hypot
 
 from cosim.base.frames import jet_axis
 from cosim.base.signals import Vector3
+from cosim.results.report.svg import begun, ended, text
 from cosim.spec.vehicle import Vehicle
 
 VIEW, MARGIN, TITLE = 300.0, 34.0, 44.0  # px
@@ -41,20 +42,15 @@ def three_views(vehicle: Vehicle) -> str:
     """
     reach = max(max(map(abs, place)) for place in places(vehicle)) or 1.0
     scale = (VIEW / 2.0 - MARGIN) / reach
-    root = ET.Element(
-        "svg", xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {VIEW * len(VIEWS):g} {VIEW + 2 * TITLE:g}",
-        role="img",
-    )  # fmt: skip
-    ET.SubElement(root, "title").text = f"{vehicle.name}: three views"
-    ET.SubElement(root, "style").text = STYLE
+    root = begun(f"{vehicle.name}: three views", VIEW * len(VIEWS), VIEW + 2 * TITLE, STYLE)
     tip = ET.SubElement(
         ET.SubElement(root, "defs"), "marker", id="tip", viewBox="0 0 6 6", refX="5", refY="3", markerWidth="6",
         markerHeight="6", orient="auto",
     )  # fmt: skip
     ET.SubElement(tip, "path", d="M0,0 L6,3 L0,6 z", fill="#c0392b")
     ET.SubElement(root, "rect", {"class": "frame", "width": "100%", "height": "100%"})
-    _text(root, 12, 22, vehicle.title, "name")
-    _text(
+    text(root, 12, 22, vehicle.title, "name")
+    text(
         root,
         12,
         38,
@@ -63,10 +59,10 @@ def three_views(vehicle: Vehicle) -> str:
     )
     for number, (name, right, down) in enumerate(VIEWS):
         view = _View(root, number * VIEW + VIEW / 2.0, TITLE + VIEW / 2.0, scale, right, down)
-        _text(root, number * VIEW + 12, TITLE + VIEW + 12, name, "dim")
+        text(root, number * VIEW + 12, TITLE + VIEW + 12, name, "dim")
         _one(view, vehicle, reach)
     _ruler(root, scale, reach)
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    return ended(root)
 
 
 class _View:
@@ -129,7 +125,7 @@ def _one(view: _View, vehicle: Vehicle, reach: float) -> None:
         view.circle("jet", jet.position_m, 9.0)
         named.setdefault(view.at(jet.position_m), []).append(str(number))
     for (x, y), numbers in named.items():
-        _text(view.root, x, y + (4 if len(numbers) == 1 else 22), ", ".join(numbers), "name", "middle")
+        text(view.root, x, y + (4 if len(numbers) == 1 else 22), ", ".join(numbers), "name", "middle")
     x, y = view.at((0.0, 0.0, 0.0))
     for dx, dy in ((5, 0), (0, 5)):
         ET.SubElement(
@@ -167,8 +163,4 @@ def _ruler(root: ET.Element, scale: float, reach: float) -> None:
     ET.SubElement(
         root, "line", {"class": "cg", "x1": "12", "y1": f"{y:g}", "x2": f"{12 + length * scale:.2f}", "y2": f"{y:g}"}
     )
-    _text(root, 18 + length * scale, y + 4, f"{length:g} m", "dim")
-
-
-def _text(root: ET.Element, x: float, y: float, text: str, kind: str, anchor: str = "start") -> None:
-    ET.SubElement(root, "text", {"class": kind, "x": f"{x:g}", "y": f"{y:g}", "text-anchor": anchor}).text = text
+    text(root, 18 + length * scale, y + 4, f"{length:g} m", "dim")
