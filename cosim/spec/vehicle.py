@@ -580,7 +580,8 @@ class Vehicle(Model):
 
     @model_validator(mode="after")
     def _hinges_move_jets(self) -> Vehicle:
-        _differ("hinges, surfaces", [each.name for each in (*self.hinges, *self.surfaces)])
+        names = [hinge.name for hinge in self.hinges] + [surface.name for surface in self.surfaces]
+        _differ("hinges, surfaces", names)
         for number, hinge in enumerate(self.hinges):
             for jet in (*hinge.carries, *hinge.deflects):
                 if jet > len(self.jets):
