@@ -28,3 +28,9 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""
     return f"{hint}allowed: {', '.join(names)}"
+
+
+def similar(name: str, allowed: Iterable[str]) -> str:
+    """A clause that names what is like it, where too many are allowed for a line: ``hexjet list`` has them all."""
+    close = ", ".join(map(repr, difflib.get_close_matches(name, sorted(allowed))))
+    return f"{f'did you mean {close}? ' if close else ''}see: hexjet list"

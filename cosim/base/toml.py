@@ -200,6 +200,9 @@ def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> N
             raise InputError(f"{where}: {'.'.join(path[:depth])} is a value, not a table")
 
 
+_OTHERS = 5  # keys that a line names beside the first that is wrong
+
+
 def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
     complaints = error.errors()
     if not _is_off(complaints[0]):
@@ -208,7 +211,9 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
     first = complaints[0]
     key = ".".join(_path(model, first["loc"]))
     kind, value = first["type"], first["input"]
-    rest = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
+    others = [".".join(_path(model, complaint["loc"])) for complaint in complaints[1:]]
+    others = [other for other in dict.fromkeys(others) if other not in ("", key)]
+    rest = f"; wrong too: {', '.join(others[:_OTHERS])}{', ...' if len(others) > _OTHERS else ''}" if others else ""
     if kind == "extra_forbidden":
         name = str(first["loc"][-1])
         return f"unknown key {key!r}; {nearest(name, _keys_beside(model, first['loc']))}{rest}"

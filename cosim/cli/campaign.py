@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -253,10 +253,15 @@ def _sweep_bar(quiet: bool) -> Iterator[Callable[[Tally, int, int], None]]:
 
 def print_campaign(campaign: Campaign, page: Path) -> None:
     """What became of the flights, by controller, and where the data and the page are."""
-    from cosim.campaign.analysis.summary import campaign_summary, summary_lines
+    from cosim.campaign.analysis.summary import campaign_summary, comparison_lines, spread_table, success_lines
 
-    console = terminal()
-    for line in summary_lines(campaign_summary(campaign)):
+    console, summary = terminal(), campaign_summary(campaign)
+    for line in success_lines(summary):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    titles, rows = spread_table(summary)
+    if rows:
+        console.print(_table(titles, rows, range(2, len(titles))), highlight=False, markup=False)
+    for line in comparison_lines(summary):
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     console.print(f"folder: {campaign.folder}", highlight=False, soft_wrap=True)
     console.print(f"report: {page}", highlight=False, soft_wrap=True)
@@ -264,23 +269,28 @@ def print_campaign(campaign: Campaign, page: Path) -> None:
 
 def print_keys(keys: Sequence[Key]) -> None:
     """What can be varied: its value now, its unit, and what it may be."""
+    rows = []
+    for key in keys:
+        nominal = str(key.nominal).lower() if isinstance(key.nominal, bool) else key.nominal
+        rows.append([key.path, "-" if nominal is None else f"{nominal}", key.unit, key.allowed])
+    terminal().print(_table(["key", "value", "unit", "allowed"], rows, [1]), highlight=False, markup=False)
+
+
+def _table(titles: Sequence[str], rows: Sequence[Sequence[str]], numbers: Container[int] = ()) -> Any:
+    """A table of text; the columns of ``numbers``, counted from 0, stand to the right."""
     from rich import box
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for title in ("key", "value", "unit", "allowed"):
-        table.add_column(title, justify="right" if title == "value" else "left", overflow="fold")
-    for key in keys:
-        nominal = str(key.nominal).lower() if isinstance(key.nominal, bool) else key.nominal
-        table.add_row(key.path, "-" if nominal is None else f"{nominal}", key.unit, key.allowed)
-    terminal().print(table, highlight=False, markup=False)
+    for number, title in enumerate(titles):
+        table.add_column(title, justify="right" if number in numbers else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def print_search(searched: Searched) -> None:
     """Where each controller breaks, when that counts as broken, how closely was looked, and the files."""
-    from rich import box
-    from rich.table import Table
-
     from cosim.campaign.search.page import how_fine, joint_lines
     from cosim.campaign.search.page import table as edges
 
@@ -288,13 +298,7 @@ def print_search(searched: Searched) -> None:
     base = result.study.base()
     console.print(f"{base.name}: {base.aircraft_name}, engine {base.engine}; {result.flights} flights", highlight=False)
     console.print(result.criterion, highlight=False, markup=False, soft_wrap=True)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    titles, rows = edges(result)
-    for title in titles:
-        table.add_column(title, overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table, markup=False)
+    console.print(_table(*edges(result)), markup=False)
     for line in [*joint_lines(result), *map(how_fine, result.plan.spans)]:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     for case in searched.cases:

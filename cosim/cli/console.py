@@ -55,7 +55,13 @@ def terminal() -> Any:
     import os
     from io import StringIO
 
-    from rich.console import Console
+    from rich.console import Console as Rich
+
+    class Console(Rich):
+        """Whoever read the output may go before its end: no failure, and what rich makes of it is one."""
+
+        def on_broken_pipe(self) -> None:
+            raise
 
     if sys.stdout is None:  # closed by whoever started this
         return Console(file=StringIO(), width=_PIPE_WIDTH, emoji=False)

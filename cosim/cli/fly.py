@@ -151,6 +151,8 @@ def fly(
 
         for text in differences(flown, Path(controller)):
             click.echo(f"hexjet: warning: {controller}: {text}", err=True)
+    for text in flown.after_the_end():
+        click.echo(f"hexjet: warning: scenario {flown.name}: {text}", err=True)
     warn_of_blemishes(flown.engine, *(s.engine for s in flown.stations.values() if s.engine), folder=flown.folder)
     folder = out if out is not None else new_folder(Path("runs"), f"{flown.name}-{folder_name(flown.controller)}")
     with (

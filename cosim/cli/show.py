@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 import click
 
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, similar
 from cosim.base.paths import data_folder
 from cosim.base.toml import read_toml
 from cosim.cli.console import terminal
@@ -74,10 +73,7 @@ def show(name: str, kind: str | None, as_json: bool) -> int:
     found = [(each, entry) for each in kinds for entry in catalogue(each) if entry["name"] == name]
     if not found:
         names = {entry["name"] for each in kinds for entry in catalogue(each)}
-        near = ", ".join(get_close_matches(name, names))
-        raise InputError(
-            f"nothing that can be flown is called {name!r}; {f'did you mean {near}? ' if near else ''}see: hexjet list"
-        )
+        raise InputError(f"nothing that can be flown is called {name!r}; {similar(name, names)}")
     shown = [
         {"kind": each, **entry, "description": _description(each, name), "numbers": list(_numbers(each, name))}
         for each, entry in found

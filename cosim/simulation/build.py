@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from itertools import pairwise
-from math import hypot, inf
+from math import hypot, inf, radians
 from pathlib import Path
 from typing import Any
 
 from cosim.base.constants import GRAVITY, SERVOS
 from cosim.base.errors import FlightError, InputError
+from cosim.base.frames import from_euler, rotate
 from cosim.base.protocols import Allocator, Predictor, Sensors
 from cosim.base.signals import AXES
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
@@ -60,7 +61,7 @@ from cosim.simulation.step import Simulation
 from cosim.simulation.with_places import PlacePilot, flies_to_places
 from cosim.spec.scenario import Environment, Scenario, Station, TorqueCommandDisturbance
 from cosim.spec.vehicle import EngineLead, RateModel, Vehicle, aircraft_seen_from, file_seen_from, is_file
-from cosim.vehicle.airframe import Airframe, start_height
+from cosim.vehicle.airframe import Airframe, standing_height, start_height
 from cosim.vehicle.atmosphere import standard_air
 from cosim.vehicle.banks import Banks
 from cosim.vehicle.ground_effect import GroundJets
@@ -85,6 +86,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
     scenario.count(scenario.duration_s, "duration_s")
     vehicle, folder = scenario.resolved_vehicle()
     _need_tank(scenario, vehicle)
+    _need_room_below(scenario, vehicle)
     PREDICTORS.check(vehicle.control.predictor, f"scenario {scenario.name}: vehicle.control.predictor")
     engine, *stations = specs = _engines(scenario, vehicle)
     laws = [spec.flame_out for spec in stations]
@@ -169,6 +171,26 @@ def _need_tank(scenario: Scenario, vehicle: Vehicle) -> None:
         raise InputError(
             f"scenario {scenario.name}: initial.fuel = {scenario.initial.fuel:g}: {vehicle.name} has no tank; leave it "
             "out, or state vehicle.fuel"
+        )
+
+
+def _need_room_below(scenario: Scenario, vehicle: Vehicle) -> None:
+    """Refuse a start with a contact deeper in the ground than the legs are pressed in when the vehicle stands on them.
+
+    What stands deeper is thrown out of the ground by its springs.
+    """
+    initial = scenario.initial
+    if initial.on_ground:
+        return
+    roll, pitch, yaw = [radians(angle) for angle in initial.attitude_deg]
+    turned = from_euler(roll, pitch, yaw)
+    below = max([rotate(turned, contact.position_m)[2] for contact in vehicle.contacts])
+    pressed = max(contact.position_m[2] for contact in vehicle.contacts if contact.kind == "leg")
+    least = below - (pressed - standing_height(vehicle))
+    if initial.altitude_m < least:
+        raise InputError(
+            f"scenario {scenario.name}: initial.altitude_m = {initial.altitude_m:g}: {vehicle.name} would start "
+            f"{below - initial.altitude_m:.3g} m deep in the ground; at least {least:.3g}, or initial.on_ground = true"
         )
 
 

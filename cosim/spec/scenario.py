@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
 from cosim.base.constants import Outcome, Sensor
-from cosim.base.errors import InputError, nearest
+from cosim.base.errors import InputError, similar
 from cosim.base.paths import data_folder
 from cosim.base.signals import MOST_JETS
 from cosim.base.toml import (
@@ -613,6 +613,15 @@ class Scenario(Model):
             return self.monitor
         return any(not isinstance(fault, (ServoJam, SensorBias, SensorDropout)) for fault in self.fault)
 
+    def after_the_end(self) -> list[str]:
+        """What begins when the flight has ended, so that the flight says nothing about it."""
+        return [
+            f"{kind}.{number} begins at {entry.start_s:g} s and the flight ends at {self.duration_s:g} s"
+            for kind, entries in (("command", self.command), ("disturbance", self.disturbance), ("fault", self.fault))
+            for number, entry in enumerate(entries)
+            if entry.start_s >= self.duration_s
+        ]
+
     @property
     def steps(self) -> int:
         """Control steps in the whole flight."""
@@ -796,6 +805,6 @@ def find_scenario(name: str | Path) -> Path:
         return path
     if str(name) not in scenario_names():
         raise InputError(
-            f"unknown scenario {str(name)!r}; {nearest(str(name), scenario_names())}, or the path of a .toml file"
+            f"unknown scenario {str(name)!r}; {similar(str(name), scenario_names())}, or give the path of a .toml file"
         )
     return data_folder("scenarios") / f"{name}.toml"

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Range
 
 SUCCESS = "success"
+_PAIRS = 3  # of controllers, that a terminal has all of
 NUMBER = re.compile(r"(?<![A-Za-z_])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 BRACKETS = re.compile(r"\s*\([^()]*\)")
 
@@ -260,16 +261,48 @@ def _ranking(ranking: Ranking | None) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def summary_lines(summary: Mapping[str, Any]) -> Iterator[str]:
-    """The summary for a terminal."""
+def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
+    """For a terminal: how often each controller succeeds, and what became of the other flights."""
     whole = "" if summary["finished"] else f" of {summary['planned']}: not finished"
     yield f"{summary['flights']} flights{whole}; success: {summary['success_is']}"
     for name, entry in summary["controllers"].items():
         yield f"  {name}: {_probability(entry)}{_others(entry['outcomes'])}"
-        for label, each in entry["metrics"].items():
-            yield f"    {_spread_line(label, each)}"
-    for each in summary["comparisons"]:
+
+
+def spread_table(summary: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """For a terminal: titles and rows of the metrics' medians, a column a controller, with the flights behind each.
+
+    Where there is one controller, with the middle 90 % as well.
+    """
+    controllers = summary["controllers"]
+    names = list(dict.fromkeys(name for entry in controllers.values() for name in entry["metrics"]))
+    if len(controllers) != 1:
+        rows = [
+            [metric(name).label, metric(name).unit]
+            + [_median(name, entry["metrics"].get(name)) for entry in controllers.values()]
+            for name in names
+        ]
+        return ["median", "", *controllers], rows
+    (only,) = controllers.values()
+    titles = ["metric", "", "median", "5 %", "95 %"]
+    return titles, [
+        [metric(name).label, metric(name).unit, _median(name, only["metrics"][name])]
+        + [f"{metric(name).factor * only['metrics'][name][key]:.3g}" for key in ("p05", "p95")]
+        for name in names
+    ]
+
+
+def comparison_lines(summary: Mapping[str, Any]) -> Iterator[str]:
+    """For a terminal: each controller against the first, draw by draw, and what drives success.
+
+    Where there are more than three pairs the others are left to the page, and that is said.
+    """
+    pairs = summary["comparisons"]
+    told = pairs if len(pairs) <= _PAIRS else [each for each in pairs if each["first"] == pairs[0]["first"]]
+    for each in told:
         yield f"  {_compared_line(each)}"
+    if len(told) < len(pairs):
+        yield f"  {len(pairs) - len(told)} more pairs are in the report; each p is corrected for all {len(pairs)}"
     for name, entry in summary["drives_success"].items():
         keys = [key for key in (entry or {"keys": []})["keys"] if key["above_noise"]]
         if keys:
@@ -277,13 +310,12 @@ def summary_lines(summary: Mapping[str, Any]) -> Iterator[str]:
             yield f"  {name}, what drives success: {listed} of its variance"
 
 
-def _spread_line(name: str, entry: Mapping[str, Any]) -> str:
-    """A median with the flights that it is of: lost ones have no part in it."""
-    of = metric(name)
-    low, median, high = (f"{of.factor * entry[key]:.3g}" for key in ("p05", "median", "p95"))
-    without = f", {entry['without']} completed without it" if entry["without"] else ""
-    behind = f"over {entry['flights']} of {entry['of']} flights{without}"
-    return f"{of.label}: median {median} {of.unit} ({low} to {high} in the middle 90 %), {behind}"
+def _median(name: str, entry: Mapping[str, Any] | None) -> str:
+    """A median with the flights that it is of, where they are not all: lost ones have no part in it."""
+    if entry is None:
+        return "–"
+    median = f"{metric(name).factor * entry['median']:.3g}"
+    return median if entry["flights"] == entry["of"] else f"{median} ({entry['flights']} of {entry['of']})"
 
 
 def _probability(entry: Mapping[str, Any]) -> str:

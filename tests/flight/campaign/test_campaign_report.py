@@ -46,10 +46,12 @@ from cosim.campaign.analysis.statistics import (
 )
 from cosim.campaign.analysis.summary import (
     campaign_summary,
+    comparison_lines,
     comparisons,
     plain,
     reasons,
-    summary_lines,
+    spread_table,
+    success_lines,
 )
 from cosim.campaign.analysis.table import (
     KINDS,
@@ -352,8 +354,11 @@ def test_a_flight_that_did_not_complete_has_no_metric(tmp_path: Path) -> None:
     assert spread["p95"] <= 0.03
     survivors = summary["controllers"]["baseline"]["metrics"]["roll.rmse_rad"]
     assert (survivors["flights"], survivors["without"], survivors["of"]) == (25, 0, 50)
-    lines = list(summary_lines(summary))
-    assert any(line.startswith("    roll RMSE: median ") and line.endswith("over 25 of 50 flights") for line in lines)
+    titles, rows = spread_table(summary)
+    assert titles == ["median", "", "baseline", "smith"]
+    (rmse,) = [row for row in rows if row[:2] == ["roll RMSE", "deg"]]
+    assert rmse[2].endswith(" (25 of 50)")
+    assert float(rmse[3]) == pytest.approx(np.degrees(spread["median"]), rel=5e-3)
     (row,) = metric_rows(flown)
     assert [(cell["flights"], cell["of"]) for cell in row["cells"]] == [(25, 50), (50, 50)]
     assert "25 of 50" in write_campaign_report(made).read_text()
@@ -423,9 +428,21 @@ def test_the_summary_counts_every_flight(tmp_path: Path) -> None:
     first = summary["drives_success"]["baseline"]["keys"][0]
     assert (first["key"], first["above_noise"]) == (DELAY, True)
     assert summary["finished"]
-    lines = list(summary_lines(summary))
-    assert any(line.startswith("  baseline: ") and DELAY not in line for line in lines)
-    assert any("smith against baseline: +" in line for line in lines)
+    assert any(line.startswith("  baseline: ") and DELAY not in line for line in success_lines(summary))
+    assert any("smith against baseline: +" in line for line in comparison_lines(summary))
+
+
+def test_a_terminal_has_each_against_the_first_and_one_controller_with_its_spread(tmp_path: Path) -> None:
+    five = ["baseline", "smith", "state", "filtered-smith", "state-disturbance"]
+    lines = list(comparison_lines(campaign_summary(campaign(tmp_path / "five", study(runs=40, controllers=five)))))
+    assert sum(" against baseline: " in line for line in lines) == 4
+    assert [line for line in lines if "more pairs" in line] == [
+        "  6 more pairs are in the report; each p is corrected for all 10"
+    ]
+    summary = campaign_summary(campaign(tmp_path / "one", study(runs=40, controllers=["smith"])))
+    titles, rows = spread_table(summary)
+    assert titles == ["metric", "", "median", "5 %", "95 %"]
+    assert all(float(row[3]) <= float(row[2].split()[0]) <= float(row[4]) for row in rows)
 
 
 def test_only_draws_that_both_have_flown_are_compared(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.flight import fly
 from cosim.results.recorder import Log
-from cosim.spec.scenario import Scenario, scenario_names
+from cosim.spec.scenario import Initial, Scenario, scenario_names
 
 SHIPPED = {"hover", "roll-doublet", "pitch-doublet", "yaw-doublet", "manual", "payload-drop", "gust", "climb-and-land"}
 EXPECTED = [(name, entry.controller, entry.engine) for name in scenario_names() for entry in Scenario.load(name).expect]
@@ -107,9 +107,32 @@ def test_wrong_scenarios_are_refused_in_one_line(tmp_path: Path, text: str, mess
     assert "\n" not in str(caught.value)
 
 
+def test_what_begins_after_the_end_is_told() -> None:
+    doublet = Scenario.load("roll-doublet")
+    assert doublet.after_the_end() == []
+    late = doublet.replace(duration_s=0.5, fault=[{"kind": "flame_out", "start_s": 0.5, "jet": 1}])
+    assert late.after_the_end() == [
+        "command.0 begins at 1 s and the flight ends at 0.5 s",
+        "fault.0 begins at 0.5 s and the flight ends at 0.5 s",
+    ]
+
+
+@pytest.mark.parametrize(("roll", "least"), [(0.0, 0.125), (30.0, 0.2)])
+def test_a_start_with_the_legs_in_the_ground_is_refused(roll: float, least: float) -> None:
+    """The springs threw it 1.4 m up."""
+    low = Scenario.load("hover").replace(
+        initial=Initial(altitude_m=0.95 * least, attitude_deg=(roll, 0, 0)), duration_s=0.1
+    )
+    with pytest.raises(
+        InputError, match=r"initial\.altitude_m = .*: hexjet would start .* m deep in the ground; at least"
+    ):
+        fly(low)
+    fly(low.replace(initial=Initial(altitude_m=1.3 * least, attitude_deg=(roll, 0, 0))))
+
+
 def test_unknown_names_list_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(
-        InputError, match=r"unknown scenario 'rol-doublet'; did you mean 'roll-doublet'\? allowed: .*hover"
+        InputError, match=r"unknown scenario 'rol-doublet'; did you mean 'roll-doublet', .*see: hexjet list"
     ):
         Scenario.load("rol-doublet")
     with pytest.raises(InputError, match=r"none\.toml: no such scenario file"):

@@ -61,6 +61,6 @@ def test_every_key_that_a_shipped_file_states_has_a_meaning(kind: str) -> None:
 def test_every_controller_and_a_name_that_there_is_not(capsys: pytest.CaptureFixture[str]) -> None:
     for entry in catalogue("controllers"):
         assert shown(capsys, entry["name"])[0]["kind"] == "controllers"
-    with pytest.raises(InputError, match="called 'gusty'; did you mean gust") as complaint:
+    with pytest.raises(InputError, match="called 'gusty'; did you mean 'gust'") as complaint:
         show.main(["gusty"], standalone_mode=False)
     assert "hexjet list" in str(complaint.value)
