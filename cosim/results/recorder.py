@@ -137,6 +137,26 @@ class MemorySink:
         return MemoryLog(list(self.tables), tuple(column.name for column in self._columns), self._columns)
 
 
+class OneRow:
+    """What the log has of one sample, for those who watch a flight; ``columns``: as a :class:`Recorder`'s."""
+
+    def __init__(self, columns: Sequence[Column] = COLUMNS) -> None:
+        self._recorder = Recorder(1.0, self, columns)  # of a row a second a block has one row
+        self.names = tuple(column.name for column in columns)
+
+    def begin(self, columns: Sequence[Column]) -> None:
+        """Nothing: the columns are known."""
+
+    def write(self, table: Array) -> None:
+        self._table = table
+
+    def __call__(self, sample: Sample) -> Array:
+        """The columns of a sample, each an array of one row: shape (columns, 1)."""
+        self._recorder.observe(sample)
+        self._recorder.flush()
+        return self._table
+
+
 class BackgroundSink:
     """Hands blocks on in a thread of its own, so that a flight that keeps step with the clock does not wait for a disk.
 

@@ -143,13 +143,14 @@ def test_the_page_is_served_with_everything_it_names(flown: Flown) -> None:
     page = answer.read().decode()
     assert answer.status == 200
     named = re.findall(r'(?:src|href)="([^"]+)"', page)
-    assert {"/main.js", "/page.css", "/vendor/uPlot.iife.min.js"} <= set(named)
+    assert {"/main.js", "/page.css", "/assets/scene.js", "/assets/vendor/uPlot.iife.min.js"} <= set(named)
     for script in STATIC.glob("*.js"):
         named += [f"/{each}" for each in re.findall(r'from "\./([^"]+)"', script.read_text(encoding="utf-8"))]
     for path in named:
         found = flown.get(path)
         assert found.status == 200, path
-        assert found.read() == ((ASSETS if path.startswith("/vendor/") else STATIC) / path[1:]).read_bytes()
+        there = ASSETS / path.removeprefix("/assets/") if path.startswith("/assets/") else STATIC / path[1:]
+        assert found.read() == there.read_bytes()
 
 
 def test_nothing_comes_from_elsewhere_and_nothing_is_inline(flown: Flown) -> None:
@@ -159,7 +160,7 @@ def test_nothing_comes_from_elsewhere_and_nothing_is_inline(flown: Flown) -> Non
     assert rules["script-src"] == rules["style-src"] == ["'self'"]
     assert rules["frame-ancestors"] == ["'none'"]
     assert "unsafe" not in policy
-    there = [*STATIC.rglob("*"), *VENDOR.glob("uPlot*")]
+    there = [*STATIC.rglob("*"), *VENDOR.glob("uPlot*"), ASSETS / "scene.js"]
     for path in (each for each in there if each.suffix in (".html", ".js", ".css")):
         text = path.read_text(encoding="utf-8")
         for name in ("http://www.w3.org/2000/svg", "https://github.com/leeoniya/uPlot (v"):  # a name space, a comment
@@ -174,11 +175,12 @@ def test_nothing_comes_from_elsewhere_and_nothing_is_inline(flown: Flown) -> Non
     [
         "/index.html",
         "/../server.py",
-        "/vendor/../../server.py",
+        "/assets/../../page.py",
         "/%2e%2e/server.py",
-        "/vendor",
+        "/assets/vendor",
         "//",
-        "/vendor/README.md",
+        "/assets/vendor/README.md",
+        "/assets/replay.js",
     ],
 )
 def test_there_are_no_other_files(flown: Flown, path: str) -> None:
@@ -368,6 +370,38 @@ def test_a_page_is_told_the_flight_then_its_state_in_order(flown: Flown) -> None
     assert 20 < len(points) <= 21 * server._POINTS
 
 
+def test_the_rows_that_are_told_are_the_log_s(flown: Flown) -> None:
+    sample, facts = flown.now.sample, flown.now.facts
+    assert sample is not None
+    sample = sample._replace(spool_moment=(math.nan, 1.23456789, 0.0))
+    told, rows = feed.flight(facts), feed.Rows()
+    names = [column[0] for column in told["columns"]]
+    assert rows(facts, None) == []
+    rows(facts, sample._replace(time=1.0))
+    row = dict(zip(names, rows(facts, sample), strict=True))  # the second: each row is its own
+    assert row["time_s"] == pytest.approx(sample.time, rel=1e-5)
+    assert row["roll_measured_rad"] == pytest.approx(to_euler(sample.measured.attitude)[0], rel=1e-5)
+    assert row["throttle_6"] == pytest.approx(sample.actuation.throttle[5], rel=1e-5)
+    assert [row[f"spool_moment_{axis}_N_m"] for axis in "xyz"] == [None, 1.23457, 0.0]
+    assert [tuple(jet["position"]) for jet in told["shape"]["jets"]] == [jet.position_m for jet in facts.vehicle.jets]
+    json.dumps([told, feed.parameters(facts.parameters)], allow_nan=False)
+
+
+def test_parameters_are_told_searched_and_set(flown: Flown) -> None:
+    with flown.page() as page:
+        table = {line["name"]: line for line in page.next("parameters")["table"]}
+        values = page.next("values")["values"]
+        assert values == flown.now.facts.parameters.values
+        assert set(table) == set(values)
+        assert table["HJ_ALT_P"]["unit"] == "1/s"
+        asked = page.ask("SetParameter", name="HJ_ALT_P", value=1e9)
+        assert "must be from" in asked["text"]
+        asked = page.ask("SetParameter", name="HJ_ALT_P", value=1.25 * values["HJ_ALT_P"])
+        assert asked["accepted"]
+        assert page.next("values")["values"] == {"HJ_ALT_P": 1.25 * values["HJ_ALT_P"]}  # what has changed, alone
+        page.ask("SetParameter", name="HJ_ALT_P", value=values["HJ_ALT_P"])
+
+
 # --- what it may ask ---------------------------------------------------------------------------------------------
 
 
@@ -400,7 +434,7 @@ def test_a_page_arms_and_disarms(flown: Flown) -> None:
         ('{"request": "Arm", "id": "x"}', "whole number"),
         ('{"request": "Shutdown"}', "request = 'Shutdown'"),
         ('{"request": "LinkLost"}', "is not for the page"),
-        ('{"request": "SetParameter", "name": "HJ_ALT_P", "value": 1}', "is not for the page"),
+        ('{"request": "SetParameter", "name": "HJ_ALT_P", "value": "1"}', "must be a number"),
         ('{"request": "__init__"}', "request = '__init__'"),
         ('{"request": ["Arm"]}', "request = ['Arm']"),
         ("{}", "request = None"),
@@ -552,6 +586,31 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
         with browser.new_context(viewport={"width": 1280, "height": 800}) as context:
             screen = Screen(page := context.new_page())
             page.goto(flight.web.url)
+            # the picture is where the vehicle is, and moves as it does
+            until(lambda: float(page.locator("#scene canvas").get_attribute("data-time") or 0.0) > 0.5)
+            assert "m high" in page.inner_text(".readout")
+            page.click("[data-view=map]")
+
+            # the other pages, by keyboard alone
+            page.focus("#tab-flight")
+            page.keyboard.press("ArrowRight")
+            strips = page.locator("#strips .uplot")
+            screen.expect(strips).to_have_count(8, timeout=1e3 * SOON)
+            page.fill("#strips-search", "rotor moment x")
+            page.keyboard.press("Enter")
+            screen.expect(strips).to_have_count(9, timeout=1e3 * SOON)
+            page.focus("#tab-strips")
+            page.keyboard.press("ArrowRight")
+            cells = page.locator("#engine-table tbody tr").nth(5).locator("td")
+            screen.expect(cells.nth(9)).to_have_text("100", timeout=3e4)
+            page.keyboard.press("End")
+            page.fill("#parameters-search", "horizontal jerk")
+            screen.shows("#parameters-count", f"1 of {len(flight.now.facts.parameters.values)}")
+            page.fill("#parameters tr:visible input", "2.5")
+            page.keyboard.press("Enter")
+            until(lambda: flight.now.facts.parameters["HJ_JERK_HOR"] == 2.5)
+            page.focus("#tab-parameters")
+            page.keyboard.press("Home")
             screen.shows("#armed", "ready")
             screen.shows("#title", "hexjet")
             assert screen_value(page, "#takeoff-height") == flight.now.facts.parameters["MIS_TAKEOFF_ALT"]
@@ -623,6 +682,10 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
             assert flight.now.status.landed is LandedState.ON_GROUND
             assert flight.now.status.mode is Mode.HOLD
             assert "landed" in page.inner_text("#messages")
+            kinds, said = (page.locator(f"#events td:nth-child({n})").all_text_contents() for n in (2, 3))
+            assert {("mode", "mode HOLD"), ("ground", "in air"), ("ground", "on ground")} <= set(
+                zip(kinds, said, strict=True)
+            )
 
             flight.session.stop("enough")
             flight.thread.join()
@@ -632,7 +695,7 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
             # after the end the page tries again and again, in vain, and the browser says so
             assert not [error for error in screen.errors if "WebSocket" not in error]
     kinds = [line["request"] for line in requests_of(flight.folder) if line["request"] != "Sticks"]
-    assert kinds == ["Arm", "Takeoff", "Goto", "SetMode", "Hold", "Land"]
+    assert kinds == ["SetParameter", "Arm", "Takeoff", "Goto", "SetMode", "Hold", "Land"]
 
 
 def screen_value(page: Any, where: str) -> float:

@@ -14,13 +14,18 @@ from cosim.base.frames import to_euler
 from cosim.base.protocols import EngineState
 from cosim.base.signals import Sample
 from cosim.control.autopilot.modes import DIRECT, Home, Message, Mode
+from cosim.control.autopilot.parameters import Parameters
 from cosim.groundstation.exchange import Facts, Snapshot
+from cosim.results.columns import flown_by, log_columns
+from cosim.results.recorder import OneRow
+from cosim.results.report.signals_data import shape
 from cosim.spec.controller_name import label
 
 Point = tuple[float | None, ...]  # of the strip chart: t [s], measured p, q, r, predicted p, q, r [deg/s]
 
 _ZERO_CELSIUS = 273.15  # K
 _RPM = 60.0 / (2.0 * pi)  # per rad/s
+_DIGITS = 6  # of a column's number, chosen by us: a strip has a thousand pixels, a place a millimetre a kilometre away
 _TELLING = 4  # digits after the point; a tenth of a millimetre, and less than any sensor here tells
 
 
@@ -38,7 +43,44 @@ def flight(facts: Facts) -> dict[str, Any]:
         "takeoff_m": facts.parameters["MIS_TAKEOFF_ALT"],
         "modes": [mode.value for mode in Mode if mode is not Mode.ORBIT],
         "direct": [mode.value for mode in Mode if mode in DIRECT],
+        "shape": shape(vehicle),
+        "columns": [column[:4] for column in log_columns(flown_by(vehicle))],
     }
+
+
+def parameters(known: Parameters) -> list[dict[str, Any]]:
+    """The table of the vehicle's parameters; their values are told beside it."""
+    return [
+        {
+            "name": line.name,
+            "kind": line.kind,
+            "unit": line.unit,
+            "group": line.group,
+            "text": line.text,
+            "default": line.default,
+            "least": line.least,
+            "most": line.most,
+            "values": line.values,
+            "read_only": line.read_only,
+        }
+        for line in known
+    ]
+
+
+class Rows:
+    """The log's columns of the newest sample, in the order in which :func:`flight` names them."""
+
+    def __init__(self) -> None:
+        self._flight = 0
+        self._row = OneRow()
+
+    def __call__(self, facts: Facts, sample: Sample | None) -> list[float | None]:
+        """One number a column, to so many digits as a screen shows; empty before the first step."""
+        if sample is None:
+            return []
+        if facts.number != self._flight:
+            self._flight, self._row = facts.number, OneRow(log_columns(flown_by(facts.vehicle)))
+        return [float(f"{value:.{_DIGITS}g}") if isfinite(value) else None for (value,) in self._row(sample).tolist()]
 
 
 def state(snapshot: Snapshot) -> dict[str, Any]:

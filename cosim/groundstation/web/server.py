@@ -36,6 +36,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.groundstation.exchange import Asked, Done, Exchange, Restart, Snapshot, untold
 from cosim.groundstation.web import feed
 from cosim.groundstation.web.loopback import TYPES, WRONG_TOKEN, is_token, no_socket, response, stranger
+from cosim.results.report.page import ASSETS, SCENE, THREE
 
 # Chosen by us, with the reason.
 FRAMES_1_S = 20  # smooth to the eye, a tenth of what a core can send
@@ -49,11 +50,13 @@ STUCK_S = 10.0  # after so long without reading the page is let go
 HELLO_S = 5.0  # for the token to arrive
 _STRIP = 4000  # points of the strip chart that may wait: a second at 16 times real time
 _POINTS = 40  # of the strip chart in one frame; 20 frames a second show four times the bandwidth of any loop here
+_VALUES = 10  # frames between two looks at the parameters: half a second
 _TOKEN = "@TOKEN@"
+_ASSETS = ("vendor/uPlot.iife.min.js", "vendor/uPlot.min.css", THREE, SCENE)  # of reports; the page draws with them too
 
 TOO_MANY = 4429  # a close code of our own
 
-# what the page offers; parameters, missions and faults are for ground stations
+# what the page offers; missions and faults are for ground stations
 ALLOWED = (
     rq.Arm,
     rq.Disarm,
@@ -66,6 +69,7 @@ ALLOWED = (
     rq.SetSpeed,
     rq.Kill,
     rq.Sticks,
+    rq.SetParameter,
 )
 
 
@@ -87,6 +91,8 @@ class WebServer:
         self._pages: dict[ServerConnection, _Page] = {}
         self._strip: deque[tuple[int, Sample]] = deque(maxlen=_STRIP)
         self._drawn = (0, -1)  # flight and step of the newest point
+        self._rows = feed.Rows()
+        self._count = 0  # of frames
         self._thread: threading.Thread | None = None
 
     @property
@@ -289,7 +295,12 @@ class WebServer:
                 connection.transport.abort()
             else:
                 self.skipped += 1
-        frame = feed.state(snapshot) | {"age_s": round(now - snapshot.published, 2), "strip": self._points(snapshot)}
+        frame = feed.state(snapshot) | {
+            "age_s": round(now - snapshot.published, 2),
+            "strip": self._points(snapshot),
+            "row": self._rows(snapshot.facts, snapshot.sample),
+        }
+        self._count += 1
         for connection in ready:
             self._tell(connection, self._pages[connection], snapshot)
         broadcast(ready, _dump(frame))
@@ -307,7 +318,14 @@ class WebServer:
         """The flight and the messages that the page does not know of."""
         if page.flight != snapshot.facts.number:
             page.flight = snapshot.facts.number
+            page.values = {}
             _send(connection, feed.flight(snapshot.facts))
+            _send(connection, {"type": "parameters", "table": feed.parameters(snapshot.facts.parameters)})
+        if not page.values or self._count % _VALUES == 0:
+            values = dict(snapshot.facts.parameters.values)
+            if changed := {name: value for name, value in values.items() if page.values.get(name) != value}:
+                page.values = values
+                _send(connection, {"type": "values", "values": changed})
         messages = [message for message in self._exchange.messages if message.number > page.told]
         if messages:
             page.told = messages[-1].number
@@ -322,6 +340,7 @@ class _Page:
         self.number = number
         self.flight = 0  # that it was told of
         self.told = 0  # the last message that it was sent
+        self.values: dict[str, float] = {}  # of parameters, that it was sent
         self.read_at = time.monotonic()
         self._allowance, self._counted = BURST, self.read_at
 
@@ -389,11 +408,7 @@ def _read(token: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
         path: (TYPES[path.rpartition(".")[2]], body, policy)
         for path, body in [
             *_walk(files("cosim.groundstation.web") / "static", "/"),
-            *(
-                (path, body)
-                for path, body in _walk(files("cosim.results.report") / "assets" / "vendor", "/vendor/")
-                if path.startswith("/vendor/uPlot")
-            ),
+            *((f"/assets/{name}", (ASSETS / name).read_bytes()) for name in _ASSETS),
         ]
         if path.rpartition(".")[2] in TYPES
     }

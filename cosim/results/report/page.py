@@ -23,7 +23,8 @@ from cosim.base.files import one_line, replacing
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 ASSETS = Path(__file__).resolve().parent / "assets"
 STYLES = ("vendor/uPlot.min.css", "strips.css")
-SCRIPTS = ("vendor/uPlot.iife.min.js", "strips.js", "replay.js")
+SCENE = "scene.js"
+SCRIPTS = ("vendor/uPlot.iife.min.js", "strips.js", SCENE, "replay.js")
 THREE = "vendor/three.iife.min.js"
 SHARED = "assets-"  # and the first of a hash: the folder that pages share
 

@@ -1,12 +1,17 @@
 // The page: takes what the link brings, shows it, and sends what is asked for.
 
 import { Engines } from "./engines.js";
+import { History } from "./history.js";
 import { Horizon } from "./horizon.js";
 import { Link } from "./link.js";
+import { Strips } from "./panels.js";
 import { get, number, write } from "./show.js";
 import { Sticks } from "./sticks.js";
 import { Strip } from "./strip.js";
+import { EnginePage, EventPage, ParameterPage } from "./tables.js";
+import { Tabs } from "./tabs.js";
 import { Track } from "./track.js";
+import { View } from "./view.js";
 
 const STALE_S = 1; // a state older than this is shown as old: the flight stands still
 
@@ -20,6 +25,13 @@ const track = new Track(get("map"), (north, east) => {
 });
 const link = new Link({ message: take, state: linked });
 const sticks = new Sticks((where) => link.tell("Sticks", where));
+const history = new History();
+const view = new View(get("scene"), history);
+const strips = new Strips(history);
+const enginePage = new EnginePage(history);
+const events = new EventPage();
+const parameters = new ParameterPage(async (name, value) => (await ask("SetParameter", { name, value }, `${name} = ${value}`)).accepted);
+const tabs = new Tabs(() => { changed = true; });
 
 let flight = null;
 let now = null;
@@ -30,12 +42,17 @@ let heard = 0; // the number of the last message; after a lost link they come ag
 
 function take(told) {
   if (told.type === "flight") begin(told);
+  if (told.type === "parameters") parameters.begin(told.table);
+  if (told.type === "values") parameters.take(told.values);
   if (told.type === "messages") told.lines.forEach(message);
   if (told.type === "state") {
     now = told;
     changed = true;
     track.take(told);
     strip.take(told.strip);
+    history.take(told.t, told.row);
+    view.take();
+    events.take(told);
   }
 }
 
@@ -53,12 +70,27 @@ function begin(told) {
     get("takeoff-height").value = Number(told.takeoff_m.toFixed(1));
     track.clear();
     strip.clear();
+    history.begin(told.columns);
+    view.clear();
+    strips.begin(told);
+    enginePage.begin(told);
+    events.begin();
   }
+  if (view.begin(told)) draw("map");
+}
+
+/** The scene or the map. */
+function draw(what) {
+  for (const each of document.querySelectorAll("[data-view]")) each.setAttribute("aria-pressed", String(each.dataset.view === what));
+  get("scene").hidden = what !== "scene";
+  get("map").hidden = get("map-tools").hidden = what !== "map";
+  changed = true;
 }
 
 function message({ number: count, t, severity, text }) {
   if (count <= heard) return;
   heard = count;
+  events.message({ t, severity, text });
   const list = get("messages"), line = document.createElement("div"), at = document.createElement("time");
   const bottom = list.scrollHeight - list.scrollTop - list.clientHeight < 40;
   line.className = severity;
@@ -75,10 +107,16 @@ function message({ number: count, t, severity, text }) {
 
 function show() {
   requestAnimationFrame(show);
-  track.draw();
+  if (!get("map").hidden) track.draw();
   if (!changed || !now || !flight) return;
   changed = false;
   const state = now;
+  bar(state);
+  ({ flight: dashboard, strips: () => strips.panels.draw(), engines: () => enginePage.draw(state, history) })[tabs.now]?.(state);
+}
+
+/** What is above every page. */
+function bar(state) {
   chip("mode", state.mode, state.failsafe ? "bad" : "");
   get("mode").title = state.failsafe ? `Failsafe: ${state.failsafe}` : "Flight mode";
   const off = state.engines_do === "off";
@@ -89,7 +127,15 @@ function show() {
   write(get("pace"), number(reached, 2));
   write(get("pace-asked"), asked === null ? " × real time" : ` of ${asked} × real time`);
   write(get("late"), String(missed));
+  write(get("arm"), state.armed ? "Disarm" : "Arm");
+  sticks.mode(flight.direct.includes(state.mode), state.landed === "on_ground");
+  ended();
+}
+
+/** The page of the flight. */
+function dashboard(state) {
   const attitude = state.attitude_deg;
+  view.draw();
   horizon.show(attitude, state.armed ? state.attitude_asked_deg : null);
   const [north, east, down] = state.velocity;
   write(get("height"), number(state.height));
@@ -107,9 +153,6 @@ function show() {
   write(get("rate-measured"), number(measured));
   write(get("rate-predicted"), number(predicted));
   write(get("refusals"), state.armed ? state.failsafe && `Failsafe: ${state.failsafe}` : state.refusals.length ? `Not ready to arm: ${state.refusals.join("; ")}` : "");
-  write(get("arm"), state.armed ? "Disarm" : "Arm");
-  sticks.mode(flight.direct.includes(state.mode), state.landed === "on_ground");
-  ended();
 }
 
 function chip(id, text, kind) {
@@ -205,6 +248,10 @@ get("map-in").addEventListener("click", () => track.zoom(1 / 1.5));
 get("map-out").addEventListener("click", () => track.zoom(1.5));
 get("map-fit").addEventListener("click", () => track.fit());
 get("map-clear").addEventListener("click", () => track.clear());
+for (const button of document.querySelectorAll("[data-view]")) button.addEventListener("click", () => draw(button.dataset.view));
+addEventListener("keydown", (event) => {
+  if (event.key === "c" && !event.ctrlKey && !event.metaKey && !event.altKey && !event.target.closest("input, select, dialog")) view.scene?.views();
+});
 for (const button of document.querySelectorAll("[data-axis]")) {
   button.addEventListener("click", () => {
     for (const each of document.querySelectorAll("[data-axis]")) each.setAttribute("aria-pressed", each === button);

@@ -24,3 +24,20 @@ export function draw(parent, kind, attributes = {}, text = "") {
   parent.append(element);
   return element;
 }
+
+/** An element with its attributes and children; what begins with "on" is a listener. */
+export function element(kind, attributes = {}, ...children) {
+  const made = document.createElement(kind);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
+    else if (value !== undefined && value !== false) made.setAttribute(key, value === true ? "" : value);
+  }
+  made.append(...children);
+  return made;
+}
+
+/** Does a text have all of the words? */
+export function hasWords(text, words) {
+  const low = text.toLowerCase();
+  return words.toLowerCase().split(/\s+/).every((word) => low.includes(word));
+}
