@@ -138,9 +138,9 @@ for _axis in AXES:
 def identify_from_log(log: Path, channels: bool, out: Path | None, as_json: bool, **choices: Any) -> int:
     """Identify an axis or an engine from a flight's log, whoever flew it: lag, gain and delay with its bounds.
 
-    Reads runs, ULog, ArduPilot DataFlash, Crazyflie, CSV and Parquet.  Leaves a page, identification.json for hexjet
-    validate; of an axis a model file for hexjet fly and design --model, of an engine's thrust an engine.  Status 2:
-    the log does not tell.
+    Reads runs, ULog, ArduPilot DataFlash, Betaflight blackbox, Crazyflie, CSV and Parquet.  Leaves a page,
+    identification.json for hexjet validate; of an axis a model file for hexjet fly and design --model, of an engine's
+    thrust an engine.  Status 2: the log does not tell.
     """
     from cosim.base.threads import one_thread
 

@@ -7,17 +7,25 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.results.columns import RATES
-from cosim.results.logs import crazyflie, dataflash, table, ulog
+from cosim.results.logs import blackbox, crazyflie, dataflash, table, ulog
 from cosim.results.logs.flight_log import FlightLog, Wanted
 
-KINDS = "a run's folder, .ulg (ULog), .bin (ArduPilot DataFlash), .cfusdlog (Crazyflie), .csv, .parquet"
+KINDS = (
+    "a run's folder, .ulg (ULog), .bin (ArduPilot DataFlash), .bbl or .bfl (Betaflight blackbox), "
+    ".cfusdlog (Crazyflie), .csv, .parquet"
+)
 
 
 def read_flight_log(path: Path, time: str | None = None, time_unit: str = "s") -> FlightLog:
     """Read a log of any kind that is known: by its first bytes, or by its name where it is a table.
 
-    ``time`` and ``time_unit`` are a table's.  Raises InputError for what is no log or cannot be read.
+    ``time`` and ``time_unit`` are a table's.  ``FILE:N`` is log number N of a file that holds several, as Betaflight's
+    do.  Raises InputError for what is no log or cannot be read.
     """
+    number = None
+    name, _, digits = str(path).rpartition(":")
+    if name and digits.isdigit() and not path.exists() and Path(name).is_file():
+        path, number = Path(name), int(digits)
     if path.is_dir():
         return table.read_run(path)
     try:
@@ -27,6 +35,10 @@ def read_flight_log(path: Path, time: str | None = None, time_unit: str = "s") -
         raise InputError(f"{path}: {error.strerror or error}") from error
     if not head:
         raise InputError(f"{path}: the file is empty")
+    if blackbox.is_one(head):
+        return blackbox.read(path, number)
+    if number is not None:
+        raise InputError(f"{path}: holds one log; {path}:{number} is for a blackbox file of several")
     readers = ((ulog.is_one, ulog.read), (dataflash.is_one, dataflash.read), (crazyflie.is_one, crazyflie.read))
     for is_one, read in readers:
         if is_one(head):
@@ -79,6 +91,7 @@ def _axis(n: int) -> list[Wanted]:
         Wanted(f"vehicle_torque_setpoint.xyz[{n}]", f"sensor_combined.gyro_rad[{n}]", f"vehicle_rates_setpoint.{axis}"),
         Wanted(f"RATE.{letter}Out", f"deg(RATE.{letter})", f"deg(RATE.{letter}Des)"),
         Wanted(f"RATE.{letter}Out", f"IMU[0].Gyr{gyro}", f"deg(RATE.{letter}Des)"),
+        Wanted(f"axisSum[{n}]", f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
         Wanted(pids, f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
         Wanted(pids.rsplit(" + ", 1)[0], f"deg(gyroADC[{n}])", f"deg(setpoint[{n}])"),
         Wanted((*motors, yaw)[n], f"deg(gyro.{'xyz'[n]})", "", "PWM counts"),

@@ -19,6 +19,7 @@ from cosim.autopilots.run import LOCKSTEP, Flown, fly_autopilot
 from cosim.base.errors import InputError
 from cosim.base.signals import Sample
 from cosim.flight import fly
+from cosim.results.logs import read_flight_log
 from cosim.spec.scenario import Scenario
 
 try:
@@ -176,3 +177,25 @@ def test_a_line_that_its_console_refuses_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="its console refuses 'set p_role = 12'"):
         autopilot.start()
     autopilot.close()
+
+
+def test_its_own_blackbox_is_read(tmp_path: Path) -> None:
+    """What Betaflight logged of the flight is what it was told: the gyro, in whole degrees a second, on another clock."""
+    scenario = Scenario.load("roll-doublet").replace(duration_s=3.0, vehicle=DESIGNED)
+    vehicle, _ = scenario.resolved_vehicle()
+    lines = [*theirs.gains_of(vehicle), "set blackbox_device = VIRTUAL", "set blackbox_sample_rate = 1/4"]
+    assert BINARY is not None
+    folder = tmp_path / "run"
+    autopilot = theirs.Betaflight(BINARY, folder / "betaflight", vehicle, scenario.step_s, lines, free_port(), 60.0)
+    run = fly_with(autopilot, scenario, folder).run
+    (path,) = (folder / "betaflight").glob("LOG*.BF*")
+    log = read_flight_log(path)
+    assert not any("damaged" in remark for remark in log.remarks)
+    gyro = log.signal("deg(gyroUnfilt[0])")
+    times, rate = run.log["time_s"], run.log["rate_p_measured_rad_s"]
+    late = gyro.times[-1] - times[-1]  # its clock begins before the flight does
+    off = [
+        float(np.std(np.interp(times[25:-25] + late + shift, gyro.times, gyro.values) - rate[25:-25]))
+        for shift in np.arange(-10, 11) * 0.004
+    ]
+    assert min(off) < np.radians(1.0)
