@@ -119,6 +119,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
         servos += [TiltServo(hinge, step) for hinge in vehicle.hinges]
         servos += [TiltServo(surface, step) for surface in vehicle.surfaces]
         reactions = HingeReactions(flown.hinges, flown.jets, step)
+        intakes = IntakeDrag(vehicle.airflow, flown.jets, flown.hinges)
         banks = Banks(vehicle.servo, flown.jets, step) if vehicle.servo else None
         propulsion = Propulsion(
             flown.jets,
@@ -127,7 +128,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             spools if spools.any else None,
             Tank(vehicle.fuel.mass_kg, step, initial.fuel) if vehicle.fuel else None,
             banks if banks and banks.any else None,
-            IntakeDrag(vehicle.airflow, flown.jets, flown.hinges) if vehicle.airflow else None,
+            intakes if intakes.any else None,
             GroundJets(vehicle.ground_effect, flown.jets) if vehicle.ground_effect else None,
             airframe.air,
             flown.hinges,

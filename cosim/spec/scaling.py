@@ -20,10 +20,11 @@ _RATE, _SPEED = -_TIME, _LENGTH - _TIME
 _P, _I, _D = _LENGTH - _TIME, _LENGTH - 2 * _TIME, _LENGTH  # command per rad/s, per rad, per rad/s^2
 
 _LEAD = {"natural_rad_s": _RATE, "pole_rad_s": _RATE}
+_AIR = {"kg_s": _MASS - _TIME, "at_thrust_n": _MASS, "intake_m": _LENGTH, "exhaust_m": _LENGTH}
 _PID = {"p": _P, "i": _I, "d": _D, "d_filter_s": _TIME}
 _LAW: dict[str, Any] = {
     "inertia_kg_m2": _MASS + 2 * _LENGTH,
-    "jets": {"position_m": _LENGTH, "reaction_m": _LENGTH},
+    "jets": {"position_m": _LENGTH, "reaction_m": _LENGTH, "airflow": _AIR},
     "fuel": {"mass_kg": _MASS, "position_m": _LENGTH},
     "contacts": {
         "position_m": _LENGTH,
@@ -36,7 +37,7 @@ _LAW: dict[str, Any] = {
         "bank_inertia_kg_m2": _MASS + 2 * _LENGTH,
         "bank_imbalance_kg_m": _MASS + _LENGTH,
     },
-    "airflow": {"kg_s": _MASS - _TIME, "at_thrust_n": _MASS, "intake_m": _LENGTH, "exhaust_m": _LENGTH},
+    "airflow": _AIR,
     "ground_effect": {"planform_m": _LENGTH, "jet_m": _LENGTH, "planform_z_m": _LENGTH, "hot_gas_height_m": _LENGTH},
     "aero": {
         "span_m": _LENGTH,

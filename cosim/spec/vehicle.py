@@ -52,6 +52,16 @@ def _unit(axis: Vector) -> Vector:
 Direction = Annotated[Vector, AfterValidator(_unit)]
 
 
+class Airflow(Model):
+    """The air that one engine swallows: ``kg_s (thrust / at_thrust_n)^exponent``, and where on its axis it does so."""
+
+    kg_s: Positive
+    at_thrust_n: Positive
+    exponent: NotNegative
+    intake_m: float  # from the station along the thrust
+    exhaust_m: float  # the same for where it leaves
+
+
 class Jet(Model):
     """One engine station: fixed to the body, on a tilting bank, or on hinges."""
 
@@ -63,6 +73,7 @@ class Jet(Model):
     reaction_m: float = 0.0
     spin: Literal[-1, 0, 1] = 0  # sense of the rotor about the thrust, right-handed; 0: its spin is not modelled
     engine: str | None = None  # of another kind than the scenario's; None: as that
+    airflow: Airflow | None = None  # of an engine of its own; None: that of the vehicle
     effort: Positive = 1.0  # of allocation by effectiveness: how dear its range is beside that of the others
 
     @model_serializer(mode="wrap")
@@ -161,16 +172,6 @@ class Fuel(Model):
 
     mass_kg: Positive
     position_m: Vector  # body
-
-
-class Airflow(Model):
-    """The air that one engine swallows: ``kg_s (thrust / at_thrust_n)^exponent``, and where on its axis it does so."""
-
-    kg_s: Positive
-    at_thrust_n: Positive
-    exponent: NotNegative
-    intake_m: float  # from the station along the thrust
-    exhaust_m: float  # the same for where it leaves
 
 
 class GroundEffect(Model):
@@ -563,7 +564,7 @@ class Vehicle(Model):
     contacts: Annotated[list[Contact], Field(min_length=1)]
     servo: Servo | None = None
     fuel: Fuel | None = None
-    airflow: Airflow | None = None  # None: no intake drag
+    airflow: Airflow | None = None  # of every jet without one of its own; None: no intake drag but theirs
     ground_effect: GroundEffect | None = None  # None: the ground does nothing to the jets
     aero: Aero
     sensors: Sensors

@@ -24,14 +24,12 @@ class IntakeDrag:
         jet damping   -m omega x r_o  at r_o,
 
     both across the axis: what acts along it is the engine's, which knows its air speed.  ``m = m_0 (T / T_0)^b``; the
-    air at rest in the engine is left out, a few grams.
+    air at rest in the engine is left out, a few grams.  ``flow`` is that of the jets that state none of their own.
     """
 
-    def __init__(self, flow: Airflow, jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> None:
-        self._flow = flow.kg_s
-        self._thrust = flow.at_thrust_n
-        self._exponent = flow.exponent
-        self._intake, self._exhaust = flow.intake_m, flow.exhaust_m
+    def __init__(self, flow: Airflow | None, jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> None:
+        self._flows: list[Airflow | None] = [jet.airflow or flow for jet in jets]
+        self.any = any(each is not None for each in self._flows)
         self._stations: list[Vector3] = [jet.position_m for jet in jets]
         self._layout = layout_of(jets, hinges)
 
@@ -52,14 +50,18 @@ class IntakeDrag:
         through_air = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
         axes, groups = self._layout.axes(tilt), self._layout.groups
         moves, standing = self._layout.moves, self._layout.standing(tilt)
-        a, b = self._intake, self._exhaust
         added: list[Vector3] = []
         moment_x = moment_y = moment_z = 0.0
         for i, newton in enumerate(thrust):
+            own = self._flows[i]
+            if own is None:
+                added.append(forces[i])
+                continue
             fx, fy, fz = forces[i]
             x, y, z = standing[i]
             e = axes[groups[i]]
-            flow = self._flow * pow(newton / self._thrust, self._exponent) if newton > 0.0 else 0.0
+            a, b = own.intake_m, own.exhaust_m
+            flow = own.kg_s * pow(newton / own.at_thrust_n, own.exponent) if newton > 0.0 else 0.0
             outlet = (x + b * e[0], y + b * e[1], z + b * e[2])
             here = through_air
             if gusts:

@@ -130,12 +130,17 @@ class EffectivenessAllocator:
             )
 
     def _settle(self) -> None:
-        """Find the hover: thrusts that carry the weight in balance, to begin with and to be left at."""
+        """Find the hover: thrusts that carry the weight in balance, to begin with and to be left at.
+
+        Where there is a choice they push nowhere: else dear thrusts stayed even and a tilted hinge balanced them.
+        """
         even = self._low + self._span * self.hover
         self._preferred = [even] * self._jets
         self._last = [even] * self._jets + [mover.rest for mover in self._movers]
         wanted = [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
+        asked, self._levels = self._levels, [*LEVELS, *HORIZONTAL]
         found, missing = self._solve(wanted, self._weight, FIRST_PASSES, False)
+        self._levels = asked
         self._missing = [missing[row] * self._norms[row] for row in range(6)]
         self._balanced = all(abs(self._missing[row]) <= 1e-6 for row in (ROLL, PITCH, LIFT))
         self._preferred = found[: self._jets]

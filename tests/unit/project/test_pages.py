@@ -68,6 +68,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "aircraft/hexjet-p220/README.md": ("test_full_scale.py",),
     "aircraft/octojet/README.md": ("test_octojet.py",),
     "aircraft/quadjet/README.md": ("test_quadjet.py",),
+    "aircraft/trijet/README.md": ("test_trijet.py",),
     "aircraft/quadrotor/README.md": ("test_pages.py", "test_quadrotor.py"),
     "benchmarks/README.md": ("test_pages.py",),
     "docs/accuracy.md": ("marks", "test_accuracy.py"),

@@ -1,0 +1,145 @@
+"""aircraft/trijet: its README's sums and margins, its hover, the air its fan swallows, and the loss of an engine."""
+
+from __future__ import annotations
+
+from math import atan2, cos, degrees, pi, sqrt
+
+import numpy as np
+import pytest
+from places import ROOT
+
+from cosim.base.constants import GRAVITY
+from cosim.base.signals import ZERO3, State
+from cosim.control.allocation.effectiveness import EffectivenessAllocator
+from cosim.flight import fly
+from cosim.simulation.build import build
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
+from cosim.vehicle.intakes import IntakeDrag
+
+VEHICLE, _ = load_vehicle("trijet")
+PAGE = " ".join((ROOT / "aircraft" / "trijet" / "README.md").read_text(encoding="utf-8").split())
+TURBOJET_KG, FAN_KG, STEP_S = 0.35, 0.25, 0.004
+TURBOJET_N, FAN_N = 24.0, 9.80665 * 0.2554 / (1.0 - 0.8748)
+
+
+def test_the_sums_of_its_readme() -> None:
+    fuel = VEHICLE.fuel
+    assert fuel is not None
+    assert VEHICLE.mass_kg == pytest.approx((2 * TURBOJET_N + FAN_N) / GRAVITY * 5.525 / 12.0, abs=0.005)
+    across = TURBOJET_KG * (3.0 * 0.03**2 + 0.18**2) / 12.0
+    assert all(hinge.inertia_kg_m2 == pytest.approx(across, rel=0.005) for hinge in VEHICLE.hinges[:2])
+    rest = VEHICLE.mass_kg - 2 * TURBOJET_KG - FAN_KG - fuel.mass_kg
+    parts = [(TURBOJET_KG, np.array(hinge.position_m)) for hinge in VEHICLE.hinges[:2]]
+    parts.append((FAN_KG, np.array(VEHICLE.jets[2].position_m)))
+    parts.append((rest, -sum(mass * place for mass, place in parts) / rest))
+    tensor = np.diag([rest * 0.5**2, rest * 0.7**2, rest * (0.5**2 + 0.7**2)]) / 12.0
+    tensor += np.eye(3) * fuel.mass_kg / 6.0 * 0.1**2
+    tensor += 2.0 * np.diag([across, across, TURBOJET_KG * 0.03**2 / 2.0])
+    for mass, place in parts:
+        tensor += mass * (place @ place * np.eye(3) - np.outer(place, place))
+    assert VEHICLE.inertia_kg_m2 == pytest.approx(np.diag(tensor), abs=5e-5)
+    assert VEHICLE.products_kg_m2 == pytest.approx((0.0, -tensor[0, 2], 0.0), abs=5e-5)
+
+
+def test_the_air_that_its_engines_swallow() -> None:
+    fan, jet = VEHICLE.jets[2].airflow, VEHICLE.airflow
+    assert fan is not None
+    assert jet is not None
+    assert fan.kg_s == pytest.approx(sqrt(1.225 * pi / 4.0 * (0.07**2 - 0.03**2) * 20.0), abs=0.001)
+    # turbine.c: flow = n (1 - droop (1 - n)) of the full one, at the speeds and thrusts of the table of its README
+    for newton, rpm in ((6.57, 176464.0), (11.97, 207861.0), (17.65, 228830.0)):
+        n = rpm / 245000.0
+        own = np.log(n * (1.0 - 0.666979 * (1.0 - n))) / np.log(newton / 24.0)
+        assert own == pytest.approx(jet.exponent, rel=0.1)
+    assert "The fan swallows five times the air of a turbojet" in PAGE
+    assert round(fan.kg_s / jet.kg_s) == 5
+
+
+def test_each_kind_of_engine_swallows_its_own_air() -> None:
+    """Upright and still in 8 m/s from the left: m v across, each at its own flow and intake."""
+    fan, jet = VEHICLE.jets[2].airflow, VEHICLE.airflow
+    assert fan is not None
+    assert jet is not None
+    state = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 20.0, (0.0, 8.0, 0.0), 3.19, False, False)
+    thrust = (12.0, 0.0, 9.0)
+    pushes = [8.0 * jet.kg_s * 0.5**jet.exponent, 0.0, 8.0 * fan.kg_s * 0.45**fan.exponent]
+    drag = IntakeDrag(jet, VEHICLE.jets, VEHICLE.hinges)
+    forces, moment = drag.act([ZERO3] * 3, thrust, (0.0,) * 4, state)
+    assert [y for _, y, _ in forces] == pytest.approx(pushes, rel=1e-12)
+    assert moment == pytest.approx((jet.intake_m * pushes[0] + fan.intake_m * pushes[2], 0.0, 0.0), rel=1e-12)
+    alone = IntakeDrag(None, VEHICLE.jets, VEHICLE.hinges)  # the fan states its own
+    forces, _ = alone.act([ZERO3] * 3, thrust, (0.0,) * 4, state)
+    assert alone.any
+    assert [y for _, y, _ in forces] == pytest.approx([0.0, 0.0, pushes[2]], rel=1e-12)
+
+
+def margin(p: float, i: float, lag: float) -> float:
+    """Phase margin [deg] of a rate loop, in closed form over a grid."""
+    w = np.logspace(-1.0, 2.0, 20000)
+    s = 1j * w
+    gyro = VEHICLE.sensors.gyro.filter_s
+    loop = (p + i / s) / s * np.exp(-2.0 * STEP_S * s) / ((1.0 + lag * s) * (1.0 + gyro * s))
+    at = int(np.argmin(np.abs(np.log(np.abs(loop)))))
+    return 180.0 + degrees(np.angle(loop[at]))
+
+
+def test_the_margins_of_its_readme() -> None:
+    rate, hinges = VEHICLE.control.rate, VEHICLE.hinges
+    assert f"has a phase margin of {margin(rate.roll.p, rate.roll.i, hinges[2].lag_s):.0f}°" in PAGE
+    assert f"(tilt, τ = 35 ms) {margin(rate.pitch.p, rate.pitch.i, hinges[0].lag_s):.0f}°" in PAGE
+    assert (rate.yaw.p, rate.yaw.i) == (rate.pitch.p, rate.pitch.i)
+
+
+def test_it_hovers_with_its_hinges_at_rest_and_all_engines_at_the_same_share() -> None:
+    allocator = build(Scenario.load("trijet-hover")).controller.allocator
+    assert isinstance(allocator, EffectivenessAllocator)
+    found, missing = allocator.hovering((0.0, 0.0, 0.0))
+    assert found[3:] == pytest.approx([0.0] * 4, abs=1e-9)
+    assert missing == pytest.approx([0.0] * 6, abs=1e-9)
+    assert found[0] / TURBOJET_N == pytest.approx(found[2] / FAN_N, rel=0.001)
+    assert sum(found[:3]) == pytest.approx(VEHICLE.mass_kg * GRAVITY, rel=1e-9)
+    shares = [round(100.0 * allocator.by_thrust(axis)) for axis in range(3)]
+    assert f"thrusts give {shares[1]} %, hinges the rest; of roll {shares[0]} %, of yaw nothing" in PAGE
+    assert shares[2] == 0
+
+
+def test_nothing_balances_it_without_an_engine() -> None:
+    """In closed form: where the thrusts that are left would have to point, and where they can."""
+    x, y, z = VEHICLE.jets[1].position_m
+    low = VEHICLE.hinges[0].position_m[2]
+    tilt, vane = (VEHICLE.hinges[k].least_most[1] for k in (0, 2))
+    needed = atan2(y * cos(tilt), low + (z - low) * cos(tilt))  # it falls with the tilt
+    assert needed < atan2(y, z)
+    assert f"would have to stand at {degrees(needed):.0f}°" in PAGE
+    assert f"stands at {degrees(vane):.0f}° at most" in PAGE
+    assert needed > vane
+    assert f"the fan alone carries {100.0 * FAN_N / (VEHICLE.mass_kg * GRAVITY):.0f} % of the weight" in PAGE
+    both = atan2(-x, low)  # a tilted turbojet pushes along a line through the axis of its hinge
+    assert f"would have to tilt by {degrees(both):.0f}°, and tilt by {degrees(tilt):.0f}°" in PAGE
+    assert both > tilt
+
+
+@pytest.mark.parametrize("jet", [1, 3])
+def test_without_an_engine_it_is_lost(jet: int) -> None:
+    fault = [{"kind": "flame_out", "start_s": 0.5, "jet": jet}]
+    run = fly(Scenario.load("trijet-hover").replace(fault=fault, expect=[], duration_s=3.0))
+    assert run.outcome in ("diverged", "crashed")
+    assert run.log["time_s"][-1] < 0.5 + 0.5
+    assert "In flight it is over within half a second." in PAGE
+
+
+def test_the_figures_of_its_verdict() -> None:
+    """Long."""
+    flown = {
+        name: fly(Scenario.load(f"trijet-{name}").replace(expect=[])).summary.flat_metrics
+        for name in ("roll-doublet", "pitch-doublet", "hover-in-wind", "gust")
+    }
+    roll, pitch = (flown[f"{axis}-doublet"][f"{axis}.settling_time_s"] for axis in ("roll", "pitch"))
+    assert f"settles in {roll:.2f} s in roll and {pitch:.2f} s in pitch" in PAGE
+    assert f"8 m/s of wind within {flown['hover-in-wind']['position.max_abs_error_m']:.1f} m" in PAGE
+    turned = flown["gust"]["yaw.max_abs_error_rad"]
+    assert turned is not None
+    assert f"by {degrees(turned):.0f}° in `trijet-gust`" in PAGE
+    burning = fly(Scenario.load("trijet-hover").replace(expect=[])).log["fuel_kg"]
+    assert (burning[0] - burning[-1]) / 6.0 * 300.0 == pytest.approx(0.5, rel=0.1)  # five minutes
