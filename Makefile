@@ -24,7 +24,7 @@ MISSING := $(if $(and $(wildcard fmus/*.fmu),$(wildcard cosim/engine/_bank.*.so)
 
 ##@ Fly and look
 demo: setup ## fly roll-doublet without and with the Smith predictor, and compare
-	@$(BIN)/python -m cosim.cli.demo $(ARGS)
+	@$(BIN)/python -m cosim.cli.flight.demo $(ARGS)
 
 bench: setup ## measure microseconds per step and ratios (asserts nothing)
 	@$(BIN)/python -m benchmarks $(ARGS)

@@ -12,17 +12,17 @@ from typing import Any
 
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.protocols import Observer
-from cosim.base.toml import read_toml
+from cosim.base.storage.toml import read_toml
 from cosim.control.cascade import Cascade
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec, engine_names, load_engine
 from cosim.engine.spec import find_source
-from cosim.results.autopilot_record import PilotRecord
+from cosim.results.autopilot.autopilot_record import PilotRecord
+from cosim.results.autopilot.request_log import REQUESTS, Replay, read_requests
 from cosim.results.columns import flown_by, log_columns
 from cosim.results.limits import yardstick
 from cosim.results.metrics import Reach, metric_names
 from cosim.results.recorder import KeepingSink
-from cosim.results.request_log import REQUESTS, Replay, read_requests
 from cosim.results.run import (
     AUTOPILOT,
     REPORT,

@@ -25,10 +25,10 @@ from typing import Any
 
 from cosim import Scenario, fly
 from cosim.design import design as make
-from cosim.design.channel import Actuator, channels
-from cosim.design.closed_loop import Closed, Points
 from cosim.design.controller_file import read_controller, with_controller
 from cosim.design.levels import AXES, DESIGNED, at_share
+from cosim.design.loop.channel import Actuator, channels
+from cosim.design.loop.closed_loop import Closed, Points
 from cosim.design.tune import FINE
 from cosim.engine import load_engine
 from cosim.results.report.marks import table, write_marks

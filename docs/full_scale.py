@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from cosim import Scenario, fly
-from cosim.base.threads import one_thread
-from cosim.base.toml import read_toml
+from cosim.base.runtime.threads import one_thread
+from cosim.base.storage.toml import read_toml
 from cosim.design.controller_file import read_controller
 from cosim.design.controller_table import write_controller
 from cosim.design.design import design
@@ -77,7 +77,6 @@ CYCLE_S = 10.0  # of a hover, its last part, in which a limit cycle stands
 
 def searched(case: Case, out: Path) -> dict[str, Any]:
     """What each of TRIED reaches on roll, as ``hexjet design`` searches for it, and what limits the best."""
-    from cosim.design.channel import Actuator, channels
     from cosim.design.design import (
         _axis,
         _scenario,
@@ -85,6 +84,7 @@ def searched(case: Case, out: Path) -> dict[str, Any]:
         engine_lead,
         identify_there,
     )
+    from cosim.design.loop.channel import Actuator, channels
     from cosim.engine import load_engine
 
     need = Requirements(noise_share=case.noise_share)
@@ -211,14 +211,14 @@ def dead_band(amplitude: float, samples: int = 4000) -> complex:
 
 def predicted(engine: str, out: Path) -> dict[str, Any]:
     """Amplitude in dead bands and frequency [Hz] of the limit cycle: where the roll loop times that function is -1."""
-    from cosim.design.channel import Actuator, channels
-    from cosim.design.closed_loop import Closed, Points
     from cosim.design.design import (
         _scenario,
         dynamics_of,
         identify_there,
         shipped,
     )
+    from cosim.design.loop.channel import Actuator, channels
+    from cosim.design.loop.closed_loop import Closed, Points
     from cosim.engine import load_engine
 
     flight, vehicle = _scenario(engine, AIRCRAFT, ())

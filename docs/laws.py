@@ -26,8 +26,8 @@ from cosim.campaign import open_campaign
 from cosim.campaign.analysis.summary import places, shares
 from cosim.campaign.analysis.table import Flown, read
 from cosim.design import design as make
-from cosim.design.channel import Actuator, Channel, channels
 from cosim.design.law_loop import LawLoop, both, tune
+from cosim.design.loop.channel import Actuator, Channel, channels
 from cosim.design.tune import NOISE_SHARE
 from cosim.engine import load_engine
 from cosim.results.report.marks import check_marks, table, write_marks

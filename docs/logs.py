@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cosim.base.threads import one_thread
+from cosim.base.runtime.threads import one_thread
 
 one_thread()
 

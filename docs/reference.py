@@ -21,15 +21,15 @@ import click
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from cosim.base.paths import data_folder, files_in
 from cosim.base.signals import JETS, MOST_JETS
-from cosim.base.toml import read_toml
+from cosim.base.storage.paths import data_folder, files_in
+from cosim.base.storage.toml import read_toml
 from cosim.campaign.study.keys import unit_of
 from cosim.campaign.study.study import Study
 from cosim.cli.main import INTERRUPTED, TERMINATED, cli
 from cosim.cli.options import DONE, FLIGHT_FAILED, WRONG_INPUT
 from cosim.design.controller_file import ControllerFile
-from cosim.engine.ports import MappingFile
+from cosim.engine.fmu.ports import MappingFile
 from cosim.results.columns import log_columns
 from cosim.results.metrics import Metrics
 from cosim.spec.scenario import Scenario

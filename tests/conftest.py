@@ -16,8 +16,8 @@ from command_tools import Done, Hexjet
 from hypothesis import HealthCheck, settings
 from places import TESTS
 
-from cosim.base.scratch import scratch
-from cosim.base.threads import one_thread
+from cosim.base.runtime.threads import one_thread
+from cosim.base.storage.scratch import scratch
 
 one_thread()  # beside other tests
 # a machine that is busy with other work is no failure

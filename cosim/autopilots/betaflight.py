@@ -36,8 +36,8 @@ from cosim.autopilots.lockstep import (
 from cosim.autopilots.parameters import rates
 from cosim.base.errors import FlightError, InputError
 from cosim.base.limits import clamp
-from cosim.base.scratch import scratch
 from cosim.base.signals import AXES
+from cosim.base.storage.scratch import scratch
 from cosim.spec.vehicle import Jet, Vehicle
 from cosim.vehicle.atmosphere import standard_air
 

@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.limits import clamp
-from cosim.base.processes import end_group
+from cosim.base.runtime.processes import end_group
 from cosim.base.signals import PerJet, Quaternion, State, Vector3
 
 LOCAL = "127.0.0.1"

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cosim.base.errors import InputError, nearest
-from cosim.base.files import replacing
+from cosim.base.storage.files import replacing
 from cosim.bench.suite import Result
 from cosim.bench.tables import KEYS, Table, tables
 from cosim.results.report.marks import (

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
-from cosim.base.files import one_line, replacing
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
+from cosim.base.storage.files import one_line, replacing
 from cosim.campaign.authority_drawing import attainable_moments
 from cosim.control.allocation.authority import Authority, Reach, reach_of
 from cosim.flight import fly

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.base.files import finite, write_records
+from cosim.base.storage.files import finite, write_records
 from cosim.campaign.fault_survey import (
     HEIGHT_M,
     SETTLED_S,
@@ -269,7 +269,7 @@ def next_or(values: Sequence[float], k: int) -> float:
 
 def _upright(vehicle: Vehicle, after: int) -> list[float]:
     """The share of its thrust that a bank keeps upright, tilted as far and as fast as its servo goes."""
-    from cosim.vehicle.servo import TiltServo
+    from cosim.vehicle.parts.servo import TiltServo
 
     if vehicle.servo is None:
         return [1.0]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.base.files import finite
+from cosim.base.storage.files import finite
 from cosim.campaign.fault_survey import Say, controllers_for, step_of
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.autopilot.modes import LandedState, Mode
@@ -32,8 +32,8 @@ from cosim.control.autopilot.requests import (
     Sticks,
 )
 from cosim.control.predictors.registry import BASELINE, SMITH
+from cosim.results.autopilot.request_log import Entry
 from cosim.results.report import marks
-from cosim.results.request_log import Entry
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_seen_from, engine_of, load_vehicle
 

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.base.files import write_records
 from cosim.base.signals import AXES
-from cosim.base.toml import merge
+from cosim.base.storage.files import write_records
+from cosim.base.storage.toml import merge
 from cosim.campaign.workers.tasks import in_order
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE, PREDICTORS

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.base.files import replacing
-from cosim.base.toml import read_toml
+from cosim.base.storage.files import replacing
+from cosim.base.storage.toml import read_toml
 from cosim.campaign.study.distributions import Vary
 from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.study import Study

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import TracebackType
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.files import lock, one_line
+from cosim.base.storage.files import lock, one_line
 from cosim.campaign.folder import (
     FLIGHTS,
     JOURNAL,

@@ -32,7 +32,7 @@ _WINDOWS = click.option(
 def fmu_build(engines: tuple[str, ...], windows: bool) -> int:
     """Build the FMUs of ENGINES, or of all, from their sources; those up to date are left alone."""
     from cosim.engine import build_engines
-    from cosim.engine.compile import compile_archive, has_windows
+    from cosim.engine.make.compile import compile_archive, has_windows
 
     for path in build_engines(list(engines) or None):
         if windows and not has_windows(path):
@@ -51,7 +51,7 @@ def fmu_compile(archive: Path, out: Path | None, windows: bool) -> int:
     For an FMU without a library for this machine, or, with --windows, for one that is to run on Windows too: an engine
     of the library, an exported controller, anybody's.  Needs a C compiler.
     """
-    from cosim.engine.compile import compile_archive
+    from cosim.engine.make.compile import compile_archive
 
     click.echo(str(compile_archive(archive, out, windows)))
     return DONE
@@ -130,9 +130,9 @@ def fmu_check(
     The FMU is run in a process of its own: if it crashes, hangs or eats memory, that is told and nothing else happens.
     Leaves check.json and a page with its static curve and step responses.  Status 0: fit; 1: unfit; 2: not usable.
     """
-    from cosim.base.toml import parse_numbers
+    from cosim.base.storage.toml import parse_numbers
     from cosim.engine import check_fmu, limits_of
-    from cosim.engine.controller_fmu import is_controller
+    from cosim.engine.make.controller_fmu import is_controller
     from cosim.flight import new_folder
     from cosim.results.report.engine_check import write_check
 
@@ -150,7 +150,7 @@ def fmu_check(
 
 def _check_controller(path: Path, as_json: bool) -> int:
     """What a controller's FMU is told and answers, and whether it flies in hover for a second, twice the same."""
-    from cosim.engine.controller_fmu import describing, read_controller_fmu
+    from cosim.engine.make.controller_fmu import describing, read_controller_fmu
     from cosim.flight import fly
     from cosim.spec.scenario import Scenario
 

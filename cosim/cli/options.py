@@ -94,7 +94,7 @@ def offer_to_compile(*engines: str) -> None:
         path = Path(engine.partition("=")[2] or engine)
         if path.suffix.lower() != ".fmu" or not (sys.stdin.isatty() and sys.stderr.isatty()):
             continue
-        from cosim.engine.compile import compile_archive, needs_compiling
+        from cosim.engine.make.compile import compile_archive, needs_compiling
 
         question = f"{path} has sources and no library for this machine; compile them into it?"
         if needs_compiling(path) and click.confirm(question, err=True):

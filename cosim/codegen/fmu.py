@@ -5,8 +5,8 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from cosim.base.paths import data_folder
 from cosim.base.signals import AXES
+from cosim.base.storage.paths import data_folder
 from cosim.codegen.files import Labels, render
 from cosim.codegen.form import Form
 from cosim.codegen.vectors import INPUTS, Vectors, output_names

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.codegen.files import TEMPLATES, Labels
 from cosim.codegen.ssp import write_ssp
 from cosim.codegen.vehicle_ports import Flight, Parts

@@ -29,9 +29,9 @@ from cosim.base.signals import (
     PerJet,
     Unallocated,
 )
-from cosim.engine.ports import AMBIENT, OUTPUTS, Air
+from cosim.engine.fmu.ports import AMBIENT, OUTPUTS, Air
 from cosim.simulation.build import build
-from cosim.simulation.commander import Commander
+from cosim.simulation.script.commander import Commander
 from cosim.spec.scenario import EngineFault, Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.propulsion import Propulsion

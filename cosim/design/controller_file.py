@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import Field
 
 from cosim.base.errors import InputError
-from cosim.base.toml import (
+from cosim.base.storage.toml import (
     Model,
     merge,
     parse_setting,

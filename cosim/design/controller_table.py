@@ -10,9 +10,9 @@ from typing import Any
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.design.channel import Channel
 from cosim.design.controller_file import AxisRecord, LevelRecord, Purpose
 from cosim.design.design import Assessment, Design
+from cosim.design.loop.channel import Channel
 from cosim.spec.vehicle import RateModel
 
 

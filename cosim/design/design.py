@@ -11,23 +11,13 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import InputError
-from cosim.base.toml import (
+from cosim.base.storage.toml import (
     merge,
     parse_setting,
     set_path,
 )
 from cosim.control.predictors.registry import BASELINE, PREDICTORS, SMITH
-from cosim.design.channel import (
-    SERVO,
-    Actuator,
-    Channel,
-    channels,
-    hover_share,
-)
-from cosim.design.closed_loop import Closed, Points
 from cosim.design.controller_file import read_controller
-from cosim.design.dynamics import Dynamics, fit_dynamics, lags, with_misfit
-from cosim.design.frequency import crossings, wrapped
 from cosim.design.identify import Identification, identify_engine
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import (
@@ -40,6 +30,17 @@ from cosim.design.levels import (
     levels,
     schedule,
 )
+from cosim.design.loop.channel import (
+    SERVO,
+    Actuator,
+    Channel,
+    channels,
+    hover_share,
+)
+from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.dynamics import Dynamics, fit_dynamics, lags, with_misfit
+from cosim.design.loop.frequency import crossings, wrapped
+from cosim.design.loop.tuning import Tuning, candidates, designable
 from cosim.design.proof import Proof
 from cosim.design.tune import (
     FINE,
@@ -50,7 +51,6 @@ from cosim.design.tune import (
     settle,
     tune,
 )
-from cosim.design.tuning import Tuning, candidates, designable
 from cosim.engine import EngineSpec, load_engine
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.design.closed_loop import Closed, Points
 from cosim.design.design import AxisDesign, Design
+from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.tuning import Tuning
 from cosim.design.panels import Figure, panels, trace
-from cosim.design.tuning import Tuning
 from cosim.results.report.flight_figures import (
     BLUE,
     GREY,

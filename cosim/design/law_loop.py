@@ -25,8 +25,8 @@ from cosim.base.protocols import RateLoop
 from cosim.base.signals import AXES, Unallocated, Vector3
 from cosim.control.predictors.linear import cascade
 from cosim.control.rate import RateController
-from cosim.design.channel import Channel
-from cosim.design.closed_loop import WINDOW
+from cosim.design.loop.channel import Channel
+from cosim.design.loop.closed_loop import WINDOW
 from cosim.design.tune import SEED, STEP_RAD, UNSTABLE
 
 SMALL = 1e-3  # rad, rad/s, and of the command: what the impulses are
@@ -110,7 +110,7 @@ def run(channel: Channel, law: RateLoop, gain_1_s: float, samples: int, setpoint
 
 
 class LawLoop:
-    """A channel closed with a rate law: what :class:`cosim.design.closed_loop.Closed` says of the built-in one.
+    """A channel closed with a rate law: what :class:`cosim.design.loop.closed_loop.Closed` says of the built-in one.
 
     ``seconds``: how long impulses are followed; 0: as long as a design looks.  Raises ArithmeticError for a loop that
     runs away.

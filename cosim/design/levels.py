@@ -11,20 +11,20 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cosim.control.schedule import Factors, GainSchedule
-from cosim.design.channel import (
+from cosim.design.loop.channel import (
     Actuator,
     Channel,
     channels,
     hover_share,
 )
-from cosim.design.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.tuning import Tuning
 from cosim.design.tune import (
     FINE,
     Requirements,
     acceptable,
     near,
 )
-from cosim.design.tuning import Tuning
 from cosim.engine import EngineSpec
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (

@@ -4,8 +4,8 @@ A design rests on a linear model of the engine around hover.  What such a model 
 response that it does not follow, a light mode above the band that was swept, an engine's controller that samples its
 throttle, a limit on its acceleration, dead times that differ up and down.  So every design ends here:
 
-1. What the model leaves of the response is in the search already (:func:`cosim.design.dynamics.with_misfit`); beyond
-   :data:`MOST_MISFIT` it is no model.
+1. What the model leaves of the response is in the search already (:func:`cosim.design.loop.dynamics.with_misfit`);
+   beyond :data:`MOST_MISFIT` it is no model.
 2. The engine is swept once more, to three times the highest crossover of its loops and to where their gain stays below
    :data:`ABOVE`, and the measured response takes the model's place.  With ``T = L / (1 + L)`` and ``r`` measured over
    model, the loop keeps its number of unstable poles while ``|T (r - 1)| < 1`` (the small gain theorem), and its
@@ -28,13 +28,13 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
-from cosim.base.toml import merge, read_toml
-from cosim.design.closed_loop import Closed, Points
+from cosim.base.storage.toml import merge, read_toml
 from cosim.design.controller_table import controller_table
 from cosim.design.design import Design, throttle_for
-from cosim.design.dynamics import Dynamics, bounds
 from cosim.design.identify.engine import fly_sweep
 from cosim.design.identify.result import Sweep, suitable_duration
+from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.dynamics import Dynamics, bounds
 from cosim.design.proof import Flown, Proof
 from cosim.flight import fly
 from cosim.results.run import Run
@@ -64,7 +64,7 @@ def proved(design: Design, say: Callable[[str], None] = lambda text: None, again
     """A design that was checked against the engine's own response and flown; not acceptable where that failed.
 
     ``again`` makes another one for an engine that differs from its model by shares at frequencies
-    (:attr:`cosim.design.dynamics.Dynamics.unsure`): where the measured response is too far from the model, one is
+    (:attr:`cosim.design.loop.dynamics.Dynamics.unsure`): where the measured response is too far from the model, one is
     searched for that stands it, once.
 
     Raises InputError if a flight cannot be set up at all.

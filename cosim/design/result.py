@@ -8,7 +8,7 @@ from math import degrees, exp, inf, isfinite
 from pathlib import Path
 from typing import Any
 
-from cosim.base.files import finite
+from cosim.base.storage.files import finite
 from cosim.design.controller_table import controller_table, write_controller
 from cosim.design.design import (
     WITH_LEAD,

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.engine.container import one_line
+from cosim.engine.fmu.container import one_line
 from cosim.results.report import marks
 
 FLIES, NONE, UNFIT, REFUSED, FAULT = "flies as promised", "no design", "unfit", "refused", "FAULT OF OURS"

@@ -10,11 +10,11 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.toml import Model, NotNegative
+from cosim.base.storage.toml import Model, NotNegative
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.design.channel import Channel
-from cosim.design.closed_loop import Closed, Points
-from cosim.design.tuning import Tuning
+from cosim.design.loop.channel import Channel
+from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.tuning import Tuning
 from cosim.spec.vehicle import EngineLead, RateModel
 
 NOISE_SHARE = 0.0833  # of the room of the command: three standard deviations of noise take a quarter of it

@@ -4,8 +4,8 @@ The only package that imports FMPy, and only where it is needed, because that im
 """
 
 from cosim.engine.bank import EngineBank
+from cosim.engine.fmu.ports import Air
 from cosim.engine.isolated import IsolatedBank
-from cosim.engine.ports import Air
 from cosim.engine.qualify.check import CheckReport, check_fmu, limits_of
 from cosim.engine.qualify.load import load_engine
 from cosim.engine.spec import EngineSpec, build_engines, engine_names

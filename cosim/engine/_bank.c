@@ -33,7 +33,7 @@ typedef int (*Update3)(void *, bool *, bool *, bool *, bool *, bool *, double *)
 
 enum { OK = 0, WARNING = 1, DISCARD = 2 };
 
-/* The ports, in the order of cosim.engine.ports.INPUTS and OUTPUTS; BASE are given, the others follow from them. */
+/* The ports, in the order of cosim.engine.fmu.ports.INPUTS and OUTPUTS; BASE are given, the others follow from them. */
 enum { THROTTLE, PRESSURE, TEMPERATURE, AIR_SPEED, BASE, ALTITUDE = BASE, MACH, DENSITY, TOTAL_PRESSURE,
        TOTAL_TEMPERATURE, INPUTS };
 enum { THRUST, OUTPUTS = 7 };
@@ -43,7 +43,7 @@ static const char *const OUTPUT_NAMES[OUTPUTS] = {"thrust", "spool_speed", "exha
 
 enum { BLOCKS = 4, MOST_PARTS = 10000, CLOCKS = 16 };
 
-/* What values are passed as, in the order of cosim.engine.instance.VALUES. */
+/* What values are passed as, in the order of cosim.engine.fmu.instance.VALUES. */
 typedef enum { DOUBLE, FLOAT, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, KINDS } Kind;
 
 /* One call that sets or gets variables of one type; an array counts as one reference and several values. */
@@ -168,7 +168,7 @@ static int get_block(const Engine *e, const Block *b)
     return status;
 }
 
-/* The same air in other words: cosim.engine.ports.Air.derived, whose constants these are. */
+/* The same air in other words: cosim.engine.fmu.ports.Air.derived, whose constants these are. */
 static void derive(double port[INPUTS])
 {
     const double gamma = 1.4, gas = 287.05287, gravity = 9.80665, p0 = 101325.0, t0 = 288.15, lapse = 0.0065;
@@ -1008,7 +1008,7 @@ static PyMethodDef bank_methods[] = {
 };
 
 static PyType_Slot bank_slots[] = {
-    {Py_tp_doc, "Bank(engines, step, record): engines are as cosim.engine.instance.Slave.row() makes them."},
+    {Py_tp_doc, "Bank(engines, step, record): engines are as cosim.engine.fmu.instance.Slave.row() makes them."},
     {Py_tp_new, SLOT(PyType_GenericNew)},
     {Py_tp_init, SLOT(bank_init)},
     {Py_tp_dealloc, SLOT(bank_dealloc)},

@@ -9,13 +9,13 @@ import cosim.engine._bank as _bank
 from cosim.base.errors import EngineError
 from cosim.base.protocols import Column
 from cosim.base.signals import Ambient, EngineOutput, PerJet
-from cosim.engine.instance import Slave, SlaveError
-from cosim.engine.ports import AMBIENT, ASIDE, Air
+from cosim.engine.fmu.instance import Slave, SlaveError
+from cosim.engine.fmu.ports import AMBIENT, ASIDE, Air
+from cosim.engine.fmu.starting import Ignition, StartError
+from cosim.engine.fmu.unpacked import Unpacked, unpack
 from cosim.engine.response import ResponseError, settle
 from cosim.engine.spec import EngineSpec
-from cosim.engine.starting import Ignition, StartError
-from cosim.engine.system_slave import make_slave
-from cosim.engine.unpacked import Unpacked, unpack
+from cosim.engine.ssp.system_slave import make_slave
 
 
 def logged_columns(specs: Sequence[EngineSpec], in_flight: bool = False) -> tuple[Column, ...]:

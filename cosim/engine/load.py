@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from cosim.base.errors import InputError, nearest
-from cosim.engine.instance import SlaveError
-from cosim.engine.measure import Measured, measure_once
-from cosim.engine.ports import (
+from cosim.engine.fmu.instance import SlaveError
+from cosim.engine.fmu.ports import (
     AMBIENT,
     STANDARD_AIR,
     Air,
@@ -17,6 +16,8 @@ from cosim.engine.ports import (
     is_several,
     members_of,
 )
+from cosim.engine.fmu.starting import CONSTANTS
+from cosim.engine.measure import Measured, measure_once
 from cosim.engine.response import ResponseError, window_for
 from cosim.engine.rundown import OWN, FlameOutLaw, law_of
 from cosim.engine.spec import (
@@ -27,7 +28,6 @@ from cosim.engine.spec import (
     need_whole_steps,
     resolve_parameters,
 )
-from cosim.engine.starting import CONSTANTS
 
 
 def load_unchecked(
@@ -42,7 +42,7 @@ def load_unchecked(
     """Find, validate and measure an engine that will be stepped by ``step`` seconds.
 
     The engine is an FMI 2.0 or 3.0 co-simulation FMU, by its name in the library, by path, or by the path of a mapping
-    file; see ``cosim.engine.ports`` for how its ports are found.
+    file; see ``cosim.engine.fmu.ports`` for how its ports are found.
 
     What is ``measured`` already is taken as it is; ``foreign`` measures an engine that is not of the library, from what
     is asked for and the air, where this process should not.

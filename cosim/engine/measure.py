@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import cosim.engine._bank as _bank
-from cosim.base.cache import Memory
-from cosim.engine.archive import Archive
-from cosim.engine.instance import SlaveError
-from cosim.engine.ports import STANDARD_AIR, Air
+from cosim.base.storage.cache import Memory
+from cosim.engine.fmu.archive import Archive
+from cosim.engine.fmu.instance import SlaveError
+from cosim.engine.fmu.ports import STANDARD_AIR, Air
+from cosim.engine.fmu.starting import Setting
+from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.response import (
     LITTLE_CHANGE,
     NO_CHANGE,
@@ -26,9 +28,7 @@ from cosim.engine.response import (
     window_for,
 )
 from cosim.engine.spec import behaviour_of
-from cosim.engine.starting import Setting
-from cosim.engine.system_slave import make_slave
-from cosim.engine.unpacked import unpack
+from cosim.engine.ssp.system_slave import make_slave
 
 AROUND, BY = 0.5, 0.05  # of the throttle, a small step: about where an engine hovers, and what no limit of it sees
 CLEAR = 5.0  # times its own movement at rest, that the small step has to change the thrust

@@ -11,13 +11,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from cosim.base.cache import Memory
 from cosim.base.errors import InputError, nearest
-from cosim.base.paths import data_folder
+from cosim.base.storage.cache import Memory
+from cosim.base.storage.paths import data_folder
 from cosim.engine import build
-from cosim.engine.archive import Archive, read_archive
-from cosim.engine.parameter_set import read_parameter_set
-from cosim.engine.ports import (
+from cosim.engine.fmu.archive import Archive, read_archive
+from cosim.engine.fmu.ports import (
     INTEGERS,
     STANDARD_AIR,
     Air,
@@ -28,10 +27,11 @@ from cosim.engine.ports import (
     is_mapping,
     read_mapping,
 )
+from cosim.engine.fmu.starting import Setting
 from cosim.engine.response import NO_CHANGE, Curve, Small, rising
 from cosim.engine.rundown import FlameOutLaw
-from cosim.engine.starting import Setting
-from cosim.engine.system import SUFFIX, is_system, read_system
+from cosim.engine.ssp.parameter_set import read_parameter_set
+from cosim.engine.ssp.system import SUFFIX, is_system, read_system
 
 
 class Sibling(NamedTuple):

@@ -18,12 +18,12 @@ from cosim.groundstation.mavlink.services.metadata import Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.params import ParameterService
 from cosim.groundstation.mavlink.vehicle import Vehicle
-from cosim.groundstation.mavlink.wire import endpoint
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.signing import Signing, read_key
 from cosim.groundstation.mavlink.wire.tlog import Log
+from cosim.groundstation.mavlink.wire.transports import endpoint
 from cosim.groundstation.session import Onlookers
-from cosim.results.request_log import REQUESTS
+from cosim.results.autopilot.request_log import REQUESTS
 from cosim.results.run import TELEMETRY
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.base.toml import read_toml
+from cosim.base.storage.toml import read_toml
 
 _FORMAT = 1
 _HEAD = "# What differs from the defaults; written by hexjet gcs.\n"
@@ -78,7 +78,7 @@ class ParameterStore:
             return
         import tomli_w
 
-        from cosim.base.files import one_line, replacing
+        from cosim.base.storage.files import one_line, replacing
 
         numbers = {name: values[name] for name in sorted(values)}
         text = _HEAD + tomli_w.dumps({"format": _FORMAT, "vehicle": self._vehicle, "parameters": numbers})

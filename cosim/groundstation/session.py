@@ -41,8 +41,8 @@ from cosim.control.autopilot.status import Status
 from cosim.flight import record, reserve_folder, with_page
 from cosim.groundstation.exchange import Asked, Exchange, Facts, Restart, Shutdown, Snapshot
 from cosim.groundstation.parameter_store import ParameterStore
-from cosim.results.autopilot_record import PilotRecord
-from cosim.results.request_log import REQUESTS, RequestLog
+from cosim.results.autopilot.autopilot_record import PilotRecord
+from cosim.results.autopilot.request_log import REQUESTS, RequestLog
 from cosim.results.run import AUTOPILOT, Recording, Run, claim_folder
 from cosim.simulation.build import build
 from cosim.simulation.ending import Ending

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.base.arrays import Complex
 from cosim.control.predictors.linear import model_response
-from cosim.design.frequency import grid
+from cosim.design.loop.frequency import grid
 from cosim.paper import numbers
 from cosim.paper.experiments import hexjet_axis, quadrotor_axis
 from cosim.paper.frozen import Calibration

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.design.frequency import margins
+from cosim.design.loop.frequency import margins
 from cosim.paper import numbers
 from cosim.paper.experiments import (
     Experiment,

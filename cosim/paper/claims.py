@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from cosim.design.frequency import Margins, margins
+from cosim.design.loop.frequency import Margins, margins
 from cosim.paper import numbers
 from cosim.paper.experiments import (
     Experiment,

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from cosim.base.signals import AXES
-from cosim.design.frequency import margins
+from cosim.design.loop.frequency import margins
 from cosim.paper import beyond, numbers
 from cosim.paper.claims import (
     ClaimRow,

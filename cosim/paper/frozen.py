@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from cosim.base.toml import Model, read_toml, validate
+from cosim.base.storage.toml import Model, read_toml, validate
 
 FILE = Path(__file__).with_name("calibration.toml")
 

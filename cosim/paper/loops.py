@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from cosim.control.predictors.linear import Pair, PairResponse, delayed_response, model_response
-from cosim.design.frequency import (
+from cosim.design.loop.frequency import (
     Margins,
     Response,
     grid,

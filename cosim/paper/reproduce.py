@@ -18,8 +18,8 @@ import numpy as np
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
-from cosim.base.files import replacing
-from cosim.base.paths import data_folder
+from cosim.base.storage.files import replacing
+from cosim.base.storage.paths import data_folder
 from cosim.campaign.workers.tasks import as_finished
 from cosim.flight import fly
 from cosim.paper import numbers
@@ -48,7 +48,7 @@ from cosim.paper.loops import (
     controllers_response,
     measured_sweep,
 )
-from cosim.paper.page import write_page
+from cosim.paper.report.page import write_page
 from cosim.paper.result import (
     COMPARISON,
     DATA,

@@ -21,8 +21,8 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
-from cosim.base.files import lock, one_line, replacing
 from cosim.base.protocols import Column
+from cosim.base.storage.files import lock, one_line, replacing
 from cosim.results.columns import COLUMNS, known
 from cosim.results.tables import Columnar
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cosim.base.constants import SENSORS
 from cosim.base.errors import FlightError, InputError
-from cosim.results.autopilot_record import read_pilot_record
+from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.columns import flown_in, jets_in
 from cosim.results.metrics import Record
 

@@ -23,9 +23,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cosim.base.constants import Outcome
 from cosim.base.errors import FlightError, InputError
-from cosim.base.files import locked, replacing
 from cosim.base.protocols import Column
-from cosim.base.toml import Vector
+from cosim.base.storage.files import locked, replacing
+from cosim.base.storage.toml import Vector
 from cosim.results.arrow import (
     ParquetLog,
     StreamSink,

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
-from cosim.base.files import replacing
+from cosim.base.storage.files import replacing
 from cosim.campaign.folder import FLIGHTS, STUDY
 from cosim.results.run import SUMMARY
 

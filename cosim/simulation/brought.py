@@ -33,7 +33,7 @@ from cosim.simulation.controllers.source import (
     loaded,
     version_of,
 )
-from cosim.simulation.wind import FieldWind
+from cosim.simulation.script.wind import FieldWind
 from cosim.spec.controller_name import file_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle

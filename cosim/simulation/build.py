@@ -37,10 +37,9 @@ from cosim.engine import (
     IsolatedBank,
     load_engine,
 )
-from cosim.engine.ports import ASIDE
+from cosim.engine.fmu.ports import ASIDE
 from cosim.engine.wrappers import EngineChain
 from cosim.simulation.brought import bring
-from cosim.simulation.commander import Commander
 from cosim.simulation.controllers.deadline import Deadline
 from cosim.simulation.controllers.guard import (
     GuardedAttitude,
@@ -52,26 +51,27 @@ from cosim.simulation.controllers.guard import (
 from cosim.simulation.controllers.process import ProcessBlock
 from cosim.simulation.controllers.source import Source, find
 from cosim.simulation.delay_ledger import delay_ledger
-from cosim.simulation.disturber import Disturber
 from cosim.simulation.ending import Judge
 from cosim.simulation.engine_reference import engine_reference
-from cosim.simulation.fault_schedule import FaultSchedule
-from cosim.simulation.mismatch import as_flown, engines_as_flown
+from cosim.simulation.script.commander import Commander
+from cosim.simulation.script.disturber import Disturber
+from cosim.simulation.script.fault_schedule import FaultSchedule
+from cosim.simulation.script.mismatch import as_flown, engines_as_flown
 from cosim.simulation.step import Simulation
 from cosim.simulation.with_places import PlacePilot, flies_to_places
 from cosim.spec.scenario import Environment, Scenario, Station, TorqueCommandDisturbance
 from cosim.spec.vehicle import EngineLead, RateModel, Vehicle, aircraft_seen_from, file_seen_from, is_file
 from cosim.vehicle.airframe import Airframe, standing_height, start_height
 from cosim.vehicle.atmosphere import standard_air
-from cosim.vehicle.banks import Banks
-from cosim.vehicle.ground_effect import GroundJets
-from cosim.vehicle.hinges import HingeReactions
-from cosim.vehicle.intakes import IntakeDrag
+from cosim.vehicle.parts.banks import Banks
+from cosim.vehicle.parts.ground_effect import GroundJets
+from cosim.vehicle.parts.hinges import HingeReactions
+from cosim.vehicle.parts.intakes import IntakeDrag
+from cosim.vehicle.parts.rotors import RotorDynamics
+from cosim.vehicle.parts.servo import TiltServo
+from cosim.vehicle.parts.tank import Tank
 from cosim.vehicle.propulsion import Propulsion
-from cosim.vehicle.rotors import RotorDynamics
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
-from cosim.vehicle.servo import TiltServo
-from cosim.vehicle.tank import Tank
 
 
 def build(scenario: Scenario, own: Source | None = None) -> Simulation:

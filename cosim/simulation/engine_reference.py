@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from math import exp
 
-from cosim.base.cache import Memory
+from cosim.base.storage.cache import Memory
 from cosim.control.allocation.engine_monitor import EngineReference
 from cosim.engine import EngineBank, EngineSpec
 

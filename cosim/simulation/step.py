@@ -26,13 +26,13 @@ from cosim.base.signals import (
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
 from cosim.simulation.brought import Brought
-from cosim.simulation.commander import Commander
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.delay_ledger import LedgerRow
 from cosim.simulation.ending import Ending, Judge
-from cosim.simulation.fault_schedule import FaultSchedule
 from cosim.simulation.pacing import Pace
-from cosim.simulation.wind import FieldWind
+from cosim.simulation.script.commander import Commander
+from cosim.simulation.script.fault_schedule import FaultSchedule
+from cosim.simulation.script.wind import FieldWind
 from cosim.spec.scenario import Fault, Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.airframe import Airframe

@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 from cosim.base.errors import InputError
 from cosim.base.protocols import Predictor
-from cosim.base.toml import validate
+from cosim.base.storage.toml import validate
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.requests import InjectFault
 from cosim.simulation.build import predictors

@@ -23,7 +23,7 @@ from cosim.control.autopilot.geometry import Pair, lean_for, wrap
 from cosim.control.autopilot.guidance.descent import descent_for, height_limits, thrust_margins
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
-from cosim.simulation.commander import Commander, read_columns
+from cosim.simulation.script.commander import Commander, read_columns
 from cosim.spec.scenario import (
     GuidedCommand,
     PlaceCommand,

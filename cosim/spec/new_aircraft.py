@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.base.files import one_line
+from cosim.base.storage.files import one_line
 from cosim.spec.vehicle import VEHICLE, aircraft_names, find_aircraft, load_vehicle
 
 HEAD = """\

@@ -1,7 +1,7 @@
 """A scenario as its TOML states it: who flies, what is asked of it, what disturbs it, and what is expected.
 
-Angles in the file are in degrees where the key says ``_deg``; everything behind :mod:`cosim.simulation.commander` and
-:mod:`cosim.simulation.disturber` is in rad and SI.
+Angles in the file are in degrees where the key says ``_deg``; everything behind
+:mod:`cosim.simulation.script.commander` and :mod:`cosim.simulation.script.disturber` is in rad and SI.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_
 
 from cosim.base.constants import Outcome, Sensor
 from cosim.base.errors import InputError, similar
-from cosim.base.paths import data_folder
 from cosim.base.signals import MOST_JETS
-from cosim.base.toml import (
+from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import (
     Model,
     NotNegative,
     Positive,

@@ -14,13 +14,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from cosim.base.cache import Memory
 from cosim.base.constants import SERVOS, Side
 from cosim.base.errors import InputError, nearest
 from cosim.base.layout import UP, Layout, Station, Turn
-from cosim.base.paths import data_folder, names_in
 from cosim.base.signals import MOST_JETS
-from cosim.base.toml import (
+from cosim.base.storage.cache import Memory
+from cosim.base.storage.paths import data_folder, names_in
+from cosim.base.storage.toml import (
     Model,
     NotNegative,
     Positive,
@@ -175,7 +175,7 @@ class Fuel(Model):
 
 
 class GroundEffect(Model):
-    """What jets do to the vehicle near the ground; see :mod:`cosim.vehicle.ground_effect`.  Each effect has its
+    """What jets do to the vehicle near the ground; see :mod:`cosim.vehicle.parts.ground_effect`.  Each effect has its
     switch."""
 
     suckdown: bool = False  # lift loss by Wyatt's correlation

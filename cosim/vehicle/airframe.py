@@ -28,7 +28,6 @@ import jsbsim
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import from_euler
-from cosim.base.scratch import scratch
 from cosim.base.signals import (
     ZERO3,
     Disturbance,
@@ -36,6 +35,7 @@ from cosim.base.signals import (
     State,
     Vector3,
 )
+from cosim.base.storage.scratch import scratch
 from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.jsbsim_model import MOMENTUM, PRODUCT_SIGN, PRODUCTS, read_model, render, structural

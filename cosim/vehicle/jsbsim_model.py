@@ -12,9 +12,9 @@ import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from cosim.base.cache import Memory
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES, Vector3
+from cosim.base.storage.cache import Memory
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, SLUG, SLUG_FT2
 

@@ -31,20 +31,20 @@ from cosim.base.signals import (
 )
 from cosim.engine.wrappers import EngineChain
 from cosim.spec.vehicle import Hinge, Jet, layout_of
-from cosim.vehicle.banks import Banks
-from cosim.vehicle.ground_effect import GroundJets
-from cosim.vehicle.hinges import HingeReactions
-from cosim.vehicle.intakes import IntakeDrag
-from cosim.vehicle.rotors import RotorDynamics
-from cosim.vehicle.servo import TiltServo
-from cosim.vehicle.tank import Tank
+from cosim.vehicle.parts.banks import Banks
+from cosim.vehicle.parts.ground_effect import GroundJets
+from cosim.vehicle.parts.hinges import HingeReactions
+from cosim.vehicle.parts.intakes import IntakeDrag
+from cosim.vehicle.parts.rotors import RotorDynamics
+from cosim.vehicle.parts.servo import TiltServo
+from cosim.vehicle.parts.tank import Tank
 
 
 class Propulsion:
     """Everything between the actuators' commands and the airframe; a part that the vehicle has not is None.
 
     ``jets`` as they stand on the vehicle that flies; ``air()``: static pressure [Pa] and temperature [K] where it is.
-    ``aside``: of each engine what it gives beside its thrust (:data:`cosim.engine.ports.ASIDE`); empty: none does.
+    ``aside``: of each engine what it gives beside its thrust (:data:`cosim.engine.fmu.ports.ASIDE`); empty: none does.
     An engine that gives a torque has no other reaction: ``reaction_m`` of its jet does not act.
     After a step ``output``, ``tilt``, ``fuel`` and ``spool_moment`` say what the parts did over it; ``momentum`` of the
     rotors (kg m^2/s, body) and ``burnt`` (kg, of a full tank) are the airframe's to carry.

@@ -17,7 +17,7 @@ from cosim.engine import EngineBank
 from cosim.results import metrics
 from cosim.results.recorder import Recorder
 from cosim.results.run import Recording
-from cosim.simulation.disturber import Disturber
+from cosim.simulation.script.disturber import Disturber
 from cosim.simulation.with_places import PlacePilot
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
 

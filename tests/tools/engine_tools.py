@@ -16,7 +16,7 @@ from fmpy.fmi3 import FMU3Slave
 from scipy.signal import lfilter
 
 from cosim.base.arrays import Array
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.engine import build
 
 STEP = 0.004

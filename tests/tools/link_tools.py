@@ -12,10 +12,10 @@ from patience import PATIENCE, stretched
 
 from cosim.groundstation.exchange import Exchange, Port
 from cosim.groundstation.mavlink.vehicle import Vehicle
-from cosim.groundstation.mavlink.wire.endpoint import parse
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.signing import Signing
 from cosim.groundstation.mavlink.wire.tlog import Log
+from cosim.groundstation.mavlink.wire.transports.endpoint import parse
 
 
 class Flight:

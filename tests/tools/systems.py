@@ -6,7 +6,7 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.engine.build import Engine, Variable, build_one
 
 STEP = 0.004

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
-from cosim.base.files import one_line, replacing
+from cosim.base.storage.files import one_line, replacing
 from cosim.campaign.analysis.summary import SUCCESS, missing, places
 from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
 from cosim.campaign.folder import CASES, SCENARIO

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.files import locked, one_line, replacing
-from cosim.base.toml import read_toml
+from cosim.base.storage.files import locked, one_line, replacing
+from cosim.base.storage.toml import read_toml
 from cosim.campaign.folder import Frozen, freeze
 from cosim.campaign.folder import load as load_study
 from cosim.campaign.search.page import write_page

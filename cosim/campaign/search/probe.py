@@ -9,7 +9,7 @@ from math import ceil
 from pathlib import Path
 
 from cosim.base.errors import FlightError
-from cosim.base.files import one_line
+from cosim.base.storage.files import one_line
 from cosim.campaign.study.keys import Value
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from cosim.base.errors import InputError, nearest
-from cosim.base.toml import Model, Positive, validate
+from cosim.base.storage.toml import Model, Positive, validate
 
 FORMS = ("range", "values", "normal", "lognormal", "triangular")
 RELATIVE: dict[str, Literal["", "factor", "offset"]] = {"=": "", "*=": "factor", "+=": "offset"}

@@ -22,7 +22,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from cosim.base.errors import InputError
-from cosim.base.toml import merge, split_key
+from cosim.base.storage.toml import merge, split_key
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.simulation.controllers.source import find
 from cosim.simulation.controllers.source import names as own_controllers
@@ -31,7 +31,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of, is_file, is_own
 
 if TYPE_CHECKING:
-    from cosim.engine.archive import Archive
+    from cosim.engine.fmu.archive import Archive
 
 Value = float | int | str | bool
 Kind = Literal["float", "int", "bool", "choice"]
@@ -458,7 +458,7 @@ def _archive(scenario: Scenario, engine: str) -> Archive:
 
 def _parameters(path: str, archive: Archive, given: Mapping[str, float]) -> Iterator[Key]:
     """The parameters that an engine declares and the simulation does not set itself."""
-    from cosim.engine.ports import INTEGERS
+    from cosim.engine.fmu.ports import INTEGERS
 
     start = archive.ports["start"].variable.name if "start" in archive.ports else None
     for variable in archive.parameters:

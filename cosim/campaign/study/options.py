@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError, nearest
-from cosim.base.paths import data_folder
-from cosim.base.toml import parse_setting, read_toml, validate
+from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import parse_setting, read_toml, validate
 from cosim.campaign.study.distributions import parse_vary
 from cosim.campaign.study.study import (
     DESIGNS,

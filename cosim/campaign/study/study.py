@@ -15,8 +15,8 @@ import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from cosim.base.errors import FlightError, InputError, nearest
-from cosim.base.paths import data_folder, files_in
-from cosim.base.toml import (
+from cosim.base.storage.paths import data_folder, files_in
+from cosim.base.storage.toml import (
     Model,
     read_toml,
     set_path,

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.scratch import scratch
+from cosim.base.storage.scratch import scratch
 from cosim.campaign.folder import Frozen, freeze
 from cosim.campaign.workers import remote
 from cosim.campaign.workers.flight_row import Row, failed_row

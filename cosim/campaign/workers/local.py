@@ -28,8 +28,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.processes import end_group
-from cosim.base.threads import ONE_THREAD
+from cosim.base.runtime.processes import end_group
+from cosim.base.runtime.threads import ONE_THREAD
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 from cosim.campaign.workers.protocol import (
     LOSSES,

@@ -15,8 +15,8 @@ from pathlib import Path
 from threading import Lock, Timer
 from typing import TYPE_CHECKING
 
-from cosim.base.cache import Memory
-from cosim.base.paths import data_folder
+from cosim.base.storage.cache import Memory
+from cosim.base.storage.paths import data_folder
 from cosim.campaign.folder import STUDY, Frozen, load
 from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.local import LocalWorkers

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
 from cosim.base.errors import InputError, nearest
-from cosim.base.plugins import installed
 from cosim.base.protocols import Predictor
+from cosim.base.runtime.plugins import installed
 from cosim.control.predictors.smith import (
     FilteredSmithPredictor,
     NoPredictor,

@@ -12,7 +12,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES, Sample
-from cosim.base.toml import parse_setting, set_path
+from cosim.base.storage.toml import parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE
 from cosim.design.identify.fit import Fit, fit
 from cosim.design.identify.response import FrequencyResponse, Record, estimate

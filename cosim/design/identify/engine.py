@@ -19,7 +19,7 @@ from cosim.design.identify.result import (
     suitable_duration,
 )
 from cosim.engine import EngineBank, EngineSpec, load_engine
-from cosim.simulation.commander import sweep as chirp
+from cosim.simulation.script.commander import sweep as chirp
 
 LEAD_STEPS = 10
 STILL = 1e-9  # of the thrust's swing: what is left of the sweep when the record ends

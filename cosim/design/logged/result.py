@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import FlightError
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.design.logged.identify_log import LogIdentification, information
 from cosim.design.logged.pem import Estimate
 from cosim.design.panels import HOVER, panels, trace

@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
-from cosim.base.files import one_line
+from cosim.base.storage.files import one_line
 from cosim.design.identify.fit import Model as Continuous
 from cosim.design.logged.pem import Form, Problem
 from cosim.design.logged.stretches import prepare

@@ -9,14 +9,14 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
-from cosim.design.channel import Actuator, Channel, channels, hover_share
-from cosim.design.closed_loop import Closed, Points
 from cosim.design.design import dynamics_of, identify_there, shipped
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import at_share, lighter
+from cosim.design.loop.channel import Actuator, Channel, channels, hover_share
+from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.tuning import Tuning
 from cosim.design.measured.estimate import LoopMargins, loop_margins
 from cosim.design.tune import FINE
-from cosim.design.tuning import Tuning
 from cosim.engine import EngineSpec
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import FlightError
-from cosim.design.frequency import crossings
+from cosim.design.loop.frequency import crossings
 
 FEW = 10  # lines, of which no margins are made
 NOISY = 0.1  # of S, one standard deviation: lines that are hidden deeper in noise say nothing about margins

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import FlightError
-from cosim.base.files import one_line
+from cosim.base.storage.files import one_line
 from cosim.design.figures import FAR
 from cosim.design.measured.estimate import TINY
 from cosim.design.measured.margins import AxisMargins, Margins

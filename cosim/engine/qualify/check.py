@@ -19,10 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.engine.archive import Archive, named_ports
-from cosim.engine.container import DAMAGE
-from cosim.engine.measure import Measured, measure_once
-from cosim.engine.ports import (
+from cosim.engine.fmu.archive import Archive, named_ports
+from cosim.engine.fmu.container import DAMAGE
+from cosim.engine.fmu.ports import (
     KINDS,
     STANDARD_AIR,
     Air,
@@ -30,6 +29,8 @@ from cosim.engine.ports import (
     Variable,
     plain,
 )
+from cosim.engine.fmu.unpacked import unpack
+from cosim.engine.measure import Measured, measure_once
 from cosim.engine.qualify.remembered import cache_folder, misbehaves, remember_misbehaviour, write
 from cosim.engine.qualify.supervisor import READ, STARTED, Apart, Limits, run_apart
 from cosim.engine.response import (
@@ -45,7 +46,6 @@ from cosim.engine.spec import (
     need_whole_steps,
     resolve_parameters,
 )
-from cosim.engine.unpacked import unpack
 
 DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
 LIMITS = Limits()

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from cosim.engine.fmu.ports import STANDARD_AIR, Air
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import Measured
-from cosim.engine.ports import STANDARD_AIR, Air
 from cosim.engine.qualify.check import measure_apart, measure_unjudged
 from cosim.engine.qualify.remembered import misbehaves
 from cosim.engine.spec import EngineSpec, find_source

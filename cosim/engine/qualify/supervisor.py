@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.compiled import environment
-from cosim.base.processes import end_group
-from cosim.engine.container import one_line
+from cosim.base.runtime.processes import end_group
+from cosim.engine.fmu.container import one_line
 
 POLL_S = 0.02  # how often time and memory are looked at
 MOST_MESSAGES = 2**24  # bytes; a check says less than 100 kB

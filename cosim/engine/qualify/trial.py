@@ -21,13 +21,14 @@ from typing import Any, NamedTuple
 import cosim.engine._bank as _bank
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import EngineOutput
-from cosim.engine.archive import libraries_of, validate
 from cosim.engine.bank import EngineBank
-from cosim.engine.description import is_blemish
-from cosim.engine.instance import Slave, SlaveError
+from cosim.engine.fmu.archive import libraries_of, validate
+from cosim.engine.fmu.description import is_blemish
+from cosim.engine.fmu.instance import Slave, SlaveError
+from cosim.engine.fmu.ports import STANDARD_AIR, Air
+from cosim.engine.fmu.unpacked import contents, unpack
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import Measured, measure
-from cosim.engine.ports import STANDARD_AIR, Air
 from cosim.engine.qualify.check import NEEDED, all_curve_problems, told
 from cosim.engine.qualify.supervisor import READ
 from cosim.engine.response import (
@@ -47,8 +48,7 @@ from cosim.engine.spec import (
     find_source,
     resolve_parameters,
 )
-from cosim.engine.system_slave import make_slave
-from cosim.engine.unpacked import contents, unpack
+from cosim.engine.ssp.system_slave import make_slave
 
 Say = Callable[[dict[str, Any]], None]
 Found = tuple[dict[str, Any], list[str]]  # of the report, and problems

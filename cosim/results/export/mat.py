@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import InputError
-from cosim.results.autopilot_record import read_pilot_record
+from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.export.output import described, facts, output, said
 from cosim.results.run import open_run
 

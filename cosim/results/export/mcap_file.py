@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.base.errors import InputError
 from cosim.base.protocols import Column
-from cosim.results.autopilot_record import read_pilot_record
+from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.columns import own_columns
 from cosim.results.export.output import ROWS, Block, Said, Timed, described, facts, meaning, output, said, scenario_of
 from cosim.results.run import SCENARIO, SUMMARY, Run, open_run

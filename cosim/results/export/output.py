@@ -11,8 +11,8 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
-from cosim.base.files import one_line, replacing
 from cosim.base.protocols import Column
+from cosim.base.storage.files import one_line, replacing
 from cosim.results.columns import COLUMNS
 from cosim.results.events import events_of
 from cosim.results.export import ulog_autopilot

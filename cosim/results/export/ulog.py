@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.results.autopilot_record import read_pilot_record
+from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.columns import flown_in, own_columns
 from cosim.results.export import ulog_autopilot
 from cosim.results.export.output import ROWS, Block, facts, meaning, output, said, scenario_of, settings

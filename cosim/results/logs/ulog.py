@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.files import one_line
+from cosim.base.storage.files import one_line
 from cosim.results.logs.flight_log import Channel, FlightLog
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import FlightError
-from cosim.base.files import one_line, replacing
+from cosim.base.storage.files import one_line, replacing
 from cosim.engine.qualify.check import CheckReport
 from cosim.engine.response import NO_CHANGE
 from cosim.results.report.flight_figures import BLUE, ORANGE

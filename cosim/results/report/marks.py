@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.base.files import replacing
+from cosim.base.storage.files import replacing
 
 _PART = re.compile(r"^<!-- measured: (.*?) -->\n(.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL)
 _MARK = re.compile(r"^<!-- (?:measured: .*|end) -->$", re.MULTILINE)

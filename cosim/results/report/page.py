@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.files import one_line, replacing
+from cosim.base.storage.files import one_line, replacing
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 ASSETS = Path(__file__).resolve().parent / "assets"

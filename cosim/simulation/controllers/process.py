@@ -24,10 +24,10 @@ from typing import IO, Any
 from cosim.base import controller_wire as wire
 from cosim.base.compiled import environment
 from cosim.base.errors import FlightError, InputError
-from cosim.base.processes import end_group
 from cosim.base.protocols import Column
-from cosim.base.scratch import scratch
+from cosim.base.runtime.processes import end_group
 from cosim.base.signals import ControlSignals
+from cosim.base.storage.scratch import scratch
 from cosim.control.belief import Belief
 
 START_S = 60.0  # chosen by us: until it says what it is; an interpreter on a busy machine takes seconds

@@ -28,10 +28,10 @@ from pathlib import Path
 from types import CodeType, ModuleType, SimpleNamespace
 from typing import Any
 
-from cosim.base.cache import Memory
 from cosim.base.controller_wire import EXTRAS
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Column, Parameter
+from cosim.base.storage.cache import Memory
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.simulation.controllers import recorded
 from cosim.simulation.controllers.guard import columns_from, described
@@ -325,7 +325,7 @@ def _of_process(controller: str, path: Path, arguments: str) -> Source:
 
 
 def _of_fmu(controller: str, path: Path) -> Source:
-    from cosim.engine.controller_fmu import command, describing, read_controller_fmu
+    from cosim.engine.make.controller_fmu import command, describing, read_controller_fmu
 
     try:
         fmu = read_controller_fmu(path)

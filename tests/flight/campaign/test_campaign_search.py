@@ -31,10 +31,10 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.cli.main import main
-from cosim.design.channel import Actuator, channels
-from cosim.design.closed_loop import Closed, Points
 from cosim.design.design import shipped
-from cosim.design.dynamics import lags
+from cosim.design.loop.channel import Actuator, channels
+from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.dynamics import lags
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario

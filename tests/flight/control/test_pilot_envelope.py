@@ -15,7 +15,7 @@ from places import DOCS, ROOT
 
 from cosim.base.frames import from_euler
 from cosim.base.signals import Sample, Vector3
-from cosim.cli.runs import catalogue
+from cosim.cli.results.runs import catalogue
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.guidance.descent import (
     Floor,

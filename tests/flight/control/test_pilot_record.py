@@ -15,11 +15,11 @@ from cosim.base.errors import InputError
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.groundstation.session import waiting_scenario
-from cosim.results.autopilot_record import read_pilot_record
+from cosim.results.autopilot.autopilot_record import read_pilot_record
+from cosim.results.autopilot.request_log import REQUESTS, RequestLog
 from cosim.results.export.ulog import export_ulog
 from cosim.results.export.ulog_autopilot import NAV_STATE
 from cosim.results.export.ulog_topics import EVERY_S, TOPICS
-from cosim.results.request_log import REQUESTS, RequestLog
 from cosim.results.run import AUTOPILOT
 
 SECONDS = 24.0

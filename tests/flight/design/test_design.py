@@ -24,8 +24,6 @@ from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.state import ModalPredictor, Modes, modal_observer
 from cosim.design import design as make
 from cosim.design import tune as search
-from cosim.design.channel import Actuator, Channel, channels, without_instant
-from cosim.design.closed_loop import Closed, Points
 from cosim.design.controller_file import differences, read_controller, with_controller
 from cosim.design.controller_table import controller_table
 from cosim.design.design import (
@@ -33,13 +31,15 @@ from cosim.design.design import (
     design,
     margins,
 )
-from cosim.design.dynamics import lags
-from cosim.design.frequency import (
+from cosim.design.loop.channel import Actuator, Channel, channels, without_instant
+from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.dynamics import lags
+from cosim.design.loop.frequency import (
     grid,
     impulse_response,
 )
+from cosim.design.loop.tuning import Tuning, candidates
 from cosim.design.tune import Requirements
-from cosim.design.tuning import Tuning, candidates
 from cosim.engine import load_engine
 from cosim.simulation.delay_ledger import delay_ledger, total_samples
 from cosim.spec.scenario import Scenario

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from foreign_engines import foreign, mapped
 
-from cosim.base.toml import read_toml
+from cosim.base.storage.toml import read_toml
 from cosim.design import design as making
 from cosim.design import prove as proving
 from cosim.design import tune as search
-from cosim.design.closed_loop import Closed, Points
 from cosim.design.controller_table import controller_table
 from cosim.design.design import Design, design
-from cosim.design.dynamics import bounds, fit_dynamics, with_misfit
 from cosim.design.identify.response import FrequencyResponse
+from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.dynamics import bounds, fit_dynamics, with_misfit
 from cosim.design.proof import Proof
 from cosim.design.prove import CORNER, fault_of, prove, proved
 from cosim.design.result import summary_lines, to_dict

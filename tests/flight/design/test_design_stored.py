@@ -15,9 +15,8 @@ from places import DESIGNS
 from state_space import Body, Loop, first_order
 from stored_designs import LINEAR, small_step, stored
 
-from cosim.base.toml import read_toml
+from cosim.base.storage.toml import read_toml
 from cosim.control.predictors.registry import BASELINE
-from cosim.design.channel import Actuator, Channel, channels
 from cosim.design.controller_file import read_controller
 from cosim.design.design import (
     AXES,
@@ -38,8 +37,9 @@ from cosim.design.design import (
 )
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import at_share, keeps
+from cosim.design.loop.channel import Actuator, Channel, channels
+from cosim.design.loop.tuning import Tuning
 from cosim.design.tune import Requirements, settle, tune
-from cosim.design.tuning import Tuning
 from cosim.engine import load_engine
 from cosim.results.report.marks import parts_of
 from cosim.spec.vehicle import RateModel, load_vehicle

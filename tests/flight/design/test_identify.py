@@ -29,7 +29,7 @@ from cosim.design.identify import (
 from cosim.design.identify.fit import counts
 from cosim.design.identify.response import FrequencyResponse
 from cosim.design.identify.result import equation, low_frequency_delay, rate_response
-from cosim.simulation.commander import sweep
+from cosim.simulation.script.commander import sweep
 from cosim.spec.vehicle import RateModel, read_models
 
 STEP = 0.004

@@ -16,7 +16,7 @@ import pytest
 from engine_tools import NEWTON_PER_KGF, PAPER, STEP, archive, edit_description, paper_thrust
 
 from cosim.base.errors import InputError
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.engine import (
     CheckReport,
     build_engines,

@@ -38,7 +38,7 @@ from places import ROOT
 from cosim import Scenario, fly
 from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient
-from cosim.base.toml import parse_setting
+from cosim.base.storage.toml import parse_setting
 from cosim.cli.main import main
 from cosim.codegen.vectors import record
 from cosim.codegen.vehicle_ports import Flight as FlightOutside
@@ -46,10 +46,10 @@ from cosim.codegen.vehicle_ports import Parts
 from cosim.control.autopilot import requests as rq
 from cosim.design.survey import FLIES, MARK, NONE, REFUSED, UNFIT, judged
 from cosim.engine import EngineBank, EngineSpec, load_engine
-from cosim.engine.archive import read_archive, validate
-from cosim.engine.compile import compile_archive, needs_compiling
-from cosim.engine.description import is_blemish
-from cosim.engine.ports import Air
+from cosim.engine.fmu.archive import read_archive, validate
+from cosim.engine.fmu.description import is_blemish
+from cosim.engine.fmu.ports import Air
+from cosim.engine.make.compile import compile_archive, needs_compiling
 from cosim.engine.response import flat_notes
 from cosim.results.digest import log_digest
 from cosim.results.report import marks

@@ -49,7 +49,7 @@ from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
-from cosim.vehicle.servo import TiltServo
+from cosim.vehicle.parts.servo import TiltServo
 
 HOME = {
     "edf": "hexjet",

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.design.frequency import margins
+from cosim.design.loop.frequency import margins
 from cosim.paper import (
     beyond,
     calibration,

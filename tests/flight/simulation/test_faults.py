@@ -40,7 +40,7 @@ from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.engine_reference import engine_reference
-from cosim.simulation.fault_schedule import NEVER
+from cosim.simulation.script.fault_schedule import NEVER
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import (
     DelayGrowth,
@@ -53,7 +53,7 @@ from cosim.spec.scenario import (
     scenario_names,
 )
 from cosim.spec.vehicle import MonitorSettings, load_vehicle
-from cosim.vehicle.servo import TiltServo
+from cosim.vehicle.parts.servo import TiltServo
 
 STEP = 0.004
 HOVER = Scenario(name="short", duration_s=2.0, initial={"altitude_m": 30.0})

@@ -29,7 +29,7 @@ from cosim.results.limits import (
 )
 from cosim.results.metrics import metric_names
 from cosim.results.run import open_run
-from cosim.simulation.commander import Commander
+from cosim.simulation.script.commander import Commander
 from cosim.spec.scenario import FlightLimits, Scenario
 
 LAW = (0.8, 2.0, 1.0)

@@ -15,7 +15,7 @@ from cosim.engine.wrappers import EngineChain
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.simulation.build import build
-from cosim.simulation.mismatch import as_flown, engines_as_flown
+from cosim.simulation.script.mismatch import as_flown, engines_as_flown
 from cosim.spec.scenario import Mismatch, Scenario
 from cosim.spec.vehicle import load_vehicle
 

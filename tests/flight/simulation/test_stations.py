@@ -12,8 +12,8 @@ import pytest
 
 import cosim.simulation.build
 from cosim.base.errors import InputError
-from cosim.base.paths import data_folder
 from cosim.base.signals import Sample
+from cosim.base.storage.paths import data_folder
 from cosim.cli.main import main
 from cosim.cli.options import engine_choices, load_scenario
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap, inverted

@@ -11,8 +11,8 @@ import pytest
 from cosim import Scenario, fly
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.design.channel import Actuator, channels
-from cosim.design.dynamics import lags
+from cosim.design.loop.channel import Actuator, channels
+from cosim.design.loop.dynamics import lags
 from cosim.engine import load_engine
 from cosim.results.report.flight_figures import run_figures
 from cosim.simulation.build import build

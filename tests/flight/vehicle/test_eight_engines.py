@@ -13,7 +13,7 @@ import pytest
 from pyulog import ULog
 
 from cosim.base.errors import InputError
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.campaign.fault_survey import judge
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study

@@ -10,7 +10,7 @@ from command_tools import Hexjet
 from places import DESIGNS, ROOT
 
 from cosim import InputError, Run, Scenario, fly
-from cosim.base.toml import read_toml
+from cosim.base.storage.toml import read_toml
 from cosim.results.digest import log_digest
 from cosim.spec.vehicle import load_vehicle
 

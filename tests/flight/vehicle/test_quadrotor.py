@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stated_figures import stated
 
 from cosim.base.errors import InputError
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.control.allocation.allocation import RotorAllocator
 from cosim.flight import fly
 from cosim.simulation.build import build

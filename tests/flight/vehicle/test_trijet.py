@@ -15,7 +15,7 @@ from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
-from cosim.vehicle.intakes import IntakeDrag
+from cosim.vehicle.parts.intakes import IntakeDrag
 
 VEHICLE, _ = load_vehicle("trijet")
 PAGE = " ".join((ROOT / "aircraft" / "trijet" / "README.md").read_text(encoding="utf-8").split())

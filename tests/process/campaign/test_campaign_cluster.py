@@ -21,7 +21,7 @@ from campaign_tools import study, without_chance
 from patience import PATIENCE
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.campaign.folder import freeze, load
 from cosim.campaign.store import Store
 from cosim.campaign.study.plan import Flight, flights

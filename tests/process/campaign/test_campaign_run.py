@@ -14,8 +14,8 @@ import tomli_w
 from campaign_tools import without_chance
 from command_tools import Hexjet
 
-from cosim.base.paths import data_folder
-from cosim.base.toml import read_toml
+from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import read_toml
 from cosim.campaign import (
     Campaign,
     fly_again,
@@ -337,7 +337,7 @@ def test_a_flight_that_could_not_be_flown_is_told_so_again(tmp_path: Path, hexje
 def test_a_terminal_shows_how_far_it_is(monkeypatch: pytest.MonkeyPatch, quiet: bool) -> None:
     """Done of all and successes by controller; what was flown in another session counts for no rate."""
     from cosim.campaign.store import Tally
-    from cosim.cli.campaign import sweep_progress
+    from cosim.cli.studies.campaign import sweep_progress
 
     class Terminal(io.StringIO):
         def isatty(self) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 
 SHORT = ["--set", "duration_s=1.0"]
 

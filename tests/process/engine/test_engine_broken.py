@@ -21,17 +21,12 @@ from broken_fmus import BROKEN, DESCRIPTION, UNFIT, UNUSABLE, XML, Broken, Kit, 
 from patience import PATIENCE
 
 from cosim.base.errors import InputError
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.cli.main import main
 from cosim.cli.options import load_scenario
-from cosim.engine import (
-    EngineBank,
-    build_engines,
-    check_fmu,
-    container,
-    load_engine,
-)
-from cosim.engine.ports import STANDARD_AIR, Air
+from cosim.engine import EngineBank, build_engines, check_fmu, load_engine
+from cosim.engine.fmu import container
+from cosim.engine.fmu.ports import STANDARD_AIR, Air
 from cosim.engine.qualify import check
 from cosim.engine.qualify.supervisor import Limits
 from cosim.simulation.build import build

@@ -18,7 +18,7 @@ from engine_tools import STEP, archive, driven, rewrite, throttles
 from fmpy.validation import validate_fmu
 
 from cosim.base.errors import InputError
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.engine import (
     EngineBank,
     build,

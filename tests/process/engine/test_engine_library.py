@@ -14,7 +14,7 @@ from engine_tools import Array, Driven, archive, driven
 from fmpy.validation import validate_fmu
 from places import TOOLS
 
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.engine import build, build_engines, engine_names
 
 ENGINES = engine_names()

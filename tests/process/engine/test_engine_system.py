@@ -22,13 +22,13 @@ from cosim.base.errors import InputError
 from cosim.codegen import measure
 from cosim.codegen.ssp import write_ssp
 from cosim.engine import EngineBank, load_engine
-from cosim.engine.archive import Archive
-from cosim.engine.instance import Slave
+from cosim.engine.fmu.archive import Archive
+from cosim.engine.fmu.instance import Slave
+from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.qualify.trial import perform
 from cosim.engine.spec import find_source
-from cosim.engine.structure import order
-from cosim.engine.system_slave import make_slave
-from cosim.engine.unpacked import unpack
+from cosim.engine.ssp.structure import order
+from cosim.engine.ssp.system_slave import make_slave
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario
 

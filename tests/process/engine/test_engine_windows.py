@@ -16,12 +16,12 @@ from foreign_engines import foreign
 from places import TOOLS
 
 from cosim.base.errors import InputError
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.cli.main import main
-from cosim.engine import compile as compiling
 from cosim.engine import load_engine
-from cosim.engine.archive import read_archive
-from cosim.engine.compile import WINDOWS_COMPILER, compile_archive, has_windows
+from cosim.engine.fmu.archive import read_archive
+from cosim.engine.make import compile as compiling
+from cosim.engine.make.compile import WINDOWS_COMPILER, compile_archive, has_windows
 
 needs_mingw = pytest.mark.skipif(shutil.which(WINDOWS_COMPILER) is None, reason=f"no {WINDOWS_COMPILER}")
 WINE = shutil.which("wine64") or shutil.which("wine") or ("/usr/lib/wine/wine64" if Path("/usr/lib/wine/wine64").is_file() else None)  # fmt: skip

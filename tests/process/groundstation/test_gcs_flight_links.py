@@ -24,10 +24,10 @@ from cosim.control.autopilot.parameters import Parameters
 from cosim.groundstation.exchange import Exchange, Port
 from cosim.groundstation.links import about_of
 from cosim.groundstation.mavlink.vehicle import LINK_LOST, Vehicle
-from cosim.groundstation.mavlink.wire.channel import RETRY, STALL
 from cosim.groundstation.mavlink.wire.dialect import mav
-from cosim.groundstation.mavlink.wire.endpoint import parse
 from cosim.groundstation.mavlink.wire.link import Link
+from cosim.groundstation.mavlink.wire.transports.channel import RETRY, STALL
+from cosim.groundstation.mavlink.wire.transports.endpoint import parse
 from cosim.groundstation.session import facts_of, pass_on, snapshot_of
 from cosim.simulation.pacing import PaceReport
 

@@ -33,8 +33,8 @@ from cosim.groundstation.exchange import (
     Snapshot,
 )
 from cosim.groundstation.session import Onlookers, Session, place_at
+from cosim.results.autopilot.request_log import REQUESTS, RequestLog, read_requests
 from cosim.results.recorder import Log
-from cosim.results.request_log import REQUESTS, RequestLog, read_requests
 from cosim.results.run import Run, open_run
 from cosim.simulation.pacing import CATCH_UP, Pace
 from cosim.spec.scenario import Scenario

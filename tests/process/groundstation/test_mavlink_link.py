@@ -19,13 +19,13 @@ from patience import PATIENCE, stretched
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.requests import Arm
-from cosim.groundstation.mavlink.wire.channel import MOST_PEERS
 from cosim.groundstation.mavlink.wire.dialect import mav
-from cosim.groundstation.mavlink.wire.endpoint import default, parse
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import FRAMES_A_SECOND
 from cosim.groundstation.mavlink.wire.signing import Signing
 from cosim.groundstation.mavlink.wire.tlog import Log
+from cosim.groundstation.mavlink.wire.transports.channel import MOST_PEERS
+from cosim.groundstation.mavlink.wire.transports.endpoint import default, parse
 
 KEY = b"k" * 32
 

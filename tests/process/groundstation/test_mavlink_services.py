@@ -24,8 +24,8 @@ from cosim.groundstation.mavlink.services.metadata import GENERAL, Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.params import ParameterService
 from cosim.groundstation.mavlink.vehicle import Vehicle
-from cosim.groundstation.mavlink.wire.endpoint import parse
 from cosim.groundstation.mavlink.wire.link import Link
+from cosim.groundstation.mavlink.wire.transports.endpoint import parse
 from cosim.simulation.build import build
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.scenario import Scenario

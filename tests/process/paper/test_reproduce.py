@@ -24,7 +24,7 @@ from places import ROOT, TOOLS
 
 from cosim.base.errors import InputError
 from cosim.cli.main import main
-from cosim.design.frequency import margins
+from cosim.design.loop.frequency import margins
 from cosim.flight import fly
 from cosim.paper import frozen as calibration
 from cosim.paper import reproduce
@@ -43,17 +43,17 @@ from cosim.paper.experiments import (
     linear,
     quadrotor_axis,
 )
-from cosim.paper.figures import panels, paper_figures
 from cosim.paper.loops import (
     gain_at,
     measured_sweep,
     open_loop,
     sweep,
 )
-from cosim.paper.page import counts_in_words, page_values, tally
-from cosim.paper.page import write_page as paper_report
-from cosim.paper.pages import CONSTRUCTED as CONSTRUCTED_PART
-from cosim.paper.pages import COUNTS, NAMED, write_page
+from cosim.paper.report.figures import panels, paper_figures
+from cosim.paper.report.page import counts_in_words, page_values, tally
+from cosim.paper.report.page import write_page as paper_report
+from cosim.paper.report.pages import CONSTRUCTED as CONSTRUCTED_PART
+from cosim.paper.report.pages import COUNTS, NAMED, write_page
 from cosim.paper.result import Manual, Reproduction
 from cosim.results.report.marks import parts_of
 from cosim.results.report.page import figure_json

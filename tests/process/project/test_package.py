@@ -30,7 +30,7 @@ from cosim.results.report.marks import parts_of
 
 UNCOMPILED = bool(os.environ.get(PURE))
 COMPILED = (
-    () if UNCOMPILED else ("base/frames.py", "vehicle/tank.py")
+    () if UNCOMPILED else ("base/frames.py", "vehicle/parts/tank.py")
 )  # a few stand for all: `make setup` compiles those
 METADATA = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 DATA = ("aircraft", "engines", "scenarios", "studies")
@@ -172,7 +172,7 @@ def test_the_installed_command_lists_what_is_shipped(installed: Path, tmp_path: 
 
 
 def test_the_installed_package_is_not_the_clone(installed: Path, tmp_path: Path) -> None:
-    script = "import cosim, cosim.base.paths as p; print(cosim.__file__); print(p.data_folder('fmus'))"
+    script = "import cosim, cosim.base.storage.paths as p; print(cosim.__file__); print(p.data_folder('fmus'))"
     for line in run(installed / "python", "-c", script, cwd=tmp_path).splitlines():
         assert Path(line).resolve().is_relative_to(installed.parent.resolve())
 

@@ -23,7 +23,7 @@ from cosim.base import controller_wire as wire
 from cosim.campaign.run import run_campaign
 from cosim.campaign.study.options import open_study
 from cosim.cli.main import main
-from cosim.engine.controller_fmu import read_controller_fmu
+from cosim.engine.make.controller_fmu import read_controller_fmu
 
 PAGE = ROOT / "docs" / "own-controller.md"
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.1}

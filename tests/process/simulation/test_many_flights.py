@@ -25,25 +25,21 @@ from places import TOOLS
 
 import cosim
 from cosim import fly
-from cosim.base import toml as config
-from cosim.base.cache import Memory
 from cosim.base.errors import InputError
-from cosim.base.paths import data_folder
-from cosim.base.scratch import scratch
-from cosim.engine import (
-    archive,
-    build_engines,
-    load_engine,
-    unpacked,
-)
+from cosim.base.storage import toml as config
+from cosim.base.storage.cache import Memory
+from cosim.base.storage.paths import data_folder
+from cosim.base.storage.scratch import scratch
+from cosim.engine import build_engines, load_engine
 from cosim.engine import measure as engine_measure
-from cosim.engine.archive import library_of
+from cosim.engine.fmu import archive, unpacked
+from cosim.engine.fmu.archive import library_of
+from cosim.engine.fmu.ports import STANDARD_AIR
+from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.measure import Measured
-from cosim.engine.ports import STANDARD_AIR
 from cosim.engine.qualify import check
 from cosim.engine.response import NO_CHANGE, Response
 from cosim.engine.spec import find_source
-from cosim.engine.unpacked import unpack
 from cosim.results.run import Run
 from cosim.spec import vehicle
 from cosim.spec.scenario import Scenario
@@ -170,7 +166,7 @@ def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "fmus").mkdir()
     for path in data_folder("fmus").glob("edf*.fmu"):
         shutil.copy(path, tmp_path / "fmus")
-    monkeypatch.setattr("cosim.base.paths._ROOT", tmp_path)
+    monkeypatch.setattr("cosim.base.storage.paths._ROOT", tmp_path)
     return tmp_path
 
 
@@ -311,7 +307,7 @@ def test_no_place_for_temporary_files_is_one_line(monkeypatch: pytest.MonkeyPatc
     def refuse(prefix: str) -> str:
         raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
 
-    monkeypatch.setattr("cosim.base.scratch._made", {})
+    monkeypatch.setattr("cosim.base.storage.scratch._made", {})
     monkeypatch.setattr(tempfile, "mkdtemp", refuse)
     with pytest.raises(InputError, match=r"^temporary files: No usable temporary directory found; TMPDIR can"):
         unpack(find_source("edf").archive)
@@ -341,7 +337,7 @@ def test_a_forked_process_uses_files_of_its_own(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_what_a_killed_process_leaves_is_removed_by_the_next(tmp_path: Path) -> None:
-    script = "import os, signal, sys; from cosim.base.scratch import scratch; print(scratch(), flush=True); "
+    script = "import os, signal, sys; from cosim.base.storage.scratch import scratch; print(scratch(), flush=True); "
     wait = "sys.stdin.read(); "
     environment = os.environ | {"TMPDIR": str(tmp_path)}
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from cosim.base.processes import end_group, reap
+from cosim.base.runtime.processes import end_group, reap
 
 
 @pytest.fixture

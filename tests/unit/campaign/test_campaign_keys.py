@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.base.toml import split_key
+from cosim.base.storage.toml import split_key
 from cosim.campaign.study.keys import (
     Key,
     all_keys,

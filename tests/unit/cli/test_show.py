@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.cli.runs import catalogue
-from cosim.cli.show import _stated, _table, show
+from cosim.cli.results.runs import catalogue
+from cosim.cli.results.show import _stated, _table, show
 from cosim.spec.vehicle import load_vehicle
 
 

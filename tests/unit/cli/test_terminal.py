@@ -13,7 +13,7 @@ from command_tools import Hexjet
 from places import TESTS
 
 from cosim.cli import main as command
-from cosim.cli.fly import print_run
+from cosim.cli.flight.fly import print_run
 from cosim.results.run import open_run
 
 RUN = sorted((TESTS / "older").iterdir())[0] / "run"

@@ -29,11 +29,11 @@ from cosim.control.laws.mpc import MpcAxis
 from cosim.control.laws.px4 import ACCELERATION_HZ, FADES, LowPass, Px4Axis
 from cosim.control.predictors.linear import model_response
 from cosim.control.rate import RateController
-from cosim.design.channel import Actuator, Channel, channels
-from cosim.design.closed_loop import WINDOW, Closed, Points
-from cosim.design.dynamics import lags
 from cosim.design.law_loop import BuiltIn, LawLoop
-from cosim.design.tuning import Tuning
+from cosim.design.loop.channel import Actuator, Channel, channels
+from cosim.design.loop.closed_loop import WINDOW, Closed, Points
+from cosim.design.loop.dynamics import lags
+from cosim.design.loop.tuning import Tuning
 from cosim.engine import EngineSpec, load_engine
 from cosim.simulation.build import belief_of, build, predictors
 from cosim.spec.vehicle import Vehicle

@@ -25,10 +25,10 @@ from cosim.campaign.workers.flight_row import fly_one
 from cosim.control.autopilot.parameters import Parameters, table
 from cosim.control.predictors.registry import PREDICTORS, PredictorSpec, TuningParameter
 from cosim.control.predictors.smith import FilteredSmithPredictor, NoPredictor, robustness_filter
-from cosim.design.channel import Channel
-from cosim.design.closed_loop import Closed, Points, steps_by_response
+from cosim.design.loop.channel import Channel
+from cosim.design.loop.closed_loop import Closed, Points, steps_by_response
+from cosim.design.loop.tuning import Tuning, candidates
 from cosim.design.tune import Box, Requirements, excess, objective
-from cosim.design.tuning import Tuning, candidates
 from cosim.spec.vehicle import load_vehicle
 
 FIXED = {"baseline": 0, "smith": 1, "filtered-smith": 2, "state": 3, "state-model": 4, "state-disturbance": 5}
@@ -181,8 +181,8 @@ def test_a_ground_station_is_offered_it(mine: PredictorSpec) -> None:
 @pytest.fixture(scope="module")
 def loop() -> tuple[Channel, Tuning]:
     """The roll channel with EDF engines, and the aircraft's own gains on it."""
-    from cosim.design.channel import Actuator, channels
     from cosim.design.design import _scenario, believed, dynamics_of, identify_there, shipped
+    from cosim.design.loop.channel import Actuator, channels
     from cosim.engine import load_engine
 
     scenario, vehicle = _scenario("edf", "hexjet", [])

@@ -16,7 +16,7 @@ from places import DESIGNS
 from cosim import Scenario, fly
 from cosim.base.errors import InputError
 from cosim.base.signals import Command, Measured, Unallocated
-from cosim.base.toml import read_toml
+from cosim.base.storage.toml import read_toml
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.lead import Lead

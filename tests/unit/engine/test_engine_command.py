@@ -9,7 +9,7 @@ import pytest
 from engine_tools import STEP, Array, Driven, archive, driven
 
 from cosim.base.errors import InputError
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.engine import build_engines, load_engine
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario

@@ -12,7 +12,7 @@ import pytest
 from engine_tools import STEP, Array, archive, bang_bang, driven
 from scipy.integrate import solve_ivp
 
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.engine import build_engines
 
 # kerosene, in the order K_T K_TT K_D K_DD K_TD B_U B_T B_D B_UU c

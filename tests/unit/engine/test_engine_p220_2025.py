@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.signal import csd, welch
 
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.engine import build_engines
 
 README = data_folder("engines") / "p220-2025" / "README.md"

@@ -26,9 +26,9 @@ from cosim.engine import (
     build_engines,
     load_engine,
 )
-from cosim.engine.archive import read_archive
-from cosim.engine.instance import Slave
-from cosim.engine.ports import (
+from cosim.engine.fmu.archive import read_archive
+from cosim.engine.fmu.instance import Slave
+from cosim.engine.fmu.ports import (
     INPUTS,
     KINDS,
     OUTPUTS,
@@ -38,7 +38,7 @@ from cosim.engine.ports import (
     plain,
     without_unit,
 )
-from cosim.engine.units import (
+from cosim.engine.fmu.units import (
     ANGULAR_SPEED,
     FORCE,
     MASS_FLOW,

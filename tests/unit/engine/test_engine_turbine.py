@@ -15,7 +15,7 @@ import pytest
 from engine_tools import STEP, Array, Driven, archive, driven
 from turbine_reference import CP_AIR, CP_GAS, T_REF, Ambient, Turbine
 
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.engine import build, build_engines
 
 TURBINES = ["turbine-20", "turbine-100", "turbine-220"]

@@ -25,9 +25,9 @@ from cosim.groundstation.mavlink.about import About
 from cosim.groundstation.mavlink.telemetry import STREAMS, Since, View
 from cosim.groundstation.session import waiting_scenario
 from cosim.groundstation.web.feed import state as web_state
-from cosim.results.autopilot_record import read_pilot_record
+from cosim.results.autopilot.autopilot_record import read_pilot_record
+from cosim.results.autopilot.request_log import REQUESTS, RequestLog
 from cosim.results.export.ulog import export_ulog
-from cosim.results.request_log import REQUESTS, RequestLog
 from cosim.simulation.build import build
 from cosim.simulation.with_autopilot import with_autopilot
 from cosim.spec.scenario import Scenario

@@ -25,14 +25,14 @@ from cosim.control.autopilot.requests import (
     LinkLost,
     Result,
 )
-from cosim.groundstation.mavlink.wire import channel, connection, serial_port
-from cosim.groundstation.mavlink.wire.channel import MOST_PEERS
 from cosim.groundstation.mavlink.wire.dialect import mav, pack
-from cosim.groundstation.mavlink.wire.endpoint import parse
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import SHARE, Kind
-from cosim.groundstation.mavlink.wire.serial_port import Port
 from cosim.groundstation.mavlink.wire.signing import Signing
+from cosim.groundstation.mavlink.wire.transports import channel, connection, serial_port
+from cosim.groundstation.mavlink.wire.transports.channel import MOST_PEERS
+from cosim.groundstation.mavlink.wire.transports.endpoint import parse
+from cosim.groundstation.mavlink.wire.transports.serial_port import Port
 from cosim.results.report.marks import parts_of
 
 LONGEST = 280  # bytes of a frame

@@ -36,7 +36,7 @@ HOMES = {
 
 # Blocks get values and return values: no files, clocks, environment or global randomness.
 BLOCKS = [
-    "control/", "engine/wrappers.py", "vehicle/propulsion.py", "vehicle/sensors.py", "vehicle/servo.py", "simulation/ending.py", "base/frames.py",
+    "control/", "engine/wrappers.py", "vehicle/propulsion.py", "vehicle/sensors.py", "vehicle/parts/servo.py", "simulation/ending.py", "base/frames.py",
     "base/signals.py", "base/protocols.py",
 ]  # fmt: skip
 OUTSIDE_WORLD = {
@@ -45,8 +45,8 @@ OUTSIDE_WORLD = {
 }  # fmt: skip
 READS_THE_OUTSIDE_WORLD = {"open", "print", "input", "exec", "eval", "__import__"}
 OUR_FILE_READERS = {
-    "cosim.base.toml",
-    "cosim.base.paths",
+    "cosim.base.storage.toml",
+    "cosim.base.storage.paths",
     "cosim.cli.main",
     "cosim.results.report.flight",
     "cosim.results.report.page",
@@ -54,11 +54,11 @@ OUR_FILE_READERS = {
     "cosim.simulation.step",
     "cosim.simulation.build",
     "cosim.results.arrow",
-    "cosim.base.files",
+    "cosim.base.storage.files",
 }
 
 # An engine is a file before it flies and none while it flies: loading reads, stepping does not.
-ENGINE_STEPS = ["engine/bank.py", "engine/response.py", "engine/instance.py", "engine/spec.py"]
+ENGINE_STEPS = ["engine/bank.py", "engine/response.py", "engine/fmu/instance.py", "engine/spec.py"]
 CLOCKS_AND_CHANCE = {"datetime", "random", "secrets", "time", "uuid"}
 C_FILES_CLOCKS_AND_CHANCE = (
     r"\b(f?open|fread|fwrite|getenv|s?rand|random|time|clock|clock_gettime|s?printf|puts|system)\s*\("

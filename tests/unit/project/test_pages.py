@@ -24,7 +24,7 @@ from places import ROOT, file_of
 from scipy.optimize import brentq
 from stated_figures import NUMBER, figures, last_digit, numbers, row_states, rows, stated, text, value
 
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.campaign import engine_out
 from cosim.campaign import fault_survey as survival
 from cosim.campaign.analysis.statistics import wilson
@@ -37,13 +37,8 @@ from cosim.design.identify import Identification, identify_axis
 from cosim.design.identify.fit import fit
 from cosim.design.identify.result import low_frequency_delay, rate_response
 from cosim.design.tune import Requirements
-from cosim.engine import (
-    build,
-    build_engines,
-    container,
-    load_engine,
-    response,
-)
+from cosim.engine import build, build_engines, load_engine, response
+from cosim.engine.fmu import container
 from cosim.engine.qualify import check, trial
 from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build as build_flight

@@ -12,7 +12,7 @@ from flights import samples, scenario, setup
 from stated_figures import text
 
 from cosim.base.errors import InputError
-from cosim.cli.compare import compare
+from cosim.cli.results.compare import compare
 from cosim.flight import with_page
 from cosim.results.arrow import write_table
 from cosim.results.columns import COLUMNS

@@ -22,7 +22,7 @@ from flights import STEP, samples, scenario, setup
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import Command, Sample
-from cosim.cli.runs import report
+from cosim.cli.results.runs import report
 from cosim.flight import integration, with_page
 from cosim.results.columns import NAMES
 from cosim.results.comparison import Flown

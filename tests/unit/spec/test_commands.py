@@ -11,14 +11,14 @@ from scipy.signal import chirp
 
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Disturbance
-from cosim.simulation.commander import (
+from cosim.simulation.script.commander import (
     Commander,
     doublet,
     pulse,
     read_columns,
     sweep,
 )
-from cosim.simulation.disturber import Disturber
+from cosim.simulation.script.disturber import Disturber
 from cosim.spec.scenario import Scenario
 
 STEP = 0.004

@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import jet_axis
-from cosim.base.paths import data_folder
 from cosim.base.signals import ZERO3, Disturbance, State
-from cosim.base.toml import read_toml
+from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import read_toml
 from cosim.cli.main import cli
 from cosim.cli.options import load_scenario
 from cosim.design.controller_file import read_controller

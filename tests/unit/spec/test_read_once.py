@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from cosim.base import toml
 from cosim.base.errors import InputError
+from cosim.base.storage import toml
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one

@@ -16,16 +16,16 @@ from cosim.base.signals import (
     State,
     Vector3,
 )
-from cosim.design.channel import Actuator, Channel, channels
 from cosim.design.controller_file import differences, with_controller
-from cosim.design.dynamics import lags
 from cosim.design.identify import identify_axis
+from cosim.design.loop.channel import Actuator, Channel, channels
+from cosim.design.loop.dynamics import lags
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle.airframe import Airframe
-from cosim.vehicle.banks import Banks
+from cosim.vehicle.parts.banks import Banks
 
 STEP = 0.004
 NO_AERO = {"drag_area_m2": [0.0, 0.0, 0.0], "damping_n_m_s": [0.0, 0.0, 0.0]}

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.base.paths import data_folder
+from cosim.base.storage.paths import data_folder
 from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.spec.scaling import scaled
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import GroundEffect, Vehicle, load_vehicle
 from cosim.vehicle.airframe import standing_height
-from cosim.vehicle.ground_effect import GroundJets, lift_loss
+from cosim.vehicle.parts.ground_effect import GroundJets, lift_loss
 
 PLATE = {"planform_m": 0.4, "jet_m": 0.1}
 GAS = {"hot_gas": True, "hot_gas_height_m": [0.5, 1.0, 2.0], "hot_gas_rise_k": [20.0, 10.0, 0.0]}

@@ -17,10 +17,10 @@ from cosim.engine.wrappers import EngineChain
 from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import Hinge, Jet, Servo, Vehicle, load_vehicle
 from cosim.vehicle.airframe import Airframe
-from cosim.vehicle.banks import Banks
-from cosim.vehicle.hinges import HingeReactions
+from cosim.vehicle.parts.banks import Banks
+from cosim.vehicle.parts.hinges import HingeReactions
+from cosim.vehicle.parts.servo import TiltServo
 from cosim.vehicle.propulsion import Propulsion
-from cosim.vehicle.servo import TiltServo
 
 STEP = 0.004
 EXACT = 1e-9  # of the larger side: rounding

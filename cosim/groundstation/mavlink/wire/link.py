@@ -12,16 +12,16 @@ from collections.abc import Callable, Sequence
 from math import inf
 from typing import Any, Protocol
 
-from cosim.groundstation.mavlink.wire.channel import Channel
 from cosim.groundstation.mavlink.wire.dialect import Packed
-from cosim.groundstation.mavlink.wire.endpoint import Endpoint
 from cosim.groundstation.mavlink.wire.frames import Frame, Parser, Sender
 from cosim.groundstation.mavlink.wire.peer import Kind, Peer
-from cosim.groundstation.mavlink.wire.serial_port import Serial
 from cosim.groundstation.mavlink.wire.signing import Signing
-from cosim.groundstation.mavlink.wire.tcp import Tcp, TcpIn
 from cosim.groundstation.mavlink.wire.tlog import Log
-from cosim.groundstation.mavlink.wire.udp import UdpIn, UdpOut
+from cosim.groundstation.mavlink.wire.transports.channel import Channel
+from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
+from cosim.groundstation.mavlink.wire.transports.serial_port import Serial
+from cosim.groundstation.mavlink.wire.transports.tcp import Tcp, TcpIn
+from cosim.groundstation.mavlink.wire.transports.udp import UdpIn, UdpOut
 
 # Chosen by us.
 _IDLE = 0.05  # s: the longest sleep

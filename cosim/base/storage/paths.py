@@ -1,0 +1,23 @@
+"""Where the aircraft, engines, FMUs, scenarios and studies are: in the clone, or inside the installed package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parents[2]
+_ROOT = _PACKAGE / "data" if (_PACKAGE / "data").is_dir() else _PACKAGE.parent
+
+
+def data_folder(name: str) -> Path:
+    """The folder ``aircraft``, ``engines``, ``fmus``, ``scenarios`` or ``studies``."""
+    return _ROOT / name
+
+
+def names_in(folder: str, marker: str) -> list[str]:
+    """The names of the sub-folders of ``folder`` that hold a file called ``marker``."""
+    return sorted(path.parent.name for path in data_folder(folder).glob(f"*/{marker}"))
+
+
+def files_in(folder: str) -> list[str]:
+    """The names of the TOML files in ``folder``."""
+    return sorted(path.stem for path in data_folder(folder).glob("*.toml"))

@@ -1,0 +1,71 @@
+"""The folder for what others take from files alone; it goes when the process ends.
+
+There is one for all flights of a process, because on a disk that is busy it takes milliseconds to remove a folder.  A
+process that is killed leaves its folder, which the next one removes: nobody holds its lock any more.
+"""
+
+from __future__ import annotations
+
+import atexit
+import fcntl
+import os
+import shutil
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.storage.files import one_line
+
+_PREFIX = "hexjet-scratch-"
+_LOCK = "lock"
+_made: dict[int, Path] = {}  # by process: one that was forked has its own
+
+
+def scratch() -> Path:
+    """The folder of this process.  Raises InputError where there is no place for one."""
+    folder = _made.get(os.getpid())
+    if folder is None or not folder.is_dir():
+        try:
+            folder = _made[os.getpid()] = _make()
+        except OSError as error:
+            raise InputError(f"temporary files: {one_line(error)}; TMPDIR can name another folder for them") from error
+    return folder
+
+
+def _make() -> Path:
+    _remove_left()
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
+        file = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)  # held as long as the process lives
+        _lock(file, fcntl.LOCK_EX)
+        if (folder / _LOCK).exists():
+            atexit.register(_remove, os.getpid(), folder)
+            return folder
+        os.close(file)  # another process took it for one that was left, a moment ago
+
+
+def _remove_left() -> None:
+    """Remove the folders of processes that were killed."""
+    for file in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*/{_LOCK}"):
+        with suppress(OSError):  # somebody else's
+            held = os.open(file, os.O_RDWR)
+            try:
+                if _lock(held, fcntl.LOCK_EX | fcntl.LOCK_NB):
+                    shutil.rmtree(file.parent, ignore_errors=True)
+            finally:
+                os.close(held)
+
+
+def _lock(file: int, how: int) -> bool:
+    """Take the file's lock, which goes when the process goes; False if another holds it, or nobody can."""
+    try:
+        fcntl.flock(file, how)
+    except OSError:
+        return False
+    return True
+
+
+def _remove(process: int, folder: Path) -> None:
+    if os.getpid() == process:
+        shutil.rmtree(folder, ignore_errors=True)

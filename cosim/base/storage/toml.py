@@ -1,0 +1,295 @@
+"""Reading TOML into typed, frozen models, and saying in one line what is wrong with it."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from cosim.base.errors import InputError, nearest
+from cosim.base.storage.cache import Memory
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+
+
+class Model(BaseModel):
+    """A frozen table of a TOML file: unknown keys, NaN and infinities are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_numbers(cls, data: Any) -> Any:
+        """``"2"`` and ``true`` are no numbers, alone or in a list, though Python would take them."""
+        numeric = _numeric(cls)
+        for name, value in data.items() if isinstance(data, dict) else ():
+            if name in numeric:
+                for number in value if isinstance(value, list) else [value]:
+                    if isinstance(number, (str, bool)):
+                        raise ValueError(f"{name} = {number!r}: must be a number")
+        return data
+
+    @model_validator(mode="before")
+    @classmethod
+    def _places_over_defaults(cls, data: Any) -> Any:
+        """A table of places of a list that nobody states is written over the list's default."""
+        if not isinstance(data, dict):
+            return data
+        lists = _lists(cls)
+        placed = {name: data[name] for name in lists if isinstance(data.get(name), Mapping)}
+        return {**data, **merge({name: lists[name] for name in placed}, placed)} if placed else data
+
+
+@cache
+def _lists(model: type[BaseModel]) -> Mapping[str, list[Any]]:
+    """The fields whose default is a tuple, with it."""
+    defaults = {name: field.default for name, field in model.model_fields.items()}
+    return {name: list(default) for name, default in defaults.items() if isinstance(default, tuple)}
+
+
+@cache
+def _numeric(model: type[BaseModel]) -> frozenset[str]:
+    """The fields that are numbers, or lists of numbers, and nothing else."""
+    annotations = {name: repr(field.annotation) for name, field in model.model_fields.items()}
+    return frozenset(
+        name
+        for name, kind in annotations.items()
+        if re.search(r"\b(float|int)\b", kind) and not re.search(r"\b(str|bool)\b", kind)
+    )
+
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Vector = tuple[float, float, float]
+
+M = TypeVar("M", bound=BaseModel)
+
+_OWN_NAMES = re.compile(
+    r"(?P<head>engine_parameters|stations\.[^.]+\.parameters)\.(?P<name>.+)"
+    r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"
+)
+_parsed: Memory[dict[str, Any]] = Memory(64)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file.  Raises InputError that names the file and, for bad syntax, the line."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 text (byte {error.start})") from error
+    try:
+        table: dict[str, Any] = _copy(_parsed.get(text, lambda: tomllib.loads(text)))
+        return table
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise InputError(f"{path}: not valid TOML: nested too deep") from error
+
+
+def _copy(table: Any) -> Any:
+    """A table that may be changed."""
+    if isinstance(table, dict):
+        return {key: _copy(value) for key, value in table.items()}
+    return [_copy(value) for value in table] if isinstance(table, list) else table
+
+
+def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:
+    """Turn a TOML table into ``model``; ``where`` names its source in the error.
+
+    Raises InputError: one line with the key, the value and what is allowed.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise InputError(f"{where}: {_first_complaint(model, error)}") from error
+
+
+def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """``base`` with the leaves of ``over`` written over it; neither is changed.
+
+    A table whose keys are all places in a list, counted from 0, is written over those entries of it.
+    """
+    merged = dict(base)
+    for key, value in over.items():
+        old = merged.get(key)
+        if isinstance(value, Mapping) and isinstance(old, Mapping):
+            merged[key] = merge(old, value)
+        elif isinstance(value, Mapping) and isinstance(old, list) and _places(value, old):
+            entries = {str(place): entry for place, entry in enumerate(old)}
+            merged[key] = list(merge(entries, value).values())
+        else:
+            merged[key] = value
+    return merged
+
+
+def _places(over: Mapping[str, Any], entries: list[Any]) -> bool:
+    return bool(over) and all(key in map(str, range(len(entries))) for key in over)
+
+
+def parse_setting(text: str) -> tuple[list[str], Any]:
+    """Split ``a.b.c=VALUE`` into its path and its value, read as TOML and, failing that, as a string.
+
+    Raises InputError if there is no ``=`` or the key is empty.
+    """
+    key, equals, value = text.partition("=")
+    path = [part.strip() for part in split_key(key.strip())]
+    if not equals or not all(path):
+        raise InputError(f"--set {text}: write it as KEY=VALUE, for example vehicle.mass_kg=6.0")
+    try:
+        return path, tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return path, value.strip()
+
+
+def split_key(key: str) -> list[str]:
+    """A dotted key in its parts.
+
+    The name of an engine's parameter and that of an engine's file may have dots of their own: they stay whole.
+    """
+    match = _OWN_NAMES.fullmatch(key)
+    if not match:
+        return key.split(".")
+    if match["head"]:
+        return [*match["head"].split("."), match["name"].strip("\"'")]
+    return [*match["file"].split("."), match["family"].strip("\"'"), match["axis"], *match["rest"].split(".")]
+
+
+def parse_numbers(texts: Iterable[str], option: str) -> dict[str, float]:
+    """``NAME=NUMBER`` texts as a table.  Raises InputError that names ``option``."""
+    numbers = {}
+    for text in texts:
+        name, _, value = (part.strip() for part in text.partition("="))
+        try:
+            numbers[name] = float(value)
+        except ValueError as error:
+            raise InputError(f"{option} {text}: write it as NAME=NUMBER") from error
+    return numbers
+
+
+def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> None:
+    """Write ``value`` at a dotted path into nested tables and lists (a number indexes a list).
+
+    Raises InputError where the path runs through something that is neither.
+    """
+    here: Any = data
+    for depth, part in enumerate(path):
+        last = depth == len(path) - 1
+        if isinstance(here, list):
+            if not part.lstrip("-").isdigit() or not 0 <= int(part) < len(here):
+                raise InputError(
+                    f"{where}: {'.'.join(path[: depth + 1])}: a number from 0 to {len(here) - 1} goes here"
+                )
+            if last:
+                here[int(part)] = value
+            else:
+                here = here[int(part)]
+        elif isinstance(here, dict):
+            if last:
+                here[part] = value
+            else:
+                here = here.setdefault(part, {})
+        else:
+            raise InputError(f"{where}: {'.'.join(path[:depth])} is a value, not a table")
+
+
+_OTHERS = 5  # keys that a line names beside the first that is wrong
+
+
+def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
+    complaints = error.errors()
+    if not _is_off(complaints[0]):
+        # a table that may also be false: nobody who states one means that
+        complaints = [complaint for complaint in complaints if not _is_off(complaint)]
+    first = complaints[0]
+    key = ".".join(_path(model, first["loc"]))
+    kind, value = first["type"], first["input"]
+    others = [".".join(_path(model, complaint["loc"])) for complaint in complaints[1:]]
+    others = [other for other in dict.fromkeys(others) if other not in ("", key)]
+    rest = f"; wrong too: {', '.join(others[:_OTHERS])}{', ...' if len(others) > _OTHERS else ''}" if others else ""
+    if kind == "extra_forbidden":
+        name = str(first["loc"][-1])
+        return f"unknown key {key!r}; {nearest(name, _keys_beside(model, first['loc']))}{rest}"
+    if kind == "missing":
+        return f"{key} is missing{rest}"
+    if kind == "union_tag_not_found":
+        return f"{key}.kind is missing{rest}"
+    if kind == "union_tag_invalid":
+        context = first["ctx"]
+        kinds = context["expected_tags"].replace("'", "").split(", ")
+        return f"{key}.kind = {context['tag']!r}: {nearest(context['tag'], kinds)}{rest}"
+    if kind == "model_type":
+        return f"{key} = {value!r}: must be a table{rest}"
+    if kind == "too_short":
+        return f"{key}: needs at least {first['ctx']['min_length']}{rest}"
+    if kind == "too_long":
+        return f"{key}: may have at most {first['ctx']['max_length']}, not {first['ctx']['actual_length']}{rest}"
+    message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    shown = "" if isinstance(value, (dict, list)) else f" = {value!r}"
+    return f"{key}{shown}: {message}{rest}" if key else f"{message}{rest}"
+
+
+def _is_off(complaint: ErrorDetails) -> bool:
+    """Whether it is the complaint that a value is not false."""
+    return complaint["loc"][-1:] == ("literal[False]",)
+
+
+def _path(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """The keys as the file has them: pydantic names the kind of a list's entry behind its number, and of a value that
+    may be of several kinds the one that it tried.
+    """
+    names = {submodel.__name__ for submodel in _all_models(model)}
+    return [
+        str(part)
+        for before, part in zip((None, *location), location, strict=False)
+        if not (isinstance(before, int) and isinstance(part, str) and _is_kind(location, part))
+        and not (isinstance(part, str) and (part in names or part.startswith(("function-", "literal["))))
+    ]
+
+
+def _all_models(model: type[BaseModel]) -> set[type[BaseModel]]:
+    """A model and those below it."""
+    models, waiting = {model}, [model]
+    while waiting:
+        for field in waiting.pop().model_fields.values():
+            new = set(_models_in(field.annotation)) - models
+            models |= new
+            waiting += new
+    return models
+
+
+def _is_kind(location: tuple[int | str, ...], part: str) -> bool:
+    return location[0] in ("command", "disturbance", "fault") and location.index(part) == 2
+
+
+def _keys_beside(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """The keys that the table holding ``location`` knows."""
+    models: list[type[BaseModel]] = [model]
+    for part in location[:-1]:
+        stepped: list[type[BaseModel]] = []
+        for candidate in models:
+            if part in candidate.model_fields:
+                stepped += _models_in(candidate.model_fields[str(part)].annotation)
+            elif _tag(candidate) == part:
+                stepped.append(candidate)
+        # an index into a list, or a key of a mapping, stays at the same models
+        models = stepped or models
+    return sorted({name for candidate in models for name in candidate.model_fields})
+
+
+def _tag(model: type[BaseModel]) -> Any:
+    kind = model.model_fields.get("kind")
+    return get_args(kind.annotation)[0] if kind and get_args(kind.annotation) else None
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_in(part)]

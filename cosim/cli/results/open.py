@@ -1,0 +1,50 @@
+"""hexjet open: the folder of runs as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from cosim.base.errors import InputError
+from cosim.cli.options import DONE, example
+
+PORT = 8766
+
+
+@click.command("open", epilog=example("hexjet open runs --browser"))
+@click.argument("folder", type=click.Path(path_type=Path), metavar="[DIR]", default=Path("runs"))
+@click.option("--port", type=click.IntRange(0, 65535), default=PORT, show_default=True, help="0: any that is free.")
+@click.option("--browser", is_flag=True, help="Open it in the browser, too.")
+def open_(folder: Path, port: int, browser: bool) -> int:
+    """Look through the runs in DIR: search, sort by any metric, tag, compare, delete.
+
+    A page at http://127.0.0.1:8766/ for this machine alone, until Ctrl-C.  What is in the folder is read once and
+    remembered in DIR/.index.json; tags are kept with the runs.  Nothing is deleted without asking.
+    """
+    from cosim.shelf.index import Shelf
+    from cosim.shelf.server import ShelfServer
+
+    server = ShelfServer(Shelf(folder), port, lambda folders: _compared(folders, folder))
+    server.open()
+    click.echo(f"{folder}: {server.url} (Ctrl-C ends it; nothing is lost)", err=True)
+    if browser:
+        import webbrowser
+
+        webbrowser.open(server.url)
+    try:
+        server.run()
+    except KeyboardInterrupt:
+        server.close()
+    return DONE
+
+
+def _compared(folders: Sequence[Path], runs: Path) -> Path:
+    """A comparison of these flights in a new folder of ``runs``.  Raises InputError where some are no flights."""
+    from cosim.cli.results.compare import write_page
+    from cosim.flight import new_folder
+
+    if not 2 <= len(folders) <= 8:
+        raise InputError(f"compare: {len(folders)} chosen; two to eight flights can be compared")
+    return write_page([str(path) for path in folders], new_folder(runs, "comparison"))

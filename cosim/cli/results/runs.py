@@ -1,0 +1,89 @@
+"""hexjet list and report: what can be flown, and what was."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from cosim.base.errors import InputError
+from cosim.base.storage.paths import data_folder, files_in, names_in
+from cosim.base.storage.toml import read_toml
+from cosim.cli.console import terminal
+from cosim.cli.options import DONE, example, shared_assets
+
+KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
+
+
+@click.command("list", epilog=example("hexjet list engines"))
+@click.argument("kind", required=False, type=click.Choice(KINDS))
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
+def list_(kind: str | None, as_json: bool) -> int:
+    """List what can be flown: scenarios, studies, engines, aircraft, controllers."""
+
+    catalogues = {name: catalogue(name) for name in ([kind] if kind else KINDS)}
+    if as_json:
+        click.echo(json.dumps(catalogues))
+    else:
+        print_catalogue(catalogues)
+    return DONE
+
+
+@click.command(epilog=example("hexjet report runs/roll-doublet-smith-001"))
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@shared_assets
+def report(folder: Path, shared_assets: bool) -> int:
+    """Write the report of the run or the campaign in DIR again.
+
+    A run that was killed is finished first, with all that it recorded; a campaign may still be flown.
+    """
+    from cosim.campaign.folder import is_campaign
+    from cosim.cli.flight.fly import print_run
+    from cosim.cli.studies.campaign import print_campaign
+    from cosim.results.report.flight import write_report
+    from cosim.results.run import REPORT, open_run
+
+    if is_campaign(folder):
+        if shared_assets:
+            raise InputError(f"--shared-assets: {folder} is a campaign, whose page has all in it; leave it out")
+        from cosim.campaign import open_campaign
+        from cosim.campaign.analysis.page import write_campaign_report
+
+        campaign = open_campaign(folder)
+        print_campaign(campaign, write_campaign_report(campaign))
+        return DONE
+    run = open_run(folder)
+    write_report(run, folder / REPORT, shared_assets)
+    print_run(run)
+    return DONE
+
+
+def print_catalogue(catalogues: dict[str, list[dict[str, Any]]]) -> None:
+    """Names and titles, kind by kind."""
+    console = terminal()
+    for kind, entries in catalogues.items():
+        if len(catalogues) > 1:
+            console.print(f"[bold]{kind}[/bold]")
+        width = max((len(entry["name"]) for entry in entries), default=0)
+        for entry in entries:
+            console.print(f"  {entry['name']:{width}}  {entry['title']}", highlight=False, soft_wrap=True)
+
+
+def catalogue(kind: str) -> list[dict[str, Any]]:
+    """The entries of one kind, each with ``name`` and ``title``."""
+    if kind in ("scenarios", "studies"):
+        return [_entry(name, read_toml(data_folder(kind) / f"{name}.toml")) for name in files_in(kind)]
+    if kind == "controllers":
+        from cosim.control.predictors.registry import PREDICTORS
+        from cosim.simulation.controllers.source import names as own_controllers
+
+        ours = [{"name": spec.name, "title": spec.title} for spec in PREDICTORS.values()]
+        return ours + [{"name": name, "title": title} for name, title in own_controllers()]
+    marker = {"aircraft": "vehicle.toml", "engines": "engine.toml"}[kind]
+    return [_entry(name, read_toml(data_folder(kind) / name / marker)) for name in names_in(kind, marker)]
+
+
+def _entry(name: str, table: dict[str, Any]) -> dict[str, Any]:
+    return {"name": name, "title": str(table.get("title", ""))}

@@ -1,0 +1,283 @@
+"""hexjet show: one thing that can be flown, with its numbers, their units and what they mean."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import click
+
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError, similar
+from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import read_toml
+from cosim.cli.console import terminal
+from cosim.cli.options import DONE, example
+from cosim.cli.results.runs import KINDS, catalogue
+
+_UNITS = {  # what a key ends with, the longest first
+    "_kg_m2": "kg m^2", "_rad_s": "rad/s", "_samples": "samples", "_percent": "%", "_N_m": "N m", "_m_s": "m/s",
+    "_1_s": "1/s", "_deg": "deg", "_rad": "rad", "_m2": "m^2", "_kg": "kg", "_m": "m", "_s": "s", "_N": "N", "_K": "K",
+}  # fmt: skip
+_MEANINGS = {  # of the first part of a key in the file of a scenario or a study
+    "duration_s": "planned length of the flight",
+    "step_s": "control step",
+    "seed": "of all random numbers",
+    "aircraft": "what flies",
+    "engine": "with which engine",
+    "controller": "which controller",
+    "controllers": "each flies all draws",
+    "command": "what is asked for",
+    "initial": "how the flight begins",
+    "disturbance": "what acts from outside",
+    "environment": "wind, turbulence, air",
+    "fault": "what fails",
+    "mismatch": "what the controller does not know",
+    "vehicle": "written over the aircraft's",
+    "engine_parameters": "written over the engine's",
+    "limits": "the most that the flight may come to",
+    "expect": "what it must come to",
+    "scenario": "what every draw varies",
+    "design": "how the draws are chosen",
+    "runs": "draws",
+    "vary": "what is drawn, and from where to where",
+    "settings": "written over the scenario's",
+    "success": "what counts as one",
+}
+_NO_THRUST = 1e-9  # of full thrust: what is left of it when its lag has run down, and no idling
+_TEXTS = ("name", "title", "description")
+
+
+class Number(NamedTuple):
+    """One number, or one word, of something that can be flown."""
+
+    name: str
+    value: Any
+    unit: str
+    meaning: str
+
+
+@click.command(epilog=example("hexjet show hexjet-p220"))
+@click.argument("name")
+@click.option(
+    "--kind", type=click.Choice(KINDS), help="Where several kinds have the name.  [default: all that have it]"
+)
+@click.option("as_json", "--json", is_flag=True, help="Print one JSON object and nothing else.")
+def show(name: str, kind: str | None, as_json: bool) -> int:
+    """Show what NAME, of hexjet list, is: its numbers, their units and what they mean, from its files.
+
+    The thrust of an engine is measured: its FMU is held at throttles until it stands still.
+    """
+    kinds = [kind] if kind else list(KINDS)
+    found = [(each, entry) for each in kinds for entry in catalogue(each) if entry["name"] == name]
+    if not found:
+        names = {entry["name"] for each in kinds for entry in catalogue(each)}
+        raise InputError(f"nothing that can be flown is called {name!r}; {similar(name, names)}")
+    shown = [
+        {"kind": each, **entry, "description": _description(each, name), "numbers": list(_numbers(each, name))}
+        for each, entry in found
+    ]
+    if as_json:
+        click.echo(json.dumps([one | {"numbers": [number._asdict() for number in one["numbers"]]} for one in shown]))
+    else:
+        for one in shown:
+            _print(one)
+    return DONE
+
+
+def _table(kind: str, name: str) -> dict[str, Any]:
+    """The file of it as it stands; empty for a controller, which has none."""
+    if kind == "controllers":
+        return {}
+    inside = {"aircraft": f"{name}/vehicle.toml", "engines": f"{name}/engine.toml"}.get(kind, f"{name}.toml")
+    return read_toml(data_folder(kind) / inside)
+
+
+def _description(kind: str, name: str) -> str:
+    return " ".join(str(_table(kind, name).get("description", "")).split())
+
+
+def _numbers(kind: str, name: str) -> Iterator[Number]:
+    if kind == "aircraft":
+        return _aircraft(name)
+    if kind == "engines":
+        return _engine(name)
+    if kind == "controllers":
+        return _controller(name)
+    return _scenario(name) if kind == "scenarios" else _stated(_table(kind, name))
+
+
+def _scenario(name: str) -> Iterator[Number]:
+    """What flies, where the file leaves that to the defaults too, and what the file states."""
+    from cosim.spec.scenario import Scenario
+
+    scenario, table = Scenario.load(name), _table("scenarios", name)
+    first = ("duration_s", "step_s", "aircraft", "engine", "controller", "seed")
+    for key in first:
+        yield Number(key, getattr(scenario, key), _unit(key), _MEANINGS[key])
+    yield from _stated({key: value for key, value in table.items() if key not in first})
+
+
+def _aircraft(name: str) -> Iterator[Number]:
+    from cosim.spec.vehicle import load_vehicle
+
+    vehicle, _ = load_vehicle(name)
+    jets, weight = len(vehicle.jets), vehicle.mass_kg * GRAVITY
+    yield Number("mass", vehicle.mass_kg, "kg", "with fuel, without payload")
+    for axis, inertia in zip("xyz", vehicle.inertia_kg_m2, strict=True):
+        yield Number(f"inertia {axis}", inertia, "kg m^2", f"about the body's {axis}")
+    for pair, product in zip(("x y", "x z", "y z"), vehicle.products_kg_m2, strict=True):
+        if product:
+            yield Number(f"product {pair}", product, "kg m^2", f"integral of {pair} over the mass")
+    yield Number("jets", jets, "", "engines" + ("" if vehicle.servo is None else " on two tilting banks"))
+    for hinge in vehicle.hinges:
+        moved = [f"carries {', '.join(map(str, hinge.carries))}"] if hinge.carries else []
+        moved += [f"deflects {', '.join(map(str, hinge.deflects))}"] if hinge.deflects else []
+        least, most = hinge.least_most
+        yield Number(f"hinge {hinge.name}", most, "rad", f"the most, {least:g} the least; {' and '.join(moved)}")
+    for surface in vehicle.surfaces:
+        yield Number(f"surface {surface.name}", surface.range[1], "", f"the most, {surface.range[0]:g} the least")
+    arms = [(max(abs(jet.position_m[n]) for jet in vehicle.jets), word) for n, word in ((1, "sideways"), (0, "ahead"))]
+    for arm, word in arms:
+        yield Number(f"arm {word}", arm, "m", "of the farthest jet from the centre of gravity")
+    yield Number("hover thrust", weight / jets, "N", "of each jet: weight over jets")
+    if vehicle.engine is not None:
+        spec = _loaded(vehicle.engine)
+        yield Number("engine", vehicle.engine, "", "what it is made for")
+        yield Number("full thrust", spec.curve.thrust[-1], "N", "of one engine at rest, at full throttle")
+        yield Number("thrust to weight", jets * spec.curve.thrust[-1] / weight, "", "all engines at full throttle")
+    if vehicle.servo is not None:
+        yield Number("tilt range", vehicle.servo.range_rad, "rad", "of a bank, either way from straight up")
+        yield Number("tilt rate", vehicle.servo.rate_limit_rad_s, "rad/s", "the fastest that a bank turns")
+        yield Number("tilt lag", vehicle.servo.lag_s, "s", "of the first-order servo")
+    if vehicle.fuel is not None:
+        yield Number("fuel", vehicle.fuel.mass_kg, "kg", "in the tank at the start, part of the mass")
+    yield Number("span", vehicle.aero.span_m, "m", "by which turbulence and limits are scaled")
+    for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True):
+        yield Number(f"drag area {axis}", area, "m^2", f"drag coefficient times area along {axis}")
+    for engine, axes in vehicle.identified.items():
+        for axis, model in axes.items():
+            late = model.delay_samples * model.sample_time_s
+            yield Number(
+                f"dead time, {axis}, {engine}",
+                late,
+                "s",
+                "of the identified model from command to rate, beside its lags",
+            )
+
+
+def _engine(name: str) -> Iterator[Number]:
+    from cosim.engine.spec import find_source
+
+    definition = find_source(name).engine
+    assert definition is not None  # it is of the library
+    spec = _loaded(name)
+    throttle = spec.curve.throttle
+    yield Number("full thrust", spec.curve.thrust[-1], "N", f"at rest, at throttle {throttle[-1]:g}")
+    idle = spec.curve.thrust[0] if spec.curve.thrust[0] > _NO_THRUST * spec.curve.thrust[-1] else 0.0
+    yield Number("idle thrust", idle, "N", f"at rest, at throttle {throttle[0]:g}")
+    yield Number("internal step", definition.internal_step, "s", "control steps are whole multiples of it")
+    if spec.delay_samples is not None:
+        delay = spec.delay_samples * definition.internal_step
+        yield Number("dead time", delay, "s", "from throttle to thrust, beside its lags")
+    if definition.rotor_inertia:
+        yield Number("rotor inertia", definition.rotor_inertia, "kg m^2", "of everything that turns")
+    for variable in definition.variables:
+        value = spec.parameters.get(variable.name, variable.start)
+        yield Number(
+            variable.name,
+            variable.causality if value is None or variable.causality != "parameter" else value,
+            variable.unit or "",
+            variable.description,
+        )
+
+
+def _loaded(engine: str) -> Any:
+    """An engine, measured at its own step.  Raises InputError."""
+    from cosim.engine import load_engine
+    from cosim.engine.spec import find_source
+
+    definition = find_source(engine).engine
+    return load_engine(engine, {}, 0.004 if definition is None else definition.internal_step)
+
+
+def _controller(name: str) -> Iterator[Number]:
+    from cosim.control.predictors.registry import PREDICTORS
+
+    spec = PREDICTORS.get(name)
+    if spec is None:
+        return
+    yield Number(
+        "model", "yes" if spec.needs_model else "no", "", "whether it needs an identified model of the vehicle"
+    )
+    for parameter in spec.parameters:
+        value = "vehicle's" if parameter.default is None else parameter.default
+        span = f"; {parameter.least:g} to {parameter.most:g}"
+        yield Number(parameter.name, value, parameter.unit, f"{parameter.text}{span}")
+
+
+def _stated(table: Mapping[str, Any]) -> Iterator[Number]:
+    """What a file states, a row a key; a row each for what it has several of."""
+    for key, value in table.items():
+        if key in _TEXTS:
+            continue
+        meaning = _MEANINGS.get(key, "")
+        if isinstance(value, Mapping):
+            yield from (each._replace(meaning=meaning) for each in _leaves(value, f"{key}."))
+        elif isinstance(value, list) and any(isinstance(each, Mapping) for each in value):
+            for number, each in enumerate(value):
+                yield Number(f"{key}.{number}", " ".join(_words(each)), "", meaning)
+        else:
+            yield Number(key, value, _unit(key), meaning)
+
+
+def _leaves(table: Mapping[str, Any], before: str) -> Iterator[Number]:
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{before}{key}.")
+        elif isinstance(value, list) and any(isinstance(each, Mapping) for each in value):
+            for number, each in enumerate(value):
+                yield Number(f"{before}{key}.{number}", " ".join(_words(each)), "", "")
+        else:
+            yield Number(f"{before}{key}", value, _unit(key), "")
+
+
+def _words(table: Mapping[str, Any]) -> Iterator[str]:
+    return (f"{leaf.name}={_text(leaf.value)}" for leaf in _leaves(table, ""))
+
+
+def _unit(key: str) -> str:
+    return next((unit for end, unit in _UNITS.items() if key.endswith(end)), "")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return "[" + ", ".join(_text(each) for each in value) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _print(one: Mapping[str, Any]) -> None:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    from cosim.results.wording import unit_shown
+
+    console = terminal()
+    kind = {"studies": "study", "aircraft": "aircraft"}.get(one["kind"], one["kind"].removesuffix("s"))
+    console.print(f"[bold]{one['name']}[/bold], {kind}: {one['title']}", highlight=False)
+    if one["description"]:
+        console.print(one["description"], highlight=False, markup=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for title in ("number", "value", "unit", "meaning"):
+        table.add_column(title, overflow="fold")
+    for number in one["numbers"]:
+        unit, factor = unit_shown(number.unit)
+        value = factor * number.value if factor != 1.0 and isinstance(number.value, float) else number.value
+        unit = unit if value is not number.value or factor == 1.0 else number.unit
+        table.add_row(*map(Text, (number.name, _text(value), unit, number.meaning)))  # brackets are no mark-up
+    if table.row_count:
+        console.print(table, markup=False)

@@ -1,0 +1,363 @@
+"""A channel: everything between a command and what the controller measures of it, as it is flown.
+
+For roll: share of thrust ``u`` -> engine -> moment -> rate -> gyro.  In steps of ``T`` with ``m`` JSBSim runs each,
+
+    thrust   G_e(z) = b(z) / a(z) z^-d        the thrust of the step's end acts over the whole step
+    rate     K T f z / (z - p)                    held over the step, exactly;  K = moment per command / inertia
+    gyro     (1 - c) z / (z - c), then its latency
+    angle    T / 2 (z + 1) / (z - 1) of the rate, without the gyro
+
+``p = exp(-D T)`` with the damping ``D``, and ``f = (1 - p) / (D T)``.  With one or two runs a step JSBSim's method
+shows: see :attr:`Channel.turning`.  The delay ledger lists the same elements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import exp, expm1, inf, log
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES
+from cosim.control.predictors.linear import delayed_response
+from cosim.design.loop.dynamics import Dynamics, lags
+from cosim.engine import EngineSpec
+from cosim.simulation.build import effectiveness_of
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import (
+    Hinge,
+    RateModel,
+    Sensors,
+    Servo,
+    Vehicle,
+)
+
+PURE = 0.1  # of an axis: what gives no more of it than this is not looked at; chosen by us
+SERVO = "tilt servo"  # what an actuator that turns a thrust is called
+INSTANT = 1e-9  # a pole in z below which a lag is over within a step: a 20th of one; chosen by us, far below what acts
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """What answers the command: its dynamics with gain 1 at rest."""
+
+    name: str
+    dynamics: Dynamics
+    model: RateModel  # the same, held and sampled
+
+    @classmethod
+    def of(cls, name: str, dynamics: Dynamics) -> Actuator:
+        """Sampled once."""
+        return cls(name, dynamics, dynamics.discrete(name))
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One axis, or the height, of a vehicle with its actuators."""
+
+    name: str  # "roll", "pitch", "yaw", "altitude"
+    unit: str  # of the command
+    actuator: Actuator
+    gain: float  # rad/s^2 per unit of the command at rest; for the height 1: the command is an acceleration
+    damping_1_s: float
+    step: float
+    substeps: int
+    room: float  # either way, that the command has at hover; of a servo, what it can follow without its rate limit
+    rate_filter_s: float = 0.0
+    rate_latency: int = 0
+    rate_hold: int = 1  # steps for which a measurement is kept
+    rate_noise: float = 0.0  # one standard deviation of the measured rate
+    angle_latency: int = 0
+    angle_noise: float = 0.0
+    added_delay: int = 0
+    reaction: float = 0.0  # of what tilts, 2 J / (K T^2) with the moment K per rad: it acts by (1 - 1/z)^2 of the tilt
+    identified: RateModel | None = None  # command to measured rate, taken as it is instead of the chain
+
+    @property
+    def gyro_pole(self) -> float:
+        """Of the gyro's low-pass."""
+        return exp(-self.step / self.rate_filter_s) if self.rate_filter_s > 0.0 else 0.0
+
+    @property
+    def turning(self) -> tuple[tuple[float, float, float], float]:
+        """What JSBSim's runs make of a moment: shares of this step's and of the two before, and the rate's pole.
+
+        ``rate_k+1 = p rate_k + step f (share_0 moment_k + share_1 moment_k-1 + share_2 moment_k-2)``.  A run moves the
+        rate by ``h (3 a_n - a_n-1) / 2`` with the accelerations at its beginning and one run before (Adams and
+        Bashforth); those of a step's moment begin with the second run, the first of them with half its change on top
+        (:mod:`cosim.vehicle.airframe`).  Summed over three and more runs this is the moment's impulse over the step
+        and nothing else; two runs leave a quarter of a change to the step after, and one has no run to correct.
+        """
+        fall = self.damping_1_s * self.step
+        pole = exp(-fall)
+        mean = -expm1(-fall) / fall if fall else 1.0
+        shares = {1: (0.0, 1.5, -0.5), 2: (1.125, -0.25, 0.125)}.get(self.substeps, (1.0, 0.0, 0.0))
+        if self.reaction and self.substeps > 2:  # with fewer runs a step the method's own shares hide it
+            c = self.reaction
+            shares = (1.0 + c, -2.0 * c, c)
+        return (mean * shares[0], mean * shares[1], mean * shares[2]), pole
+
+    @property
+    def transport_samples(self) -> float:
+        """Pure delay from command to measured rate, without hold and lags: what a tolerance of the delay is of."""
+        if self.identified is not None:
+            return self.identified.delay_samples + self.added_delay
+        return self.actuator.model.delay_samples + self.added_delay + self.rate_latency + 0.5 * (self.substeps == 1)
+
+    @property
+    def lag_s(self) -> float:
+        """Sum of the lags, the gyro's and a hold's included, s."""
+        if self.identified is not None:
+            return sum(-self.step / log(pole) for pole in self.identified.poles if 0.0 < pole < 0.998)
+        return self.actuator.dynamics.lag_s + self.rate_filter_s + 0.5 * (self.rate_hold - 1) * self.step
+
+    @property
+    def slowness_s(self) -> float:
+        """All delay at low frequency, s: half a step of hold, transport and lags."""
+        return (0.5 + self.transport_samples) * self.step + self.lag_s
+
+    def model(self, source: str) -> RateModel:
+        """Command to measured rate as a predictor reads it, exact where the delay is a whole number of samples.
+
+        A delay that the controller adds itself is not in it: the flight adds that to the predictor's model.
+        """
+        if self.identified is not None:
+            return self.identified
+        body = self.actuator.model
+        shares, pole = self.turning
+        first = next(share for share in shares if share)
+        gain = body.gain * self.gain * self.step * (1.0 - self.gyro_pole) * first
+        zeros, poles, pairs = [*body.zeros], [*body.poles, pole], [*body.zero_pairs]
+        if any(shares[1:]):
+            poles.append(0.0)
+            roots = np.roots(shares)
+            zeros += [float(root.real) for root in roots if not root.imag]
+            pairs += [(float(root.real), float(root.imag)) for root in roots if root.imag > 0.0]
+        else:
+            zeros.append(0.0)
+        delay = body.delay_samples + self.rate_latency
+        if self.gyro_pole:
+            zeros.append(0.0)
+            poles.append(self.gyro_pole)
+        poles, zeros, more = without_instant(poles, zeros)
+        delay += more
+        return RateModel(
+            gain=gain,
+            zeros=zeros,
+            zero_pairs=pairs,
+            poles=sorted(poles, reverse=True),
+            pole_pairs=body.pole_pairs,
+            delay_samples=delay,
+            sample_time_s=self.step,
+            source=source,
+        )
+
+    def responses(self, z: Complex) -> tuple[Complex, Complex, Complex]:
+        """Command to measured rate, to measured angle, and to the angle itself."""
+        integral = 0.5 * self.step * (z + 1.0) / (z - 1.0)
+        late = z ** -float(self.added_delay)
+        if self.identified is not None:
+            rate = delayed_response(self.identified, z) * late
+            return rate, rate * integral * z**-self.angle_latency, rate * integral
+        (now, before, earlier), pole = self.turning
+        body = (now * z + before + earlier / z) / (z - pole)
+        rate = self.gain * self.step * delayed_response(self.actuator.model, z) * body * late
+        return (
+            np.asarray(rate * self.measuring(z)),
+            np.asarray(rate * integral * z**-self.angle_latency),
+            np.asarray(rate * integral),
+        )
+
+    def measuring(self, z: Complex) -> Complex:
+        """Rate to measured rate: low-pass, latency, and the mean effect of a measurement that is kept for a while."""
+        pole, hold = self.gyro_pole, self.rate_hold
+        kept = (1.0 - z**-hold) / (hold * (1.0 - 1.0 / z)) if hold > 1 else 1.0
+        return np.asarray((1.0 - pole) * z / (z - pole) * z**-self.rate_latency * kept)
+
+    # ---- the same channel, changed
+
+    def with_delay(self, samples: float) -> Channel:
+        """With another transport delay of the actuator (of everything, where the response was given as a whole)."""
+        if self.identified is not None:
+            return replace(self, identified=self.identified.model_copy(update={"delay_samples": samples}))
+        dynamics = replace(self.actuator.dynamics, delay_samples=samples)
+        return replace(self, actuator=Actuator.of(self.actuator.name, dynamics))
+
+    def with_lags(self, factor: float) -> Channel:
+        """With the actuator slower by a factor; 0 takes its lags away, but for what a step does not show."""
+        if self.identified is not None:
+            raise InputError("a response given as a whole does not say which of its lags are the engine's")
+        return replace(self, actuator=Actuator.of(self.actuator.name, self.actuator.dynamics.slower(factor)))
+
+    @property
+    def by_servo(self) -> bool:
+        """Whether its command turns thrusts, and does not change them."""
+        return self.actuator.name == SERVO
+
+    @property
+    def actuator_delay(self) -> float:
+        """Samples that :meth:`with_delay` replaces."""
+        return (self.identified or self.actuator.model).delay_samples
+
+
+def servo_actuator(servo: Servo | Hinge, step: float) -> Actuator:
+    """A tilt servo, or a hinge's, while its rate limit is not reached."""
+    return Actuator.of(SERVO, lags([servo.lag_s], 0.0, step))
+
+
+def thrust_span(engine: EngineSpec) -> float:
+    """Thrust that a command of 1 (a share of the engine's range) adds at rest, N."""
+    return engine.curve.thrust[-1] - engine.curve.thrust[0]
+
+
+def hover_share(vehicle: Vehicle, engine: EngineSpec) -> float:
+    """Share of its range at which each engine carries its part of the weight."""
+    thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
+    return (thrust - engine.curve.thrust[0]) / thrust_span(engine)
+
+
+def channels(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> dict[str, Channel]:
+    """Roll, pitch, yaw and altitude of a vehicle with engines of these dynamics, at hover."""
+    by_axis = {axis: _axis(axis, scenario, vehicle, engine, dynamics) for axis in AXES}
+    by_axis["altitude"] = _altitude(scenario, vehicle, engine, dynamics)
+    return by_axis
+
+
+def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
+    index = AXES.index(axis)
+    if vehicle.allocation == "effectiveness":
+        return _by_effectiveness(axis, scenario, vehicle, engine, dynamics)
+    inertia = vehicle.inertia_kg_m2[index]
+    span, jets = thrust_span(engine), vehicle.jets
+    thrust = vehicle.mass_kg * GRAVITY / len(jets)
+    thrusts = axis == "roll" or vehicle.servo is None
+    if vehicle.servo is None:
+        lever = sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[index]) for jet in jets)
+        moment = lever * span
+    elif axis == "roll":
+        moment = sum(abs(jet.position_m[1]) for jet in jets) * span
+    else:  # the thrust of hover, turned
+        moment = abs(sum(jet.position_m[2] if axis == "pitch" else abs(jet.position_m[1]) for jet in jets)) * thrust
+    room = _room(vehicle, engine) if thrusts else _servo_room(vehicle.servo)
+    return Channel(
+        axis,
+        "share" if thrusts else "rad",
+        dynamics if thrusts else servo_actuator(vehicle.servo, scenario.step_s),  # type: ignore[arg-type]
+        moment / inertia,
+        vehicle.aero.damping_n_m_s[index] / inertia,
+        scenario.step_s,
+        scenario.substeps,
+        room,
+        **_gyro(vehicle.sensors),  # type: ignore[arg-type]
+        added_delay=scenario.added_delay_samples if axis == "roll" else 0,
+        reaction=_reaction(axis, vehicle, moment, scenario.step_s),
+    )
+
+
+def _by_effectiveness(
+    axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator
+) -> Channel:
+    """Angular acceleration asked for, through what gives it in hover.  Raises InputError where engines and servos of
+    unlike lags share it, so that no one actuator stands for both."""
+    index = AXES.index(axis)
+    allocator = effectiveness_of(scenario, vehicle, engine)
+    by_thrust = allocator.by_thrust(index)
+    if PURE < by_thrust < 1.0 - PURE:
+        raise InputError(
+            f"{vehicle.name}: {axis} is given by thrust to {100.0 * by_thrust:.0f} % and by hinges for the rest, of "
+            "which no one lag stands for both; raise effort of the hinges or of the jets until one of them gives it"
+        )
+    thrusts = by_thrust >= 0.5
+    slowest = max(vehicle.hinges, key=lambda hinge: hinge.lag_s, default=None)
+    actuator = dynamics
+    if not thrusts and slowest is not None:
+        actuator = servo_actuator(slowest, scenario.step_s)
+    return Channel(
+        axis,
+        "rad/s^2",
+        actuator,
+        1.0,
+        vehicle.aero.damping_n_m_s[index] / vehicle.inertia_kg_m2[index],
+        scenario.step_s,
+        scenario.substeps,
+        allocator.room(index),
+        **_gyro(vehicle.sensors),  # type: ignore[arg-type]
+        added_delay=scenario.added_delay_samples if axis == "roll" else 0,
+    )
+
+
+def _reaction(axis: str, vehicle: Vehicle, moment: float, step: float) -> float:
+    """What turns both banks alike turns the body the other way, in pitch; in yaw their reactions cancel."""
+    if axis != "pitch" or vehicle.servo is None:
+        return 0.0
+    inertia = vehicle.servo.bank_inertia_kg_m2
+    height = sum(jet.position_m[2] for jet in vehicle.jets)  # below the centre of gravity thrust and reaction agree
+    return float(np.copysign(2.0 * inertia / (moment * step * step), height))
+
+
+def _gyro(sensors: Sensors) -> dict[str, float | int]:
+    gyro, attitude = sensors.gyro, sensors.attitude
+    return {
+        "rate_filter_s": gyro.filter_s,
+        "rate_latency": gyro.latency_samples,
+        "rate_noise": gyro.noise_rad_s,
+        "angle_latency": attitude.latency_samples,
+        "angle_noise": attitude.noise_rad,
+    }
+
+
+def _room(vehicle: Vehicle, engine: EngineSpec) -> float:
+    limits, share = vehicle.control.allocation, hover_share(vehicle, engine)
+    return min(share - limits.throttle_min, limits.throttle_max - share)
+
+
+def _servo_room(servo: Servo | None) -> float:
+    """A step of the command that neither range nor rate limit cuts: a lag sets out at step / lag."""
+    if servo is None:
+        return inf
+    return min(servo.range_rad, servo.rate_limit_rad_s * servo.lag_s) if servo.lag_s else servo.range_rad
+
+
+def _altitude(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
+    """Acceleration asked for, through all engines alike, to climb rate (GNSS) and height (barometer)."""
+    gnss, barometer = vehicle.sensors.gnss, vehicle.sensors.barometer
+    authority = len(vehicle.jets) * thrust_span(engine) / vehicle.mass_kg  # m/s^2 per unit of share
+    return Channel(
+        "altitude",
+        "m/s^2",
+        dynamics,
+        1.0,
+        0.0,
+        scenario.step_s,
+        scenario.substeps,
+        authority * _room(vehicle, engine),
+        rate_latency=gnss.latency_samples,
+        rate_hold=gnss.period_samples,
+        rate_noise=gnss.velocity_noise_m_s,
+        angle_latency=barometer.latency_samples,
+        angle_noise=barometer.noise_m,
+    )
+
+
+def angles(z: Complex) -> Array:
+    """rad per sample."""
+    return np.asarray(np.angle(z), np.float64)
+
+
+def without_instant(poles: Sequence[float], zeros: Sequence[float]) -> tuple[list[float], list[float], int]:
+    """Poles and zeros in z without those of lags that are over within a step, and the samples of delay they leave.
+
+    ``1 / (z - p)`` with ``p`` below :data:`INSTANT` is a delay of a sample to rounding, which a zero at 0 takes back.
+    An observer would have such a state corrected by ``1 / p``, and double precision does not place its poles.
+    """
+    kept, left, delay = [pole for pole in poles if not 0.0 < pole < INSTANT], [*zeros], 0
+    for _ in range(len(poles) - len(kept)):
+        if 0.0 in left:
+            left.remove(0.0)
+        else:
+            delay += 1
+    return kept, left, delay

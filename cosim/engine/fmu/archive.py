@@ -1,0 +1,484 @@
+"""An ``.fmu`` archive as the co-simulation sees it: what it is, what it offers, and why it cannot be used."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import itertools
+import math
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+from cosim.base.errors import InputError
+from cosim.base.storage.cache import Memory
+from cosim.engine.build import ADAPTER, ADAPTER_MADE, GENERATION_TOOL
+from cosim.engine.fmu.container import (
+    UnusableError,
+    fmi_of,
+    has_sources,
+    one_line,
+    open_archive,
+    parse,
+    read_bytes,
+)
+from cosim.engine.fmu.description import describe
+from cosim.engine.fmu.ports import (
+    INTEGERS,
+    REALS,
+    SPEEDS,
+    Port,
+    PortError,
+    PortMap,
+    Variable,
+    find_engines,
+)
+from cosim.engine.fmu.starting import Setting, Starting, starting
+from cosim.engine.fmu.units import Unit
+
+TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}
+LARGEST_ARRAY = 10_000  # elements that are listed one by one
+
+_archives: Memory[Archive] = Memory(64)
+
+
+class Feed(NamedTuple):
+    """An input of a component and where its value is from: ``factor * value + offset``."""
+
+    part: int
+    variable: Variable
+    source: int  # the component
+    output: Variable
+    factor: float
+    offset: float
+    late: bool  # it is that of the step's beginning, because the source is stepped later
+
+
+class Place(NamedTuple):
+    """A variable of a system: that of a component, and on the way there or from there ``factor * value + offset``."""
+
+    part: int
+    variable: Variable
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+class InputClock(NamedTuple):
+    """FMI 3.0: a clock that the simulation ticks, at ``shift`` and every ``interval`` [s] from there on."""
+
+    name: str
+    reference: int
+    interval: float
+    shift: float
+
+    def grid(self, step: float, parts: int) -> tuple[int, int] | None:
+        """Interval and shift in parts of a step; None where they are no whole numbers of them."""
+        counts = [value * parts / step for value in (self.interval, self.shift)]
+        whole = [round(count) for count in counts]
+        fits = all(abs(count - n) <= 1e-6 for count, n in zip(counts, whole, strict=True)) and whole[0] >= 1
+        return (whole[0], whole[1]) if fits else None
+
+
+@dataclass(frozen=True)
+class Part:
+    """A component of a system: an FMU in its archive."""
+
+    name: str
+    file: str
+    archive: Archive
+    settings: tuple[Setting, ...]
+
+
+@dataclass(frozen=True)
+class System:
+    """Components in the order in which they are stepped, and how they are joined.
+
+    ``places``: by the reference of a variable of the system; an input may be several components'.
+    """
+
+    parts: tuple[Part, ...]
+    feeds: tuple[Feed, ...]
+    places: tuple[tuple[Place, ...], ...]
+
+    @property
+    def late(self) -> list[str]:
+        """The connections that are exchanged a step late, in words."""
+        parts = self.parts
+        return [
+            f"{parts[each.source].name}.{each.output.name} to {parts[each.part].name}.{each.variable.name}"
+            for each in self.feeds
+            if each.late
+        ]
+
+
+@dataclass(frozen=True)
+class Archive:
+    """An archive that was read, validated and found usable as an engine on this machine."""
+
+    path: Path
+    sha256: str
+    equations_sha256: str | None  # of an engine of the library: see equations_of; None for any other
+    fmi: int  # 2 or 3
+    version: str  # of FMI, as the description says
+    model: str
+    identifier: str
+    token: str
+    engines: tuple[Mapping[str, Port], ...]  # that it holds: the ports of each
+    port_notes: tuple[str, ...]  # what was assumed about the ports
+    blemishes: tuple[str, ...]  # of the description, that stepping does not depend on
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    parameters: tuple[Variable, ...]
+    internal_step: float | None  # s, where the description states it
+    preferred_step: float | None  # s
+    once_per_process: bool
+    event_mode: bool  # FMI 3.0: it has one, and no input needs it to be set
+    returns_early: bool  # FMI 3.0: it may return from a step before its end
+    saves_state: bool
+    serializes_state: bool
+    starting: Starting = field(default_factory=Starting)  # what is done with an instance before it is asked for thrust
+    system: System | None = field(default=None, repr=False)  # of a system of FMUs: what it is made of
+    clocks: tuple[InputClock, ...] = ()  # that are ticked; the first is that of its clocked ports, where it has such
+
+    def parts(self, step: float) -> int:
+        """In how many parts a step [s] is made, so that every clock ticks between two."""
+        return max([1, *(round(step / clock.interval) for clock in self.clocks)])
+
+    @property
+    def ports(self) -> Mapping[str, Port]:
+        """Those of its engine, or of the first one; none where it is a component of a system."""
+        return self.engines[0] if self.engines else {}
+
+    @property
+    def one_speed(self) -> bool:
+        """Whether its engines have one intake's air among them: they are told the mean of theirs."""
+        return len(self.engines) > 1 and any(
+            self.engines[0][name].variable == self.engines[1][name].variable for name in SPEEDS if name in self.ports
+        )
+
+    @property
+    def throttle(self) -> Variable:
+        """The variable of the throttle."""
+        return self.ports["throttle"].variable
+
+    @property
+    def thrust(self) -> Variable:
+        """The variable of the thrust."""
+        return self.ports["thrust"].variable
+
+    def parameter(self, name: str) -> Variable:
+        """The parameter of that name, which exists."""
+        return next(variable for variable in self.parameters if variable.name == name)
+
+
+def read_archive(path: Path, ports: PortMap | None = None) -> Archive:
+    """Read an archive; ``ports`` is what is stated about its ports, the others are found.
+
+    Raises InputError: one line with the file and what is wrong with it.
+    """
+    return read_once(path, ports, _archives, _read)
+
+
+def read_once(
+    path: Path, ports: PortMap | None, known: Memory[Archive], read: Callable[[Path, bytes, str, PortMap], Archive]
+) -> Archive:
+    """What ``read`` makes of a file's bytes, their SHA-256 and what is stated, where it is not ``known`` already.
+
+    Raises InputError with the file and what is wrong with it.
+    """
+    try:
+        stated, data = ports or PortMap(), read_bytes(path)
+        sha256 = hashlib.sha256(data).hexdigest()
+        return known.get((path, sha256, repr(stated)), lambda: read(path, data, sha256, stated))
+    except UnusableError as reason:
+        raise InputError(f"{path}: {reason}") from reason
+
+
+def platform_folder(fmi: int) -> str:
+    """The folder inside ``binaries`` with this machine's library."""
+    import fmpy  # type: ignore[import-untyped]
+
+    return str(fmpy.platform if fmi == 2 else fmpy.platform_tuple)
+
+
+def libraries_of(archive: Archive) -> list[str]:
+    """The names of this machine's libraries where an archive is unpacked."""
+    if archive.system is None:
+        return [library_of(archive)]
+    return [f"{number}/{library_of(part.archive)}" for number, part in enumerate(archive.system.parts)]
+
+
+def library_of(archive: Archive) -> str:
+    """The name of this machine's library in an archive of one FMU."""
+    import fmpy
+
+    return f"binaries/{platform_folder(archive.fmi)}/{archive.identifier}{fmpy.sharedLibraryExtension}"
+
+
+def validate(path: Path) -> list[str]:
+    """Everything that FMPy's validation has to say against an archive; empty is good."""
+    from fmpy.validation import validate_fmu  # type: ignore[import-untyped]
+
+    return [one_line(problem) for problem in validate_fmu(str(path))]
+
+
+def read_component(path: Path, data: bytes) -> Archive:
+    """An FMU that is a component of a system: without ports.  Raises UnusableError."""
+    return _read(path, data, hashlib.sha256(data).hexdigest(), None)
+
+
+def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archive:
+    names, xml = open_archive(data)
+    root = parse(xml)
+    fmi = fmi_of(root)
+    description, blemishes = describe(data)
+    slave = description.coSimulation
+    _need_library(names, fmi, slave.modelIdentifier)
+    _read_unsigned(root, description)
+    bases = _bases(description)
+    elements = [element for v in description.modelVariables if v.type in TYPES for element in _elements(v, bases)]
+    inputs, outputs, parameters = (
+        tuple(v for v in elements if v.causality == causality) for causality in ("input", "output", "parameter")
+    )
+    engines: tuple[Mapping[str, Port], ...] = ()
+    notes: list[str] = []
+    begin = Starting()
+    try:
+        if stated is not None:
+            engines, notes = find_engines([*inputs, *outputs, *parameters], stated)
+            begin = starting(stated, inputs, outputs, named_ports(engines))
+            notes += left_alone(inputs, named_ports(engines), begin)
+    except PortError as error:
+        raise UnusableError(str(error)) from error
+    without = (
+        "the FMU has no event mode" if not slave.hasEventMode
+        else "the components of a system are stepped without event mode" if stated is None
+        else None
+    )  # fmt: skip
+    events, clocks, said = _clocks(root, without, named_ports(engines))
+    notes += said
+    experiment = description.defaultExperiment
+    return Archive(
+        path=path,
+        sha256=sha256,
+        equations_sha256=equations_of(data, root, description),
+        fmi=fmi,
+        version=root.attrib["fmiVersion"],
+        model=description.modelName,
+        identifier=slave.modelIdentifier,
+        token=description.instantiationToken,
+        engines=engines,
+        port_notes=tuple(notes),
+        blemishes=blemishes,
+        inputs=inputs,
+        outputs=outputs,
+        parameters=parameters,
+        internal_step=_positive(slave.fixedInternalStepSize),
+        preferred_step=_positive(experiment.stepSize if experiment else None),
+        once_per_process=slave.canBeInstantiatedOnlyOncePerProcess,
+        event_mode=events,
+        returns_early=slave.mightReturnEarlyFromDoStep,
+        saves_state=slave.canGetAndSetFMUstate,
+        serializes_state=slave.canGetAndSetFMUstate and slave.canSerializeFMUstate,
+        starting=begin,
+        clocks=clocks if events else (),
+    )
+
+
+MOST_CLOCKS = 16  # of the C loop
+
+
+def _clocks(
+    root: ElementTree.Element, without: str | None, ports: Mapping[str, Port]
+) -> tuple[bool, tuple[InputClock, ...], list[str]]:
+    """Whether event mode can be used, the input clocks that are ticked in it, and notes on those that are not.
+
+    An input may be set in step mode where it is continuous, and at its clock's ticks where it has one; one that is
+    discrete without a clock may be set in event mode alone, so with such a port event mode is left off.  ``without``
+    is why there is none anyway.
+    """
+    found, notes = [], []
+    for element in root.iterfind("ModelVariables/Clock[@causality='input']"):
+        name, kind = element.get("name", ""), element.get("intervalVariability")
+        interval, shift = _seconds(element, "interval", None), _seconds(element, "shift", 0.0)
+        if (
+            kind in ("constant", "fixed", "tunable")
+            and interval
+            and interval > 0.0
+            and shift is not None
+            and shift >= 0.0
+        ):
+            found.append(InputClock(name, int(element.get("valueReference", "0")), interval, shift))
+        else:
+            notes.append(
+                f"its clock {name} never ticks: it is {kind or 'of no kind'}, and only one that states its interval "
+                "beforehand is ticked"
+            )
+    inputs = [port.variable for name, port in ports.items() if port.variable.causality == "input"]
+    of_ports = {v.clocks for v in inputs if v.clocks}
+    known = {clock.reference for clock in found}
+    free = all(v.variability == "continuous" or set(v.clocks) & known for v in inputs)
+    switch = any(port.variable.clocks for name, port in ports.items() if name.startswith("run"))
+    events = without is None and free and len(of_ports) <= 1 and not switch and len(found) <= MOST_CLOCKS
+    if found and not events:
+        why = (
+            without if without is not None
+            else "a port is discrete, without a clock that ticks" if not free
+            else "its ports have several clocks" if len(of_ports) > 1
+            else "its run switch has a clock" if switch
+            else f"it has more than {MOST_CLOCKS}"
+        )  # fmt: skip
+        notes += [f"its clock {clock.name} never ticks: {why}" for clock in found]
+    elif found:
+        notes += [f"its clock {clock.name} ticks every {clock.interval:g} s" for clock in found]
+    first = of_ports.pop() if of_ports else ()
+    return events, tuple(sorted(found, key=lambda clock: clock.reference not in first)), notes
+
+
+def _seconds(element: ElementTree.Element, what: str, otherwise: float | None) -> float | None:
+    """Interval or shift of a clock, in decimals or as a fraction of counts."""
+    decimal, count, resolution = (element.get(key) for key in (f"{what}Decimal", f"{what}Counter", "resolution"))
+    try:
+        if decimal is not None:
+            return float(decimal)
+        return int(count) / int(resolution) if count and resolution else otherwise
+    except (ValueError, ZeroDivisionError):
+        return None
+
+
+def equations_of(data: bytes, root: ElementTree.Element, description: Any) -> str | None:
+    """A hash of what an engine of the library computes: its own C source and its variables with their start values.
+
+    Whoever compiles it, and with whatever adapter to FMI, the hash is the same, while that of the archive is another
+    with every compiler.  None for an archive that the library's build did not make: of that only the whole is known.
+    """
+    if root.get("generationTool") != GENERATION_TOOL:
+        return None
+    digest = hashlib.sha256()
+    for name, text in own_sources(data):
+        digest.update(f"{name}\0".encode() + text + b"\0")
+    for v in sorted(description.modelVariables, key=lambda v: str(v.name)):
+        digest.update(repr([str(part) for part in (v.name, v.causality, v.start, v.min, v.max, v.unit)]).encode())
+    return digest.hexdigest()
+
+
+def own_sources(data: bytes) -> list[tuple[str, bytes]]:
+    """The engine's own C sources in an archive that the library's build made, by name: what is not the adapter's."""
+    given = {f"sources/{name}" for name in (*ADAPTER, *ADAPTER_MADE, "fmi2.c", "fmi3.c")}
+    with zipfile.ZipFile(io.BytesIO(data)) as fmu:
+        names = sorted(set(fmu.namelist()) - given)
+        return [(name, fmu.read(name)) for name in names if name.startswith("sources/")]
+
+
+def named_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:
+    """The ports of all engines of an archive; those of a second one and on say whose they are."""
+    return {
+        f"{name} of engine {k}" if k > 1 else name: port
+        for k, ports in enumerate(engines, start=1)
+        for name, port in ports.items()
+    }
+
+
+def left_alone(inputs: Sequence[Variable], ports: Mapping[str, Port], begin: Starting) -> list[str]:
+    """A note on inputs that nobody sets."""
+    set_ = {port.variable.name for port in ports.values()} | {
+        v.name for each in (begin.constants, *(stage.settings for stage in begin.stages)) for v, _ in each
+    }
+    left = [v for v in inputs if v.name not in set_ and not v.is_array]
+    if not left:
+        return []
+    shown = ", ".join(v.name if v.start is None else f"{v.name} = {v.start:g}" for v in left[:10])
+    more = f" and {len(left) - 10} more" if len(left) > 10 else ""
+    return [f"inputs that stay at their start values, unless a mapping file says otherwise in [inputs]: {shown}{more}"]
+
+
+def _read_unsigned(root: ElementTree.Element, description: Any) -> None:
+    """Fill in the limits of FMI 3.0's unsigned variables, which FMPy leaves out."""
+    stated = {
+        element.get("name"): element for element in root.iterfind("ModelVariables/*") if element.tag.startswith("UInt")
+    }
+    for v in description.modelVariables:
+        if v.name in stated:
+            v.min, v.max = (stated[v.name].get(key) for key in ("min", "max"))
+
+
+def _need_library(names: list[str], fmi: int, identifier: str) -> None:
+    import fmpy
+
+    needed = f"binaries/{platform_folder(fmi)}/{identifier}{fmpy.sharedLibraryExtension}"
+    if needed in names:
+        return
+    platforms = {PurePosixPath(name).parts[1] for name in names if name.startswith("binaries/") and name.count("/") > 1}
+    has = ", ".join(sorted(platforms)) or "no binary at all"
+    more = "; it has sources: hexjet fmu compile makes one of them" if has_sources(names) else ""
+    raise UnusableError(f"has no binary for this machine, {needed} (it has: {has}){more}")
+
+
+def _bases(description: Any) -> dict[str, Unit]:
+    """What the description says of its units, in SI base units."""
+    bases = {}
+    for unit in description.unitDefinitions:
+        base = unit.baseUnit
+        if base is not None:
+            exponents = (base.kg, base.m, base.s, base.A, base.K, base.mol, base.cd, base.rad)
+            bases[unit.name] = Unit(exponents, float(base.factor), float(base.offset))
+    return bases
+
+
+def _elements(v: Any, bases: Mapping[str, Unit]) -> list[Variable]:
+    """A variable, or the elements of an array, named ``array[1]`` or ``array[2,1]``, in FMI's order: row by row.
+
+    The size is that at the structural parameters' start values.
+    """
+    shape = tuple(v.shape or ())
+    size = math.prod(shape)
+    texts = (v.start or "").split() if shape else [v.start]
+    starts = [_number(text) for text in texts]
+    if shape and len(starts) != size:
+        starts = (starts or [None]) * size if len(starts) < 2 else []
+    if not shape:
+        return [_variable(v, v.name, 0, starts, bases)]
+    if not 1 <= size <= LARGEST_ARRAY or not starts:
+        return []
+    places = itertools.product(*(range(1, length + 1) for length in shape))
+    return [
+        _variable(v, f"{v.name}[{','.join(map(str, place))}]", index, starts, bases)
+        for index, place in enumerate(places)
+    ]
+
+
+def _variable(v: Any, name: str, index: int, starts: list[float | None], bases: Mapping[str, Unit]) -> Variable:
+    declared = v.declaredType
+    low, high = (_number(getattr(v, key) or (getattr(declared, key) if declared else None)) for key in ("min", "max"))
+    unit = v.unit or (declared.unit if declared else None)
+    return Variable(
+        name=name,
+        type=v.type,
+        reference=v.valueReference,
+        unit=unit,
+        min=low,
+        max=high,
+        start=starts[index],
+        description=v.description or "",
+        causality=v.causality or "local",
+        variability=v.variability or ("continuous" if v.type in REALS else "discrete"),
+        base=bases.get(unit or ""),
+        items=tuple((item.name, int(item.value)) for item in (declared.items if declared else None) or ()),
+        index=index,
+        starts=tuple(0.0 if start is None else start for start in starts),
+        clocks=tuple(int(clock.valueReference) for clock in v.clocks or ()),
+    )
+
+
+def _number(text: str | None) -> float | None:
+    if text is None:
+        return None
+    return float({"true": "1", "false": "0"}.get(text, text))
+
+
+def _positive(value: object) -> float | None:
+    number = None if value is None else float(str(value))
+    return number if number is not None and math.isfinite(number) and number > 0.0 else None

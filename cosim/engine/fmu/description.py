@@ -1,0 +1,114 @@
+"""A model description as real tools write it: read with what is blemished listed, refused where it could mislead.
+
+Of the descriptions that tools export a fifth break a rule of FMI that no step depends on: a unit that is used and not
+declared, a variability that is left out.  Such an FMU steps as any other, so FMPy is asked a second time without its
+validation, and what that had to say is kept for the user.  Refused stays what decides which number is read or set:
+names or references that stand for two variables, and elements or attributes of variables and of the co-simulation
+interface that are not as FMI has them.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from cosim.engine.fmu.container import UnusableError, one_line
+
+# What FMPy says of a description that no step depends on.
+BLEMISHES = tuple(
+    re.compile(text)
+    for text in (
+        r'^The (display )?unit ".*" of (the )?variable .* is not defined',
+        r"is of type \w+ and must have variability",
+        r"^Variable .* has no start value",
+        r"^The combination causality=.* and variability=.* is not allowed",
+        r"has initial=\"calculated\" but provides a start value",
+        r"has causality=\"independent\" but provides a start value",
+        r"^Exactly one independent variable must be defined",
+        r"^ModelStructure",
+        r"dependenciesKind",
+        r"contains an illegal (carriage return|line feed|tab) character",
+        r"is not a legal variable name",
+        r"and must be declared as a local or output",  # of a state, which co-simulation leaves alone
+        # of the schema: what is not read here
+        r"The attribute '\w+' is not allowed",
+        r"Element 'fmiModelDescription', attribute '(generationDateAndTime|variableNamingConvention|version)'",
+        r"Element '(ModelStructure|Outputs|Derivatives|InitialUnknowns|Unknown|Output|InitialUnknown|LogCategories|"
+        r"Category|VendorAnnotations|Tool|Annotations|Annotation|DisplayUnit|DefaultExperiment|SourceFiles|File)'",
+        r"Element '(UnitDefinitions|TypeDefinitions)': This element is not expected",
+    )
+)
+
+
+def is_blemish(complaint: str) -> bool:
+    """Whether a complaint of FMPy's validation is about something that stepping does not depend on."""
+    return any(pattern.search(complaint) for pattern in BLEMISHES)
+
+
+def describe(data: bytes) -> tuple[Any, tuple[str, ...]]:
+    """FMPy's object for the model description of an archive, and the blemishes that were found in it.
+
+    Raises UnusableError with the first complaint that is none.
+    """
+    from fmpy.model_description import ValidationError, read_model_description  # type: ignore[import-untyped]
+
+    complaints: list[str] = []
+    stumbled = ""
+    try:
+        return read_model_description(io.BytesIO(data)), ()
+    except ValidationError as error:
+        complaints = [one_line(problem) for problem in error.problems]
+    except Exception as error:  # FMPy raises bare exceptions, and stumbles in its own ways over strange descriptions
+        stumbled = one_line(error)
+    try:
+        description = read_model_description(io.BytesIO(data), validate=False)
+    except Exception as error:
+        raise _refusal(complaints) if complaints else _unusable(error) from error
+    more = _more(description)
+    if more is not None:
+        complaints += [complaint for complaint in more if complaint not in complaints]
+    elif undeclared := _undeclared(description):
+        complaints.append(undeclared)
+    elif stumbled:
+        raise _unusable(stumbled)
+    if dangerous := [complaint for complaint in [*_doubles(description), *complaints] if not is_blemish(complaint)]:
+        raise _refusal(dangerous)
+    return description, tuple(complaints)
+
+
+def _refusal(complaints: Sequence[str]) -> UnusableError:
+    more = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
+    return UnusableError(f"modelDescription.xml is not valid: {complaints[0]}{more}")
+
+
+def _unusable(error: object) -> UnusableError:
+    return UnusableError(f"modelDescription.xml cannot be used: {one_line(error)}")
+
+
+def _more(description: Any) -> list[str] | None:
+    """What FMPy finds behind an error of the schema; None where it stumbles itself."""
+    from fmpy.validation import validate_model_description  # type: ignore[import-untyped]
+
+    try:
+        return [one_line(complaint) for complaint in validate_model_description(description)]
+    except Exception:
+        return None
+
+
+def _undeclared(description: Any) -> str:
+    """FMPy looks a display unit up in a unit that need not be there."""
+    known = {unit.name for unit in description.unitDefinitions}
+    for v in description.modelVariables:
+        unit = v.unit or (v.declaredType.unit if v.declaredType else None)
+        if v.displayUnit is not None and unit not in known:
+            return f'The unit "{unit}" of variable "{v.name}" (line {v.sourceline}) is not defined'
+    return ""
+
+
+def _doubles(description: Any) -> list[str]:
+    """Names that stand for two variables."""
+    names = Counter(v.name for v in description.modelVariables)
+    return [f'The variable name "{one_line(name)}" is not unique' for name, count in names.items() if count > 1]

@@ -1,0 +1,471 @@
+"""One FMU instance: loaded, instantiated and initialized through FMPy, then handed to the C loop for stepping."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import math
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from functools import lru_cache
+from pathlib import Path
+from statistics import fmean
+from typing import Any, Literal
+
+import cosim.engine._bank as _bank
+from cosim.engine.fmu.archive import Archive, InputClock
+from cosim.engine.fmu.container import one_line
+from cosim.engine.fmu.ports import (
+    BASE,
+    INPUTS,
+    OUTPUTS,
+    REALS,
+    STANDARD_AIR,
+    Air,
+    Variable,
+)
+from cosim.engine.fmu.starting import Ignition, Setting, StartError
+
+STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
+DISCARD = 2
+FATAL = 4
+PENDING = 5
+LAST_SUCCESSFUL_TIME = 2  # of fmi2StatusKind
+
+EVENT_FUNCTIONS = ("fmi3EnterEventMode", "fmi3UpdateDiscreteStates", "fmi3EnterStepMode", "fmi3SetClock")
+MOST_UPDATES = 10_000  # of discrete states, before it counts as endless
+
+# What failed, in the words of the C loop -> in ours.
+FAULTS = {
+    "set": "setting its inputs returned {status}",
+    "step": "doStep returned {status}",
+    "get": "getting its outputs returned {status}",
+    "terminate": "it asked to end the simulation",
+    "early": "it returned early from doStep and gets no further",
+    "parts": "it does not reach the end of the step",
+    "event": "it asked for event handling, for which it has no mode",
+    "enter": "entering event mode returned {status}",
+    "update": "updating its discrete states returned {status}",
+    "leave": "leaving event mode returned {status}",
+    "clock": "ticking its clocks returned {status}",
+    "endless": "its events do not come to an end",
+    "nan": "{port} is not finite",
+    "input": "{port} is not finite",
+}
+
+# What the C loop passes values as: the number of each is that in its enum.
+VALUES = {
+    "Real": 0, "Float64": 0, "Float32": 1, "Int8": 2, "UInt8": 3, "Int16": 4, "UInt16": 5, "Int32": 6, "Integer": 6,
+    "UInt32": 7, "Int64": 8, "UInt64": 9,
+}  # fmt: skip
+
+
+class SlaveError(Exception):
+    """An FMU refused: one line without its name, which the caller knows."""
+
+
+class Slave:
+    """An instance of ``archive``, whose unpacked files are in ``folder``.
+
+    Raises SlaveError if the library does not load or the FMU refuses to be instantiated.
+    """
+
+    def __init__(self, archive: Archive, folder: Path, name: str, load: Callable[[], Any] | None = None) -> None:
+        self.archive = archive
+        self._resources = folder / "resources"
+        self._python = any(self._resources.rglob("*.py"))
+        self.log = _bank.Log()
+        self._stepping = False
+        self._step = 1.0  # s, of communication, once it is known
+        self._dead = False
+        self._done = 0  # communication steps of the start
+        self._inputs = [_canonical(0.0, STANDARD_AIR)] * len(archive.engines)  # what they were set to
+        self.fmu: Any = load() if load is not None else _load(archive, folder, name)
+        try:
+            with _modules_of_its_own(self._resources) if self._python else nullcontext():
+                self._instantiate()
+        except BaseException:
+            self.fmu.freeLibrary()
+            self.fmu = None
+            raise
+
+    def _instantiate(self) -> None:
+        # FMPy's own instantiate() would print the FMU's messages; this way the C loop's log gets them
+        fmu = self.fmu
+        name, token, resources = fmu.instanceName.encode(), self.archive.token.encode(), self._resources
+        if self.archive.fmi == 2:
+            from fmpy.fmi2 import fmi2CoSimulation  # type: ignore[import-untyped]
+
+            self._callbacks = _callbacks2(self.log)
+            fmu.component = fmu.fmi2Instantiate(
+                instanceName=name,
+                fmuType=fmi2CoSimulation,
+                guid=token,
+                resourceLocation=resources.as_uri().encode(),
+                callbacks=ctypes.byref(self._callbacks),
+                visible=False,
+                loggingOn=True,
+            )
+        else:
+            from fmpy.fmi3 import fmi3IntermediateUpdateCallback, fmi3LogMessageCallback  # type: ignore[import-untyped]
+
+            self._callbacks = fmi3LogMessageCallback(_bank.LOGGER3), fmi3IntermediateUpdateCallback()
+            fmu.component = fmu.fmi3InstantiateCoSimulation(
+                instanceName=name,
+                instantiationToken=token,
+                resourcePath=f"{resources}{os.sep}".encode(),
+                visible=False,
+                loggingOn=True,
+                eventModeUsed=self.archive.event_mode,
+                earlyReturnAllowed=self.archive.event_mode or self.archive.returns_early,
+                requiredIntermediateVariables=None,
+                nRequiredIntermediateVariables=0,
+                instanceEnvironment=self.log.address,
+                logMessage=self._callbacks[0],
+                intermediateUpdate=self._callbacks[1],
+            )
+        if not fmu.component:
+            raise SlaveError(self._with_log("cannot be instantiated"))
+
+    def initialize(
+        self,
+        settings: Sequence[Setting],
+        throttle: float | Sequence[float],
+        air: Air | Sequence[Air] = STANDARD_AIR,
+        *,
+        step: float,
+        cold: bool = False,
+    ) -> float:
+        """Set parameters and inputs, leave initialization mode at time 0, and return the thrust [N] there.
+
+        Throttle and air are one for all engines that it holds, or one each; the thrust is that of the first.  Where the
+        mapping file states a start, it is gone through in steps of ``step`` seconds, and the thrust is that after it;
+        not if it is to stay ``cold``, for its start to be flown.  Raises SlaveError if the FMU returns an error on the
+        way, or if it does not start.
+        """
+        engines = self.archive.engines
+        throttles = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(engines)
+        airs = (air,) * len(engines) if isinstance(air, Air) else tuple(air)
+        if self.archive.one_speed:
+            mean = fmean(each.speed for each in airs)
+            airs = tuple(each._replace(speed=mean) for each in airs)
+        self._inputs = [_canonical(*each) for each in zip(throttles, airs, strict=True)]
+        self._done, self._step = 0, step
+        if self.archive.fmi == 2:
+            self.call("setupExperiment", startTime=0.0)
+        self.write([*settings, *self.archive.starting.constants])
+        self.call("enterInitializationMode")
+        self.write(
+            [
+                (ports[name].variable, ports[name].value(x))
+                for ports, inputs in zip(engines, self._inputs, strict=True)
+                for name, x in (*inputs.items(), ("run", 1.0))
+                if name in ports and not (self.archive.clocks and ports[name].variable.clocks)  # those at a tick
+            ]
+        )
+        self.call("exitInitializationMode")
+        self._stepping = True
+        if self.archive.event_mode:
+            self._handle_events()
+        if not cold:
+            self._start(step)
+        thrusts = [self.output("thrust", lane) for lane in range(len(engines))]
+        if not all(map(math.isfinite, thrusts)):
+            raise SlaveError("thrust is not finite at the start")
+        return thrusts[0]
+
+    def _start(self, step: float) -> None:
+        """Go through the stages of a start, and count the steps that they take."""
+        ignition = Ignition(self.archive.starting.stages, step)
+        native: _bank.Bank | None = None
+        try:
+            while ignition.advance(self.write, self.read):
+                native = native or _bank.Bank((self.row(),), step)
+                native.hold(0, ignition.throttle, 1, True)
+                self._done += 1
+        except StartError as error:
+            raise SlaveError(str(error)) from error
+        except _bank.FailureError as failure:
+            raise SlaveError(self.explain(failure, f"in stage {ignition.stage} of its start")) from failure
+
+    def read(self, variable: Variable) -> float:
+        """What a variable is now, in the FMU's own unit."""
+        size = len(variable.starts)
+        more = {"nValues": size} if size > 1 else {}
+        values = self.call(f"get{self._type(variable)}", [variable.reference], **more)
+        return float(values[variable.index])
+
+    def _type(self, variable: Variable) -> str:
+        """FMI's name of the functions that get and set a variable."""
+        if variable.type != "Enumeration":
+            return variable.type
+        return "Integer" if self.archive.fmi == 2 else "Int64"
+
+    def output(self, name: str, lane: int = 0) -> float:
+        """What an engine reports now on a port that it has, in SI units; a thrust is without the ram drag."""
+        ports = self.archive.engines[lane]
+        port = ports[name]
+        value = port.scale * self.read(port.variable)
+        value = value + port.offset if port.offset else value
+        return value - self.output("ram_drag", lane) if name == "thrust" and "ram_drag" in ports else value
+
+    def set_run(self, on: bool, lane: int = 0) -> bool:
+        """Set an engine's port ``run`` between two steps; False if it has none."""
+        port = self.archive.engines[lane].get("run")
+        if port is None:
+            return False
+        self.write([(port.variable, port.value(float(on)))])
+        return True
+
+    def write(self, settings: Sequence[Setting]) -> None:
+        """Set variables; the elements of an array that are not among them stay at their start values."""
+        arrays: dict[tuple[str, int], tuple[Variable, list[float]]] = {}
+        for variable, value in settings:
+            # FMI 2.0 counts its references anew for every type
+            _, values = arrays.setdefault((variable.type, variable.reference), (variable, list(variable.starts)))
+            values[variable.index] = value
+        for variable, values in arrays.values():
+            kind: type = float if variable.type in REALS else bool if variable.type == "Boolean" else int
+            self.call(f"set{self._type(variable)}", [variable.reference], [kind(value) for value in values])
+
+    def _handle_events(self) -> None:
+        """From event mode to step mode."""
+        for _ in range(MOST_UPDATES):
+            again, terminate, *_ = self.call("updateDiscreteStates")
+            if terminate:
+                raise SlaveError(self._with_log("it asked to end the simulation at its start"))
+            if not again:
+                break
+        else:
+            raise SlaveError("its events at the start do not come to an end")
+        self.call("enterStepMode")
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> Any:
+        """Call one of FMPy's wrappers.  Raises SlaveError if it returns worse than a warning."""
+        from fmpy.fmi1 import FMICallException  # type: ignore[import-untyped]
+
+        try:
+            return getattr(self.fmu, name)(*args, **kwargs)
+        except FMICallException as error:
+            self.failed(error.status)
+            raise SlaveError(self._with_log(f"{error.function} returned {_status(error.status)}")) from error
+
+    def failed(self, status: int) -> None:
+        """Remember that the FMU is in its error state, where little may be called, or beyond all calls."""
+        self._stepping = False
+        self._dead = self._dead or status == FATAL
+
+    def _with_log(self, text: str) -> str:
+        said = one_line(self.log.take())
+        return f"{text}: {said}" if said else text
+
+    def explain(self, failure: _bank.FailureError, moment: str) -> str:
+        """What went wrong in the C loop and when, with what the FMU itself said about it."""
+        _, what, status, port = failure.args
+        more = self._reached() if what == "step" and status == DISCARD and self.archive.fmi == 2 else ""
+        if what == "step" and status == PENDING:
+            more = ", which is for FMUs that step in the background; these are not supported"
+        self.failed(status)
+        text = FAULTS[what].format(status=_status(status), port=port)
+        return self._with_log(f"{text} {moment}{more}")
+
+    def _reached(self) -> str:
+        """FMI 2.0: how far a step that was discarded has come, where the FMU says so."""
+        from fmpy.fmi2 import fmi2Real
+
+        component, value = ctypes.c_void_p(self.fmu.component), fmi2Real(math.nan)
+        status = self.fmu.dll.fmi2GetRealStatus(component, LAST_SUCCESSFUL_TIME, ctypes.byref(value))
+        known = status <= 1 and math.isfinite(value.value)
+        return f"; it came as far as its own time {value.value:g} s" if known else ""
+
+    def row(self, done: int = 0, stations: Sequence[int] | None = None) -> _bank.Row:
+        """What the C loop needs to step this instance, which has ``done`` communication steps behind it.
+
+        ``stations``: that its engines serve, counted from 0, -1 for none; from 0 on unless stated.
+        """
+        archive = self.archive
+        stations = range(len(archive.engines)) if stations is None else stations
+        sets, inputs = self._blocks("set", INPUTS)
+        gets, outputs = self._blocks("get", (*OUTPUTS, "ram_drag"))
+        return (
+            archive.fmi,
+            self.fmu.component,
+            self._address(f"fmi{archive.fmi}DoStep"),
+            tuple(self._address(name) if archive.event_mode else 0 for name in EVENT_FUNCTIONS),
+            self._done + done,
+            sets,
+            gets,
+            archive.one_speed,
+            archive.parts(self._step),
+            tuple((clock.reference, *self._grid(clock)) for clock in archive.clocks),
+            tuple(
+                (station, inputs[lane], outputs[lane], tuple(self._inputs[lane][name] for name in BASE))
+                for lane, station in enumerate(stations)
+            ),
+        )
+
+    def _grid(self, clock: InputClock) -> tuple[int, int]:
+        grid = clock.grid(self._step, self.archive.parts(self._step))
+        if grid is None:  # a step that need_whole_steps refuses
+            raise SlaveError(f"its clock {clock.name} does not tick at whole parts of a step of {self._step:g} s")
+        return grid
+
+    def _address(self, name: str) -> int:
+        return ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value or 0
+
+    def _blocks(
+        self, way: Literal["set", "get"], names: Sequence[str]
+    ) -> tuple[tuple[_bank.Block, ...], list[tuple[_bank.Place | None, ...]]]:
+        """One call for all ports of a type, that of the first port first, and where each port is among the values.
+
+        The places are by engine; those of the first port of all engines come before those of the second.
+        """
+        engines = self.archive.engines
+        ports = {(name, lane): each[name] for name in names for lane, each in enumerate(engines) if name in each}
+        ticked = bool(way == "set" and self.archive.clocks)
+
+        def together(v: Variable) -> tuple[str, bool]:
+            return v.type, ticked and bool(v.clocks)
+
+        types = list(dict.fromkeys(together(port.variable) for port in ports.values()))
+        # the throttles alone are set in every step: their references, and how many values these have
+        alone = {v.reference: len(v.starts) for v in (each[names[0]].variable for each in engines)}
+        blocks: list[_bank.Block] = []
+        places: dict[tuple[str, int], _bank.Place] = {}
+        for number, (kind, clocked) in enumerate(types):
+            values: list[float] = []
+            begin: dict[int, int] = {}  # reference: its first value
+            for (name, lane), port in ports.items():
+                v = port.variable
+                if together(v) != (kind, clocked):
+                    continue
+                if v.reference not in begin:
+                    begin[v.reference] = len(values)
+                    values += v.starts
+                index = begin[v.reference] + v.index
+                if way == "set":
+                    values[index] = port.value(self._inputs[lane][name])
+                    places[name, lane] = number, index, port.gain, port.bias, port.low, port.high
+                else:
+                    places[name, lane] = number, index, port.scale, port.offset, -math.inf, math.inf
+            function = self._address(f"fmi{self.archive.fmi}{way.capitalize()}{kind}")
+            first = (len(alone), sum(alone.values())) if number == 0 else (0, 0)
+            blocks.append((function, VALUES[kind], tuple(begin), tuple(values), *first, clocked))
+        return tuple(blocks), [tuple(places.get((name, lane)) for name in names) for lane in range(len(engines))]
+
+    def close(self) -> None:
+        """Terminate and free the instance, and let go of the library."""
+        if self.fmu is None:
+            return
+        fmu, self.fmu = self.fmu, None
+        if self._python:
+            _leave_path(self._resources)
+        if self._dead:
+            return  # after a fatal error nothing may be called any more, not even to free it
+        version = self.archive.fmi
+        if self._stepping:
+            getattr(fmu.dll, f"fmi{version}Terminate")(ctypes.c_void_p(fmu.component))
+        fmu.freeInstance()
+
+
+@contextmanager
+def _modules_of_its_own(resources: Path) -> Iterator[None]:
+    """For an FMU that is written in Python and runs in this interpreter, as PythonFMU's do: its modules are its own.
+
+    It imports them by name from its resources, which it puts at the end of the path.  An FMU with a module of the same
+    name that was there before, also one that is long closed, would otherwise lend it its code without a word.
+    """
+    place = str(resources)
+    sys.path.insert(0, place)
+    importlib.invalidate_caches()
+    try:
+        yield
+    finally:
+        _leave_path(resources)
+        sys.path.append(place)  # for what it imports later
+        for name, module in list(sys.modules.items()):
+            if str(getattr(module, "__file__", None) or "").startswith(place + os.sep):
+                del sys.modules[name]  # the instance keeps what it has
+
+
+def _leave_path(resources: Path) -> None:
+    sys.path[:] = [place for place in sys.path if Path(place) != resources]
+
+
+def _canonical(throttle: float, air: Air) -> dict[str, float]:
+    return dict(zip(BASE, (throttle, *air), strict=True)) | air.derived()
+
+
+class _Functions(dict[str, Any]):
+    """The functions of a library, each looked up when it is called first."""
+
+    def __init__(self, library: Any, signatures: Mapping[str, tuple[Any, Any, Any]]) -> None:
+        self._library, self._signatures = library, signatures
+
+    def __missing__(self, name: str) -> Any:
+        function = self[name] = getattr(self._library, name)
+        function.argnames, function.argtypes, function.restype = self._signatures[name]
+        return function
+
+
+@lru_cache(maxsize=64)
+def _kind(fmi: int, _sha256: str) -> Any:
+    """FMPy's class for the instances of one archive.
+
+    FMPy looks for all of some 70 functions in the library, and at the signatures of its own, whenever it makes an
+    instance.  Here the first one does; if they are all there, the others need not look.
+    """
+    from fmpy.fmi2 import FMU2Slave
+    from fmpy.fmi3 import FMU3Slave
+
+    kind: Any = FMU2Slave if fmi == 2 else FMU3Slave
+    signatures: dict[str, tuple[Any, Any, Any]] = {}
+
+    def load_functions(fmu: Any) -> None:
+        if signatures:
+            fmu._functions = _Functions(fmu.dll, signatures)
+            return
+        kind._loadFunctions(fmu)
+        signatures.update((name, (f.argnames, f.argtypes, f.restype)) for name, f in fmu._functions.items())
+
+    return type(kind.__name__, (kind,), {"_loadFunctions": load_functions})  # FMPy reads the version from its name
+
+
+def _load(archive: Archive, folder: Path, name: str) -> Any:
+    kind = _kind(archive.fmi, archive.sha256)
+    here = Path.cwd()
+    try:
+        return kind(
+            guid=archive.token,
+            unzipDirectory=str(folder),
+            modelIdentifier=archive.identifier,
+            instanceName=name,
+        )
+    except Exception as error:  # FMPy raises bare exceptions here
+        reason = one_line(error).replace(f"{folder}{os.sep}", "")
+        raise SlaveError(f"its shared library does not load: {reason}") from error
+    finally:
+        os.chdir(here)  # FMPy changes it, and leaves it changed when loading fails
+
+
+def _callbacks2(log: _bank.Log) -> Any:
+    from fmpy import calloc, free  # type: ignore[import-untyped]
+    from fmpy.fmi2 import (
+        fmi2CallbackAllocateMemoryTYPE,
+        fmi2CallbackFreeMemoryTYPE,
+        fmi2CallbackFunctions,
+        fmi2CallbackLoggerTYPE,
+    )
+
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(_bank.LOGGER2)
+    callbacks.allocateMemory = ctypes.cast(calloc, fmi2CallbackAllocateMemoryTYPE)
+    callbacks.freeMemory = ctypes.cast(free, fmi2CallbackFreeMemoryTYPE)
+    callbacks.componentEnvironment = log.address
+    return callbacks
+
+
+def _status(status: int) -> str:
+    return STATUS.get(status, f"status {status}")

@@ -1,0 +1,197 @@
+"""What a mapping file says is done with an engine before it is asked for thrust: held inputs, ignition, warm-up.
+
+Every instance goes through it, in the check, when it is measured and before a flight, so the flight finds an engine
+that runs; or, where the scenario says so, over the flight's own steps (:class:`Ignition`).  The stages follow each
+other::
+
+    [start]
+    sequence = [
+        { set = { mode = "crank" }, until = "N1 > 9000", at_most_s = 30.0 },
+        { set = { mode = "run", igniter = true }, throttle = 0.1, for_s = 5.0 },
+    ]
+    warm_up_s = 60.0
+
+``set`` holds inputs from there on, ``throttle`` (0 to 1) is that of the stage, 0 unless stated; ``until`` compares an
+output, in the FMU's own unit.  Everything is counted in communication steps, so it is the same on every machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+from cosim.engine.fmu.ports import CONDITION, INTEGERS, REALS, Held, Port, PortError, PortMap, Variable
+
+Setting = tuple[Variable, float]
+
+AT_MOST_S = 120.0  # for a condition, unless stated
+CONSTANTS = (*REALS, *INTEGERS, "Boolean", "Enumeration")
+
+
+class Until(NamedTuple):
+    """An output beyond a limit."""
+
+    output: Variable
+    relation: str
+    limit: float
+
+    def holds(self, value: float) -> bool:
+        """Whether a value fulfils it."""
+        return {
+            ">": value > self.limit,
+            "<": value < self.limit,
+            ">=": value >= self.limit,
+            "<=": value <= self.limit,
+        }[self.relation]
+
+    def __str__(self) -> str:
+        return f"{self.output.name} {self.relation} {self.limit:g}"
+
+
+class Stage(NamedTuple):
+    """One stage of a start."""
+
+    settings: tuple[Setting, ...]
+    throttle: float
+    seconds: float  # that it lasts, or may last until the condition holds
+    until: Until | None
+
+
+class Starting(NamedTuple):
+    """All of it; ``constants`` are set before initialization and stay."""
+
+    constants: tuple[Setting, ...] = ()
+    stages: tuple[Stage, ...] = ()
+    rest_n: float = 0.0  # N, peak to peak, within which the thrust stands still
+
+
+class StartError(Exception):
+    """A condition did not come about: one line without the engine's name."""
+
+
+class Ignition:
+    """A start, taken one communication step after the other; ``stages`` as stated, ``step`` in s.
+
+    Before every step :meth:`advance`, which returns whether the start has one more to make, with :attr:`throttle` held.
+    """
+
+    def __init__(self, stages: Sequence[Stage], step: float) -> None:
+        self._stages, self._step = stages, step
+        self._number = -1  # of the present stage, from 0
+        self._made = 0  # steps of it
+        self.throttle = stages[0].throttle if stages else 0.0
+
+    @property
+    def stage(self) -> int:
+        """The number of the present stage, from 1."""
+        return self._number + 1
+
+    def advance(self, write: Callable[[Sequence[Setting]], None], read: Callable[[Variable], float]) -> bool:
+        """Look whether the stage is over, and begin the next: ``write`` sets its inputs, ``read`` tells an output.
+
+        Raises StartError where a condition does not come about in time.
+        """
+        if self._number < 0:
+            self._begin(write)
+        while self._number < len(self._stages):
+            stage = self._stages[self._number]
+            most = max(1, round(stage.seconds / self._step))
+            until = stage.until
+            if until is None:
+                over = self._made == most
+            elif not (over := until.holds(value := read(until.output))) and self._made == most:
+                raise StartError(
+                    f"it does not start: {until} does not come about within {stage.seconds:g} s of stage "
+                    f"{self.stage} of its [start]; {until.output.name} is {value:g}"
+                )
+            if not over:
+                self._made += 1
+                return True
+            self._begin(write)
+        return False
+
+    def _begin(self, write: Callable[[Sequence[Setting]], None]) -> None:
+        self._number += 1
+        self._made = 0
+        if self._number < len(self._stages):
+            stage = self._stages[self._number]
+            self.throttle = stage.throttle
+            write(stage.settings)
+
+
+def starting(
+    stated: PortMap, inputs: Sequence[Variable], outputs: Sequence[Variable], ports: Mapping[str, Port]
+) -> Starting:
+    """What a mapping file states, as variables and numbers.
+
+    Raises PortError for an input or output that is not there, a port, or a value that the input cannot have.
+    """
+    taken = {port.variable.name: name for name, port in ports.items()}
+    arrays = {port.variable.reference for port in ports.values() if port.variable.is_array}
+
+    def settings(table: Mapping[str, Held], where: str) -> tuple[Setting, ...]:
+        pairs = []
+        for name, held in table.items():
+            variable = _input(name, inputs, where)
+            if variable.name in taken:
+                raise PortError(f"{where}: {name} is its port {taken[variable.name]}, which the simulation sets")
+            if variable.reference in arrays and variable.is_array:
+                raise PortError(f"{where}: {name} is an element of an array of which another is a port")
+            pairs.append((variable, value_of(variable, held, where)))
+        return tuple(pairs)
+
+    stages = []
+    for k, stage in enumerate(stated.start.sequence, start=1):
+        where = f"[start] stage {k}"
+        until = None
+        if stage.until is not None:
+            match = CONDITION.fullmatch(stage.until)
+            assert match is not None
+            hits = [v for v in outputs if v.name == match[1]]
+            if not hits:
+                raise PortError(f"{where}: no output is called {match[1]} ({_names(outputs)})")
+            until = Until(hits[0], match[2], float(match[3]))
+        seconds = stage.for_s if stage.for_s is not None else stage.at_most_s or AT_MOST_S
+        stages.append(Stage(settings(stage.set, where), stage.throttle or 0.0, seconds, until))
+    if stated.start.warm_up_s:
+        stages.append(Stage((), 0.0, stated.start.warm_up_s, None))
+    return Starting(settings(stated.inputs, "[inputs]"), tuple(stages), stated.rest_n)
+
+
+def value_of(variable: Variable, held: Held, where: str) -> float:
+    """What is written for an input, as a number.  Raises PortError if the variable cannot have it."""
+    shown = f"{where}: {variable.name} = {held!r}"
+    if isinstance(held, str):
+        items = dict(variable.items)
+        if held not in items:
+            allowed = ", ".join(items) or "a number, because it is no enumeration"
+            raise PortError(f"{shown}: allowed: {allowed}")
+        return float(items[held])
+    if isinstance(held, bool) and variable.type != "Boolean":
+        raise PortError(f"{shown}: it is of type {variable.type}; a number goes here")
+    value = float(held)
+    if variable.type == "Boolean" and value not in (0.0, 1.0):
+        raise PortError(f"{shown}: true or false goes here")
+    if variable.type in (*INTEGERS, "Enumeration") and value != round(value):
+        raise PortError(f"{shown}: a whole number goes here")
+    if variable.items and value not in {float(item) for _, item in variable.items}:
+        raise PortError(f"{shown}: allowed: {', '.join(f'{name} ({item})' for name, item in variable.items)}")
+    low, high = variable.min, variable.max
+    if (low is not None and value < low) or (high is not None and value > high):
+        ends = f"{'any' if low is None else f'{low:g}'} to {'any' if high is None else f'{high:g}'}"
+        raise PortError(f"{shown}: outside its range, {ends}")
+    return value
+
+
+def _input(name: str, inputs: Sequence[Variable], where: str) -> Variable:
+    hits = [v for v in inputs if v.name == name]
+    if not hits:
+        raise PortError(f"{where}: no input is called {name} ({_names(inputs)})")
+    if hits[0].type not in CONSTANTS:
+        raise PortError(f"{where}: {name} is of type {hits[0].type}; allowed: {', '.join(CONSTANTS)}")
+    return hits[0]
+
+
+def _names(variables: Sequence[Variable]) -> str:
+    shown = ", ".join(v.name for v in variables[:20])
+    return f"there are: {shown or 'none'}" + (f" and {len(variables) - 20} more" if len(variables) > 20 else "")

@@ -1,0 +1,134 @@
+"""The files of an archive, unpacked for one user at a time, and taken again by the next if nobody has changed them."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import shutil
+import tempfile
+import zipfile
+from ctypes import CDLL
+from pathlib import Path
+from types import TracebackType
+
+from cosim.base.errors import InputError
+from cosim.base.storage.scratch import scratch
+from cosim.engine.fmu.archive import Archive, libraries_of, platform_folder
+from cosim.engine.fmu.container import (
+    DAMAGE,
+    UnusableError,
+    one_line,
+    read_bytes,
+)
+
+MOST_FREE = 16  # folders that wait for their next user
+_free: list[Unpacked] = []  # the youngest last
+
+
+class Unpacked:
+    """What running an archive on this machine takes, in the folder ``path`` until :meth:`close`."""
+
+    def __init__(self, archive: Archive, data: bytes) -> None:
+        self.sha256 = archive.sha256
+        self.path = Path(tempfile.mkdtemp(prefix="engine-", dir=scratch()))
+        self._libraries = [self.path / name for name in libraries_of(archive)]
+        try:
+            if archive.system is None:
+                _extract(archive, data, self.path)
+            else:
+                with zipfile.ZipFile(io.BytesIO(data)) as ssp:
+                    for number, part in enumerate(archive.system.parts):
+                        _extract(part.archive, ssp.read(part.file), self.path / str(number))
+        except BaseException:
+            self.remove()
+            raise
+        self._contents = contents(self.path)
+
+    @property
+    def untouched(self) -> bool:
+        """Whether it is what it was when it was unpacked, and nothing of its library is left in this process."""
+        try:
+            return not any(map(_is_loaded, self._libraries)) and contents(self.path) == self._contents
+        except OSError:
+            return False
+
+    def close(self) -> None:
+        """Leave it to the next user."""
+        _free.append(self)
+        while len(_free) > MOST_FREE:
+            _free.pop(0).remove()
+
+    def remove(self) -> None:
+        shutil.rmtree(self.path, ignore_errors=True)
+
+    def __enter__(self) -> Path:
+        return self.path
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _extract(archive: Archive, data: bytes, folder: Path) -> None:
+    with zipfile.ZipFile(io.BytesIO(data)) as fmu:
+        for name in fmu.namelist():
+            if name.startswith((f"binaries/{platform_folder(archive.fmi)}/", "resources/")):
+                fmu.extract(name, folder)
+
+
+def unpack(archive: Archive) -> Unpacked:
+    """Unpack what running it on this machine takes into a folder that nobody else uses.
+
+    Raises InputError if the file is no longer the one that was read, or there is no room for what is in it.
+    """
+    try:
+        data = read_bytes(archive.path)
+        if hashlib.sha256(data).hexdigest() != archive.sha256:
+            raise UnusableError("was changed while it was in use")
+        return _taken(archive) or Unpacked(archive, data)
+    except InputError:  # there is no place to unpack it
+        raise
+    except UnusableError as reason:
+        raise InputError(f"{archive.path}: {reason}") from reason
+    except OSError as error:  # of what is written; that it cannot be read is told above
+        where = error.filename or tempfile.gettempdir()
+        raise InputError(f"{archive.path}: cannot be unpacked: {where}: {error.strerror or error}") from error
+    except DAMAGE as error:
+        raise InputError(f"{archive.path}: is damaged: {one_line(error)}") from error
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """The files of an unpacked archive, name -> digest; what is no file has none."""
+    members = {}
+    for parent, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            path = os.path.join(parent, name)
+            members[path] = hashlib.sha256(_read(path)).hexdigest() if os.path.isfile(path) else ""
+    return members
+
+
+def _read(path: str) -> bytes:
+    with open(path, "rb") as file:
+        return file.read()
+
+
+def _taken(archive: Archive) -> Unpacked | None:
+    """A free folder of the same archive, of this process and not of the one that it was forked from."""
+    own = [folder for folder in _free if folder.sha256 == archive.sha256 and folder.path.parent == scratch()]
+    for folder in reversed(own):
+        _free.remove(folder)
+        if folder.untouched:
+            return folder
+        folder.remove()
+    return None
+
+
+def _is_loaded(library: Path) -> bool:
+    """Whether a library is still in this process: some cannot be unloaded, and would keep what they have in memory."""
+    try:
+        CDLL(str(library), mode=os.RTLD_NOLOAD | os.RTLD_LAZY)
+    except OSError:
+        return False
+    return True

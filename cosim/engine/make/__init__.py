@@ -1,0 +1,1 @@
+"""Engines and controllers compiled for this machine."""

@@ -1,0 +1,148 @@
+"""The sources that an archive brings, compiled: for this machine by FMPy's CMake project, for Windows by MinGW."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.base.storage.files import replacing
+from cosim.engine.fmu.archive import platform_folder
+from cosim.engine.fmu.container import UnusableError, has_sources, one_line, open_archive, parse, read_bytes
+from cosim.engine.fmu.description import describe
+
+LONGEST_S = 600.0  # chosen by us: a solver's sources take a minute
+# In a process of its own, because FMPy lets CMake print to standard output; without its validation, as when reading.
+_BUILD = """
+import functools, sys
+import fmpy.build as build
+build.read_model_description = functools.partial(build.read_model_description, validate=False)
+build.build_platform_binary(sys.argv[1])
+"""
+
+
+WINDOWS_COMPILER = "x86_64-w64-mingw32-gcc"  # 64 bit; on Debian the package gcc-mingw-w64-x86-64
+# No fused multiply-add, so that it computes the bits of every other build; and no library of MinGW's beside it.
+_WINDOWS_FLAGS = ("-shared", "-s", "-O2", "-DNDEBUG", "-ffp-contract=off", "-static")
+
+
+def needs_compiling(path: Path) -> bool:
+    """Whether an archive has sources and no library for this machine; False too for what is no archive."""
+    try:
+        data = read_bytes(path)
+        names, xml = open_archive(data)
+        folder = platform_folder(2 if parse(xml).get("fmiVersion") == "2.0" else 3)
+    except UnusableError:
+        return False
+    return has_sources(names) and not any(
+        name.startswith(f"binaries/{folder}/") and not name.endswith("/") for name in names
+    )
+
+
+def has_windows(path: Path) -> bool:
+    """Whether an archive has a library for 64-bit Windows."""
+    with zipfile.ZipFile(path) as fmu:
+        return any(name.startswith(("binaries/win64/", "binaries/x86_64-windows/")) for name in fmu.namelist())
+
+
+def compile_archive(path: Path, out: Path | None = None, windows: bool = False) -> Path:
+    """Compile an archive's sources and put the library into it, or into the copy ``out``.
+
+    For this machine, or for 64-bit ``windows``, which needs the compiler :data:`WINDOWS_COMPILER`.  The compiler runs
+    what the archive says, as a flight runs its library: compile what you would run.
+
+    Raises InputError if there is nothing to compile or no compiler, or with what it complained of first.
+    """
+    target = path if out is None else out
+    try:
+        data = read_bytes(path)
+        names, _ = open_archive(data)
+        description, _ = describe(data)
+    except UnusableError as reason:
+        raise InputError(f"{path}: {reason}") from reason
+    if description.coSimulation is None or not has_sources(names):
+        raise InputError(f"{path}: has no sources of a co-simulation interface; nothing to compile")
+    with tempfile.TemporaryDirectory(prefix="hexjet-compile-") as folder:
+        with zipfile.ZipFile(BytesIO(data)) as fmu:
+            fmu.extractall(folder)
+        if windows:
+            binaries = _build_for_windows(path, folder, description)
+        else:
+            _build(path, folder)
+            binaries = Path(folder) / "binaries" / platform_folder(2 if description.fmiVersion == "2.0" else 3)
+        made = sorted(file for file in binaries.glob("*") if file.is_file()) if binaries.is_dir() else []
+        if not made:
+            raise InputError(f"{path}: its sources make no library")
+        try:
+            with replacing(target) as copy:
+                copy.write_bytes(data)
+                with zipfile.ZipFile(copy, "a", zipfile.ZIP_DEFLATED) as fmu:
+                    for file in made:
+                        name = file.relative_to(folder).as_posix()
+                        if name not in names:
+                            fmu.write(file, name)
+        except OSError as error:
+            raise InputError(f"{target}: {error.strerror or error}") from error
+    return target
+
+
+def _build_for_windows(path: Path, folder: str, description: Any) -> Path:
+    """Call the cross-compiler on the sources that the description lists; returns where the library is."""
+    import fmpy  # type: ignore[import-untyped]
+
+    compiler = shutil.which(WINDOWS_COMPILER)
+    if compiler is None:
+        raise InputError(
+            f"{path}: no compiler for Windows: {WINDOWS_COMPILER} is not found (on Debian: apt install "
+            "gcc-mingw-w64-x86-64)"
+        )
+    files = description.buildConfigurations[0].sourceFileSets[0]
+    sources = Path(folder) / "sources"
+    binaries = Path(folder) / "binaries" / ("win64" if description.fmiVersion == "2.0" else "x86_64-windows")
+    binaries.mkdir(parents=True, exist_ok=True)
+    defined = [f"-D{each.name}" + (f"={each.value}" if each.value else "") for each in files.preprocessorDefinitions]
+    command = [
+        compiler, *_WINDOWS_FLAGS, *defined, f"-I{sources}", f"-I{Path(fmpy.__file__).parent / 'c-code'}",
+        *(str(sources / name) for name in files.sourceFiles),
+        "-o", str(binaries / f"{description.coSimulation.modelIdentifier}.dll"), "-lm",
+    ]  # fmt: skip
+    _run(path, folder, command, "for Windows")
+    return binaries
+
+
+def _build(path: Path, folder: str) -> None:
+    here = os.path.dirname(sys.executable)  # where a CMake that came as a package is
+    environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ.get('PATH', os.defpath)}"}
+    _run(path, folder, [sys.executable, "-c", _BUILD, folder], "(CMake and a C compiler are needed)", environment)
+
+
+def _run(
+    path: Path, folder: str, command: Sequence[str], how: str, environment: Mapping[str, str] | None = None
+) -> None:
+    """Call what compiles.  Raises InputError with what it complained of first."""
+    try:
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            env=environment,
+            timeout=LONGEST_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise InputError(f"{path}: its sources are not compiled within {LONGEST_S:g} s") from error
+    if done.returncode == 0:
+        return
+    said = [*done.stdout.splitlines(), *done.stderr.splitlines()]
+    wrong = [line for line in said if "error" in line.lower() and "CalledProcessError" not in line] or said
+    first = wrong[0].replace(f"{folder}{os.sep}", "") if wrong else "no word of it"
+    raise InputError(f"{path}: its sources do not compile {how}: {one_line(first)[:200]}")

@@ -1,0 +1,336 @@
+"""An FMU as a controller: what it is by its description, and the process that runs it.
+
+Ports are those of :mod:`cosim.base.controller_wire`, found by name as engines' are, by its letters and digits
+without case, or stated in a mapping file ``NAME.fmu.toml``::
+
+    fmu = "theirs.fmu"
+    [ports]
+    roll_rate = "gyro.p"
+
+What an FMU has no input for it is not told.  Its other outputs of numbers become columns of the log, its parameters
+the controller's own.  It runs in a process of its own, whatever it does to that.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from cosim.base import controller_wire as wire
+from cosim.base.errors import InputError, nearest
+from cosim.base.signals import MOST_JETS
+from cosim.base.storage.toml import read_toml
+from cosim.engine.fmu.archive import platform_folder
+from cosim.engine.fmu.container import DAMAGE, UnusableError, fmi_of, one_line, open_archive, parse, read_bytes
+from cosim.engine.fmu.description import describe
+from cosim.engine.fmu.ports import INTEGERS, REALS, plain
+
+MAPPING = ".fmu.toml"
+_SERVE = "import sys; from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"
+_ON_GROUND = "on_ground"  # a parameter that is set by us, if there is one
+_KINDS = {*REALS, *INTEGERS, "Boolean"}
+
+
+@dataclass(frozen=True)
+class ControllerFmu:
+    """What an FMU is as a controller; variables are those of FMPy's description."""
+
+    path: Path  # of the archive
+    mapping: Path | None
+    fmi: int
+    level: str
+    jets: int  # of a whole controller
+    tilts: bool
+    extras: tuple[str, ...]
+    inputs: Mapping[str, Any]  # by the name of the port
+    outputs: Mapping[str, Any]
+    parameters: Sequence[Any]
+    shown: Sequence[Any]  # outputs that become columns
+    notes: tuple[str, ...]
+    description: Any
+    data: bytes
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """What it is made of, the file that is named first."""
+        there = [self.path] if self.mapping is None else [self.mapping, self.path]
+        return {path.name: path for path in there}
+
+
+class IncompleteError(UnusableError):
+    """A controller by some of its outputs, which lacks another."""
+
+
+def is_controller(path: Path) -> bool:
+    """Whether a file is an FMU with the outputs of a controller; False too for what cannot be read."""
+    if not path.name.lower().endswith((".fmu", MAPPING)):
+        return False
+    try:
+        read_controller_fmu(path)
+    except InputError as error:
+        return path.name.lower().endswith(MAPPING) or isinstance(error.__cause__, IncompleteError)
+    return True
+
+
+def read_controller_fmu(path: Path) -> ControllerFmu:
+    """Read an archive, or a mapping file with the name of one.  Raises InputError: one line."""
+    mapping, stated = None, {}
+    if path.name.lower().endswith(MAPPING):
+        table = read_toml(path)
+        unknown = [key for key in table if key not in ("fmu", "ports")]
+        if unknown or not isinstance(table.get("fmu"), str) or not isinstance(table.get("ports", {}), dict):
+            raise InputError(f'{path}: must have fmu = "FILE.fmu" and a table [ports] of names, nothing else')
+        if Path(table["fmu"]).name != table["fmu"]:
+            raise InputError(f"{path}: fmu = {table['fmu']!r}: must be the name of a file beside it")
+        mapping, stated = path, {str(key): str(value) for key, value in table.get("ports", {}).items()}
+        path = path.with_name(table["fmu"])
+    try:
+        return _read(path, mapping, stated)
+    except UnusableError as reason:
+        raise InputError(f"{path}: {reason}") from reason
+
+
+def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> ControllerFmu:
+    data = read_bytes(path)
+    _, xml = open_archive(data)
+    fmi = fmi_of(parse(xml))
+    description, blemishes = describe(data)
+    scalars = [v for v in description.modelVariables if v.type in _KINDS and not v.shape]
+    by_cause = {cause: [v for v in scalars if v.causality == cause] for cause in ("input", "output", "parameter")}
+    by_name = {v.name: v for v in scalars}
+    jets_known = range(1, MOST_JETS + 1)
+    outs = {plain(name): name for n in jets_known for name in wire.output_names("controller", n, True, wire.EXTRAS)}
+    for level in ("rate", "attitude", "predictor"):
+        outs |= {plain(name): name for name in wire.output_names(level, 1, True)}
+    outputs = _found(by_cause["output"], outs, stated, by_name, "output")
+    level = next((known_level for name, known_level in wire.LEVEL_BY_OUTPUT.items() if name in outputs), "")
+    if not level:
+        raise UnusableError(
+            f"is no controller: it has no output {', '.join(wire.LEVEL_BY_OUTPUT)}; a mapping file {path.name}.toml "
+            "names its ports"
+        )
+    jets = next(number for number in reversed(jets_known) if number == 1 or f"throttle_{number}" in outputs)
+    tilts = "tilt_left" in outputs
+    extras = tuple(
+        [e for e in wire.EXTRAS if level == "controller" and set(_extra(level, jets, tilts, e)) <= set(outputs)]
+    )
+    needed = wire.output_names(level, jets, tilts, extras)
+    if missing := [name for name in needed if name not in outputs]:
+        raise IncompleteError(f"has no output {missing[0]}, which a {level} needs")
+    outputs = {name: outputs[name] for name in needed}
+    ins = {plain(name): name for name in wire.input_names(level, jets)}
+    inputs = _found(by_cause["input"], ins, stated, by_name, "input")
+    used = {id(v) for v in (*inputs.values(), *outputs.values())}
+    left = [v.name for v in by_cause["input"] if id(v) not in used]
+    names = [name for name in wire.input_names(level, jets) if name not in inputs]
+    untold = list(dict.fromkeys(re.sub(r"_\d+$", "_1 and on", name) for name in names))
+    notes = (
+        *blemishes,
+        *([f"inputs that stay at their start values: {', '.join(left)}"] if left else []),
+        *([f"is not told of: {', '.join(untold)}"] if untold else []),
+    )
+    for port, name in stated.items():
+        if port not in (*ins.values(), *needed):
+            allowed = nearest(port, [*ins.values(), *needed])
+            raise UnusableError(f"ports.{port}: unknown port of a {level}; {allowed}")
+        cause = "output" if port in needed else "input"
+        if name not in by_name or by_name[name].causality != cause:
+            allowed = nearest(name, [v.name for v in by_cause[cause]])
+            raise UnusableError(f"ports.{port} = {name!r}: is no {cause} of it; {allowed}")
+    tuned = [v for v in by_cause["parameter"] if v.name != _ON_GROUND and v.start is not None]
+    return ControllerFmu(
+        path,
+        mapping,
+        fmi,
+        level,
+        jets,
+        tilts,
+        extras,
+        inputs,
+        outputs,
+        [v for v in tuned if v.variability != "constant"],
+        [v for v in by_cause["output"] if id(v) not in used],
+        notes,
+        description,
+        data,
+    )
+
+
+def _extra(level: str, jets: int, tilts: bool, extra: str) -> list[str]:
+    without = wire.output_names(level, jets, tilts)
+    return [name for name in wire.output_names(level, jets, tilts, (extra,)) if name not in without]
+
+
+def _found(
+    variables: Sequence[Any],
+    known: Mapping[str, str],
+    stated: Mapping[str, str],
+    by_name: Mapping[str, Any],
+    cause: str,
+) -> dict[str, Any]:
+    """Ports by their names; those stated before those found."""
+    ports = {known[plain(v.name)]: v for v in variables if plain(v.name) in known}
+    for port, name in stated.items():
+        if port in known.values() and name in by_name and by_name[name].causality == cause:
+            ports[port] = by_name[name]
+    return ports
+
+
+def command(path: Path) -> list[str]:
+    """What runs it."""
+    return [sys.executable, "-P", "-c", _SERVE, str(path)]
+
+
+def describing(fmu: ControllerFmu) -> dict[str, Any]:
+    """What a process would say of it."""
+    return {
+        "level": fmu.level,
+        "extras": fmu.extras,
+        "parameters": [
+            [
+                _word(v),
+                _number(v.start),
+                v.unit or "",
+                v.description or "",
+                _number(v.min, -1e308),
+                _number(v.max, 1e308),
+            ]
+            for v in fmu.parameters
+        ],
+        "columns": [[_word(v), v.unit or "1", "", v.description or v.name] for v in fmu.shown],
+    }
+
+
+def _word(v: Any) -> str:
+    """What a variable is called where a name has no dots: as a column and as a parameter."""
+    return "".join(c if c.isascii() and c.isalnum() else "_" for c in v.name)
+
+
+def _number(text: str | None, otherwise: float = 0.0) -> float:
+    return otherwise if text is None else float({"true": "1", "false": "0"}.get(text, text))
+
+
+def serve(path: str) -> None:
+    """The process: answer frames until the input ends."""
+    out = os.dup(1)
+    os.dup2(2, 1)  # what the FMU prints is for people
+    fmu = read_controller_fmu(Path(path))
+    _write(out, json.dumps(describing(fmu)).encode() + b"\n")
+    line = sys.stdin.buffer.readline()
+    if not line:
+        return
+    told = json.loads(line)
+    asked, answered = wire.frame(len(told["inputs"])), wire.frame(len(told["outputs"]))
+    folder = Path(tempfile.mkdtemp(prefix="hexjet-controller-"))
+    try:
+        expected = [*fmu.outputs, *(_word(v) for v in fmu.shown)]
+        if told["outputs"] != expected:
+            raise RuntimeError(
+                f"is for {fmu.jets} jets {'with' if fmu.tilts else 'without'} tilt servos, which is not this vehicle"
+            )
+        instance = _Instance(fmu, folder, told)
+        while len(frame := sys.stdin.buffer.read(asked.size)) == asked.size:
+            k, *values = asked.unpack(frame)
+            _write(out, answered.pack(k, *instance.step(int(k), dict(zip(told["inputs"], values, strict=True)))))
+    except Exception as error:
+        _write(out, answered.pack(-1.0, *[0.0] * len(told["outputs"])) + f"{one_line(error)}\n".encode())
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _by_type(keys: list[Any], variables: Sequence[Any]) -> list[tuple[str, list[Any], list[int]]]:
+    """Types, and for each its keys and value references."""
+    groups = []
+    for kind in dict.fromkeys(v.type for v in variables):
+        pairs = [(key, v.valueReference) for key, v in zip(keys, variables, strict=True) if v.type == kind]
+        groups.append((kind, [key for key, _ in pairs], [reference for _, reference in pairs]))
+    return groups
+
+
+def _write(file: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(file, view) :]
+
+
+class _Instance:
+    """One instance, stepped by control steps."""
+
+    def __init__(self, fmu: ControllerFmu, folder: Path, told: Mapping[str, Any]) -> None:
+        self._fmu, self._folder = fmu, folder
+        self._dt = float(told["step_s"])
+        self._settings = {v: told["parameters"].get(_word(v)) for v in fmu.parameters}
+        ground = [v for v in fmu.description.modelVariables if v.name == _ON_GROUND and v.causality == "parameter"]
+        self._settings |= {v: float(told["on_ground"]) for v in ground}
+        # by type, for one call each
+        self._told = _by_type(list(fmu.inputs), list(fmu.inputs.values()))
+        answers = [*fmu.outputs.values(), *fmu.shown]
+        self._asked = _by_type(list(range(len(answers))), answers)
+        self._slave: Any = None
+        try:
+            with zipfile.ZipFile(BytesIO(fmu.data)) as archive:
+                archive.extractall(folder)
+        except DAMAGE as error:
+            raise RuntimeError(f"cannot be unpacked: {one_line(error)}") from error
+
+    def step(self, k: int, values: Mapping[str, float]) -> list[float]:
+        if k == 0:
+            self._begin(values)
+        else:
+            self._set_inputs(values)
+        self._slave.doStep(currentCommunicationPoint=k * self._dt, communicationStepSize=self._dt)
+        outputs_by_reference: dict[int, float] = {}
+        for kind, places, references in self._asked:
+            outputs_by_reference |= zip(places, map(float, getattr(self._slave, f"get{kind}")(references)), strict=True)
+        return [outputs_by_reference[place] for place in range(len(outputs_by_reference))]
+
+    def _begin(self, values: Mapping[str, float]) -> None:
+        from fmpy.fmi2 import FMU2Slave  # type: ignore[import-untyped]
+        from fmpy.fmi3 import FMU3Slave  # type: ignore[import-untyped]
+
+        fmu = self._fmu
+        if self._slave is not None:
+            self._slave.terminate()
+            self._slave.reset()
+        else:
+            kind = FMU2Slave if fmu.fmi == 2 else FMU3Slave
+            library = Path("binaries", platform_folder(fmu.fmi))
+            if not (self._folder / library).is_dir():
+                raise RuntimeError(f"has no library for this machine, {library}")
+            self._slave = kind(
+                guid=fmu.description.guid if fmu.fmi == 2 else fmu.description.instantiationToken,
+                unzipDirectory=str(self._folder),
+                modelIdentifier=fmu.description.coSimulation.modelIdentifier,
+                instanceName="controller",
+            )
+            self._slave.instantiate()
+        slave = self._slave
+        if fmu.fmi == 2:
+            slave.setupExperiment(startTime=0.0)
+        for v, value in self._settings.items():
+            if value is not None:
+                self._set(v, value)
+        slave.enterInitializationMode()
+        self._set_inputs(values)
+        slave.exitInitializationMode()
+
+    def _set_inputs(self, values: Mapping[str, float]) -> None:
+        for kind, names, references in self._told:
+            self._call(kind, references, [values[name] for name in names])
+
+    def _set(self, v: Any, value: float) -> None:
+        self._call(v.type, [v.valueReference], [value])
+
+    def _call(self, kind: str, references: list[int], values: Sequence[float]) -> None:
+        made: type = float if kind in REALS else bool if kind == "Boolean" else int
+        getattr(self._slave, f"set{kind}")(references, [made(value) for value in values])

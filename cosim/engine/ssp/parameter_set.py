@@ -1,0 +1,40 @@
+"""A parameter set (SSV of SSP) as values of an engine's parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from cosim.base.errors import InputError, nearest
+from cosim.engine.fmu.archive import Archive
+from cosim.engine.fmu.container import UnusableError, need_harmless_xml, read_bytes
+from cosim.engine.ssp.structure import conversion, read_units, read_values
+
+
+def read_parameter_set(path: Path, archive: Archive) -> dict[str, float]:
+    """What a file says of the parameters of an archive, in their units.
+
+    Raises InputError: one line with the file, and the parameter that is none, or is in another unit.
+    """
+    try:
+        data = read_bytes(path)
+        need_harmless_xml(path.name, data)
+        root = ElementTree.fromstring(data)
+        units, values = read_units(root), read_values(root, "the set")
+        known = {v.name: v for v in archive.parameters}
+        found = {}
+        for name, value in values.items():
+            if name not in known:
+                allowed = nearest(name, known) if known else "it has none"
+                raise UnusableError(f"{name}: {archive.path.name} has no such parameter; {allowed}")
+            variable = known[name]
+            factor, offset = 1.0, 0.0
+            if value.unit is not None and value.unit != variable.unit:
+                given = units.get(value.unit)
+                if given is None or variable.base is None:
+                    raise UnusableError(f"{name}: is in {value.unit}, the parameter in {variable.unit or 'no unit'}")
+                factor, offset = conversion(given, variable.base, name)
+            found[name] = factor * value.value + offset
+    except UnusableError as reason:
+        raise InputError(f"{path}: {reason}") from reason
+    return found

@@ -1,0 +1,279 @@
+"""SystemStructure.ssd of an SSP archive (Modelica Association, SSP 1.0 and 2.0) as plain components and links.
+
+Read are components that are FMUs, systems inside each other, connections with linear transformations and with units,
+and parameter sets, inline or in files (SSV).  What else SSP has and would change a number is refused by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import PurePosixPath
+from urllib.parse import unquote
+from xml.etree import ElementTree
+
+from cosim.engine.fmu.container import UnusableError, one_line
+from cosim.engine.fmu.units import Unit
+from cosim.engine.unit_table import BASE
+
+STRUCTURE = "SystemStructure.ssd"
+TYPES = ("Real", "Float64", "Float32", "Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64",
+         "UInt64", "Boolean", "Enumeration")  # fmt: skip
+KINDS = ("input", "output", "parameter", "calculatedParameter")
+Path = tuple[str, ...]  # the names of the systems around an element, and its own
+Node = tuple[Path, str]  # a connector
+
+
+@dataclass(frozen=True)
+class Connector:
+    """``unit``: its name, where one is stated."""
+
+    kind: str
+    unit: str | None
+
+
+@dataclass(frozen=True)
+class Value:
+    """Of a parameter set."""
+
+    value: float
+    unit: str | None
+
+
+@dataclass(frozen=True)
+class Line:
+    """A connection: ``value there = factor * value here + offset``; None: nothing is stated, and units decide."""
+
+    start: Node
+    stated: tuple[float, float] | None
+    converted: bool  # units are
+
+
+@dataclass
+class Structure:
+    """What stands in the description."""
+
+    name: str
+    version: str
+    components: dict[Path, str] = field(default_factory=dict)  # the file of each, in the order of the description
+    connectors: dict[Node, Connector] = field(default_factory=dict)
+    lines: dict[Node, Line] = field(default_factory=dict)  # by where they end
+    values: dict[Node, Value] = field(default_factory=dict)
+    units: dict[str, Unit] = field(default_factory=dict)
+
+
+def local(element: ElementTree.Element) -> str:
+    """A tag without its namespace, which differs between versions."""
+    return element.tag.rpartition("}")[2]
+
+
+def children(element: ElementTree.Element | None, *tags: str) -> Iterator[ElementTree.Element]:
+    """The elements under one, of these tags, one inside the other."""
+    if element is None:
+        return
+    for child in element:
+        if local(child) == tags[0]:
+            if len(tags) == 1:
+                yield child
+            else:
+                yield from children(child, *tags[1:])
+
+
+def read_structure(xml: bytes, file: Callable[[str], bytes]) -> Structure:
+    """The structure in a description that was found harmless; ``file`` gives a file of the archive by its name.
+
+    Raises UnusableError.
+    """
+    root = ElementTree.fromstring(xml)
+    if local(root) != "SystemStructureDescription":
+        raise UnusableError(f"{STRUCTURE} describes a {one_line(local(root))[:80]}, not a system")
+    version = root.get("version", "none stated")
+    if not version.startswith(("1.", "2.")):
+        raise UnusableError(f"SSP version {version} is not supported; allowed: 1.0, 2.0")
+    systems = list(children(root, "System"))
+    if len(systems) != 1:
+        raise UnusableError(f"{STRUCTURE} has {len(systems)} systems at its top; it must have one")
+    found = Structure(systems[0].get("name") or root.get("name") or "system", version)
+    found.units.update(read_units(root))
+    _system(systems[0], (), found, file)
+    return found
+
+
+def read_units(root: ElementTree.Element) -> dict[str, Unit]:
+    """The unit definitions of a description or a parameter set."""
+    units = {}
+    for unit in children(root, "Units", "Unit"):
+        for base in children(unit, "BaseUnit"):
+            powers = tuple(int(base.get(name, 0)) for name in BASE)
+            units[unit.get("name", "")] = Unit(powers, float(base.get("factor", 1.0)), float(base.get("offset", 0.0)))
+    return units
+
+
+def _system(element: ElementTree.Element, path: Path, found: Structure, file: Callable[[str], bytes]) -> None:
+    where = "the system" if not path else f"system {'.'.join(path)}"
+    if any(children(element, "SignalDictionaries")) or any(children(element, "Elements", "SignalDictionaryReference")):
+        raise UnusableError(f"{where} has signal dictionaries, which are not supported")
+    _connectors(element, path, found)
+    names: set[str] = set()
+    for list_ in children(element, "Elements"):
+        for child in list_:
+            name = child.get("name", "")
+            if not name or name in names:
+                raise UnusableError(f"{where} has two elements, or one without a name, called {one_line(name)!r}")
+            names.add(name)
+            if local(child) == "System":
+                _system(child, (*path, name), found, file)
+            elif local(child) == "Component":
+                _component(child, (*path, name), found, file)
+            else:
+                raise UnusableError(f"{where} has a {one_line(local(child))}, which is not supported")
+    for connection in children(element, "Connections", "Connection"):
+        _connection(connection, path, names, found)
+    _bindings(element, path, found, file)
+
+
+def _component(element: ElementTree.Element, path: Path, found: Structure, file: Callable[[str], bytes]) -> None:
+    name, kind = ".".join(path), element.get("type", "application/x-fmu-sharedlibrary")
+    source = unquote(element.get("source", ""))
+    if "x-fmu" not in kind or not source.lower().endswith(".fmu"):
+        raise UnusableError(
+            f"component {name} ({source or 'no source'}, {kind}) is no FMU; an FMU in the archive is needed"
+        )
+    found.components[path] = str(PurePosixPath(source))
+    _connectors(element, path, found)
+    _bindings(element, path, found, file)
+
+
+def _connectors(element: ElementTree.Element, path: Path, found: Structure) -> None:
+    for connector in children(element, "Connectors", "Connector"):
+        name, kind = connector.get("name", ""), connector.get("kind", "")
+        if kind not in KINDS:
+            where = ".".join((*path, name))
+            raise UnusableError(f"connector {where}: kind {kind!r} is not supported; allowed: {', '.join(KINDS)}")
+        typed = [child for child in connector if local(child) in TYPES]
+        unit = typed[0].get("unit") if typed else None
+        found.connectors[(path, name)] = Connector(kind, unit)
+
+
+def _connection(element: ElementTree.Element, path: Path, names: set[str], found: Structure) -> None:
+    ends: list[Node] = []
+    for which in ("start", "end"):
+        name, connector = element.get(f"{which}Element"), element.get(f"{which}Connector", "")
+        if name is not None and name not in names:
+            raise UnusableError(f"a connection {which}s at {one_line(name)}.{connector}, and there is no such element")
+        ends.append((path if name is None else (*path, name), connector))
+    start, end = ends
+    stated = None
+    for child in element:
+        if local(child) == "LinearTransformation":
+            stated = float(child.get("factor", 1.0)), float(child.get("offset", 0.0))
+        elif local(child).endswith("Transformation"):
+            raise UnusableError(f"the connection to {_text(end)} has a {local(child)}, which is not supported")
+    if end in found.lines:
+        raise UnusableError(f"{_text(end)} is connected to both {_text(found.lines[end].start)} and {_text(start)}")
+    found.lines[end] = Line(start, stated, element.get("suppressUnitConversion") not in ("true", "1"))
+
+
+def _text(node: Node) -> str:
+    return ".".join((*node[0], node[1]))
+
+
+def _bindings(element: ElementTree.Element, path: Path, found: Structure, file: Callable[[str], bytes]) -> None:
+    """Parameter sets; those of a system outside go before those inside, as SSP has it."""
+    where = ".".join(path) or "the system"
+    for binding in children(element, "ParameterBindings", "ParameterBinding"):
+        if any(children(binding, "ParameterMapping")):
+            raise UnusableError(f"{where}: a parameter binding has a mapping (SSM), which is not supported")
+        source, prefix = binding.get("source"), binding.get("prefix", "")
+        if source is not None:
+            sets = [ElementTree.fromstring(file(unquote(source)))]
+        else:
+            sets = list(children(binding, "ParameterValues", "ParameterSet"))
+        for each in sets:
+            units = read_units(each)
+            for name, value in read_values(each, where).items():
+                node = _named(path, prefix + name, found)
+                if value.unit in units:  # the set's own definition, under a name of its own
+                    found.units[f"{where}:{value.unit}"] = units[value.unit]
+                    value = Value(value.value, f"{where}:{value.unit}")
+                found.values[node] = value
+
+
+def read_values(root: ElementTree.Element, where: str) -> dict[str, Value]:
+    """The numbers of a parameter set (SSV).  Raises UnusableError for what is none."""
+    if local(root) != "ParameterSet":
+        raise UnusableError(
+            f"{where}: a parameter set begins with a {one_line(local(root))[:80]}; ParameterSet is needed"
+        )
+    values = {}
+    for parameter in children(root, "Parameters", "Parameter"):
+        name = parameter.get("name", "")
+        typed = [child for child in parameter if local(child) in TYPES]
+        if len(typed) != 1:
+            raise UnusableError(f"{where}: parameter {one_line(name)} is no number; allowed: {', '.join(TYPES)}")
+        text = typed[0].get("value", "")
+        try:
+            number = float({"true": "1", "false": "0"}.get(text, text))
+        except ValueError:
+            raise UnusableError(f"{where}: parameter {one_line(name)} = {one_line(text)!r}: is no number") from None
+        values[name] = Value(number, typed[0].get("unit"))
+    return values
+
+
+def _named(path: Path, name: str, found: Structure) -> Node:
+    """What a name of a parameter set means: of the element itself, or of the longest element under it that it names."""
+    if path in found.components:
+        return path, name
+    elements = dict.fromkeys(each[:length] for each in found.components for length in range(1, len(each) + 1))
+    inside = [each for each in elements if each[: len(path)] == path and len(each) > len(path)]
+    fitting = [each for each in inside if name.startswith(".".join(each[len(path) :]) + ".")]
+    if fitting:
+        best = max(fitting, key=lambda each: len(".".join(each)))
+        return best, name[len(".".join(best[len(path) :])) + 1 :]
+    return path, name
+
+
+def origin(structure: Structure, node: Node, unit_of: Callable[[Node], Unit | None]) -> tuple[Node, float, float]:
+    """Where the value of a connector comes from: a connector without a line, and ``factor * its value + offset``.
+
+    Raises UnusableError for a circle, and for units that measure different things.
+    """
+    factor, offset, passed = 1.0, 0.0, {node}
+    while node in structure.lines:
+        line = structure.lines[node]
+        scale, shift = line.stated or (1.0, 0.0)
+        if line.stated is None and line.converted:
+            scale, shift = conversion(unit_of(line.start), unit_of(node), f"{_text(line.start)} to {_text(node)}")
+        factor, offset = factor * scale, factor * shift + offset
+        node = line.start
+        if node in passed:
+            raise UnusableError(f"the connections of {_text(node)} go in a circle")
+        passed.add(node)
+    return node, factor, offset
+
+
+def conversion(given: Unit | None, wanted: Unit | None, what: str) -> tuple[float, float]:
+    """Factor and offset from a value in one unit to that in another; none where one is not known.
+
+    Raises UnusableError.
+    """
+    if given is None or wanted is None or given == wanted:
+        return 1.0, 0.0
+    if given.exponents != wanted.exponents:
+        raise UnusableError(f"{what}: the units measure different things")
+    return given.factor / wanted.factor, (given.offset - wanted.offset) / wanted.factor
+
+
+def order(names: list[Path], feeds: Mapping[Path, set[Path]]) -> tuple[list[Path], set[tuple[Path, Path]]]:
+    """The components so that each comes after those that feed it, and who feeds whom a step late where that is a loop.
+
+    Of a loop the component that is listed first comes first.
+    """
+    left, done, late = list(names), [], set()
+    while left:
+        ready = [name for name in left if not feeds.get(name, set()) & (set(left) - {name})]
+        following = ready[0] if ready else left[0]
+        late |= {(source, following) for source in feeds.get(following, set()) if source in left}
+        left.remove(following)
+        done.append(following)
+    return done, late

@@ -1,0 +1,305 @@
+"""A system of FMUs, an ``.ssp`` archive, as one engine: what it is made of, and what of it can be read and set.
+
+Its variables are the connectors of the system, and beside them every input, output and parameter of a component under
+``component.variable``.  The ports of an engine are found among the connectors, as those of an FMU are among its
+variables; a mapping file may name any.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from cosim.base.errors import nearest
+from cosim.base.storage.cache import Memory
+from cosim.engine.fmu.archive import (
+    Archive,
+    Feed,
+    Part,
+    Place,
+    System,
+    left_alone,
+    named_ports,
+    read_component,
+    read_once,
+)
+from cosim.engine.fmu.container import UnusableError, need_harmless_xml, open_archive
+from cosim.engine.fmu.ports import PortError, PortMap, Variable, find_engines, is_several
+from cosim.engine.fmu.starting import Setting, starting
+from cosim.engine.fmu.units import Unit
+from cosim.engine.ssp.structure import STRUCTURE, Node, Structure, Value, conversion, order, origin, read_structure
+from cosim.engine.ssp.structure import Path as At
+
+SUFFIX = ".ssp"
+_systems: Memory[Archive] = Memory(16)
+
+
+def is_system(path: Path) -> bool:
+    """Whether a path looks like an SSP archive."""
+    return path.suffix.lower() == SUFFIX
+
+
+def read_system(path: Path, ports: PortMap | None = None) -> Archive:
+    """Read a system; ``ports`` is what is stated about its ports, the others are found.
+
+    Raises InputError: one line with the file, the component where it is one's fault, and what is wrong with it.
+    """
+    return read_once(path, ports, _systems, _read)
+
+
+class _Made:
+    """The components of a structure, read."""
+
+    def __init__(self, path: Path, structure: Structure, zipped: zipfile.ZipFile) -> None:
+        self.structure = structure
+        self.archives: dict[At, Archive] = {}
+        for name, file in structure.components.items():
+            try:
+                self.archives[name] = read_component(path / file, zipped.read(file))
+            except KeyError:
+                raise UnusableError(f"component {'.'.join(name)}: there is no {file} in the archive") from None
+            except UnusableError as reason:
+                raise UnusableError(f"component {'.'.join(name)} ({file}): {reason}") from reason
+        self._known = {
+            name: {v.name: v for v in (*each.inputs, *each.outputs, *each.parameters)}
+            for name, each in self.archives.items()
+        }
+
+    def variable(self, node: Node) -> Variable:
+        """Of a component's connector.  Raises UnusableError where its FMU has none of that name."""
+        path, name = node
+        known = self._known[path]
+        where = f"component {'.'.join(path)} ({self.structure.components[path]})"
+        if name not in known:
+            raise UnusableError(f"{where}: has no variable {name}; {nearest(name, list(known))}")
+        if known[name].is_array:
+            raise UnusableError(f"{where}: {name} is part of an array, which cannot be connected")
+        return known[name]
+
+    def unit(self, node: Node) -> Unit | None:
+        """What a connector is measured in: as it says, or, of a component, as its FMU says."""
+        connector = self.structure.connectors.get(node)
+        own = self.variable(node) if node[0] in self.archives else None
+        if connector is not None and connector.unit is not None:
+            if connector.unit in self.structure.units:
+                return self.structure.units[connector.unit]
+            if own is not None and own.unit == connector.unit:
+                return own.base
+            return None
+        return own.base if own is not None else None
+
+    def origin(self, node: Node) -> tuple[Node, float, float]:
+        return origin(self.structure, node, self.unit)
+
+
+def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
+    _, xml = open_archive(data, STRUCTURE, "SSP")
+    with zipfile.ZipFile(io.BytesIO(data)) as zipped:
+
+        def file(name: str) -> bytes:
+            try:
+                found = zipped.read(name)
+            except KeyError:
+                raise UnusableError(f"there is no {name} in the archive") from None
+            need_harmless_xml(name, found)
+            return found
+
+        try:
+            structure = read_structure(xml, file)
+        except ValueError as error:
+            raise UnusableError(f"{STRUCTURE}: {error}") from error
+        if not structure.components:
+            raise UnusableError("has no components")
+        made = _Made(path, structure, zipped)
+    for end in structure.lines:
+        for node in (end, structure.lines[end].start):
+            if node[0] in made.archives:
+                made.variable(node)
+    return _archive(path, sha256, stated, structure, made)
+
+
+def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, made: _Made) -> Archive:
+    origins = {
+        (name, v.name): made.origin((name, v.name))
+        for name, each in made.archives.items()
+        for v in (*each.inputs, *each.parameters)
+    }
+    fed: dict[At, set[At]] = {}
+    for node, (source, _, _) in origins.items():
+        if source != node and source[0] in made.archives and made.variable(node).causality == "input":
+            fed.setdefault(node[0], set()).add(source[0])
+    ordered, late = order(list(made.archives), fed)
+    number = {name: i for i, name in enumerate(ordered)}
+    settings = _settings(structure, made, origins)
+    parts = tuple(
+        Part(".".join(name), structure.components[name], made.archives[name], settings.get(name, ()))
+        for name in ordered
+    )
+    feeds = tuple(
+        Feed(number[node[0]], made.variable(node), number[source[0]], made.variable(source), factor, offset,
+             (source[0], node[0]) in late)
+        for node, (source, factor, offset) in origins.items()
+        if source != node and source[0] in made.archives and made.variable(node).causality == "input"
+    )  # fmt: skip
+    starts = {(name, v.name): value for name, each in settings.items() for v, value in each}
+    variables, places = _variables(structure, made, origins, number, starts)
+    system = System(parts, feeds, places)
+    named = {name for each in stated.ports.values() for name in (each if isinstance(each, list) else [each])}
+    many = any(is_several(each) and "." in each for each in stated.ports.values())  # of components, with a *
+    own = [v for v in variables if many or "." not in v.name or v.name in named]
+    inputs, outputs, parameters = (
+        tuple(v for v in variables if v.causality == causality) for causality in ("input", "output", "parameter")
+    )
+    try:
+        engines, notes = find_engines(own or variables, stated)
+        begin = starting(stated, inputs, outputs, named_ports(engines))
+    except PortError as error:
+        raise UnusableError(str(error)) from error
+    notes += left_alone(inputs, named_ports(engines), begin)
+    notes += [f"component {part.name}: {text}" for part in parts for text in part.archive.port_notes]  # on clocks
+    notes += [f"exchanged a step late, because it is in a loop: {text}" for text in system.late]
+    return Archive(
+        path=path,
+        sha256=sha256,
+        equations_sha256=None,
+        fmi=2,  # by whose functions it is stepped: see system_slave
+        version=f"SSP {structure.version}",
+        model=structure.name,
+        identifier="",
+        token="",
+        engines=engines,
+        port_notes=tuple(notes),
+        blemishes=tuple(f"component {part.name}: {text}" for part in parts for text in part.archive.blemishes),
+        inputs=inputs,
+        outputs=outputs,
+        parameters=parameters,
+        internal_step=None,
+        preferred_step=None,
+        once_per_process=any(part.archive.once_per_process for part in parts),
+        event_mode=False,
+        returns_early=False,
+        saves_state=all(part.archive.saves_state for part in parts),
+        serializes_state=all(part.archive.serializes_state for part in parts),
+        starting=begin,
+        system=system,
+    )
+
+
+def _settings(
+    structure: Structure, made: _Made, origins: Mapping[Node, tuple[Node, float, float]]
+) -> dict[At, tuple[Setting, ...]]:
+    """What the parameter sets say of each component; what stands outside goes before what stands inside."""
+    found: dict[At, list[Setting]] = {}
+    used = set()
+    for node in origins:
+        through = _passed(structure, node)
+        stated = [each for each in through if each in structure.values]
+        used.update(stated)
+        if not stated:
+            continue
+        at, variable = stated[-1], made.variable(node)  # the outermost
+        value = structure.values[at]
+        number = _in_unit(structure, value, made, at)
+        if at != node:
+            _, scale, shift = origin(_cut(structure, at), node, made.unit)
+            number = scale * number + shift
+        found.setdefault(node[0], []).append((variable, number))
+    for node in structure.values:
+        if node in used:
+            continue
+        if node[0] in made.archives:
+            made.variable(node)  # it may be an output, or an array
+        text = ".".join((*node[0], node[1]))
+        raise UnusableError(f"a parameter set states {text}, which is no parameter and no input")
+    return {name: tuple(values) for name, values in found.items()}
+
+
+def _passed(structure: Structure, node: Node) -> list[Node]:
+    """The connectors on the way to a component's variable, that itself first."""
+    passed = [node]
+    while passed[-1] in structure.lines:
+        passed.append(structure.lines[passed[-1]].start)
+    return passed
+
+
+def _cut(structure: Structure, at: Node) -> Structure:
+    """The structure as if nothing fed a connector."""
+    return replace(structure, lines={end: line for end, line in structure.lines.items() if end != at})
+
+
+def _in_unit(structure: Structure, value: Value, made: _Made, node: Node) -> float:
+    text = ".".join((*node[0], node[1]))
+    own = made.variable(node).unit if node[0] in made.archives else None
+    if value.unit is None or value.unit == own:
+        return value.value
+    given = structure.units.get(value.unit)
+    if given is None:
+        raise UnusableError(f"parameter {text}: its unit {value.unit} is not defined")
+    factor, offset = conversion(given, made.unit(node), f"parameter {text}")
+    return factor * value.value + offset
+
+
+def _variables(
+    structure: Structure,
+    made: _Made,
+    origins: Mapping[Node, tuple[Node, float, float]],
+    number: Mapping[At, int],
+    starts: Mapping[Node, float],
+) -> tuple[list[Variable], tuple[tuple[Place, ...], ...]]:
+    """The system's variables, all of them real numbers, and where each is among the components."""
+    variables: list[Variable] = []
+    places: list[tuple[Place, ...]] = []
+
+    names = {i: name for name, i in number.items()}
+
+    def add(name: str, causality: str, at: list[Place], unit: tuple[str | None, Unit | None]) -> None:
+        first = at[0]
+        plain = (first.factor, first.offset) == (1.0, 0.0)
+        v = first.variable
+        low, high = (0.0, 1.0) if v.type == "Boolean" else (v.min, v.max)
+        variables.append(
+            Variable(
+                name=name,
+                type="Real",
+                reference=len(places),
+                unit=unit[0],
+                min=low if plain else None,
+                max=high if plain else None,
+                start=starts.get((names[first.part], v.name), v.start) if plain else None,
+                description=v.description,
+                causality=causality,
+                variability="fixed" if causality == "parameter" else "continuous",
+                base=unit[1],
+            )
+        )
+        places.append(tuple(at))
+
+    for node, connector in structure.connectors.items():
+        if node[0] or connector.kind == "calculatedParameter":
+            continue
+        if connector.kind == "output":
+            source, factor, offset = made.origin(node)
+            if source[0] not in made.archives:
+                raise UnusableError(f"its output {node[1]} is connected to no component")
+            at = [Place(number[source[0]], made.variable(source), factor, offset)]
+        else:
+            at = [
+                Place(number[end[0]], made.variable(end), factor, offset)
+                for end, (source, factor, offset) in origins.items()
+                if source == node
+            ]
+            if not at:
+                continue  # nobody listens
+        plain = (at[0].factor, at[0].offset) == (1.0, 0.0)
+        same = at[0].variable if plain else None
+        unit = connector.unit or (same.unit if same else None)
+        add(node[1], connector.kind, at, (unit, made.unit(node) or (same.base if same else None)))
+    for name, each in made.archives.items():
+        for v in (*each.inputs, *each.outputs, *each.parameters):
+            free = v.causality == "output" or origins[(name, v.name)][0] == (name, v.name)
+            if free and not v.is_array:
+                add(f"{'.'.join(name)}.{v.name}", v.causality, [Place(number[name], v)], (v.unit, v.base))
+    return variables, tuple(places)

@@ -1,0 +1,314 @@
+"""A system of FMUs stepped as one: its components one after the other, each with what those before it have just given.
+
+To the C loop it is an instance of FMI 2.0 whose functions lie here.  A connection in a loop hands over what its source
+gave at the step's beginning; every other one what it gives at the step's end, as everywhere in a control step.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from math import floor
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from cosim.engine.fmu.archive import Archive, System
+from cosim.engine.fmu.instance import STATUS, Slave, SlaveError
+from cosim.engine.fmu.ports import INTEGERS, Variable
+
+_OK, _WARNING, _ERROR = 0, 1, 3
+_DOUBLES = ("Real", "Float64")
+_DO_STEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
+_REALS = ctypes.CFUNCTYPE(
+    ctypes.c_int,
+    ctypes.c_void_p,
+    ctypes.POINTER(ctypes.c_uint),
+    ctypes.c_size_t,
+    ctypes.POINTER(ctypes.c_double),
+)
+_FLOATS = ctypes.CFUNCTYPE(
+    ctypes.c_int,
+    ctypes.c_void_p,
+    ctypes.POINTER(ctypes.c_uint),
+    ctypes.c_size_t,
+    ctypes.POINTER(ctypes.c_double),
+    ctypes.c_size_t,
+)
+_DO_STEP_3 = ctypes.CFUNCTYPE(
+    ctypes.c_int,
+    ctypes.c_void_p,
+    ctypes.c_double,
+    ctypes.c_double,
+    ctypes.c_bool,
+    ctypes.POINTER(ctypes.c_bool),
+    ctypes.POINTER(ctypes.c_bool),
+    ctypes.POINTER(ctypes.c_bool),
+    ctypes.POINTER(ctypes.c_double),
+)
+_ONE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
+
+
+def make_slave(archive: Archive, folder: Path, name: str) -> Slave:
+    """An instance of an archive, FMU or system, whose unpacked files are in ``folder``.  Raises SlaveError."""
+    return (
+        Slave(archive, folder, name) if archive.system is None else SystemSlave(archive, archive.system, folder, name)
+    )
+
+
+class SystemSlave(Slave):
+    """As :class:`Slave`.  What a component complains of is told with the component's name and file."""
+
+    def __init__(self, archive: Archive, system: System, folder: Path, name: str) -> None:
+        self.fmu: Any = None
+        super().__init__(archive, folder, name, lambda: _Together(system, folder, name))
+
+    def _instantiate(self) -> None:
+        """The components were, when they were loaded."""
+
+    def _with_log(self, text: str) -> str:
+        said, self.fmu.problem = self.fmu.problem, ""
+        return f"{text}: {said}" if said else text
+
+
+class _Together:
+    """What FMPy's instances of FMI 2.0 are to a :class:`Slave`."""
+
+    def __init__(self, system: System, folder: Path, name: str) -> None:
+        self._system, self.problem = system, ""
+        self.component = 1  # nobody looks at it
+        self._slaves: list[Slave] = []
+        self.dll = SimpleNamespace(
+            fmi2DoStep=_DO_STEP(self._guarded_step),
+            fmi2SetReal=_REALS(self._guarded_set),
+            fmi2GetReal=_REALS(self._guarded_get),
+            fmi2Terminate=_ONE(lambda component: _OK),  # closing a component terminates it
+        )
+        try:
+            for number, part in enumerate(system.parts):
+                with self._of(number):
+                    self._slaves.append(Slave(part.archive, folder / str(number), f"{name}.{part.name}"))
+        except BaseException:
+            self.freeLibrary()
+            raise
+        self._join()
+
+    def _join(self) -> None:
+        """What is read of each component after its step, and what it is given before it, each in one call."""
+        read: list[dict[str, Variable]] = [{} for _ in self._slaves]
+        for feed in self._system.feeds:
+            read[feed.source].setdefault(feed.output.name, feed.output)
+        self._outputs = [_Values(slave, list(each.values())) for slave, each in zip(self._slaves, read, strict=True)]
+        places = [list(each) for each in read]
+        self._given: list[list[float]] = [[] for _ in self._slaves]  # what each gave last
+        self._feeds = []
+        for number, slave in enumerate(self._slaves):
+            feeds = [feed for feed in self._system.feeds if feed.part == number]
+            rows = [
+                (each.source, places[each.source].index(each.output.name), each.factor, each.offset) for each in feeds
+            ]
+            self._feeds.append((_Values(slave, [feed.variable for feed in feeds]), rows))
+        self._steppers = [_Stepper(slave) for slave in self._slaves]
+        self._places = [
+            [(each, _Values(self._slaves[each.part], [each.variable])) for each in places]
+            for places in self._system.places
+        ]
+
+    def _of(self, number: int) -> _Named:
+        part = self._system.parts[number]
+        return _Named(f"component {part.name} ({part.file})")
+
+    def setupExperiment(self, startTime: float = 0.0, **_: Any) -> None:
+        for number, (slave, part) in enumerate(zip(self._slaves, self._system.parts, strict=True)):
+            with self._of(number):
+                if part.archive.fmi == 2:
+                    slave.call("setupExperiment", startTime=startTime)
+                slave.write([(v, _whole(v, value)) for v, value in part.settings])
+
+    def enterInitializationMode(self) -> None:
+        for number, slave in enumerate(self._slaves):
+            with self._of(number):
+                slave.call("enterInitializationMode")
+
+    def exitInitializationMode(self) -> None:
+        """Each is told what those before it start with, and then what those start with that are stepped after it."""
+        for _ in range(2):
+            for number in range(len(self._slaves)):
+                if all(self._given[source] for source, *_ in self._feeds[number][1]):
+                    self._feed(number)
+                with self._of(number):
+                    self._given[number] = self._outputs[number].get()
+        for number, slave in enumerate(self._slaves):
+            with self._of(number):
+                slave.call("exitInitializationMode")
+                slave._stepping = True
+        self._look()
+
+    def _look(self) -> None:
+        """What each gives now."""
+        for number, outputs in enumerate(self._outputs):
+            with self._of(number):
+                self._given[number] = outputs.get()
+
+    def reset(self) -> None:
+        self._given = [[] for _ in self._slaves]
+        for number, slave in enumerate(self._slaves):
+            with self._of(number):
+                slave.call("reset")
+                slave._stepping = False
+
+    def _feed(self, number: int) -> None:
+        inputs, rows = self._feeds[number]
+        if rows:
+            given = self._given
+            with self._of(number):
+                inputs.set([factor * given[source][at] + offset for source, at, factor, offset in rows])
+
+    def doStep(self, time: float, step: float) -> None:
+        """Raises SlaveError with the component's name."""
+        for number, stepper in enumerate(self._steppers):
+            self._feed(number)  # of what is stepped after it this is what that gave a step ago
+            with self._of(number):
+                stepper.step(time, step)
+                self._given[number] = self._outputs[number].get()
+
+    def setReal(self, references: Sequence[int], values: Sequence[float]) -> None:
+        for reference, value in zip(references, values, strict=True):
+            for place, one in self._places[reference]:
+                with self._of(place.part):
+                    one.set([place.factor * value + place.offset])
+
+    def getReal(self, references: Sequence[int]) -> list[float]:
+        found = []
+        for reference in references:
+            place, one = self._places[reference][0]
+            with self._of(place.part):
+                found.append(place.factor * one.get()[0] + place.offset)
+        return found
+
+    def getFMUState(self) -> list[Any]:
+        return [slave.call("getFMUState") for slave in self._slaves]
+
+    def setFMUState(self, states: Sequence[Any]) -> None:
+        for slave, state in zip(self._slaves, states, strict=True):
+            slave.call("setFMUState", state)
+        self._look()
+
+    def freeFMUState(self, states: Sequence[Any]) -> None:
+        for slave, state in zip(self._slaves, states, strict=True):
+            slave.call("freeFMUState", state)
+
+    def serializeFMUState(self, states: Sequence[Any]) -> list[Any]:
+        return [slave.call("serializeFMUState", state) for slave, state in zip(self._slaves, states, strict=True)]
+
+    def deserializeFMUState(self, data: Sequence[Any]) -> list[Any]:
+        return [slave.call("deserializeFMUState", each) for slave, each in zip(self._slaves, data, strict=True)]
+
+    def freeInstance(self) -> None:
+        while self._slaves:
+            self._slaves.pop().close()
+
+    def freeLibrary(self) -> None:
+        self.freeInstance()
+
+    def _guarded_step(self, component: int, time: float, step: float, prior: int) -> int:
+        return self._guarded(lambda: self.doStep(time, step))
+
+    def _guarded_set(self, component: int, references: Any, count: int, values: Any) -> int:
+        return self._guarded(lambda: self.setReal(references[:count], values[:count]))
+
+    def _guarded_get(self, component: int, references: Any, count: int, values: Any) -> int:
+        def read() -> None:
+            for i, value in enumerate(self.getReal(references[:count])):
+                values[i] = value
+
+        return self._guarded(read)
+
+    def _guarded(self, action: Any) -> int:
+        """Called from C, which no exception may pass."""
+        try:
+            action()
+        except Exception as error:
+            self.problem = str(error)
+            return _ERROR
+        return _OK
+
+
+class _Named:
+    """Whose fault it is."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, SlaveError) and not str(error).startswith("component "):
+            raise SlaveError(f"{self._name}: {error}") from error
+
+
+class _Values:
+    """Variables of one component that are read or set together: in one call what is in double precision."""
+
+    def __init__(self, slave: Slave, variables: Sequence[Variable]) -> None:
+        self._slave, self._variables = slave, list(variables)
+        self._fast = all(v.type in _DOUBLES and not v.is_array for v in variables)
+        count = self._count = len(variables)
+        self._references = (ctypes.c_uint * count)(*(v.reference for v in variables))
+        self._numbers = (ctypes.c_double * count)()
+        self._instance = ctypes.c_void_p(slave.fmu.component)
+        kind = "Real" if slave.archive.fmi == 2 else "Float64"
+        self._names = [f"fmi{slave.archive.fmi}{way}{kind}" for way in ("Get", "Set")]
+        prototype = _REALS if slave.archive.fmi == 2 else _FLOATS
+        self._get, self._set = (prototype(slave._address(name)) for name in self._names)
+        self._more = () if slave.archive.fmi == 2 else (count,)
+
+    def get(self) -> list[float]:
+        """Their values.  Raises SlaveError."""
+        if not self._fast:
+            return [self._slave.read(v) for v in self._variables]
+        if self._count:
+            status = self._get(self._instance, self._references, self._count, self._numbers, *self._more)
+            _need_good(self._slave, self._names[0], status)
+        return list(self._numbers)
+
+    def set(self, values: Sequence[float]) -> None:
+        """Give them values.  Raises SlaveError."""
+        if not self._fast:
+            self._slave.write([(v, _whole(v, value)) for v, value in zip(self._variables, values, strict=True)])
+            return
+        self._numbers[:] = list(values)
+        status = self._set(self._instance, self._references, self._count, self._numbers, *self._more)
+        _need_good(self._slave, self._names[1], status)
+
+
+class _Stepper:
+    """The step of one component."""
+
+    def __init__(self, slave: Slave) -> None:
+        self._slave, self._instance = slave, ctypes.c_void_p(slave.fmu.component)
+        prototype = _DO_STEP if slave.archive.fmi == 2 else _DO_STEP_3
+        self._call = prototype(slave._address(f"fmi{slave.archive.fmi}DoStep"))
+        self._event, self._terminate, self._early = (ctypes.c_bool() for _ in range(3))
+        self._last = ctypes.c_double()
+        said = (self._event, self._terminate, self._early, self._last)
+        self._more = () if slave.archive.fmi == 2 else tuple(ctypes.byref(each) for each in said)
+
+    def step(self, time: float, step: float) -> None:
+        """Raises SlaveError."""
+        _need_good(self._slave, "doStep", self._call(self._instance, time, step, 0, *self._more))
+        if self._terminate.value:
+            raise SlaveError("it asked to end the simulation")
+        if self._early.value:
+            raise SlaveError("it returned early from doStep, which a component may not")
+
+
+def _need_good(slave: Slave, function: str, status: int) -> None:
+    if status > _WARNING:
+        slave.failed(status)
+        raise SlaveError(slave._with_log(f"{function} returned {STATUS.get(status, f'status {status}')}"))
+
+
+def _whole(variable: Variable, value: float) -> float:
+    return float(floor(value + 0.5)) if variable.type in INTEGERS else value

@@ -1,0 +1,120 @@
+"""What the kinds of endpoints have in common: a channel, a tap that a flood closes, places for new stations."""
+
+from __future__ import annotations
+
+import socket
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+from cosim.base.errors import InputError
+from cosim.groundstation.mavlink.wire.frames import Frame, Parser
+from cosim.groundstation.mavlink.wire.peer import Peer
+from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
+
+# Chosen by us.
+MOST_PEERS = 16  # on one server
+EVICT = 10.0  # s: a station that is silent for so long makes room for a new one
+UNHEARD = 3.0  # s: and so does one that has not said a word since it came; ground stations beat once a second
+READS = 64  # from one socket before the others have their turn
+DATAGRAM = 2048  # bytes; a frame has at most 280
+STALL = 10.0  # s for which a connection takes nothing, after which it is dropped
+RETRY = 1.0  # s between two attempts to have it back
+_RESUME = 100.0  # frames of credit with which a station that flooded is read again
+
+Address = Any
+
+
+class Hub(Protocol):
+    """What an endpoint needs of the link that opened it."""
+
+    refused: Counter[str]  # frames and bytes that were not taken, by reason
+
+    def watch(self, item: Any, ready: Callable[[int], None], events: int = ...) -> None:
+        """Call ``ready`` whenever ``item``, a socket or a descriptor, has something."""
+        ...
+
+    def ignore(self, item: Any) -> None:
+        """Watch it no more."""
+        ...
+
+    def peer(
+        self,
+        name: str,
+        transmit: Callable[[bytes], int],
+        parser: Parser,
+        whole: bool,
+        line: float | None = None,
+    ) -> Peer:
+        """A new station."""
+        ...
+
+    def parser(self, whole: bool) -> Parser: ...
+
+    def take(self, frames: Sequence[Frame], peer: Peer, now: float) -> None:
+        """Frames that came from a station."""
+        ...
+
+    def now(self) -> float: ...
+
+    def say(self, text: str) -> None:
+        """Tell the people on the ground."""
+        ...
+
+
+class Channel(Protocol):
+    """One endpoint while it is open."""
+
+    @property
+    def peers(self) -> list[Peer]: ...
+
+    def poll(self, now: float) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Tap:
+    """A socket that is read only while its station has credit: a flood stays in the operating system."""
+
+    def __init__(self, link: Hub, item: Any, ready: Callable[[int], None]) -> None:
+        self._link, self._item, self._ready = link, item, ready
+        self._open = True
+        link.watch(item, ready)
+
+    def shut(self) -> None:
+        """Read no more for now."""
+        if self._open:
+            self._open = False
+            self._link.refused["flood"] += 1
+            self._link.ignore(self._item)
+
+    def poll(self, peer: Peer, now: float) -> None:
+        """Read again when it has credit."""
+        if not self._open and peer.credit(now) > _RESUME:
+            self._open = True
+            self._link.watch(self._item, self._ready)
+
+
+def bound(endpoint: Endpoint, kind: int, bind: bool) -> socket.socket:
+    """A socket that never waits.  Raises InputError where its port cannot be had."""
+    made = socket.socket(endpoint.family, kind)
+    try:
+        made.setblocking(False)
+        if bind:
+            if kind == socket.SOCK_STREAM:
+                made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            made.bind((endpoint.host, endpoint.port))
+    except OSError as error:
+        made.close()
+        raise InputError(f"link {endpoint.url}: {error.strerror or error}") from error
+    return made
+
+
+def named(kind: str, address: Address) -> str:
+    """What a station is called."""
+    return f"{kind}:{address[0]}:{address[1]}"
+
+
+def makes_room(peer: Peer, now: float) -> bool:
+    """May a new station take the place of this one?"""
+    return peer.silent(now) > (EVICT if peer.heard >= 0.0 else UNHEARD)

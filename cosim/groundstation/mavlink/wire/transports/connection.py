@@ -1,0 +1,84 @@
+"""A connection over which bytes flow: TCP or serial."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from cosim.groundstation.mavlink.wire.transports.channel import STALL, Hub, Tap
+
+
+class Stream:
+    """One connection.
+
+    ``item``: a file or socket to be watched; ``read`` and ``write`` are its own and never wait.  ``line``: bytes a
+    second that it carries, if that is known.  A connection that has taken nothing for ``STALL`` is closed; ``why``
+    then says so.
+    """
+
+    def __init__(
+        self,
+        link: Hub,
+        name: str,
+        item: Any,
+        read: Callable[[], bytes],
+        write: Callable[[bytes], int],
+        line: float | None = None,
+    ) -> None:
+        self._link = link
+        self.item = item
+        self._read = read
+        self._write = write
+        self.open = True
+        self.stalled = False  # it was closed because it took nothing
+        self.why = ""
+        self.peer = link.peer(name, self._transmit, link.parser(whole=False), whole=False, line=line)
+        self._tap = Tap(link, item, self._ready)
+
+    def _transmit(self, data: bytes) -> int:
+        if not self.open:
+            return 0
+        try:
+            return self._write(data)
+        except (BlockingIOError, InterruptedError):
+            return 0
+        except OSError as error:
+            self.close(f"it was lost: {error.strerror or error}")
+            return 0
+
+    def _ready(self, mask: int) -> None:
+        now = self._link.now()
+        if self.peer.credit(now) < 1.0:
+            self._tap.shut()
+            return
+        why = "the other end has closed it"
+        try:
+            data = self._read()
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError as error:
+            data, why = b"", f"it was lost: {error.strerror or error}"
+        if not data:
+            self.close(why)
+            return
+        self._link.take(self.peer.feed(data, now), self.peer, now)
+
+    def poll(self, now: float) -> None:
+        """Send what waits; close it when it has been stuck for too long."""
+        peer = self.peer
+        peer.flush()
+        if not self.open:
+            return
+        self._tap.poll(peer, now)
+        if peer.blocked(now) > STALL or (peer.stuck and peer.line is None):
+            self._link.refused["stuck"] += 1
+            self.stalled = True
+            self.close("too much waits for it" if peer.stuck else f"it has taken nothing for {STALL:g} s")
+
+    def close(self, why: str = "") -> None:
+        """May be called twice."""
+        if self.open:
+            self.open = False
+            self.why = why
+            self._link.ignore(self.item)
+            self.item.close()

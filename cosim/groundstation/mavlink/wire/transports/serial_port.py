@@ -1,0 +1,122 @@
+"""A serial port: a radio or a cable.
+
+pyserial opens it and sets its speed; reading and writing are the operating system's own, because pyserial's write tries
+again for ever where a port takes nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.groundstation.mavlink.wire.peer import Peer
+from cosim.groundstation.mavlink.wire.transports.channel import DATAGRAM, RETRY, STALL, Hub
+from cosim.groundstation.mavlink.wire.transports.connection import Stream
+from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
+
+_BITS = 10  # of a byte on the line: start, eight, stop
+_BEHIND_S = 0.05  # of the line's bytes that may lie in the driver; chosen by us: twice what is handed over at once
+_FRAME = 280  # bytes of the longest frame
+
+
+class Port:
+    """The open device; every call returns at once.  Raises OSError or ValueError where it cannot be opened."""
+
+    def __init__(self, device: str, baud: int) -> None:
+        import serial
+
+        self._device: Any = serial.Serial(device, baud, timeout=0, write_timeout=0)
+        self._number = int(self._device.fileno())
+        self._most = _FRAME + _BEHIND_S * baud / _BITS
+        self._held = False
+
+    def fileno(self) -> int:
+        """For a selector."""
+        return self._number
+
+    def read(self) -> bytes:
+        return os.read(self._number, DATAGRAM)
+
+    def write(self, data: bytes) -> int:
+        """How much of it the driver took; nothing while it has enough: what is there already comes before all else."""
+        try:
+            self._held = self._unsent() > self._most
+            taken = 0 if self._held else os.write(self._number, data)
+        except BlockingIOError:
+            taken = 0
+        self._held = self._held or taken < len(data)
+        return taken
+
+    def close(self) -> None:
+        """Close it at once: what it would not take is thrown away, as the system else waits half a minute for it."""
+        import termios
+
+        with contextlib.suppress(OSError, termios.error):  # it may not be there any more
+            if self._held or self._unsent():
+                termios.tcflush(self._number, termios.TCOFLUSH)
+        with contextlib.suppress(OSError, termios.error):
+            self._device.close()
+
+    def _unsent(self) -> int:
+        """Bytes in the driver; 0 where it does not tell."""
+        waiting: int = self._device.out_waiting
+        return waiting
+
+
+class Serial:
+    """Opened before the flight, as a device that is not there then is a mistake; taken up again when it is lost."""
+
+    port = 0
+
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
+        self._link = link
+        self._endpoint = endpoint
+        self._stream: Stream | None = None
+        self._lost = False
+        self._next = self._since = link.now()
+        try:
+            self._open()
+        except ImportError as error:
+            raise InputError(
+                f"link {endpoint.url}: serial links need pyserial: pip install 'hexjet-cosim[serial]'"
+            ) from error
+        except (OSError, ValueError) as error:
+            raise InputError(f"link {endpoint.url}: {error}") from error
+
+    def _open(self) -> None:
+        speed = self._endpoint.port
+        port = Port(self._endpoint.host, speed)
+        self._stream = Stream(self._link, self._endpoint.url, port, port.read, port.write, speed / _BITS)
+        self._since = self._link.now()
+
+    @property
+    def peers(self) -> list[Peer]:
+        return [self._stream.peer] if self._stream is not None and self._stream.open else []
+
+    def poll(self, now: float) -> None:
+        stream = self._stream
+        if stream is not None:
+            stream.poll(now)
+            if stream.open:
+                self._say_again(stream, now)
+                return
+            self._stream, self._next = None, now + RETRY
+            if not self._lost:
+                self._link.say(f"{self._endpoint.url} is dropped: {stream.why}")
+            self._lost = True
+        if now >= self._next:
+            self._next = now + RETRY
+            with contextlib.suppress(OSError, ValueError):  # not yet
+                self._open()
+
+    def _say_again(self, stream: Stream, now: float) -> None:
+        """Once it has carried for as long as it may be stuck: it is not said of each attempt."""
+        if self._lost and now - self._since > STALL and not stream.peer.blocked(now):
+            self._lost = False
+            self._link.say(f"{self._endpoint.url} carries again")
+
+    def close(self) -> None:
+        if self._stream is not None:
+            self._stream.close()

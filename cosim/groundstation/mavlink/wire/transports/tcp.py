@@ -1,0 +1,148 @@
+"""TCP: a server for several connections, or a connection to a server."""
+
+from __future__ import annotations
+
+import contextlib
+import selectors
+import socket
+
+from cosim.groundstation.mavlink.wire.peer import Peer
+from cosim.groundstation.mavlink.wire.transports.channel import (
+    DATAGRAM,
+    MOST_PEERS,
+    RETRY,
+    Hub,
+    bound,
+    makes_room,
+    named,
+)
+from cosim.groundstation.mavlink.wire.transports.connection import Stream
+from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
+
+# bytes that may lie in a connection, and those of them that are not on their way yet: old telemetry is worth nothing to
+# a slow reader
+_KERNEL = 65536
+_UNSENT = 4096
+_UNSENT_OPTION = getattr(socket, "TCP_NOTSENT_LOWAT", None)
+
+
+def _connection(link: Hub, name: str, connection: socket.socket) -> Stream:
+    connection.setblocking(False)
+    with contextlib.suppress(OSError):
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL)
+        if _UNSENT_OPTION is not None:
+            connection.setsockopt(socket.IPPROTO_TCP, _UNSENT_OPTION, _UNSENT)
+    return Stream(link, name, connection, lambda: connection.recv(DATAGRAM), connection.send)
+
+
+class TcpIn:
+    """A server for several connections."""
+
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
+        self._link = link
+        self._socket = bound(endpoint, socket.SOCK_STREAM, bind=True)
+        self._socket.listen(MOST_PEERS)
+        self.port = int(self._socket.getsockname()[1])
+        self._streams: list[Stream] = []
+        link.watch(self._socket, self._ready)
+
+    @property
+    def peers(self) -> list[Peer]:
+        return [stream.peer for stream in self._streams if stream.open]
+
+    def _ready(self, mask: int) -> None:
+        try:
+            connection, address = self._socket.accept()
+        except OSError:
+            return
+        if not self._room():
+            self._link.refused["too many stations"] += 1
+            connection.close()
+            return
+        self._streams.append(_connection(self._link, named("tcpin", address), connection))
+
+    def _room(self) -> bool:
+        """Is there a place for one more, or one who has been silent and makes room?"""
+        streams = self._streams = [stream for stream in self._streams if stream.open]
+        if len(streams) < MOST_PEERS:
+            return True
+        now = self._link.now()
+        idle = [stream for stream in streams if makes_room(stream.peer, now)]
+        if not idle:
+            return False
+        # one that has never said a word goes before one that has
+        oldest = max(idle, key=lambda stream: (stream.peer.heard < 0.0, stream.peer.silent(now)))
+        oldest.close()
+        streams.remove(oldest)
+        return True
+
+    def poll(self, now: float) -> None:
+        for stream in self._streams:
+            stream.poll(now)
+            if stream.stalled:
+                self._link.say(f"{stream.peer.name} is dropped: {stream.why}")
+        self._streams = [stream for stream in self._streams if stream.open]
+
+    def close(self) -> None:
+        for stream in self._streams:
+            stream.close()
+        self._link.ignore(self._socket)
+        self._socket.close()
+
+
+class Tcp:
+    """A connection to a server; made again when it is lost."""
+
+    port = 0
+
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
+        self._link = link
+        self._endpoint = endpoint
+        self._attempt: socket.socket | None = None
+        self._stream: Stream | None = None
+        self._next = link.now()
+
+    @property
+    def peers(self) -> list[Peer]:
+        return [self._stream.peer] if self._stream is not None and self._stream.open else []
+
+    def _ready(self, mask: int) -> None:
+        attempt, self._attempt = self._attempt, None
+        if attempt is None:
+            return
+        self._link.ignore(attempt)
+        if attempt.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+            attempt.close()
+            return
+        self._stream = _connection(self._link, self._endpoint.url, attempt)
+
+    def poll(self, now: float) -> None:
+        if self._stream is not None:
+            self._stream.poll(now)
+            if self._stream.open:
+                return
+            if self._stream.stalled:
+                self._link.say(f"{self._endpoint.url} is dropped: {self._stream.why}")
+            self._stream = None
+        if now < self._next or self._attempt is not None:
+            return
+        self._next = now + RETRY
+        attempt = socket.socket(self._endpoint.family, socket.SOCK_STREAM)
+        attempt.setblocking(False)
+        try:
+            attempt.connect((self._endpoint.host, self._endpoint.port))
+        except BlockingIOError:
+            pass
+        except OSError:
+            attempt.close()
+            return
+        self._attempt = attempt
+        self._link.watch(attempt, self._ready, selectors.EVENT_WRITE)
+
+    def close(self) -> None:
+        if self._attempt is not None:
+            self._link.ignore(self._attempt)
+            self._attempt.close()
+        if self._stream is not None:
+            self._stream.close()

@@ -1,0 +1,216 @@
+"""UDP: datagrams to one address, or a server with a socket for each of its stations."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator
+
+from cosim.groundstation.mavlink.wire.peer import Peer
+from cosim.groundstation.mavlink.wire.transports.channel import (
+    DATAGRAM,
+    MOST_PEERS,
+    READS,
+    Address,
+    Hub,
+    Tap,
+    bound,
+    makes_room,
+    named,
+)
+from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
+
+FORGET = 30.0  # s: a station behind a UDP server that is silent for so long is gone; chosen by us
+
+
+def _sendto(channel: socket.socket, address: Address) -> Callable[[bytes], int]:
+    def transmit(data: bytes) -> int:
+        try:
+            return channel.sendto(data, address)
+        except (BlockingIOError, InterruptedError):
+            return 0
+        except OSError:
+            return len(data)  # nobody listens, or there is no way: as lost as any datagram
+
+    return transmit
+
+
+def _datagrams(source: socket.socket) -> Iterator[tuple[bytes, Address]]:
+    """What has arrived and from whom, as much as one socket may be read in its turn."""
+    for _ in range(READS):
+        try:
+            yield source.recvfrom(DATAGRAM)
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError:
+            continue  # an ICMP message: nobody listens there
+
+
+class UdpOut:
+    """Datagrams to one address; taken is what comes back from there."""
+
+    port = 0
+
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
+        self._link = link
+        self._socket = bound(endpoint, socket.SOCK_DGRAM, bind=False)
+        self._target = (endpoint.host, endpoint.port)
+        transmit = _sendto(self._socket, self._target)
+        self._peer = link.peer(endpoint.url, transmit, link.parser(whole=True), whole=True)
+        link.watch(self._socket, self._ready)
+
+    @property
+    def peers(self) -> list[Peer]:
+        return [self._peer]
+
+    def _ready(self, mask: int) -> None:
+        for data, address in _datagrams(self._socket):
+            if address[:2] != self._target:
+                self._link.refused["stranger"] += 1
+                continue
+            now = self._link.now()
+            self._link.take(self._peer.feed(data, now), self._peer, now)
+
+    def poll(self, now: float) -> None:
+        self._peer.flush()
+
+    def close(self) -> None:
+        self._link.ignore(self._socket)
+        self._socket.close()
+
+
+class Datagrams:
+    """One station behind a UDP server, on a socket of its own at the server's port: nobody fills its buffer but itself.
+
+    What another sent while the socket was being made is handed to ``stray``.  Raises OSError where the system has no
+    such sockets.
+    """
+
+    def __init__(
+        self, link: Hub, server: socket.socket, address: Address, stray: Callable[[bytes, Address], None]
+    ) -> None:
+        self._link = link
+        self._address = address
+        self._stray = stray
+        self._socket = socket.socket(server.family, socket.SOCK_DGRAM)
+        try:
+            self._socket.setblocking(False)
+            # for this moment only, so that no other program can take the port
+            for opened in (server, self._socket):
+                opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._socket.bind(server.getsockname())
+            self._socket.connect(address)
+        except OSError:
+            self._socket.close()
+            raise
+        finally:
+            server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+        self.peer = link.peer(named("udpin", address), self._transmit, link.parser(whole=True), whole=True)
+        self._tap = Tap(link, self._socket, self._ready)
+
+    def _transmit(self, data: bytes) -> int:
+        try:
+            return self._socket.send(data)
+        except (BlockingIOError, InterruptedError):
+            return 0
+        except OSError:
+            return len(data)  # the station is gone: as lost as any datagram
+
+    def _ready(self, mask: int) -> None:
+        link = self._link
+        for _ in range(READS):
+            now = link.now()
+            if self.peer.credit(now) < 1.0:
+                self._tap.shut()
+                return
+            try:
+                data, address = self._socket.recvfrom(DATAGRAM)
+            except (BlockingIOError, InterruptedError):
+                return
+            except OSError:
+                continue
+            if address == self._address:
+                link.take(self.peer.feed(data, now), self.peer, now)
+            else:
+                self._stray(data, address)
+
+    def poll(self, now: float) -> None:
+        self.peer.flush()
+        self._tap.poll(self.peer, now)
+
+    def close(self) -> None:
+        self._link.ignore(self._socket)
+        self._socket.close()
+
+
+class Shared:
+    """One station behind a UDP server where the system has no sockets of their own for them."""
+
+    def __init__(self, link: Hub, server: socket.socket, address: Address) -> None:
+        parser = link.parser(whole=True)
+        self.peer = link.peer(named("udpin", address), _sendto(server, address), parser, whole=True)
+
+    def poll(self, now: float) -> None:
+        self.peer.flush()
+
+    def close(self) -> None:
+        pass
+
+
+class UdpIn:
+    """A server; stations are known by the address from which a frame that was right has come."""
+
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
+        self._link = link
+        self._socket = bound(endpoint, socket.SOCK_DGRAM, bind=True)
+        self.port = int(self._socket.getsockname()[1])
+        self._known: dict[Address, Datagrams | Shared] = {}
+        self._stranger = link.parser(whole=True)
+        link.watch(self._socket, self._ready)
+
+    @property
+    def peers(self) -> list[Peer]:
+        return [station.peer for station in self._known.values()]
+
+    def _ready(self, mask: int) -> None:
+        for data, address in _datagrams(self._socket):
+            self._datagram(data, address)
+
+    def _datagram(self, data: bytes, address: Address) -> None:
+        link = self._link
+        now = link.now()
+        station = self._known.get(address)
+        if station is not None:
+            link.take(station.peer.feed(data, now), station.peer, now)
+            return
+        frames = self._stranger.feed(data)
+        if not frames or not self._room(now):
+            return
+        try:
+            station = Datagrams(link, self._socket, address, self._datagram)
+        except OSError:
+            station = Shared(link, self._socket, address)
+        station.peer.heard, station.peer.received = now, len(frames)
+        self._known[address] = station
+        link.take(frames, station.peer, now)
+
+    def _room(self, now: float) -> bool:
+        if len(self._known) < MOST_PEERS:
+            return True
+        oldest = max(self._known, key=lambda address: self._known[address].peer.silent(now))
+        if not makes_room(self._known[oldest].peer, now):
+            self._link.refused["too many stations"] += 1
+            return False
+        self._known.pop(oldest).close()
+        return True
+
+    def poll(self, now: float) -> None:
+        for address, station in list(self._known.items()):
+            station.poll(now)
+            if now - station.peer.heard > FORGET:
+                self._known.pop(address).close()
+
+    def close(self) -> None:
+        for station in self._known.values():
+            station.close()
+        self._link.ignore(self._socket)
+        self._socket.close()

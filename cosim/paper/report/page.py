@@ -1,0 +1,140 @@
+"""What the paper's report says beside its figures: counts, tables, and the lines of the terminal."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from math import degrees
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from cosim.paper import numbers
+from cosim.paper.beyond import ROBUST
+from cosim.paper.claims import ClaimRow, Judged
+from cosim.paper.comparison import Row
+from cosim.paper.report.figures import FIDELITIES, NAMES, paper_figures
+from cosim.paper.result import COMPARISON, DATA, Reproduction
+from cosim.results.report.page import render
+from cosim.results.run import versions
+
+TEMPLATE = Path(__file__).parent / "templates" / "paper.html"
+VERDICTS = ("holds", "under a condition", "by construction", "does not hold", "not flown")
+
+
+def write_page(reproduction: Reproduction, path: Path) -> None:
+    """Write the page of the paper's reproduction.  Raises FlightError if the file cannot be written."""
+    render(TEMPLATE, path, paper_figures(reproduction), **page_values(reproduction))
+
+
+def page_values(reproduction: Reproduction) -> dict[str, Any]:
+    """What the template asks for."""
+    part = reproduction.linear
+    predicted = [
+        row for row in reproduction.rows if row.origin == "predicted" and (row.linear or row.flight) is not None
+    ]
+    return {
+        "source": numbers.SOURCE,
+        "claims": reproduction.claims,
+        "tally": [(fidelity, counts) for fidelity, counts in tally(reproduction.claims).items()],
+        "verdicts": VERDICTS,
+        "counts_in_words": counts_in_words(reproduction.claims),
+        "rows": compared(reproduction.rows),
+        "inputs": [row for row in reproduction.rows if row not in compared(reproduction.rows)],
+        "used_count": len(part.frozen.used),
+        "predicted_count": len(predicted),
+        "typical": {
+            "linear": _typical(row.linear_deviation for row in predicted),
+            "flight": _typical(row.flight_deviation for row in predicted),
+        },
+        "margins": margin_rows(reproduction),
+        "frozen": part.frozen,
+        "conditions": part.conditions,
+        "robust": ROBUST,
+        "smith_offset_deg": degrees(part.smith_offset),
+        "offsets": offset_rows(reproduction),
+        "noise": [
+            (name, part.noise.get(("quadrotor", key)), part.noise.get(("hexjet", key))) for key, name in NAMES.items()
+        ],
+        "turbojet": [
+            (reach, {each.controller: each for each in reproduction.turbojet}.get(reach.controller))
+            for reach in part.turbojet
+            if reach.engine == "turbojet"
+        ],
+        "names": NAMES,
+        "files": {"comparison": COMPARISON, "data": DATA},
+        "versions": versions(),
+    }
+
+
+def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
+    """How many claims came to each verdict, by fidelity."""
+    rows = list(claims)
+    counted: dict[str, dict[str, int]] = {}
+    by_fidelity: list[list[Judged | None]] = [[row.linear for row in rows], [row.flight for row in rows]]
+    for fidelity, judged in zip(FIDELITIES, by_fidelity, strict=True):
+        counts: Counter[str] = Counter(each.verdict if each else "not flown" for each in judged)
+        counted[fidelity] = {verdict: counts[verdict] for verdict in VERDICTS}
+    return counted
+
+
+def counts_in_words(claims: Iterable[ClaimRow]) -> str:
+    """How many claims came to what: the sentence of terminal, report, README and docs."""
+    rows = list(claims)
+    linear, flight = tally(rows).values()
+    chosen = [
+        sum(each is not None and each.verdict == "holds" and each.basis == "follows from a choice" for each in judged)
+        for judged in ([row.linear for row in rows], [row.flight for row in rows])
+    ]
+    text = (
+        f"Of {len(rows)} claims {linear['holds']} hold on the linear plant and {flight['holds']} in six degrees of "
+        f"freedom ({chosen[0]} and {chosen[1]} of them follow from a choice of ours); {linear['under a condition']} "
+        f"and {flight['under a condition']} hold under a stated condition; {linear['by construction']} and "
+        f"{flight['by construction']} hold by construction, because we fitted or chose our way to them, and are no "
+        f"evidence; {linear['does not hold']} and {flight['does not hold']} do not hold"
+    )
+    left = flight["not flown"]
+    return f"{text}; {left} were not flown." if left else f"{text}."
+
+
+def margin_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
+    """Margins of every controller: computed, measured on the linear plant, measured in flight."""
+    sources = (
+        ("computed", reproduction.linear.evidence.margins),
+        ("measured, linear plant", {name: sweep.margins for name, sweep in reproduction.linear.sweeps.items()}),
+        ("measured in flight", {name: sweep.margins for name, sweep in reproduction.flown_sweeps.items()}),
+    )
+    return [
+        {"name": NAMES[controller], "source": source, "margins": margins[controller]}
+        for controller in reproduction.linear.evidence.margins
+        for source, margins in sources
+        if controller in margins
+    ]
+
+
+def offset_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
+    """Roll under a constant disturbance, degrees, by controller."""
+    known = {offset.controller: offset for offset in reproduction.linear.offsets}
+    flown = {offset.controller: offset.late for offset in reproduction.offsets}
+    rows = []
+    for controller in [name for name in NAMES if name in known or name in flown]:
+        linear = known.get(controller)
+        values: list[float | None] = [linear.peak, linear.early, linear.late] if linear else [None] * 3
+        values.append(flown.get(controller))
+        rows.append(
+            {
+                "name": NAMES[controller],
+                "values_deg": [None if value is None else degrees(value) for value in values],
+            }
+        )
+    return rows
+
+
+def compared(rows: Iterable[Row]) -> list[Row]:
+    """Without the inputs, which are the same by construction."""
+    return [row for row in rows if row.origin != "given" or row.flight is not None]
+
+
+def _typical(deviations: Iterable[float | None]) -> float:
+    """Half of the deviations are smaller than this, percent."""
+    return median(abs(deviation) for deviation in deviations if deviation is not None)

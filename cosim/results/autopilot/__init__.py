@@ -1,0 +1,1 @@
+"""What an autopilot of a run was asked and said."""

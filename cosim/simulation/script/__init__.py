@@ -1,0 +1,1 @@
+"""What a scenario has happen: commands, disturbances, wind, faults, and the plant that differs from the model."""

@@ -1,0 +1,1 @@
+"""What a vehicle's thrust and tilt come from and act through."""
