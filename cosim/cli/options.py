@@ -140,6 +140,8 @@ def load_scenario(
 
         aircraft = aircraft_seen_from(aircraft, Path())
         changes |= {"aircraft": aircraft, "engine": engine_of(aircraft) or scenario.engine}
+        if controller is None and model is None and designed is None and "controller" not in _set_at_once(settings):
+            changes |= _controller_without_a_model(aircraft, scenario)
     if controller is not None:
         # a file on the command line is meant from here, one in the scenario from the scenario's folder
         changes["controller"] = seen_from(controller, Path())
@@ -160,6 +162,30 @@ def load_scenario(
     scenario = scenario.replace(**changes) if changes else scenario
     scenario.resolved_vehicle()  # a wrong key is told before anything is built
     return scenario
+
+
+def _set_at_once(settings: tuple[str, ...]) -> set[str]:
+    """The keys of ``--set`` that are the scenario's own."""
+    return {text.partition("=")[0].strip() for text in settings}
+
+
+def _controller_without_a_model(aircraft: str, scenario: Any) -> dict[str, str]:
+    """The baseline where the scenario's predictor needs a model and the other aircraft states none; with a note."""
+    from cosim.control.predictors.registry import BASELINE, PREDICTORS
+    from cosim.spec.vehicle import load_vehicle
+
+    spec = PREDICTORS.get(scenario.controller)
+    if spec is None or not spec.needs_model:
+        return {}
+    vehicle, _ = load_vehicle(aircraft)
+    if vehicle.identified or scenario.vehicle.get("identified"):
+        return {}
+    click.echo(
+        f"hexjet: note: {vehicle.name} states no identified model, which controller {scenario.controller} needs; "
+        f"flown with {BASELINE.name}",
+        err=True,
+    )
+    return {"controller": BASELINE.name}
 
 
 def shared_assets(command: Callable[..., int]) -> Callable[..., int]:

@@ -628,6 +628,10 @@ def _one_command(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> st
     )
 
 
+def _said_of(models: Mapping[str, Any]) -> str:
+    return f"models for: {', '.join(sorted(models))}" if models else "none"
+
+
 def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[Predictor]:
     """One predictor per axis: the controller's where the vehicle has an identified model for this engine, else none."""
     spec = PREDICTORS[scenario.controller]
@@ -635,8 +639,7 @@ def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list
     if spec.needs_model and not models:
         raise InputError(
             f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "
-            f"{engine.family!r}; there are models for: {', '.join(sorted(vehicle.identified))}; "
-            + _one_command(scenario, vehicle, engine)
+            f"{engine.family!r}; there are {_said_of(vehicle.identified)}; " + _one_command(scenario, vehicle, engine)
         )
     believed = _believed(scenario, vehicle, engine)
     made: list[Predictor] = []

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cosim.base.protocols import Observer
     from cosim.base.signals import Sample
     from cosim.campaign.run import Again
-    from cosim.results.run import Run
+    from cosim.results.run import Run, Summary
     from cosim.spec.scenario import Scenario
 
 
@@ -240,6 +240,15 @@ def print_again(again: Again) -> None:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
+def _others(summary: Summary) -> str:
+    """The engines of another kind, and the stations where they are."""
+    at: dict[str, list[str]] = {}
+    for number, station in enumerate(summary.stations, 1):
+        if station.engine != summary.engine:
+            at.setdefault(station.engine, []).append(str(number))
+    return "".join(f", {engine} at {' and '.join(numbers)}" for engine, numbers in at.items())
+
+
 def print_run(run: Run) -> None:
     """Outcome, metrics, what was expected and not met, and where the report is."""
     summary = run.summary
@@ -247,8 +256,8 @@ def print_run(run: Run) -> None:
     but = f"; [bold]{summary.verdict}[/bold]" if summary.verdict not in (None, "not completed") else ""
     console.print(f"{summary.scenario}: [bold]{run.outcome}[/bold], {run.reason}{but}", highlight=False)
     console.print(
-        f"{summary.aircraft}, engine {summary.engine}, controller {summary.controller}, seed {summary.seed}: "
-        f"{summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor),
+        f"{summary.aircraft}, engine {summary.engine}{_others(summary)}, controller {summary.controller}, "
+        f"seed {summary.seed}: {summary.duration_s:.2f} s flown" + _speed(summary.realtime_factor),
         highlight=False,
     )
     print_metrics([run])

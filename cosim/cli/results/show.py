@@ -135,7 +135,12 @@ def _aircraft(name: str) -> Iterator[Number]:
         moved = [f"carries {', '.join(map(str, hinge.carries))}"] if hinge.carries else []
         moved += [f"deflects {', '.join(map(str, hinge.deflects))}"] if hinge.deflects else []
         least, most = hinge.least_most
-        yield Number(f"hinge {hinge.name}", most, "rad", f"the most, {least:g} the least; {' and '.join(moved)}")
+        name, said = f"hinge {hinge.name}", " and ".join(moved)
+        if least == -most:
+            yield Number(name, most, "rad", f"either way; {said}")
+        else:
+            yield Number(name, most, "rad", f"the most; {said}")
+            yield Number(f"{name}, least", least, "rad", "the other end of its range")
     for surface in vehicle.surfaces:
         yield Number(f"surface {surface.name}", surface.range[1], "", f"the most, {surface.range[0]:g} the least")
     arms = [(max(abs(jet.position_m[n]) for jet in vehicle.jets), word) for n, word in ((1, "sideways"), (0, "ahead"))]
@@ -143,10 +148,15 @@ def _aircraft(name: str) -> Iterator[Number]:
         yield Number(f"arm {word}", arm, "m", "of the farthest jet from the centre of gravity")
     yield Number("hover thrust", weight / jets, "N", "of each jet: weight over jets")
     if vehicle.engine is not None:
-        spec = _loaded(vehicle.engine)
+        kinds = [jet.engine or vehicle.engine for jet in vehicle.jets]
+        full = {kind: _loaded(kind).curve.thrust[-1] for kind in dict.fromkeys(kinds)}
         yield Number("engine", vehicle.engine, "", "what it is made for")
-        yield Number("full thrust", spec.curve.thrust[-1], "N", "of one engine at rest, at full throttle")
-        yield Number("thrust to weight", jets * spec.curve.thrust[-1] / weight, "", "all engines at full throttle")
+        for kind, thrust in full.items():
+            at = ", ".join(str(number) for number, each in enumerate(kinds, 1) if each == kind)
+            name, of = ("full thrust", "") if len(full) == 1 else (f"full thrust, {kind}", f"; jets {at}")
+            yield Number(name, thrust, "N", f"of one engine at rest, at full throttle{of}")
+        total = sum(full[kind] for kind in kinds)
+        yield Number("thrust to weight", total / weight, "", "all engines at full throttle")
     if vehicle.servo is not None:
         yield Number("tilt range", vehicle.servo.range_rad, "rad", "of a bank, either way from straight up")
         yield Number("tilt rate", vehicle.servo.rate_limit_rad_s, "rad/s", "the fastest that a bank turns")

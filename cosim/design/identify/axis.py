@@ -38,6 +38,8 @@ TRIES = 6
 LESS = 0.3  # of the amplitude, to try again with after the vehicle was lost
 MARGIN = 0.8  # of the amplitude that would just have fitted
 UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
+# of an angular acceleration: half of what AMPLITUDE of throttle gives the Hex-Jet, 433 rad/s^2 for all of it
+ACCELERATION, ACCELERATION_UNIT = 4.0, "rad/s^2"
 POOR = 0.15  # misfit above which the form is said not to fit
 
 
@@ -71,11 +73,14 @@ def identify_axis(
     low, high = FROM_HZ if from_hz is None else from_hz, TO_HZ if to_hz is None else to_hz
     check_band(low, high, duration, base.step_s)
     seconds = suitable_duration(low) if duration is None else duration
-    size = AMPLITUDE if amplitude is None else amplitude
+    accelerates = base.resolved_vehicle()[0].allocation == "effectiveness"
+    usual, unit = (ACCELERATION, ACCELERATION_UNIT) if accelerates else (AMPLITUDE, UNITS[axis])
+    size = usual if amplitude is None else amplitude
     flight = _sweep(base, axis, Sweep(low, high, size, seconds), automatic=amplitude is None)
     sweep, family = flight.sweep, flight.engine.family
     response, notes = _response(flight.record(), sweep, f"{base.aircraft_name} {axis}", lags)
-    own = flight.engine.delay if axis == "roll" else None  # pitch and yaw turn the jets, they do not throttle them
+    # pitch and yaw turn the jets, they do not throttle them; what hinges and engines share has no one engine's delay
+    own = flight.engine.delay if axis == "roll" and not accelerates else None
     fits = _fits(response, lags, hold, None if own is None else own / base.step_s)
     if fits[0].misfit > POOR:
         notes.append(
@@ -87,7 +92,7 @@ def identify_axis(
         subject=base.aircraft_name,
         engine=family,
         channel=axis,
-        command_unit=UNITS[axis],
+        command_unit=unit,
         output_unit="rad/s",
         sweep=sweep,
         response=response,

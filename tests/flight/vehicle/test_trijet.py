@@ -11,6 +11,7 @@ from places import ROOT
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import ZERO3, State
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
+from cosim.design.identify import identify_axis
 from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
@@ -91,6 +92,25 @@ def test_the_margins_of_its_readme() -> None:
     assert (rate.yaw.p, rate.yaw.i) == (rate.pitch.p, rate.pitch.i)
 
 
+def test_the_notch_and_the_lead_of_its_readme() -> None:
+    """What the hinges' reaction and the spools' gyroscopic moment do, in closed form from the hover."""
+    run = fly(Scenario.load("trijet-hover").replace(expect=[], duration_s=0.1, sensor_noise=False))
+    allocator = build(Scenario.load("trijet-hover")).controller.allocator
+    assert isinstance(allocator, EffectivenessAllocator)
+    still, _ = allocator.hovering((0.0, 0.0, 0.0))
+    small = 0.01
+    rolling, _ = allocator.hovering((small, 0.0, 0.0))
+    tilting = VEHICLE.hinges[0]
+    # pitch by the tilt a: both turbojets' z T a from the thrust and I a'' from the reaction
+    notch = sqrt(tilting.position_m[2] * still[0] / tilting.inertia_kg_m2) / (2.0 * pi)
+    assert f"cancels what their thrust gives at {notch:.1f} Hz" in PAGE
+    # -d/dt of spin J w e, e tilted forward by a: -spin J w a' about x
+    momentum = 3.7e-6 * float(run.log["spool_speed_1_rad_s"][-1])
+    tilts = [(rolling[k] - still[k]) / small for k in (3, 4)]
+    turning = -sum(jet.spin * momentum * tilt for jet, tilt in zip(VEHICLE.jets, tilts, strict=False))
+    assert f"leads the roll by {1000.0 * turning / VEHICLE.inertia_kg_m2[0]:.0f} ms" in PAGE
+
+
 def test_it_hovers_with_its_hinges_at_rest_and_all_engines_at_the_same_share() -> None:
     allocator = build(Scenario.load("trijet-hover")).controller.allocator
     assert isinstance(allocator, EffectivenessAllocator)
@@ -127,6 +147,20 @@ def test_without_an_engine_it_is_lost(jet: int) -> None:
     assert run.outcome in ("diverged", "crashed")
     assert run.log["time_s"][-1] < 0.5 + 0.5
     assert "In flight it is over within half a second." in PAGE
+
+
+def test_an_axis_on_hinges_is_identified_in_angular_acceleration() -> None:
+    """Yaw is allocated to the tilt alone: 1 / s behind the servo's lag and the gyro's filter, and nothing else.
+
+    To 10 % and 10 deg, a quarter of what the lags do to the phase at the sweep's end.
+    """
+    found = identify_axis("yaw", "trijet", from_hz=1.6, to_hz=4.0, duration=10.0, amplitude=0.3)
+    assert (found.command_unit, len(found.response.hertz) > 3) == ("rad/s^2", True)
+    s = 2j * np.pi * found.response.hertz
+    exact = 1.0 / (s * (1.0 + VEHICLE.hinges[0].lag_s * s) * (1.0 + VEHICLE.sensors.gyro.filter_s * s))
+    ratio = found.response.value / exact
+    assert np.abs(ratio) == pytest.approx(1.0, abs=0.1)
+    assert np.degrees(np.angle(ratio)) == pytest.approx(0.0, abs=10.0)
 
 
 def test_the_figures_of_its_verdict() -> None:

@@ -1,0 +1,31 @@
+"""--aircraft over a scenario that was written for another: its engine, and a controller that it can fly with."""
+
+from __future__ import annotations
+
+import pytest
+
+from cosim.base.errors import InputError
+from cosim.cli.options import load_scenario
+from cosim.simulation.build import build
+
+
+@pytest.mark.parametrize(
+    ("aircraft", "controller", "settings", "flown"),
+    [
+        ("trijet", None, (), "baseline"),  # it states no model, and the scenario's predictor needs one
+        ("octojet", None, (), "smith"),
+        ("trijet", None, ("controller=adrc",), "adrc"),
+        ("trijet", "smith", (), "smith"),  # asked for: refused below
+    ],
+)
+def test_which_controller_flies(
+    aircraft: str, controller: str | None, settings: tuple[str, ...], flown: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = load_scenario("roll-doublet", controller, (), None, settings, None, aircraft)
+    assert scenario.controller == flown
+    assert ("flown with baseline" in capsys.readouterr().err) == (flown == "baseline")
+
+
+def test_a_predictor_without_a_model_is_refused_with_what_there_is() -> None:
+    with pytest.raises(InputError, match=r"engine 'turbine-20'; there are none; one is made"):
+        build(load_scenario("roll-doublet", "smith", (), None, (), None, "trijet"))
