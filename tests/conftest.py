@@ -79,6 +79,12 @@ LENGTHY = {
     "test_campaign_store": ("test_ten_kills_at_random_moments",),
     "test_campaign_workers": ("test_a_flight_that_does_not_end_is_ended",),
     "test_open": ("test_by_keyboard[10000]",),
+    "test_axe": (
+        "test_a_flight[dark]",
+        "test_a_flight_while_it_flies[light]",
+        "test_the_runs",
+        "test_the_pages_of_all",
+    ),
     "test_flight_page": ("test_a_phone", "test_all_strips_are_drawn", "test_the_last_samples"),
     "test_site": ("test_the_site_is_built_without_a_warning",),
     "test_tutorial": ("test_the_tutorial_as_written",),

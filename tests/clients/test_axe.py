@@ -1,0 +1,126 @@
+"""Every page that is made here as axe judges it in a real browser: nothing serious and nothing critical, by day and night."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from flights import samples, scenario, setup
+from patience import PATIENCE
+from places import ROOT
+from shelves import shelf
+
+from cosim.flight import with_page
+from cosim.results.report.flight import write_report
+from cosim.results.run import begin_run
+
+WRONG = ("serious", "critical")
+
+
+@pytest.fixture(scope="module")
+def axe() -> str:
+    """axe-core, as its package brings it."""
+    package = pytest.importorskip("axe_playwright_python.base", reason="no axe: pip install axe-playwright-python")
+    text: str = package.AXE_SCRIPT
+    return text
+
+
+@pytest.fixture(scope="module")
+def pages() -> ModuleType:
+    """What makes the documentation's pictures: it knows every page and how it is made."""
+    spec = importlib.util.spec_from_file_location("page_pictures", ROOT / "docs" / "page_pictures.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@contextmanager
+def opened(browser: Any, url: str, scheme: str) -> Iterator[Any]:
+    # the policy of a page that is served lets no script in but its own: not axe either
+    held = browser.new_context(viewport={"width": 1200, "height": 900}, color_scheme=scheme, bypass_csp=True)
+    try:
+        page = held.new_page()
+        page.goto(url)
+        yield page
+    finally:
+        held.close()
+
+
+def complaints(page: Any, axe: str) -> list[str]:
+    """What axe finds, a line each."""
+    if not page.evaluate("Boolean(window.axe)"):
+        page.evaluate(axe)
+    found = page.evaluate("() => axe.run({ resultTypes: ['violations'] })")
+    assert len(found["passes"]) > 10  # it has looked
+    return [
+        f"{wrong['id']}: {node['html'][:160]}"
+        for wrong in found["violations"]
+        if wrong["impact"] in WRONG
+        for node in wrong["nodes"]
+    ]
+
+
+def test_it_finds_what_is_wrong(browser: Any, axe: str) -> None:
+    with opened(browser, "about:blank", "light") as page:
+        page.set_content(
+            '<title>T</title><main><h1 style="color:#bbb">pale</h1><img src="data:,"><button></button></main>'
+        )
+        page.evaluate(axe)
+        found = page.evaluate("() => axe.run()")["violations"]
+    assert {"color-contrast", "image-alt", "button-name"} <= {wrong["id"] for wrong in found}
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_flight(browser: Any, axe: str, scheme: str, tmp_path: Path) -> None:
+    recording = begin_run(setup(), scenario(), None)
+    for sample in samples(200):
+        recording.observe(sample)
+    path = tmp_path / "report.html"
+    write_report(with_page(recording.finish("completed", "", wall_s=0.1)), path)
+    with opened(browser, path.as_uri(), scheme) as page:
+        page.wait_for_function("document.documentElement.dataset.replay", timeout=1000 * PATIENCE)
+        assert complaints(page, axe) == []
+
+
+ALL = ("flight", "strips", "engines", "events", "parameters")
+
+
+@pytest.mark.parametrize(
+    ("scheme", "names"), [("dark", ALL[:1]), ("light", ALL), ("dark", ALL[1:])], ids=("short", "light", "dark")
+)
+def test_a_flight_while_it_flies(
+    browser: Any, axe: str, pages: ModuleType, scheme: str, names: tuple[str, ...], tmp_path: Path
+) -> None:
+    with pages.live(tmp_path / "run", False) as url, opened(browser, url, scheme) as page:
+        page.locator("#scene canvas[data-time]").wait_for(timeout=1000 * PATIENCE)
+        for name in names:
+            page.click(f"#tab-{name}")
+            page.wait_for_timeout(300)  # for a frame of it
+            assert complaints(page, axe) == [], name
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_runs(browser: Any, axe: str, pages: ModuleType, scheme: str, tmp_path: Path) -> None:
+    folder = shelf(tmp_path / "runs", 5)
+    with pages.shelf(folder) as url, opened(browser, url, scheme) as page:
+        page.locator("[role=row]").first.wait_for(timeout=1000 * PATIENCE)
+        assert complaints(page, axe) == []
+
+
+def test_the_pages_of_all_commands(
+    browser: Any, axe: str, pages: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done: set[str] = set()
+    for name, made in pages.PAGES.items():
+        path = pages.write(made, tmp_path, done)
+        for scheme in ("light", "dark"):
+            with opened(browser, path.as_uri(), scheme) as page:
+                assert complaints(page, axe) == [], f"{name}, {scheme}"
