@@ -98,6 +98,14 @@ def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
     return MemoryLog([np.stack([times, *columns.values()])], names, described), tuple(remarks)
 
 
+def shifted(flown: Flown, by: float) -> Flown:
+    """With ``by`` [s] added to its times, which is said."""
+    columns = {name: flown.log[name] for name in flown.log.columns}
+    columns[TIME] = columns[TIME] + by
+    log = MemoryLog([np.stack(list(columns.values()))], flown.log.columns, flown.log.described)
+    return flown._replace(log=log, remarks=(*flown.remarks, f"its times moved by {by:g} s"))
+
+
 def pairs(flown: Sequence[Flown]) -> list[Pair]:
     """Every other one against the first."""
     return [_pair(flown[0], other) for other in flown[1:]]

@@ -19,12 +19,14 @@ from typing import Any, NamedTuple
 from cosim.base.errors import InputError
 from cosim.base.storage.files import replacing
 from cosim.campaign.folder import FLIGHTS, STUDY
+from cosim.results.logs import is_flight_log
 from cosim.results.run import SUMMARY
 
 INDEX, TAGS = ".index.json", "tags.json"
 FORM = 1  # of the index; another one is read as none
-RUN, CAMPAIGN, PAGE, UNFINISHED = "run", "campaign", "page", "unfinished"
+RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", "log"
 SCENARIO = "scenario.toml"
+LOGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # of other flight controllers, which can be compared
 TAG = re.compile(r"[\w.+-]{1,40}")
 FACTS = ("scenario", "title", "aircraft", "engine", "controller", "started", "outcome", "verdict", "reason")
 
@@ -58,7 +60,7 @@ class Shelf:
         found: dict[str, tuple[list[int], Entry]] = {}
         try:
             with os.scandir(self.folder) as inside:
-                folders = [each for each in inside if each.is_dir(follow_symlinks=False) and each.name[:1] != "."]
+                folders = [each for each in inside if _may_be_one(each)]
         except OSError as error:
             raise InputError(f"{self.folder}: {error.strerror or error}") from error
         changed = len(folders) != len(self._known)
@@ -90,6 +92,8 @@ class Shelf:
             if not TAG.fullmatch(tag):
                 raise InputError(f"{tag!r} is no tag: letters, digits and . _ + -, 40 of them at most")
         for name in names:
+            if self.place(name).is_file():
+                raise InputError(f"{name}: is a file; tags are kept in folders")
             path = self.place(name) / TAGS
             tags = [tag for tag in dict.fromkeys([*_tags(path), *add]) if tag not in remove]
             try:
@@ -99,7 +103,7 @@ class Shelf:
                 raise InputError(f"{path}: {error.strerror or error}") from error
 
     def delete(self, name: str) -> None:
-        """Delete a folder with all that is in it.
+        """Delete a folder with all that is in it, or a log.
 
         Raises InputError where it is none of the entries, is a link, may still be written to, or cannot be deleted.
         """
@@ -111,7 +115,10 @@ class Shelf:
         gone = self.folder / f".deleted-{name}"
         try:
             folder.rename(gone)  # whole or not at all, for whoever reads at the same time
-            shutil.rmtree(gone)
+            if gone.is_file():
+                gone.unlink()
+            else:
+                shutil.rmtree(gone)
         except OSError as error:
             raise InputError(f"{name}: {error.strerror or error}") from error
         self._known.pop(name, None)
@@ -128,6 +135,15 @@ class Shelf:
             temporary.write_text(json.dumps({"form": FORM, "rows": rows}), encoding="utf-8")
 
 
+def _may_be_one(each: os.DirEntry[str]) -> bool:
+    """Whether it is to be looked into: a folder, or a file that is no table and not hidden."""
+    if each.name[:1] == ".":
+        return False
+    return each.is_dir(follow_symlinks=False) or (
+        each.is_file(follow_symlinks=False) and Path(each.name).suffix.lower() in LOGS
+    )
+
+
 def _stamp(folder: os.DirEntry[str]) -> list[int]:
     """When the folder and what is read of it were last changed."""
     stamp = [folder.stat(follow_symlinks=False).st_mtime_ns]
@@ -137,7 +153,10 @@ def _stamp(folder: os.DirEntry[str]) -> list[int]:
 
 
 def read_entry(folder: Path) -> Entry:
-    """One folder, read; its kind is empty where it is nothing of ours."""
+    """One folder, or a flight controller's log, read; its kind is empty where it is nothing of ours."""
+    if folder.is_file():
+        began = {"started": datetime.fromtimestamp(folder.stat().st_mtime, UTC).isoformat(timespec="seconds")}
+        return Entry(folder.name, LOG if is_flight_log(folder) else "", began, {}, [], "")
     page = next((name for name in ("report.html", "comparison.html", "search.html") if (folder / name).is_file()), "")
     page = page or next((path.name for path in sorted(folder.glob("*.html"))), "")
     tags = _tags(folder / TAGS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
+from math import isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +44,13 @@ _MOST_INPUTS = 12  # lines in the terminal; the page has all
     "differ]",
 )
 @click.option(
+    "shifts",
+    "--shift",
+    metavar="LETTER=SECONDS",
+    multiple=True,
+    help="Add so much to the times of one of the flights, as of a log whose clock began elsewhere: B=-12.4.",
+)
+@click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="The page's folder.  [default: a new one in runs/]"
 )
 @click.option("--no-page", is_flag=True, help="Write none.")
@@ -51,6 +59,7 @@ def compare(
     names: tuple[str, ...],
     flights: tuple[int, ...],
     patterns: tuple[str, ...],
+    shifts: tuple[str, ...],
     out: Path | None,
     no_page: bool,
     as_json: bool,
@@ -58,8 +67,10 @@ def compare(
     """Lay two to eight flights over each other: metrics side by side, and every signal against that of the first.
 
     Each of A, B, C is the folder of a run; a flight of a campaign, DIR:N, which is flown again; a scenario, flown here
-    and now; or a log of another tool, .csv or .parquet, with the time in seconds (time_s, time or t) and columns called
-    as ours.  Leaves a page with all of it.  Status 0, whatever differs; 2: wrong input.
+    and now; a log of another tool, .csv or .parquet, with the time in seconds (time_s, time or t) and columns called
+    as ours; or a log of another flight controller: ULog, DataFlash, Betaflight's blackbox, the Crazyflie's.
+
+    Leaves a page with all of it.  Status 0, whatever differs; 2: wrong input.
     """
     from cosim.flight import new_folder
     from cosim.results.comparison import pairs
@@ -72,7 +83,7 @@ def compare(
     if page is not None and page.exists():
         raise InputError(f"{page}: is there already; choose another folder or remove it")
     with output_to_stderr(as_json):
-        flown = [_flown(letter, name) for letter, name in zip(LETTERS, asked, strict=False)]
+        flown = _shifted([_flown(letter, name) for letter, name in zip(LETTERS, asked, strict=False)], shifts)
     compared = pairs(flown)
     chosen = _chosen(compared, patterns)
     if page is not None:
@@ -116,11 +127,31 @@ def _expanded(names: Sequence[str], flights: Sequence[int]) -> list[str]:
     return asked
 
 
+def _shifted(flown: Sequence[Flown], shifts: Sequence[str]) -> list[Flown]:
+    """With the times that are to be moved.  Raises InputError for what is no letter of theirs or no number."""
+    from cosim.results.comparison import shifted
+
+    found = list(flown)
+    for text in shifts:
+        letter, _, seconds = text.partition("=")
+        place = LETTERS.find(letter.strip().upper()) if letter.strip() else -1
+        try:
+            by = float(seconds)
+        except ValueError:
+            by = nan
+        if not 0 <= place < len(found) or not isfinite(by):
+            raise InputError(f"--shift {text}: is not one of {', '.join(LETTERS[: len(found)])} = a number of seconds")
+        found[place] = shifted(found[place], by)
+    return found
+
+
 def _flown(letter: str, name: str) -> Flown:
     from cosim.campaign import fly_again, open_campaign
     from cosim.campaign.folder import is_campaign
     from cosim.flight import fly
     from cosim.results.comparison import Flown, read_log
+    from cosim.results.logs import is_flight_log, read_flight_log
+    from cosim.results.logs.as_columns import as_columns
     from cosim.results.run import finish_killed, open_run
     from cosim.spec.scenario import Scenario, scenario_names
 
@@ -138,12 +169,16 @@ def _flown(letter: str, name: str) -> Flown:
     if path.suffix.lower() in (".csv", ".parquet"):
         log, remarks = read_log(path)
         return Flown(label, log, None, name, remarks)
+    if name not in scenario_names() and path.suffix.lower() != ".toml" and is_flight_log(path):
+        log, remarks = as_columns(read_flight_log(path))
+        return Flown(label, log, None, name, remarks)
     if path.suffix.lower() == ".toml" or name in scenario_names():
         finish_killed(path)
         run = fly(Scenario.read(name, []))
         return Flown(label, run.log, run, name, ("flown for this comparison",))
     raise InputError(
-        f"{name}: no flight; allowed: the folder of a run, CAMPAIGN:NUMBER, a log (.csv, .parquet), a scenario"
+        f"{name}: no flight; allowed: the folder of a run, CAMPAIGN:NUMBER, a scenario, a log "
+        "(.csv, .parquet, ULog, DataFlash, Betaflight's blackbox, Crazyflie)"
     )
 
 

@@ -20,6 +20,7 @@ PORT = 8766
 def open_(folder: Path, port: int, browser: bool) -> int:
     """Look through the runs in DIR: search, sort by any metric, tag, compare, delete.
 
+    Logs of other flight controllers that lie there (.ulg, .bin, .bbl, .bfl, .cfusdlog) are listed too, to be compared.
     A page at http://127.0.0.1:8766/ for this machine alone, until Ctrl-C.  What is in the folder is read once and
     remembered in DIR/.index.json; tags are kept with the runs.  Nothing is deleted without asking.
     """

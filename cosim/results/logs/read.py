@@ -16,16 +16,39 @@ KINDS = (
 )
 
 
+_READERS = (
+    (ulog.is_one, ulog.read),
+    (dataflash.is_one, dataflash.read),
+    (crazyflie.is_one, crazyflie.read),
+    (blackbox.is_one, blackbox.read),
+)
+
+
+def is_flight_log(path: Path) -> bool:
+    """Whether a file begins as the log of a flight controller that can be read; ``FILE:N`` as its file does."""
+    try:
+        with _one_of(path)[0].open("rb") as file:
+            head = file.read(64)
+    except OSError:
+        return False
+    return any(is_one(head) for is_one, _ in _READERS)
+
+
+def _one_of(path: Path) -> tuple[Path, int | None]:
+    """The file, and the number of the log in it where the name says one."""
+    name, _, digits = str(path).rpartition(":")
+    if name and digits.isdigit() and not path.exists() and Path(name).is_file():
+        return Path(name), int(digits)
+    return path, None
+
+
 def read_flight_log(path: Path, time: str | None = None, time_unit: str = "s") -> FlightLog:
     """Read a log of any kind that is known: by its first bytes, or by its name where it is a table.
 
     ``time`` and ``time_unit`` are a table's.  ``FILE:N`` is log number N of a file that holds several, as Betaflight's
     do.  Raises InputError for what is no log or cannot be read.
     """
-    number = None
-    name, _, digits = str(path).rpartition(":")
-    if name and digits.isdigit() and not path.exists() and Path(name).is_file():
-        path, number = Path(name), int(digits)
+    path, number = _one_of(path)
     if path.is_dir():
         return table.read_run(path)
     try:
@@ -35,12 +58,11 @@ def read_flight_log(path: Path, time: str | None = None, time_unit: str = "s") -
         raise InputError(f"{path}: {error.strerror or error}") from error
     if not head:
         raise InputError(f"{path}: the file is empty")
-    if blackbox.is_one(head):
-        return blackbox.read(path, number)
     if number is not None:
+        if blackbox.is_one(head):
+            return blackbox.read(path, number)
         raise InputError(f"{path}: holds one log; {path}:{number} is for a blackbox file of several")
-    readers = ((ulog.is_one, ulog.read), (dataflash.is_one, dataflash.read), (crazyflie.is_one, crazyflie.read))
-    for is_one, read in readers:
+    for is_one, read in _READERS:
         if is_one(head):
             return read(path)
     if path.suffix.lower() in (".csv", ".parquet"):

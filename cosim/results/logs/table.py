@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from cosim.results.run import open_run
 from cosim.results.tables import TIME
 
 TIMES = (TIME, "time", "t")  # what the time [s] may be called in a log of another tool
-AT_THE_END = ("thrust_",)
+AT_THE_END = re.compile(r"thrust_\d+_N")  # logged with the step at whose end the engine has it
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -34,15 +35,32 @@ def numbers_with_time(path: Path, name: str | None = None) -> tuple[dict[str, Ar
 
 
 def read_table(path: Path, time: str | None = None, unit: str = "s") -> FlightLog:
-    """A CSV or Parquet file; ``time`` names its time, in ``unit``.  Raises InputError."""
+    """A CSV or Parquet file; ``time`` names its time, in ``unit``.  Raises InputError.
+
+    A table that has our ``time_s``, and is not told otherwise by ``time``, has our stamps: a thrust stands in the row
+    of the step at whose end the engine has it, and is a step of the table later than that row's time.
+    """
     if unit not in SECONDS:
         raise InputError(f"time in {unit!r}: allowed: {', '.join(SECONDS)}")
     columns, name, left_out = numbers_with_time(path, time)
     times = SECONDS[unit] * columns.pop(name)
-    remarks = (f"left out, being no numbers: {', '.join(left_out)}",) if left_out else ()
+    remarks = [f"left out, being no numbers: {', '.join(left_out)}"] if left_out else []
+    step = float(np.median(np.diff(times))) if time is None and name == TIME and times.size > 1 else 0.0
     units = {column.name: column.unit for column in COLUMNS}
+    late = [key for key in columns if step and AT_THE_END.fullmatch(key)]
+    if late:
+        remarks.append(
+            f"{late[0]}{' and the like' if late[1:] else ''}: taken for the end of its step, {1e3 * step:g} ms after "
+            f"{TIME}, as our logs have it; --time {TIME} takes the stamps as they are"
+        )
     return FlightLog(
-        path, "table", {key: Channel(times, values, units.get(key, "")) for key, values in columns.items()}, remarks
+        path,
+        "table",
+        {
+            key: Channel(times + step if key in late else times, values, units.get(key, ""))
+            for key, values in columns.items()
+        },
+        tuple(remarks),
     )
 
 
@@ -52,9 +70,9 @@ def read_run(folder: Path) -> FlightLog:
     times = np.asarray(run.log[TIME])
     units = {column.name: column.unit for column in run.log.described}
     names = [name for name in run.log.columns if name != TIME]
-    after = times + run.summary.step_s  # a thrust is logged with the step at whose end the engine has it
+    after = times + run.summary.step_s
     channels = {
-        name: Channel(after if name.startswith(AT_THE_END) else times, np.asarray(run.log[name]), units.get(name, ""))
+        name: Channel(after if AT_THE_END.fullmatch(name) else times, np.asarray(run.log[name]), units.get(name, ""))
         for name in names
     }
     return FlightLog(folder, "run", channels, engine=Path(run.summary.engine).name.removesuffix("-fmi2"))

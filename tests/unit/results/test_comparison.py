@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from math import nan, pi
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from flights import samples, scenario, setup
+from flights import exported, samples, scenario, setup
 from stated_figures import text
 
 from cosim.base.errors import InputError
@@ -173,3 +174,23 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     ):
         with pytest.raises(InputError, match=wrong.replace("*", r"\*")):
             compare.main(arguments, standalone_mode=False)
+
+
+def test_a_log_of_another_controller_beside_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same flight as ULog and as run differs by what floats lose; moved in time it differs by its noise."""
+    recording = begin_run(setup(), scenario(), tmp_path / "run")
+    for sample in samples(200):
+        recording.observe(sample)
+    recording.finish("completed", "")
+    exported(tmp_path / "run", tmp_path / "flight.ulg")
+    names = [str(tmp_path / "flight.ulg"), str(tmp_path / "run"), "--no-page", "--json"]
+    largest = []
+    for more in ([], ["--shift", "A=0.4"]):
+        assert compare.main([*names, *more], standalone_mode=False) == 0
+        (pair,) = json.loads(capsys.readouterr().out)["differences"]
+        largest.append(max(signal["largest"] or 0.0 for signal in pair["signals"].values()))
+    assert largest[0] < 1e-4  # of an altitude of 30 m, as float
+    assert largest[1] > 1e-3
+    for wrong in ("C=1", "A", "=1", "B=nan"):
+        with pytest.raises(InputError, match="a number of seconds"):
+            compare.main([*names, "--shift", wrong], standalone_mode=False)

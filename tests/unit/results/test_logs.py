@@ -9,9 +9,11 @@ import pytest
 from flights import STEP, exported, samples, scenario, setup
 
 from cosim.base.errors import InputError
-from cosim.results.logs import FlightLog, read_flight_log, wanted
+from cosim.results.export.csv_file import export_csv
+from cosim.results.logs import FlightLog, is_flight_log, read_flight_log, wanted
+from cosim.results.logs.as_columns import ESTIMATED, as_columns
 from cosim.results.logs.flight_log import Channel, terms
-from cosim.results.run import begin_run
+from cosim.results.run import begin_run, open_run
 
 TIMES = np.arange(50) * 0.01
 WAVE = np.sin(TIMES)
@@ -145,6 +147,56 @@ def test_a_table_says_its_time(tmp_path: Path) -> None:
         read_flight_log(path, "stmp")
     with pytest.raises(InputError, match="no channel 'z'; allowed"):
         log.signal("y + z")
+
+
+def test_a_csv_of_ours_has_our_stamps_and_any_other_its_own(doublet: Path, tmp_path: Path) -> None:
+    """A thrust stands in the row of the step at whose end it is there; which stamps a bench's table has is its own."""
+    export_csv(doublet, tmp_path / "flight.csv")
+    ours, run = read_flight_log(tmp_path / "flight.csv"), read_flight_log(doublet)
+    np.testing.assert_allclose(ours.channels["thrust_2_N"].times, run.channels["thrust_2_N"].times, atol=1e-12)
+    assert ours.channels["throttle_2"].times[0] == run.channels["throttle_2"].times[0]
+    assert any("taken for the end of its step, 4 ms after time_s" in remark for remark in ours.remarks)
+    told = read_flight_log(tmp_path / "flight.csv", "time_s")
+    assert not told.remarks
+    np.testing.assert_array_equal(told.channels["thrust_2_N"].times, told.channels["throttle_2"].times)
+    bench = read_flight_log(table(tmp_path / "bench.csv", t=TIMES, throttle_1=WAVE, thrust_1_N=WAVE))
+    np.testing.assert_array_equal(bench.channels["thrust_1_N"].times, TIMES)
+
+
+def test_a_ulog_of_ours_has_the_columns_of_its_run(doublet: Path, tmp_path: Path) -> None:
+    """Every column that it has, in every step, but for what floats lose."""
+    exported(doublet, tmp_path / "flight.ulg")
+    assert is_flight_log(tmp_path / "flight.ulg")
+    assert not is_flight_log(doublet)
+    log, remarks = as_columns(read_flight_log(tmp_path / "flight.ulg"))
+    rows = open_run(doublet).log
+    assert len(log) == len(rows)
+    assert {"roll_rad", "pitch_measured_rad", "rate_q_measured_rad_s", "rate_r_setpoint_rad_s", "north_m", "thrust_6_N",
+            "throttle_1", "altitude_m"} <= set(log.columns)  # fmt: skip
+    for name in log.columns:
+        np.testing.assert_allclose(log[name], rows[name], rtol=1e-6, atol=2e-6, err_msg=name)
+    assert remarks[0] == f"ULog: {len(log.columns) - 1} columns of a flight of ours are in it"
+
+
+def test_other_logs_become_columns_as_far_as_they_go(tmp_path: Path) -> None:
+    """Degrees are radians, slower channels hold their values, and times count from the first row."""
+    (tmp_path / "flight.bin").write_bytes(dataflash())
+    log, remarks = as_columns(read_flight_log(tmp_path / "flight.bin"))
+    assert log.columns == ("time_s", "rate_p_measured_rad_s", "rate_p_setpoint_rad_s")
+    np.testing.assert_allclose(log["rate_p_measured_rad_s"], np.radians(2.0 * WAVE), rtol=1e-6)
+    assert not any("first row" in remark for remark in remarks)
+    slow, fast = np.array([2.0, 3.0]), 2.0 + 0.25 * np.arange(8)
+    channels = {
+        "RATE.ROut": Channel(fast, fast),
+        "RATE.R": Channel(fast, fast),
+        "ATT.Yaw": Channel(slow + 0.25, slow + 357.0),
+    }
+    log, remarks = as_columns(FlightLog(tmp_path / "x", "made up", channels))
+    np.testing.assert_allclose(log["time_s"], fast - 2.0)
+    np.testing.assert_allclose(np.degrees(log["yaw_rad"]), [np.nan, *[-1.0] * 4, *[0.0] * 3], atol=1e-9)
+    assert {"times count from its first row, 2.000 s of its clock", ESTIMATED} <= set(remarks)
+    with pytest.raises(InputError, match="no rates, attitude, position or throttles that are known"):
+        as_columns(FlightLog(tmp_path / "x", "made up", {"a": Channel(fast, fast)}))
 
 
 def test_a_sum_is_read_as_written() -> None:

@@ -19,7 +19,7 @@ from websockets.sync.client import connect
 from cosim.base.errors import InputError
 from cosim.groundstation.web.loopback import WRONG_TOKEN
 from cosim.shelf import index
-from cosim.shelf.index import CAMPAIGN, INDEX, PAGE, RUN, UNFINISHED, Shelf
+from cosim.shelf.index import CAMPAIGN, INDEX, LOG, PAGE, RUN, UNFINISHED, Shelf
 from cosim.shelf.server import SANDBOX, ShelfServer
 
 
@@ -50,6 +50,19 @@ def test_what_a_folder_holds(runs: Path) -> None:
     assert third.facts["controller"] == "smith"
     assert third.metrics == {"roll.rmse_rad": 0.003, "position.drift_m": 4.0, "own.jerk": 2.0, "duration_s": 20.0}
     assert (third.page, found["drawn"].page) == ("report.html", "drawing.html")
+
+
+def test_logs_of_other_controllers_lie_there_too(runs: Path) -> None:
+    """By what stands in them, not by name; they have no tags, and are deleted alone."""
+    (runs / "flight.bin").write_bytes(b"\xa3\x95\x80" + bytes(90))
+    (runs / "firmware.bin").write_bytes(b"\x7fELF")
+    place = Shelf(runs)
+    assert {entry.name for entry in place.entries() if entry.kind == LOG} == {"flight.bin"}
+    with pytest.raises(InputError, match="tags are kept in folders"):
+        place.tag(["flight.bin"], ["mine"])
+    place.delete("flight.bin")
+    assert not (runs / "flight.bin").exists()
+    assert len(place.entries()) == 8
 
 
 def test_a_real_run_and_a_real_campaign() -> None:

@@ -1,0 +1,109 @@
+"""A log of another flight controller as columns of a flight of ours: what it has, on one clock, in our units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES, MOST_JETS
+from cosim.results.columns import COLUMNS, RATES
+from cosim.results.logs.flight_log import Channel, FlightLog
+from cosim.results.logs.read import wanted
+from cosim.results.recorder import MemoryLog
+from cosim.results.tables import TIME
+
+_TRUTH = "_groundtruth"  # of a simulation, PX4's or ours, behind the name of a topic
+_ATTITUDE = "vehicle_attitude{}.q[{}]"  # of PX4: w first, body to NED
+_PLACE = "vehicle_local_position{}.{}"
+_SUMS = {  # ours: where it may stand, the nearest to it first; down is up, degrees are radians
+    "roll_rad": ("deg(ATT.Roll)", "deg(stateEstimate.roll)"),
+    "pitch_rad": ("deg(ATT.Pitch)", "-1*deg(stateEstimate.pitch)"),  # of the Crazyflie: nose down
+    "yaw_rad": ("deg(ATT.Yaw)", "-1*deg(stateEstimate.yaw)"),
+    "altitude_m": ("-1*" + _PLACE.format(_TRUTH, "z"), "-1*vehicle_local_position.z", "-1*XKF1[0].PD", "BARO[0].Alt",
+                   "stateEstimate.z"),
+    "north_m": (_PLACE.format(_TRUTH, "x"), "vehicle_local_position.x", "XKF1[0].PN"),
+    "east_m": (_PLACE.format(_TRUTH, "y"), "vehicle_local_position.y", "XKF1[0].PE"),
+    "velocity_north_m_s": (_PLACE.format(_TRUTH, "vx"), "vehicle_local_position.vx", "XKF1[0].VN"),
+    "velocity_east_m_s": (_PLACE.format(_TRUTH, "vy"), "vehicle_local_position.vy", "XKF1[0].VE"),
+    "velocity_down_m_s": (_PLACE.format(_TRUTH, "vz"), "vehicle_local_position.vz", "XKF1[0].VD"),
+}  # fmt: skip
+ESTIMATED = "attitude, position and velocity are its estimates, and not the truth as in a flight of ours"
+
+
+def as_columns(log: FlightLog) -> tuple[MemoryLog, tuple[str, ...]]:
+    """The columns that the log has, at the times of its fastest, and what is to be said of it.
+
+    Slower ones hold their values, NaN before the first.  Times count from its first row.  Raises InputError where it
+    has none.
+    """
+    found = _found(log)
+    if not found:
+        raise InputError(f"{log.path}: the {log.kind} log has no rates, attitude, position or throttles that are known")
+    clock = max(found.values(), key=lambda channel: len(channel.times)).times
+    clock = clock[np.concatenate([[True], np.diff(clock) > 0.0])] if len(clock) else clock
+    if len(clock) < 2 or not np.all(np.isfinite(clock)) or not np.all(np.diff(clock) > 0.0):
+        raise InputError(f"{log.path}: its time does not grow from row to row")
+    rows = [clock - clock[0], *(_held(channel, clock) for channel in found.values())]
+    remarks = [f"{log.kind}: {len(found)} columns of a flight of ours are in it", *log.remarks]
+    if found.keys() & _SUMS.keys() and not any(_TRUTH in name for name in log.channels):
+        remarks.append(ESTIMATED)
+    if clock[0] != 0.0:
+        remarks.append(f"times count from its first row, {clock[0]:.3f} s of its clock")
+    names = (TIME, *found)
+    described = tuple(column for column in COLUMNS if column.name in names)
+    return MemoryLog([np.stack(rows)], names, described), tuple(remarks)
+
+
+def _found(log: FlightLog) -> dict[str, Channel]:
+    found: dict[str, Channel] = {}
+    for axis, rate in zip(AXES, RATES, strict=True):
+        try:
+            meant = wanted(log, axis)
+        except InputError:
+            continue
+        found[f"rate_{rate}_measured_rad_s"] = log.signal(meant.output)
+        if meant.setpoint:
+            found[f"rate_{rate}_setpoint_rad_s"] = log.signal(meant.setpoint)
+    true, told = (log.has(_ATTITUDE.format(suffix, 3)) for suffix in (_TRUTH, ""))
+    for there, suffix, name in ((true, _TRUTH, "{}_rad"), (told, "", "{}_measured_rad" if true else "{}_rad")):
+        if there:
+            parts = [log.channels[_ATTITUDE.format(suffix, n)] for n in range(4)]
+            for axis, values in zip(AXES, _euler(*(part.values for part in parts)), strict=True):
+                found[name.format(axis)] = Channel(parts[0].times, values)
+    for name, choices in _SUMS.items():
+        text = next((each for each in choices if log.has(each)), None)
+        if text is not None and name not in found:
+            found[name] = _wrapped(log.signal(text)) if name.endswith("_rad") else log.signal(text)
+    for jet in range(1, MOST_JETS + 1):
+        throttle, thrust = f"actuator_motors.control[{jet - 1}]", f"hexjet_thrust.newton[{jet - 1}]"
+        if log.has(throttle) and np.isfinite(log.channels[throttle].values).any():
+            found[f"throttle_{jet}"] = log.channels[throttle]
+        if log.has(thrust) and log.has(throttle) and np.isfinite(log.channels[thrust].values).any():
+            # of ours, which has it in the row of the step at whose end the engine has it, as our columns do
+            found[f"thrust_{jet}_N"] = log.channels[thrust]._replace(times=log.channels[throttle].times)
+    return found
+
+
+def _held(channel: Channel, clock: Array) -> Array:
+    """Its values at these times: from each of its rows to the next; half the clock's step of slack."""
+    slack = 0.5 * float(np.median(np.diff(clock)))
+    row = np.searchsorted(channel.times, clock + slack, side="right") - 1
+    return np.where(row >= 0, channel.values[np.maximum(row, 0)], np.nan)
+
+
+def _euler(w: Array, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+    """Roll, pitch and yaw of quaternions, body to NED."""
+    arcs: Callable[[Array, Array], Array] = np.arctan2
+    return (
+        arcs(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
+        arcs(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    )
+
+
+def _wrapped(channel: Channel) -> Channel:
+    """An angle that is told from 0 to a full turn, as ours: to half a turn either way."""
+    return channel._replace(values=np.angle(np.exp(1j * channel.values)))
