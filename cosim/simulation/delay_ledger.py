@@ -37,10 +37,6 @@ class LedgerRow:
     kind: str  # "transport", "lag", "hold" or "exchange"
     samples: float | None  # None where the engine does not say
 
-    def milliseconds(self, step: float) -> float | None:
-        """The same in ms."""
-        return None if self.samples is None else self.samples * step * 1e3
-
 
 def delay_ledger(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec]) -> list[LedgerRow]:
     """The rows in the order in which the signal passes them; ``engines``: one per station."""

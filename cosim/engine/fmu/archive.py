@@ -133,7 +133,6 @@ class Archive:
     outputs: tuple[Variable, ...]
     parameters: tuple[Variable, ...]
     internal_step: float | None  # s, where the description states it
-    preferred_step: float | None  # s
     once_per_process: bool
     event_mode: bool  # FMI 3.0: it has one, and no input needs it to be set
     returns_early: bool  # FMI 3.0: it may return from a step before its end
@@ -260,7 +259,6 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
     )  # fmt: skip
     events, clocks, said = _clocks(root, without, named_ports(engines))
     notes += said
-    experiment = description.defaultExperiment
     return Archive(
         path=path,
         sha256=sha256,
@@ -277,7 +275,6 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
         outputs=outputs,
         parameters=parameters,
         internal_step=_positive(slave.fixedInternalStepSize),
-        preferred_step=_positive(experiment.stepSize if experiment else None),
         once_per_process=slave.canBeInstantiatedOnlyOncePerProcess,
         event_mode=events,
         returns_early=slave.mightReturnEarlyFromDoStep,

@@ -177,7 +177,6 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, mad
         outputs=outputs,
         parameters=parameters,
         internal_step=None,
-        preferred_step=None,
         once_per_process=any(part.archive.once_per_process for part in parts),
         event_mode=False,
         returns_early=False,
