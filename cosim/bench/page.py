@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cosim.base.errors import InputError, nearest
-from cosim.base.storage.files import replacing
+from cosim.base.storage.files import write_whole
 from cosim.bench.suite import Result
 from cosim.bench.tables import KEYS, Table, tables
 from cosim.results.report.marks import (
@@ -37,11 +37,7 @@ def write_page(path: Path, result: Result, command: str) -> None:
     parts = {key: f"Not measured: {cell(why)}\n" for key, why in result.failed.items()}
     parts |= {key: _part(part) for key, part in tables(result).items()}
     page = fill(path, parts | {COMMAND: f"```\n{command}\n```\n"})
-    try:
-        with replacing(path) as temporary:
-            temporary.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
+    write_whole(path, page, InputError)
 
 
 def fill(path: Path, parts: dict[str, str]) -> str:

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import InputError
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
-from cosim.base.storage.files import one_line, replacing
+from cosim.base.storage.files import write_files
 from cosim.campaign.authority_drawing import attainable_moments
 from cosim.control.allocation.authority import Authority, Reach, reach_of
 from cosim.flight import fly
@@ -249,12 +249,5 @@ def _flight(scenario: Scenario) -> Line:
 
 def _draw(vehicle: Vehicle, out: Path, reach: Reach) -> Path:
     path = out / "aircraft.svg"
-    drawings = {path: three_views(vehicle), out / "authority.svg": attainable_moments(vehicle, reach)}
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for each, drawing in drawings.items():
-            with replacing(each) as temporary:
-                temporary.write_text(drawing, encoding="utf-8")
-    except OSError as error:
-        raise FlightError(f"{path}: {one_line(error)}") from error
+    write_files({path: three_views(vehicle), out / "authority.svg": attainable_moments(vehicle, reach)})
     return path

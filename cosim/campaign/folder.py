@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import replacing
+from cosim.base.storage.files import write_whole
 from cosim.base.storage.toml import read_toml
 from cosim.campaign.study.distributions import Vary
 from cosim.campaign.study.keys import with_values
@@ -45,9 +45,9 @@ class Frozen:
         import tomli_w
 
         for name, content in self.files.items():
-            _write(folder / name, content)
-        _write(folder / SCENARIO, tomli_w.dumps(self.scenario).encode())
-        _write(folder / STUDY, tomli_w.dumps(self.study, multiline_strings=True).encode())
+            write_whole(folder / name, content)
+        write_whole(folder / SCENARIO, tomli_w.dumps(self.scenario).encode())
+        write_whole(folder / STUDY, tomli_w.dumps(self.study, multiline_strings=True).encode())
 
     def differences(self, folder: Path) -> Iterator[str]:
         """What this study states otherwise than the one in ``folder``, a line each, the study itself first."""
@@ -164,11 +164,6 @@ def _read(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
-
-
-def _write(path: Path, content: bytes) -> None:
-    with replacing(path) as temporary:
-        temporary.write_bytes(content)
 
 
 def _differing(where: str, theirs: Any, ours: Any) -> Iterator[tuple[str, Any, Any]]:

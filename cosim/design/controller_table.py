@@ -7,8 +7,9 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import InputError
 from cosim.base.signals import AXES
+from cosim.base.storage.files import write_files
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.controller_file import AxisRecord, LevelRecord, Purpose
 from cosim.design.design import Assessment, Design
@@ -23,11 +24,7 @@ def write_controller(design: Design, path: Path) -> None:
     """
     import tomli_w
 
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(tomli_w.dumps(controller_table(design)), encoding="utf-8")
-    except OSError as error:
-        raise FlightError(f"{path}: {error.strerror or error}") from error
+    write_files({path: tomli_w.dumps(controller_table(design))})
 
 
 def controller_table(design: Design) -> dict[str, Any]:

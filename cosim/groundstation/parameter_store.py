@@ -78,15 +78,14 @@ class ParameterStore:
             return
         import tomli_w
 
-        from cosim.base.storage.files import one_line, replacing
+        from cosim.base.storage.files import one_line, write_whole
 
         numbers = {name: values[name] for name in sorted(values)}
         text = _HEAD + tomli_w.dumps({"format": _FORMAT, "vehicle": self._vehicle, "parameters": numbers})
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._put_aside()
-            with replacing(self.path) as temporary:
-                temporary.write_text(text, encoding="utf-8")
+            write_whole(self.path, text)
         except OSError as error:
             raise InputError(f"{self.path}: {one_line(error)}") from error
         self._written = values

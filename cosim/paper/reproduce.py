@@ -18,7 +18,7 @@ import numpy as np
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import replacing
+from cosim.base.storage.files import write_whole
 from cosim.base.storage.paths import data_folder
 from cosim.campaign.workers.tasks import as_finished
 from cosim.flight import fly
@@ -88,11 +88,8 @@ def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int
     write_scenarios(folder / SCENARIOS)
     reproduction = _put_together(parts)
     write_csv(reproduction.rows, folder / COMPARISON)
-    with replacing(folder / DATA) as temporary:
-        data = as_data(reproduction.linear, reproduction.rows, reproduction.claims) | {
-            "flight": _flight_data(reproduction)
-        }
-        temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    data = as_data(reproduction.linear, reproduction.rows, reproduction.claims) | {"flight": _flight_data(reproduction)}
+    write_whole(folder / DATA, json.dumps(data, indent=1, allow_nan=False) + "\n")
     write_page(reproduction, folder / REPORT)
     return reproduction
 
@@ -165,8 +162,7 @@ def write_scenarios(folder: Path) -> None:
     for experiment in flown_experiments():
         made = scenario(experiment, frozen)
         text = tomli_w.dumps(made.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
-        with replacing(folder / f"{experiment.name}.toml") as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_whole(folder / f"{experiment.name}.toml", text)
 
 
 def fly_experiment(experiment: Experiment) -> Result:
@@ -291,8 +287,7 @@ def _run(
         for place, part in as_finished(_do, [tasks[name] for name in names], workers):
             name = names[place]
             parts[name] = part
-            with replacing(files[name]) as temporary:
-                temporary.write_bytes(pickle.dumps(part))
+            write_whole(files[name], pickle.dumps(part))
             say(name, len(parts), len(tasks))
     except FlightError as error:
         raise FlightError(f"{error}; what was finished is kept, call again") from error
@@ -311,8 +306,7 @@ def _check_writable(folder: Path) -> None:
     """Before minutes of work: ``folder`` can be made and takes a file."""
     try:
         (folder / "parts").mkdir(parents=True, exist_ok=True)
-        with replacing(folder / "parts" / "test") as temporary:
-            temporary.touch()
+        write_whole(folder / "parts" / "test", b"")
         (folder / "parts" / "test").unlink()
     except OSError as error:
         raise InputError(f"--out {folder}: cannot be written to: {error.strerror or error}") from error

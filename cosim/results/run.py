@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from cosim.base.constants import Outcome
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
-from cosim.base.storage.files import locked, replacing
+from cosim.base.storage.files import locked, write_whole
 from cosim.base.storage.toml import Vector
 from cosim.results.arrow import (
     ParquetLog,
@@ -330,7 +330,7 @@ class Recording:
         """The scenario as it was flown in the end, with what came by command.  Raises FlightError."""
         self._scenario = scenario
         if isinstance(self._sink, StreamSink):
-            _write(self._sink.path.with_name(SCENARIO), scenario_toml(scenario))
+            write_whole(self._sink.path.with_name(SCENARIO), scenario_toml(scenario), FlightError)
 
     def repeats(self, same: bool | None) -> None:
         """What was found out of a controller outside this process: whether it answers the same again."""
@@ -410,8 +410,8 @@ def begin_run(
     stream = StreamSink(folder / STREAM, setup.model_dump_json(), columns)
     try:
         for name, source in (files or {}).items():
-            _write(folder / name, source if isinstance(source, bytes) else source.read_bytes())
-        _write(folder / SCENARIO, scenario_toml(scenario))
+            write_whole(folder / name, source if isinstance(source, bytes) else source.read_bytes(), FlightError)
+        write_whole(folder / SCENARIO, scenario_toml(scenario), FlightError)
     except (OSError, FlightError) as error:
         stream.close()
         stream.path.unlink(missing_ok=True)
@@ -590,7 +590,7 @@ def _settle(
         stream_to_parquet(folder / STREAM, folder / LOG)
         log = ParquetLog(folder / LOG)
         summary = summarize(setup, log, outcome, reason, wall_s, pace, own)
-        _write(folder / SUMMARY, _json(summary).encode())
+        write_whole(folder / SUMMARY, _json(summary).encode(), FlightError)
     except FlightError as error:
         raise FlightError(
             f"{error}; what was flown is kept in {folder / STREAM}: hexjet report {folder} finishes it"
@@ -623,8 +623,8 @@ def _shorten(folder: Path, summary: Summary, steps: int) -> None:
     scenario = Scenario.read(folder / SCENARIO)
     if scenario.requests is not None and steps:
         flown = {"planned_s": steps * scenario.step_s}
-        _write(folder / SCENARIO, scenario_toml(scenario.replace(duration_s=flown["planned_s"])))
-        _write(folder / SUMMARY, _json(summary.model_copy(update=flown)).encode())
+        write_whole(folder / SCENARIO, scenario_toml(scenario.replace(duration_s=flown["planned_s"])), FlightError)
+        write_whole(folder / SUMMARY, _json(summary.model_copy(update=flown)).encode(), FlightError)
 
 
 def _refuse_if_used(folder: Path, files: Mapping[str, Path | bytes]) -> None:
@@ -667,12 +667,3 @@ def _json(summary: Summary) -> str:
             text = "[\n" + ",\n".join(f"    {json.dumps(part, allow_nan=False)}" for part in value) + "\n  ]"
         lines.append(f"  {json.dumps(key)}: {text}")
     return "{\n" + ",\n".join(lines) + "\n}\n"
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write a file that is either there whole or not at all.  Raises FlightError."""
-    try:
-        with replacing(path) as temporary:
-            temporary.write_bytes(content)
-    except OSError as error:
-        raise FlightError(f"{path}: {error.strerror or error}") from error

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import replacing
+from cosim.base.storage.files import replacing, write_whole
 from cosim.campaign.folder import FLIGHTS, STUDY
 from cosim.results.logs import is_flight_log
 from cosim.results.run import SUMMARY
@@ -96,11 +96,7 @@ class Shelf:
                 raise InputError(f"{name}: is a file; tags are kept in folders")
             path = self.place(name) / TAGS
             tags = [tag for tag in dict.fromkeys([*_tags(path), *add]) if tag not in remove]
-            try:
-                with replacing(path) as temporary:
-                    temporary.write_text(json.dumps(tags), encoding="utf-8")
-            except OSError as error:
-                raise InputError(f"{path}: {error.strerror or error}") from error
+            write_whole(path, json.dumps(tags), InputError)
 
     def delete(self, name: str) -> None:
         """Delete a folder with all that is in it, or a log.

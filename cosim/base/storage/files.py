@@ -5,14 +5,14 @@ from __future__ import annotations
 import csv
 import fcntl
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import InputError
+from cosim.base.errors import FlightError, InputError
 
 
 @contextmanager
@@ -27,6 +27,27 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def write_whole(path: Path, content: str | bytes, failure: type[Exception] | None = None) -> None:
+    """A file with this content, or as it was before.  Raises OSError, or ``failure`` with file and reason in a line."""
+    try:
+        with replacing(path) as temporary:
+            temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+    except OSError as error:
+        if failure is None:
+            raise
+        raise failure(f"{path}: {one_line(error)}") from error
+
+
+def write_files(files: Mapping[Path, str | bytes]) -> None:
+    """Several of them, in folders that are made if need be.  Raises FlightError."""
+    for path, content in files.items():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FlightError(f"{path.parent}: {one_line(error)}") from error
+        write_whole(path, content, FlightError)
 
 
 def write_records(path: Path, kind: type[Any], records: Iterable[Any]) -> None:

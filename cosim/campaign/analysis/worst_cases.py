@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import one_line, replacing
+from cosim.base.storage.files import one_line, write_whole
 from cosim.campaign.analysis.summary import SUCCESS, missing, places
 from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
 from cosim.campaign.folder import CASES, SCENARIO
@@ -149,7 +149,6 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
 def _write(path: Path, content: Path | bytes) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as temporary:
-            temporary.write_bytes(content if isinstance(content, bytes) else content.read_bytes())
+        write_whole(path, content if isinstance(content, bytes) else content.read_bytes())
     except OSError as error:
         raise FlightError(f"{path}: {one_line(error)}") from error

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import locked, one_line, replacing
+from cosim.base.storage.files import locked, one_line, write_whole
 from cosim.base.storage.toml import read_toml
 from cosim.campaign.folder import Frozen, freeze
 from cosim.campaign.folder import load as load_study
@@ -181,8 +181,7 @@ def _begin(out: Path, frozen: Frozen, plan: Plan) -> None:
     (out / STUDY).mkdir(parents=True)
     frozen.write(out / STUDY)
     (out / JOURNAL).touch()
-    with replacing(out / QUESTION) as temporary:  # the last: a folder that has it has all
-        temporary.write_text(tomli_w.dumps(question(plan)), encoding="utf-8")
+    write_whole(out / QUESTION, tomli_w.dumps(question(plan)))  # the last: a folder that has it has all
 
 
 def _cases(result: Found, prober: Prober, folder: Path) -> Iterator[Case]:
@@ -239,6 +238,5 @@ def _more_than_one(joint: Joint) -> bool:
 
 
 def _write(searched: Searched) -> None:
-    with replacing(searched.folder / RESULT) as temporary:
-        temporary.write_text(json.dumps(searched.to_dict(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_whole(searched.folder / RESULT, json.dumps(searched.to_dict(), indent=1, allow_nan=False) + "\n")
     write_page(searched, searched.folder / REPORT)

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from cosim.base.errors import FlightError, InputError, nearest
+from cosim.base.storage.files import write_whole
 from cosim.base.storage.paths import data_folder, files_in
 from cosim.base.storage.toml import (
     Model,
@@ -189,10 +190,7 @@ class Study(Model):
         """Write the study as TOML.  Raises FlightError if that fails."""
         import tomli_w
 
-        try:
-            path.write_text(tomli_w.dumps(self.table(), multiline_strings=True), encoding="utf-8")
-        except OSError as error:
-            raise FlightError(f"{path}: {error.strerror or error}") from error
+        write_whole(path, tomli_w.dumps(self.table(), multiline_strings=True), FlightError)
 
     @classmethod
     def load(cls, name: str | Path) -> Study:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
-from cosim.base.errors import FlightError
+from cosim.base.storage.files import write_files
 from cosim.design.identify.result import (
     Identification,
     equations,
@@ -56,12 +56,7 @@ def write(identification: Identification, folder: Path) -> dict[str, Path]:
     if identification.kind == "axis":
         paths["model"] = folder / "model.toml"
         texts["model"] = tomli_w.dumps(identification.model_table())
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, path in paths.items():
-            path.write_text(texts[name], encoding="utf-8")
-    except OSError as error:
-        raise FlightError(f"{folder}: {error.strerror or error}") from error
+    write_files({path: texts[name] for name, path in paths.items()})
     paths["report"] = folder / "report.html"
     write_page(identification, paths["report"])
     return paths

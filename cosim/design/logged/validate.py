@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import one_line
+from cosim.base.errors import InputError
+from cosim.base.storage.files import one_line, write_files
 from cosim.design.identify.fit import Model as Continuous
 from cosim.design.logged.pem import Form, Problem
 from cosim.design.logged.stretches import prepare
@@ -220,11 +220,7 @@ def rows(found: Validation) -> list[tuple[str, str]]:
 def write(found: Validation, folder: Path) -> dict[str, Path]:
     """Write ``validation.json`` and ``report.html``.  Raises FlightError if a file cannot be written."""
     paths = {"json": folder / "validation.json", "report": folder / "report.html"}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        paths["json"].write_text(json.dumps(found.to_dict(), indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise FlightError(f"{folder}: {error.strerror or error}") from error
+    write_files({paths["json"]: json.dumps(found.to_dict(), indent=2) + "\n"})
     render(TEMPLATE, paths["report"], {"signals": _figure(found)}, found=found, rows=rows(found))
     return paths
 

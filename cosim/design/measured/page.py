@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import FlightError
-from cosim.base.storage.files import one_line
+from cosim.base.storage.files import write_files
 from cosim.design.figures import FAR
 from cosim.design.measured.estimate import TINY
 from cosim.design.measured.margins import AxisMargins, Margins
@@ -64,12 +63,8 @@ def heading(found: AxisMargins) -> str:
 def write(found: Margins, folder: Path) -> dict[str, Path]:
     """Write ``margins.json``, ``response.csv`` and ``report.html``.  Raises FlightError if a file cannot be written."""
     paths = {"json": folder / "margins.json", "response": folder / "response.csv", "report": folder / "report.html"}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        paths["json"].write_text(json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        paths["response"].write_text(_csv(found), encoding="utf-8")
-    except OSError as error:
-        raise FlightError(f"{folder}: {one_line(error)}") from error
+    data = json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n"
+    write_files({paths["json"]: data, paths["response"]: _csv(found)})
     figures: dict[str, Any] = {}
     for axis, each in found.axes.items():
         figures |= {f"bode_{axis}": _bode(each), f"nyquist_{axis}": _nyquist(each), f"peak_{axis}": _peak(each)}

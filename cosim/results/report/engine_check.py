@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import FlightError
-from cosim.base.storage.files import one_line, replacing
+from cosim.base.storage.files import write_files
 from cosim.engine.qualify.check import CheckReport
 from cosim.engine.response import NO_CHANGE
 from cosim.results.report.flight_figures import BLUE, ORANGE
@@ -27,12 +26,7 @@ def write_check(report: CheckReport, folder: Path) -> Path:
     Raises FlightError if a file cannot be written.
     """
     path, data = folder / REPORT, folder / "check.json"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with replacing(data) as temporary:
-            temporary.write_text(json.dumps(report.to_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise FlightError(f"{data}: {one_line(error)}") from error
+    write_files({data: json.dumps(report.to_dict(), indent=2, allow_nan=False) + "\n"})
     render(TEMPLATES / "check.html", path, check_figures(report), report=report, still=f"{NO_CHANGE:.0e}")
     return path
 

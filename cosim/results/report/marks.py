@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import replacing
+from cosim.base.storage.files import write_whole
 
 _PART = re.compile(r"^<!-- measured: (.*?) -->\n(.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL)
 _MARK = re.compile(r"^<!-- (?:measured: .*|end) -->$", re.MULTILINE)
@@ -57,11 +57,7 @@ def check_marks(path: Path, names: Iterable[str]) -> None:
 def write_marks(path: Path, parts: Mapping[str, str]) -> None:
     """Write ``parts`` between their marks.  Raises InputError as :func:`filled`, and if the file cannot be written."""
     page = filled(_read(path), parts, path)
-    try:
-        with replacing(path) as temporary:
-            temporary.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
+    write_whole(path, page, InputError)
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import one_line, replacing
+from cosim.base.storage.files import one_line, write_whole
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 ASSETS = Path(__file__).resolve().parent / "assets"
@@ -65,11 +65,7 @@ def render(
         flights=flight_parts(flights, path, shared) if flights is not None else None,
         **values,
     )
-    try:
-        with replacing(path) as temporary:
-            temporary.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise FlightError(f"{path}: {one_line(error)}") from error
+    write_whole(path, page, FlightError)
 
 
 def plotly_js() -> str:
@@ -104,8 +100,7 @@ def shared_assets(folder: Path) -> Path:
         place.mkdir(parents=True, exist_ok=True)
         for key, value in held.items():
             if not (place / key).is_file():
-                with replacing(place / key) as temporary:
-                    temporary.write_bytes(value)
+                write_whole(place / key, value)
     except OSError as error:
         raise FlightError(f"{place}: {one_line(error)}") from error
     return place
