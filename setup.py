@@ -143,7 +143,7 @@ class BuildExtensions(build_ext):
         (package / compiled.SHARED).unlink(missing_ok=True)
         suffix = sysconfig.get_config_var("EXT_SUFFIX")
         for path in package.rglob(f"*{suffix}"):
-            if path.with_name(f"{path.name.removesuffix(suffix)}.py").exists():
+            if not path.with_name(f"{path.name.removesuffix(suffix)}.c").exists():
                 path.unlink()
 
 
