@@ -46,7 +46,8 @@ class Page(NamedTuple):
 
 DOUBLET = ["fly roll-doublet --controller baseline --out baseline", "fly roll-doublet --controller smith --out smith"]
 MODEL = "identify log smith --axis roll --out logged"
-START = Path(__file__).parents[1] / "tests" / "designs" / "edf-as-flown.toml"  # a search anew takes minutes
+ROOT = Path(__file__).parents[1]
+START = ROOT / "tests" / "designs" / "edf-as-flown.toml"  # a search anew takes minutes
 VARIED = "--vary vehicle.mass_kg=5:6.5 --vary mismatch.delay_samples=0:20"
 PAGES = {
     "flight": Page(["fly fault-flame-out --out fault"], "fault/report.html", 1.8),
@@ -63,17 +64,18 @@ PAGES = {
     "identify": Page(["identify roll --engine edf-as-flown --out identified"], "identified/report.html"),
     "identify-log": Page([*DOUBLET, MODEL], "logged/report.html"),
     "validation": Page([*DOUBLET, MODEL, "validate logged baseline --out validated"], "validated/report.html"),
-    "design": Page([f"design --controller smith --start {START} --no-proof --out designed.toml"], "designed.html"),
+    "design": Page([f"design --start {START} --no-proof --out designed.toml"], "designed.html"),
     "margins": Page(
         ["margins hover --controller smith --axis roll --periods 3 --out measured"], "measured/report.html"
     ),
-    "engine-check": Page(["fmu check edf --out checked"], "checked/report.html"),
+    "engine-check": Page(["fmu check edf.fmu --out checked"], "checked/report.html"),
 }
 
 
 def write(page: Page, folder: Path, done: set[str]) -> Path:
     """Run the commands that ``done`` has not, in the folder; the page.  Raises InputError where one leaves none."""
     os.chdir(folder)
+    shutil.copy(ROOT / "fmus" / "edf.fmu", folder)  # named without the place of this installation
     for command in page.commands:
         if command not in done:
             with suppress(SystemExit):  # some say with its status that a vehicle has failed, which their page shows
@@ -125,7 +127,7 @@ def live(folder: Path, flies: bool = True) -> Iterator[str]:
             if flies:
                 until(lambda status: status.ready, rq.Arm())
                 until(lambda status: status.armed, rq.Takeoff(4.0))
-                until(lambda status: status.mode.value == "HOLD", rq.Goto(6.0, 4.0))
+                until(lambda status: status.landed.value == "in_air" and status.mode.value == "HOLD", rq.Goto(6.0, 4.0))
             yield server.url
         finally:
             session.stop("its picture is taken")

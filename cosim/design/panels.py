@@ -29,6 +29,11 @@ def trace(label: str, colour: str, x: ArrayLike, y: ArrayLike, panel: int = 0, *
     return drawn | more
 
 
+def beneath(colour: str) -> Figure:
+    """How a line is drawn that another one may cover: wide and pale, so that both are seen."""
+    return {"line": {"color": colour, "width": 6.0}, "opacity": 0.45}
+
+
 def panels(
     height: int, x: str, titles: Sequence[str], log: bool, domains: Sequence[tuple[float, float]] = ()
 ) -> Figure:

@@ -23,7 +23,7 @@ from cosim.results.logs import is_flight_log
 from cosim.results.run import SUMMARY
 
 INDEX, TAGS = ".index.json", "tags.json"
-FORM = 1  # of the index; another one is read as none
+FORM = 2  # of the index; another one is read as none
 RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", "log"
 SCENARIO = "scenario.toml"
 LOGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # of other flight controllers, which can be compared
@@ -172,9 +172,22 @@ def _facts(summary: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _study(path: Path) -> dict[str, str]:
+    """Title and scenario of a campaign; where it flies a file of its own folder, the name that this has."""
+    facts = _stated(path, "title", "scenario")
+    if facts.get("scenario") == SCENARIO:
+        flown = _stated(path.parent / SCENARIO, "title", "name")
+        facts = flown | facts | {"scenario": flown.pop("name", SCENARIO)}
+        facts.pop("name", None)
+    return facts
+
+
+def _stated(path: Path, *keys: str) -> dict[str, str]:
+    """Texts that a file states before its first table."""
     with suppress(OSError, ValueError):
-        found = dict(re.findall(r'^(title|scenario) = "([^"\n]*)"', path.read_text(encoding="utf-8"), re.MULTILINE))
-        return {name: str(text) for name, text in found.items()}
+        head = path.read_text(encoding="utf-8").partition("\n[")[0]
+        return {
+            str(key): str(text) for key, text in re.findall(r'^(\w+) = "([^"\n]*)"', head, re.MULTILINE) if key in keys
+        }
     return {}
 
 

@@ -13,7 +13,7 @@ from cosim.base.errors import FlightError
 from cosim.base.storage.paths import data_folder
 from cosim.design.logged.identify_log import LogIdentification, information
 from cosim.design.logged.pem import Estimate
-from cosim.design.panels import HOVER, panels, trace
+from cosim.design.panels import HOVER, beneath, panels, trace
 from cosim.results.report.flight_figures import BLUE, GREEN, GREY, MAGENTA, ORANGE
 from cosim.results.report.page import render
 
@@ -181,7 +181,7 @@ def _signals(found: LogIdentification) -> dict[str, Any]:
         dots = {"mode": "markers", "marker": {"size": 3, "color": MAGENTA}}
         data += [
             trace("command", GREY, stretch.start + cells * stretch.step, stretch.command[cells], 0, **named),
-            trace("measured", ORANGE, times, measured, 1, **named),
+            trace("measured", ORANGE, times, measured, 1, **named, **beneath(ORANGE)),
             trace("model, of the command alone", BLUE, times, model, 1, **named),
             trace("residuals, made white", MAGENTA, times, left, 2, **named, **dots),
         ]

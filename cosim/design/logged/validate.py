@@ -16,7 +16,7 @@ from cosim.base.storage.files import one_line, write_files
 from cosim.design.identify.fit import Model as Continuous
 from cosim.design.logged.pem import Form, Problem
 from cosim.design.logged.stretches import prepare
-from cosim.design.panels import HOVER, panels, trace
+from cosim.design.panels import HOVER, beneath, panels, trace
 from cosim.results.logs import FlightLog, Wanted, wanted
 from cosim.results.report.flight_figures import BLUE, GREY, ORANGE
 from cosim.results.report.page import render
@@ -229,12 +229,12 @@ def _figure(found: Validation) -> dict[str, Any]:
     data = []
     for n, (times, command, output, model) in enumerate(found.signals):
         every, named = slice(None, None, max(1, len(times) // _MOST)), {"showlegend": n == 0}
-        for name, colour, values, panel in (
-            ("command", GREY, command, 0),
-            ("flown", ORANGE, output, 1),
-            ("model", BLUE, model, 1),
+        for name, colour, values, panel, how in (
+            ("command", GREY, command, 0, {}),
+            ("flown", ORANGE, output, 1, beneath(ORANGE)),
+            ("model", BLUE, model, 1, {}),
         ):
-            data.append(trace(name, colour, times[every], values[every], panel, **named))
+            data.append(trace(name, colour, times[every], values[every], panel, **named, **how))
     titles = (found.model.wanted.command_unit, found.model.wanted.output_unit)
     layout = panels(520, "time [s]", titles, log=False, domains=((0.7, 1.0), (0.0, 0.65)))
     return {"data": data, "layout": layout | HOVER}

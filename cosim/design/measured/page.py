@@ -14,7 +14,7 @@ from cosim.base.storage.files import write_files
 from cosim.design.figures import FAR
 from cosim.design.measured.estimate import TINY
 from cosim.design.measured.margins import AxisMargins, Margins
-from cosim.design.panels import Figure, panels, trace
+from cosim.design.panels import Figure, beneath, panels, trace
 from cosim.results.report.flight_figures import BLUE, GREY, ORANGE, RED
 from cosim.results.report.page import render
 
@@ -90,7 +90,7 @@ def _curves(found: AxisMargins) -> list[tuple[str, str, Any, Any, dict[str, Any]
     hertz = found.sine.hertz
     if found.computed is not None:
         inside = (found.computed.hertz >= hertz[0]) & (found.computed.hertz <= hertz[-1])
-        curves.append(("computed", ORANGE, found.computed.hertz[inside], found.computed.loop[inside], {}))
+        curves.append(("computed", ORANGE, found.computed.hertz[inside], found.computed.loop[inside], beneath(ORANGE)))
     dots = {"mode": "markers", "marker": {"size": 5, "color": BLUE}}
     return [*curves, ("measured", BLUE, hertz, found.response.loop, dots)]
 

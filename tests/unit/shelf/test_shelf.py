@@ -73,6 +73,18 @@ def test_a_real_run_and_a_real_campaign() -> None:
     assert run.facts["verdict"] == "as planned"
 
 
+def test_a_campaign_has_the_name_of_the_scenario_that_lies_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "flights").mkdir()
+    (tmp_path / "study.toml").write_text(
+        'name = "mine"\nscenario = "scenario.toml"\n\n[[vary]]\nkey = "x"\ntitle = "no"\n'
+    )
+    facts = index.read_entry(tmp_path).facts
+    assert (facts["scenario"], facts.get("title")) == ("scenario.toml", None)  # it is not there
+    (tmp_path / "scenario.toml").write_text('name = "roll-doublet"\ntitle = "A doublet"\n')
+    facts = index.read_entry(tmp_path).facts
+    assert (facts["scenario"], facts["title"], "name" in facts) == ("roll-doublet", "A doublet", False)
+
+
 def test_what_has_not_changed_is_not_read_again(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = Shelf(runs).entries()
     read: list[str] = []

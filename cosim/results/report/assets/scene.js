@@ -56,7 +56,7 @@
       const shell = corners.flatMap((corner) => [corner, corner.clone().add(new THREE.Vector3(0, 0, thick))]);
       if (corners.length > 3) {
         const geometry = new THREE.ConvexGeometry(shell);
-        body.add(new THREE.Mesh(geometry, paint(colour, 0.4)));
+        body.add(new THREE.Mesh(geometry, paint(colour, 0.16))); // what the points enclose; of the hull's own shape nothing is known
         body.add(new THREE.LineSegments(new THREE.EdgesGeometry(geometry, 20), new THREE.LineBasicMaterial({ color: colour, transparent: true, opacity: ghost ? 0.8 : 0.9 })));
       }
       const nose = new THREE.Mesh(new THREE.CylinderGeometry(0, 0.09 * size, 0.22 * size, 12), paint(0xf08c00, 1)); // it points forward
@@ -76,6 +76,7 @@
       let apart = Infinity;
       about.jets.forEach((a, n) => about.jets.slice(n + 1).forEach((b) => { apart = Math.min(apart, vector(a.position).distanceTo(vector(b.position)) || Infinity); }));
       const radius = Math.min(0.22 * size, Number.isFinite(apart) ? 0.42 * apart : 0.2 * size);
+      for (const jet of about.jets) if (vector(jet.position).length() > 1e-6) body.add(rod(new THREE.Vector3(0, 0, 0), vector(jet.position), 0.02 * size, paint(colour, 1)));
       const jets = about.jets.map((jet) => {
         const group = new THREE.Group(), at = vector(jet.position), axis = vector(jet.axis);
         const material = paint(0x4a5b6c, 1);
