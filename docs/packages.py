@@ -41,6 +41,7 @@ EXTRAS = {
     "cluster": "hexjet sweep --cluster",
     "docs": "make docs",
     "export": "hexjet export --to mcap",
+    "foxglove": "hexjet gcs --foxglove",
     "gym": "the Gymnasium environment",
     "logs": "hexjet identify log FILE.ulg",
     "mpc": "hexjet fly --controller mpc",

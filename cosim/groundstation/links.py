@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.modes import Severity
@@ -26,13 +26,17 @@ from cosim.groundstation.session import Onlookers
 from cosim.results.autopilot.request_log import REQUESTS
 from cosim.results.run import TELEMETRY
 
+if TYPE_CHECKING:
+    from cosim.groundstation.onlooker import Onlooker
+
 
 class Links:
     """Opens the links of ``urls`` (without any: the two that ground stations listen to) and the page.
 
     Nothing is said on them before the first flight begins.  ``public``: servers may listen to the network.
     ``sign_key``: a file with the key.  ``web``: the page's port, None for no page.  ``system``: the vehicle's MAVLink
-    id, by which stations tell several apart.  Raises InputError for a URL, key, port or id that cannot be used.
+    id, by which stations tell several apart.  ``foxglove``: ``[HOST:]PORT`` of a server for Foxglove.  Raises
+    InputError for a URL, key, port or id that cannot be used.
     """
 
     def __init__(
@@ -43,6 +47,7 @@ class Links:
         personality: Personality = "px4",
         web: int | None = None,
         system: int = 1,
+        foxglove: str | None = None,
     ) -> None:
         if system not in endpoint.SYSTEMS:
             most = endpoint.SYSTEMS[-1]
@@ -56,6 +61,7 @@ class Links:
         self.link = Link(self.endpoints, system, signing=signing)
         self.link.tell = lambda text: self.exchange.say(Severity.WARNING, text)
         self._page = None
+        self._foxglove: Onlooker | None = None
         self._vehicle: Vehicle | None = None
         self._parameters: ParameterService | None = None
         self._shelf: Shelf | None = None
@@ -66,6 +72,11 @@ class Links:
 
                 self._page = WebServer(self.exchange, web)
                 self._page.start()
+            if foxglove is not None:
+                from cosim.groundstation.onlooker import Onlooker, address
+
+                self._foxglove = Onlooker(self.exchange, *address(foxglove, public))
+                self._foxglove.start()
         except BaseException:
             self.close()
             raise
@@ -82,6 +93,11 @@ class Links:
     def page(self) -> str | None:
         """Where the page is."""
         return self._page.url if self._page is not None else None
+
+    @property
+    def foxglove(self) -> str | None:
+        """Where Foxglove finds the flight."""
+        return self._foxglove.url if self._foxglove is not None else None
 
     @property
     def heard(self) -> int:
@@ -124,6 +140,9 @@ class Links:
         if self._page is not None:
             self._page.stop()
             self._page = None
+        if self._foxglove is not None:
+            self._foxglove.stop()
+            self._foxglove = None
         self._port.leave()
         self.link.close()
         if self._shelf is not None:

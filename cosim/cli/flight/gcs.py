@@ -81,6 +81,13 @@ if TYPE_CHECKING:
 @click.option(
     "--web", type=click.IntRange(0, 65535), is_flag=False, flag_value=8765, metavar="[PORT]", help="Serve a page too."
 )
+@click.option(
+    "--foxglove",
+    is_flag=False,
+    flag_value="8766",
+    metavar="[[HOST:]PORT]",
+    help="Show the flight to Foxglove too, on a WebSocket.  [default: 127.0.0.1:8766]",
+)
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="[default: a new one in runs/]")
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object at the end and nothing else.")
 def gcs(
@@ -105,6 +112,7 @@ def gcs(
     rtf: float,
     duration: float | None,
     web: int | None,
+    foxglove: str | None,
     out: Path | None,
     as_json: bool,
 ) -> int:
@@ -133,7 +141,7 @@ def gcs(
     flown = flown.replace(**changes)
     own = vehicle_key(flown) if system == 1 else f"{vehicle_key(flown)}-system-{system}"
     kept = None if str(parameters) == "none" else parameters or default_file(own)
-    with output_to_stderr(as_json), Links(links, public, sign_key, personality, web, system) as opened:
+    with output_to_stderr(as_json), Links(links, public, sign_key, personality, web, system, foxglove) as opened:
         session = Session(
             flown,
             opened.exchange,
@@ -167,6 +175,7 @@ def print_gcs(session: Session, links: Links, to_stderr: bool) -> None:
         ("system", str(links.system)),
         *[("MAVLink", _where(url)) for url in links.urls],
         *([("page", links.page)] if links.page else []),
+        *([("Foxglove", links.foxglove)] if links.foxglove else []),
         ("parameters", f"{session.parameters or 'not kept'}"),
         ("run", str(session.facts.folder)),
         ("pace", "as fast as it goes" if session.factor is None else f"{session.factor:g} x real time"),

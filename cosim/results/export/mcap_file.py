@@ -20,7 +20,7 @@ from cosim.base.protocols import Column
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.columns import own_columns
 from cosim.results.export.output import ROWS, Block, Said, Timed, described, facts, meaning, output, said, scenario_of
-from cosim.results.run import SCENARIO, SUMMARY, Run, open_run
+from cosim.results.run import SCENARIO, SUMMARY, open_run
 
 # What each column of every flight is about; those that blocks show of their own are in /own.
 SUBJECTS = {
@@ -43,7 +43,7 @@ _DOUBLE = 1  # Protocol Buffers' wire type of eight bytes
 _LEVELS = {0: 5, 1: 5, 2: 5, 3: 4, 4: 3, 5: 2, 6: 2, 7: 1}  # of syslog to foxglove.Log: 5 fatal ... 1 debug
 
 
-class _Channel(NamedTuple):
+class Channel(NamedTuple):
     """A channel of columns: its number, the columns, and how a row of them is laid out as a message."""
 
     number: int
@@ -79,12 +79,12 @@ def export_mcap(folder: Path, path: Path) -> None:
         for name, kind in ((SCENARIO, "application/toml"), (SUMMARY, "application/json")):
             if (folder / name).is_file():
                 writer.add_attachment(0, 0, name, kind, (folder / name).read_bytes())
-        channels = _channels(writer, run)
-        drawn = scene.Scene(writer, run.summary, scenario_of(run))
+        channels = channels_of(writer, described(run))
+        drawn = scene.Scene(writer, run.summary.step_s, scenario_of(run))
         texts = _texts(writer, said(run, read_pilot_record(folder)))
         done, first, last = 0, 0, len(run.log) - 1
         for block in run.log.blocks(run.log.columns, ROWS):
-            messages = [*_rows(channels, block, first), *drawn.messages(block, first, last)]
+            messages = [*messages_of(channels, block, first), *drawn.messages(block, first, last)]
             first += len(block["time_s"])
             while done < len(texts) and texts[done][0] < first:
                 messages.append(texts[done])
@@ -110,15 +110,16 @@ def subjects(columns: Sequence[Column]) -> dict[str, list[Column]]:
     return made
 
 
-def _channels(writer: Any, run: Run) -> list[_Channel]:
+def channels_of(writer: Any, columns: Sequence[Column]) -> list[Channel]:
+    """The channels of a log's columns, registered."""
     from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 
     made = []
-    for topic, columns in subjects(described(run)).items():
+    for topic, of in subjects(columns).items():
         files = FileDescriptorSet()
         file = files.file.add(name=f"hexjet{topic}.proto", package="hexjet", syntax="proto3")
         message = file.message_type.add(name=topic.strip("/").title().replace("_", ""))
-        for number, column in enumerate(columns, 1):
+        for number, column in enumerate(of, 1):
             message.field.add(
                 name=column.name,
                 json_name=column.name,
@@ -127,13 +128,13 @@ def _channels(writer: Any, run: Run) -> list[_Channel]:
                 label=FieldDescriptorProto.LABEL_OPTIONAL,
             )
         schema = writer.register_schema(f"hexjet.{message.name}", "protobuf", files.SerializeToString())
-        told = {column.name: meaning(column) for column in columns}
-        tags = tuple(_varint(number << 3 | _DOUBLE) for number in range(1, len(columns) + 1))
+        told = {column.name: meaning(column) for column in of}
+        tags = tuple(_varint(number << 3 | _DOUBLE) for number in range(1, len(of) + 1))
         layout = [part for n, tag in enumerate(tags) for part in ((f"tag{n}", "u1", (len(tag),)), (f"value{n}", "<f8"))]
         made.append(
-            _Channel(
+            Channel(
                 writer.register_channel(topic, "protobuf", schema, told),
-                tuple(column.name for column in columns),
+                tuple(column.name for column in of),
                 np.dtype(layout),
                 tags,
             )
@@ -150,7 +151,7 @@ def _varint(number: int) -> bytes:
     return bytes([*made, number])
 
 
-def _rows(channels: Sequence[_Channel], block: Block, first: int) -> Iterator[Timed]:
+def messages_of(channels: Sequence[Channel], block: Block, first: int) -> Iterator[Timed]:
     """One message a row and channel: each field is its tag and eight bytes, so that all rows are of one layout."""
     times = nanoseconds(block)
     for channel in channels:
@@ -169,14 +170,24 @@ def nanoseconds(block: Block) -> list[int]:
 
 
 def _texts(writer: Any, lines: Sequence[Said]) -> list[Timed]:
+    channel = log_channel(writer)
+    return [text_of(channel, line) for line in lines]
+
+
+def log_channel(writer: Any) -> int:
+    """The channel of what was said, registered."""
     from foxglove_schemas_protobuf.Log_pb2 import Log
     from mcap_protobuf.schema import register_schema
 
-    channel = writer.register_channel("/log", "protobuf", register_schema(writer, Log))
-    made = []
-    for line in lines:
-        time = round(1e9 * line.time_s)
-        message = Log(level=_LEVELS[line.severity], message=line.text, name=line.kind)
-        message.timestamp.FromNanoseconds(time)
-        made.append((line.k, time, channel, message.SerializeToString()))
-    return made
+    channel: int = writer.register_channel("/log", "protobuf", register_schema(writer, Log))
+    return channel
+
+
+def text_of(channel: int, line: Said) -> Timed:
+    """A line of text as a message."""
+    from foxglove_schemas_protobuf.Log_pb2 import Log
+
+    time = round(1e9 * line.time_s)
+    message = Log(level=_LEVELS[line.severity], message=line.text, name=line.kind)
+    message.timestamp.FromNanoseconds(time)
+    return line.k, time, channel, message.SerializeToString()

@@ -37,7 +37,6 @@ from cosim.base.geodesy import Geodesy
 from cosim.base.layout import Layout
 from cosim.base.signals import AXES, Quaternion, Vector3
 from cosim.results.export.output import Block, Timed, quaternions
-from cosim.results.run import Summary
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
@@ -56,7 +55,7 @@ _THRUST, _WIND = (0.75, 0.22, 0.17, 1.0), (0.18, 0.5, 0.8, 1.0)
 class Scene:
     """The messages of a flight; without a scenario only frames and pose, without the jets."""
 
-    def __init__(self, writer: Any, summary: Summary, scenario: Scenario | None) -> None:
+    def __init__(self, writer: Any, step_s: float, scenario: Scenario | None) -> None:
         kinds: dict[str, Any] = {"/tf": FrameTransforms, "/pose": PoseInFrame}
         self._vehicle: Vehicle | None = None
         self._layout: Layout | None = None
@@ -74,7 +73,7 @@ class Scene:
             if kind not in known:
                 known[kind] = register_schema(writer, kind)
         self._channels = {name: writer.register_channel(name, "protobuf", known[kind]) for name, kind in kinds.items()}
-        self._every = {name: max(1, round(seconds / summary.step_s)) for name, seconds in EVERY_S.items()}
+        self._every = {name: max(1, round(seconds / step_s)) for name, seconds in EVERY_S.items()}
 
     def messages(self, block: Block, first: int, last: int) -> Iterator[Timed]:
         """Those of a block whose first row is step ``first``; that of the ``last`` step always."""

@@ -1,0 +1,69 @@
+"""A session as Foxglove sees it while it flies: a thread that looks at the exchange so many times a second."""
+
+from __future__ import annotations
+
+import threading
+
+from cosim.base.errors import InputError
+from cosim.groundstation.exchange import Exchange
+from cosim.results.export.foxglove_live import LiveExport
+from cosim.results.export.output import Said
+
+LOOKS_1_S = 25  # chosen by us: a picture every 40 ms, as the exported arrows; every step is in the run's log
+DRAWN_S = 1.0  # between two drawings of what stands still: as long a viewer that comes later waits for it
+PORT = 8766  # beside the page's
+
+
+def address(text: str, public: bool) -> tuple[str, int]:
+    """Host and port of ``[HOST:]PORT``.  Raises InputError for another one, and for the network without ``public``."""
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or int(port) > 65535:
+        raise InputError(f"--foxglove {text}: must be [HOST:]PORT, with a port from 0 to 65535")
+    host = host or ("0.0.0.0" if public else "127.0.0.1")
+    if host not in ("127.0.0.1", "localhost") and not public:
+        raise InputError(f"--foxglove {text}: listens to the network, which needs --public")
+    return host, int(port)
+
+
+class Onlooker:
+    """Shows what the exchange has to Foxglove, from :meth:`start` to :meth:`stop`."""
+
+    def __init__(self, exchange: Exchange, host: str, port: int) -> None:
+        self._exchange = exchange
+        self._export = LiveExport(host, port)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="foxglove", daemon=True)
+        self.url = self._export.url
+
+    def start(self) -> None:
+        """Look from now on."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Look no more; may be called twice."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._export.close()
+
+    def _run(self) -> None:
+        flight, step, told, looks = 0, -1, 0, 0
+        while not self._over.wait(1.0 / LOOKS_1_S):
+            snapshot = self._exchange.snapshot
+            if snapshot is None or snapshot.sample is None:
+                continue
+            scenario = snapshot.facts.scenario
+            if snapshot.facts.number != flight:
+                flight, step, looks = snapshot.facts.number, -1, 0
+                self._export.begin(scenario)
+            if looks % round(DRAWN_S * LOOKS_1_S) == 0:
+                self._export.draw(snapshot.sample.time)
+            looks += 1
+            lines = [message for message in self._exchange.messages if message.number > told]
+            told = lines[-1].number if lines else told
+            self._export.say(
+                Said(each.k, each.k * scenario.step_s, int(each.severity), "autopilot", each.text) for each in lines
+            )
+            if snapshot.sample.k != step:
+                step = snapshot.sample.k
+                self._export.tell(snapshot.sample)
