@@ -2,14 +2,14 @@
 
 Force and moment of every jet are read back from JSBSim and compared with ``r x F`` by hand.  Authority is the largest
 moment about one axis while the weight is held and the other two moments are zero, over all throttles within their
-limits and over the hinges (:mod:`cosim.control.allocation.authority`).
+limits and over the hinges: what is attained, and what nothing exceeds (:mod:`cosim.control.allocation.authority`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from math import inf, sqrt
+from math import inf, isfinite, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
 from cosim.base.storage.files import write_files
 from cosim.campaign.authority_drawing import attainable_moments
-from cosim.control.allocation.authority import Authority, Reach, reach_of
+from cosim.control.allocation.authority import Authority, Range, Reach, reach_of
 from cosim.flight import fly
 from cosim.results.report.three_views import places, three_views
 from cosim.simulation.build import build
@@ -58,7 +58,11 @@ class AircraftCheck:
     authority: list[Authority]
     inertia: Vector3
     drawing: Path | None = None
-    exact: bool = True  # the authority; False where hinges turn: then it is what a local search found, at least
+
+    @property
+    def exact(self) -> bool:
+        """Whether what is attained is all that there is of authority, to three digits; else it is at least that."""
+        return all(each.falls or all(each.span(axis).met for axis in range(3)) for each in self.authority)
 
     @property
     def fit(self) -> bool:
@@ -72,7 +76,7 @@ class AircraftCheck:
             "engine": self.engine,
             "fit": self.fit,
             "checks": [asdict(line) for line in self.lines],
-            "authority": [each._asdict() for each in self.authority],
+            "authority": [_told(each) for each in self.authority],
             "authority_exact": self.exact,
             "inertia_kg_m2": self.inertia,
             "drawing": None if self.drawing is None else str(self.drawing),
@@ -125,7 +129,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
         reach = reach_of(vehicle, least.tolist(), most.tolist())
         authority = [reach.authority(lost) for lost in losses]
         engine_name = simulation.engine.name
-    lines += [_lift(authority[0]), *_axes(authority, vehicle), _flight(scenario)]
+    lines += [_lift(authority[0]), *_axes(authority, vehicle.inertia_kg_m2), _flight(scenario)]
     return AircraftCheck(
         vehicle.name,
         vehicle.title,
@@ -134,8 +138,17 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
         authority,
         vehicle.inertia_kg_m2,
         None if out is None else _draw(vehicle, out, reach),
-        not vehicle.turns,
     )
+
+
+def _told(authority: Authority) -> dict[str, Any]:
+    """For JSON: what is not known, or not there, is null."""
+    most = authority.moment_at_most
+    return authority._asdict() | {
+        "lift_at_most": authority.lift_at_most if isfinite(authority.lift_at_most) else None,
+        "moment_at_most": most if most is not None and isfinite(max(most)) else None,
+        "falls": authority.falls,
+    }
 
 
 def _forces(simulation: Simulation) -> Line:
@@ -211,24 +224,31 @@ def _thrust(simulation: Simulation) -> tuple[Array, Array]:
 def _lift(whole: Authority) -> Line:
     said = f"thrust in balance {whole.lift:.2f} times the weight"
     if whole.lift < 1.0:
-        return Line("hover", said, "it does not lift off")
+        return Line(
+            "hover", said, "it does not lift off" if whole.lift_at_most < 1.0 else "no balance was found that lifts it"
+        )
     return Line("hover", said, "" if whole.lift >= LIFT else f"less than {LIFT:g}: height and attitude fight for it")
 
 
-def _axes(authority: Sequence[Authority], vehicle: Vehicle) -> list[Line]:
-    whole, lines = authority[0].moment, []
-    least = "at least " if vehicle.turns else ""
+def _axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
+    lines = []
     for number, axis in enumerate(AXES):
-        moment = 0.0 if whole is None else whole[number]
-        turn = moment / vehicle.inertia_kg_m2[number]
-        fault = "" if moment > 0.0 else "nothing turns it while the weight is held"
-        lines.append(
-            Line(f"{axis} authority", f"{least}{moment:.3g} N m either way in hover, {turn:.3g} rad/s^2", fault)
-        )
-    held = [each.lost[0] for each in authority[1:] if each.moment is not None and min(each.moment) > 0.0]
+        moment = authority[0].span(number)
+        turn = Range(moment.least / inertia[number], moment.most / inertia[number])
+        fault = "" if moment.least > 0.0 else "nothing turns it while the weight is held"
+        if fault and moment.most > 0.0:
+            fault = "nothing was found that turns it while the weight is held"
+        said = f"{moment.said()} N m either way in hover, {turn.said()} rad/s^2"
+        lines.append(Line(f"{axis} authority", said, fault))
+    held = [each.lost[0] for each in authority[1:] if min(each.span(axis).least for axis in range(3)) > 0.0]
+    open_ = [
+        each.lost[0]
+        for each in authority[1:]
+        if each.lost[0] not in held and min(each.span(axis).most for axis in range(3)) > 0.0
+    ]
     said = f"balanced, with authority about every axis, without any one of: {', '.join(map(str, held)) or 'none'}"
-    if vehicle.turns:
-        said += "; of the others the search over the hinges found none, which does not prove that there is none"
+    if open_:
+        said += f"; without {', '.join(map(str, open_))} nothing was found, which does not prove that there is nothing"
     return [*lines, Line("one engine lost", said)]
 
 

@@ -1,4 +1,7 @@
-"""The moments that a vehicle makes while it holds its weight, as a drawing in SVG: sections of the attainable set."""
+"""The moments that a vehicle makes while it holds its weight, as a drawing in SVG: sections of the attainable set.
+
+Drawn is what is attained; where hinges leave more open than a line is wide, what nothing exceeds is drawn around it.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,16 @@ from cosim.control.allocation.authority import Reach
 from cosim.results.report.svg import begun, ended, text
 from cosim.spec.vehicle import Vehicle
 
-DIRECTIONS = 16  # in which a section is looked at
-VIEW, MARGIN, TITLE = 300.0, 44.0, 44.0  # px
+DIRECTIONS = 24  # in which a section is looked at, the axes and the diagonals among them
+OPEN = 0.02  # of a moment, by which its bound is above it where that is drawn; a line is as wide
+VIEW, MARGIN, TITLE = 300.0, 58.0, 44.0  # px
+Corners = list[tuple[float, float]]
 SECTIONS = ((0, 1), (0, 2), (1, 2))  # axes to the right and upwards
 STYLE = (
     "text { font: 11px system-ui, sans-serif; fill: #222; } .name { font-weight: 600; } .dim { fill: #666; }"
     " .frame { fill: #fff; } .axis { stroke: #999; stroke-width: 0.8; } .whole { fill: #1f4e79; fill-opacity: 0.12;"
     " stroke: #1f4e79; stroke-width: 1.6; } .lost { fill: none; stroke: #c0392b; stroke-width: 0.9; }"
+    " .most { fill: none; stroke: #1f4e79; stroke-width: 0.9; stroke-dasharray: 4 3; }"
 )
 
 
@@ -42,21 +48,25 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
     root = begun(title, VIEW * len(SECTIONS), VIEW + 2 * TITLE, STYLE)
     ET.SubElement(root, "rect", {"class": "frame", "width": "100%", "height": "100%"})
     text(root, 12, 22, f"{vehicle.title}: moments in hover, N m", "name")
-    text(root, 12, 38, "filled: all engines; red: without each one, named by its number; the third moment is 0", "dim")
+    said = "filled: all engines; red: without each one, named by its number; the third moment is 0"
+    if not reach.bounded:
+        said += "; found by search: there may be more"
+    text(root, 12, 38, said, "dim")
     for number, (right, up) in enumerate(SECTIONS):
-        whole = _section(reach, right, up)
-        lost: dict[str, list[tuple[float, float]]] = {}
+        whole, most = _section(reach, right, up)
+        lost: dict[str, Corners] = {}
         if not number:
             for jet in range(1, len(vehicle.jets) + 1):
-                section = _section(reach.without([jet]), right, up, DIRECTIONS // 2)
+                section, _ = _section(reach.without([jet]), right, up, DIRECTIONS // 2)
                 if section:
                     lost[str(jet)] = section
-        _draw(root, number * VIEW, (right, up), whole, lost)
+        _draw(root, number * VIEW, (right, up), whole, most, lost)
     return ended(root)
 
 
-def _section(reach: Reach, right: int, up: int, directions: int = DIRECTIONS) -> list[tuple[float, float]]:
-    """Its corners, N m; none where the weight is not held."""
+def _section(reach: Reach, right: int, up: int, directions: int = DIRECTIONS) -> tuple[Corners, Corners]:
+    """The corners of what is attained, N m, and of what is not exceeded where that is far off or stands alone; none
+    where the weight is not held."""
     angles = [2.0 * pi * n / directions for n in range(directions)]
     lines = []
     for angle in angles:
@@ -64,19 +74,25 @@ def _section(reach: Reach, right: int, up: int, directions: int = DIRECTIONS) ->
         direction[right], direction[up] = cos(angle), sin(angle)
         lines.append(direction)
     sizes = reach.section(lines)
-    if not all(map(isfinite, sizes)):
-        return []
-    return [(size * cos(angle), size * sin(angle)) for size, angle in zip(sizes, angles, strict=True)]
+
+    def corners(ends: list[float]) -> Corners:
+        if not all(map(isfinite, ends)):
+            return []
+        return [(size * cos(angle), size * sin(angle)) for size, angle in zip(ends, angles, strict=True)]
+
+    far = any(size.most - size.least > OPEN * abs(size.most) for size in sizes)
+    return corners([size.least for size in sizes]), corners([size.most for size in sizes]) if far else []
 
 
 def _draw(
     root: ET.Element,
     left: float,
     axes: tuple[int, int],
-    whole: list[tuple[float, float]],
-    lost: dict[str, list[tuple[float, float]]],
+    whole: Corners,
+    most: Corners,
+    lost: dict[str, Corners],
 ) -> None:
-    corners = [*whole, *(corner for section in lost.values() for corner in section)]
+    corners = [*whole, *most, *(corner for section in lost.values() for corner in section)]
     wide = _largest(abs(x) for x, _ in corners)
     high = _largest(abs(y) for _, y in corners)
     middle_x, middle_y, half = left + VIEW / 2.0, TITLE + VIEW / 2.0, VIEW / 2.0 - MARGIN
@@ -90,7 +106,7 @@ def _draw(
         ET.SubElement(root, "line", {"class": "axis"} | ends)
     if not whole:
         text(root, middle_x, middle_y - 8, "the weight is not held in balance", "dim", "middle")
-    for kind, section in (("whole", whole), *(("lost", each) for each in lost.values())):
+    for kind, section in (("whole", whole), ("most", most), *(("lost", each) for each in lost.values())):
         if section:
             points = " ".join(f"{x:.2f},{y:.2f}" for x, y in map(at, section))
             ET.SubElement(root, "polygon", {"class": kind, "points": points})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +13,11 @@ from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
     from cosim.campaign.aircraft_check import AircraftCheck
+
+NOT_EXACT = (
+    "Two numbers are what is attained and what nothing exceeds; one with at least, or none found: what lies beyond is "
+    "not known."
+)
 
 
 @click.group()
@@ -77,18 +81,14 @@ def print_check(report: AircraftCheck) -> None:
     for head in ("engine lost", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"):
         table.add_column(head, justify="right")
     for row in report.authority:
-        moments = (
-            ("falls" if report.exact else "none found", "", "")
-            if row.moment is None
-            else tuple(f"{moment:.3g}" for moment in row.moment)
-        )
-        lift = f"{row.lift:.2f}" if math.isfinite(row.lift) else "-"
-        table.add_row(", ".join(map(str, row.lost)) or "none", lift, *moments)
+        moments = [row.span(axis).said() for axis in range(3)]
+        if row.moment is None:
+            moments = ["falls" if row.falls else "none found", "", ""]
+        table.add_row(", ".join(map(str, row.lost)) or "none", f"{row.lift:.2f}", *moments)
     console.print(table)
     console.print(
         "Largest moment either way while the weight is held and the other two moments are zero; all throttles and "
-        "hinges are free within their limits."
-        + ("" if report.exact else " A local search over the hinges: at least so much, and 0 or none is no proof."),
+        "hinges are free within their limits." + ("" if report.exact else f" {NOT_EXACT}"),
         highlight=False,
     )
     if report.drawing is not None:

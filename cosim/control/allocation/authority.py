@@ -1,21 +1,25 @@
-"""What a layout can do at all: the largest moment in a direction while the weight is held, by linear programs.
+"""What a layout can do at all: the largest moment in a direction while the weight is held, between two bounds.
 
-With the hinges standing, force and moment are linear in the thrusts, and one program is exact.  Over the hinges they
-are not: the programs are made linear where the hinges stand, answer with a step of them, and the step is kept where the
-exact program at its end gives more (sequential linear programming with a trust region; Fletcher and Sainz de la Maza,
-"Nonlinear programming and nonsmooth optimization by successive linear programming", Mathematical Programming 43, 1989).
-What is found is attained exactly; with hinges there may be more elsewhere.
+At most: a linear program over the hull of all forces and moments (:mod:`cosim.control.allocation.attainable`).  With
+the hinges standing these are linear in the thrusts, and that is exact.  At least: a climb from where the program
+stands, with thrusts and angles free within their limits, by sequential quadratic programming (Kraft, "A software
+package for sequential quadratic programming", DFVLR-FB 88-28, 1988); what it ends at is attained.  Where the two
+differ, the ranges of hinges are cut in two and each part is bounded by itself, the one with the most first: branch and
+bound (Land and Doig, "An automatic method of solving discrete programming problems", Econometrica 28, 1960).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from heapq import heappop, heappush
 from math import inf
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from cosim.base.constants import GRAVITY
+from cosim.base.frames import cross
 from cosim.base.layout import Layout
 from cosim.base.signals import Vector3
+from cosim.control.allocation.attainable import Asked, Bound, Hull
 from cosim.spec.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -24,28 +28,55 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 DOWN: Final = 2  # the row of body z in force and moment
-MISSED: Final = 1e3  # what missing a newton of what is held costs, in what is wanted: more than any lever gives
-STEPS: Final = 25  # of the hinges; some ten are the rule
-SMALL: Final = 2e-3  # of a hinge's range: a step that is looked no further into
-TRUST: Final = (0.5, 0.1)  # of a hinge's range: the first steps of two climbs, which may end on different tops
-COARSE: Final = 0.04  # the same for a drawing
 MEETS: Final = 1e-7  # of the weight: what is held is met
+NEAR: Final = 3e-3  # of what is attained, by which the bound may be above it: printed to three digits they are one
+NOTHING: Final = 1e-6  # of the weight, on a lever of 1 m: less is rounding
+CUTS: Final = 12  # of the hinges' ranges, to bring the bounds together; a few are the rule
+BESIDE: Final = 0.1  # of a range: a place beside one at which the linear programs of a climb may have no answer
+STARTS: Final = 8  # of climbs where there is no bound to begin at
+
+
+class Range(NamedTuple):
+    """What is attained, and what is not exceeded: minus infinity is nothing, infinity not known."""
+
+    least: float
+    most: float
+
+    @property
+    def met(self) -> bool:
+        """Whether the two are one, to three digits."""
+        return self.most < inf and self.most - self.least <= NEAR * abs(self.most)
+
+    def said(self) -> str:
+        """In words."""
+        if self.met:
+            return f"{self.least:.3g}"
+        return f"at least {self.least:.3g}" if self.most == inf else f"{self.least:.3g} to {self.most:.3g}"
 
 
 class Authority(NamedTuple):
-    """The largest moments either way [N m, the smaller of the two], with these jets lost; None: it falls."""
+    """The largest moments either way [N m, the smaller of the two], with these jets lost.
+
+    ``lift``: most thrust in balance over the weight; ``moment``: what is attained, None where no balance was found.
+    ``lift_at_most``, ``moment_at_most``: what is not exceeded, infinity where that is not known; None where there is no
+    balance: without it the vehicle falls.
+    """
 
     lost: tuple[int, ...]
-    lift: float  # most thrust in balance over the weight
+    lift: float
     moment: Vector3 | None
+    lift_at_most: float
+    moment_at_most: Vector3 | None
 
+    @property
+    def falls(self) -> bool:
+        """Whether it is certain that nothing balances the weight."""
+        return self.moment_at_most is None
 
-class _Asked(NamedTuple):
-    """The most of ``goal . (force, moment)`` with ``rows . (force, moment) = values``."""
-
-    goal: Array
-    rows: Array
-    values: Array
+    def span(self, axis: int) -> Range:
+        """Both bounds of the moment about an axis, N m."""
+        least = 0.0 if self.moment is None else self.moment[axis]
+        return Range(least, 0.0 if self.moment_at_most is None else self.moment_at_most[axis])
 
 
 class Reach:
@@ -66,6 +97,12 @@ class Reach:
         self._least, self._most = np.array(least, float), np.array(most, float)
         self._low, self._high = np.array([low for low, _ in hinges]), np.array([high for _, high in hinges])
         self._rest = np.array(rest, float)
+        self._hull = Hull.of(layout, self._least, self._most, self._low, self._high)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether it is known what cannot be exceeded; else what is attained stands alone."""
+        return self._hull is not None
 
     def without(self, lost: Sequence[int]) -> Reach:
         """The same without some jets, numbered from 1."""
@@ -75,115 +112,167 @@ class Reach:
         hinges = list(zip(self._low, self._high, strict=True))
         return Reach(self._layout, least.tolist(), most.tolist(), hinges, self._rest.tolist(), self._weight)
 
-    def section(self, directions: Sequence[Any]) -> list[float]:
-        """:meth:`moment` along neighbouring directions, to some percent: each begins where the one before ended."""
-        at, found = self._rest, []
-        for direction in directions:
-            # the better of where the direction before it ended and of the rest
-            at, most = self._best(self._about(direction), [(at, 0.3), (self._rest, 0.5)], COARSE)
-            found.append(most)
-        return found
+    def section(self, directions: Sequence[Any]) -> list[Range]:
+        """:meth:`moment` along some directions, without bringing its bounds together."""
+        return [self._largest(self._about(direction), 0) for direction in directions]
 
     def authority(self, lost: Sequence[int] = ()) -> Authority:
         """Lift and the moment about each axis with the other two at zero."""
         import numpy as np
 
         left = self.without(lost)
-        lift = left._largest(_Asked(-np.eye(6)[DOWN], np.eye(6)[3:], np.zeros(3))) / self._weight
-        ends = []
-        for axis in range(3):
-            ends.append(min(left.moment(sign * np.eye(3)[axis]) for sign in (1.0, -1.0)))
-        roll, pitch, yaw = ends
-        holds = min(ends) > -inf and lift >= 1.0
-        found = (max(roll, 0.0), max(pitch, 0.0), max(yaw, 0.0)) if holds else None
-        return Authority(tuple(lost), max(lift, 0.0), found)
+        lift = left._largest(Asked(-np.eye(6)[DOWN], np.eye(6)[3:], np.zeros(3)), CUTS)
+        lines = [sign * np.eye(3)[axis] for axis in range(3) for sign in (1.0, -1.0)]
+        ends = [left.moment(line) for line in lines]
 
-    def moment(self, direction: Any) -> float:
+        def moments(sizes: Sequence[float], upward: float) -> Vector3 | None:
+            if min(sizes) == -inf or upward < self._weight:
+                return None
+            roll, pitch, yaw = (max(0.0, min(sizes[2 * axis : 2 * axis + 2])) for axis in range(3))
+            return roll, pitch, yaw
+
+        return Authority(
+            tuple(lost),
+            max(lift.least / self._weight, 0.0),
+            moments([end.least for end in ends], lift.least),
+            max(lift.most / self._weight, 0.0),
+            moments([end.most for end in ends], lift.most),
+        )
+
+    def moment(self, direction: Any) -> Range:
         """The largest moment [N m] along a unit direction about the body's axes, with none across it and the weight
         held; minus infinity where the weight cannot be held so."""
-        return self._largest(self._about(direction))
+        return self._largest(self._about(direction), CUTS)
 
-    def _about(self, direction: Any) -> _Asked:
+    def _about(self, direction: Any) -> Asked:
         import numpy as np
 
         along = np.concatenate([np.zeros(3), np.asarray(direction, float)])
         _, _, turned = np.linalg.svd(along[3:].reshape(1, 3))
         across = [np.concatenate([np.zeros(3), row]) for row in turned[1:]]
-        return _Asked(along, np.array([np.eye(6)[DOWN], *across]), np.array([-self._weight, 0.0, 0.0]))
+        return Asked(along, np.array([np.eye(6)[DOWN], *across]), np.array([-self._weight, 0.0, 0.0]))
 
-    def _largest(self, asked: _Asked) -> float:
-        return self._best(asked, [(self._rest, trust) for trust in TRUST], SMALL)[1]
-
-    def _best(self, asked: _Asked, starts: Sequence[tuple[Array, float]], fine: float) -> tuple[Array, float]:
-        """Where the best of some climbs ends, each from an angle with a trust, and what it attains there."""
+    def _largest(self, asked: Asked, cuts: int) -> Range:
+        """Both bounds, with up to so many cuts to bring them together."""
+        if self._hull is None:
+            return Range(self._searched(asked), inf)
+        whole = self._hull.most(asked, self._weight)
         if not len(self._rest):
-            starts = starts[:1]  # nothing turns: the program is exact
-        return max((self._climbed(asked, at, trust, fine) for at, trust in starts), key=lambda end: end[1])
+            return Range(whole.most, whole.most)  # nothing turns: it is exact
+        least, settled, number = -inf, -inf, 0
+        parts: list[tuple[float, int, Array, Array, Bound]] = [(-whole.most, 0, self._low, self._high, whole)]
+        while parts:
+            most = max(settled, -parts[0][0])
+            if Range(least, most).met or most - least <= NOTHING * self._weight or most == -inf:
+                break
+            _, _, low, high, bound = heappop(parts)
+            least = max(least, self._climbed(asked, bound.thrust, bound.angles))
+            widest = int(bound.spread.argmax())
+            if cuts <= 0 or not bound.spread[widest]:
+                settled = max(settled, bound.most)  # cannot be told closer
+                continue
+            cuts -= 1
+            for half in range(2):
+                ends = low.copy(), high.copy()
+                ends[1 - half][widest] = 0.5 * (low[widest] + high[widest])
+                hull = Hull.of(self._layout, self._least, self._most, *ends)
+                assert hull is not None  # as the whole was
+                inside = hull.most(asked, self._weight)
+                number += 1
+                heappush(parts, (-inside.most, number, *ends, inside))
+        most = max([settled, *(-part[0] for part in parts)])
+        return Range(least, max(least, most))
 
-    def _climbed(self, asked: _Asked, at: Array, trust: float, fine: float) -> tuple[Array, float]:
-        """Where a climb from ``at`` ends, and what it attains there."""
+    def _searched(self, asked: Asked) -> float:
+        """The best of climbs from rest and from places all over the ranges: a sequence that fills them evenly."""
+        from scipy.stats import qmc
+
+        even = 0.5 * (self._least + self._most)
+        starts = [
+            self._rest,
+            *qmc.scale(qmc.Halton(len(self._rest), scramble=False).random(STARTS), self._low, self._high),
+        ]
+        return max(self._climbed(asked, even, start) for start in starts)
+
+    def _climbed(self, asked: Asked, thrust: Array, at: Array) -> float:
+        """What a climb from these thrusts and angles attains; where it ends nowhere, from beside them."""
         import numpy as np
 
-        thrust, merit, missed = self._exact(asked, at)
-        for _ in range(STEPS if len(at) else 0):
-            step = self._stepped(asked, at, thrust, trust)
-            new = np.clip(at + step, self._low, self._high)
-            other, better, still = self._exact(asked, new)
-            if better - MISSED * still > merit - MISSED * missed + 1e-9 * self._weight:
-                at, thrust, merit, missed = new, other, better, still
-            else:
-                trust *= 0.4
-                if trust < fine:
-                    break
-        return at, (merit if missed <= MEETS * self._weight else -inf)
+        scale = self._weight / len(thrust)
+        low, high = np.concatenate([self._least / scale, self._low]), np.concatenate([self._most / scale, self._high])
+        start = np.clip(np.concatenate([thrust / scale, at]), low, high)
+        beside = (
+            start + BESIDE * (0.5 * (low + high) - start) + BESIDE**2 * (high - low) * np.cos(np.arange(len(start)))
+        )
+        best = self._ended(asked, start, low, high)
+        return best if best > -inf else self._ended(asked, np.clip(beside, low, high), low, high)
+
+    def _ended(self, asked: Asked, start: Array, low: Array, high: Array) -> float:
+        import numpy as np
+        from scipy.optimize import minimize
+
+        goal, rows, values = asked.goal / self._weight, asked.rows / self._weight, asked.values / self._weight
+        jets = len(self._least)
+        scale = self._weight / jets
+
+        def given(x: Array) -> tuple[Array, Array]:
+            effects, turns = self._linear(x[:jets] * scale, x[jets:])
+            return effects @ x[:jets] * scale, np.hstack([effects * scale, turns])
+
+        # what nothing changes is no constraint that a program could meet: looked at here, in the middle and beside it
+        middle = 0.5 * (low + high)
+        beside = middle + BESIDE * (high - low) * np.cos(np.arange(len(middle)))
+        changes = np.hstack([rows @ given(x)[1] * (high > low) for x in (start, middle, beside)])
+        sides, sizes, _ = np.linalg.svd(changes, full_matrices=False)
+        held = sides[:, sizes > 1e-9 * max(sizes[0], 1e-300)].T
+
+        def wanted(x: Array) -> tuple[float, Array]:
+            wrench, change = given(x)
+            return -float(goal @ wrench), -(goal @ change)
+
+        found = minimize(
+            wanted,
+            start,
+            jac=True,
+            method="SLSQP",
+            bounds=list(zip(low, high, strict=True)),
+            constraints={
+                "type": "eq",
+                "fun": lambda x: held @ (rows @ given(x)[0] - values),
+                "jac": lambda x: held @ rows @ given(x)[1],
+            },
+            options={"ftol": 1e-10, "maxiter": 100},
+        )
+        wrench, _ = given(np.clip(found.x, low, high))
+        missed = np.max(np.abs(rows @ wrench - values))
+        return float(asked.goal @ wrench) if missed <= MEETS else -inf
 
     def effects(self, at: Any) -> Array:
         """Force and moment of each jet per thrust, with the hinges at ``at``: shape (6, jets)."""
         import numpy as np
 
+        return self._linear(np.zeros(len(self._layout.stations)), at)[0]
+
+    def _linear(self, thrust: Array, at: Any) -> tuple[Array, Array]:
+        """:meth:`effects`, and what each hinge changes per rad: shapes (6, jets) and (6, hinges)."""
+        import numpy as np
+
         layout, angles = self._layout, [float(angle) for angle in at]
         axes, places = layout.axes(angles), layout.standing(angles)
-        columns = []
+        columns, turns = [], np.zeros((6, len(angles)))
         for jet, group in enumerate(layout.groups):
-            axis = np.array(axes[group])
-            columns.append([*axis, *(np.cross(places[jet], axis) + layout.stations[jet].twist * axis)])
-        return np.array(columns).T
-
-    def _exact(self, asked: _Asked, at: Array) -> tuple[Array, float, float]:
-        """The best thrusts with the hinges standing, what they give of the goal, and what they miss of what is held."""
-        import numpy as np
-
-        goal, rows, values = asked
-        effects = self.effects(at)
-        jets = effects.shape[1]
-        cost = np.concatenate([-(goal @ effects), np.full(2 * len(rows), MISSED)])
-        equal = np.hstack([rows @ effects, np.eye(len(rows)), -np.eye(len(rows))])
-        bounds = [*zip(self._least, self._most, strict=True), *[(0.0, None)] * (2 * len(rows))]
-        found = _solved(cost, equal, values, bounds)
-        thrust = found[:jets]
-        return thrust, float(goal @ effects @ thrust), float(np.sum(found[jets:]))
-
-    def _stepped(self, asked: _Asked, at: Array, thrust: Array, trust: float) -> Array:
-        """A step of the hinges that is best to first order, within ``trust`` of their ranges."""
-        import numpy as np
-
-        goal, rows, values = asked
-        effects, count = self.effects(at), len(at)
-        turns = np.empty((6, count))
-        for hinge in range(count):
-            nudge = np.zeros(count)
-            nudge[hinge] = 1e-6
-            turns[:, hinge] = (self.effects(at + nudge) - self.effects(at - nudge)) @ thrust / 2e-6
-        jets = effects.shape[1]
-        span = trust * (self._high - self._low)
-        cost = np.concatenate([-(goal @ effects), -(goal @ turns), np.full(2 * len(rows), MISSED)])
-        equal = np.hstack([rows @ effects, rows @ turns, np.eye(len(rows)), -np.eye(len(rows))])
-        bounds = [
-            *zip(self._least, self._most, strict=True),
-            *zip(np.maximum(-span, self._low - at), np.minimum(span, self._high - at), strict=True),
-            *[(0.0, None)] * (2 * len(rows)),
-        ]
-        return _solved(cost, equal, values, bounds)[jets : jets + count]
+            axis, twist = axes[group], layout.stations[jet].twist
+            columns.append([*axis, *_moment(places[jet], axis, twist)])
+            for number, effect, carries, about, (px, py, pz) in layout.hinge_axes(angles, jet):
+                # the thrust turns with the hinge, and the station where it is carried
+                fx, fy, fz = cross(about, axis)
+                force = (effect * fx, effect * fy, effect * fz)
+                change = np.array([*force, *_moment(places[jet], force, twist)])
+                if carries:
+                    x, y, z = places[jet]
+                    change[3:] += cross(cross(about, (x - px, y - py, z - pz)), axis)
+                turns[:, number] += thrust[jet] * change
+        return np.array(columns).T, turns
 
 
 def reach_of(vehicle: Vehicle, least: Sequence[float], most: Sequence[float]) -> Reach:
@@ -192,10 +281,7 @@ def reach_of(vehicle: Vehicle, least: Sequence[float], most: Sequence[float]) ->
     return Reach(vehicle.layout(), least, most, turns, vehicle.rest[: len(turns)], vehicle.mass_kg * GRAVITY)
 
 
-def _solved(cost: Array, equal: Array, values: Array, bounds: Any) -> Array:
-    from scipy.optimize import linprog
-
-    found = linprog(cost, A_eq=equal, b_eq=values, bounds=bounds, method="highs")
-    assert found.status == 0, found.message  # what is missed is free, so there always is an answer
-    answer: Array = found.x
-    return answer
+def _moment(place: Vector3, force: Vector3, twist: float) -> Vector3:
+    x, y, z = cross(place, force)
+    fx, fy, fz = force
+    return (x + twist * fx, y + twist * fy, z + twist * fz)

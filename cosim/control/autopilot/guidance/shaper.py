@@ -103,7 +103,7 @@ def _by_layout(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float
     least, most = ([per_jet * (share + idle)] * jets for share in (limits.throttle_min, limits.throttle_max))
     reach = reach_of(vehicle, least, most)
     lines = [tuple(sign * (n == axis) for n in range(3)) for axis in range(3) for sign in (1.0, -1.0)]
-    sizes = reach.section(lines)
+    sizes = [size.least for size in reach.section(lines)]
     slowest = max([hinge.lag_s for hinge in vehicle.hinges], default=0.0)
     answer = []
     for axis, name in enumerate(AXES):

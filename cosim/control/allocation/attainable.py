@@ -1,0 +1,187 @@
+"""What no thrusts and hinge angles of a layout can exceed: the convex hull of all forces and moments, from outside.
+
+With ``u = (cos a, sin a)`` of every hinge free of each other the wrench of a jet is linear in its thrust and in each
+``u``: a hinge turns force and moment about its point alike.  Over a piece of its range ``u`` runs along an arc, which
+lies in the triangle of the arc's ends and of the point where the tangents there meet, further out by ``1 / cos`` of
+half the piece.  A function that is linear in each of its arguments lies, over triangles and intervals, in the convex
+hull of its values at their corners.  So the corners of all pieces hold everything that engines on common hinges can do,
+and one linear program over shares of the corners bounds what is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+from math import inf
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from cosim.base.layout import Layout
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
+
+CELLS: Final = (16, 12, 8, 6, 4, 3, 2, 1)  # pieces of a hinge's range: as many as CORNERS allow
+CORNERS: Final = 400  # of one set of engines on common hinges; chosen by us: a program then takes milliseconds
+MOST_CORNERS: Final = 6000  # beyond which no bound is looked for
+WIDEST: Final = 0.5  # rad, of half a piece: its triangle is out by 14 %
+
+
+class Asked(NamedTuple):
+    """The most of ``goal . (force, moment)`` with ``rows . (force, moment) = values``."""
+
+    goal: Array
+    rows: Array
+    values: Array
+
+
+class Bound(NamedTuple):
+    """What a hull attains [minus infinity: nothing that is asked for], and the mean and the spread of its corners."""
+
+    most: float
+    thrust: Array
+    angles: Array
+    spread: Array
+
+
+class Hull:
+    """The hull of a layout with thrusts [N] and hinges [rad] within these ends."""
+
+    def __init__(self, columns: Array, sets: Array, thrusts: Array, angles: Array) -> None:
+        self.columns = columns  # force and moment of each corner: shape (6, corners)
+        self._sets = sets  # which set of engines each is of, as rows of ones: shape (sets, corners)
+        self._thrusts, self._angles = thrusts, angles  # of each corner: shape (corners, jets), (corners, hinges)
+
+    @classmethod
+    def of(cls, layout: Layout, least: Array, most: Array, low: Array, high: Array) -> Hull | None:
+        """None where what hinges do is not of this kind, or has too many corners."""
+        import numpy as np
+
+        columns, sets, thrusts, angles = [], [], [], []
+        for number, (jets, hinges) in enumerate(_sets(layout)):
+            effects = [_effect(layout, hinge, jets) for hinge in hinges]
+            if None in effects or any(_moved_in_place(layout, jet) for jet in jets):
+                return None
+            spans = [abs(effect or 0.0) * (high[h] - low[h]) for h, effect in zip(hinges, effects, strict=True)]
+            cells = _cells(spans, 2 ** sum(bool(least[jet] < most[jet]) for jet in jets))
+            if not cells:
+                return None
+            arcs = [_arc(low[h], high[h], cells, effect or 0.0) for h, effect in zip(hinges, effects, strict=True)]
+            corners = np.array(list(product(*(range(2 * cells + 1) for _ in hinges))), int)
+            turned = {hinge: arcs[n][1][corners[:, n]] for n, hinge in enumerate(hinges)}
+            wrench = {jet: _wrenches(layout, jet, turned, len(corners)) for jet in jets}
+            at = np.zeros((len(corners), len(low)))
+            for n, hinge in enumerate(hinges):
+                at[:, hinge] = arcs[n][0][corners[:, n]]
+            for ends in product(*(sorted({float(least[jet]), float(most[jet])}) for jet in jets)):
+                columns.append(sum(end * wrench[jet] for end, jet in zip(ends, jets, strict=True)))
+                thrust = np.zeros(len(layout.stations))
+                thrust[jets] = ends
+                thrusts.append(np.tile(thrust, (len(corners), 1)))
+                angles.append(at)
+                sets.append(np.full(len(corners), number))
+        owner = np.concatenate(sets)
+        rows = np.array([owner == number for number in range(int(owner[-1]) + 1)], float)
+        return cls(np.vstack(columns).T, rows, np.vstack(thrusts), np.vstack(angles))
+
+    def most(self, asked: Asked, scale: float) -> Bound:
+        """The bound; ``scale``: a force [N], or a moment on a lever of 1 m, that forces and moments are counted in."""
+        import numpy as np
+        from scipy.optimize import Bounds, LinearConstraint, milp
+
+        equal = np.vstack([asked.rows @ self.columns / scale, self._sets])
+        values = np.concatenate([asked.values / scale, np.ones(len(self._sets))])
+        # without whole numbers this is a linear program, with less around it than linprog has
+        found = milp(
+            -(asked.goal @ self.columns) / scale,
+            constraints=LinearConstraint(equal, values, values),
+            bounds=Bounds(0.0, np.inf),
+        )
+        if found.status == 2:
+            nothing = np.zeros(self._angles.shape[1])
+            return Bound(-inf, np.zeros(self._thrusts.shape[1]), nothing, nothing)
+        assert found.status == 0, found.message  # shares of corners are bounded
+        shares = found.x
+        thrust, angles = shares @ self._thrusts, shares @ self._angles
+        spread = np.sqrt(np.maximum(shares @ self._angles**2 - angles**2, 0.0))
+        return Bound(float(-found.fun) * scale, thrust, angles, spread)
+
+
+def _sets(layout: Layout) -> Iterator[tuple[list[int], list[int]]]:
+    """Jets that common hinges move, and those hinges."""
+    moved = [{number for number, _ in chain} for chain in layout.chains]
+    left = set(range(len(moved)))
+    while left:
+        jets, hinges = {min(left)}, set(moved[min(left)])
+        while more := {jet for jet in left if moved[jet] & hinges} - jets:
+            jets |= more
+            hinges = hinges.union(*(moved[jet] for jet in more))
+        left -= jets
+        yield sorted(jets), sorted(hinges)
+
+
+def _effect(layout: Layout, hinge: int, jets: list[int]) -> float | None:
+    """By what a hinge's angle turns thrusts; None: some by more than others."""
+    effects = {effect for jet in jets for number, effect in layout.chains[jet] if number == hinge}
+    return effects.pop() if len(effects) == 1 else None
+
+
+def _moved_in_place(layout: Layout, jet: int) -> bool:
+    """Whether a hinge deflects the jet further out on the body than one that carries it: force and lever then turn by
+    the same angle, and their product is not linear in it."""
+    deflected = False
+    for number, _ in layout.chains[jet]:
+        if jet not in layout.turns[number].carries:
+            deflected = True
+        elif deflected:
+            return True
+    return False
+
+
+def _cells(spans: list[float], ends: int) -> int:
+    """Pieces of each range; 0: not in as few as there may be."""
+    enough = [n for n in CELLS if all(span / n <= 2.0 * WIDEST for span in spans)]
+    few = [n for n in enough if ends * (2 * n + 1) ** len(spans) <= CORNERS]
+    if few:
+        return few[0]
+    return enough[-1] if enough and ends * (2 * enough[-1] + 1) ** len(spans) <= MOST_CORNERS else 0
+
+
+def _arc(low: float, high: float, cells: int, effect: float) -> tuple[Array, Array]:
+    """The corners of a range's triangles: hinge angles, and cosine and sine of the thrust's turn."""
+    import numpy as np
+
+    ends = np.linspace(low, high, cells + 1)
+    angles = np.concatenate([ends, 0.5 * (ends[1:] + ends[:-1])])
+    out = np.ones(len(angles))
+    out[cells + 1 :] /= np.cos(0.5 * effect * (high - low) / cells)
+    return angles, np.column_stack([out * np.cos(effect * angles), out * np.sin(effect * angles)])
+
+
+def _wrenches(layout: Layout, jet: int, turned: dict[int, Array], count: int) -> Array:
+    """Force and moment per thrust with each hinge at its cosine and sine, which need not be of one angle."""
+    import numpy as np
+
+    station = layout.stations[jet]
+    place = np.array(station.place)
+    force = np.tile(np.array(station.axis, float), (count, 1))
+    moment = np.cross(place, force) + station.twist * force
+    for number, _ in reversed(layout.chains[jet]):
+        turn = layout.turns[number]
+        force, about = _turned(turn.axis, turned[number], force), moment - np.cross(turn.point, force)
+        if jet in turn.carries:
+            moment = _turned(turn.axis, turned[number], about) + np.cross(turn.point, force)
+        else:
+            moment = np.cross(place, force) + station.twist * force
+    return np.hstack([force, moment])
+
+
+def _turned(axis: Any, at: Array, vectors: Array) -> Array:
+    """Rodrigues' formula with a cosine and a sine for each vector."""
+    import numpy as np
+
+    unit = np.array(axis)
+    along = np.outer(vectors @ unit, unit)
+    answer: Array = along + at[:, :1] * (vectors - along) + at[:, 1:] * np.cross(unit, vectors)
+    return answer
