@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 DOWN: Final = 2  # the row of body z in force and moment
 MEETS: Final = 1e-7  # of the weight: what is held is met
-NEAR: Final = 3e-3  # of what is attained, by which the bound may be above it: printed to three digits they are one
+NEAR: Final = 1e-3  # of what is attained, by which the bound may be above it: printed to three digits they are one
 NOTHING: Final = 1e-6  # of the weight, on a lever of 1 m: less is rounding
 CUTS: Final = 12  # of the hinges' ranges, to bring the bounds together; a few are the rule
 BESIDE: Final = 0.1  # of a range: a place beside one at which the linear programs of a climb may have no answer

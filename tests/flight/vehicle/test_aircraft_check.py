@@ -138,7 +138,8 @@ def test_the_page_has_the_commands_and_the_number_of_jets() -> None:
 def test_the_quadjets_page_has_what_is_left_without_an_engine() -> None:
     """aircraft/quadjet/README.md; the first engine stands for all: by symmetry, which the bounds keep."""
     table = {"name": "check", "aircraft": "quadjet", "engine": "turbine-100", "controller": "baseline"}
-    scenario = Scenario.from_table({**table, "duration_s": 1.0}, Path(), "test")
+    initial = {"altitude_m": aircraft_check.HEIGHT_M}
+    scenario = Scenario.from_table({**table, "duration_s": 1.0, "initial": initial}, Path(), "test")
     with build(scenario) as simulation:
         least, most = aircraft_check._thrust(simulation)
         found = reach_of(simulation.vehicle, least.tolist(), most.tolist()).authority([1])
