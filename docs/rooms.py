@@ -21,7 +21,7 @@ PICTURE = Path(__file__).parent / "pictures" / "rooms.png"
 DUTY = {
     "base": "records, frames, files, errors",
     "spec": "what files say",
-    "control": "what the flight computer computes",
+    "control": "the flight computer",
     "engine": "FMUs",
     "vehicle": "what flies",
     "simulation": "one flight, step by step",
@@ -34,6 +34,7 @@ DUTY = {
     "autopilots": "others' autopilots in lockstep",
     "codegen": "a controller as C and as FMUs",
     "campaign": "many flights",
+    "shelf": "the folder of runs as a page",
     "paper": "the paper reproduced",
     "bench": "what it costs",
     "cli": "one file a command",
