@@ -261,6 +261,9 @@ setup(
             extra_compile_args=c_flags("-O2"),
         ),
         Extension("cosim.base._records", sources=["cosim/base/_records.c"], extra_compile_args=c_flags("-O2")),
+        Extension(
+            "cosim.vehicle._properties", sources=["cosim/vehicle/_properties.c"], extra_compile_args=c_flags("-O2")
+        ),
         Extension("cosim.results._rows", sources=["cosim/results/_rows.c"], extra_compile_args=c_flags("-O3")),
     ],
 )

@@ -16,10 +16,11 @@ from __future__ import annotations
 import hashlib
 import itertools
 import os
+import sys
 from collections.abc import Callable, Sequence
 from math import pi, radians
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner to standard output otherwise
 
@@ -38,6 +39,7 @@ from cosim.base.signals import (
 from cosim.base.storage.scratch import scratch
 from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import Vehicle
+from cosim.vehicle._properties import Properties, use
 from cosim.vehicle.jsbsim_model import MOMENTUM, PRODUCT_SIGN, PRODUCTS, read_model, render, structural
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2
 
@@ -68,6 +70,7 @@ _POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
 _RANKINE: Final = 5.0 / 9.0  # K, exact
 _NED = ("north", "east", "down")
 _number = itertools.count()  # of the airframes of this process
+use(getattr(sys.modules[jsbsim.FGPropertyNode.__module__], "__file__", None))
 
 
 Node = Callable[[str], jsbsim.FGPropertyNode]  # a property by its name
@@ -107,11 +110,11 @@ class _Write:
         self._y(y / unit)
         self._z(z / unit)
 
-    def put_in_plane(self, x: float, z: float) -> None:
-        """What has had no part along y and gets none."""
-        unit = self._unit
-        self._x(x / unit)
-        self._z(z / unit)
+
+def _group(node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> tuple[Any, Any, Any, float]:
+    """Three of them to be read or written with others in one call."""
+    x, y, z = [node(name.format(part)) for part in parts]
+    return (x, y, z, unit)
 
 
 class Airframe:
@@ -161,7 +164,6 @@ class Airframe:
         self._fdm = fdm
         self._run: Callable[[], bool] = fdm.run if self.moving else _stand_still
         self._fresh = True
-        self._sideways = False
         self._bind()
         self._set("atmosphere/randomseed", self._seed)
         for kind, position_method in POSITIONS.items():
@@ -171,10 +173,14 @@ class Airframe:
     def _bind(self) -> None:
         node = self._node
         self._place = _Read(node, "position/from-start-neu-{}-ft", "neu", FOOT)
-        self._velocity = _Read(node, "velocities/v-{}-fps", _NED, FOOT)
-        self._euler = _Read(node, "attitude/{}-rad", ("phi", "theta", "psi"))
-        self._rate = _Read(node, "velocities/{}-rad_sec", "pqr")
-        self._felt = _Read(node, "accelerations/a-pilot-{}-ft_sec2", "xyz", FOOT)
+        motion = [
+            _group(node, "position/from-start-neu-{}-ft", "neu", FOOT),
+            _group(node, "velocities/v-{}-fps", _NED, FOOT),
+            _group(node, "attitude/{}-rad", ("phi", "theta", "psi")),
+            _group(node, "velocities/{}-rad_sec", "pqr"),
+            _group(node, "accelerations/a-pilot-{}-ft_sec2", "xyz", FOOT),
+        ]
+        self._motion: Callable[[], tuple[Any, ...] | None] = Properties(motion, 4).read
         # JSBSim's height above the ground is this less the ground's, to the last bit; asked for that it works out the
         # place on the ground below as well, which takes some hundredths of one of its runs
         self._over_ellipsoid: Get = node("position/geod-alt-ft").get_double_value
@@ -183,7 +189,8 @@ class Airframe:
         self._air_rate = _Read(node, "atmosphere/{}-turb-rad_sec", "pqr")
         self._get_mass: Get = node("inertia/mass-slugs").get_double_value
         names = [f"external_reactions/jet{jet}" for jet in range(1, len(self._vehicle.jets) + 1)]
-        self._jets = [_Write(node, f"{name}/{{}}", "xyz", POUND_FORCE) for name in names]
+        jets = Properties([_group(node, f"{name}/{{}}", "xyz", POUND_FORCE) for name in names])
+        self._put: Callable[..., object] = jets.write
         self._push = _Write(node, "external_reactions/push/{}", "xyz", POUND_FORCE)
         self._twist = _Write(node, "external_reactions/twist/{}", "lmn", POUND_FOOT)
         self._methods = [node(f"simulation/integrator/rate/{kind}").set_double_value for kind in RATES]
@@ -312,32 +319,18 @@ class Airframe:
 
     def _act(self, forces: list[Vector3], push: Vector3, twist: Vector3) -> None:
         """Let these act from the end of the next run on: of the jets, and at the centre of gravity as built."""
-        for number, jet in enumerate(self._jets):
-            x, y, z = forces[number]
-            self._put(jet, x, y, z)
+        self._put(forces)
         self._act_beside(push, twist)
         self._forces = forces
 
     def _act_with(self, forces: list[Vector3], push: Vector3, twist: Vector3, share: float) -> None:
         """The same, with ``share`` of the change since the last on top; of the jets the last stay those that were."""
-        old = self._forces
-        for number, jet in enumerate(self._jets):
-            x, y, z = forces[number]
-            a, b, c = old[number]
-            self._put(jet, x + share * (x - a), y + share * (y - b), z + share * (z - c))
+        self._put(forces, self._forces, share)
         if push != self._pushed:
             push = _beyond(push, self._pushed, share)
         if twist != self._twisted:
             twist = _beyond(twist, self._twisted, share)
         self._act_beside(push, twist)
-
-    def _put(self, jet: _Write, x: float, y: float, z: float) -> None:
-        if y != 0.0 or self._sideways:
-            # jets tilt about y, so most vehicles never get here
-            self._sideways = True
-            jet.put(x, y, z)
-        else:
-            jet.put_in_plane(x, z)
 
     def _act_beside(self, push: Vector3, twist: Vector3) -> None:
         if push != self._pushed:
@@ -415,25 +408,26 @@ class Airframe:
         self._set(f"{gust}/start", 1.0)
 
     def _read(self) -> State:
-        north, east, up = self._place.get()
-        velocity = vn, ve, vd = self._velocity.get()
-        roll, pitch, yaw = self._euler.get()
-        rate = p, q, r = self._rate.get()
-        height = (self._over_ellipsoid() - self._ground) * FOOT
-        total = north + east + up + vn + ve + vd + roll + pitch + yaw + p + q + r
-        if total - total != 0.0:  # NaN or infinite
+        motion = self._motion()
+        if motion is None:
             raise FlightError("the airframe's state is not finite")
+        place, velocity, euler, rate, felt = motion  # as objects: nothing of them is taken apart that need not be
+        up: float = place[2]
+        roll: float = euler[0]
+        pitch: float = euler[1]
+        yaw: float = euler[2]
+        height = (self._over_ellipsoid() - self._ground) * FOOT
         near = height < NEAR_GROUND
         on_ground = near and any(touches() > 0.0 for touches in self._legs)
         hull_contact = near and any(touches() > 0.0 for touches in self._hull)
         self._touching = on_ground or hull_contact
         return State(
-            (north, east, self._datum - up),
+            (place[0], place[1], self._datum - up),
             velocity,
             from_euler(roll, pitch, yaw),
-            (roll, pitch, yaw if yaw < pi else yaw - 2.0 * pi),
+            euler if yaw < pi else (roll, pitch, yaw - 2.0 * pi),
             rate,
-            self._felt.get(),
+            felt,
             height,
             ZERO3 if self._still else self._wind.get(),
             self._mass,
@@ -485,7 +479,7 @@ class Airframe:
             size = SETTLING[0] * max(-surface.range[0], surface.range[1])
             for deflection in (size, -size):
                 flying = Initial(altitude_m=100.0, velocity_ned_m_s=(surface.at_m_s, 0.0, 0.0))
-                self.reset(flying, [ZERO3] * len(self._jets), ZERO3)
+                self.reset(flying, [ZERO3] * len(self._vehicle.jets), ZERO3)
                 for kind in ("rotational", "translational"):
                     self._set(f"simulation/integrator/rate/{kind}", 0.0)
                     self._set(f"simulation/integrator/position/{kind}", 0.0)

@@ -30,6 +30,12 @@ BANK_STEPS = 20_000  # one takes a microsecond
 
 HEXJET, QUADROTOR = "Hex-Jet, 6 engines, 2 servos", "quadrotor, 4 engines"
 BARE_QUADROTOR = "bare JSBSim run(), quadrotor"
+# the same engine on four, six and eight stations, so that a row differs from the next by engines and their vehicle
+TURBINES = {
+    "quadjet": "quadjet, 4 turbines",
+    "hexjet-100": "Hex-Jet of 100 N a jet, 6 turbines",
+    "octojet": "octojet, 8 turbines",
+}
 
 
 @dataclass(frozen=True)
@@ -46,9 +52,9 @@ class Lengths:
 
 @dataclass(frozen=True)
 class EngineCounts:
-    """A bank's step by its engines, and whole flights with six and with four.
+    """A bank's step by its engines, and whole flights with six and with four, and with four, six and eight turbines.
 
-    ``flown``: by name; the unit is a run of the Hex-Jet's airframe for both.
+    ``flown``: by name; the unit is a run of the Hex-Jet's airframe for all.
     """
 
     engine: str
@@ -84,7 +90,7 @@ def measure_lengths(
 
 
 def measure_engine_counts(steps: int, rounds: int, folder: Path, on_round: Callable[[], object]) -> EngineCounts:
-    """Step banks of one engine, and fly both aircraft recorded in full, each between two timings of the unit."""
+    """Step banks of one engine, and fly the aircraft recorded in full, each between two timings of the unit."""
     with ExitStack() as stack, Flights(250, folder) as flights:
         jobs = [_bank(stack, count) for count in COUNTS]
         small = flights.fly(quadrotor(steps))
@@ -93,13 +99,14 @@ def measure_engine_counts(steps: int, rounds: int, folder: Path, on_round: Calla
         jobs += [
             large.recorded(HEXJET),
             small.recorded(QUADROTOR),
+            *[flights.fly(turbines(aircraft, steps)).recorded(name) for aircraft, name in TURBINES.items()],
             Job(BARE_QUADROTOR, SUBSTEPS, UNIT_RUNS, partial(bare, alone, UNIT_RUNS)),
         ]
         pairs = collect(jobs, flights.units(), rounds, on_round)
     return EngineCounts(
         ENGINE,
         {count: Cost.of(pairs[SUBSTEPS, str(count)]) for count in COUNTS},
-        {name: Cost.of(pairs[SUBSTEPS, name]) for name in (HEXJET, QUADROTOR, BARE_QUADROTOR)},
+        {name: Cost.of(pairs[SUBSTEPS, name]) for name in (HEXJET, QUADROTOR, BARE_QUADROTOR, *TURBINES.values())},
     )
 
 
@@ -122,6 +129,14 @@ def quadrotor(steps: int) -> Scenario:
         substeps=SUBSTEPS,
         duration_s=steps * step,
         expect=[],
+    )
+
+
+def turbines(aircraft: str, steps: int) -> Scenario:
+    """A hover of ``aircraft`` on turbines of 100 N by the paper's cascade."""
+    flight = Scenario.load("octojet-hover")
+    return flight.replace(
+        aircraft=aircraft, controller="baseline", substeps=SUBSTEPS, duration_s=steps * flight.step_s, expect=[]
     )
 
 

@@ -131,7 +131,13 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     # and nothing else of the data than what is in the clone
     assert {name for name in names if name.startswith("cosim/data/")} == fmus | data
     binaries = [name for name in names if name.endswith((".so", ".pyd"))]
-    wanted = ["base/_records", "results/_rows", "engine/_bank", *(name.removesuffix(".py") for name in COMPILED)]
+    wanted = [
+        "base/_records",
+        "vehicle/_properties",
+        "results/_rows",
+        "engine/_bank",
+        *(name.removesuffix(".py") for name in COMPILED),
+    ]
     assert [name for name in names if name.endswith(SHARED)] == [f"cosim/{SHARED}"] * bool(COMPILED)
     assert len(binaries) == len(wanted) + bool(COMPILED)
     for extension in wanted:

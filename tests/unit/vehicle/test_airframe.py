@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import cos, pi, radians, sin, sqrt
+from math import cos, nan, pi, radians, sin, sqrt
 from pathlib import Path
 
+import jsbsim
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cosim.base.errors import InputError
+from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import jet_axis
 from cosim.base.signals import ZERO3, Disturbance, State, Vector3
 from cosim.flight import integration
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.vehicle._properties import Properties, use
 from cosim.vehicle.airframe import (
     METHODS,
     Airframe,
     standing_height,
 )
 from cosim.vehicle.jsbsim_model import render
+from cosim.vehicle.jsbsim_units import POUND_FORCE
 
 STEP = 0.004
 NO_AERO = {"aero": {"drag_area_m2": [0.0, 0.0, 0.0], "damping_n_m_s": [0.0, 0.0, 0.0]}}
@@ -574,3 +578,51 @@ def test_an_aerodynamics_of_its_own_flies(tmp_path: Path) -> None:
 def test_what_a_model_cannot_have_is_one_line(tmp_path: Path, model: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         fall(model, tmp_path)
+
+
+def test_properties_are_the_same_bits_by_jsbsims_functions_and_by_its_modules_methods() -> None:
+    module = sys.modules[jsbsim.FGPropertyNode.__module__]
+    names = ["position/geod-alt-ft", "velocities/p-rad_sec", "attitude/phi-rad", "inertia/mass-slugs"]
+    try:
+        flown = []
+        for library in (module.__file__, None):
+            found = use(library)
+            with airframe() as (frame, _):
+                groups = [(*[frame._node(name) for name in names[i : i + 3]], 0.3048) for i in range(2)]
+                read = Properties(groups)
+                frame.reset(Initial(attitude_deg=(3.0, 2.0, 40.0)), OFF, (1.0, -2.0, 0.0))
+                states = []
+                for step in range(10):
+                    forces = [(0.1 * step, 0.2 if step > 5 else 0.0, -14.0 - jet - step / 3.0) for jet in range(6)]
+                    states.append(frame.step(forces, CALM))
+                    fx, fy, fz = [frame._node(f"external_reactions/jet1/{axis}").get_double_value() for axis in "xyz"]
+                    assert (fx * POUND_FORCE, fy * POUND_FORCE, fz * POUND_FORCE) == pytest.approx(forces[0], rel=1e-15)
+                assert read.direct == (6 if found else 0)
+                assert read.read() == tuple(
+                    tuple(node.get_double_value() * 0.3048 for node in group[:3]) for group in groups
+                )
+                flown.append((found, states))
+        assert not flown[1][0]  # without a library nothing is looked for
+        if sys.platform == "linux":
+            assert flown[0][0]
+        assert flown[0][1] == flown[1][1]
+    finally:
+        use(module.__file__)
+
+
+def test_what_is_no_property_and_forces_of_the_wrong_kind_are_refused() -> None:
+    with airframe() as (frame, _):
+        frame.reset(Initial(), OFF, ZERO3)
+        with pytest.raises(TypeError, match="takes a list of 6 vectors"):
+            frame.step(OFF[:5], CALM)
+        with pytest.raises(TypeError, match="tuples of three floats"):
+            frame.step([(0.0, 0.0)] * 6, CALM)  # type: ignore[list-item]
+        with pytest.raises(AttributeError, match="get_double_value"):
+            Properties([(1, 2, 3, 1.0)])
+
+
+def test_a_state_that_is_not_finite_ends_the_flight() -> None:
+    with airframe() as (frame, _):
+        frame.reset(Initial(), OFF, ZERO3)
+        with pytest.raises(FlightError, match="not finite"):
+            frame.step([(nan, 0.0, -15.0)] * 6, CALM)
