@@ -40,8 +40,8 @@ def test_an_aircraft_can_be_judged_by_its_numbers(capsys: pytest.CaptureFixture[
 def test_engines_of_two_kinds_count_each_with_its_own_thrust(capsys: pytest.CaptureFixture[str]) -> None:
     (one,) = shown(capsys, "trijet")
     said = numbers(one)
-    assert said["full thrust, edf"] == pytest.approx(0.2554 / (1.0 - 0.8748) * 9.80665)
-    both = 2.0 * said["full thrust, turbine-20"] + said["full thrust, edf"]
+    assert said["full thrust, edf-as-flown"] == pytest.approx(0.2554 / (1.0 - 0.8748) * 9.80665)
+    both = 2.0 * said["full thrust, turbine-20"] + said["full thrust, edf-as-flown"]
     assert said["thrust to weight"] == pytest.approx(both / (load_vehicle("trijet")[0].mass_kg * 9.80665))
     hinge = next(each for each in one["numbers"] if each["name"] == "hinge tilt_left")
     assert hinge["meaning"] == "either way; carries 1"
