@@ -18,6 +18,7 @@ from cosim.flight import with_page
 from cosim.results.recorder import MemoryLog
 from cosim.results.report.flight import write_report
 from cosim.results.report.flight_figures import Panel, Reader, Trace, strips
+from cosim.results.report.marks import parts_of
 from cosim.results.report.page import ASSETS, Flights, render
 from cosim.results.report.signals_data import BITS, MOST_BANDS, NOISE_BITS, run_data
 from cosim.results.run import Run, begin_run
@@ -105,6 +106,18 @@ def test_the_page_of_the_documentation_says_how_exact_and_which_keys() -> None:
     script = (ASSETS / "replay.js").read_text(encoding="utf-8")
     for key in ("ArrowRight", "ArrowLeft", "Home", "End", "n", "p", "a", "b", "c", "k"):
         assert f"{key}: " in script
+
+
+def test_what_was_measured_of_a_page_is_within_what_it_may_take() -> None:
+    """Of 20 s: 1.5 MB, a second until it is there, a sixtieth of one for a frame."""
+    page = ROOT / "docs" / "flight-page.md"
+    measured = parts_of(page.read_text(encoding="utf-8"), page)["page speed"]
+    found = {name: float(value) for name, value in re.findall(r"^\| (.+?) \| ([\d.]+) \w+ \|$", measured, re.MULTILINE)}
+    assert measured.startswith("A flight of 20 s, ")
+    assert found["size"] <= 1.5
+    assert found["processor time until the document is ready"] < 1000.0
+    assert found["processor time of a frame while it is scrolled"] < 1000.0 / 60.0
+    assert len(found) == 5
 
 
 def test_the_keyboard_is_enough(browser: Any, flown: tuple[Run, Path]) -> None:

@@ -77,7 +77,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/design.md": ("test_pages.py", "test_sensors.py", "test_trips.py"),
     "docs/engine-check.md": ("test_pages.py",),
     "docs/engine-kinds.md": ("marks", "test_engine_foreign.py"),
-    "docs/flight-page.md": ("test_flight_page.py",),
+    "docs/flight-page.md": ("marks", "test_flight_page.py"),
     "docs/failsafes.md": (
         "marks",
         "test_engine_out.py",

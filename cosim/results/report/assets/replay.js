@@ -137,6 +137,8 @@
 
   const start = async () => {
     await window.hexjet.ready;
+    // the page is there first: WebGL alone takes a tenth of a second to begin, the library as long to unpack
+    await new Promise((done) => { requestAnimationFrame(() => setTimeout(done)); setTimeout(done, 500); });
     update();
     paintLane();
     const flown = flights.filter((flight) => flight.rows && ["north_m", "east_m", "down_m", "roll_rad", "pitch_rad", "yaw_rad"].every((name) => flight.known.has(name)));
