@@ -32,8 +32,7 @@ from cosim.results.report.marks import table, write_marks  # noqa: E402
 
 PAGE, MARK = ROOT / "docs" / "identify-logs.md", "coverage"
 COLUMNS = (
-    "logs", "number", "hold the truth", "if the form is right", "median width", "median error", "within one sample",
-    "refused",
+    "logs", "number", "hold the truth (95 % interval of that share)", "median error", "within one sample", "refused",
 )  # fmt: skip
 SECONDS, LONGEST = 14.0, 0.3
 CONFIDENCE = 0.95  # of the intervals of the shares
@@ -63,7 +62,7 @@ KINDS = {
     "two lags, doublets": Kind(TWO, Flaws(), 150, DOUBLETS),
     "two lags, doublets, the short lag stated": Kind(TWO, Flaws(), 100, DOUBLETS, SHORT_KNOWN),
 }
-Row = tuple[float, float, float, float, float]  # delay, bounds, bounds if the form is right; less the truth, samples
+Row = tuple[float, float, float]  # delay, bounds; less the truth, samples
 
 
 def one(log: Log, kind: Kind) -> Row | None:
@@ -76,8 +75,8 @@ def one(log: Log, kind: Kind) -> Row | None:
         found = identify_log(flight, what, Wanted("u", "y", "r"), longest_delay=LONGEST, **kind.told)
     except InputError:
         return None
-    values = (found.chosen.delay, *found.delay_bounds, *found.chosen.delay_bounds)
-    return tuple(value / truth.step - truth.delay_samples for value in values)
+    delay, low, high = (value / truth.step - truth.delay_samples for value in (found.chosen.delay, *found.delay_bounds))
+    return delay, low, high
 
 
 def study(name: str, number: int, rows: list[Row | None], kept: Path | None = None) -> list[Row | None]:
@@ -105,13 +104,11 @@ def share(true: Sequence[bool]) -> str:
 def said(name: str, rows: Sequence[Row | None]) -> tuple[str, ...]:
     """A row of the table."""
     got = np.array([row for row in rows if row is not None])
-    error, low, high, near, far = got.T
+    error, low, high = got.T
     return (
         name,
         f"{len(rows)}",
         share((low <= 0.0) & (high >= 0.0)),
-        f"{100.0 * np.mean((near <= 0.0) & (far >= 0.0)):.1f} %",
-        f"{np.median(high - low):.2f}",
         f"{np.median(error):+.2f}",
         share(np.abs(error) <= 1.0),
         f"{len(rows) - len(got)}",

@@ -211,8 +211,10 @@ def _estimated(
         if second.loss / second.count < first.loss / first.count:
             problem, clock = other, "even clock"
     if lags is not None:
-        return problem, [problem.bounded(problem.fit(Form(engine, lags), hold))], clock
-    return problem, identify(problem, engine, hold), clock
+        found = [problem.bounded(problem.fit(Form(engine, lags), hold))]
+    else:
+        found = identify(problem, engine, hold)
+    return problem, [problem.robust(each) for each in found], clock
 
 
 def bounds(estimates: Sequence[Estimate]) -> tuple[float, float]:

@@ -33,9 +33,11 @@ from cosim.design.identify.fit import apart
 ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40)  # of A, tried
 LEAST_VALID = 0.4  # share of the equations that lost samples may leave, which bounds the order
 CHI2_95 = 3.841458820694124  # of one degree of freedom
+MIXED_95 = 5.1383807853214485  # of an even mixture of chi-squared of one and of two degrees of freedom
 SHORTEST_LAG = 0.002  # of a sample
 LONGEST_LAG_S = 5.0
 FASTEST = 20.0  # 1/s: the slow pole of an axis, at most
+LEAST_BLOCKS = 3  # times the parameters: fewer blocks do not tell a covariance; chosen by us
 _STEPS = 25  # of Gauss and Newton
 _DONE = 1e-6  # relative fall of the sum of squares that ends them: 0.01 of the deviance of 10,000 equations
 _START_LAGS = (0.5, 2.0, 8.0, 32.0)  # samples, where the search begins
@@ -375,13 +377,18 @@ class Problem:
 
     def bounded(self, estimate: Estimate, best: float | None = None) -> Estimate:
         """With the ends of the delay's profile likelihood, 95 %: where twice the likelihood's logarithm has fallen by
-        chi-squared's 3.84, from that of the estimate, or of a richer form whose deviance is ``best``.
+        chi-squared's 3.84 from that of the estimate.
+
+        ``best`` is the deviance of a form with a lag more, of which the estimate is the end where that lag is nothing.
+        The fall from there is distributed as an even mixture of chi-squared of one and two degrees of freedom if the
+        estimate's form is the true one (Self and Liang, J. Am. Stat. Assoc. 82, 1987, p. 605), and may be 5.14.
         """
         last = len(estimate.x) - 1
         if estimate.form.names[last] in estimate.held:
             return replace(estimate, delay_bounds=(estimate.delay, estimate.delay))
+        most = CHI2_95 if best is None else MIXED_95
         best = estimate.deviance if best is None else best
-        ends = (self._end(estimate, -1.0, best), self._end(estimate, 1.0, best))
+        ends = (self._end(estimate, -1.0, best + most), self._end(estimate, 1.0, best + most))
         return replace(estimate, delay_bounds=ends)
 
     def profile(self, estimate: Estimate, delay: float, near: Estimate | None = None) -> Estimate:
@@ -392,7 +399,8 @@ class Problem:
         fixed = [*(i for i in range(len(x)) if estimate.form.names[i] in estimate.held), len(x) - 1]
         return self.solve(estimate.form, x, near.ar, fixed, estimate.order)
 
-    def _end(self, estimate: Estimate, side: float, best: float) -> float:
+    def _end(self, estimate: Estimate, side: float, most: float) -> float:
+        """Where the profile's deviance is ``most``."""
         wide = 1.96 * estimate.deviation(len(estimate.x) - 1)
         wide = min(max(wide, 1e-4 * self.working_step), self.longest_delay)
         inside, outside = 0.0, np.inf
@@ -401,7 +409,7 @@ class Problem:
         for _ in range(12):
             wide = min(wide, limit)
             near = self.profile(estimate, estimate.delay + side * wide, near)
-            fall = near.deviance - best
+            fall = CHI2_95 - (most - near.deviance)  # CHI2_95 at the end that is looked for
             if abs(fall - CHI2_95) < 0.02 * CHI2_95:
                 break
             if fall < CHI2_95:
@@ -415,6 +423,41 @@ class Problem:
                 guess = 0.5 * (inside + outside)
             wide = guess
         return estimate.delay + side * wide
+
+    def robust(self, estimate: Estimate) -> Estimate:
+        """With the covariance that also holds where the form is only near the truth or the noise changes its size.
+
+        That is ``H^-1 (sum of g g') H^-1``, H the sum of squares' curvature and g its slope over a block of equations
+        as long as delay and lags together, within which what is left over may hang together (White, Econometrica 50,
+        1982, p. 1; in blocks Liang and Zeger, Biometrika 73, 1986, p. 13).  Of few blocks it says little: then, and for
+        what it would make surer, the covariance stays.
+        """
+        use = self.equations(estimate.order)
+        columns = self.columns(estimate.form, estimate.x)
+        error = np.where(self.present, self.output - columns @ estimate.linear, 0.0)
+        white = _whitened(error, estimate.ar)[use]
+        high, free = self._limits(estimate.form)[1], estimate.free
+        jacobian = self._jacobian(
+            estimate.form, estimate.x, estimate.linear, estimate.ar, columns, error, free, use, high
+        )
+        places = [*free, *range(len(estimate.x), len(estimate.covariance))]
+        kept = [n for n, place in enumerate(places) if estimate.covariance[place, place] > 0.0]
+        rows = [places[n] for n in kept]
+        jacobian = jacobian[:, kept]
+        count, parameters = jacobian.shape
+        block = max(1, round(estimate.all_delay[0] / self.working_step))
+        starts = np.arange(0, count, block)
+        if len(starts) < LEAST_BLOCKS * parameters:
+            return estimate
+        slopes = np.add.reduceat(jacobian * white[:, None], starts)
+        variance = estimate.loss / (count - parameters)
+        inverse = estimate.covariance[np.ix_(rows, rows)] / variance
+        share = len(starts) / (len(starts) - 1) * (count - 1) / (count - parameters)
+        made = share * inverse @ (slopes.T @ slopes) @ inverse
+        covariance = estimate.covariance.copy()
+        covariance[np.ix_(rows, rows)] = made
+        wider = replace(estimate, covariance=covariance)
+        return wider if wider.all_delay[1] > estimate.all_delay[1] else estimate
 
     # ---- pieces of it
 
@@ -564,7 +607,7 @@ def identify(problem: Problem, engine: bool, keep: dict[str, float] | None = Non
     richest = problem.bounded(found.pop())
     ends = [richest.delay_bounds]
     for each in found:  # a form that is not refuted is the richest one with a lag of nothing, which Newton only nears
-        if "delay_s" not in each.held and each.deviance < richest.deviance + CHI2_95:
+        if "delay_s" not in each.held and each.deviance < richest.deviance + MIXED_95:
             ends.append(problem.bounded(each, richest.deviance).delay_bounds)
     richest = replace(richest, delay_bounds=(min(low for low, _ in ends), max(high for _, high in ends)))
     return sorted([*map(problem.bounded, found), richest], key=lambda estimate: estimate.aic)

@@ -50,6 +50,14 @@ _COPTER: dict[Mode, int] = {
     Mode.ORBIT: 7,  # CIRCLE
 }
 _FROM_PX4 = {value: mode for mode, value in _PX4.items()}
+NOT_FLOWN = {  # of PX4, by main and sub mode: what a station may ask for, and is refused by name
+    (_AUTO, 8): "follow-me",
+    (_AUTO, 9): "precision landing",
+    (_AUTO, 10): "VTOL take-off",
+    (5, 0): "acro",
+    (8, 0): "rattitude",
+    (10, 0): "termination",
+}
 _FROM_COPTER = {
     0: Mode.STABILIZED, 2: Mode.ALTCTL, 3: Mode.MISSION, 4: Mode.HOLD, 5: Mode.POSCTL, 6: Mode.RTL, 9: Mode.LAND,
     16: Mode.POSCTL, 17: Mode.HOLD, 20: Mode.OFFBOARD,

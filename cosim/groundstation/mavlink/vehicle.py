@@ -40,6 +40,7 @@ LINK_LOST = 3.5  # s without a heartbeat of any ground station; QGroundControl g
 _REPEAT = 5.0  # s: a command that is the same again within it has lost its acknowledgement
 _COMPLAIN = 5.0  # s between two lines about set-points that are not understood
 _GCS = 6  # MAV_TYPE
+NO_FOLLOWING = "follow-me is not flown here: the place to follow is not used"
 _STATIONS = 64  # of which is remembered when they were heard; chosen by us: more than anybody connects
 # lists and files: long, in no hurry, and repeated where they were lost
 _BULK = frozenset({"FILE_TRANSFER_PROTOCOL", "LOG_DATA", "LOG_ENTRY", "PARAM_VALUE"})
@@ -378,6 +379,10 @@ class Vehicle:
         if not valid or hypot(*at.to_local(lat, lon, at.ground)[:2]) > commands.ORIGIN_NEAR:
             self._complain(commands.ORIGIN_FIXED, sender.peer)
 
+    def _follow(self, message: Message, sender: Sender) -> None:
+        """A place to follow, which is no request: only a mode that is not flown here uses it, so it is said once."""
+        self._complain(NO_FOLLOWING, sender.peer)
+
     def _nothing(self, message: Message, sender: Sender) -> None:
         """Taken and of no effect: rates are set message by message."""
 
@@ -403,6 +408,7 @@ _RECEIVE: dict[str, Callable[[Vehicle, Message, Sender], None]] = {
     "PING": Vehicle._ping,
     "TIMESYNC": Vehicle._timesync,
     "SET_GPS_GLOBAL_ORIGIN": Vehicle._origin,
+    "FOLLOW_TARGET": Vehicle._follow,
     "REQUEST_DATA_STREAM": Vehicle._nothing,
     "RADIO_STATUS": Vehicle._radio,
 }

@@ -6,8 +6,10 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -180,6 +182,67 @@ def test_several_stations_at_once(flights: list[Flight], stations: list[Udp]) ->
         found = [m.get_seq() for m in station.got]
         assert [(b - a) % 256 for a, b in pairwise(found)] == [1] * (len(found) - 1)
     assert not [m for m in listener.got if m.get_type() == "COMMAND_ACK"]
+
+
+def test_a_router_in_front(flights: list[Flight], stations: list[Udp]) -> None:
+    """Two stations behind one address, as a router has them: each gets the answers to what it asked."""
+    flights.append(Flight("udpin:127.0.0.1:0"))
+    inside, outside = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    for each in (inside, outside):
+        each.bind(("127.0.0.1", 0))
+        each.settimeout(0.02)
+    ended = threading.Event()
+    known: set[tuple[str, int]] = set()
+
+    def outwards() -> None:
+        while not ended.is_set():
+            with suppress(TimeoutError):
+                data, address = outside.recvfrom(4096)
+                known.add(address)
+                inside.sendto(data, ("127.0.0.1", flights[0].port))
+
+    def inwards() -> None:
+        while not ended.is_set():
+            with suppress(TimeoutError):
+                data = inside.recv(4096)
+                for address in tuple(known):
+                    outside.sendto(data, address)
+
+    ways = [threading.Thread(target=way, daemon=True) for way in (outwards, inwards)]
+    for way in ways:
+        way.start()
+    ground = [Udp(outside.getsockname()[1], system=system) for system in (255, 77)]
+    stations += ground
+    for station in ground:
+        station.heartbeat()
+    for station in ground:
+        assert station.name("HEARTBEAT")
+        station.send(command(512, 148.0))
+        assert station.wait(lambda m, to=station.mav.srcSystem: m.get_type() == "COMMAND_ACK" and m.target_system == to)
+        assert station.name("AUTOPILOT_VERSION")
+    assert len(flights[0].link.peers) == 1
+    ended.set()
+    for way in ways:
+        way.join()
+    inside.close()
+    outside.close()
+
+
+def test_what_is_not_flown_is_refused_by_name(flights: list[Flight], stations: list[Udp]) -> None:
+    flights.append(Flight("udpin:127.0.0.1:0"))
+    ground = Udp(flights[0].port)
+    stations.append(ground)
+    ground.heartbeat()
+    assert ground.name("HEARTBEAT")
+    ground.send(command(176, 1.0, 4.0, 8.0))
+    assert ground.name("COMMAND_ACK").result == mav.MAV_RESULT_UNSUPPORTED
+    assert ground.wait(lambda m: m.get_type() == "STATUSTEXT" and "follow-me, is not known here" in m.text)
+    ground.send(
+        mav.MAVLink_follow_target_message(
+            0, 3, 0, 0, 0.0, [0.0] * 3, [0.0] * 3, [1.0, 0, 0, 0], [0.0] * 3, [0.0] * 3, 0
+        )
+    )
+    assert ground.wait(lambda m: m.get_type() == "STATUSTEXT" and "follow-me is not flown here" in m.text)
 
 
 def test_the_table_of_stations_is_bounded(flights: list[Flight], stations: list[Udp]) -> None:

@@ -34,7 +34,7 @@ from cosim.control.autopilot.requests import (
     Takeoff,
 )
 from cosim.groundstation.mavlink.about import About
-from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, from_custom, from_main_sub
+from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, NOT_FLOWN, from_custom, from_main_sub
 from cosim.groundstation.mavlink.streams import BY_ID, FASTEST, interval
 from cosim.groundstation.mavlink.telemetry import View, gps_global_origin, mode_line
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, mav
@@ -196,7 +196,8 @@ def _set_mode(order: Order, context: Context) -> Plan:
         return _refuse("mode: only custom modes are known here", Ack.UNSUPPORTED)
     if context.about.personality == "ardupilot":
         return _mode(from_custom(main, "ardupilot"), f"{main}")
-    return _mode(from_main_sub(main, sub), f"{main}, {sub}")
+    name = NOT_FLOWN.get((main, sub), "")
+    return _mode(from_main_sub(main, sub), f"{main}, {sub}{f', {name},' if name else ''}")
 
 
 def _set_standard_mode(order: Order, context: Context) -> Plan:
