@@ -33,7 +33,6 @@ from cosim.autopilots.lockstep import (
     pulse,
     stated_program,
 )
-from cosim.autopilots.parameters import rates
 from cosim.base.errors import FlightError, InputError
 from cosim.base.limits import clamp
 from cosim.base.signals import AXES
@@ -50,10 +49,13 @@ _READY = b"HJREADY\0"
 _CONSOLE_S = 20.0  # chosen by us: until its console answers, on a busy machine
 _NEUTRAL = 1500
 # What would change the gains in flight is off, so that they are those designed: more P and I while the throttle
-# moves, less of all at high throttle, more D in quick turns; and the derivative has one filter, of first order.
+# moves, less of all at high throttle, more D in quick turns, less I while the rate set-point moves, which an attitude
+# loop does all the time, a gyro filter that follows the throttle; and the derivative has one filter, of first order.
 _CONSTANT = (
     "set anti_gravity_gain = 0",
     "set tpa_rate = 0",
+    "set iterm_relax = OFF",
+    "set gyro_lpf1_dyn_min_hz = 0",
     *[f"set d_max_{axis} = 0" for axis in AXES],
     "set dterm_lpf1_type = PT1",
     "set dterm_lpf1_dyn_min_hz = 0",
@@ -342,6 +344,16 @@ def _console(program: Program, port: int, end: float) -> socket.socket:
             sleep(0.05)
 
 
+def units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
+    """Of each axis, what one of the attitude gain [1/s] and of P, I and D is in ours, by :func:`mixing`."""
+    motor = _SUM_TO_MOTOR * (1.0 - vehicle.control.allocation.throttle_min)  # throttle
+    tilt = vehicle.servo.range_rad / _FULL_SUM if vehicle.servo else motor
+    return {
+        axis: (0.1, *(degrees(1.0) * worth * scale for scale in (P_SCALE, I_SCALE, D_SCALE)))  # type: ignore[misc]
+        for axis, worth in zip(AXES, (motor, tilt, tilt), strict=True)
+    }
+
+
 def gains_of(vehicle: Vehicle) -> list[str]:
     """The vehicle's attitude and rate gains as console lines, rounded to Betaflight's whole numbers.
 
@@ -353,9 +365,8 @@ def gains_of(vehicle: Vehicle) -> list[str]:
     lines = [f"set angle_p_gain = {round(10.0 * min(control.attitude.gain_1_s[:2]))}", *_CONSTANT]
     if control.rate.roll.d:
         lines.append(f"set dterm_lpf1_static_hz = {round(1.0 / (2.0 * pi * control.rate.roll.d_filter_s))}")
-    motor = _SUM_TO_MOTOR * (1.0 - control.allocation.throttle_min)  # throttle
-    tilt = vehicle.servo.range_rad / _FULL_SUM if vehicle.servo else motor
-    for axis, gains, worth in rates(vehicle, (motor, tilt, tilt)):
-        for key, value, unit in (("p", gains.p, P_SCALE), ("i", gains.i, I_SCALE), ("d", gains.d, D_SCALE)):
-            lines.append(f"set {key}_{axis} = {min(round(value / (degrees(1.0) * worth * unit)), MOST_GAIN)}")
+    for axis, (_, *worth) in units(vehicle).items():
+        gains = getattr(control.rate, axis)
+        for key, value, unit in zip("pid", (gains.p, gains.i, gains.d), worth, strict=True):
+            lines.append(f"set {key}_{axis} = {min(round(value / unit), MOST_GAIN)}")
     return lines

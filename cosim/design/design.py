@@ -39,6 +39,7 @@ from cosim.design.loop.channel import (
 )
 from cosim.design.loop.closed_loop import Closed, Points
 from cosim.design.loop.dynamics import Dynamics, fit_dynamics, lags, with_misfit
+from cosim.design.loop.firmware import Firmware
 from cosim.design.loop.frequency import crossings, wrapped
 from cosim.design.loop.tuning import Tuning, candidates, designable
 from cosim.design.proof import Proof
@@ -147,6 +148,7 @@ class Design:
     reason: str  # why it is not acceptable; empty where it is
     allowing: Mapping[str, float]  # what would allow one: "delay_s", "lag_factor"
     proof: Proof | None = None  # of the measured response and in flight; None where it was not asked for
+    firmware: Firmware | None = None  # in whose loop the gains are; None: ours
 
     @property
     def ok(self) -> bool:
@@ -173,6 +175,7 @@ def design(
     scheduled: bool = True,
     start: Path | None = None,
     unsure: tuple[tuple[float, float], ...] = (),
+    firmware: Firmware | None = None,
     say: Say = lambda text: None,
 ) -> Design:
     """Design controller, predictor and gains of an aircraft for an engine.
@@ -185,7 +188,8 @@ def design(
 
     ``start`` a controller file: its candidate alone is searched for, from its gains on.  ``scheduled``: whether gains
     may follow the thrust level where the vehicle burns fuel.  ``unsure``: (Hz, share) by which the engine may differ
-    from its model, in place of what the model leaves of the sweep.
+    from its model, in place of what the model leaves of the sweep.  ``firmware``: the gains are those of another
+    autopilot's loop, with its filters, delays and whole numbers; the height is ours, and so is its loop.
 
     Raises InputError for an unknown name, a vehicle that the engines do not lift, or an engine that does not answer.
     """
@@ -215,17 +219,19 @@ def design(
     source = f"{identified.source}; with the airframe of {vehicle.name}"
     begin = None if start is None else _begin(start, plants, scenario.aircraft, vehicle, spec)
     if begin is None:
-        axes = _axes(plants, vehicle, spec, names, need, source, say, lead)
+        axes = _axes(plants, vehicle, spec, names, need, source, say, lead, firmware)
     else:
         axes = _again(plants, vehicle, spec, need, source, begin, say)
     reason = _why_not(axes, need)
-    allowing = _allowing(axes["roll"], names, need, say, lead) if reason and start is None else {}
+    allowing = _allowing(axes["roll"], names, need, say, lead) if reason and start is None and not firmware else {}
     burning: list[LevelDesign] = []
     plan: Schedule | None = None
     if vehicle.fuel is not None and not reason and not model:
         there = _levels(scenario, vehicle, spec, dynamics, amplitude, unsure, say)
         plan, burning, reason = _burn(axes, there, need, begin, scheduled, say)
-    return Design(spec, vehicle, scenario, need, identified, source, axes, burning, plan, reason, allowing)
+    return Design(
+        spec, vehicle, scenario, need, identified, source, axes, burning, plan, reason, allowing, firmware=firmware
+    )
 
 
 def needed(axis: str, need: Requirements) -> Requirements:
@@ -414,10 +420,11 @@ def _axes(
     source: str,
     say: Say,
     lead: bool,
+    firmware: Firmware | None = None,
 ) -> dict[str, AxisDesign]:
     leads = {axis: engine_lead(plants[axis]) if lead else None for axis in AXES}
     predictor = vehicle.control.predictor
-    roll = _axis(plants["roll"], vehicle, spec, names, need, source, predictor, say, leads["roll"])
+    roll = _axis(plants["roll"], vehicle, spec, names, need, source, predictor, say, leads["roll"], firmware=firmware)
     chosen = roll.after.tuning if roll.after else None
     designs = {"roll": roll}
     for axis in AXES[1:]:
@@ -428,9 +435,18 @@ def _axes(
         predictor = chosen.predictor if chosen else vehicle.control.predictor
         designs[axis] = _axis(
             channel, vehicle, spec, names, needed(axis, need), source, predictor, say, leads[axis],
-            free=not predicted,
+            free=not predicted, firmware=_there(firmware, axis, chosen),
         )  # fmt: skip
     return designs
+
+
+def _there(firmware: Firmware | None, axis: str, roll: Tuning | None) -> Firmware | None:
+    """The autopilot's loop on another axis, with what roll has chosen for all; the height is held by ours."""
+    if firmware is None or axis == "altitude":
+        return None
+    smooth = roll.gains.d_filter_s if roll is not None and firmware.common_filter else None
+    angle = roll.angle_gain if roll is not None and firmware.common_angle and axis == "pitch" else None
+    return replace(firmware, axis=axis, d_filter_s=smooth, angle_gain=angle)
 
 
 def _axis(
@@ -444,8 +460,11 @@ def _axis(
     say: Say,
     lead: EngineLead | None,
     free: bool = True,
+    firmware: Firmware | None = None,
 ) -> AxisDesign:
     fixed = shipped(channel, vehicle, spec)
+    if firmware is not None:
+        fixed = replace(fixed, controller=BASELINE.name, lead=None, firmware=firmware)
     before = assess(channel, fixed, need)
     model = believed(channel, source)
     start = replace(fixed, predictor=predictor)
@@ -460,7 +479,10 @@ def _axis(
     best = _simplest({key: each.objective for key, each in tried.items()})
     if not isfinite(tried[best].objective):
         return AxisDesign(channel, before, {name: each.objective for name, each in tried.items()}, None, {}, {})
-    after = assess(channel, settle(channel, tried[best].tuning, need, free) or tried[best].tuning, need)
+    settled = settle(channel, tried[best].tuning, need, free)
+    if settled is None and firmware is not None and firmware.units is not None:
+        return AxisDesign(channel, before, dict.fromkeys(tried, inf), None, {}, {})  # none in its whole numbers
+    after = assess(channel, settled or tried[best].tuning, need)
     limits = {}
     if channel.name == "roll":
         say("what limits it")

@@ -17,6 +17,7 @@ from cosim.design.design import (
     Design,
 )
 from cosim.design.figures import design_figures
+from cosim.design.loop.firmware import Firmware
 from cosim.results.report.page import render
 from cosim.spec.vehicle import EngineLead
 
@@ -137,6 +138,8 @@ def summary_lines(design: Design) -> list[str]:
         return lines
     roll = design.axes["roll"]
     assert roll.after is not None
+    if design.firmware is not None:
+        lines += _firmware_lines(design, design.firmware)
     lines.append(f"controller: {design.controller}; {_compared(roll)}")
     lines += [
         f"{axis}: {_lead_words(axis_design.after.tuning.lead)}"
@@ -151,6 +154,26 @@ def summary_lines(design: Design) -> list[str]:
             f"{axis}: {'stable' if fine else 'NOT stable'} for {what}" for what, fine in axis_design.checks.items()
         ]
     return [*lines, *(design.proof.lines() if design.proof else [])]
+
+
+def _firmware_lines(design: Design, firmware: Firmware) -> list[str]:
+    """Whose loops these are, what of them is common, and the margins before it flies."""
+    lines = [
+        f"the loops of roll, pitch and yaw are {firmware.name}'s, with its filters and delays; the height's is ours. "
+        "The design has no proof in flight: hexjet sitl flies it"
+    ]
+    if firmware.common_angle:
+        lines.append("roll and pitch have one attitude gain: roll's, which holds back the quicker pitch")
+    for axis, each in design.axes.items():
+        if each.after is not None and each.after.margins is not None and axis != "altitude":
+            m = each.after.margins
+            more = "" if m.delay_s is None else f", {1e3 * m.delay_s:.1f} ms more delay"
+            less = None if m.gain_down_db is None else -m.gain_down_db
+            lines.append(
+                f"{axis}: it takes {_number(m.gain_db, 1)} dB more gain, {_number(less, 1)} dB less, "
+                f"{_number(m.phase_deg, 1)} deg of phase{more} until it is unstable"
+            )
+    return lines
 
 
 def _model_lines(design: Design) -> list[str]:

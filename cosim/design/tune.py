@@ -143,13 +143,16 @@ class Box:
             tau = max(tau + lead_delay(lead), (0.5 + self._channel.transport_samples) * self._channel.step)
             tau = max(tau, 1.0 / lead.pole_rad_s)
         k, p, i, d = value[:4] * np.array([1.0 / tau, 1.0 / (self._channel.gain * tau), 1.0 / tau, tau])
+        firmware = self._fixed.firmware
         own = {knob.name: float(x) * knob.scale(tau) for knob, x in zip(self._own, value[4:], strict=False)}
         predictor = self._spec.tuned(self._fixed.predictor, own)
         smooth = _smooth(float(d), self._channel.step) if d else self._fixed.gains.d_filter_s
+        if firmware is not None:
+            smooth, k = firmware.smooth(smooth), firmware.angle_gain or k
         gains = self._fixed.gains.model_copy(
             update={"p": float(p), "i": float(p * i), "d": float(p * d), "d_filter_s": smooth}
         )
-        return Tuning(self._spec.name, float(k), gains, predictor, self._model, lead)
+        return Tuning(self._spec.name, float(k), gains, predictor, self._model, lead, firmware)
 
 
 def lead_delay(lead: EngineLead) -> float:
@@ -232,6 +235,9 @@ def settle(
     ``start`` keeps the requirements.  At a ``level`` of a schedule only what follows the level is changed.
     """
     points = Points(channel, close=WRITTEN)
+    firmware = start.firmware
+    if firmware is not None and firmware.units is not None:
+        return _settle_whole(channel, start, need)
 
     def cost(values: Mapping[str, Digits]) -> float:
         closed = Closed(points, _written(start, values, channel.step, level))
@@ -247,6 +253,41 @@ def settle(
                 if (value := cost(trial)) < best - LEAST_GAIN:
                     values, best, moved = trial, value, True
     tuning = _written(start, values, channel.step, level)
+    return tuning if acceptable(Closed(Points(channel, close=FINE), tuning), need) else None
+
+
+def _settle_whole(channel: Channel, start: Tuning, need: Requirements) -> Tuning | None:
+    """As :func:`settle`, in an autopilot's whole numbers: one more or one less of one, or of two of them at a time.
+
+    They are coarse for a slow vehicle, so the nearest ones may miss what was searched: what is missed comes first.
+    """
+    points, firmware = Points(channel, close=WRITTEN), start.firmware
+    assert firmware is not None
+    names = [name for name in ("angle_gain", "p", "i", "d") if not (name == "angle_gain" and firmware.angle_gain)]
+    units = {name: firmware.unit(name) or 1.0 for name in names}
+    gains = start.gains
+    stated = {"angle_gain": start.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
+
+    def at(values: Mapping[str, int]) -> Tuning:
+        told = {name: values[name] * units[name] for name in names}
+        angle = told.pop("angle_gain", start.angle_gain)
+        return replace(start, angle_gain=angle, gains=gains.model_copy(update=told))
+
+    def cost(values: Mapping[str, int]) -> float:
+        closed = Closed(points, at(values))
+        return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
+
+    values = {name: min(max(1, round(stated[name] / units[name])), firmware.most) for name in names}
+    ways = [{name: way} for name in names for way in (1, -1)]
+    ways += [{a: x, b: y} for k, a in enumerate(names) for b in names[k + 1 :] for x in (1, -1) for y in (1, -1)]
+    best, moved = cost(values), True
+    while moved:
+        moved = False
+        for way in ways:
+            trial = {**values, **{name: values[name] + by for name, by in way.items()}}
+            if all(1 <= trial[name] <= firmware.most for name in way) and (value := cost(trial)) < best - LEAST_GAIN:
+                values, best, moved = trial, value, True
+    tuning = at(values)
     return tuning if acceptable(Closed(Points(channel, close=FINE), tuning), need) else None
 
 
@@ -309,6 +350,8 @@ def _searched(tuning: Tuning, predictor: bool) -> dict[str, float]:
     """What is searched on a channel, by name; a part that is 0 is not there and stays away."""
     gains = tuning.gains
     values = {"angle_gain": tuning.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
+    if tuning.firmware is not None and tuning.firmware.angle_gain is not None:
+        del values["angle_gain"]  # another axis has chosen it
     if predictor:
         own = PREDICTORS[tuning.controller].own(tuning.predictor)
         values |= {PREDICTOR + name: value for name, value in own.items()}
@@ -321,6 +364,8 @@ def _written(start: Tuning, values: Mapping[str, Digits], step: float, level: bo
     """``start`` with numbers of three digits in place of those that were searched."""
     tuning = _with(start, {name: _number(number) for name, number in values.items()}, step, level)
     smooth = _number(digits(tuning.gains.d_filter_s))
+    if tuning.firmware is not None:
+        smooth = tuning.firmware.smooth(smooth)
     return tuning if level else replace(tuning, gains=tuning.gains.model_copy(update={"d_filter_s": smooth}))
 
 
@@ -329,6 +374,8 @@ def _with(start: Tuning, value: Mapping[str, float], step: float, level: bool) -
     gains: dict[str, float] = {name: value[name] for name in ("p", "i", "d") if name in value}
     if "d" in gains and not level:
         gains["d_filter_s"] = _smooth(gains["d"] / gains["p"], step)
+        if start.firmware is not None:
+            gains["d_filter_s"] = start.firmware.smooth(gains["d_filter_s"])
     own = {name.removeprefix(PREDICTOR): value_of for name, value_of in value.items() if name.startswith(PREDICTOR)}
     predictor, lead = PREDICTORS[start.controller].tuned(start.predictor, own), start.lead
     if lead is not None and "pole_rad_s" in value:

@@ -60,6 +60,12 @@ if TYPE_CHECKING:
     show_default=True,
     help="One standard deviation of sensor noise in a command, as a share of its room.",
 )
+@click.option(
+    "--for",
+    "autopilot",
+    type=click.Choice(["betaflight", "px4", "ardupilot"]),
+    help="Gains for that autopilot's own loops, with their filters, delays and units; see hexjet sitl.",
+)
 @click.option("--lead/--no-lead", default=True, help="Try a lead against the engine's lag.  [default: --lead]")
 @click.option(
     "--schedule/--no-schedule",
@@ -97,6 +103,7 @@ def design(
     gain_tolerance: float,
     min_bandwidth: float,
     noise_share: float,
+    autopilot: str | None,
     lead: bool,
     scheduled: bool,
     start: Path | None,
@@ -127,6 +134,14 @@ def design(
         except OSError as error:
             raise InputError(f"--out {out}: cannot be written to: {error.strerror or error}") from error
     engine = engine_for(aircraft, engine)
+    firmware = None
+    if autopilot is not None:
+        if controller not in ("auto", "baseline") or start is not None:
+            raise InputError(f"--for {autopilot}: it has no predictor of ours: leave --controller and --start out")
+        from cosim.cli.controllers.firmware import firmware_for
+
+        firmware = firmware_for(autopilot, aircraft, settings)
+        controller, lead, scheduled, proof = "baseline", False, False, False
     offer_to_compile(engine)
     warn_of_blemishes(engine)
     need = Requirements(
@@ -149,12 +164,17 @@ def design(
             lead=lead,
             scheduled=scheduled,
             start=start,
+            firmware=firmware,
             say=lambda text: tell(text, 0, 1),
         )
         made = search()
         if proof:
             made = proved(made, lambda text: tell(text, 0, 1), lambda unsure: search(unsure=unsure))
     paths = write(made, out)
+    if autopilot is not None and made.ok:
+        from cosim.cli.controllers.firmware import write_parameters
+
+        paths["parameters"] = write_parameters(autopilot, aircraft, paths["controller"], made.scenario.step_s)
     if as_json:
         click.echo(json.dumps(to_dict(made, paths), allow_nan=False))
     else:

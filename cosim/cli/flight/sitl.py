@@ -220,16 +220,10 @@ def params(autopilot: str, aircraft: str, gains: str | None, rate: int) -> int:
     What cannot be said in its parameters stands in the lines that begin with #. For Betaflight they are lines for its
     console.
     """
-    from cosim.autopilots import parameters as made
-    from cosim.autopilots.betaflight import fixed, gains_of, mixing
+    from cosim.autopilots.dump import parameters_of
 
     vehicle, _ = load_scenario("hover", gains, (), None, (), None, aircraft).resolved_vehicle()
-    if autopilot == "betaflight":
-        lines = [*mixing(vehicle, vehicle.control.allocation.throttle_min), *fixed(vehicle), *gains_of(vehicle), "save"]
-        click.echo("\n".join(lines))
-        return DONE
-    told = made.px4_parameters(vehicle) if autopilot == "px4" else made.ardupilot_parameters(vehicle, 1.0 / rate)
-    click.echo(made.parameter_file(autopilot, told), nl=False)
+    click.echo(parameters_of(autopilot, vehicle, 1.0 / rate), nl=False)
     return DONE
 
 

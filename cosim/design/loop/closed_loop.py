@@ -10,7 +10,8 @@ Where the actuator's model misfits by up to ``w`` (:attr:`cosim.design.loop.dyna
 ``L (1 + x)`` with ``|x| <= w``: it stays stable for all of them while ``w |T| < 1``, and the largest sensitivity among
 them is ``|S| / (1 - w |T|)`` (Skogestad and Postlethwaite, Multivariable Feedback Control, 2nd ed., section 7.5).
 
-A lead behind the PID multiplies ``C_e`` and ``D``; the predictor reads the command behind it.
+A lead behind the PID multiplies ``C_e`` and ``D``; the predictor reads the command behind it.  Another autopilot's loop
+(:mod:`cosim.design.loop.firmware`) states ``C_e`` and ``C_e + D`` itself.
 """
 
 from __future__ import annotations
@@ -67,7 +68,11 @@ class Closed:
         self.points, self.tuning = points, tuning
         z, channel = points.z, points.channel
         self._of_rate, of_command = tuning.answer()(z)
-        self._error, slope = pid_response(tuning.gains, channel.step, z)
+        if tuning.firmware is not None:
+            self._error, self._both = tuning.firmware.responses(tuning.gains, channel.step, z)
+            slope = self._both - self._error
+        else:
+            self._error, slope = pid_response(tuning.gains, channel.step, z)
         if tuning.lead is not None:
             over, under = lead_polynomials(tuning.lead, channel.step)
             lead = np.polyval(over, z) / np.polyval(under, z)
@@ -147,7 +152,7 @@ class Closed:
         """Unit steps of set-point and load over :data:`WINDOW` times the channel's delay, exactly."""
         channel = self.points.channel
         samples = ceil(WINDOW * channel.slowness_s / channel.step)
-        if PREDICTORS[self.tuning.controller].space is None:
+        if self.tuning.firmware is not None or PREDICTORS[self.tuning.controller].space is None:
             return steps_by_response(channel, self.tuning, samples)
         return self.space.steps(samples)
 

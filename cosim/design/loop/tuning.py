@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from cosim.base.errors import InputError, nearest
 from cosim.control.predictors.linear import PairResponse, PredictorSpace
 from cosim.control.predictors.registry import PREDICTORS, PredictorSpec
+from cosim.design.loop.firmware import Firmware
 from cosim.spec.vehicle import (
     EngineLead,
     PredictorTuning,
@@ -44,6 +45,7 @@ class Tuning:
     predictor: PredictorTuning
     model: RateModel  # what the predictor believes
     lead: EngineLead | None = None
+    firmware: Firmware | None = None  # whose loop has these gains; None: ours
 
     def answer(self) -> PairResponse:
         """``P_y`` and ``P_u`` of the predictor.  Raises InputError for one that states none."""

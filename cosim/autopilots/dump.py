@@ -1,0 +1,17 @@
+"""A vehicle as the parameters of one of the autopilots, as text."""
+
+from __future__ import annotations
+
+from cosim.autopilots.betaflight import fixed, gains_of, mixing
+from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_parameters
+from cosim.spec.vehicle import Vehicle
+
+
+def parameters_of(autopilot: str, vehicle: Vehicle, step: float) -> str:
+    """Lines for Betaflight's console, or a file of ``px4`` or ``ardupilot``.  Raises InputError for a vehicle that it
+    has no parameters for."""
+    if autopilot == "betaflight":
+        lines = [*mixing(vehicle, vehicle.control.allocation.throttle_min), *fixed(vehicle), *gains_of(vehicle), "save"]
+        return "\n".join(lines) + "\n"
+    told = px4_parameters(vehicle) if autopilot == "px4" else ardupilot_parameters(vehicle, step)
+    return parameter_file(autopilot, told)

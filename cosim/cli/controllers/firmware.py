@@ -1,0 +1,40 @@
+"""``hexjet design --for``: an autopilot's loops for a design, and what came of it as its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cosim.base.errors import FlightError
+from cosim.cli.options import load_scenario
+
+if TYPE_CHECKING:
+    from cosim.design.loop.firmware import Firmware
+
+
+def firmware_for(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firmware:
+    """The loops, in the units of the aircraft.  Raises InputError for one that the autopilot has no parameters for."""
+    from cosim.autopilots.betaflight import MOST_GAIN, units
+    from cosim.autopilots.dump import parameters_of
+    from cosim.design.loop.firmware import Firmware
+
+    scenario = load_scenario("hover", None, (), None, tuple(settings), None, aircraft)
+    vehicle, _ = scenario.resolved_vehicle()
+    parameters_of(autopilot, vehicle, scenario.step_s)  # before minutes of searching
+    if autopilot == "betaflight":
+        return Firmware(autopilot, units=units(vehicle), most=MOST_GAIN, common_filter=True, common_angle=True)
+    return Firmware(autopilot, common_filter=autopilot == "px4")
+
+
+def write_parameters(autopilot: str, aircraft: str, controller: Path, step: float) -> Path:
+    """The parameter file beside the controller file.  Raises FlightError."""
+    from cosim.autopilots.dump import parameters_of
+
+    vehicle, _ = load_scenario("hover", str(controller), (), None, (), None, aircraft).resolved_vehicle()
+    path = controller.with_suffix(".txt" if autopilot == "betaflight" else ".params" if autopilot == "px4" else ".parm")
+    try:
+        path.write_text(parameters_of(autopilot, vehicle, step))
+    except OSError as error:
+        raise FlightError(f"{path}: {error.strerror or error}") from error
+    return path

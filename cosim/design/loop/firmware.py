@@ -1,0 +1,174 @@
+"""The rate and attitude loops of other people's autopilots, as responses of a channel's controller.
+
+An autopilot runs its loop ``N`` times while a measurement stands still, and what the actuators are given is its answer
+of the first of these.  A law is linear around rest, so it is written down once, as what it does in one of its own
+loops, and its matrices are read off that, column by column:
+
+    s' = A s + B (r, y),   u = C s + D (r, y)          one loop; r: rate set-point of the attitude loop, y: gyro
+    s_k+1 = A^N s_k + (1 + A + ... + A^(N-1)) B (r, y)_k
+
+so ``u(z) = (C (z - A^N)^-1 (1 + ... + A^(N-1)) B + D) (r, y)`` at the flight's step, exactly.  P, I and D enter
+linearly, each with its own matrices.
+
+Sources: Betaflight 4.6 ``flight/pid.c``, ``pid_init.c``, ``sensors/gyro.c``, ``common/filter.c``; PX4 1.15
+``RateControl.cpp``, ``VehicleAngularVelocity.cpp``, ``AlphaFilter.hpp``; ArduPilot 4.6 ``AC_PID.cpp``, ``Copter.cpp``.
+Of limits and anti-windup nothing is in it, nor of gains that follow the throttle: our settings switch these off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from math import pi
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex
+from cosim.spec.vehicle import RateGains
+
+BETAFLIGHT_LOOP_S = 125e-6  # of its SITL; measured: what a step of its gyro answers at once
+GYRO_LPF1_HZ, GYRO_LPF2_HZ = 250.0, 500.0  # as it ships, both first order; that the first rises with throttle is off
+LEVEL_HZ = 50.0  # ATTITUDE_CUTOFF_HZ, third order, behind the attitude gain of roll and pitch
+YAW_P_HZ = 100.0  # yaw_lowpass_hz, on the proportional part of yaw
+PT3 = 1.961459177  # CUTOFF_CORRECTION_PT3: each of three equal lags, so that together they are 3 dB down at the cutoff
+
+# One loop: state, set-point, gyro, loop period [s], cutoff of the derivative [Hz] -> state, and P, I and D parts
+Loop = Callable[[list[float], float, float, float, float], tuple[list[float], float, float, float]]
+
+
+def share(hertz: float, period: float) -> float:
+    """Gain of a first-order low-pass in one loop; the three autopilots have the same: backward Euler."""
+    return 2.0 * pi * hertz * period / (2.0 * pi * hertz * period + 1.0)
+
+
+def _betaflight(levels: bool, yaw: bool) -> Loop:
+    def loop(
+        s: list[float], r: float, y: float, period: float, hertz: float
+    ) -> tuple[list[float], float, float, float]:
+        g1, g2, a, b, c, integral, slope, p = s
+        g1 += share(GYRO_LPF1_HZ, period) * (y - g1)
+        before, g2 = g2, g2 + share(GYRO_LPF2_HZ, period) * (g1 - g2)
+        if levels:
+            k = share(LEVEL_HZ * PT3, period)
+            a += k * (r - a)
+            b += k * (a - b)
+            c += k * (b - c)
+        error = (c if levels else r) - g2
+        p = p + share(YAW_P_HZ, period) * (error - p) if yaw else error
+        integral += period * error
+        slope += share(hertz, period) * ((before - g2) / period - slope)
+        return [g1, g2, a, b, c, integral, slope, p], p, integral, slope
+
+    return loop
+
+
+def _px4(s: list[float], r: float, y: float, period: float, hertz: float) -> tuple[list[float], float, float, float]:
+    asked, last, slope, integral = s  # the rate set-point is the attitude loop's of the step before
+    slope += share(hertz, period) * ((last - y) / period - slope)
+    error = asked - y
+    return [r, y, slope, integral + period * error], error, integral, slope  # this error is integrated for the next
+
+
+def _ardupilot(
+    s: list[float], r: float, y: float, period: float, hertz: float
+) -> tuple[list[float], float, float, float]:
+    asked, last, slope, integral = s  # the rate loop comes first in a loop of its tasks, the attitude loop behind it
+    error = asked - y
+    slope += share(hertz, period) * ((error - last) / period - slope)  # of the error, set-point and all
+    integral += period * error
+    return [r, error, slope, integral], error, integral, slope
+
+
+_STATES = {"betaflight": 8, "px4": 4, "ardupilot": 4}
+
+
+def law(name: str, axis: str) -> Loop:
+    """One loop of an autopilot on an axis."""
+    if name == "betaflight":
+        return _betaflight(axis != "yaw", axis == "yaw")  # heading is held with the sticks, by whoever holds them
+    return _px4 if name == "px4" else _ardupilot
+
+
+Units = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Firmware:
+    """An autopilot's structure on an axis, and what its gains may be.
+
+    ``units``: what one of the attitude gain [1/s] and of P, I and D [command per rad/s and so on] is, where it has
+    whole numbers of them.  ``most``: the largest of these.  ``common_filter``, ``common_angle``: of all axes, and of
+    roll and pitch; ``d_filter_s`` and ``angle_gain``: those that another axis has chosen.
+    """
+
+    name: str
+    axis: str = "roll"
+    units: Mapping[str, Units] | None = None
+    most: int = 250
+    common_filter: bool = False
+    common_angle: bool = False
+    d_filter_s: float | None = None
+    angle_gain: float | None = None
+
+    def responses(self, gains: RateGains, step: float, z: Complex) -> tuple[Complex, Complex]:
+        """Command per rate set-point, and less command per measured rate."""
+        at = z.tobytes()
+        p, i = _parts(self.name, self.axis, step, 0.0, at)[:2]
+        of_set, of_rate = gains.p * p[0] + gains.i * i[0], gains.p * p[1] + gains.i * i[1]
+        if gains.d:
+            slope = _parts(self.name, self.axis, step, 1.0 / (2.0 * pi * gains.d_filter_s), at)[2]
+            of_set, of_rate = of_set + gains.d * slope[0], of_rate + gains.d * slope[1]
+        return of_set, -of_rate
+
+    def unit(self, name: str) -> float | None:
+        """Of ``angle_gain``, ``p``, ``i`` or ``d``; None where it need not be whole."""
+        if self.units is None:
+            return None
+        return self.units[self.axis][("angle_gain", "p", "i", "d").index(name)]
+
+    def smooth(self, seconds: float) -> float:
+        """The filter of the derivative that comes nearest: its cutoff in whole hertz where gains are whole."""
+        if self.d_filter_s is not None:
+            return self.d_filter_s
+        return seconds if self.units is None else 1.0 / (2.0 * pi * max(1.0, round(1.0 / (2.0 * pi * seconds))))
+
+
+@lru_cache(maxsize=64)
+def _parts(name: str, axis: str, step: float, hertz: float, at: bytes) -> Complex:
+    """P, I and D part of a unit of set-point and of gyro, at the points of the circle: 3 x 2 x points."""
+    z = np.frombuffer(at, np.complex128)
+    a, b, c, d = matrices(name, axis, step, hertz or 1.0)
+    # few states each: those that a part does not read are left out, so the equations stay small
+    response = np.empty((3, 2, len(z)), np.complex128)
+    wanted = (2,) if hertz else (0, 1)
+    for part in wanted:
+        keep = _reached(a, c[part])
+        small = z[:, None, None] * np.eye(len(keep)) - a[np.ix_(keep, keep)]
+        solved = np.linalg.solve(small, np.broadcast_to(b[keep], (len(z), *b[keep].shape)))
+        response[part] = (c[part][keep] @ solved + d[part]).T
+    return np.asarray(response)
+
+
+def _reached(a: Array, c: Array) -> list[int]:
+    """States that an output depends on."""
+    found = {int(i) for i in np.flatnonzero(c)}
+    while more := {int(j) for i in found for j in np.flatnonzero(a[i])} - found:
+        found |= more
+    return sorted(found)
+
+
+def matrices(name: str, axis: str, step: float, hertz: float) -> tuple[Array, Array, Array, Array]:
+    """The law over a step of the flight: of the state, of what goes in, and of the first loop's P, I and D part."""
+    size, loop = _STATES[name], law(name, axis)
+    count = max(1, round(step / BETAFLIGHT_LOOP_S)) if name == "betaflight" else 1
+    period = step / count
+    columns = np.eye(size + 2)
+    answers = [loop(list(each[:size]), each[size], each[size + 1], period, hertz) for each in columns]
+    after = np.array([state for state, *_ in answers]).T
+    parts = np.array([answer[1:] for answer in answers]).T
+    a, b = after[:, :size], after[:, size:]
+    total, power = np.zeros_like(a), np.eye(size)
+    for _ in range(count):
+        total, power = total + power, power @ a
+    return power, total @ b, parts[:, :size], parts[:, size:]
