@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @click.option("--aircraft", metavar="NAME", help="With the engine that it is made for; see: hexjet list aircraft.")
 @click.option("engines", "--engine", metavar="[N=]NAME|FILE", multiple=True, help="As in hexjet fly.")
 @click.option("axes", "--axis", type=click.Choice(AXES), multiple=True, help="May be repeated.  [default: all]")
-@click.option("--amplitude", type=Number(), metavar="A", help="Peak, of a share of thrust or rad of tilt.")
+@click.option("--amplitude", type=Number(), metavar="A", help="Peak, of a share of thrust, rad of tilt or rad/s^2.")
 @click.option("--from-hz", type=Number(min=0.0, min_open=True), metavar="HZ", help="[default: two periods]")
 @click.option(
     "--to-hz", type=Number(min=0.0, min_open=True), metavar="HZ", help="[default: a tenth of the control rate]"

@@ -193,6 +193,24 @@ class EffectivenessAllocator:
         whole = of_all[row] - at_rest[row]
         return (of_thrust[row] - at_rest[row]) / whole if whole else 1.0
 
+    def split(self, axis: int) -> tuple[list[float], list[float]]:
+        """Of each thrust [N], hinge and surface in hover: its change per rad/s^2 asked for about an axis, and the
+        angular acceleration about it per change."""
+        small = 1e-3
+        still, _ = self.hovering(ZERO3)
+        moved, _ = self.hovering((small * (axis == 0), small * (axis == 1), small * (axis == 2)))
+        _, rows = self._linear(still)
+        effects: list[float] = []
+        for j, scale in enumerate(self._scales):
+            turn = 0.0
+            for row, inverse in zip((ROLL, PITCH, YAW), self._inverse[axis], strict=True):
+                turn += inverse * rows[row][j] / self._norms[row]
+            effects.append(turn / scale)
+        given = 0.0  # along a line; the commands themselves bend, by the square of the small
+        for m, s, effect in zip(moved, still, effects, strict=True):
+            given += effect * (m - s)
+        return [(m - s) / given if given else 0.0 for m, s in zip(moved, still, strict=True)], effects
+
     def room(self, axis: int) -> float:
         """The largest angular acceleration [rad/s^2] about an axis, either way, that hover leaves to allocation."""
         most = inf

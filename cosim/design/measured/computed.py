@@ -46,9 +46,9 @@ def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[
     there = vehicle if vehicle.fuel is None or fuel == 1.0 else lighter(vehicle, fuel)
     try:
         engine = Actuator.of(spec.name, dynamics_of(identify_there(scenario, there, spec, None)))
+        plants = channels(scenario, there, spec, engine)
     except InputError as error:
         return str(error)
-    plants = channels(scenario, there, spec, engine)
     tunings = {axis: _tuning(plants[axis], scenario, vehicle, spec) for axis in (*LEVELLED, *axes)}
     plan, step = vehicle.control.schedule, scenario.step_s
     if plan:

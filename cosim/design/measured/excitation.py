@@ -6,6 +6,7 @@ an axis is commanded is read from them as a number,
     roll    sum_i a_i s_i u_i,  a_i = -y_i / sum |y|      u_i throttle, s_i slope of the static thrust curve at hover
     pitch   half the sum of the tilts of the two servos      yaw   half their difference
     a multirotor: as roll, with the levers x_i about pitch and the reactions about yaw
+    allocation by effectiveness: sum_i e_i u_i of throttles and hinges, e_i the angular acceleration that each gives
 
 and the multisine is added to the same actuators, so that it is read as itself.  No controller is told of it, nor of
 what it added to: what a controller takes for applied is its own answer.
@@ -26,7 +27,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Controller, EngineState
 from cosim.base.signals import AXES, Actuation, Command, Disturbance, Measured
 from cosim.engine import EngineSpec
-from cosim.simulation.build import build
+from cosim.simulation.build import build, effectiveness_of
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
@@ -38,6 +39,7 @@ RISE = (
     0.5  # power of 1 / f by which lines grow from ten times the lowest down: what they are to be seen in gets smaller
 )
 DRAWS = 64  # of phases, of which those with the lowest peak are taken
+USUAL_SHARE, USUAL_TILT = 0.03, 0.06  # peak of what is added: share of thrust, rad; chosen by us
 SECANT = 0.02  # of throttle, either way, over which the slope of a static curve is taken
 
 
@@ -83,14 +85,15 @@ def multisine(period_s: float, step: float, low: float, high: float) -> Multisin
 class Tap:
     """One axis of what a controller commands, as a number: how it is read, and how something is added to it."""
 
-    def __init__(self, axis: str, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
+    def __init__(self, axis: str, scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
         index = AXES.index(axis)
-        if vehicle.allocation == "effectiveness":
-            raise InputError(
-                f"{vehicle.name}: its {axis} is given by throttles and hinges together, of which no one number is the "
-                "command; margins are measured of vehicles with two banks and of those whose jets all point up"
-            )
+        self._moves: list[float] = []
+        self._turns: list[float] = []
         self.tilts = vehicle.servo is not None and axis != "roll"
+        self.unit, self.usual = ("rad of tilt", USUAL_TILT) if self.tilts else ("share of thrust", USUAL_SHARE)
+        if vehicle.allocation == "effectiveness":
+            self._by_effectiveness(axis, scenario, vehicle, stations)
+            return
         self._sides = (1.0, 1.0) if axis == "pitch" else (1.0, -1.0)
         levers = [(-jet.position_m[1], jet.position_m[0], jet.reaction_m)[index] for jet in vehicle.jets]
         whole = sum(abs(lever) for lever in levers)
@@ -101,12 +104,30 @@ class Tap:
             self._weights = [lever * slope / whole for lever, slope in zip(levers, slopes, strict=True)]
             self._adds = [float(np.sign(lever)) / slope for lever, slope in zip(levers, slopes, strict=True)]
 
+    def _by_effectiveness(
+        self, axis: str, scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]
+    ) -> None:
+        """As the allocation splits a small angular acceleration in hover, and what each part gives of it."""
+        shares, effects = effectiveness_of(scenario, vehicle, stations[0]).split(AXES.index(axis))
+        jets, weight = len(vehicle.jets), vehicle.mass_kg * GRAVITY
+        if not any(shares):
+            raise InputError(f"{vehicle.name}: its engines give no {axis} moment")
+        spans = [spec.curve.thrust[-1] - spec.curve.thrust[0] for spec in stations]
+        newtons = [_slope(spec, weight / jets) * span for spec, span in zip(stations, spans, strict=True)]  # a throttle
+        self.unit = "rad/s^2"
+        self._weights = [effect * newton for effect, newton in zip(effects, newtons, strict=False)]
+        self._adds = [share / newton for share, newton in zip(shares, newtons, strict=False)]
+        self._turns, self._moves = effects[jets:], shares[jets:]
+        parts = [abs(add) / USUAL_SHARE for add in self._adds] + [abs(move) / USUAL_TILT for move in self._moves]
+        self.usual = float(f"{1.0 / max(parts):.2g}")
+
     def read(self, given: Actuation) -> float:
-        """The command of the axis: in shares of thrust, or rad of tilt."""
+        """The command of the axis: in shares of thrust, rad of tilt, or rad/s^2."""
         if self.tilts:
             left, right = given.tilt
             return 0.5 * (self._sides[0] * left + self._sides[1] * right)
-        return sum([weight * throttle for weight, throttle in zip(self._weights, given.throttle, strict=True)])
+        turned = sum([turn * angle for turn, angle in zip(self._turns, given.tilt, strict=False)])
+        return turned + sum([weight * throttle for weight, throttle in zip(self._weights, given.throttle, strict=True)])
 
     def add(self, given: Actuation, value: float) -> Actuation:
         """The same with ``value`` more of the axis, throttles kept from 0 to 1."""
@@ -114,6 +135,9 @@ class Tap:
             left, right = given.tilt
             return given._replace(tilt=(left + self._sides[0] * value, right + self._sides[1] * value))
         throttle = [each + value * share for each, share in zip(given.throttle, self._adds, strict=True)]
+        if self._moves:
+            moved = [angle + value * move for angle, move in zip(given.tilt, self._moves, strict=True)]
+            given = given._replace(tilt=tuple(moved))
         return given._replace(throttle=tuple([min(max(each, 0.0), 1.0) for each in throttle]))
 
 
@@ -222,7 +246,7 @@ def fly_with(
 def _tapped(simulation: Simulation, axis: str, sine: Multisine, amplitude: float) -> Tapped:
     wave = (amplitude * sine.wave).tolist()
     period = sine.period
-    tap = Tap(axis, simulation.vehicle, simulation.stations)
+    tap = Tap(axis, simulation.scenario, simulation.vehicle, simulation.stations)
     tapped = Tapped(simulation.controller, tap, lambda k: wave[k % period])
     fuel = simulation.vehicle.fuel
     if fuel is not None:  # as full as it is at the start: with no step nothing is burnt

@@ -22,7 +22,6 @@ WITHIN = 10.0
 PERIODS = 5
 LEAST_PERIODS = 3  # that say a spread
 TO_HZ = 0.1  # over the control step
-AMPLITUDE = {False: 0.03, True: 0.06}  # peak, of a share of thrust, and in rad of tilt: some tenth of what there is
 LESS, TRIES = 0.4, 5  # times the amplitude where the vehicle was lost or an actuator at its end
 LINEAR = 0.05  # that a number may change by at half the amplitude beside its bounds
 JUDGED = ("gain_db", "gain_down_db", "phase_deg", "delay_s", "peak_sensitivity")
@@ -136,6 +135,7 @@ def measure_margins(
         A name, a class or an object in place of the scenario's.
     amplitude : float or None
         Peak of what is added, in shares of thrust or rad of tilt; None: 0.03 or 0.06, less where that does not fit.
+        With allocation by effectiveness in rad/s^2; None: as much as moves a thrust or a hinge by that.
     from_hz, to_hz : float or None
         The band; None: from two periods on to a tenth of the control rate.
     period_s : float or None
@@ -174,12 +174,12 @@ def measure_margins(
     own = own or find_controller(scenario)
     with build(scenario, own) as simulation:
         vehicle, spec = simulation.vehicle, simulation.engine
-        taps = {axis: Tap(axis, vehicle, simulation.stations) for axis in axes}
+        taps = {axis: Tap(axis, scenario, vehicle, simulation.stations) for axis in axes}
     say("computing")
     known = computed(scenario, vehicle, spec, list(axes))
     found = {}
     for axis in axes:
-        asked = _Asked(scenario, own, axis, taps[axis].tilts, amplitude, from_hz, to_hz, period_s, periods, say)
+        asked = _Asked(scenario, own, axis, taps[axis], amplitude, from_hz, to_hz, period_s, periods, say)
         found[axis] = asked.measure(None if isinstance(known, str) else known[axis])
     return Margins(scenario, own, found, known if isinstance(known, str) else "")
 
@@ -191,7 +191,7 @@ class _Asked:
     scenario: Scenario
     own: Source | None
     axis: str
-    tilts: bool
+    tap: Tap
     amplitude: float | None
     from_hz: float | None
     to_hz: float | None
@@ -201,7 +201,7 @@ class _Asked:
 
     def measure(self, known: Computed | None) -> AxisMargins:
         sine = self._sine(self.period_s or PERIOD_S)
-        size, record = self._fitting(sine, self.amplitude or AMPLITUDE[self.tilts])
+        size, record = self._fitting(sine, self.amplitude or self.tap.usual)
         response = measured(record.sensitivity(), sine.hertz)
         if self.period_s is None and _slow(response):
             sine = self._sine(LONG_S)
@@ -210,9 +210,8 @@ class _Asked:
         self.say(f"{self.axis}: half the amplitude")
         half = fly_with(self.scenario, self.axis, sine, 0.5 * size, LEAST_PERIODS, self.own)
         other = measured(half.sensitivity(), sine.hertz)
-        unit = "rad of tilt" if self.tilts else "share of thrust"
         notes = _notes(response, other)
-        return AxisMargins(self.axis, unit, sine, size, self.periods, response, other, known, notes)
+        return AxisMargins(self.axis, self.tap.unit, sine, size, self.periods, response, other, known, notes)
 
     def _sine(self, period_s: float) -> Multisine:
         step = self.scenario.step_s
