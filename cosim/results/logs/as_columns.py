@@ -20,7 +20,7 @@ _ATTITUDE = "vehicle_attitude{}.q[{}]"  # of PX4: w first, body to NED
 _PLACE = "vehicle_local_position{}.{}"
 _SUMS = {  # ours: where it may stand, the nearest to it first; down is up, degrees are radians
     "roll_rad": ("deg(ATT.Roll)", "deg(stateEstimate.roll)"),
-    "pitch_rad": ("deg(ATT.Pitch)", "-1*deg(stateEstimate.pitch)"),  # of the Crazyflie: nose down
+    "pitch_rad": ("deg(ATT.Pitch)", "deg(stateEstimate.pitch)"),  # of the Crazyflie: nose up, other than its gyro
     "yaw_rad": ("deg(ATT.Yaw)", "-1*deg(stateEstimate.yaw)"),
     "altitude_m": ("-1*" + _PLACE.format(_TRUTH, "z"), "-1*vehicle_local_position.z", "-1*XKF1[0].PD", "BARO[0].Alt",
                    "stateEstimate.z"),
@@ -30,6 +30,7 @@ _SUMS = {  # ours: where it may stand, the nearest to it first; down is up, degr
     "velocity_east_m_s": (_PLACE.format(_TRUTH, "vy"), "vehicle_local_position.vy", "XKF1[0].VE"),
     "velocity_down_m_s": (_PLACE.format(_TRUTH, "vz"), "vehicle_local_position.vz", "XKF1[0].VD"),
 }  # fmt: skip
+LEFT_AND_UP = ("Betaflight blackbox", "Crazyflie")  # whose gyros' axes are forward, left and up; ours right and down
 ESTIMATED = "attitude, position and velocity are its estimates, and not the truth as in a flight of ours"
 
 
@@ -64,9 +65,11 @@ def _found(log: FlightLog) -> dict[str, Channel]:
             meant = wanted(log, axis)
         except InputError:
             continue
-        found[f"rate_{rate}_measured_rad_s"] = log.signal(meant.output)
-        if meant.setpoint:
-            found[f"rate_{rate}_setpoint_rad_s"] = log.signal(meant.setpoint)
+        sign = -1.0 if log.kind in LEFT_AND_UP and axis != "roll" else 1.0
+        for what, signal in (("measured", meant.output), ("setpoint", meant.setpoint)):
+            if signal:
+                channel = log.signal(signal)
+                found[f"rate_{rate}_{what}_rad_s"] = channel._replace(values=sign * channel.values)
     true, told = (log.has(_ATTITUDE.format(suffix, 3)) for suffix in (_TRUTH, ""))
     for there, suffix, name in ((true, _TRUTH, "{}_rad"), (told, "", "{}_measured_rad" if true else "{}_rad")):
         if there:

@@ -185,6 +185,12 @@ def test_other_logs_become_columns_as_far_as_they_go(tmp_path: Path) -> None:
     assert log.columns == ("time_s", "rate_p_measured_rad_s", "rate_p_setpoint_rad_s")
     np.testing.assert_allclose(log["rate_p_measured_rad_s"], np.radians(2.0 * WAVE), rtol=1e-6)
     assert not any("first row" in remark for remark in remarks)
+    turned = {f"gyro.{axis}": Channel(TIMES, WAVE) for axis in "xyz"} | {
+        f"motor.m{n}": Channel(TIMES, WAVE) for n in range(1, 5)
+    }
+    log, _ = as_columns(FlightLog(tmp_path / "x", "Crazyflie", turned))  # forward, left and up
+    for rate, sign in (("p", 1.0), ("q", -1.0), ("r", -1.0)):
+        np.testing.assert_allclose(log[f"rate_{rate}_measured_rad_s"], sign * np.radians(WAVE), rtol=1e-12)
     slow, fast = np.array([2.0, 3.0]), 2.0 + 0.25 * np.arange(8)
     channels = {
         "RATE.ROut": Channel(fast, fast),
