@@ -136,7 +136,10 @@ def _allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
         }
     if isinstance(allocator, RotorAllocator):
         return both | {"kind": "rotor", "signs": [list(signs) for signs in allocator.signs]}
-    raise InputError(f"the allocator {type(allocator).__name__} has no C form; allowed: the built-in ones")
+    raise InputError(
+        f"{type(allocator).__name__}: has no C form; those of banks and rotors have (control.allocation.method); "
+        "hexjet export vehicle writes the whole vehicle as an FMU"
+    )
 
 
 def _thrust(thrust_map: ThrustMap) -> Form:

@@ -6,6 +6,7 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.cli.options import load_scenario
+from cosim.codegen.form import form_of
 from cosim.simulation.build import build
 
 
@@ -29,3 +30,11 @@ def test_which_controller_flies(
 def test_a_predictor_without_a_model_is_refused_with_what_there_is() -> None:
     with pytest.raises(InputError, match=r"engine 'turbine-20'; there are none; one is made"):
         build(load_scenario("roll-doublet", "smith", (), None, (), None, "trijet"))
+
+
+def test_what_has_no_form_in_c_says_what_to_do_instead() -> None:
+    with (
+        build(load_scenario("roll-doublet", None, (), None, (), None, "trijet")) as simulation,
+        pytest.raises(InputError, match=r"no C form; those of banks and rotors have .*hexjet export vehicle"),
+    ):
+        form_of(simulation)
