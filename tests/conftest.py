@@ -53,6 +53,7 @@ LENGTHY = {
     "test_octojet": ("test_it_stays_up", "test_on_seven"),
     "test_quadjet": ("test_the_figures",),
     "test_trijet": ("test_the_figures",),
+    "test_jetwing": ("test_the_figures", "test_trim"),
     "test_scenarios": tuple(
         f"test_scenario_comes_to_what_it_expects[octojet-{name}-"
         for name in (
@@ -71,7 +72,8 @@ LENGTHY = {
     + tuple(
         f"test_scenario_comes_to_what_it_expects[trijet-{name}-"
         for name in ("roll-doublet", "yaw-doublet", "climb-and-land", "hover-in-wind", "waypoints", "gust")
-    ),
+    )
+    + ("test_scenario_comes_to_what_it_expects[jetwing-",),
     "test_design": ("test_where_there_is_no_design_it_says_which_delay_would_allow_one", "test_a_later_engine"),
     "test_design_proof": ("test_an_engine_that_trembles",),
     "test_design_stored": ("test_a_level_is_designed_where_a_straight_line_misses_a_requirement",),

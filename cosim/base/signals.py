@@ -40,6 +40,7 @@ class Command(NamedTuple):
     rate: Vector3 | None = None  # body rates [rad/s]; replaces the attitude loop
     collective: float | None = None  # mean throttle [0..1]; replaces the altitude hold
     place: tuple[float, float] | None = None  # north, east [m] to be at; None: none is asked for
+    ahead: float | None = None  # speed along the heading [m/s], over the ground; None: none is asked for
 
 
 @quick

@@ -36,13 +36,12 @@ from cosim.control.predictors.smith import DelayLine
 from cosim.control.rate import RateController
 from cosim.control.reduced_attitude import ReducedAttitude
 from cosim.control.schedule import GainSchedule, Scheduled
+from cosim.control.wing import DENSITY, WingFlight
 from cosim.spec.vehicle import Vehicle
 
 # s from switching engines on to where they must run: chosen by us, longer than a jet takes to spool up to idle
 _LONGEST_START: Final = 10.0
 _FLY: Final = EngineState.FLY
-# kg/m^3, at sea level in the standard atmosphere (ISO 2533): what is known of the air without a sensor for it
-_DENSITY: Final = 1.225
 
 
 class OwnRate(Protocol):
@@ -92,12 +91,13 @@ class Cascade:
         own_rate: OwnRate | None = None,
         catch: Catch | None = None,
         reduced: ReducedAttitude | None = None,
+        wing: WingFlight | None = None,
     ) -> None:
         self.own_attitude, self.own_rate = own_attitude, own_rate
         self.attitude, self.rate, self.altitude = attitude, rate, altitude
         self.allocator, self.thrust_map = allocator, thrust_map
         self.monitor, self.schedule = monitor, schedule
-        self._catch, self._reduced = catch, reduced
+        self._catch, self._reduced, self._wing = catch, reduced, wing
         self._added_delay = DelayLine(added_delay)
         self._mass, self._jets, self._step = vehicle.mass_kg, len(vehicle.jets), step
         self._low = vehicle.control.allocation.throttle_min
@@ -112,6 +112,8 @@ class Cascade:
         self._burnt = burnt
         if self._reduced is not None:
             self._reduced.end()
+        if self._wing is not None:
+            self._wing.reset()
         self._unallocated = Unallocated(0.0, 0.0, 0.0, 0.0)
         self.signals = ControlSignals(ZERO3, ZERO3, ZERO3, 0.0, 0.0)
         self._off = NO_JETS  # jets that are to be shut off
@@ -154,6 +156,8 @@ class Cascade:
         """Throttles and tilts of one step."""
         if engines is not _FLY or self._idles:
             self._switch(engines)
+        if self._wing is not None:
+            command = self._on_the_wing(self._wing, command, measured)
         own_attitude, own_rate = self.own_attitude, self.own_rate
         if own_attitude is None or command.rate is not None:
             rate_setpoint = self.attitude.update(command, measured)
@@ -172,10 +176,43 @@ class Cascade:
             return self._caught(self._catch, command, measured, injected, rate_setpoint, torque, collective)
         if self._winged is not None:
             self._winged.pressure = _dynamic_pressure(measured)
+            if self._wing is not None and self._wing.flies:
+                return self._ahead(self._wing, self._winged, measured, injected, rate_setpoint, torque, collective)
         given = self.allocator.allocate(collective, self._injected(torque, injected), injected.torque_command)
         self._unallocated = given.unallocated
         share = collective - given.unallocated.collective
         predicted = self.rate.predicted if own_rate is None else own_rate.predicted
+        self.signals = ControlSignals(rate_setpoint, predicted, torque, collective, share)
+        return self._actuated(given, share)
+
+    def _on_the_wing(self, wing: WingFlight, command: Command, measured: Measured) -> Command:
+        """Where a speed ahead is asked for, with the attitude that the wing needs for it."""
+        if command.ahead is None or command.rate is not None or command.collective is not None or self._idles:
+            wing.end()
+            return command
+        return wing.attitude(command, command.ahead, measured)
+
+    def _ahead(
+        self,
+        wing: WingFlight,
+        allocator: EffectivenessAllocator,
+        measured: Measured,
+        injected: Disturbance,
+        rate_setpoint: Vector3,
+        torque: Vector3,
+        collective: float,
+    ) -> Actuation:
+        """Forces along and up of which the wing carries its part; see :mod:`cosim.control.wing`."""
+        _, x, y, _ = measured.attitude
+        upright = max(LEAST_UPRIGHT, 1.0 - 2.0 * (x * x + y * y))
+        # of the height loop as a force up: it divides by how upright the thrust stands, which here is turned as wanted
+        wanted = wing.wanted(allocator.force(collective) * upright, measured, self._burnt)
+        (roll, pitch, yaw), (a, b, c) = self._injected(torque, injected), injected.torque_command
+        asked = (roll + a, pitch + b, yaw + c)
+        given, missing = allocator.ahead(wanted.ahead, wanted.lift, wanted.pitch, asked, wing.tilts)
+        self._unallocated = wing.refused(missing, given.unallocated)
+        share = collective - given.unallocated.collective
+        predicted = self.rate.predicted if self.own_rate is None else self.own_rate.predicted
         self.signals = ControlSignals(rate_setpoint, predicted, torque, collective, share)
         return self._actuated(given, share)
 
@@ -358,7 +395,7 @@ class Cascade:
     @property
     def columns(self) -> tuple[Column, ...]:
         """What predictors show of their own, each with its axis before the name, and own loops: see :class:`Shows`."""
-        own = [*columns_of(self.own_attitude), *columns_of(self.own_rate)]
+        own = [*columns_of(self.own_attitude), *columns_of(self.own_rate), *columns_of(self._wing)]
         return tuple(
             [column._replace(name=f"{axis}_{column.name}") for axis, _, columns in self._shows for column in columns]
             + own
@@ -371,7 +408,7 @@ class Cascade:
         for axis, predictor, columns in self._shows:
             there = self.rate.predictors[AXES.index(axis)] is predictor
             answer += cast(Shows, predictor).shown if there else (nan,) * len(columns)
-        for block in (self.own_attitude, self.own_rate):
+        for block in (self.own_attitude, self.own_rate, self._wing):
             if columns_of(block):
                 answer += cast(Shows, block).shown
         return tuple(answer)
@@ -380,4 +417,4 @@ class Cascade:
 def _dynamic_pressure(measured: Measured) -> float:
     """Pa, of the speed ahead over the ground in still air of standard density; 0 backwards."""
     ahead = rotate(conjugate(measured.attitude), measured.velocity)[0]
-    return 0.5 * _DENSITY * ahead * ahead if ahead > 0.0 else 0.0
+    return 0.5 * DENSITY * ahead * ahead if ahead > 0.0 else 0.0

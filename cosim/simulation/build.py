@@ -30,6 +30,7 @@ from cosim.control.predictors.smith import NoPredictor
 from cosim.control.rate import RateController
 from cosim.control.reduced_attitude import ReducedAttitude
 from cosim.control.schedule import GainSchedule
+from cosim.control.wing import WingFlight, WingTable
 from cosim.engine import (
     Air,
     EngineBank,
@@ -72,6 +73,10 @@ from cosim.vehicle.parts.servo import TiltServo
 from cosim.vehicle.parts.tank import Tank
 from cosim.vehicle.propulsion import Propulsion
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
+
+# How finely the corridor of a wing is asked of its model, and at which speed: as surfaces are; chosen by us
+WING_ROWS = 16
+WING_AT_M_S = 20.0
 
 
 def build(scenario: Scenario, own: Source | None = None) -> Simulation:
@@ -444,6 +449,7 @@ def _cascade(
         plugged.rate if plugged else None,
         catch,
         _reduced(scenario, vehicle, stations, thrust_map) if plugged is None else None,
+        _wing(scenario, vehicle),
     )
 
 
@@ -515,6 +521,31 @@ def _surface_effects(scenario: Scenario, vehicle: Vehicle) -> list[tuple[float, 
         return frame.surface_effects()
     finally:
         frame.close()
+
+
+def _wing(scenario: Scenario, vehicle: Vehicle) -> WingFlight | None:
+    """Flight ahead on the wing of the vehicle's own JSBSim model, where the vehicle states how."""
+    settings = vehicle.control.wing
+    if settings is None:
+        for index, entry in enumerate(scenario.command):
+            if getattr(entry, "signal", None) == "ahead_m_s":
+                raise InputError(
+                    f"scenario {scenario.name}: command.{index}.signal = 'ahead_m_s': {vehicle.name} has no "
+                    "[control.wing] to fly ahead with; take a velocity"
+                )
+        return None
+    _, folder = scenario.resolved_vehicle()
+    frame = Airframe(vehicle, folder, Environment(), scenario.step_s, 1, 0)
+    try:
+        least, most = settings.alpha_rad
+        alphas = [least + (most - least) * row / WING_ROWS for row in range(WING_ROWS + 1)]
+        lift, drag, moment = frame.wing_effects(alphas, WING_AT_M_S)
+    finally:
+        frame.close()
+    names = [hinge.name for hinge in vehicle.hinges]
+    tilts = [names.index(name) for name in settings.tilts]
+    table = WingTable(tuple(alphas), tuple(lift), tuple(drag), tuple(moment))
+    return WingFlight(settings, table, tilts, vehicle.mass_kg, scenario.step_s)
 
 
 def _thrust_at(curve: StaticCurve, throttle: float) -> float:

@@ -39,12 +39,21 @@ SIGNALS = (
     "rate_q_deg_s",
     "rate_r_deg_s",
     "collective",
+    "ahead_m_s",
 )
 Seconds = Annotated[float, Field(ge=0.0, le=1e6)]
 Duration = Annotated[float, Field(gt=0.0, le=1e6)]
 Amplitude = Annotated[float, Field(ge=-1e6, le=1e6)]
 Signal = Literal[
-    "roll_deg", "pitch_deg", "yaw_deg", "altitude_m", "rate_p_deg_s", "rate_q_deg_s", "rate_r_deg_s", "collective"
+    "roll_deg",
+    "pitch_deg",
+    "yaw_deg",
+    "altitude_m",
+    "rate_p_deg_s",
+    "rate_q_deg_s",
+    "rate_r_deg_s",
+    "collective",
+    "ahead_m_s",
 ]
 Axis = Literal["roll", "pitch", "yaw"]
 

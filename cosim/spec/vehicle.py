@@ -452,6 +452,29 @@ class MonitorSettings(Model):
     catch: bool = False
 
 
+class WingControl(Model):
+    """Flight ahead on a wing; see :mod:`cosim.control.wing`."""
+
+    tilts: Annotated[list[str], Field(min_length=1)]  # the hinges that turn thrust ahead
+    acceleration_m_s2: Positive  # with which the set-point of the speed rises
+    braking_m_s2: Positive  # and falls
+    velocity_1_s: Positive
+    integral_1_s2: NotNegative
+    integral_limit_m_s2: NotNegative
+    alpha_rad: tuple[float, float]  # least and most angle of attack that is asked for
+    alpha_filter_s: NotNegative  # lag of that
+    open_m_s: Positive  # speed from which on all of that corridor is used
+    aside_1_s: NotNegative  # bank over drift to the side
+    bank_rad: Annotated[float, Field(ge=0.0, lt=1.2)]  # most of that
+
+    @model_validator(mode="after")
+    def _has_a_corridor(self) -> WingControl:
+        least, most = self.alpha_rad
+        if not -0.6 <= least < most <= 0.6:
+            raise ValueError(f"alpha_rad [{least:g}, {most:g}]: least, then most, within -0.6 to 0.6 rad")
+        return self
+
+
 class Control(Model):
     attitude: AttitudeGains
     rate: RateControl
@@ -463,6 +486,12 @@ class Control(Model):
     monitor: MonitorSettings | None = None
     position: PositionGains | None = None
     pilot: PilotSettings | None = None
+    wing: WingControl | None = None  # None: no speed ahead can be asked for
+
+    @model_serializer(mode="wrap")
+    def _without_a_wing(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        return {key: value for key, value in stated.items() if key != "wing" or value is not None}
 
     @model_validator(mode="after")
     def _leads_at_every_level(self) -> Control:
@@ -615,6 +644,19 @@ class Vehicle(Model):
             raise ValueError(
                 f"jets: {len(self.jets)} that point straight up do not hold a vehicle level; four do, or hinges"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _wing_turns_thrust(self) -> Vehicle:
+        wing, where = self.control.wing, "control.wing"
+        if wing is None:
+            return self
+        if self.model is None or self.allocation != "effectiveness":
+            raise ValueError(f"{where}: needs a model with a wing, and control.allocation.method 'effectiveness'")
+        names = [hinge.name for hinge in self.hinges]
+        for name in wing.tilts:
+            if name not in names:
+                raise ValueError(f"{where}.tilts: no hinge is called {name!r}; there are: {', '.join(names)}")
         return self
 
     @property

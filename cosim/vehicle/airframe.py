@@ -18,7 +18,7 @@ import itertools
 import os
 import sys
 from collections.abc import Callable, Sequence
-from math import pi, radians
+from math import cos, pi, radians, sin
 from pathlib import Path
 from typing import Any, Final
 
@@ -269,7 +269,9 @@ class Airframe:
         self._burnt = 0.0
         if burnt:
             self.burn(burnt)
-        self._set("atmosphere/turb-type", 4.0 if place.turbulence_severity else 0.0)  # 4: MIL-F-8785C, Tustin form
+        turbulence = 4.0 if place.turbulence_severity else 0.0  # 4: MIL-F-8785C, Tustin form
+        # while JSBSim settles no time passes, by which its turbulence divides where there is a speed
+        self._set("atmosphere/turb-type", 0.0 if any(initial.velocity_ned_m_s) else turbulence)
         self._set("atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps", place.turbulence_wind_m_s / FOOT)
         self._set("atmosphere/turbulence/milspec/severity", float(place.turbulence_severity))
         self._act(forces, ZERO3, ZERO3)
@@ -278,6 +280,7 @@ class Airframe:
             self.set_momentum(momentum)
         if not self._fdm.run_ic():
             raise FlightError("JSBSim could not start from the initial state")
+        self._set("atmosphere/turb-type", turbulence)
         self._still = not (place.turbulence_severity or any(wind))
         self._turbulent = place.turbulence_severity > 0
         # JSBSim counts "up" from a datum of its own; ours is the ground below the start
@@ -491,6 +494,25 @@ class Airframe:
             pressure = self._fdm.get_property_value("aero/qbar-psf") * _POUND_SQUARE_FOOT
             effects.append(tuple((a - b) / (2.0 * size * pressure) for a, b in zip(*ends, strict=True)))
         return effects
+
+    def wing_effects(self, alphas: Sequence[float], at_m_s: float) -> tuple[list[float], list[float], list[float]]:
+        """Lift and drag [N] and pitching moment [N m] about the centre of gravity as built, per Pa of dynamic pressure,
+        at each angle of attack [rad] and ``at_m_s`` in level flight; surfaces at zero, nothing turns.
+        """
+        self.reset(Initial(altitude_m=100.0, velocity_ned_m_s=(at_m_s, 0.0, 0.0)), [ZERO3] * len(self._jets), ZERO3)
+        answer: tuple[list[float], list[float], list[float]] = ([], [], [])
+        for alpha in alphas:
+            self._set("ic/theta-rad", alpha)
+            self._set("ic/vn-fps", at_m_s / FOOT)
+            self._set("ic/vd-fps", 0.0)
+            self._fdm.run_ic()
+            force, moment = self.aerodynamic_wrench()
+            pressure = self._fdm.get_property_value("aero/qbar-psf") * _POUND_SQUARE_FOOT
+            c, s = cos(alpha), sin(alpha)
+            values = (force[0] * s - force[2] * c, -force[0] * c - force[2] * s, moment[1])
+            for column, value in zip(answer, values, strict=True):
+                column.append(value / pressure)
+        return answer
 
     def inertial_rate(self) -> Vector3:
         """Body rates against inertial space, rad/s."""

@@ -19,7 +19,7 @@ weak or stuck stays in it with what it gives.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf
+from math import atan2, cos, hypot, inf, sqrt
 from typing import Final, NamedTuple
 
 from cosim.base.constants import GRAVITY
@@ -41,6 +41,8 @@ from cosim.control.allocation.prioritised import prioritise
 ROLL, PITCH, LIFT, YAW, FORWARD, RIGHT = range(6)  # the rows
 LEVELS: Final = ((ROLL, PITCH), (LIFT,), (YAW,))
 HORIZONTAL: Final = ((FORWARD, RIGHT),)  # where it is asked for, below all others
+AHEAD: Final = ((FORWARD,),)  # in flight ahead
+FLATTEST: Final = 0.05  # lift over force ahead that jets are asked for at least, which allows for what surfaces lift
 GIVEN: Final = 1e-10  # of the weight, or the weight at the radius of gyration: what is missing less is rounding
 NEARLY: Final = 1e-4  # the same for a design, which asks for the largest that is given from far away
 PASSES: Final = 6  # of Newton's method in a step; from the step before two are the rule
@@ -99,6 +101,7 @@ class EffectivenessAllocator:
         ] + [(mover.most - mover.least) / mover.effort for mover in movers]
         self.rest: PerServo = tuple([mover.rest for mover in movers]) or (0.0, 0.0)
         self.pressure = 0.0  # Pa, dynamic: what surfaces work with
+        self._stand = [mover.rest for mover in movers]  # where hinges and surfaces are left if there is a choice
         self.surfaces = len(self._movers) - self._hinges
         self.reset()
         if not self._balanced:
@@ -239,9 +242,65 @@ class EffectivenessAllocator:
         if added != ZERO3:
             x, y, z = x + added[0], y + added[1], z + added[2]
         (a, b, c), (d, e, f), (g, h, i) = self._tensor
-        lift = self._jets * (self._low + self._span * collective)
+        lift = self.force(collective)
         wanted = [a * x + b * y + c * z, d * x + e * y + f * z, lift, g * x + h * y + i * z, 0.0, 0.0]
         found, missing = self._solve(wanted, lift, PASSES, True)
+        return self._actuation(found, missing)
+
+    def force(self, collective: float) -> float:
+        """The thrust [N] of all engines at this share each."""
+        return self._jets * (self._low + self._span * collective)
+
+    def ahead(
+        self, force: float, lift: float, pitch: float, torque: Vector3, tilts: Sequence[int]
+    ) -> tuple[Actuation, float]:
+        """``force`` along body x and ``lift`` along -z [N], a pitching moment [N m] and angular accelerations.
+
+        The force ahead is last in priority, and jets are not asked to push down.  Where there is a choice the servos
+        ``tilts`` stand along the force that is wanted and the thrusts share it, upright with no pitching moment.  Also
+        answered is what is missing of the force ahead [N].
+        """
+        x, y, z = torque
+        (a, b, c), (d, e, f), (g, h, i) = self._tensor
+        jets, last = self._jets, self._last
+        least = sum([low for low, _ in self._ends])
+        asked = lift
+        for number in range(self._hinges, len(self._movers)):  # what surfaces lift no jet takes away
+            asked += self.pressure * last[jets + number] * self._movers[number].wrench[2]
+        asked = lift + max(0.0, FLATTEST * max(force, least) - asked)
+        without = force
+        if asked < least:  # thrust that engines give at least has to go somewhere: ahead
+            force = max(force, sqrt(least * least - asked * asked))
+        wanted = [a * x + b * y + c * z, d * x + e * y + f * z + pitch, asked, g * x + h * y + i * z, force, 0.0]
+        whole, along = max(hypot(force, asked), least), atan2(force, asked)
+        levels, stand, preferred = self._levels, self._stand, self._preferred
+        self._levels, self._stand = [*LEVELS, *AHEAD], list(stand)
+        for tilt in tilts:
+            low, high = self._movers[tilt].least, self._movers[tilt].most
+            self._stand[tilt] = min(max(along, low), high)
+        self._preferred = self._shared(cos(along) * cos(along))
+        found, missing = self._solve(wanted, whole, PASSES, True)
+        self._levels, self._stand, self._preferred = levels, stand, preferred
+        missing[LIFT] += lift - asked
+        missing[FORWARD] += without - force
+        return self._actuation(found, missing), missing[FORWARD]
+
+    def _shared(self, balanced: float) -> list[float]:
+        """The weight [N], shared by the jets as hinges stand: evenly, less ``balanced`` of the pitching moment of that,
+        the least change first."""
+        jets = self._jets
+        axes, places = self._layout.axes(self._stand), self._layout.standing(self._stand)
+        arms = []
+        for jet in range(jets):
+            (ex, _, ez), (px, _, pz) = axes[self._layout.groups[jet]], places[jet]
+            arms.append(pz * ex - px * ez)
+        mean = sum(arms) / jets
+        spread = sum([(arm - mean) * (arm - mean) for arm in arms])
+        per_arm = balanced * mean / spread if spread else 0.0
+        return [self._weight * (1.0 / jets - per_arm * (arm - mean)) for arm in arms]
+
+    def _actuation(self, found: list[float], missing: list[float]) -> Actuation:
+        """Of what was found, which is where the next step begins; ``missing`` is told per axis."""
         self._last = found
         for row in range(6):
             if -GIVEN <= missing[row] * self._norms[row] <= GIVEN:
@@ -290,7 +349,7 @@ class EffectivenessAllocator:
                 most = fastest if fastest < most else most
             low.append(least / scale)
             high.append(most / scale)
-            start.append(mover.rest / scale)
+            start.append(self._stand[number] / scale)
         here = self._last
         given, rows = self._linear(here)
         for _ in range(passes):

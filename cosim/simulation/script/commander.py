@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from math import isfinite, log, pi, radians, sin
+from math import cos, isfinite, log, pi, radians, sin
 from pathlib import Path
 
 from cosim.base.errors import InputError, nearest
@@ -24,7 +24,7 @@ from cosim.spec.scenario import (
 
 Waveform = Callable[[int], float]
 STICKS = ("roll", "pitch", "yaw", "throttle")
-_ROLL, _PITCH, _YAW, _ALTITUDE, _P, _Q, _R, _COLLECTIVE = range(len(SIGNALS))
+_ROLL, _PITCH, _YAW, _ALTITUDE, _P, _Q, _R, _COLLECTIVE, _AHEAD = range(len(SIGNALS))
 _IN_DEGREES = frozenset({_ROLL, _PITCH, _YAW, _P, _Q, _R})
 
 
@@ -33,7 +33,8 @@ class Commander:
 
     Before and between them the vehicle is asked to stay level, at its initial heading and height.  Any command of a
     body rate replaces the attitude loop for the whole flight (the other rates are 0); a command of the collective
-    replaces the altitude hold from its own start on.  Places and velocities are not its own: see
+    replaces the altitude hold from its own start on.  Any command of a speed ahead has that law fly the whole flight,
+    from the initial speed.  Places and velocities are not its own: see
     :mod:`cosim.simulation.with_places`.
     """
 
@@ -64,6 +65,10 @@ class Commander:
         self._base = [0.0] * len(SIGNALS)
         self._base[_YAW] = radians(scenario.initial.attitude_deg[2])
         self._base[_ALTITUDE] = height
+        # the speed ahead at the start, from there on the vehicle's own law flies to what is asked for
+        north, east, _ = scenario.initial.velocity_ned_m_s
+        self._base[_AHEAD] = north * cos(self._base[_YAW]) + east * sin(self._base[_YAW])
+        self._ahead = _AHEAD in commanded
         self._last_values: list[float] = []
         self._last = Command((0.0, 0.0, 0.0), height)
 
@@ -82,6 +87,8 @@ class Commander:
                 values[_ALTITUDE],
                 (values[_P], values[_Q], values[_R]) if self._rate_mode else None,
                 values[_COLLECTIVE] if begun else None,
+                None,
+                values[_AHEAD] if self._ahead else None,
             )
         return self._last
 

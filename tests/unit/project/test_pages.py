@@ -64,6 +64,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "aircraft/octojet/README.md": ("test_octojet.py",),
     "aircraft/quadjet/README.md": ("test_quadjet.py",),
     "aircraft/trijet/README.md": ("test_trijet.py",),
+    "aircraft/jetwing/README.md": ("test_jetwing.py",),
     "aircraft/quadrotor/README.md": ("test_pages.py", "test_quadrotor.py"),
     "benchmarks/README.md": ("test_pages.py",),
     "docs/accuracy.md": ("marks", "test_accuracy.py"),

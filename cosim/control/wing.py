@@ -1,0 +1,170 @@
+"""Flight ahead of a vehicle with a wing, from hover to its wing and back, in one law without modes.
+
+What is asked for is a speed ahead; its set-point ``V_r`` goes there no faster than stated, and
+
+    F_h = m (dV_r/dt + k (V_r - V) + integral),        F_v = what the height loop asks for
+
+are the force along the heading and the one up that the vehicle needs.  The attitude asked for has the wing carry
+``F_v`` where it can, ``theta = gamma + alpha`` with alpha that at which the wing's lift is ``F_v``, within a corridor
+that opens with the speed.  At that angle the wing gives lift L, drag D and a pitching moment M, by its own model at the
+speed of still air, and allocation asks jets, hinges and surfaces for the rest,
+
+    f = F_h + D cos(gamma) + L sin(gamma),    g = F_v - L cos(gamma) + D sin(gamma)    along the heading and up, that is
+    f cos(theta) + g sin(theta)    ahead and    (g cos(theta) - f sin(theta)) / cos(phi)    up in body axes,
+
+and the moment ``-M`` beside that of the rate loop: thrust turns ahead as the wing takes over and stands up again as it
+leaves off.  It is the inversion of a known model that is closed by integrals (Stevens, Lewis and Johnson, "Aircraft
+Control and Simulation", 3rd ed., 2016, section 5.8), applied to forces.  The model is asked at the angle that is
+wanted, not at the one that is flown: else engines, which answer late, would run after every gust, and the wing's own
+stability would be cancelled.  A bank works against drift to the side.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from math import atan2, cos, sin
+from typing import Final, NamedTuple
+
+from cosim.base.constants import GRAVITY
+from cosim.base.frames import to_euler
+from cosim.base.limits import clamp
+from cosim.base.protocols import Column
+from cosim.base.signals import Command, Measured, Unallocated
+from cosim.control.altitude import LEAST_UPRIGHT
+from cosim.spec.vehicle import WingControl
+
+# kg/m^3, at sea level in the standard atmosphere (ISO 2533): what is known of the air without a sensor for it
+DENSITY: Final = 1.225
+AHEAD_M_S: Final = 2.0  # no further from the speed its set-point goes, which limits would leave behind; chosen by us
+SLACK: Final = 0.005  # rad: nearer to the least angle of attack the wing is at its end
+LEAST_PRESSURE: Final = 1e-3  # Pa: less than this carries nothing
+STEEPEST: Final = 0.35  # rad, of the path that pitch follows; chosen by us, well beyond the climb of the height loop
+
+
+class WingTable(NamedTuple):
+    """Lift, drag [m^2] and pitching moment [m^3] per Pa of dynamic pressure, surfaces at zero, over a corridor."""
+
+    alpha: tuple[float, ...]  # rad, rising
+    lift: tuple[float, ...]
+    drag: tuple[float, ...]
+    moment: tuple[float, ...]
+
+    def at(self, alpha: float) -> tuple[float, float, float]:
+        """Linear between the rows, held beyond them."""
+        angles = self.alpha
+        i = min(max(bisect_right(angles, alpha) - 1, 0), len(angles) - 2)
+        share = min(max((alpha - angles[i]) / (angles[i + 1] - angles[i]), 0.0), 1.0)
+        return (
+            self.lift[i] + share * (self.lift[i + 1] - self.lift[i]),
+            self.drag[i] + share * (self.drag[i + 1] - self.drag[i]),
+            self.moment[i] + share * (self.moment[i + 1] - self.moment[i]),
+        )
+
+    def carrying(self, area: float) -> float:
+        """The angle at which the lift is this, or the nearest to it; lift rises with the angle."""
+        for i in range(len(self.alpha) - 1):
+            low, high = self.lift[i], self.lift[i + 1]
+            if area <= high:
+                share = 0.0 if area <= low else (area - low) / (high - low)
+                return self.alpha[i] + share * (self.alpha[i + 1] - self.alpha[i])
+        return self.alpha[-1]
+
+
+class Wanted(NamedTuple):
+    """What jets, hinges and surfaces are to give: N along body x and up, N m about y."""
+
+    ahead: float
+    lift: float
+    pitch: float
+
+
+class WingFlight:
+    """See the module's text.  ``table`` is the model's; ``tilts``: the servos that turn thrust ahead, from 0."""
+
+    def __init__(self, settings: WingControl, table: WingTable, tilts: Sequence[int], mass: float, step: float) -> None:
+        self._settings, self._table, self._mass, self._step = settings, table, mass, step
+        self.tilts = list(tilts)
+        self.reset()
+
+    def reset(self) -> None:
+        """Nobody has asked for a speed yet."""
+        self.flies = False
+        self._integral = 0.0
+        self._setpoint = 0.0
+        self._alpha = 0.0
+        self._vertical = self._mass * GRAVITY
+        self._refused = self._pressure = 0.0
+        self._speed = self._acceleration = self._path = self._lift = 0.0
+
+    def end(self) -> None:
+        """Another law flies."""
+        self.flies = False
+        self._lift = 0.0
+
+    def attitude(self, command: Command, asked: float, measured: Measured) -> Command:
+        """The command with the attitude that a speed ahead of ``asked`` m/s needs; once a step, before the loops."""
+        settings, step = self._settings, self._step
+        _, _, yaw = to_euler(measured.attitude)
+        north, east, down = measured.velocity
+        speed = north * cos(yaw) + east * sin(yaw)
+        aside = east * cos(yaw) - north * sin(yaw)
+        if not self.flies:
+            self.flies, self._integral, self._setpoint, self._alpha = True, 0.0, speed, 0.0
+            self._refused = 0.0
+        before = self._setpoint
+        faster = asked * before >= 0.0 and abs(asked) > abs(before)
+        most = settings.acceleration_m_s2 if faster else settings.braking_m_s2
+        self._setpoint = speed + clamp(before + clamp(asked - before, most * step) - speed, AHEAD_M_S)
+        error = self._setpoint - speed
+        if self._refused * error <= 0.0:
+            integral = self._integral + settings.integral_1_s2 * step * error
+            self._integral = clamp(integral, settings.integral_limit_m_s2)
+        planned = clamp((self._setpoint - before) / step, most)
+        self._acceleration = planned + settings.velocity_1_s * error + self._integral
+        self._speed = speed
+        opened = clamp(max(speed, 0.0) / settings.open_m_s, 1.0)
+        self._pressure = 0.5 * DENSITY * speed * speed
+        alpha = opened * self._table.carrying(self._vertical / max(self._pressure, LEAST_PRESSURE))
+        self._alpha += step / (settings.alpha_filter_s + step) * (alpha - self._alpha)
+        self._path = path = opened * clamp(atan2(-down, max(speed, settings.open_m_s)), STEEPEST)
+        roll, pitch, heading = command.attitude
+        bank = clamp(settings.aside_1_s * aside / GRAVITY, settings.bank_rad)
+        return command._replace(attitude=(roll - bank, pitch + path + self._alpha, heading))
+
+    def wanted(self, vertical: float, measured: Measured, burnt: float) -> Wanted:
+        """What is left for jets, hinges and surfaces where ``vertical`` N are needed up."""
+        roll, pitch, _ = to_euler(measured.attitude)
+        lift, drag, moment = (self._pressure * each for each in self._table.at(self._alpha))
+        self._lift = lift
+        c, s = cos(self._path), sin(self._path)
+        ahead = (self._mass - burnt) * self._acceleration + drag * c + lift * s
+        up = vertical - lift * c + drag * s
+        c, s = cos(pitch), sin(pitch)
+        along = ahead * c + up * s
+        self._vertical = vertical - max(0.0, along) * s  # thrust along the body lifts where the nose is up
+        return Wanted(along, (up * c - ahead * s) / max(LEAST_UPRIGHT, cos(roll)), -moment)
+
+    def refused(self, ahead: float, others: Unallocated) -> Unallocated:
+        """What allocation could not give, of the force ahead [N] and otherwise, as the loops are to know it.
+
+        Jets that cannot push down are no limit of the height loop while the wing can still lift less.
+        """
+        self._refused = ahead
+        least = self._settings.alpha_rad[0]
+        return others._replace(collective=0.0) if others.collective < 0.0 and self._alpha > least + SLACK else others
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """What is shown; see :class:`cosim.base.protocols.Shows`."""
+        return (
+            Column("ahead_setpoint_m_s", "m/s", "heading", "speed ahead that the law for the wing flies to now"),
+            Column("ahead_m_s", "m/s", "heading", "speed ahead over the ground, as measured"),
+            Column("wing_alpha_rad", "rad", "body", "angle of attack that the law for the wing asks for"),
+            Column("wing_lift_N", "N", "", "lift of the wing that the law counts on; 0: another law flies"),
+        )
+
+    @property
+    def shown(self) -> tuple[float, ...]:
+        """See :attr:`columns`."""
+        return (self._setpoint, self._speed, self._alpha, self._lift)

@@ -1,0 +1,169 @@
+"""aircraft/jetwing: its file of aerodynamics, its README's sums, trim against JSBSim alone, and flights on its wing."""
+
+from __future__ import annotations
+
+import importlib.util
+from math import cos, degrees, radians, sin
+from typing import Any
+
+import numpy as np
+import pytest
+from places import ROOT
+from scipy.optimize import fsolve
+
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.base.signals import ZERO3
+from cosim.control.wing import WingTable
+from cosim.flight import fly
+from cosim.simulation.build import build
+from cosim.spec.scenario import Environment, Initial, Scenario
+from cosim.spec.vehicle import load_vehicle
+from cosim.vehicle.airframe import Airframe
+
+VEHICLE, FOLDER = load_vehicle("jetwing")
+PAGE = " ".join((ROOT / "aircraft" / "jetwing" / "README.md").read_text(encoding="utf-8").split())
+POUND_FORCE, FOOT = 4.4482216152605, 0.3048
+
+
+def generator() -> Any:
+    spec = importlib.util.spec_from_file_location("aerodynamics", FOLDER / "aerodynamics.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_model_is_what_its_program_writes() -> None:
+    made = generator()
+    assert (FOLDER / "jetwing.xml").read_text(encoding="utf-8") == made.document()
+    # Helmbold's slope lies between that of a slender wing and that of a section, and stall ends the straight line
+    assert np.pi * made.ASPECT / 2.0 > made.WING > 0.5 * 2.0 * np.pi
+    lifts = [made.coefficients(radians(a))[0] for a in range(-90, 91)]
+    assert 1.0 < max(lifts) < 1.4
+    assert made.coefficients(radians(90.0))[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_sums_of_its_readme() -> None:
+    assert VEHICLE.mass_kg == pytest.approx(4 * 24.0 / GRAVITY * 5.525 / 12.0, abs=0.005)
+    rest, up = VEHICLE.mass_kg - 1.4, 1.4 * 0.12 / (VEHICLE.mass_kg - 1.4)
+    assert up == pytest.approx(0.054, abs=5e-4)
+    x = 0.7 * (0.22**2 + 0.24**2) + 0.7 * 0.22**2 + 0.6 * 1.27**2 / 12.0 + 1.9 * 0.08**2 / 2.0 + rest * up**2
+    y = 0.7 * (0.3**2 + 0.24**2) + 0.7 * 0.3**2 + 1.9 * 1.2**2 / 12.0 + rest * up**2
+    z = 1.4 * (0.3**2 + 0.22**2) + 0.6 * 1.27**2 / 12.0 + 1.9 * 1.2**2 / 12.0
+    assert VEHICLE.inertia_kg_m2 == pytest.approx((x, y, z), rel=0.02)
+    assert VEHICLE.products_kg_m2[1] == pytest.approx(0.7 * 0.3 * 0.24, abs=1e-6)
+
+
+def trim(speed: float) -> tuple[float, float, float]:
+    """Angle of attack [rad], thrust along x at the front and rear hinges' mean [N] and elevator of level flight, where
+    JSBSim alone has no acceleration ahead, down and in pitch."""
+    frame = Airframe(VEHICLE, FOLDER, Environment(), 0.004, 1, 0)
+    force, aero = frame._fdm.set_property_value, frame.aerodynamic_wrench
+    try:
+        frame.reset(Initial(altitude_m=60.0, velocity_ned_m_s=(speed, 0.0, 0.0)), [ZERO3] * 4, ZERO3)
+
+        def off(guess: np.ndarray) -> list[float]:
+            alpha, thrust, elevator = guess
+            force("fcs/elevator-cmd-norm", elevator)
+            force("ic/theta-rad", alpha)
+            force("ic/vn-fps", speed / FOOT)
+            force("ic/vd-fps", 0.0)
+            for jet in range(1, 5):
+                force(f"external_reactions/jet{jet}/x", thrust / 4.0 / POUND_FORCE)
+                force(f"external_reactions/jet{jet}/z", 0.0)
+            frame._fdm.run_ic()
+            (x, _, z), (_, m, _) = aero()
+            # a carried engine pushes along a line through its hinge, 90 mm above its station at rest
+            weight = VEHICLE.mass_kg * GRAVITY
+            arm = sum(hinge.position_m[2] for hinge in VEHICLE.hinges[:4]) / 4.0
+            return [x + thrust - weight * sin(alpha), z + weight * cos(alpha), m + thrust * arm]
+
+        alpha, thrust, elevator = fsolve(off, [0.05, 8.0, 0.0], xtol=1e-12)
+        assert off(np.array([alpha, thrust, elevator])) == pytest.approx([0.0, 0.0, 0.0], abs=1e-8)
+        return float(alpha), float(thrust), float(elevator)
+    finally:
+        frame.close()
+
+
+def test_trim_is_that_of_jsbsim_alone() -> None:
+    """Long.  What the flight settles at on the wing: with its jets ahead, rear and front alike."""
+    scenario = Scenario.load("jetwing-cruise").replace(environment={}, duration_s=60.0, sensor_noise=False, expect=[])
+    log = fly(scenario).log
+    last = log["time_s"] > 58.0
+    speed = float(np.mean(log["velocity_north_m_s"][last]))
+    flown = float(np.mean(log["pitch_rad"][last] - np.arctan2(-log["velocity_down_m_s"][last], speed)))
+    thrust = sum(
+        float(np.mean(log[f"thrust_{jet}_N"][last] * np.sin(log[f"tilt_{hinge.name}_rad"][last])))
+        for jet, hinge in enumerate(VEHICLE.hinges[:4], 1)
+    )
+    alpha, ahead, elevator = trim(speed)
+    assert speed == pytest.approx(25.0, abs=0.5)
+    assert degrees(flown) == pytest.approx(degrees(alpha), abs=0.3)  # the jets carry a little, their air pushes
+    assert thrust == pytest.approx(ahead, rel=0.1)
+    assert float(np.mean(log["deflection_elevator"][last])) == pytest.approx(elevator, abs=0.05)
+
+
+def test_the_law_counts_on_what_the_model_says() -> None:
+    simulation = build(Scenario.load("jetwing-transition"))
+    wing = simulation.cascade._wing
+    assert wing is not None
+    made = generator()
+    for alpha in (-0.05, 0.0, 0.05, 0.14):
+        lift, drag, moment = (value / made.AREA for value in wing._table.at(alpha))
+        assert (lift, drag, moment / made.CHORD) == pytest.approx(made.coefficients(alpha), abs=2e-3)
+    simulation.close()
+
+
+def test_the_angle_that_carries() -> None:
+    table = WingTable((-0.1, 0.0, 0.2), (-0.1, 0.2, 1.2), (0.0,) * 3, (0.0,) * 3)
+    assert table.carrying(0.7) == pytest.approx(0.1)
+    assert table.carrying(-5.0) == -0.1
+    assert table.carrying(5.0) == 0.2
+    assert table.at(table.carrying(0.33))[0] == pytest.approx(0.33)
+
+
+def test_it_gains_speed_on_its_jets_at_one_height() -> None:
+    log = fly(Scenario.load("jetwing-transition").replace(
+        initial={"altitude_m": 30.0, "on_ground": False}, duration_s=3.0, expect=[],
+        command=[{"kind": "step", "signal": "ahead_m_s", "start_s": 0.0, "amplitude": 25.0}],
+    )).log  # fmt: skip
+    assert log["velocity_north_m_s"][-1] == pytest.approx(1.5 * 3.0, abs=0.6)
+    assert np.abs(log["altitude_m"] - 30.0).max() < 0.3
+    assert np.abs(log["roll_rad"]).max() < 0.02
+
+
+def test_the_figures_of_its_verdict() -> None:
+    """Long."""
+    log = fly(Scenario.load("jetwing-transition")).log
+    t, off = log["time_s"], np.abs(log["altitude_m"] - log["altitude_setpoint_m"])
+    assert f"within {off.max():.1f} m of the height" in PAGE
+    assert degrees(np.abs(log["yaw_rad"]).max()) < 1.0
+    assert log["velocity_north_m_s"].max() == pytest.approx(25.0, abs=0.5)
+    assert abs(log["velocity_north_m_s"][-1]) < 0.3
+    carried = (t > 40.0) & (t < 48.0)
+    assert all((log[f"tilt_{name}_rad"][carried] > 1.2).all() for name in ("front_left", "rear_left"))
+    cruise = fly(Scenario.load("jetwing-cruise")).log
+    upset, below = cruise["altitude_m"].max() - 60.0, 60.0 - cruise["altitude_m"].min()
+    assert f"an upset of {upset:.1f} m it comes back through {below:.1f} m below" in PAGE
+
+
+def test_without_an_engine_it_turns_and_falls() -> None:
+    fault = [{"kind": "flame_out", "start_s": 0.5, "jet": 1}]
+    log = fly(Scenario.load("jetwing-hover").replace(fault=fault, expect=[], duration_s=3.0)).log
+    assert degrees(np.abs(log["yaw_rad"]).max()) > 90.0
+    assert log["altitude_m"][-1] < 12.0
+    assert "turns through 90° of heading within 3 s and falls" in PAGE
+
+
+def test_turbulence_may_meet_a_flight_that_is_under_way() -> None:
+    log = fly(Scenario.load("jetwing-cruise").replace(expect=[], duration_s=0.1)).log
+    assert np.isfinite(log["altitude_m"]).all()
+    assert np.abs(log["wind_down_m_s"]).max() > 0.0
+
+
+def test_a_vehicle_without_a_wing_says_so() -> None:
+    command = [{"kind": "step", "signal": "ahead_m_s", "start_s": 0.0, "amplitude": 5.0}]
+    with pytest.raises(InputError, match=r"trijet has no \[control.wing\] to fly ahead with"):
+        build(Scenario.load("trijet-hover").replace(command=command))
