@@ -499,7 +499,9 @@ class Airframe:
         """Lift and drag [N] and pitching moment [N m] about the centre of gravity as built, per Pa of dynamic pressure,
         at each angle of attack [rad] and ``at_m_s`` in level flight; surfaces at zero, nothing turns.
         """
-        self.reset(Initial(altitude_m=100.0, velocity_ned_m_s=(at_m_s, 0.0, 0.0)), [ZERO3] * len(self._vehicle.jets), ZERO3)
+        self.reset(
+            Initial(altitude_m=100.0, velocity_ned_m_s=(at_m_s, 0.0, 0.0)), [ZERO3] * len(self._vehicle.jets), ZERO3
+        )
         answer: tuple[list[float], list[float], list[float]] = ([], [], [])
         for alpha in alphas:
             self._set("ic/theta-rad", alpha)
