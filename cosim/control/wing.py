@@ -80,12 +80,14 @@ class Wanted(NamedTuple):
 
 
 class WingFlight:
-    """See the module's text.  ``table`` is the model's; ``tilts``: the servos that turn thrust ahead, from 0."""
+    """See the module's text.  ``table`` is the model's; ``tilts``: the servos that turn thrust ahead, from 0;
+    ``late``: by how much the attitude follows its set-point late [s].
+    """
 
     def __init__(
-        self, settings: WingControl, table: WingTable, tilts: Sequence[int], mass: float, step: float, follow: float
+        self, settings: WingControl, table: WingTable, tilts: Sequence[int], mass: float, step: float, late: float
     ) -> None:
-        self._settings, self._table, self._mass, self._step, self._follow = settings, table, mass, step, follow
+        self._settings, self._table, self._mass, self._step, self._late = settings, table, mass, step, late
         self.tilts = list(tilts)
         self.reset()
 
@@ -130,9 +132,10 @@ class WingFlight:
         alpha = opened * self._table.carrying(self._vertical / max(self._pressure, LEAST_PRESSURE))
         self._alpha += step / (settings.alpha_filter_s + step) * (alpha - self._alpha)
         self._path = path = opened * clamp(atan2(-down, max(speed, settings.open_m_s)), STEEPEST)
-        # a path that bends at g' / V asks the nose to turn as fast, and the attitude loop follows with 1 / gain of lag
+        # what bends the path turns the nose as well, and the attitude follows late: what is lost of alpha till then
+        # would be lost of the lift, more than half of what the height loop asks for at 25 m/s
         bend = opened * (self._vertical / self._mass - GRAVITY) / max(speed, settings.open_m_s)
-        path += self._follow * bend
+        path += self._late * bend
         roll, pitch, heading = command.attitude
         bank = clamp(settings.aside_1_s * aside / GRAVITY, settings.bank_rad)
         return command._replace(attitude=(roll - bank, pitch + path + self._alpha, heading))

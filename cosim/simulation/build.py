@@ -545,9 +545,9 @@ def _wing(scenario: Scenario, vehicle: Vehicle) -> WingFlight | None:
     names = [hinge.name for hinge in vehicle.hinges]
     tilts = [names.index(name) for name in settings.tilts]
     table = WingTable(tuple(alphas), tuple(lift), tuple(drag), tuple(moment))
-    return WingFlight(
-        settings, table, tilts, vehicle.mass_kg, scenario.step_s, 1.0 / vehicle.control.attitude.gain_1_s[1]
-    )
+    control = vehicle.control
+    late = 1.0 / control.attitude.gain_1_s[1] + 1.0 / control.rate.pitch.p  # s: attitude, and rates below it
+    return WingFlight(settings, table, tilts, vehicle.mass_kg, scenario.step_s, late)
 
 
 def _thrust_at(curve: StaticCurve, throttle: float) -> float:

@@ -42,6 +42,9 @@ ROLL, PITCH, LIFT, YAW, FORWARD, RIGHT = range(6)  # the rows
 LEVELS: Final = ((ROLL, PITCH), (LIFT,), (YAW,))
 HORIZONTAL: Final = ((FORWARD, RIGHT),)  # where it is asked for, below all others
 AHEAD: Final = ((FORWARD,),)  # in flight ahead
+# rad, of a tilt from the force that is wanted; chosen by us: the front turned back and the rear ahead, against each
+# other, is a solution that no small step leads out of
+ASTRAY: Final = 0.6
 FLATTEST: Final = 0.05  # lift over force ahead that jets are asked for at least, which allows for what surfaces lift
 GIVEN: Final = 1e-10  # of the weight, or the weight at the radius of gyration: what is missing less is rounding
 NEARLY: Final = 1e-4  # the same for a design, which asks for the largest that is given from far away
@@ -101,6 +104,7 @@ class EffectivenessAllocator:
         ] + [(mover.most - mover.least) / mover.effort for mover in movers]
         self.rest: PerServo = tuple([mover.rest for mover in movers]) or (0.0, 0.0)
         self.pressure = 0.0  # Pa, dynamic: what surfaces work with
+        self._reach = [(mover.least, mover.most) for mover in movers]
         self._stand = [mover.rest for mover in movers]  # where hinges and surfaces are left if there is a choice
         self.surfaces = len(self._movers) - self._hinges
         self.reset()
@@ -257,8 +261,8 @@ class EffectivenessAllocator:
         """``force`` along body x and ``lift`` along -z [N], a pitching moment [N m] and angular accelerations.
 
         The force ahead is last in priority, and jets are not asked to push down.  Where there is a choice the servos
-        ``tilts`` stand along the force that is wanted and the thrusts share it, upright with no pitching moment.  Also
-        answered is what is missing of the force ahead [N].
+        ``tilts`` stand along the force that is wanted, never far from it, and the thrusts share it, upright with no
+        pitching moment.  Also answered is what is missing of the force ahead [N].
         """
         x, y, z = torque
         (a, b, c), (d, e, f), (g, h, i) = self._tensor
@@ -273,14 +277,15 @@ class EffectivenessAllocator:
             force = max(force, sqrt(least * least - asked * asked))
         wanted = [a * x + b * y + c * z, d * x + e * y + f * z + pitch, asked, g * x + h * y + i * z, force, 0.0]
         whole, along = max(hypot(force, asked), least), atan2(force, asked)
-        levels, stand, preferred = self._levels, self._stand, self._preferred
-        self._levels, self._stand = [*LEVELS, *AHEAD], list(stand)
+        levels, stand, preferred, reach = self._levels, self._stand, self._preferred, self._reach
+        self._levels, self._stand, self._reach = [*LEVELS, *AHEAD], list(stand), list(reach)
         for tilt in tilts:
-            low, high = self._movers[tilt].least, self._movers[tilt].most
-            self._stand[tilt] = min(max(along, low), high)
+            low, high = reach[tilt]
+            middle = self._stand[tilt] = min(max(along, low), high)
+            self._reach[tilt] = (max(low, middle - ASTRAY), min(high, middle + ASTRAY))
         self._preferred = self._shared(cos(along) * cos(along))
         found, missing = self._solve(wanted, whole, PASSES, True)
-        self._levels, self._stand, self._preferred = levels, stand, preferred
+        self._levels, self._stand, self._preferred, self._reach = levels, stand, preferred, reach
         missing[LIFT] += lift - asked
         missing[FORWARD] += without - force
         return self._actuation(found, missing), missing[FORWARD]
@@ -341,12 +346,12 @@ class EffectivenessAllocator:
             high.append(most / scales[jet])
             start.append(up * self._preferred[jet] / scales[jet])
         for number, mover in enumerate(self._movers):
-            least, most, scale = mover.least, mover.most, scales[jets + number]
-            if rated:
+            (least, most), scale = self._reach[number], scales[jets + number]
+            if rated:  # from outside it comes as fast as it can
                 last = self._last[jets + number]
                 slowest, fastest = last - mover.step, last + mover.step
-                least = slowest if slowest > least else least
-                most = fastest if fastest < most else most
+                least = slowest if slowest > least else (fastest if fastest < least else least)
+                most = fastest if fastest < most else (slowest if slowest > most else most)
             low.append(least / scale)
             high.append(most / scale)
             start.append(self._stand[number] / scale)

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import importlib.util
-from math import degrees, radians
+from math import cos, degrees, radians, sin
 from typing import Any
 
 import numpy as np
 import pytest
 from places import ROOT
+from scipy.optimize import fsolve
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
+from cosim.base.signals import ZERO3
 from cosim.control.wing import WingTable
 from cosim.flight import fly
 from cosim.simulation.build import build
-from cosim.spec.scenario import Scenario
+from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import load_vehicle
+from cosim.vehicle.airframe import Airframe
 
 VEHICLE, FOLDER = load_vehicle("jetwing")
 PAGE = " ".join((ROOT / "aircraft" / "jetwing" / "README.md").read_text(encoding="utf-8").split())
@@ -51,6 +54,63 @@ def test_the_sums_of_its_readme() -> None:
     z = 1.4 * (0.3**2 + 0.22**2) + 0.6 * 1.27**2 / 12.0 + 1.9 * 1.2**2 / 12.0
     assert VEHICLE.inertia_kg_m2 == pytest.approx((x, y, z), rel=0.02)
     assert VEHICLE.products_kg_m2[1] == pytest.approx(0.7 * 0.3 * 0.24, abs=1e-6)
+
+
+def trim(speed: float) -> tuple[float, float, float]:
+    """Angle of attack [rad], thrust along x at the front and rear hinges' mean [N] and elevator of level flight, where
+    JSBSim alone has no acceleration ahead, down and in pitch."""
+    frame = Airframe(VEHICLE, FOLDER, Environment(), 0.004, 1, 0)
+    force, aero = frame._fdm.set_property_value, frame.aerodynamic_wrench
+    try:
+        frame.reset(Initial(altitude_m=60.0, velocity_ned_m_s=(speed, 0.0, 0.0)), [ZERO3] * 4, ZERO3)
+
+        def off(guess: np.ndarray) -> list[float]:
+            alpha, thrust, elevator = guess
+            force("fcs/elevator-cmd-norm", elevator)
+            force("ic/theta-rad", alpha)
+            force("ic/vn-fps", speed / FOOT)
+            force("ic/vd-fps", 0.0)
+            for jet in range(1, 5):
+                force(f"external_reactions/jet{jet}/x", thrust / 4.0 / POUND_FORCE)
+                force(f"external_reactions/jet{jet}/z", 0.0)
+            frame._fdm.run_ic()
+            (x, _, z), (_, m, _) = aero()
+            # a carried engine pushes along a line through its hinge, 90 mm above its station at rest
+            weight = VEHICLE.mass_kg * GRAVITY
+            arm = sum(hinge.position_m[2] for hinge in VEHICLE.hinges[:4]) / 4.0
+            return [x + thrust - weight * sin(alpha), z + weight * cos(alpha), m + thrust * arm]
+
+        alpha, thrust, elevator = fsolve(off, [0.05, 8.0, 0.0], xtol=1e-12)
+        assert off(np.array([alpha, thrust, elevator])) == pytest.approx([0.0, 0.0, 0.0], abs=1e-8)
+        return float(alpha), float(thrust), float(elevator)
+    finally:
+        frame.close()
+
+
+def test_trim_is_that_of_jsbsim_alone() -> None:
+    """Long.  What the flight settles at on the wing: with its jets ahead, rear and front alike."""
+    still = {"turbulence_wind_m_s": 0.0, "turbulence_severity": 0}
+    scenario = Scenario.load("jetwing-cruise").replace(
+        environment=still, duration_s=40.0, sensor_noise=False, expect=[]
+    )
+    log = fly(scenario).log
+    last = log["time_s"] > 38.0
+    speed = float(np.mean(log["velocity_north_m_s"][last]))
+    flown = float(np.mean(log["pitch_rad"][last] - np.arctan2(-log["velocity_down_m_s"][last], speed)))
+    thrust = sum(
+        float(np.mean(log[f"thrust_{jet}_N"][last] * np.sin(log[f"tilt_{hinge.name}_rad"][last])))
+        for jet, hinge in enumerate(VEHICLE.hinges[:4], 1)
+    )
+    alpha, ahead, elevator = trim(speed)
+    flown_elevator = float(np.mean(log["deflection_elevator"][last]))
+    assert np.ptp(log["altitude_m"][last]) < 0.05  # it has settled
+    assert degrees(flown) == pytest.approx(degrees(alpha), abs=0.15)  # the jets carry a little, their air pushes
+    assert thrust == pytest.approx(ahead, rel=0.01)
+    assert flown_elevator == pytest.approx(elevator, abs=0.03)
+    assert f"{speed:.1f} m/s at an angle of attack of {degrees(flown):.1f}°, {thrust:.1f} N of thrust" in PAGE
+    assert f"{flown_elevator:.2f} of its elevator" in PAGE
+    assert f"balance at {degrees(alpha):.1f}°, {ahead:.1f} N and {elevator:.2f}" in PAGE
+    assert np.abs(log["altitude_m"][log["time_s"] > 15.0] - 60.0).max() < 0.5
 
 
 def test_the_law_counts_on_what_the_model_says() -> None:
@@ -94,7 +154,7 @@ def test_the_figures_of_its_verdict() -> None:
     assert all((log[f"tilt_{name}_rad"][carried] > 1.2).all() for name in ("front_left", "rear_left"))
     cruise = fly(Scenario.load("jetwing-cruise")).log
     upset, below = cruise["altitude_m"].max() - 60.0, 60.0 - cruise["altitude_m"].min()
-    assert f"an upset of {upset:.1f} m it comes back through {below:.1f} m below" in PAGE
+    assert f"from {upset:.1f} m above through {below:.1f} m below" in PAGE
 
 
 def test_without_an_engine_it_turns_and_falls() -> None:
