@@ -458,9 +458,9 @@ class WingControl(Model):
     tilts: Annotated[list[str], Field(min_length=1)]  # the hinges that turn thrust ahead
     acceleration_m_s2: Positive  # with which the set-point of the speed rises
     braking_m_s2: Positive  # and falls
-    velocity_1_s: Positive
-    integral_1_s2: NotNegative
-    integral_limit_m_s2: NotNegative
+    velocity_1_s: Positive  # acceleration over what the speed is off
+    integral_1_s2: NotNegative  # the same over its integral
+    integral_limit_m_s2: NotNegative  # most of that
     alpha_rad: tuple[float, float]  # least and most angle of attack that is asked for
     alpha_filter_s: NotNegative  # lag of that
     open_m_s: Positive  # speed from which on all of that corridor is used

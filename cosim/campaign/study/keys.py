@@ -382,6 +382,8 @@ def _leaves(path: str, annotation: Any, value: Any) -> Iterator[Key]:
         yield from _below(path, value)
         return
     plain, bounds = _peeled(annotation)
+    if _is_union(plain):
+        plain, bounds = _peeled(_of_its_kind(plain, value))
     arguments = get_args(plain)
     if isinstance(value, Mapping):
         for name, each in value.items():
@@ -433,6 +435,15 @@ def _peeled(annotation: Any) -> tuple[Any, list[Any]]:
             annotation = left[0]
         else:
             return annotation, bounds
+
+
+def _of_its_kind(union: Any, value: Any) -> Any:
+    """The part of a union that this value is of: where some are lists or tuples and some are not."""
+    several = isinstance(value, (list, tuple))
+    for part in get_args(union):
+        if (get_origin(_peeled(part)[0]) in (list, tuple)) == several and part is not type(None):
+            return part
+    return Any
 
 
 def _is_union(annotation: Any) -> bool:

@@ -136,12 +136,13 @@ def design(
     engine = engine_for(aircraft, engine)
     firmware = None
     if autopilot is not None:
-        if controller not in ("auto", "baseline") or start is not None:
-            raise InputError(f"--for {autopilot}: it has no predictor of ours: leave --controller and --start out")
         from cosim.cli.controllers.firmware import firmware_for
+        from cosim.control.predictors.registry import BASELINE
 
+        if controller not in ("auto", BASELINE.name) or start is not None:
+            raise InputError(f"--for {autopilot}: it has no predictor of ours: leave --controller and --start out")
         firmware = firmware_for(autopilot, aircraft, settings)
-        controller, lead, scheduled, proof = "baseline", False, False, False
+        controller, lead, scheduled, proof = BASELINE.name, False, False, False
     offer_to_compile(engine)
     warn_of_blemishes(engine)
     need = Requirements(

@@ -44,8 +44,12 @@ FLOWN = (
     ("octojet", "state-disturbance"),
     ("quadjet", "baseline"),
     ("trijet", "baseline"),
+    ("jetwing", "baseline"),
 )
-OTHERS = ("octojet", "quadjet", "trijet")  # layouts of their own, whose pages say that they were flown here
+OTHERS = ("octojet", "quadjet", "trijet", "jetwing")  # layouts of their own, whose pages say that they were flown here
+# m, rad/s^2: height lost or gained in altitude mode, and torque refused.  Newton's passes of the allocation by
+# effectiveness are counted: now and then they leave 1e-7 rad/s^2; a wing that is thrown to and fro lifts, and its page says so
+HELD = {"jetwing": (4.5, 1e-3)}
 OVER = 1.2  # of the lean that is asked for: the designs' own bound on the overshoot of a step
 
 
@@ -255,10 +259,7 @@ def test_the_page_states_the_limits_of_every_vehicle() -> None:
 @pytest.mark.parametrize("half", [0.25, 1.2])
 @pytest.mark.parametrize(("aircraft", "controller"), FLOWN)
 def test_full_reversals_of_all_sticks_lose_no_vehicle(aircraft: str, controller: str, half: float) -> None:
-    """In altitude mode: the lean stays at the stick's, the height is held, no torque command reaches its stop.
-
-    Newton's passes of the allocation by effectiveness are counted: now and then they leave 1e-7 rad/s^2.
-    """
+    """In altitude mode: the lean stays at the stick's, the height is held, no torque command reaches its stop."""
     with in_the_air(aircraft, controller, 30.0) as flight:
         most = flight.simulation.vehicle.control.pilot.stick_lean_rad  # type: ignore[union-attr]
         flight.ok(rq.Sticks(0.0, 0.0, 0.0, 0.5), rq.SetMode("ALTCTL"))
@@ -270,9 +271,10 @@ def test_full_reversals_of_all_sticks_lose_no_vehicle(aircraft: str, controller:
         samples = with_sticks(flight, 16.0, sticks)
         assert flight.ending is None
         assert max(map(lean, samples)) < OVER * most
-        rest = 1e-6 if flight.simulation.vehicle.allocation == "effectiveness" else 0.0
+        usual = 1e-6 if flight.simulation.vehicle.allocation == "effectiveness" else 0.0
+        height, rest = HELD.get(aircraft, (1.0, usual))
         assert max(abs(each) for sample in samples for each in sample.actuation.unallocated[:3]) <= rest
-        assert max(abs(sample.state.altitude - 30.0) for sample in samples) < 1.0
+        assert max(abs(sample.state.altitude - 30.0) for sample in samples) < height
 
 
 @pytest.mark.parametrize(

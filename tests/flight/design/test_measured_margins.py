@@ -23,7 +23,7 @@ from cosim.design.controller_file import with_controller
 from cosim.design.measured import margins, measure_margins
 from cosim.design.measured.computed import computed
 from cosim.design.measured.estimate import LoopMargins, loop_margins, measured
-from cosim.design.measured.excitation import LINES, Record, Tap, fly_with, multisine, still
+from cosim.design.measured.excitation import LINES, USUAL_SHARE, USUAL_TILT, Record, Tap, fly_with, multisine, still
 from cosim.engine import EngineSpec, load_engine
 from cosim.engine.bank import EngineBank
 from cosim.simulation.build import build
@@ -327,7 +327,7 @@ def test_the_page_states_what_is_flown() -> None:
     assert np.diff(np.log(sine.hertz))[-20:].mean() == pytest.approx(np.log(10.0) / LINES, rel=0.05)
     stated(page, "The lines stand {} % of frequency apart", 100.0 * (10.0 ** (1.0 / LINES) - 1.0))
     stated(page, "is measured with a period of {} s", margins.LONG_S)
-    stated(page, "a peak of {} of a share of thrust or {} rad of tilt", *margins.AMPLITUDE.values())
+    stated(page, "a peak of {} of a share of thrust or {} rad of tilt", USUAL_SHARE, USUAL_TILT)
     stated(page, "by more than its bounds and {} % is named", 100.0 * margins.LINEAR)
     stated(page, "Tests hold three designs to {} %", 100.0 * CLOSE)
     stated(page, "Beside them stand {} % bounds", 95)

@@ -144,7 +144,10 @@ def replace_in(folder: Path, old: str, new: str) -> None:
         ("nowhere.toml", "nowhere.toml: no such file"),
         ("empty/", "empty/vehicle.toml: no such file"),
         ("hexjett", "unknown aircraft 'hexjett'; did you mean 'hexjet'?"),
-        ("shipped", "allowed: hexjet, hexjet-100, hexjet-p220, octojet, quadjet, quadrotor, or ./shipped"),
+        (
+            "shipped",
+            "allowed: hexjet, hexjet-100, hexjet-p220, jetwing, octojet, quadjet, quadrotor, trijet, or ./shipped",
+        ),
         ("broken/", "broken/vehicle.toml"),
         ("shipped/", "name = 'hexjet': is the name of an aircraft that is shipped; choose another"),
     ],

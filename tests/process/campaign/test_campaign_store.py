@@ -480,7 +480,7 @@ def test_a_study_that_cannot_be_written_leaves_nothing(tmp_path: Path, monkeypat
             raise OSError(errno.ENOSPC, "No space left on device")
         path.write_bytes(content)
 
-    monkeypatch.setattr("cosim.campaign.folder._write", refuse)
+    monkeypatch.setattr("cosim.campaign.folder.write_whole", refuse)
     with pytest.raises(InputError, match="c: No space left on device"):
         Store.create(tmp_path / "c", tools.study())
     assert contents(tmp_path) == {}

@@ -102,7 +102,7 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
     [
         (
             ["fly", "rol-doublet"],
-            "unknown scenario 'rol-doublet'; did you mean 'roll-doublet', 'yaw-doublet', ",
+            "unknown scenario 'rol-doublet'; did you mean 'roll-doublet', '",
         ),
         (
             ["fly", "hover", "--controller", "nowhere"],

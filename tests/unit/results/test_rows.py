@@ -198,7 +198,7 @@ def test_angles_of_the_measured_quaternion(rows: int) -> None:
 
 # not in the log, or not while something else takes its place
 UNSEEN = {
-    ("k",), ("command", "rate"), ("command", "collective"), ("state", "attitude"), ("disturbance", "wind"),
+    ("k",), ("command", "rate"), ("command", "collective"), ("command", "ahead"), ("state", "attitude"), ("disturbance", "wind"),
     ("disturbance", "gust"), ("disturbance", "torque_seen"), ("actuation", "off"), ("control", "allocated"), ("own",),
     ("engines", "force_forward"), ("engines", "force_right"), ("engines", "torque"),
 }  # fmt: skip
