@@ -74,6 +74,10 @@ LENGTHY = {
         for name in ("roll-doublet", "yaw-doublet", "climb-and-land", "hover-in-wind", "waypoints", "gust")
     )
     + ("test_scenario_comes_to_what_it_expects[jetwing-",),
+    "test_faults": tuple(
+        f"test_no_false_alarm_in_any_scenario_without_a_fault[{name}]"
+        for name in ("jetwing-transition", "jetwing-cruise", "jetwing-climb-and-land", "trijet-waypoints")
+    ),
     "test_design": ("test_where_there_is_no_design_it_says_which_delay_would_allow_one", "test_a_later_engine"),
     "test_design_proof": ("test_an_engine_that_trembles",),
     "test_design_stored": ("test_a_level_is_designed_where_a_straight_line_misses_a_requirement",),
