@@ -61,7 +61,10 @@ def test_channels_pose_scene_and_words_of_a_flight(tmp_path: Path) -> None:
                         exchange.say(Severity.WARNING, "something is said")
                 elif told[0] == MESSAGE:
                     number, stamp = struct.unpack_from("<IQ", told, 1)
-                    seen[list(wanted)[number]] = (stamp, told[13:])
+                    name, content = list(wanted)[number], told[13:]
+                    # a busy machine has words of its own: deadlines that were missed
+                    if name != "/log" or "said" in Log.FromString(content).message:
+                        seen[name] = (stamp, content)
         snapshot = exchange.snapshot
     finally:
         session.stop("seen")
