@@ -6,8 +6,10 @@ What is asked for is a speed ahead; its set-point ``V_r`` goes there no faster t
 
 are the force along the heading and the one up that the vehicle needs.  The attitude asked for has the wing carry
 ``F_v`` where it can, ``theta = gamma + alpha`` with alpha that at which the wing's lift is ``F_v``, within a corridor
-that opens with the speed.  At that angle the wing gives lift L, drag D and a pitching moment M, by its own model at the
-speed of still air, and allocation asks jets, hinges and surfaces for the rest,
+that opens with the speed.  Where ``F_v`` bends the path by ``(F_v / m - g) / V`` the attitude asked for leads by that
+times what attitude and rates follow late, else alpha would be short by it.  At that angle the wing gives lift L, drag
+D and a pitching moment M, by its own model at the speed of still air, and allocation asks jets, hinges and surfaces
+for the rest,
 
     f = F_h + D cos(gamma) + L sin(gamma),    g = F_v - L cos(gamma) + D sin(gamma)    along the heading and up, that is
     f cos(theta) + g sin(theta)    ahead and    (g cos(theta) - f sin(theta)) / cos(phi)    up in body axes,

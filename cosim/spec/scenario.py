@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 
@@ -30,17 +30,6 @@ from cosim.base.storage.toml import (
 )
 from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_own, load_vehicle
 
-SIGNALS = (
-    "roll_deg",
-    "pitch_deg",
-    "yaw_deg",
-    "altitude_m",
-    "rate_p_deg_s",
-    "rate_q_deg_s",
-    "rate_r_deg_s",
-    "collective",
-    "ahead_m_s",
-)
 Seconds = Annotated[float, Field(ge=0.0, le=1e6)]
 Duration = Annotated[float, Field(gt=0.0, le=1e6)]
 Amplitude = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -55,6 +44,7 @@ Signal = Literal[
     "collective",
     "ahead_m_s",
 ]
+SIGNALS: tuple[str, ...] = get_args(Signal)
 Axis = Literal["roll", "pitch", "yaw"]
 
 
