@@ -218,10 +218,15 @@ def design(
         plants[axis] = replace(plants[axis], identified=RateModel(**table))
     source = f"{identified.source}; with the airframe of {vehicle.name}"
     begin = None if start is None else _begin(start, plants, scenario.aircraft, vehicle, spec)
-    if begin is None:
-        axes = _axes(plants, vehicle, spec, names, need, source, say, lead, firmware)
-    else:
-        axes = _again(plants, vehicle, spec, need, source, begin, say)
+    asked = _Asked(vehicle, spec, names, need, source, lead, firmware, say)
+    axes: dict[str, AxisDesign] = {}
+    for axis in AXES:
+        roll = axes["roll"].after if axes else None
+        chosen = roll.tuning if roll else None
+        if begin is None:
+            axes[axis] = _axis(plants[axis], asked, chosen)
+        else:
+            axes[axis] = _again(plants[axis], asked, chosen, begin[axis][1.0])
     reason = _why_not(axes, need)
     allowing = _allowing(axes["roll"], names, need, say, lead) if reason and start is None and not firmware else {}
     burning: list[LevelDesign] = []
@@ -326,36 +331,21 @@ def _begin(
     return tunings
 
 
-def _again(
-    plants: Mapping[str, Channel],
-    vehicle: Vehicle,
-    spec: EngineSpec,
-    need: Requirements,
-    source: str,
-    begin: Mapping[str, Mapping[float, Tuning]],
-    say: Say,
-) -> dict[str, AxisDesign]:
-    """Every axis from where a search begins, with the candidate that it has there."""
-    designs: dict[str, AxisDesign] = {}
-    for axis in AXES:
-        channel, asked, start = plants[axis], needed(axis, need), begin[axis][1.0]
-        say(f"{axis}: {start.controller}")
-        roll = designs["roll"].after if designs else None
-        predictor = roll.tuning.predictor if roll else start.predictor
-        start = replace(
-            start, model=believed(channel, source), lead=lead_there(start.lead, channel), predictor=predictor
-        )
-        free = axis == "roll" or vehicle.allocation != "rotors" or axis == "altitude"
-        tuned = near(channel, start, asked, free)
-        before = assess(channel, shipped(channel, vehicle, spec), asked)
-        key = start.controller + (WITH_LEAD if start.lead else "")
-        if tuned is None:
-            designs[axis] = AxisDesign(channel, before, {key: inf}, None, {}, {})
-            continue
-        after = assess(channel, tuned, asked)
-        value = objective(Closed(Points(channel, close=FINE), tuned))
-        designs[axis] = AxisDesign(channel, before, {key: value}, after, {}, tolerance_checks(channel, tuned, asked))
-    return designs
+def _again(channel: Channel, asked: _Asked, roll: Tuning | None, start: Tuning) -> AxisDesign:
+    """An axis from where a search begins, with the candidate that it has there."""
+    axis, vehicle, need = channel.name, asked.vehicle, needed(channel.name, asked.need)
+    asked.say(f"{axis}: {start.controller}")
+    model, predictor = believed(channel, asked.source), roll.predictor if roll else start.predictor
+    start = replace(start, model=model, lead=lead_there(start.lead, channel), predictor=predictor)
+    free = axis == "roll" or vehicle.allocation != "rotors" or axis == "altitude"
+    tuned = near(channel, start, need, free)
+    before = assess(channel, shipped(channel, vehicle, asked.spec), need)
+    key = start.controller + (WITH_LEAD if start.lead else "")
+    if tuned is None:
+        return AxisDesign(channel, before, {key: inf}, None, {}, {})
+    after = assess(channel, tuned, need)
+    value = objective(Closed(Points(channel, close=FINE), tuned))
+    return AxisDesign(channel, before, {key: value}, after, {}, tolerance_checks(channel, tuned, need))
 
 
 def believed(channel: Channel, source: str) -> RateModel:
@@ -411,33 +401,18 @@ def throttle_for(spec: EngineSpec, vehicle: Vehicle) -> float:
 # ---- the axes
 
 
-def _axes(
-    plants: Mapping[str, Channel],
-    vehicle: Vehicle,
-    spec: EngineSpec,
-    names: Sequence[str],
-    need: Requirements,
-    source: str,
-    say: Say,
-    lead: bool,
-    firmware: Firmware | None = None,
-) -> dict[str, AxisDesign]:
-    leads = {axis: engine_lead(plants[axis]) if lead else None for axis in AXES}
-    predictor = vehicle.control.predictor
-    roll = _axis(plants["roll"], vehicle, spec, names, need, source, predictor, say, leads["roll"], firmware=firmware)
-    chosen = roll.after.tuning if roll.after else None
-    designs = {"roll": roll}
-    for axis in AXES[1:]:
-        channel = plants[axis]
-        # jets that tilt give pitch and yaw by servo; rotors give them like roll, through the same predictor
-        predicted = chosen is not None and axis != "altitude" and vehicle.allocation == "rotors"
-        names = (chosen.controller if predicted and chosen else BASELINE.name,)
-        predictor = chosen.predictor if chosen else vehicle.control.predictor
-        designs[axis] = _axis(
-            channel, vehicle, spec, names, needed(axis, need), source, predictor, say, leads[axis],
-            free=not predicted, firmware=_there(firmware, axis, chosen),
-        )  # fmt: skip
-    return designs
+@dataclass(frozen=True)
+class _Asked:
+    """What all axes of a design have in common."""
+
+    vehicle: Vehicle
+    spec: EngineSpec
+    names: Sequence[str]  # of the candidates, in the order of what they take
+    need: Requirements
+    source: str  # of the model that a predictor believes in
+    lead: bool  # whether one may be tried
+    firmware: Firmware | None
+    say: Say
 
 
 def _there(firmware: Firmware | None, axis: str, roll: Tuning | None) -> Firmware | None:
@@ -449,52 +424,41 @@ def _there(firmware: Firmware | None, axis: str, roll: Tuning | None) -> Firmwar
     return replace(firmware, axis=axis, d_filter_s=smooth, angle_gain=angle)
 
 
-def _axis(
-    channel: Channel,
-    vehicle: Vehicle,
-    spec: EngineSpec,
-    names: Sequence[str],
-    need: Requirements,
-    source: str,
-    predictor: Any,
-    say: Say,
-    lead: EngineLead | None,
-    free: bool = True,
-    firmware: Firmware | None = None,
-) -> AxisDesign:
-    fixed = shipped(channel, vehicle, spec)
+def _axis(channel: Channel, asked: _Asked, roll: Tuning | None) -> AxisDesign:
+    """The best candidate on an axis, tuned; ``roll`` is what roll has chosen, None where nothing, and for itself."""
+    axis, vehicle, say, need = channel.name, asked.vehicle, asked.say, needed(channel.name, asked.need)
+    # jets that tilt give pitch and yaw by servo; rotors give them like roll, through the same predictor
+    predicted = roll is not None and axis != "altitude" and vehicle.allocation == "rotors"
+    names = asked.names if axis == "roll" else (roll.controller if predicted and roll else BASELINE.name,)
+    firmware = asked.firmware if axis == "roll" else _there(asked.firmware, axis, roll)
+    lead = engine_lead(channel) if asked.lead else None
+    fixed = shipped(channel, vehicle, asked.spec)
     if firmware is not None:
         fixed = replace(fixed, controller=BASELINE.name, lead=None, firmware=firmware)
     before = assess(channel, fixed, need)
-    model = believed(channel, source)
-    start = replace(fixed, predictor=predictor)
+    model = believed(channel, asked.source)
+    start = replace(fixed, predictor=roll.predictor if roll else vehicle.control.predictor)
     tried: dict[str, Found] = {}
     for with_lead in (None,) if lead is None else (None, lead):
         for name in names:
             if with_lead and len(names) > 1 and not PREDICTORS[name].with_lead:
                 continue
             key = name + WITH_LEAD if with_lead else name
-            say(f"{channel.name}: {key}")
-            tried[key] = tune(channel, name, model, start, need, free, with_lead)
-    best = _simplest({key: each.objective for key, each in tried.items()})
-    if not isfinite(tried[best].objective):
-        return AxisDesign(channel, before, {name: each.objective for name, each in tried.items()}, None, {}, {})
-    settled = settle(channel, tried[best].tuning, need, free)
+            say(f"{axis}: {key}")
+            tried[key] = tune(channel, name, model, start, need, not predicted, with_lead)
+    objectives = {key: each.objective for key, each in tried.items()}
+    best = tried[_simplest(objectives)]
+    if not isfinite(best.objective):
+        return AxisDesign(channel, before, objectives, None, {}, {})
+    settled = settle(channel, best.tuning, need, not predicted)
     if settled is None and firmware is not None and firmware.units is not None:
         return AxisDesign(channel, before, dict.fromkeys(tried, inf), None, {}, {})  # none in its whole numbers
-    after = assess(channel, settled or tried[best].tuning, need)
+    after = assess(channel, settled or best.tuning, need)
     limits = {}
-    if channel.name == "roll":
+    if axis == "roll":
         say("what limits it")
         limits = _limits(channel, after, need, lead)
-    return AxisDesign(
-        channel,
-        before,
-        {name: each.objective for name, each in tried.items()},
-        after,
-        limits,
-        tolerance_checks(channel, after.tuning, need),
-    )
+    return AxisDesign(channel, before, objectives, after, limits, tolerance_checks(channel, after.tuning, need))
 
 
 def _simplest(objectives: Mapping[str, float]) -> str:
