@@ -84,6 +84,7 @@ follow_imports = skip
 ignore_missing_imports = True
 """
 NATIVE = "cosim._native"
+QUICK = "cosim/base/quick.h"
 
 # What mypyc's C calls on its way out with an error, told to the compiler as hardly ever called: it then keeps what
 # leads there apart, and a step finds more of itself in the processor's instruction cache.
@@ -134,7 +135,7 @@ class BuildExtensions(build_ext):
             reason = "mypy: not found; install mypy, or set HEXJET_PURE=1 to go without compiled modules"
             raise CompileError(reason) from None
         tools = f"mypy-{mypy}-{platform.python_implementation()}-{platform.python_version()}"
-        makers = (Path(__file__), ROOT / "cosim" / "base" / "native_docs.py")
+        makers = (Path(__file__), ROOT / "cosim" / "base" / "native_docs.py", ROOT / QUICK)
         return "".join(f"{sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in makers) + f"{tools}\n"
 
     def _remove_compiled(self, package: Path, compiled: Any) -> None:
@@ -167,6 +168,9 @@ def by_mypyc(modules: list[str], folder: Path) -> list[Extension]:
     }
     for path in folder.rglob("__native*.c"):
         path.write_text(documented(path.read_text(encoding="utf-8"), sources), encoding="utf-8")
+    for path in folder.rglob("__native_internal*.h"):  # the last that mypyc's C includes
+        with path.open("a", encoding="utf-8") as header:
+            header.write(f'#include "{(ROOT / QUICK).as_posix()}"\n')
     unlikely = folder / "unlikely.h"
     unlikely.write_text(UNLIKELY, encoding="ascii")
     gc.freeze()  # mypy leaves so much that to collect it when the process ends takes longer than mypy did
