@@ -53,7 +53,7 @@ LENGTHY = {
     "test_octojet": ("test_it_stays_up", "test_on_seven"),
     "test_quadjet": ("test_the_figures",),
     "test_trijet": ("test_the_figures",),
-    "test_jetwing": ("test_the_figures", "test_trim"),
+    "test_jetwing": ("test_the_figures", "test_it_settles"),
     "test_scenarios": tuple(
         f"test_scenario_comes_to_what_it_expects[octojet-{name}-"
         for name in (

@@ -1,11 +1,14 @@
-"""aircraft/jetwing: its file of aerodynamics, its README's sums, trim against JSBSim alone, and flights on its wing."""
+"""aircraft/jetwing: its file of aerodynamics, its README's sums, trim against JSBSim's own, and flights on its wing."""
 
 from __future__ import annotations
 
 import importlib.util
+import xml.etree.ElementTree as ET
 from math import cos, degrees, radians, sin
+from pathlib import Path
 from typing import Any
 
+import jsbsim
 import numpy as np
 import pytest
 from places import ROOT
@@ -20,10 +23,13 @@ from cosim.simulation.build import build
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.airframe import Airframe
+from cosim.vehicle.jsbsim_model import render, structural
 
 VEHICLE, FOLDER = load_vehicle("jetwing")
 PAGE = " ".join((ROOT / "aircraft" / "jetwing" / "README.md").read_text(encoding="utf-8").split())
 POUND_FORCE, FOOT = 4.4482216152605, 0.3048
+FULL = 96.0  # N of all four
+ARM = sum(hinge.position_m[2] for hinge in VEHICLE.hinges[:4]) / 4.0  # m, how far below they push once turned ahead
 
 
 def generator() -> Any:
@@ -56,13 +62,15 @@ def test_the_sums_of_its_readme() -> None:
     assert VEHICLE.products_kg_m2[1] == pytest.approx(0.7 * 0.3 * 0.24, abs=1e-6)
 
 
-def trim(speed: float) -> tuple[float, float, float]:
+def balance(speed: float) -> tuple[float, float, float]:
     """Angle of attack [rad], thrust along x at the front and rear hinges' mean [N] and elevator of level flight, where
-    JSBSim alone has no acceleration ahead, down and in pitch."""
+    JSBSim's forces, written and read as a flight does, leave no acceleration ahead, down and in pitch."""
     frame = Airframe(VEHICLE, FOLDER, Environment(), 0.004, 1, 0)
-    force, aero = frame._fdm.set_property_value, frame.aerodynamic_wrench
     try:
+        frame.reset(Initial(altitude_m=60.0), [ZERO3] * 4, ZERO3)
+        gravity = frame._fdm["accelerations/wdot-ft_sec2"] * FOOT  # at this place of a round Earth that turns
         frame.reset(Initial(altitude_m=60.0, velocity_ned_m_s=(speed, 0.0, 0.0)), [ZERO3] * 4, ZERO3)
+        force, aero = frame._fdm.set_property_value, frame.aerodynamic_wrench
 
         def off(guess: np.ndarray) -> list[float]:
             alpha, thrust, elevator = guess
@@ -70,15 +78,11 @@ def trim(speed: float) -> tuple[float, float, float]:
             force("ic/theta-rad", alpha)
             force("ic/vn-fps", speed / FOOT)
             force("ic/vd-fps", 0.0)
-            for jet in range(1, 5):
-                force(f"external_reactions/jet{jet}/x", thrust / 4.0 / POUND_FORCE)
-                force(f"external_reactions/jet{jet}/z", 0.0)
             frame._fdm.run_ic()
             (x, _, z), (_, m, _) = aero()
             # a carried engine pushes along a line through its hinge, 90 mm above its station at rest
-            weight = VEHICLE.mass_kg * GRAVITY
-            arm = sum(hinge.position_m[2] for hinge in VEHICLE.hinges[:4]) / 4.0
-            return [x + thrust - weight * sin(alpha), z + weight * cos(alpha), m + thrust * arm]
+            weight = VEHICLE.mass_kg * gravity
+            return [x + thrust - weight * sin(alpha), z + weight * cos(alpha), m + thrust * ARM]
 
         alpha, thrust, elevator = fsolve(off, [0.05, 8.0, 0.0], xtol=1e-12)
         assert off(np.array([alpha, thrust, elevator])) == pytest.approx([0.0, 0.0, 0.0], abs=1e-8)
@@ -87,8 +91,61 @@ def trim(speed: float) -> tuple[float, float, float]:
         frame.close()
 
 
-def test_trim_is_that_of_jsbsim_alone() -> None:
-    """Long.  What the flight settles at on the wing: with its jets ahead, rear and front alike."""
+def own_trim(speed: float, folder: Path) -> tuple[float, float, float]:
+    """The same by JSBSim's own trim (``FGTrim``, longitudinal), as :func:`balance`.
+
+    Its throttle moves engines of JSBSim's propulsion and nothing else, so no external force is one: the jets are here
+    one electric engine on a direct thruster, whose thrust is its power [ft lbf/s] times the throttle, in lbf.  And it
+    pitches with the elevator's trim, so that takes the elevator's place.
+    """
+    model = render(VEHICLE, FOLDER / str(VEHICLE.model)).replace(b"fcs/elevator-cmd-norm", b"fcs/pitch-trim-cmd-norm")
+    root = ET.fromstring(model)
+    place = "".join(f"<{a}>{v!r}</{a}>" for a, v in zip("xyz", structural((0.0, 0.0, ARM)), strict=True))
+    ahead = "<orient unit='DEG'><roll>0</roll><pitch>0</pitch><yaw>0</yaw></orient>"
+    propulsion, aerodynamics = root.find("propulsion"), root.find("aerodynamics")
+    assert propulsion is not None
+    assert aerodynamics is not None
+    below_stall = "<alphalimits unit='DEG'><min>-5</min><max>11</max></alphalimits>"  # a lift that rises all the way
+    aerodynamics.insert(0, ET.fromstring(below_stall))
+    propulsion.append(
+        ET.fromstring(
+            f"<engine file='jets'><thruster file='direct'><location unit='IN'>{place}</location>{ahead}</thruster></engine>"
+        )
+    )
+    power = FULL * FOOT  # W in so many ft lbf/s
+    (folder / "jets.xml").write_text(
+        f"<electric_engine name='jets'><power unit='WATTS'>{power!r}</power></electric_engine>"
+    )
+    (folder / "direct.xml").write_text("<direct name='direct'/>")
+    (folder / "jetwing.xml").write_bytes(ET.tostring(root))
+    fdm = jsbsim.FGFDMExec(str(folder), None)
+    fdm.set_debug_level(0)
+    fdm.set_aircraft_path(".")
+    fdm.set_engine_path(".")
+    assert fdm.load_model("jetwing", add_model_to_path=False)
+    fdm["ic/lat-geod-deg"], fdm["ic/h-agl-ft"], fdm["ic/vt-fps"] = Environment().latitude_deg, 60.0 / FOOT, speed / FOOT
+    for jet in range(1, 5):
+        fdm[f"external_reactions/jet{jet}/magnitude"] = 0.0
+    fdm.run_ic()
+    fdm.do_trim(0)  # longitudinal: raises where it finds none
+    assert fdm["velocities/vt-fps"] * FOOT == pytest.approx(speed, abs=1e-9)
+    thrust = fdm["propulsion/engine/thrust-lbs"] * POUND_FORCE
+    assert thrust == pytest.approx(fdm["fcs/throttle-cmd-norm"] * FULL, rel=1e-5)  # its horsepower has six digits
+    return fdm["aero/alpha-rad"], thrust, fdm["fcs/pitch-trim-cmd-norm"]
+
+
+@pytest.mark.parametrize("speed", [18.0, 25.0])
+def test_jsbsim_trims_itself_where_its_forces_balance(speed: float, tmp_path: Path) -> None:
+    alpha, thrust, elevator = own_trim(speed, tmp_path)
+    expected = balance(speed)
+    # JSBSim's trim stops at 1e-3 ft/s^2, 3e-5 of gravity, and 1e-4 rad/s^2, 3e-6 of the elevator's 30 rad/s^2 and more
+    assert alpha == pytest.approx(expected[0], abs=3e-5 * (expected[0] + radians(2.0)))  # no lift at -2 degrees
+    assert thrust == pytest.approx(expected[1], rel=1e-4)
+    assert elevator == pytest.approx(expected[2], abs=1e-5)
+
+
+def test_it_settles_where_jsbsim_trims_it(tmp_path: Path) -> None:
+    """Long.  On the wing: with its jets ahead, rear and front alike."""
     still = {"turbulence_wind_m_s": 0.0, "turbulence_severity": 0}
     scenario = Scenario.load("jetwing-cruise").replace(
         environment=still, duration_s=40.0, sensor_noise=False, expect=[]
@@ -101,7 +158,7 @@ def test_trim_is_that_of_jsbsim_alone() -> None:
         float(np.mean(log[f"thrust_{jet}_N"][last] * np.sin(log[f"tilt_{hinge.name}_rad"][last])))
         for jet, hinge in enumerate(VEHICLE.hinges[:4], 1)
     )
-    alpha, ahead, elevator = trim(speed)
+    alpha, ahead, elevator = own_trim(speed, tmp_path)
     flown_elevator = float(np.mean(log["deflection_elevator"][last]))
     assert np.ptp(log["altitude_m"][last]) < 0.05  # it has settled
     assert degrees(flown) == pytest.approx(degrees(alpha), abs=0.15)  # the jets carry a little, their air pushes
@@ -109,7 +166,7 @@ def test_trim_is_that_of_jsbsim_alone() -> None:
     assert flown_elevator == pytest.approx(elevator, abs=0.03)
     assert f"{speed:.1f} m/s at an angle of attack of {degrees(flown):.1f}°, {thrust:.1f} N of thrust" in PAGE
     assert f"{flown_elevator:.2f} of its elevator" in PAGE
-    assert f"balance at {degrees(alpha):.1f}°, {ahead:.1f} N and {elevator:.2f}" in PAGE
+    assert f"JSBSim's own trim is at {degrees(alpha):.1f}°, {ahead:.1f} N and {elevator:.2f}" in PAGE
     assert np.abs(log["altitude_m"][log["time_s"] > 15.0] - 60.0).max() < 0.5
 
 
