@@ -3,6 +3,10 @@
 Everything is SI and rad, body axes forward-right-down, positions NED.  A frame is ``k``, the step from 0, and behind it
 the numbers in the order of the names; little-endian doubles.  ``k = 0`` begins a flight anew.  An answer that begins
 with -1 says that it cannot go on, and a line of text behind it why.
+
+A whole controller is told and gives one ``tilt_`` for each of the vehicle's actuators, by its name and in its order:
+the left and the right servo, or hinges [rad] and then surfaces, in the unit of their property.  Where the vehicle flies
+on a wing it is told the speed ahead, too; nobody else is, so that their frames are as they were.
 """
 
 from __future__ import annotations
@@ -11,6 +15,7 @@ import struct
 from collections.abc import Sequence
 from typing import Any
 
+from cosim.base.constants import SERVOS
 from cosim.base.signals import (
     AXES,
     NO_JETS,
@@ -36,6 +41,7 @@ _WHOLE = (
     *_RATES, *_ATTITUDE, "position_north", "position_east", "position_down", "velocity_north", "velocity_east",
     "velocity_down", "altitude", "specific_force_x", "specific_force_y", "specific_force_z", "fuel_burnt", "engines",
 )  # fmt: skip
+_AHEAD = ("ahead_commanded", "ahead_setpoint")  # m/s, along the heading over the ground
 _PER_JET = ("throttle_applied", "spool_speed", "exhaust_temperature", "fuel_flow")
 # What a whole controller may answer beside throttles and tilts: what it could not give, which jets it has shut off, and
 # what it shows of a cascade.
@@ -46,8 +52,8 @@ LEVEL_BY_OUTPUT = {
 }  # fmt: skip
 
 
-def input_names(level: str, jets: int) -> tuple[str, ...]:
-    """The names of what a block of this level is told."""
+def input_names(level: str, jets: int, servos: Sequence[str] = SERVOS, ahead: bool = False) -> tuple[str, ...]:
+    """The names of what a block of this level is told; ``servos``: of the vehicle's actuators."""
     if level == "predictor":
         return ("rate", "applied")
     if level == "rate":
@@ -55,11 +61,16 @@ def input_names(level: str, jets: int) -> tuple[str, ...]:
     if level == "attitude":
         return (*_ANGLES, *_ATTITUDE)
     numbered = [f"{name}_{number}" for name in _PER_JET for number in range(1, jets + 1)]
-    return (*_WHOLE, *numbered, "tilt_left_applied", "tilt_right_applied")
+    tilts = [f"{_tilt(name)}_applied" for name in servos]
+    return (*_WHOLE, *numbered, *tilts, *(_AHEAD if ahead else ()))
 
 
-def output_names(level: str, jets: int, tilts: bool, extras: Sequence[str] = ()) -> tuple[str, ...]:
-    """The names of what it answers."""
+def _tilt(servo: str) -> str:
+    return f"tilt_{servo}"
+
+
+def output_names(level: str, jets: int, servos: Sequence[str], extras: Sequence[str] = ()) -> tuple[str, ...]:
+    """The names of what it answers; ``servos``: those that it moves, none where nothing moves."""
     if level == "predictor":
         return ("predicted_rate",)
     if level == "rate":
@@ -67,7 +78,7 @@ def output_names(level: str, jets: int, tilts: bool, extras: Sequence[str] = ())
     if level == "attitude":
         return _RATE_SETPOINTS
     names = [f"throttle_{number}" for number in range(1, jets + 1)]
-    names += ["tilt_left", "tilt_right"] if tilts else []
+    names += [_tilt(name) for name in servos]
     if "unallocated" in extras:
         names += [f"unallocated_{name}" for name in (*AXES, "collective")]
     if "off" in extras:
@@ -77,7 +88,7 @@ def output_names(level: str, jets: int, tilts: bool, extras: Sequence[str] = ())
     return tuple(names)
 
 
-def answer_whole(values: Sequence[float], jets: int, tilts: bool, extras: Sequence[str]) -> WholeAnswer:
+def answer_whole(values: Sequence[float], jets: int, servos: int, extras: Sequence[str]) -> WholeAnswer:
     """What the numbers of :func:`output_names` say."""
     left = list(values)
 
@@ -87,17 +98,17 @@ def answer_whole(values: Sequence[float], jets: int, tilts: bool, extras: Sequen
         return taken
 
     throttle = take(jets)
-    left_tilt, right_tilt = take(2) if tilts else (0.0, 0.0)
+    tilt = take(servos) or (0.0, 0.0)
     roll, pitch, yaw, collective = take(4) if "unallocated" in extras else (0.0, 0.0, 0.0, 0.0)
     off = frozenset([jet for jet, value in enumerate(take(jets)) if value]) if "off" in extras else NO_JETS
-    actuation = Actuation(throttle, (left_tilt, right_tilt), Unallocated(roll, pitch, yaw, collective), off)
+    actuation = Actuation(throttle, tilt, Unallocated(roll, pitch, yaw, collective), off)
     if "shown" not in extras:
         return actuation, None
     (a, b, c), (d, e, f), (g, h, i), (asked, given) = take(3), take(3), take(3), take(2)
     return actuation, ControlSignals((a, b, c), (d, e, f), (g, h, i), asked, given)
 
 
-def told_whole(command: Command, measured: Measured, applied: Any) -> tuple[float, ...]:
+def told_whole(ahead: bool, command: Command, measured: Measured, applied: Any) -> tuple[float, ...]:
     """The numbers of :func:`input_names` for a whole controller."""
     rate: Vector3 = command.rate or (0.0, 0.0, 0.0)
     engines = applied.engines
@@ -121,6 +132,7 @@ def told_whole(command: Command, measured: Measured, applied: Any) -> tuple[floa
         *engines.exhaust_temperature,
         *engines.fuel_flow,
         *applied.tilt,
+        *((float(command.ahead is not None), command.ahead or 0.0) if ahead else ()),
     )
 
 
@@ -129,10 +141,10 @@ def frame(count: int) -> struct.Struct:
     return struct.Struct(f"<{count + 1}d")
 
 
-def numbers(told: Sequence[Any], level: str) -> tuple[float, ...]:
-    """What ``update`` is told as the numbers of a frame."""
+def numbers(told: Sequence[Any], level: str, ahead: bool = False) -> tuple[float, ...]:
+    """What ``update`` is told as the numbers of a frame; ``ahead`` as for :func:`input_names`."""
     if level == "controller":
-        return told_whole(*told)
+        return told_whole(ahead, *told)
     if level == "attitude":
         command, measured = told
         return (*command.attitude, *measured.attitude)

@@ -331,8 +331,8 @@ class WholeController(Protocol):
         Returns
         -------
         Actuation or tuple
-            An :class:`Actuation`, or throttles, 0 to 1 per jet, and tilts [rad] of the left and the right servo,
-            which a vehicle without servos leaves out.
+            An :class:`Actuation`, or throttles, 0 to 1 per jet, and tilts [rad] of the left and the right servo, or of
+            each hinge [rad] and then each surface [unit of its property]; left out where nothing moves.
         """
 
 

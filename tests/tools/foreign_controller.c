@@ -1,11 +1,12 @@
-/* A rate loop of P and I as an FMU written by hand, FMI 2.0: three set-points, three rates, a share of the gains.
- * Functions that are not written here the tests add as stubs.
+/* A rate loop of P and I as an FMU written by hand, FMI 2.0: three set-points, three rates, a share of the gains.  With
+ * ANSWERS, of which the first JETS are throttles, a whole controller that answers with a table instead, and fails where it
+ * is not told its own tilts of the step before.  Functions that are not written here the tests add as stubs.
  */
 #include <stdlib.h>
 #include <string.h>
 
 typedef struct {
-    double value[32]; /* by value reference: 1 to 6 inputs, 11 to 13 outputs, 14 the integral of roll, 20 the share */
+    double value[64]; /* by value reference: 1 to 6 inputs, 11 to 13 outputs, 14 the integral of roll, 20 the share */
     double integral[3];
 } Loop;
 
@@ -44,6 +45,23 @@ int fmi2GetReal(void *instance, const unsigned reference[], size_t count, double
     return 0;
 }
 
+#ifdef ANSWERS /* 1 and on: tilts applied; 31 and on: answers */
+static const double table[][ANSWERS] = {
+#include "table.h"
+};
+
+int fmi2DoStep(void *instance, double now, double step, int again)
+{
+    Loop *loop = instance;
+    const int k = (int)(now / step + 0.5);
+    (void)again;
+    for (int i = JETS; i < ANSWERS; i++)
+        if (k > 0 && loop->value[1 + i - JETS] != table[k - 1][i])
+            return 3;
+    memcpy(loop->value + 31, table[k], sizeof table[k]);
+    return 0;
+}
+#else
 int fmi2DoStep(void *instance, double now, double step, int again)
 {
     static const double gain[3] = {0.05, 0.2, 0.2};
@@ -59,3 +77,4 @@ int fmi2DoStep(void *instance, double now, double step, int again)
     loop->value[14] = loop->integral[0];
     return 0;
 }
+#endif

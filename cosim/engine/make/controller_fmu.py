@@ -7,6 +7,9 @@ without case, or stated in a mapping file ``NAME.fmu.toml``::
     [ports]
     roll_rate = "gyro.p"
 
+A whole controller's ``tilt_`` outputs are for the actuators of a vehicle, whose names are known when it flies; until
+then they are those that it has.
+
 What an FMU has no input for it is not told.  Its other outputs of numbers become columns of the log, its parameters
 the controller's own.  It runs in a process of its own, whatever it does to that.
 """
@@ -27,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base import controller_wire as wire
+from cosim.base.constants import SERVOS
 from cosim.base.errors import InputError, nearest
 from cosim.base.signals import MOST_JETS
 from cosim.base.storage.toml import read_toml
@@ -50,7 +54,7 @@ class ControllerFmu:
     fmi: int
     level: str
     jets: int  # of a whole controller
-    tilts: bool
+    servos: tuple[str, ...]  # of a whole controller, those that it moves
     extras: tuple[str, ...]
     inputs: Mapping[str, Any]  # by the name of the port
     outputs: Mapping[str, Any]
@@ -82,8 +86,11 @@ def is_controller(path: Path) -> bool:
     return True
 
 
-def read_controller_fmu(path: Path) -> ControllerFmu:
-    """Read an archive, or a mapping file with the name of one.  Raises InputError: one line."""
+def read_controller_fmu(path: Path, servos: Sequence[str] | None = None) -> ControllerFmu:
+    """Read an archive, or a mapping file with the name of one.  Raises InputError: one line.
+
+    ``servos``: the names of the vehicle's actuators, which the FMU may spell its own way; None: not known yet.
+    """
     mapping, stated = None, {}
     if path.name.lower().endswith(MAPPING):
         table = read_toml(path)
@@ -95,12 +102,12 @@ def read_controller_fmu(path: Path) -> ControllerFmu:
         mapping, stated = path, {str(key): str(value) for key, value in table.get("ports", {}).items()}
         path = path.with_name(table["fmu"])
     try:
-        return _read(path, mapping, stated)
+        return _read(path, mapping, stated, servos)
     except UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason
 
 
-def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> ControllerFmu:
+def _read(path: Path, mapping: Path | None, stated: Mapping[str, str], servos: Sequence[str] | None) -> ControllerFmu:
     data = read_bytes(path)
     _, xml = open_archive(data)
     fmi = fmi_of(parse(xml))
@@ -109,9 +116,11 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
     by_cause = {cause: [v for v in scalars if v.causality == cause] for cause in ("input", "output", "parameter")}
     by_name = {v.name: v for v in scalars}
     jets_known = range(1, MOST_JETS + 1)
-    outs = {plain(name): name for n in jets_known for name in wire.output_names("controller", n, True, wire.EXTRAS)}
+    if servos is None:
+        servos = _servos([v.name for v in by_cause["output"]], stated)
+    outs = {plain(name): name for n in jets_known for name in wire.output_names("controller", n, servos, wire.EXTRAS)}
     for level in ("rate", "attitude", "predictor"):
-        outs |= {plain(name): name for name in wire.output_names(level, 1, True)}
+        outs |= {plain(name): name for name in wire.output_names(level, 1, ())}
     outputs = _found(by_cause["output"], outs, stated, by_name, "output")
     level = next((known_level for name, known_level in wire.LEVEL_BY_OUTPUT.items() if name in outputs), "")
     if not level:
@@ -120,19 +129,17 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
             "names its ports"
         )
     jets = next(number for number in reversed(jets_known) if number == 1 or f"throttle_{number}" in outputs)
-    tilts = "tilt_left" in outputs
-    extras = tuple(
-        [e for e in wire.EXTRAS if level == "controller" and set(_extra(level, jets, tilts, e)) <= set(outputs)]
-    )
-    needed = wire.output_names(level, jets, tilts, extras)
+    moved = tuple([name for name in servos if f"tilt_{name}" in outputs])
+    extras = tuple([e for e in wire.EXTRAS if level == "controller" and set(_extra(level, jets, e)) <= set(outputs)])
+    needed = wire.output_names(level, jets, moved, extras)
     if missing := [name for name in needed if name not in outputs]:
         raise IncompleteError(f"has no output {missing[0]}, which a {level} needs")
     outputs = {name: outputs[name] for name in needed}
-    ins = {plain(name): name for name in wire.input_names(level, jets)}
+    ins = {plain(name): name for name in wire.input_names(level, jets, servos or SERVOS, True)}
     inputs = _found(by_cause["input"], ins, stated, by_name, "input")
     used = {id(v) for v in (*inputs.values(), *outputs.values())}
     left = [v.name for v in by_cause["input"] if id(v) not in used]
-    names = [name for name in wire.input_names(level, jets) if name not in inputs]
+    names = [name for name in wire.input_names(level, jets, servos or SERVOS) if name not in inputs]
     untold = list(dict.fromkeys(re.sub(r"_\d+$", "_1 and on", name) for name in names))
     notes = (
         *blemishes,
@@ -154,7 +161,7 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
         fmi,
         level,
         jets,
-        tilts,
+        moved,
         extras,
         inputs,
         outputs,
@@ -166,9 +173,20 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str]) -> Contro
     )
 
 
-def _extra(level: str, jets: int, tilts: bool, extra: str) -> list[str]:
-    without = wire.output_names(level, jets, tilts)
-    return [name for name in wire.output_names(level, jets, tilts, (extra,)) if name not in without]
+def _servos(outputs: Sequence[str], stated: Mapping[str, str]) -> tuple[str, ...]:
+    """What its outputs are called behind ``tilt_``: those that a mapping names and, of others, left and right where it
+    has both, else all."""
+    found = [name[5:] for name in stated if name.startswith("tilt_") and not name.endswith("_applied")]
+    short = [plain(name)[4:] for name in outputs if plain(name).startswith("tilt") and name not in stated.values()]
+    banks = set(SERVOS) <= {*found, *short}
+    known = {plain(name) for name in found}
+    found += [name for name in short if name not in known and (name in SERVOS if banks else name)]
+    return tuple(sorted(found, key=lambda name: SERVOS.index(name) if name in SERVOS else len(SERVOS)))
+
+
+def _extra(level: str, jets: int, extra: str) -> list[str]:
+    without = wire.output_names(level, jets, ())
+    return [name for name in wire.output_names(level, jets, (), (extra,)) if name not in without]
 
 
 def _found(
@@ -230,13 +248,17 @@ def serve(path: str) -> None:
     if not line:
         return
     told = json.loads(line)
+    columns = [_word(v) for v in fmu.shown]
+    if fmu.level == "controller":
+        fmu = read_controller_fmu(Path(path), told["servos"])
     asked, answered = wire.frame(len(told["inputs"])), wire.frame(len(told["outputs"]))
     folder = Path(tempfile.mkdtemp(prefix="hexjet-controller-"))
     try:
-        expected = [*fmu.outputs, *(_word(v) for v in fmu.shown)]
-        if told["outputs"] != expected:
+        if told["outputs"] != [*fmu.outputs, *columns] or columns != [_word(v) for v in fmu.shown]:
+            moved = f"servos {', '.join(there)}" if (there := read_controller_fmu(Path(path)).servos) else "no servos"
             raise RuntimeError(
-                f"is for {fmu.jets} jets {'with' if fmu.tilts else 'without'} tilt servos, which is not this vehicle"
+                f"is for {fmu.jets} jets and {moved}; {told['vehicle']['name']} has {len(told['vehicle']['jets'])} and "
+                + (f"servos {', '.join(told['servos'])}" if told["servos"] else "no servos")
             )
         instance = _Instance(fmu, folder, told)
         while len(frame := sys.stdin.buffer.read(asked.size)) == asked.size:
@@ -273,7 +295,8 @@ class _Instance:
         ground = [v for v in fmu.description.modelVariables if v.name == _ON_GROUND and v.causality == "parameter"]
         self._settings |= {v: float(told["on_ground"]) for v in ground}
         # by type, for one call each
-        self._told = _by_type(list(fmu.inputs), list(fmu.inputs.values()))
+        inputs = {name: v for name, v in fmu.inputs.items() if name in told["inputs"]}
+        self._told = _by_type(list(inputs), list(inputs.values()))
         answers = [*fmu.outputs.values(), *fmu.shown]
         self._asked = _by_type(list(range(len(answers))), answers)
         self._slave: Any = None

@@ -183,21 +183,19 @@ class ProcessBlock:
 
     def prepare(self, belief: Belief) -> None:
         """Start it and tell it what it may believe."""
-        jets, servo = len(belief.vehicle.jets), belief.vehicle.servo is not None
-        if self._level == "controller" and (belief.vehicle.hinges or belief.vehicle.surfaces):
-            raise InputError(
-                f"{belief.vehicle.name}: has hinges or surfaces, and a whole controller in a process or an FMU answers "
-                "with the tilts of two banks; write it as a class in a file, which is asked for one of each"
-            )
-        inputs, outputs = wire.input_names(self._level, jets), wire.output_names(self._level, jets, servo, self._extras)
+        vehicle, jets = belief.vehicle, len(belief.vehicle.jets)
+        moved = vehicle.actuators if vehicle.ranges else ()
+        self._jets, self._servos, self._ahead = jets, len(moved), vehicle.control.wing is not None
+        inputs = wire.input_names(self._level, jets, vehicle.actuators, self._ahead)
+        outputs = wire.output_names(self._level, jets, moved, self._extras)
         self._outputs = len(outputs)
-        self._jets, self._servo = jets, servo
         self._in, self._out = wire.frame(len(inputs)), wire.frame(len(outputs) + len(self.columns))
         told = {
             "protocol": wire.PROTOCOL,
             "version": wire.VERSION,
             "inputs": inputs,
             "outputs": [*outputs, *(column.name for column in self.columns)],
+            "servos": moved,
             "step_s": belief.step_s,
             "axis": belief.axis,
             "parameters": dict(belief.parameters),
@@ -230,7 +228,7 @@ class ProcessBlock:
     def update(self, *told: Any) -> Any:
         """One frame to it, one back.  Raises FlightError."""
         assert self._connection is not None
-        frame = self._in.pack(float(self._k), *wire.numbers(told, self._level))
+        frame = self._in.pack(float(self._k), *wire.numbers(told, self._level, self._ahead))
         answer = self._exchange(self._connection, frame, self._k)
         if len(self._asked) < MOST_FRAMES:
             self._asked.append(frame)
@@ -243,7 +241,7 @@ class ProcessBlock:
             return values[0]
         if self._level != "controller":
             return values
-        actuation, self.signals = wire.answer_whole(values, self._jets, self._servo, self._extras)
+        actuation, self.signals = wire.answer_whole(values, self._jets, self._servos, self._extras)
         return actuation
 
     def _exchange(self, connection: Connection, frame: bytes, k: int) -> bytes:

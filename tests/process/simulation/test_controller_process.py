@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from cosim.campaign.run import run_campaign
 from cosim.campaign.study.options import open_study
 from cosim.cli.main import main
 from cosim.engine.make.controller_fmu import read_controller_fmu
+from cosim.results.run import scenario_toml
 
 PAGE = ROOT / "docs" / "own-controller.md"
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.1}
@@ -169,6 +171,100 @@ def test_the_whole_cascade_in_a_process_leaves_the_log_of_ours(tmp_path: Path) -
     assert same(ours, theirs)
 
 
+# ---- hinges and surfaces
+
+QUADJET = Scenario.load("quadjet-hover").replace(duration_s=0.4, command=[DOUBLET], expect=[])
+OUTSIDE = """
+import json, struct, sys
+from math import nan
+from cosim.base.protocols import EngineState
+from cosim.base.signals import Command, Disturbance, EngineOutput, Measured
+from cosim.simulation.build import build
+from cosim.spec.scenario import Scenario
+
+read, write = sys.stdin.buffer, sys.stdout.buffer
+write.write(b'{"level": "controller", "extras": ["unallocated", "off", "shown"]}\\n')
+write.flush()
+line = read.readline()
+told = json.loads(line) if line else sys.exit()
+simulation = build(Scenario.load(FLOWN))
+cascade, jets = simulation.cascade, len(told["vehicle"]["jets"])
+asked, answer = struct.Struct(f"<{1 + len(told['inputs'])}d"), struct.Struct(f"<{1 + len(told['outputs'])}d")
+while len(frame := read.read(asked.size)) == asked.size:
+    k, *numbers = asked.unpack(frame)
+    at = dict(zip(told["inputs"], numbers, strict=True))
+    def some(text):
+        return tuple(at[name] for name in text.split())
+    def per_jet(name):
+        return tuple(at[f"{name}_{jet}"] for jet in range(1, jets + 1))
+    if k == 0:
+        cascade.reset(told["on_ground"], at["fuel_burnt"])
+    else:
+        assert tuple(at[f"tilt_{name}_applied"] for name in told["servos"]) == given.tilt
+        unknown = (nan,) * jets
+        reports = map(per_jet, ("spool_speed", "exhaust_temperature", "fuel_flow"))
+        cascade.watch(EngineOutput(unknown, *reports), at["fuel_burnt"])
+    command = Command(
+        some("roll_setpoint pitch_setpoint yaw_setpoint"), at["altitude_setpoint"],
+        ahead=at["ahead_setpoint"] if at.get("ahead_commanded") else None,
+    )
+    measured = Measured(
+        some("roll_rate pitch_rate yaw_rate"), some("attitude_w attitude_x attitude_y attitude_z"),
+        some("position_north position_east position_down"), some("velocity_north velocity_east velocity_down"),
+        at["altitude"], some("specific_force_x specific_force_y specific_force_z"),
+    )
+    given = cascade.update(command, measured, Disturbance(), EngineState.FLY)
+    s = cascade.signals
+    shown = (*s.rate_setpoint, *s.rate_predicted, *s.torque, s.collective, s.allocated)
+    off = [float(jet in given.off) for jet in range(jets)]
+    write.write(answer.pack(k, *given.throttle, *given.tilt, *given.unallocated, *off, *shown))
+    write.flush()
+"""
+AHEAD = {"kind": "step", "signal": "ahead_m_s", "start_s": 0.04, "amplitude": 20.0}
+
+
+@pytest.mark.parametrize(
+    "flown", [QUADJET, Scenario.load("jetwing-transition").replace(duration_s=0.2, command=[AHEAD], expect=[])]
+)
+def test_the_cascade_of_a_vehicle_with_hinges_and_a_wing_flies_from_a_process_as_inside(
+    flown: Scenario, tmp_path: Path
+) -> None:
+    script = tmp_path / "outside.py"
+    script.write_text(OUTSIDE.replace("FLOWN", repr(str(tmp_path / "flown.toml"))))
+    (tmp_path / "flown.toml").write_bytes(scenario_toml(flown))
+    ours = fly(flown)
+    theirs = fly(flown.replace(controller=f"process:{script}"))
+    assert (ours.outcome, theirs.outcome) == ("completed", "completed"), theirs.reason
+    # what the law for the wing shows, and the health of engines, are the built-in controller's alone
+    names = [name for name in ours.log.columns if name in theirs.log.columns and not name.startswith("health")]
+    assert {f"tilt_{hinge.name}_rad" for hinge in flown.resolved_vehicle()[0].hinges} <= set(names)
+    assert all(ours.log[name].tobytes() == theirs.log[name].tobytes() for name in names)
+
+
+def test_an_fmu_is_told_hinges_and_moves_them(tmp_path: Path) -> None:
+    ours = fly(QUADJET)
+    vehicle, _ = QUADJET.resolved_vehicle()
+    jets, hinges = len(vehicle.jets), [hinge.name for hinge in vehicle.hinges]
+    told = [f"throttle_{jet}" for jet in range(1, jets + 1)] + [f"tilt_{name}_command_rad" for name in hinges]
+    table = zip(*(ours.log[name].tolist() for name in told), strict=True)
+    (tmp_path / "table.h").write_text("".join(f"{{{', '.join(map(repr, row))}}},\n" for row in table))
+    # as others spell them, and not in the vehicle's order
+    spelt = ["Tilt" + name.title().replace("_", "") for name in hinges]
+    rows = [(f"{name}Applied", 1 + n, "input", 'start="0"') for n, name in enumerate(spelt)]
+    rows += [(name, 31 + jets + n, "output", "") for n, name in reversed(list(enumerate(spelt)))]
+    rows += [(f"throttle_{n}", 30 + n, "output", "") for n in range(1, jets + 1)]
+    path = by_hand(tmp_path, rows, f"-DANSWERS={len(told)}", f"-DJETS={jets}")
+    theirs = fly(QUADJET.replace(controller=str(path)))
+    assert theirs.outcome == "completed", theirs.reason
+    moved = [
+        name for name in ours.log.columns if name.startswith(("throttle", "tilt", "thrust", "position", "roll_rad"))
+    ]
+    assert all(ours.log[name].tobytes() == theirs.log[name].tobytes() for name in moved)
+    said = fly(Scenario.load("hover").replace(duration_s=0.02, expect=[], controller=str(path))).reason
+    assert f"is for {jets} jets and servos " in said
+    assert "; hexjet has 6 and servos left, right" in said
+
+
 WRONG = """
 import json, os, random, struct, sys, time
 print('{"level": "predictor"}', flush=True)
@@ -252,7 +348,7 @@ def test_what_is_no_controller_is_one_line(tmp_path: Path, text: str, message: s
 
 ROWS = [
     *[(name, 1 + n, "input", 'start="0"') for n, name in enumerate(wire.input_names("rate", 6)[:6])],
-    *[(name, 11 + n, "output", "") for n, name in enumerate(wire.output_names("rate", 6, True))],
+    *[(name, 11 + n, "output", "") for n, name in enumerate(wire.output_names("rate", 6, ()))],
     ("roll_integral", 14, "output", ""),
     ("share", 20, "parameter", 'start="1" min="0" max="10"'),
 ]
@@ -261,22 +357,25 @@ ROWS = [
 @pytest.fixture(scope="module")
 def fmu_c(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An FMU of FMI 2.0 that nobody's tool wrote."""
-    folder = tmp_path_factory.mktemp("fmu")
+    return by_hand(tmp_path_factory.mktemp("fmu"), ROWS)
+
+
+def by_hand(folder: Path, rows: Sequence[tuple[str, int, str, str]], *flags: str) -> Path:
     source = TOOLS / "foreign_controller.c"
     defined = set(re.findall(r"(fmi2\w+)\(", source.read_text()))
     needed = {each for each, _ in inspect.getmembers(FMU2Slave) if each.startswith("fmi2")}
     stubs = "\n".join(f"int {each}(void) {{ return 3; }}" for each in sorted(needed - defined))
     (folder / "all.c").write_text(f'#include "{source}"\n{stubs}\n')
     binary = folder / f"loop{fmpy.sharedLibraryExtension}"
-    flags = ["-shared", "-fPIC", "-O2", "-w", "-ffp-contract=off"]
+    flags = ("-shared", "-fPIC", "-O2", "-w", "-ffp-contract=off", f"-I{folder}", *flags)
     subprocess.run([shutil.which("cc") or "gcc", *flags, str(folder / "all.c"), "-o", str(binary)], check=True)
     fixed = ' variability="fixed"'
     made = "\n".join(
         f'<ScalarVariable name="{name}" valueReference="{place}" causality="{causality}"'
         f"{fixed if causality == 'parameter' else ''}><Real {more}/></ScalarVariable>"
-        for name, place, causality, more in ROWS
+        for name, place, causality, more in rows
     )
-    outputs = [k for k, row in enumerate(ROWS, start=1) if row[2] == "output"]
+    outputs = [k for k, row in enumerate(rows, start=1) if row[2] == "output"]
     unknown = "".join(f'<Unknown index="{k}"/>' for k in outputs)
     with zipfile.ZipFile(folder / "loop.fmu", "w") as archive:
         archive.writestr(
@@ -405,8 +504,8 @@ def test_the_page_has_every_name() -> None:
     page = PAGE.read_text(encoding="utf-8")
     table = page.partition("<!-- ports -->")[2]
     for level in ("predictor", "rate", "attitude"):
-        for name in (*wire.input_names(level, 6), *wire.output_names(level, 6, True)):
+        for name in (*wire.input_names(level, 6), *wire.output_names(level, 6, ())):
             assert f"`{name}`" in table
-    for name in wire.input_names("controller", 6):
+    for name in wire.input_names("controller", 6, ahead=True):
         stem = re.sub(r"_(\d|north|east|down|y|z)$", "", name)
         assert stem in table or stem.replace("_left", "") in table, name
