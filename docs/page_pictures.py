@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
+from cosim.bench.measures.browser import NAMES as BROWSERS
 from cosim.cli.main import main as hexjet
 from cosim.control.autopilot import requests as rq
 from cosim.groundstation.exchange import Exchange
@@ -30,7 +31,6 @@ from cosim.shelf.server import ShelfServer
 from cosim.spec.scenario import Scenario
 
 FOLDER = Path(__file__).parent / "pictures"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SOON = 60.0  # s for what takes one
 HIGH = 1600  # pixels of a picture, at most: what a page begins with

@@ -91,7 +91,12 @@ LENGTHY = {
         "test_the_runs",
         "test_the_pages_of_all",
     ),
-    "test_flight_page": ("test_a_phone", "test_all_strips_are_drawn", "test_the_last_samples"),
+    "test_flight_page": (
+        "test_a_phone",
+        "test_a_page_is_looked_at",
+        "test_all_strips_are_drawn",
+        "test_the_last_samples",
+    ),
     "test_site": ("test_the_site_is_built_without_a_warning",),
     "test_tutorial": ("test_the_tutorial_as_written",),
     "test_identify_log": ("test_two_real", "test_wrong_stamps", "test_an_engines_log", "test_forty_logs"),

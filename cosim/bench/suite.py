@@ -30,7 +30,7 @@ from cosim.bench.measures.growth import (
 )
 from cosim.bench.measures.others import Others, measure_others
 from cosim.bench.measures.own_blocks import OwnBlocks, measure_own_blocks
-from cosim.bench.measures.pages import Pages, measure_pages
+from cosim.bench.measures.pages import Pages, PagesPlan, measure_pages
 from cosim.bench.measures.process import (
     Memory,
     Startup,
@@ -54,8 +54,8 @@ class Plan:
     """What to measure, and how much of it.
 
     ``steps`` of a flight, ``rounds`` through the jobs, ``starts`` of processes; ``lengths_s`` of flights compared and
-    ``hover_s`` of those beside RotorPy; ``others_s`` of other flights; ``pages_s`` of those whose pages are written;
-    ``memory_minutes`` of the long flight.
+    ``hover_s`` of those beside RotorPy; ``others_s`` of other flights; ``pages`` that are written and
+    looked at; ``memory_minutes`` of the long flight.
 
     ``folder``: where flights are recorded; None is the system's place for temporary files.
     """
@@ -67,7 +67,7 @@ class Plan:
     lengths_s: tuple[int, ...] = (10, 60)
     hover_s: float = 1.0
     others_s: float = 6.0
-    pages_s: tuple[int, ...] = (20,)
+    pages: PagesPlan = field(default_factory=PagesPlan)
     memory_minutes: float = 5.0
     campaign: CampaignPlan = field(default_factory=CampaignPlan)
     folder: str | None = None
@@ -79,7 +79,7 @@ FULL = Plan(
     rounds=9,
     lengths_s=(10, 60, 600),
     hover_s=10.0,
-    pages_s=(20, 600),
+    pages=PagesPlan((20, 600), flights=1000, look_s=5.0),
     memory_minutes=60.0,
     campaign=CampaignPlan(rounds=7, flights=50, study=2000),
 )
@@ -184,7 +184,7 @@ def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], o
         ),
         ENGINES: (partial(measure_engine_counts, steps, rounds, folder), rounds),
         LOG: (partial(measure_log_rates, steps, rounds, folder), rounds),
-        PAGES: (partial(measure_pages, plan.pages_s, rounds, folder), rounds * len(plan.pages_s)),
+        PAGES: (partial(measure_pages, plan.pages, rounds, folder), rounds * len(plan.pages.seconds) + 1),
         START: (partial(measure_startup, plan.starts, folder), plan.starts + 1),
         MEMORY: (partial(measure_memory, plan.memory_minutes, plan.starts, folder), plan.starts),
         CAMPAIGN: (

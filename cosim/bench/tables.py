@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from cosim.bench.measures.blocks import Breakdown
+from cosim.bench.measures.browser import Frames, Seen
 from cosim.bench.measures.campaign import EARLY, PROCESSES, CampaignCost
 from cosim.bench.measures.growth import EngineCounts, Lengths, LogRates
 from cosim.bench.measures.others import Others
@@ -72,7 +73,7 @@ def tables(result: Result) -> dict[str, list[Table]]:
     if result.log:
         parts[LOG] = [_log(result.log)]
     if result.pages:
-        parts[PAGES] = [_pages(result.pages)]
+        parts[PAGES] = list(_pages(result.pages))
     if result.start:
         parts[START] = [_start(result.start)]
     if result.memory:
@@ -200,7 +201,7 @@ def _log(rates: LogRates) -> Table:
     return Table("whole step by what is recorded, 4 JSBSim runs in it", US, rows)
 
 
-def _pages(pages: Pages) -> Table:
+def _pages(pages: Pages) -> Iterator[Table]:
     rows = [
         (
             f"{seconds} s",
@@ -211,7 +212,39 @@ def _pages(pages: Pages) -> Table:
         for seconds, page in pages.by_length.items()
     ]
     columns = ("MB", "MB with shared assets", "MB of the log", "s to write it", "by the flight's own time")
-    return Table(f"the page of a flight ({pages.flight}) by the time that is flown", columns, rows)
+    yield Table(f"the page of a flight ({pages.flight}) by the time that is flown", columns, rows)
+    flights, title = pages.campaign.flights, "the page of a campaign"
+    yield Table(title, ("MB",), [(f"{flights} flights", f"{pages.campaign.mb:.2f}")])
+    title = "pages in a browser"
+    if pages.missing:
+        yield Table(title, ("",), [], [_missing(title, pages.missing)])
+        return
+    seen = {f"{seconds} s": page.seen for seconds, page in pages.by_length.items()}
+    seen[f"{flights} flights"] = pages.campaign.seen
+    looks = [(name, each) for name, each in seen.items() if each]
+    found: list[tuple[str, Callable[[Seen], Spread | None]]] = [
+        ("s until it is there", lambda each: each.open_s),
+        ("s of its thread until then", lambda each: each.open_cpu_s),
+    ]
+    for what, of in (("scrolled", lambda each: each.scrolled), ("replaying", lambda each: each.replayed)):
+        found += [
+            (f"{what}: frames a second", _frame(of, "rate")),
+            (f"{what}: % of them late", _frame(of, "late")),
+            (f"{what}: ms of its thread a frame", _frame(of, "page_ms")),
+            (f"{what}: ms of what draws a frame", _frame(of, "drawing_ms")),
+        ]
+    rows = [
+        (name, *("-" if (value := take(each)) is None else spread(value) for _, each in looks)) for name, take in found
+    ]
+    yield Table(title, tuple(name for name, _ in looks), rows, [f"{pages.browser}."])
+
+
+def _frame(of: Callable[[Seen], Frames | None], name: str) -> Callable[[Seen], Spread | None]:
+    def take(seen: Seen) -> Spread | None:
+        frames = of(seen)
+        return None if frames is None else getattr(frames, name)
+
+    return take
 
 
 def _start(startup: Startup) -> Table:

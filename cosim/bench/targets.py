@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from cosim.bench.measures.browser import Seen
 from cosim.bench.measures.own_blocks import CLASSES
 from cosim.bench.measures.speed import ENGINES, OUTSIDE, RECORDED
 from cosim.bench.suite import Result
@@ -19,6 +20,9 @@ ENGINE_UNITS = 1.5  # JSBSim runs: six engine FMUs, a control step
 CLASS_UNITS = 1.5  # JSBSim runs more: a controller from outside, as a class
 FIRST_STEP_S = 1.5
 PAGE_MB = {20: 1.5, 600: 12.0}  # by the seconds flown
+CAMPAIGN_PAGE_MB = 2.0
+OPEN_S = 1.0  # until a page is laid out and painted
+FRAMES_S = 59.0  # of the 60 that a screen shows; what is counted in a few seconds is a frame more or less
 STEP_GROWTH = 1.05  # the step of the longest flight by that of the shortest: what a quiet machine can tell from 1
 FLIGHT_GROWTH_MB = 2.0  # from the first quarter of a long flight to its end: blocks of the log come and go
 PEAK_MB = 300.0
@@ -83,7 +87,12 @@ def _processes(result: Result) -> Iterator[Judged]:
     if result.pages:
         for seconds, page in result.pages.by_length.items():
             if seconds in PAGE_MB:
-                yield Judged(f"the page of {seconds} s flown", Spread.of([page.whole_mb]), PAGE_MB[seconds], "MB")
+                name = f"the page of {seconds} s flown"
+                yield Judged(name, Spread.of([page.whole_mb]), PAGE_MB[seconds], "MB")
+                yield from _seen(name, page.seen)
+        campaign = result.pages.campaign
+        name = f"the page of a campaign of {campaign.flights} flights"
+        yield Judged(name, Spread.of([campaign.mb]), CAMPAIGN_PAGE_MB, "MB")
     if result.start:
         yield Judged("from command to first step", result.start.first_step_s, FIRST_STEP_S, "s")
     if result.memory:
@@ -93,6 +102,12 @@ def _processes(result: Result) -> Iterator[Judged]:
                 f"memory gained from a quarter to the end, {minutes}", result.memory.growth_mb, FLIGHT_GROWTH_MB, "MB"
             )
         yield Judged(f"memory at its peak, {minutes}", result.memory.peak_mb, PEAK_MB, "MB")
+
+
+def _seen(name: str, seen: Seen | None) -> Iterator[Judged]:
+    if seen:
+        yield Judged(f"{name}, until it is there", seen.open_s, OPEN_S, "s")
+        yield Judged(f"{name}, scrolled", seen.scrolled.rate, FRAMES_S, "frames a second", least=True)
 
 
 def _campaign(result: Result) -> Iterator[Judged]:

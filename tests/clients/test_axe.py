@@ -1,4 +1,7 @@
-"""Every page that is made here as axe judges it in a real browser: nothing serious and nothing critical, by day and night."""
+"""Every page that is made here as axe judges it in a real browser: nothing serious and nothing critical, by day and night.
+
+None asks anything of another machine, complains, or is wider than a phone.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +23,7 @@ from cosim.results.report.flight import write_report
 from cosim.results.run import begin_run
 
 WRONG = ("serious", "critical")
+PHONE = 390  # pixels
 
 
 @pytest.fixture(scope="module")
@@ -42,15 +46,22 @@ def pages() -> ModuleType:
 
 
 @contextmanager
-def opened(browser: Any, url: str, scheme: str) -> Iterator[Any]:
+def opened(browser: Any, url: str, scheme: str, width: int = 1200) -> Iterator[Any]:
+    """A page; whatever it asks of others or complains of is an error."""
     # the policy of a page that is served lets no script in but its own: not axe either
-    held = browser.new_context(viewport={"width": 1200, "height": 900}, color_scheme=scheme, bypass_csp=True)
+    held = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme, bypass_csp=True)
+    wrong: list[str] = []
+    own = ("file://", "data:", "blob:", "about:", "http://127.0.0.1:", "ws://127.0.0.1:")
     try:
         page = held.new_page()
+        page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("request", lambda asked: None if asked.url.startswith(own) else wrong.append(asked.url))
         page.goto(url)
         yield page
     finally:
         held.close()
+    assert wrong == []
 
 
 def complaints(page: Any, axe: str) -> list[str]:
@@ -124,3 +135,5 @@ def test_the_pages_of_all_commands(
         for scheme in ("light", "dark"):
             with opened(browser, path.as_uri(), scheme) as page:
                 assert complaints(page, axe) == [], f"{name}, {scheme}"
+        with opened(browser, path.as_uri(), "light", PHONE) as page:
+            assert page.evaluate("document.documentElement.scrollWidth") <= PHONE, name

@@ -35,8 +35,10 @@ from cosim.bench.measures import (
     speed,
 )
 from cosim.bench.measures.blocks import Block, Replay
+from cosim.bench.measures.browser import looking
 from cosim.bench.measures.campaign import CampaignPlan
 from cosim.bench.measures.long_flight import fly_long, resident_and_peak, resident_of
+from cosim.bench.measures.pages import PagesPlan
 from cosim.bench.page import (
     ABSENT,
     NAMES,
@@ -81,7 +83,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Result:
         lengths_s=(1, 2),
         hover_s=0.2,
         others_s=0.2,
-        pages_s=(1,),
+        pages=PagesPlan((1,), flights=2, look_s=0.2),
         memory_minutes=0.1,
         campaign=CampaignPlan(rounds=2, bare_s=0.02, flights=11, flight_s=0.1, study=24),
         folder=str(folder),
@@ -637,6 +639,17 @@ def test_a_part_that_fails_leaves_the_others(
     assert answer.return_value == 1
     assert "log not measured: the disk | is full" in answer.stdout
     assert "<!-- measured: log -->\nNot measured: the disk \\| is full\n<!-- end -->" in page.read_text()
+
+
+def test_without_a_browser_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("HEXJET_BROWSER", raising=False)
+    monkeypatch.setenv("PATH", "")
+    with looking() as look:
+        assert look == "no browser: install chromium, or name one in HEXJET_BROWSER"
+    monkeypatch.setenv("HEXJET_BROWSER", "/not/there")
+    with looking() as look:
+        assert isinstance(look, str)
+        assert look.startswith("/not/there: ")
 
 
 def test_an_unknown_part_is_refused() -> None:

@@ -70,7 +70,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/accuracy.md": ("marks", "test_accuracy.py"),
     "docs/api.md": ("marks", "test_docstrings.py"),
     "docs/autopilots.md": ("test_betaflight.py", "test_lockstep.py"),
-    "docs/benchmarks.md": ("marks", "test_bench.py"),
+    "docs/benchmarks.md": ("marks", "test_bench.py", "test_flight_page.py"),
     "docs/campaigns.md": ("test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py"),
     "docs/control-design.md": ("marks", "test_pages.py"),
     "docs/controller-export.md": ("test_codegen.py",),
@@ -78,7 +78,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/design.md": ("test_pages.py", "test_sensors.py", "test_trips.py"),
     "docs/engine-check.md": ("test_pages.py",),
     "docs/engine-kinds.md": ("marks", "test_engine_foreign.py"),
-    "docs/flight-page.md": ("marks", "test_flight_page.py"),
+    "docs/flight-page.md": ("test_flight_page.py",),
     "docs/failsafes.md": (
         "marks",
         "test_engine_out.py",

@@ -11,14 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from places import DESIGNS, DOCS, ROOT, TESTS
+from places import DOCS, ROOT, TESTS
 from stated_figures import stated
 
 from cosim import Scenario, fly, open_run
 from cosim.campaign import open_campaign
 from cosim.campaign.run import fly_again
+from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study
-from cosim.design.controller_file import read_controller
+from cosim.campaign.workers.flight_row import fly_one
+from cosim.design.controller_file import read_controller, with_controller
 from cosim.results.report.flight import write_report
 
 yaml = pytest.importorskip("yaml", reason="no PyYAML, with which these files are read")
@@ -149,6 +151,15 @@ def test_an_older_campaign_opens_and_flies(folder: Path) -> None:
     assert fly_again(campaign, 0).run.outcome == "completed"
 
 
-@pytest.mark.parametrize("path", sorted(DESIGNS.glob("*.toml"))[:2], ids=lambda path: path.stem)
-def test_an_older_design_is_read(path: Path) -> None:
-    assert read_controller(path).design.axes
+@pytest.mark.parametrize("folder", OLDER, ids=lambda path: path.name)
+def test_an_older_study_is_flown(folder: Path) -> None:
+    study = Study.load(folder / "campaign" / "study.toml")
+    assert fly_one(study, next(iter(flights(study))))["outcome"] == "completed"
+
+
+@pytest.mark.parametrize("folder", OLDER, ids=lambda path: path.name)
+def test_an_older_design_flies(folder: Path) -> None:
+    path = folder / "design.toml"
+    run = fly(with_controller("hover", path, ["duration_s=0.4", "expect=[]"]))
+    assert run.outcome == "completed"
+    assert run.summary.controller == read_controller(path).controller

@@ -168,7 +168,7 @@
     }
   };
 
-  const TRACK = 20000; // points of a track, at most
+  const TRACK = 6000; // points of a track, at most
   const AXES = ["north_m", "east_m", "down_m"];
   const scene = (flown) => {
     const tracks = flown.map((flight) => {

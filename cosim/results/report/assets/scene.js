@@ -15,7 +15,13 @@
   // Gives {show, views, put, moved}: draw, next camera, put a vehicle to its moment, tell that a track has grown.
   const make = ({ stage, flown, moment, element, style, drawn = () => {}, high = (width) => Math.max(220, Math.min(460, 0.56 * width)) }) => {
     const read = element("div", { class: "readout" });
-    const renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
+    // where the processor draws, a picture that moves is coarser, without smooth edges: that is more than half of its cost
+    const probe = document.createElement("canvas").getContext("webgl2");
+    const naming = probe && probe.getExtension("WEBGL_debug_renderer_info");
+    const slow = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(naming ? probe.getParameter(naming.UNMASKED_RENDERER_WEBGL) : "");
+    const losing = probe && probe.getExtension("WEBGL_lose_context");
+    if (losing) losing.loseContext();
+    const renderer = new THREE.WebGLRenderer({ antialias: !slow, alpha: true });
     const canvas = renderer.domElement;
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", "the vehicle in three dimensions; drag to turn, wheel to come nearer");
@@ -240,9 +246,14 @@
       return `${vehicles.length > 1 ? `${flight.label}: ` : ""}${is(value("altitude_m"), 2, "m high")}, ${is(speed, 2, "m/s")}, roll ${deg(value("roll_rad"))}, pitch ${deg(value("pitch_rad"))}, yaw ${deg(value("yaw_rad"))}, thrust ${is(thrust, 1, "N")}, wind ${is(wind, 1, "m/s")}`;
     });
 
-    let asked = false;
+    const moving = Math.min(slow ? 2 / 3 : 2, devicePixelRatio), fine = slow ? 1.5 : moving;
+    const draw = (ratio) => {
+      if (renderer.getPixelRatio() !== ratio) renderer.setPixelRatio(ratio);
+      renderer.render(root, camera);
+    };
+    let asked = false, stands = 0, seen = true, compiled = false;
     const show = () => {
-      if (asked) return;
+      if (asked || !compiled || !seen) return;
       asked = true;
       requestAnimationFrame(() => {
         asked = false;
@@ -256,7 +267,9 @@
           camera.lookAt(controls.target);
         }
         last.copy(at);
-        renderer.render(root, camera);
+        draw(moving);
+        clearTimeout(stands);
+        if (slow) stands = setTimeout(() => requestAnimationFrame(() => { if (seen) draw(fine); }), 250);
         read.replaceChildren(...words().map((text, n) => {
           const line = element("div", {}, text);
           if (vehicles.length > 1) line.style.color = vehicles[n].flight.colour; // as an attribute the live page's policy forbids it
@@ -268,7 +281,6 @@
     const fit = () => {
       const width = stage.clientWidth, height = high(width);
       if (!width || !height) return; // it is not seen
-      renderer.setPixelRatio(Math.min(2, devicePixelRatio));
       renderer.setSize(width, height);
       camera.aspect = width / height;
       camera.updateProjectionMatrix();
@@ -279,8 +291,13 @@
     last.copy(inWorld(...vehicles[0].real.body.position.toArray()));
     controls.addEventListener("change", show);
     new ResizeObserver(fit).observe(stage);
+    // out of sight it is not drawn; it comes back, also on paper, as it is then
+    addEventListener("beforeprint", () => { if (compiled) { vehicles.forEach(put); draw(fine); } });
+    new IntersectionObserver((entries) => { seen = entries[entries.length - 1].isIntersecting; show(); }, { rootMargin: "100px" }).observe(stage);
     fit();
     look();
+    const begin = () => { compiled = true; show(); };
+    renderer.compileAsync(root, camera).then(begin, begin); // beside what the page does
     return {
       show,
       views,
