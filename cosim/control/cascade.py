@@ -180,8 +180,12 @@ class Cascade:
                 return self._ahead(self._wing, self._winged, measured, injected, rate_setpoint, torque, collective)
         given = self.allocator.allocate(collective, self._injected(torque, injected), injected.torque_command)
         self._unallocated = given.unallocated
+        return self._given(given, rate_setpoint, torque, collective)
+
+    def _given(self, given: Actuation, rate_setpoint: Vector3, torque: Vector3, collective: float) -> Actuation:
+        """What allocation gave for the loops, shown and as throttles."""
         share = collective - given.unallocated.collective
-        predicted = self.rate.predicted if own_rate is None else own_rate.predicted
+        predicted = self.rate.predicted if self.own_rate is None else self.own_rate.predicted
         self.signals = ControlSignals(rate_setpoint, predicted, torque, collective, share)
         return self._actuated(given, share)
 
@@ -211,10 +215,7 @@ class Cascade:
         asked = (roll + a, pitch + b, yaw + c)
         given, missing = allocator.ahead(wanted.ahead, wanted.lift, wanted.pitch, asked, wing.tilts)
         self._unallocated = wing.refused(missing, given.unallocated)
-        share = collective - given.unallocated.collective
-        predicted = self.rate.predicted if self.own_rate is None else self.own_rate.predicted
-        self.signals = ControlSignals(rate_setpoint, predicted, torque, collective, share)
-        return self._actuated(given, share)
+        return self._given(given, rate_setpoint, torque, collective)
 
     def _caught(
         self,

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import pairwise
 from math import hypot, inf, radians
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from cosim.base.constants import GRAVITY, SERVOS
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import from_euler, rotate
 from cosim.base.protocols import Allocator, Predictor, Sensors
 from cosim.base.signals import AXES
+from cosim.base.storage.cache import Memory
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.effectiveness import EffectivenessAllocator, Mover
 from cosim.control.allocation.engine_monitor import EngineMonitor
@@ -64,6 +65,7 @@ from cosim.spec.scenario import Environment, Scenario, Station, TorqueCommandDis
 from cosim.spec.vehicle import EngineLead, RateModel, Vehicle, aircraft_seen_from, file_seen_from, is_file
 from cosim.vehicle.airframe import Airframe, standing_height, start_height
 from cosim.vehicle.atmosphere import standard_air
+from cosim.vehicle.jsbsim_model import read_model
 from cosim.vehicle.parts.banks import Banks
 from cosim.vehicle.parts.ground_effect import GroundJets
 from cosim.vehicle.parts.hinges import HingeReactions
@@ -77,6 +79,8 @@ from cosim.vehicle.sensors import FaultySensors, SensorSuite
 # How finely the corridor of a wing is asked of its model, and at which speed: as surfaces are; chosen by us
 WING_ROWS = 16
 WING_AT_M_S = 20.0
+_models: Memory[Any] = Memory(32)  # what those of vehicles say of their surfaces and wings
+T = TypeVar("T")
 
 
 def build(scenario: Scenario, own: Source | None = None) -> Simulation:
@@ -144,6 +148,11 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
         sensors = FaultySensors(suite if brought.sensors is None else brought.sensors(suite))
         height = start_height(flown, initial)
         commander = Commander(scenario, height)
+        if "ahead_m_s" in commander.signals and vehicle.control.wing is None:
+            raise InputError(
+                f"scenario {scenario.name}: command: 'ahead_m_s': {vehicle.name} has no [control.wing] to fly ahead "
+                "with; take a velocity"
+            )
         simulation = Simulation(
             scenario,
             vehicle,
@@ -513,41 +522,39 @@ def _by_effectiveness(
 
 def _surface_effects(scenario: Scenario, vehicle: Vehicle) -> list[tuple[float, ...]]:
     """What each surface of the vehicle's own JSBSim model does per unit and Pa, as the model says."""
-    if not vehicle.surfaces:
-        return []
-    _, folder = scenario.resolved_vehicle()
-    frame = Airframe(vehicle, folder, Environment(), scenario.step_s, 1, 0)
-    try:
-        return frame.surface_effects()
-    finally:
-        frame.close()
+    return _asked("surfaces", scenario, vehicle, Airframe.surface_effects) if vehicle.surfaces else []
 
 
 def _wing(scenario: Scenario, vehicle: Vehicle) -> WingFlight | None:
     """Flight ahead on the wing of the vehicle's own JSBSim model, where the vehicle states how."""
     settings = vehicle.control.wing
     if settings is None:
-        for index, entry in enumerate(scenario.command):
-            if getattr(entry, "signal", None) == "ahead_m_s":
-                raise InputError(
-                    f"scenario {scenario.name}: command.{index}.signal = 'ahead_m_s': {vehicle.name} has no "
-                    "[control.wing] to fly ahead with; take a velocity"
-                )
         return None
-    _, folder = scenario.resolved_vehicle()
-    frame = Airframe(vehicle, folder, Environment(), scenario.step_s, 1, 0)
-    try:
-        least, most = settings.alpha_rad
-        alphas = [least + (most - least) * row / WING_ROWS for row in range(WING_ROWS + 1)]
-        lift, drag, moment = frame.wing_effects(alphas, WING_AT_M_S)
-    finally:
-        frame.close()
+    least, most = settings.alpha_rad
+    alphas = [least + (most - least) * row / WING_ROWS for row in range(WING_ROWS + 1)]
+    lift, drag, moment = _asked("wing", scenario, vehicle, lambda frame: frame.wing_effects(alphas, WING_AT_M_S))
     names = [hinge.name for hinge in vehicle.hinges]
     tilts = [names.index(name) for name in settings.tilts]
     table = WingTable(tuple(alphas), tuple(lift), tuple(drag), tuple(moment))
     control = vehicle.control
     late = 1.0 / control.attitude.gain_1_s[1] + 1.0 / control.rate.pitch.p  # s: attitude, and rates below it
     return WingFlight(settings, table, tilts, vehicle.mass_kg, scenario.step_s, late)
+
+
+def _asked(what: str, scenario: Scenario, vehicle: Vehicle, ask: Callable[[Airframe], T]) -> T:
+    """What the vehicle's own JSBSim model says of surfaces, or of a wing, once for a vehicle and a model."""
+    _, folder = scenario.resolved_vehicle()
+    model = None if vehicle.model is None else read_model(folder / vehicle.model)
+
+    def make() -> T:
+        frame = Airframe(vehicle, folder, Environment(), scenario.step_s, 1, 0)
+        try:
+            return ask(frame)
+        finally:
+            frame.close()
+
+    answer: T = _models.get((what, model, vehicle.model_dump_json(), scenario.step_s), make)
+    return answer
 
 
 def _thrust_at(curve: StaticCurve, throttle: float) -> float:

@@ -8,7 +8,7 @@ from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import InputError, nearest
+from cosim.base.errors import InputError, nearest, similar
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import parse_setting, read_toml, validate
 from cosim.campaign.study.distributions import parse_vary
@@ -77,10 +77,8 @@ def _opened(name: str | Path) -> tuple[dict[str, Any], Path, str]:
         elif str(name) in scenario_names():
             return {"name": str(name), "scenario": str(name)}, Path(), f"scenario {name}"
         else:
-            names = [*study_names(), *scenario_names()]
-            raise InputError(
-                f"unknown study or scenario {str(name)!r}; {nearest(str(name), names)}, or the path of a .toml file"
-            )
+            known = similar(str(name), [*study_names(), *scenario_names()])
+            raise InputError(f"unknown study or scenario {str(name)!r}; {known}, or give the path of a .toml file")
     if not path.is_file():
         raise InputError(f"{path}: no such study or scenario file")
     table = read_toml(path)

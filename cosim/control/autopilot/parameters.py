@@ -12,6 +12,7 @@ from math import degrees, isfinite
 from typing import Literal, NamedTuple
 
 from cosim.base.errors import InputError
+from cosim.base.layout import UP
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS, number_of
 from cosim.spec.vehicle import Control, Jet, PilotSettings, PositionGains, PredictorTuning
@@ -258,7 +259,10 @@ def _of_px4() -> Iterator[Parameter]:
 
 
 def _geometry(jets: Sequence[Jet]) -> Iterator[Parameter]:
-    """Where the engines are, as PX4's allocation states it: FRD from the centre of gravity; none beyond its twelve."""
+    """Where the engines are, as PX4's allocation states it: FRD from the centre of gravity; none beyond its twelve.
+
+    The direction of a thrust is told where it is not straight up, which is what PX4 takes it to be.
+    """
 
     def line(name: str, kind: Literal["float", "int"], value: float, unit: str, text: str) -> Parameter:
         return Parameter(name, kind, value, value, value, unit, "Geometry", text, read_only=True, decimals=4)
@@ -269,5 +273,10 @@ def _geometry(jets: Sequence[Jet]) -> Iterator[Parameter]:
         name = f"CA_ROTOR{number}"
         for letter, place in zip("XYZ", jet.position_m, strict=True):
             yield line(f"{name}_P{letter}", "float", place, "m", f"engine {number + 1}: place along {letter.lower()}")
+        if jet.axis is not None and jet.axis != UP:
+            for letter, part in zip("XYZ", jet.axis, strict=True):
+                yield line(
+                    f"{name}_A{letter}", "float", part, "", f"engine {number + 1}: thrust along {letter.lower()}"
+                )
         text = f"engine {number + 1}: yaw moment per thrust, positive turns the nose right"
         yield line(f"{name}_KM", "float", jet.reaction_m, "m", text)

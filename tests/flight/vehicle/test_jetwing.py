@@ -228,7 +228,24 @@ def test_turbulence_may_meet_a_flight_that_is_under_way() -> None:
     assert np.abs(log["wind_down_m_s"]).max() > 0.0
 
 
-def test_a_vehicle_without_a_wing_says_so() -> None:
-    command = [{"kind": "step", "signal": "ahead_m_s", "start_s": 0.0, "amplitude": 5.0}]
-    with pytest.raises(InputError, match=r"trijet has no \[control.wing\] to fly ahead with"):
-        build(Scenario.load("trijet-hover").replace(command=command))
+def test_a_vehicle_without_a_wing_says_so(tmp_path: Path) -> None:
+    (tmp_path / "ahead.csv").write_text("time_s,ahead_m_s\n0.0,0.0\n1.0,5.0\n")
+    stated = {"kind": "step", "signal": "ahead_m_s", "start_s": 0.0, "amplitude": 5.0}
+    for command in (stated, {"kind": "table", "file": str(tmp_path / "ahead.csv"), "start_s": 0.0}):
+        with pytest.raises(InputError, match=r"'ahead_m_s': trijet has no \[control.wing\] to fly ahead with"):
+            build(Scenario.load("trijet-hover").replace(command=[command]))
+
+
+def test_its_model_is_asked_of_wing_and_surfaces_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    first = build(Scenario.load("jetwing-hover"))
+    first.close()
+    for name in ("wing_effects", "surface_effects"):
+        monkeypatch.setattr(Airframe, name, lambda *_: pytest.fail("asked again"))
+    again = build(Scenario.load("jetwing-cruise"))
+    assert first.cascade._wing is not None
+    assert again.cascade._wing is not None
+    assert again.cascade._wing._table == first.cascade._wing._table
+    again.close()
+    lighter = Scenario.load("jetwing-hover").replace(vehicle={"mass_kg": 4.4})
+    with pytest.raises(pytest.fail.Exception, match="asked again"):
+        build(lighter)

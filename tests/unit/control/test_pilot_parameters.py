@@ -92,6 +92,13 @@ def test_a_ground_station_may_read_where_the_engines_are() -> None:
     for number, jet in enumerate(vehicle.jets):
         assert tuple(values[f"CA_ROTOR{number}_P{letter}"] for letter in "XYZ") == jet.position_m
         assert values[f"CA_ROTOR{number}_KM"] == jet.reaction_m
+    assert not [name for name in values if name[:-1].endswith("_A")]  # straight up, as PX4 takes it to be
+    canted = [
+        jet.model_copy(update={"axis": (0.0, 0.6, -0.8)}) if n == 1 else jet for n, jet in enumerate(vehicle.jets)
+    ]
+    values = Parameters(table(vehicle.control, settings, "smith", 0.0, "", canted)).values
+    told = {name: value for name, value in values.items() if name[:-1].endswith("_A")}
+    assert told == {"CA_ROTOR1_AX": 0.0, "CA_ROTOR1_AY": 0.6, "CA_ROTOR1_AZ": -0.8}
     with pytest.raises(InputError, match=r"CA_ROTOR1_PX = 0\.3: cannot be changed, it is -0\.08"):
         shown.set("CA_ROTOR1_PX", 0.3)
 
