@@ -26,6 +26,7 @@ _LAW: dict[str, Any] = {
     "inertia_kg_m2": _MASS + 2 * _LENGTH,
     "jets": {"position_m": _LENGTH, "reaction_m": _LENGTH, "airflow": _AIR},
     "fuel": {"mass_kg": _MASS, "position_m": _LENGTH},
+    "panels": {"corners_m": _LENGTH},
     "contacts": {
         "position_m": _LENGTH,
         "spring_n_m": _MASS - 2 * _TIME,

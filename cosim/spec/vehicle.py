@@ -167,6 +167,22 @@ class Surface(Model):
         return self
 
 
+class Panel(Model):
+    """A flat part that is drawn and does nothing else: of a wing, a tail, a surface.
+
+    What a named surface moves turns right-handed about the edge from the first corner to the second.
+    """
+
+    corners_m: Annotated[list[Vector], Field(min_length=3, max_length=12)]  # body, one after the other around it
+    surface: str | None = None  # that turns it
+    turn_rad: Annotated[float, Field(ge=-3.2, le=3.2)] = 0.0  # where the surface's property is 1
+
+    @model_serializer(mode="wrap")
+    def _without_a_surface(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        return {key: value for key, value in stated.items() if key == "corners_m" or self.surface is not None}
+
+
 class Fuel(Model):
     """What is in the tank at the start: a part of ``Vehicle.mass_kg``, all of it at one place."""
 
@@ -590,6 +606,7 @@ class Vehicle(Model):
     jets: Annotated[list[Jet], Field(min_length=1, max_length=MOST_JETS)]
     hinges: Annotated[list[Hinge], Field(max_length=MOST_JETS)] = Field(default_factory=list)  # from the body outwards
     surfaces: Annotated[list[Surface], Field(max_length=MOST_JETS)] = Field(default_factory=list)
+    panels: Annotated[list[Panel], Field(max_length=100)] = Field(default_factory=list)  # drawn; they carry no force
     contacts: Annotated[list[Contact], Field(min_length=1)]
     servo: Servo | None = None
     fuel: Fuel | None = None
@@ -616,6 +633,13 @@ class Vehicle(Model):
             for jet in (*hinge.carries, *hinge.deflects):
                 if jet > len(self.jets):
                     raise ValueError(f"hinges.{number}: jet {jet}: there are jets 1 to {len(self.jets)}")
+        known = [surface.name for surface in self.surfaces]
+        for number, panel in enumerate(self.panels):
+            if panel.surface is not None and panel.surface not in known:
+                there = f"there are: {', '.join(known)}" if known else "there are none"
+                raise ValueError(f"panels.{number}.surface: no surface is called {panel.surface!r}; {there}")
+            if panel.turn_rad and panel.surface is None:
+                raise ValueError(f"panels.{number}.turn_rad {panel.turn_rad:g}: no surface is named that turns it")
         if self.surfaces and self.model is None:
             raise ValueError("surfaces: are moved in the vehicle's own JSBSim model, and model names none")
         if self.servo is None:
@@ -735,7 +759,7 @@ class Vehicle(Model):
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         stated: dict[str, Any] = handler(self)
-        for key in ("hinges", "surfaces"):
+        for key in ("hinges", "surfaces", "panels"):
             if not stated.get(key, True):
                 del stated[key]
         if not any(self.products_kg_m2):
@@ -980,6 +1004,11 @@ def _stated(path: Path) -> dict[str, Any]:
     if "scaled" in base:
         raise InputError(f"{where}.base: {law.base} is a scaled copy itself; name the aircraft that it is made from")
     original = validate(Vehicle, base, str(folder / VEHICLE)).model_dump(mode="json", exclude_none=True)
+    if any(key in original for key in ("hinges", "surfaces")) or "model" not in original:
+        raise InputError(
+            f"{where}.base: {law.base} is not of banks or rotors in a model of its own, which is what the law scales; "
+            f"hexjet aircraft new NAME --from {law.base} copies it as it is"
+        )
     near = path.parents[1] == data_folder("aircraft")
     model = f"../{law.base}/{original['model']}" if near else str(folder / original["model"])
     shared = {"model": model, "engine": None}

@@ -207,7 +207,8 @@ def shape(vehicle: Vehicle) -> dict[str, Any]:
     """What is drawn of a vehicle, m and rad in the body frame: from ``vehicle.toml``.
 
     A jet has its place and its thrust's direction, both with all hinges at zero, and what turns it from the body
-    outwards: the column of the angle, a point of the axis, the axis, and whether it turns the thrust alone.
+    outwards: the column of the angle, a point of the axis, the axis, and whether it turns the thrust alone.  A panel
+    turns about its first edge by ``turn`` times its column.
     """
     layout = vehicle.layout()
     angles = [f"tilt_{name}_rad" for name in vehicle.actuators[: len(layout.turns)]]
@@ -234,13 +235,21 @@ def shape(vehicle: Vehicle) -> dict[str, Any]:
         "mass": vehicle.mass_kg,
         "jets": jets,
         "contacts": [{"kind": contact.kind, "position": contact.position_m} for contact in vehicle.contacts],
+        "panels": [
+            {
+                "corners": panel.corners_m,
+                "column": None if panel.surface is None else f"deflection_{panel.surface}",
+                "turn": panel.turn_rad,
+            }
+            for panel in vehicle.panels
+        ],
     }
 
 
 def _places(jets_m: Sequence[Sequence[float]]) -> dict[str, Any]:
     """A vehicle of which no more is known than where its jets are."""
     jets = [{"position": list(place), "axis": UP, "turns": []} for place in jets_m]
-    return {"name": "", "title": "", "mass": None, "jets": jets, "contacts": []}
+    return {"name": "", "title": "", "mass": None, "jets": jets, "contacts": [], "panels": []}
 
 
 def _saturated(log: Log, reach: Reach | None, step_s: float) -> list[tuple[float, float | None]]:

@@ -6,7 +6,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from math import hypot
 
-from cosim.base.frames import jet_axis
 from cosim.base.signals import Vector3
 from cosim.results.report.svg import begun, ended, text
 from cosim.spec.vehicle import Vehicle
@@ -23,12 +22,14 @@ STYLE = (
     " .leg { stroke: #888; stroke-width: 2; fill: none; } .hull { fill: #888; } .jet { fill: #fff; stroke: #1f4e79;"
     " stroke-width: 1.6; } .thrust { stroke: #c0392b; stroke-width: 1.6; marker-end: url(#tip); }"
     " .reach { stroke: #c0392b; stroke-width: 0.8; stroke-dasharray: 3 3; } .body { fill: #1f4e79; fill-opacity: 0.08;"
-    " stroke: #1f4e79; stroke-opacity: 0.4; } .cg { stroke: #000; stroke-width: 1.2; } .frame { fill: #fff; }"
+    " stroke: #1f4e79; stroke-opacity: 0.4; }"
+    " .panel { fill: #1f4e79; fill-opacity: 0.18; stroke: #1f4e79; stroke-width: 0.8; }"
+    " .cg { stroke: #000; stroke-width: 1.2; } .frame { fill: #fff; }"
 )
 
 
 def three_views(vehicle: Vehicle) -> str:
-    """The drawing: jets with their numbers, thrust and reach of their tilt, legs, hull, centre of gravity, a scale.
+    """The drawing: jets with their numbers, thrust and reach of tilts, panels, legs, hull, centre of gravity, a scale.
 
     Parameters
     ----------
@@ -94,16 +95,25 @@ class _View:
         x, y = self.at(place)
         ET.SubElement(self.root, "circle", {"class": kind, "cx": f"{x:g}", "cy": f"{y:g}", "r": f"{radius:g}"})
 
+    def polygon(self, kind: str, corners: Sequence[tuple[float, float]]) -> None:
+        """Around places in the drawing."""
+        points = " ".join(f"{x:g},{y:g}" for x, y in corners)
+        ET.SubElement(self.root, "polygon", {"class": kind, "points": points})
+
 
 def places(vehicle: Vehicle) -> list[Vector3]:
-    """Where its jets and contacts are [m, body]."""
+    """Where its jets, contacts and panels are [m, body]."""
+    return [*_carrying(vehicle), *(corner for panel in vehicle.panels for corner in panel.corners_m)]
+
+
+def _carrying(vehicle: Vehicle) -> list[Vector3]:
     return [*(jet.position_m for jet in vehicle.jets), *(contact.position_m for contact in vehicle.contacts)]
 
 
 def _one(view: _View, vehicle: Vehicle, reach: float) -> None:
-    corners = _hull([view.at(place) for place in places(vehicle)])
-    points = " ".join(f"{x:g},{y:g}" for x, y in corners)
-    ET.SubElement(view.root, "polygon", {"class": "body", "points": points})
+    view.polygon("body", _hull([view.at(place) for place in _carrying(vehicle)]))
+    for panel in vehicle.panels:
+        view.polygon("panel", [view.at(corner) for corner in panel.corners_m])
     for contact in vehicle.contacts:
         x, y, z = contact.position_m
         if contact.kind == "leg":
@@ -111,19 +121,20 @@ def _one(view: _View, vehicle: Vehicle, reach: float) -> None:
         view.circle("hull", contact.position_m, 2.5 if contact.kind == "leg" else 1.5)
     # a jet in front hides the one behind it, so the names of both are written in one place
     named: dict[tuple[float, float], list[str]] = {}
-    for number, jet in enumerate(vehicle.jets, 1):
-        tilts = (
-            [0.0]
-            if vehicle.servo is None or jet.servo is None
-            else [-vehicle.servo.range_rad, 0.0, vehicle.servo.range_rad]
-        )
-        for tilt in tilts:
-            end = _along(jet.position_m, jet_axis(tilt), 0.45 * reach)
-            start, seen = view.at(jet.position_m), view.at(end)
-            if hypot(seen[0] - start[0], seen[1] - start[1]) > 3.0:
-                view.line("reach" if tilt else "thrust", jet.position_m, end)
-        view.circle("jet", jet.position_m, 9.0)
-        named.setdefault(view.at(jet.position_m), []).append(str(number))
+    layout, rest = vehicle.layout(), list(vehicle.rest)
+    for jet in range(len(vehicle.jets)):
+        ways = [("thrust", rest)]
+        for number, _ in layout.chains[jet]:
+            ways += [("reach", [*rest[:number], end, *rest[number + 1 :]]) for end in vehicle.turns[number]]
+        for kind, angles in ways:
+            start, axis = layout.standing(angles)[jet], layout.axes(angles)[layout.groups[jet]]
+            end = _along(start, axis, 0.45 * reach)
+            (a, b), (c, d) = view.at(start), view.at(end)
+            if hypot(c - a, d - b) > 3.0:
+                view.line(kind, start, end)
+        place = layout.standing(rest)[jet]
+        view.circle("jet", place, 9.0)
+        named.setdefault(view.at(place), []).append(str(jet + 1))
     for (x, y), numbers in named.items():
         text(view.root, x, y + (4 if len(numbers) == 1 else 22), ", ".join(numbers), "name", "middle")
     x, y = view.at((0.0, 0.0, 0.0))

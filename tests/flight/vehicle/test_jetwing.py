@@ -51,6 +51,44 @@ def test_the_model_is_what_its_program_writes() -> None:
     assert made.coefficients(radians(90.0))[0] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_what_is_drawn_of_it_is_the_geometry_of_its_program() -> None:
+    made, panels = generator(), VEHICLE.panels
+    size = {"wing": 0.0, "tail": 0.0, "fin": 0.0, "aileron": 0.0, "elevator": 0.0, "rudder": 0.0}
+    for panel in panels:
+        a, b, c, d = (np.array(corner) for corner in panel.corners_m)
+        along, across = np.cross(c - a, d - b)[[2, 1]] / 2.0  # areas as seen from above, and from the side
+        kind = "fin" if not any(corner[1] for corner in panel.corners_m) else "tail" if a[0] < -0.3 else "wing"
+        size[kind] += abs(across if kind == "fin" else along)
+        if panel.surface is not None:
+            size[panel.surface] += abs(across if kind == "fin" else along)
+    assert size["wing"] == pytest.approx(made.AREA, rel=1e-3)
+    assert (size["tail"], size["fin"]) == pytest.approx((made.TAIL_AREA, made.FIN_AREA), rel=2e-3)
+    outboard = made.AILERON_TO - made.AILERON_FROM
+    assert size["aileron"] == pytest.approx(made.AREA * made.AILERON * outboard, rel=3e-3)
+    assert size["elevator"] == pytest.approx(made.TAIL_AREA * made.ELEVATOR, rel=3e-3)
+    assert size["rudder"] == pytest.approx(made.FIN_AREA * made.RUDDER, rel=3e-3)
+
+
+def test_its_surfaces_are_drawn_to_the_side_that_they_push_from() -> None:
+    """Deflected to 1 a trailing edge goes down where that lifts: elevator, left aileron; the rudder's to the left."""
+    down = {}
+    for panel in VEHICLE.panels:
+        if panel.surface is None:
+            continue
+        first, second, third, _ = (np.array(corner) for corner in panel.corners_m)
+        edge = (second - first) / np.linalg.norm(second - first)
+        moved = panel.turn_rad * np.cross(edge, third - second)  # of a small turn
+        down[panel.surface, bool(first[1] > 0.0)] = (np.sign(round(moved[1], 4)), np.sign(round(moved[2], 4)))
+    assert down["elevator", False][1] == 1.0
+    assert down["aileron", True][1] == -1.0  # it rolls to the right
+    assert down["aileron", False][1] == 1.0
+    assert down["rudder", False][0] == -1.0
+    derivatives = generator().DERIVATIVES
+    assert derivatives["elevator, moment"] < 0.0 < derivatives["elevator, lift"]
+    assert derivatives["aileron, roll"] > 0.0
+    assert derivatives["rudder, yaw"] < 0.0 < derivatives["rudder, side"]
+
+
 def test_the_sums_of_its_readme() -> None:
     assert VEHICLE.mass_kg == pytest.approx(4 * 24.0 / GRAVITY * 5.525 / 12.0, abs=0.005)
     rest, up = VEHICLE.mass_kg - 1.4, 1.4 * 0.12 / (VEHICLE.mass_kg - 1.4)

@@ -8,9 +8,10 @@ import itertools
 import json
 import re
 import sys
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from html.parser import HTMLParser
-from math import nan
+from math import atan2, cos, nan, sin
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +44,10 @@ from cosim.results.report.flight_figures import (
     thinned,
 )
 from cosim.results.report.page import ASSETS, SCRIPTS, STYLES, THREE, deflated, figure_json
-from cosim.results.report.signals_data import Packed, packed, run_data, step_of, unpacked
+from cosim.results.report.signals_data import Packed, packed, run_data, shape, step_of, unpacked
+from cosim.results.report.three_views import three_views
 from cosim.results.run import DelayRow, Run, begin_run
+from cosim.spec.vehicle import load_vehicle
 
 Change = Callable[[Sample], Sample]
 
@@ -218,6 +221,28 @@ def test_thrust_is_drawn_where_the_jet_sits(run: Run) -> None:
         # the curve of the made-up engine is a line through 0 with 20 N per unit of throttle
         np.testing.assert_allclose(resting[told["column"]], 20.0 * run.log[f"throttle_{jet}"], rtol=1e-12)
         assert delivered["column"] == f"thrust_{jet}_N"
+
+
+def test_a_wing_is_drawn_with_what_turns_its_surfaces_and_thrust_where_it_points() -> None:
+    vehicle, _ = load_vehicle("jetwing")
+    panels = shape(vehicle)["panels"]
+    assert {panel["column"] for panel in panels} == {
+        None, "deflection_aileron", "deflection_elevator", "deflection_rudder"
+    }  # fmt: skip
+    drawing = ET.fromstring(three_views(vehicle))
+    spec = "{http://www.w3.org/2000/svg}"
+    assert len([each for each in drawing.iter(f"{spec}polygon") if each.get("class") == "panel"]) == 3 * len(panels)
+
+    def leans(thrust: ET.Element) -> float:
+        x, y = (float(thrust.attrib[f"{a}2"]) - float(thrust.attrib[f"{a}1"]) for a in "xy")
+        return atan2(x, -y)
+
+    # canted by 0.3 rad to the right: seen so from the front, where right is on the left
+    canted = vehicle.model_copy(
+        update={"jets": [jet.model_copy(update={"axis": (0.0, sin(0.3), -cos(0.3))}) for jet in vehicle.jets]}
+    )
+    lines = [each for each in ET.fromstring(three_views(canted)).iter(f"{spec}line") if each.get("class") == "thrust"]
+    assert [leans(line) for line in lines[-4:]] == pytest.approx([-0.3] * 4, abs=0.01)
 
 
 def test_jets_are_placed_by_the_vehicle() -> None:

@@ -140,6 +140,18 @@ MISTAKES: dict[str, tuple[Change, str]] = {
         put("scaled", to={"base": "hexjett", "mass_kg": 5.0}),
         r"scaled\.base: unknown aircraft 'hexjett'; did you mean 'hexjet'",
     ),
+    "hinges scaled": (
+        put("scaled", to={"base": "quadjet", "mass_kg": 5.0}),
+        r"scaled\.base: quadjet is not of banks or rotors .* --from quadjet copies it as it is",
+    ),
+    "a panel of a surface that there is not": (
+        put("panels", to=[{"corners_m": [[0.0, 0.0, 0.0]] * 3, "surface": "flap"}]),
+        r"panels\.0\.surface: no surface is called 'flap'; there are none",
+    ),
+    "a panel that nothing turns": (
+        put("panels", to=[{"corners_m": [[0.0, 0.0, 0.0]] * 3, "turn_rad": 0.3}]),
+        r"panels\.0\.turn_rad 0\.3: no surface is named that turns it",
+    ),
     "an engine that there is not": (put("engine", to="turbine-10"), r"unknown engine 'turbine-10'; did you mean 'turbine-100'"),
     "an engine's file that there is not": (put("engine", to="their.fmu"), r"engine = 'their\.fmu': no such file, as seen from"),
     "a model that there is not": (put("model", to="their.xml"), r"model = 'their\.xml': no such file, as seen from"),

@@ -49,7 +49,7 @@
 
     // ---- the vehicle: places from vehicle.toml, thicknesses in shares of its size
     const build = (about, colour, ghost) => {
-      const places = [...about.jets.map((jet) => jet.position), ...about.contacts.map((contact) => contact.position)];
+      const places = [...about.jets.map((jet) => jet.position), ...about.contacts.map((contact) => contact.position), ...about.panels.flatMap((panel) => panel.corners)];
       const size = Math.max(0.05, ...places.flat().map(Math.abs));
       const paint = (hex, opacity) => ghost
         ? new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity: 0.16, depthWrite: false })
@@ -96,7 +96,19 @@
         if (arrow) body.add(arrow);
         return { group, arrow, at, axis, material, turns: jet.turns.map((turn) => ({ ...turn, point: vector(turn.point), about: vector(turn.axis) })) };
       });
-      return { body, jets, size };
+      // wings and tails, flat; one with a column turns about its first edge
+      const panels = about.panels.map((panel) => {
+        const group = new THREE.Group(), corners = panel.corners.map(vector), at = corners[0];
+        const local = corners.map((corner) => corner.clone().sub(at));
+        const geometry = new THREE.BufferGeometry().setFromPoints(local.slice(2).flatMap((corner, n) => [local[0], local[n + 1], corner]));
+        geometry.computeVertexNormals();
+        group.add(new THREE.Mesh(geometry, paint(panel.column ? 0xf08c00 : colour, 0.7)));
+        group.add(new THREE.Line(new THREE.BufferGeometry().setFromPoints([...local, local[0]]), new THREE.LineBasicMaterial({ color: colour, transparent: true, opacity: ghost ? 0.8 : 0.9 })));
+        group.position.copy(at);
+        body.add(group);
+        return { group, column: panel.column, turn: panel.turn, about: corners[1].clone().sub(at).normalize() };
+      });
+      return { body, jets, panels, size };
     };
 
     const vehicles = flown.map((flight, n) => {
@@ -218,6 +230,11 @@
         jet.arrow.setDirection(jet.axis.clone().applyQuaternion(jet.group.quaternion));
         jet.arrow.setLength(Math.max(length, 1e-3), Math.min(0.12 * real.size, 0.4 * length + 1e-4), 0.09 * real.size);
         jet.material.color.set(value(`fault_jet_${index + 1}`) > 0 ? 0xe03131 : value(`health_${index + 1}`) < 1 ? 0xf08c00 : 0x4a5b6c);
+      });
+      real.panels.forEach((panel, index) => {
+        if (!panel.column) return;
+        panel.group.quaternion.setFromAxisAngle(panel.about, panel.turn * or(value(panel.column), 0));
+        ghost.panels[index].group.quaternion.copy(panel.group.quaternion);
       });
       each.past.setDrawRange(0, at.seen);
       const line = each.plumb.geometry.attributes.position;
