@@ -68,6 +68,7 @@ PAGES = {
     "margins": Page(
         ["margins hover --controller smith --axis roll --periods 3 --out measured"], "measured/report.html"
     ),
+    "paper": Page(["paper --out paper"], "paper/report.html"),
     "engine-check": Page(["fmu check edf.fmu --out checked"], "checked/report.html"),
 }
 

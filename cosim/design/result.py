@@ -47,6 +47,7 @@ def write(design: Design, out: Path | None) -> dict[str, Path]:
         design_figures(design),
         found=design,
         lines=summary_lines(design),
+        wrong=lambda line: "NOT" in line or "no acceptable" in line,
         columns=COLUMNS,
         rows=rows(design),
         axes=list(design.axes),
@@ -295,7 +296,7 @@ def _allowing_lines(design: Design) -> list[str]:
 
 
 COLUMNS = (
-    "",
+    "channel",
     "controller",
     "attitude 1/s",
     "P",

@@ -192,13 +192,19 @@ def print_design(design: Design, paths: dict[str, Path]) -> None:
 
     console = terminal()
     console.print(f"{design.vehicle.name} with engine [bold]{design.engine.name}[/bold]", highlight=False)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
-    for k in shown:
-        table.add_column(COLUMNS[k], justify="left" if k < 2 else "right", no_wrap=True)
-    for row in rows(design):
-        table.add_row(*(row[k] for k in shown))
-    console.print(table)
+    found = rows(design)
+    side = max(
+        1, (console.width - 14) // 40 * 2
+    )  # so many stand side by side: before and after together where they fit
+    for first in range(0, len(found), side):
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+        beside = found[first : first + side]
+        for n, heading in enumerate((COLUMNS[0], *(row[0] for row in beside))):
+            table.add_column(heading, justify="right" if n else "left")
+        for k in shown[1:]:
+            table.add_row(COLUMNS[k], *(row[k] for row in beside))
+        console.print(table)
     for line in summary_lines(design):
         console.print(line, highlight=False, markup=False)
     for name, path in paths.items():

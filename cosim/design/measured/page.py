@@ -19,7 +19,7 @@ from cosim.results.report.flight_figures import BLUE, GREY, ORANGE, RED
 from cosim.results.report.page import render
 
 TEMPLATE = Path(__file__).parent / "templates" / "margins.html"
-COLUMNS = ("", "measured", "95 % bounds", "computed", "off")
+COLUMNS = ("quantity", "measured", "95 % bounds", "computed", "off")
 SHOWN = (  # quantity, what it is called, and its numbers
     ("gain_db", "gain up", "{:+.2f} dB"),
     ("gain_down_db", "gain down", "{:+.2f} dB"),

@@ -11,7 +11,7 @@ from cosim.base.signals import AXES
 from cosim.results.comparison import Flown, Pair, Signal, inputs_differ, pairs, step_of
 from cosim.results.events import events_of
 from cosim.results.report.flight import axis_cell, verdict
-from cosim.results.report.flight_figures import comparison_figures, run_colour
+from cosim.results.report.flight_figures import comparison_figures, less_the_first, run_colour
 from cosim.results.report.page import TEMPLATES, Flights, render
 from cosim.results.report.signals_data import run_data, vehicle_of
 from cosim.results.run import REPORT, Run, Summary
@@ -34,11 +34,19 @@ def write_comparison(flown: Sequence[Flown], compared: Sequence[Pair], path: Pat
     summaries = [None if each.run is None else each.run.summary for each in flown]
     known = [summary for summary in summaries if summary is not None]
     title = known[0].title or known[0].scenario if len({each.scenario for each in known}) == 1 else "Comparison"
+    less = less_the_first(flown)
+    strips = comparison_figures(flown, less)
+    data = [flight_data(each, number) for number, each in enumerate(flown)]
+    for number, log in less.items():
+        label = f"{flown[number].label} less {flown[0].label}"
+        times = log[TIME]
+        data.append(run_data(log, label, run_colour(number), step_s=step_of(times), times=times))
     render(
         TEMPLATES / "compare.html",
         path,
-        comparison_figures(flown),
-        Flights("comparison", [flight_data(each, number) for number, each in enumerate(flown)], {}),
+        {},
+        Flights("comparison", data, strips),
+        strips=strips,
         title=title,
         description=known[0].description.strip() if title != "Comparison" else "",
         runs=[

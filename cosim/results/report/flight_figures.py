@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
+from cosim.base.protocols import Column
 from cosim.base.signals import AXES, JETS
 from cosim.results.columns import RATES, jets_in, known, own_columns, servos_in, surfaces_in
 from cosim.results.comparison import Flown, base_of, difference, step_of
-from cosim.results.recorder import Log
+from cosim.results.recorder import Log, MemoryLog
 from cosim.results.report.page import drawn
 from cosim.results.run import Run, Summary
 from cosim.results.tables import TIME
@@ -163,6 +164,21 @@ OUTSIDE = [  # a panel is left out where it is 0 throughout
     Panel("Wind", "m/s", _vector("wind_{}_m_s", ("north", "east", "down"))),
     Panel("Payload", "kg", [Trace("payload_kg", "mass", held=True)]),
 ]
+# of a flight less another: less_the_first()
+_LESS = "_less"
+LESS_NAMES = (*(f"{axis}_rad{_LESS}" for axis in AXES), f"altitude_m{_LESS}", "apart_m")
+LESS_COLUMNS = (
+    *(
+        Column(name, name.split("_")[1], "", f"{name.removesuffix(_LESS)} less the first flight's")
+        for name in LESS_NAMES[:-1]
+    ),
+    Column("apart_m", "m", "", "distance from the first flight, level"),
+)
+LESS = (
+    *(Panel(axis.capitalize(), "deg", [Trace(name, axis)], DEG) for axis, name in zip(AXES, LESS_NAMES, strict=False)),
+    Panel("Altitude", "m", [Trace(LESS_NAMES[-2], "altitude")]),
+    Panel("Apart, level", "m", [Trace(LESS_NAMES[-1], "apart")]),
+)
 _UPSETS = (
     *(f"disturbance_force_{x}_N" for x in "xyz"),
     *(f"disturbance_moment_{x}_N_m" for x in "xyz"),
@@ -186,7 +202,7 @@ def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
     ``shared``: one scale for all panels.  ``equal``: cross-plots with both axes to one scale, east and north.
     """
     reader = Reader(log, summary.step_s)
-    east_north = [Trace("east_m", "track", BLUE), Trace("north_m", "track", BLUE)]
+    east_north = [Trace("east_m", "east", BLUE), Trace("north_m", "north", BLUE)]
     figures = {
         "attitude": strips(reader, ATTITUDE),
         "rate": strips(reader, RATE),
@@ -219,22 +235,27 @@ def strips(reader: Reader, panels: Sequence[Panel]) -> Figure:
                 "unit": panel.unit,
                 "least": panel.least_span,
                 "signals": [
-                    {
-                        "column": trace.column,
-                        "label": trace.label,
-                        "colour": trace.colour,
-                        "dash": trace.dash,
-                        "width": trace.width,
-                        "held": trace.held,
-                        "scale": panel.scale,
-                        "shown": panel.unit,
-                    }
+                    _signal(panel, trace)
                     for trace in panel.traces
                     if not trace.only_if_moving or reader.moves(trace.column)
                 ],
             }
             for panel in panels
         ]
+    }
+
+
+def _signal(panel: Panel, trace: Trace, run: int = 0) -> dict[str, Any]:
+    return {
+        "run": run,
+        "column": trace.column,
+        "label": trace.label,
+        "colour": trace.colour,
+        "dash": trace.dash,
+        "width": trace.width,
+        "held": trace.held,
+        "scale": panel.scale,
+        "shown": panel.unit,
     }
 
 
@@ -254,48 +275,70 @@ def engine_panels(reader: Reader) -> list[Panel]:
     return panels + [panel for panel in (SPOOLS, TANK) if reader.known(panel.traces[0].column)]
 
 
-def comparison_figures(flown: Sequence[Flown]) -> dict[str, Figure]:
-    """The attitudes, rates, efforts, heights and tracks of several flights, each over the others, and what each is
-    less the first; figures of columns that no log has are left out.
+def comparison_figures(flown: Sequence[Flown], less: Mapping[int, Log]) -> dict[str, Figure]:
+    """The strips of several flights: attitudes, rates, efforts, heights and tracks, each over the others, and what each
+    is less the first; figures of columns that no log has are left out.
+
+    ``less``: by the number of a flight its :func:`less_the_first`, on the page as runs after the flights, in order.
     """
     readers = [Reader.of(each) for each in flown]
     labels = [each.label for each in flown]
     chosen = {"attitude": (ATTITUDE, "true"), "rate": (RATE, "measured"), "effort": (EFFORT, "asked for")}
-    figures = {name: overlaid(readers, labels, panels, which) for name, (panels, which) in chosen.items()}
-    figures["height"] = overlaid(readers, labels, HEIGHT, "true")
-    figures["difference"] = difference_figure(flown)
+    figures: dict[str, list[tuple[Panel, list[tuple[int, Trace]]]]] = {
+        name: over(readers, labels, panels, which) for name, (panels, which) in chosen.items()
+    }
+    figures["height"] = over(readers, labels, HEIGHT, "true")
+    figures["difference"] = []
+    for panel in LESS:
+        name = panel.traces[0].column
+        found = [
+            (len(flown) + n, Trace(name, labels[number], run_colour(number), width=1.4))
+            for n, (number, log) in enumerate(less.items())
+            if name in log.columns
+        ]
+        if found:
+            figures["difference"].append((panel, found))
     placed = [n for n, each in enumerate(flown) if {"north_m", "east_m"} <= set(each.log.columns)]
-    colours = [run_colour(n) for n in placed]
-    figures["track"] = track_figure([readers[n] for n in placed], [labels[n] for n in placed], colours)
-    return {name: figure for name, figure in figures.items() if figure["data"]}
+    track = [(n, Trace(f"{way}_m", f"{labels[n]}, {way}", run_colour(n))) for n in placed for way in ("east", "north")]
+    figures["track"] = [(Panel("Track", "m", []), track)] if track else []
+    told: dict[str, Figure] = {
+        name: {
+            "panels": [
+                {
+                    "title": panel.title,
+                    "unit": panel.unit,
+                    "least": panel.least_span,
+                    "signals": [_signal(panel, trace, run) for run, trace in traces],
+                }
+                for panel, traces in panels
+            ]
+        }
+        for name, panels in figures.items()
+        if panels
+    }
+    if "track" in told:
+        told["track"]["equal"] = True
+    return told
 
 
-def difference_figure(flown: Sequence[Flown]) -> Figure:
-    """True attitude and height of each flight less those of the first, and how far both are from each other."""
-    first = flown[0].log
-    data = []
+def less_the_first(flown: Sequence[Flown]) -> dict[int, MemoryLog]:
+    """By the number of each further flight: its true attitude [rad] and height [m] less those of the first, and how far
+    both are from each other, level [m], at the times that both have; as far as both have the columns.
+    """
+    first, found = flown[0].log, {}
     level = ("north_m", "east_m")
-    shown: list[tuple[Panel, tuple[str, ...]]]
-    shown = [(Panel(axis.capitalize(), "deg", [], DEG), (f"{axis}_rad",)) for axis in AXES]
-    shown += [(Panel("Altitude", "m", []), ("altitude_m",)), (Panel("Apart, level", "m", []), level)]
-    held = {name for each in flown[1:] for name in each.log.columns if name in first.columns}
-    shown = [(panel, names) for panel, names in shown if held.issuperset(names)]
-    for other, each in enumerate(flown[1:], 1):
+    wanted = [((name.removesuffix(_LESS),), name) for name in LESS_NAMES[:-1]] + [(level, LESS_NAMES[-1])]
+    for number, each in enumerate(flown[1:], 1):
         base = base_of(first, each.log)
-        if base.times.size < 2:
-            continue
-        reader = Reader(each.log, 0.0, base.times)
         common = {*first.columns} & {*each.log.columns}
-        for number, (panel, names) in enumerate(shown):
+        columns = {TIME: base.times}
+        for names, name in wanted:
             if common.issuperset(names):
-                apart = [difference(first, each.log, name, base) for name in names]
-                values = panel.scale * (apart[0] if len(apart) == 1 else np.hypot(*apart))
-                trace = Trace("", each.label, run_colour(other), width=1.4)
-                data.append(_values(reader, values, panel, trace) | {"yaxis": _axis("y", number)})
-    layout = _stacked_layout([panel for panel, _ in shown], data)
-    ends = [each.log[TIME][-1] for each in flown if len(each.log)]
-    layout["xaxis"]["range"] = [0.0, float(max(ends, default=1.0))]  # as the figures beside it have it
-    return {"data": _named_once(data), "layout": layout}
+                apart = [difference(first, each.log, one, base) for one in names]
+                columns[name] = apart[0] if len(apart) == 1 else np.hypot(*apart)
+        if base.times.size > 1 and len(columns) > 1:
+            found[number] = MemoryLog([np.stack(list(columns.values()))], tuple(columns), LESS_COLUMNS)
+    return found
 
 
 def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
@@ -432,30 +475,41 @@ def stacked(reader: Reader, panels: Sequence[Panel]) -> Figure:
     return {"data": _named_once(data), "layout": _stacked_layout(panels, data)}
 
 
-def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
-    """Panels above each other; in each the trace ``which`` of every run that has it, and the set-point: the longest
-    run's where the others ask for the same as long as they last, else each run's own.
+def over(
+    readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str
+) -> list[tuple[Panel, list[tuple[int, Trace]]]]:
+    """Panels above each other; in each the trace ``which`` of every run that has it, by the run's number, and the
+    set-point: the longest run's where the others ask for the same as long as they last, else each run's own.
     """
-    data: list[Figure] = []
-    longest = max(readers, key=lambda reader: len(reader.log))
-    held = {column for reader in readers for column in reader.log.columns}
-    panels = [panel for panel in panels if any(trace.label == which and trace.column in held for trace in panel.traces)]
-    for number, panel in enumerate(panels):
-        for run, (reader, label) in enumerate(zip(readers, labels, strict=True)):
-            trace = next(trace for trace in panel.traces if trace.label == which)
-            if trace.column in reader.log.columns:
-                data.append(_line(reader, panel, number, trace._replace(label=label, colour=run_colour(run))))
-        setpoint = next((trace for trace in panel.traces if trace.label == "set-point"), None)
-        if which == "true" and setpoint is not None:
-            asked = [(run, reader) for run, reader in enumerate(readers) if reader.known(setpoint.column)]
-            if all(_asks_as(reader, longest, setpoint.column) for _, reader in asked):
-                asked, shared = [(0, longest)] if asked else [], True
+    longest = max(range(len(readers)), key=lambda run: len(readers[run].log))
+    found = []
+    for panel in panels:
+        own = [trace for trace in panel.traces if trace.label == which]
+        traces = [
+            (run, trace._replace(label=labels[run], colour=run_colour(run)))
+            for run, reader in enumerate(readers)
+            for trace in own
+            if trace.column in reader.log.columns
+        ]
+        if not traces:
+            continue
+        for setpoint in (trace for trace in panel.traces if trace.label == "set-point" and which == "true"):
+            asked = [run for run, reader in enumerate(readers) if reader.known(setpoint.column)]
+            if asked and all(_asks_as(readers[run], readers[longest], setpoint.column) for run in asked):
+                traces.append((longest, setpoint))
             else:
-                shared = False
-            for run, reader in asked:
-                own = setpoint._replace(label=f"{labels[run]}, set-point", colour=run_colour(run))
-                data.append(_line(reader, panel, number, setpoint if shared else own))
-    return {"data": _named_once(data), "layout": _stacked_layout(panels, data)}
+                traces += [
+                    (run, setpoint._replace(label=f"{labels[run]}, set-point", colour=run_colour(run))) for run in asked
+                ]
+        found.append((panel, traces))
+    return found
+
+
+def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
+    """The same as a figure of Plotly."""
+    found = over(readers, labels, panels, which)
+    data = [_line(readers[run], panel, n, trace) for n, (panel, traces) in enumerate(found) for run, trace in traces]
+    return {"data": _named_once(data), "layout": _stacked_layout([panel for panel, _ in found], data)}
 
 
 def _asks_as(reader: Reader, other: Reader, column: str) -> bool:
@@ -517,39 +571,6 @@ def jet_rows(jets_m: Sequence[Sequence[float]]) -> tuple[tuple[int, ...], ...]:
 
 
 # ---- the track
-
-
-def track_figure(readers: Sequence[Reader], labels: Sequence[str], colours: Sequence[str]) -> Figure:
-    """Seen from above with equal scales: each run from its start (open circle) to its end (filled)."""
-    data: list[Figure] = []
-    for reader, label, colour in zip(readers, labels, colours, strict=True):
-        every = max(1, ceil(len(reader.log) / MOST_POINTS))
-        last = max(len(reader.log) - 1, 0)
-        east, north = (
-            np.append(reader.log[name][:last:every], reader.log[name][last:]).astype(np.float32)
-            for name in ("east_m", "north_m")
-        )
-        common = {
-            "type": "scatter",
-            "legendgroup": label,
-            "hovertemplate": "%{y:.2f} m north, %{x:.2f} m east<extra></extra>",
-        }
-        data.append(
-            common | {"x": east, "y": north, "mode": "lines", "name": label, "line": {"color": colour, "width": 2}}
-        )
-        marker = {
-            "symbol": ["circle-open", "circle"],
-            "size": 10,
-            "color": colour,
-            "line": {"width": 2, "color": colour},
-        }
-        ends = {"x": east[[0, -1]], "y": north[[0, -1]]} if east.size else {"x": east, "y": north}
-        data.append(common | ends | {"mode": "markers", "name": "start, end", "showlegend": False, "marker": marker})
-    layout = _layout(2 * PANEL_PX + 80) | {"hovermode": "closest", "showlegend": len(readers) > 1}
-    layout["xaxis"] = {"title": {"text": "east [m]"}, "range": _span([trace["x"] for trace in data], 2.0)}
-    layout["yaxis"] = {"title": {"text": "north [m]"}, "range": _span([trace["y"] for trace in data], 2.0)}
-    layout["yaxis"] |= {"scaleanchor": "x", "scaleratio": 1}
-    return {"data": data, "layout": layout}
 
 
 # ---- pieces

@@ -20,7 +20,7 @@ from cosim.results.columns import COLUMNS
 from cosim.results.comparison import Flown, Signal, base_of, inputs_differ, pairs, read_log
 from cosim.results.recorder import MemoryLog
 from cosim.results.report.comparison import comparison_rows, pair_said, write_comparison
-from cosim.results.report.flight_figures import comparison_figures
+from cosim.results.report.flight_figures import comparison_figures, less_the_first
 from cosim.results.run import Run, begin_run
 
 
@@ -101,7 +101,7 @@ def test_a_page_of_runs_and_a_log_of_another_tool(tmp_path: Path) -> None:
     page = text(tmp_path / "page.html")
     assert "B: x against A: a" in page
     assert 'data-figure="difference"' in page
-    assert 'id="figure-track"' in page
+    assert 'data-figure="track"' in page
     assert "t is taken for the time" in page
 
 
@@ -123,12 +123,15 @@ def test_what_went_in_and_is_not_the_same_is_named(tmp_path: Path) -> None:
 def test_a_figure_of_logs_has_the_panels_that_there_are_and_the_times_of_each() -> None:
     times = np.array([2.0, 2.5, 4.0])
     logs = [MemoryLog([np.stack([times, gain * times])], ("time_s", "roll_rad"), COLUMNS[:2]) for gain in (1.0, 0.5)]
-    figures = comparison_figures([Flown("A", logs[0]), Flown("B", logs[1])])
+    flights = [Flown("A", logs[0]), Flown("B", logs[1])]
+    less = less_the_first(flights)
+    figures = comparison_figures(flights, less)
     assert set(figures) == {"attitude", "difference"}
-    assert [axis for axis in figures["attitude"]["layout"] if axis.startswith("yaxis")] == ["yaxis"]
-    (trace,) = figures["difference"]["data"]
-    np.testing.assert_array_equal(trace["x"], times)
-    np.testing.assert_allclose(trace["y"], np.degrees(-0.5 * times), rtol=1e-6)
+    for name, drawn in (("attitude", [(0, "roll_rad"), (1, "roll_rad")]), ("difference", [(2, "roll_rad_less")])):
+        (panel,) = figures[name]["panels"]
+        assert [(signal["run"], signal["column"]) for signal in panel["signals"]] == drawn
+    np.testing.assert_array_equal(less[1]["time_s"], times)
+    np.testing.assert_array_equal(less[1]["roll_rad_less"], -0.5 * times)
 
 
 @pytest.mark.parametrize(
