@@ -145,6 +145,7 @@ def take(browser: Any, url: str, name: str, at: float | None = None, width: int 
         tab.wait_for_function("document.documentElement.dataset.replay")
         tab.evaluate("t => { hexjet.setTime(t); document.getElementById('replay-card').scrollIntoView(); }", at)
         tab.wait_for_function("t => document.querySelector('.stage canvas').dataset.time === t", arg=f"{at:.4f}")
+        tab.wait_for_timeout(800)  # with smooth edges when it stands
     if name in ("live", "runs"):
         tab.wait_for_selector("#scene canvas[data-time]" if name == "live" else "[role=row]")
         tab.wait_for_timeout(4000 if name == "live" else 500)  # something of a track, a row's colours

@@ -94,6 +94,7 @@ LENGTHY = {
     "test_flight_page": (
         "test_a_phone",
         "test_a_page_is_looked_at",
+        "test_two_flights",
         "test_all_strips_are_drawn",
         "test_the_last_samples",
     ),

@@ -19,7 +19,7 @@ from threading import Lock
 from typing import NamedTuple
 
 from cosim.base.geodesy import Geodesy
-from cosim.base.protocols import Diagnostics
+from cosim.base.protocols import Column, Diagnostics
 from cosim.base.signals import Measured, Sample, State
 from cosim.control.autopilot.modes import Message, Severity
 from cosim.control.autopilot.parameters import Parameters
@@ -78,6 +78,7 @@ class Facts(NamedTuple):
     parameters: Parameters  # to be read; changed by SetParameter alone
     folder: Path | None  # the run's
     factor: float | None  # of real time; None: as fast as it goes
+    own: tuple[Column, ...] = ()  # what the flight's blocks show beside the log's columns
 
 
 class Snapshot(NamedTuple):

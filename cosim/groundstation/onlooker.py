@@ -55,7 +55,7 @@ class Onlooker:
             scenario = snapshot.facts.scenario
             if snapshot.facts.number != flight:
                 flight, step, looks = snapshot.facts.number, -1, 0
-                self._export.begin(scenario)
+                self._export.begin(scenario, snapshot.facts.own)
             if looks % round(DRAWN_S * LOOKS_1_S) == 0:
                 self._export.draw(snapshot.sample.time)
             looks += 1

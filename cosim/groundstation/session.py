@@ -577,7 +577,8 @@ def facts_of(
     place = simulation.scenario.environment
     geodesy = Geodesy(place.latitude_deg, place.longitude_deg, place.ground_m)
     stations = tuple(simulation.stations)
-    return Facts(number, simulation.scenario, simulation.vehicle, stations, geodesy, parameters, folder, factor)
+    scenario, vehicle, own = simulation.scenario, simulation.vehicle, simulation.columns
+    return Facts(number, scenario, vehicle, stations, geodesy, parameters, folder, factor, own)
 
 
 def vehicle_key(scenario: Scenario) -> str:

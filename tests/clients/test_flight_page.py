@@ -17,6 +17,7 @@ from places import ROOT
 from cosim.bench.measures.browser import Look
 from cosim.flight import with_page
 from cosim.results.recorder import MemoryLog
+from cosim.results.report.comparison import compare_report
 from cosim.results.report.flight import write_report
 from cosim.results.report.flight_figures import Panel, Reader, Trace, strips
 from cosim.results.report.marks import parts_of
@@ -89,6 +90,33 @@ def test_the_picture_moves_as_the_log_says(browser: Any, flown: tuple[Run, Path]
         # the thrust of the bank that a servo tilts turns with it
         turns = page.evaluate("hexjet.flights[0].vehicle.jets.map((jet) => jet.turns.length)")
         assert turns == [1] * 6
+
+
+def test_two_flights_in_one_scene_and_what_one_is_less_the_other(
+    browser: Any, flown: tuple[Run, Path], tmp_path: Path
+) -> None:
+    first = flown[0]
+    recording = begin_run(setup(), scenario(), None)
+    for sample in samples(1000):
+        roll, pitch, yaw = sample.state.euler
+        recording.observe(sample._replace(state=sample.state._replace(euler=(0.5 * roll, pitch, yaw))))
+    second = recording.finish("completed", "", wall_s=0.1)
+    path = tmp_path / "comparison.html"
+    compare_report([first, second], path)
+    with opened(browser, path) as page:
+        k = int(np.argmax(np.abs(second.log["roll_rad"])))
+        shown(page, k * STEP)
+        rolls = [2.0 * page.evaluate(f"hexjet.pose({n}).quaternion")[1] for n in (0, 1)]
+        assert rolls[1] == pytest.approx(0.5 * rolls[0], rel=1e-2) != 0.0
+        page.locator('[data-figure="difference"]').scroll_into_view_if_needed()
+        strip = "document.querySelector('[data-figure=difference] .strip').panel"
+        page.wait_for_function(f"{strip}.chart", timeout=SOON)
+        page.evaluate("t => hexjet.setTime(t)", k * STEP)
+        said = page.locator("[data-figure=difference] .strip b").first.inner_text()
+        wanted = np.degrees(second.log["roll_rad"][k] - first.log["roll_rad"][k])
+        assert float(said) == pytest.approx(wanted, rel=1e-3)
+        lines = page.evaluate(f"{strip}.csv()").splitlines()
+        assert len(lines) == 1 + len(second.log)  # as far as both flew
 
 
 def product(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:

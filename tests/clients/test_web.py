@@ -26,11 +26,13 @@ from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import SetParameter
+from cosim.groundstation import session
 from cosim.groundstation.exchange import Exchange, Snapshot
-from cosim.groundstation.session import Session
+from cosim.groundstation.session import Session, facts_of
 from cosim.groundstation.web import feed, server
 from cosim.groundstation.web.server import WebServer
 from cosim.results.report.page import ASSETS
+from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 
 STATIC = Path(server.__file__).parent / "static"
@@ -385,6 +387,17 @@ def test_the_rows_that_are_told_are_the_log_s(flown: Flown) -> None:
     assert [row[f"spool_moment_{axis}_N_m"] for axis in "xyz"] == [None, 1.23457, 0.0]
     assert [tuple(jet["position"]) for jet in told["shape"]["jets"]] == [jet.position_m for jet in facts.vehicle.jets]
     json.dumps([told, feed.parameters(facts.parameters)], allow_nan=False)
+
+
+def test_what_blocks_show_of_their_own_is_told_too(tmp_path: Path) -> None:
+    """A mapping file's further output, a law's own numbers: they come last, as in the log."""
+    with build(Scenario.load("jetwing-cruise")) as simulation:
+        facts = facts_of(simulation, 1, session._parameters(simulation), tmp_path, 1.0)
+        sample = simulation.step()
+        shown = [column.name for column in simulation.columns]
+        assert shown
+        assert [column[0] for column in feed.flight(facts)["columns"]][-len(shown) :] == shown
+        assert feed.Rows()(facts, sample)[-len(shown) :] == pytest.approx(sample.own, rel=1e-5)
 
 
 def test_parameters_are_told_searched_and_set(flown: Flown) -> None:

@@ -44,7 +44,7 @@ def flight(facts: Facts) -> dict[str, Any]:
         "modes": [mode.value for mode in Mode if mode is not Mode.ORBIT],
         "direct": [mode.value for mode in Mode if mode in DIRECT],
         "shape": shape(vehicle),
-        "columns": [column[:4] for column in log_columns(flown_by(vehicle))],
+        "columns": [column[:4] for column in log_columns(flown_by(vehicle), facts.own)],
     }
 
 
@@ -79,7 +79,7 @@ class Rows:
         if sample is None:
             return []
         if facts.number != self._flight:
-            self._flight, self._row = facts.number, OneRow(log_columns(flown_by(facts.vehicle)))
+            self._flight, self._row = facts.number, OneRow(log_columns(flown_by(facts.vehicle), facts.own))
         return [float(f"{value:.{_DIGITS}g}") if isfinite(value) else None for (value,) in self._row(sample).tolist()]
 
 

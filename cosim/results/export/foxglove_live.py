@@ -6,11 +6,12 @@ capability beyond telling.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from typing import Any
 
 from cosim.base.errors import InputError
+from cosim.base.protocols import Column
 from cosim.base.signals import Sample
 from cosim.results.columns import flown_by, log_columns
 from cosim.results.export.output import Said
@@ -69,14 +70,14 @@ class LiveExport:
 
     # --- a flight ---------------------------------------------------------------------------------------------
 
-    def begin(self, scenario: Scenario) -> None:
-        """A flight begins: its channels take the place of the last one's."""
+    def begin(self, scenario: Scenario, own: Sequence[Column] = ()) -> None:
+        """A flight begins, whose blocks show ``own``: its channels take the place of the last one's."""
         for channel in self._channels:
             channel.close()
         self._schemas, self._channels = [], []
         self._server.clear_session()
         self._vehicle = scenario.resolved_vehicle()[0]
-        columns = log_columns(flown_by(self._vehicle))
+        columns = log_columns(flown_by(self._vehicle), own)
         self._row = OneRow(columns)
         self._columns = self._mcap.channels_of(self, columns)
         self._drawn = self._scene.Scene(self, scenario.step_s, scenario)
