@@ -33,23 +33,32 @@ static inline PyObject *quick_call(PyObject *function, PyObject *const *args, si
 
 #if PY_VERSION_HEX < 0x030C0000 /* Python 3.12 has deprecated the version of a dict (PEP 699) */
 
-/* A name of a module, by the version of its dict, which every change makes another one (PEP 509). */
+/* A name of a module, by the version of its dict, which every change makes another one (PEP 509).  The name is held: at
+ * the address of one that is gone another could stand. */
 typedef struct {
     uint64_t version;
-    PyObject *name, *value; /* the dict's */
+    PyObject *name, *value; /* the value is the dict's */
 } QuickName;
+
+static __attribute__((noinline)) PyObject *quick_look_in(QuickName *last, PyObject *names, PyObject *name)
+{
+    const uint64_t version = ((PyDictObject *)names)->ma_version_tag;
+    PyObject *const value = CPyDict_GetItem(names, name);
+    if (value && PyUnicode_CheckExact(name) && version == ((PyDictObject *)names)->ma_version_tag) {
+        PyObject *const before = last->name;
+        Py_INCREF(name);
+        *last = (QuickName){version, name, value};
+        Py_XDECREF(before);
+    }
+    return value;
+}
 
 static inline PyObject *quick_name(QuickName *last, PyObject *names, PyObject *name)
 {
     if (!PyDict_CheckExact(names))
         return CPyDict_GetItem(names, name);
-    const uint64_t version = ((PyDictObject *)names)->ma_version_tag;
-    if (version != last->version || name != last->name) {
-        PyObject *const value = CPyDict_GetItem(names, name);
-        if (value && version == ((PyDictObject *)names)->ma_version_tag)
-            *last = (QuickName){version, name, value};
-        return value;
-    }
+    if (((PyDictObject *)names)->ma_version_tag != last->version || name != last->name)
+        return quick_look_in(last, names, name);
     Py_INCREF(last->value);
     return last->value;
 }

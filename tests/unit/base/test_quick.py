@@ -7,6 +7,7 @@ import pytest
 from cosim.base.signals import Actuation, Unallocated
 from cosim.control.allocation import allocation
 from cosim.control.allocation.allocation import RotorAllocator
+from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
 from cosim.control.predictors.smith import NoPredictor
 from cosim.control.rate import RateAxis
 from cosim.spec.vehicle import RateGains, load_vehicle
@@ -68,6 +69,15 @@ def test_a_method_may_be_replaced_in_its_class_or_in_what_that_inherits_and_in_t
     assert answer() == 1.0
     loose.update = lambda measured, applied: 4.0  # type: ignore[method-assign]
     assert answer() == 4.0
+
+
+def test_what_a_dict_has_by_keys_that_are_gone_is_not_remembered() -> None:
+    """The map looks its curves up by numbers, each made for that and let go of."""
+    curves = [StaticCurve("one", (0.0, 0.4, 1.0), (0.0, bend, 10.0)) for bend in (3.0, 5.0, 7.0)]
+    throttles = ThrustMap(curves[0], [curves[at] for at in (0, 1, 2, 0, 2, 1)]).throttle((0.5,) * 6)
+    alone = [ThrustMap(curves[0], [curve]).throttle((0.5,))[0] for curve in curves]
+    assert len(set(alone)) == 3
+    assert throttles == tuple(alone[at] for at in (0, 1, 2, 0, 2, 1))
 
 
 def test_a_name_is_what_the_module_has_by_it_now(monkeypatch: pytest.MonkeyPatch) -> None:
