@@ -3,6 +3,9 @@
  * A named tuple called with all its fields in order skips its __new__, which is Python.  A type's own vectorcall serves
  * type(...) and is not inherited; whatever is not all fields in order goes the way it always went.
  * https://docs.python.org/3/c-api/typeobj.html#c.PyTypeObject.tp_vectorcall
+ *
+ * A step makes as many records as the one before it lets go of.  So the memory of some is kept, as Python keeps that of
+ * its own tuples, for the next with as many fields.
  */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -30,11 +33,42 @@ done:
     return made;
 }
 
+enum { MOST_FIELDS = 24, MOST_KEPT = 8 };
+
+/* Records without type and fields, by how many fields they have room for. */
+static struct {
+    int count;
+    PyObject *record[MOST_KEPT];
+} kept[MOST_FIELDS + 1];
+
+/* What a record of a type that is quick itself, not of one that inherits, is freed by. */
+static void let_go(PyObject *record)
+{
+    PyTypeObject *const type = Py_TYPE(record);
+    const Py_ssize_t fields = Py_SIZE(record);
+    PyObject_GC_UnTrack(record);
+    for (Py_ssize_t i = fields; i-- > 0;)
+        Py_XDECREF(PyTuple_GET_ITEM(record, i));
+#ifndef Py_GIL_DISABLED
+    if (type->tp_dealloc == let_go && fields <= MOST_FIELDS && kept[fields].count < MOST_KEPT)
+        kept[fields].record[kept[fields].count++] = record;
+    else
+#endif
+        type->tp_free(record);
+    Py_DECREF(type);
+}
+
 static inline PyObject *make(PyObject *type, PyObject *const *args, size_t nargsf, PyObject *names, Py_ssize_t fields)
 {
     if (names || PyVectorcall_NARGS(nargsf) != fields)
         return usual_way(type, args, nargsf, names);
-    PyObject *record = ((PyTypeObject *)type)->tp_alloc((PyTypeObject *)type, fields);
+    const bool again = kept[fields].count > 0;
+    PyObject *record;
+    if (again)
+        record = (PyObject *)PyObject_InitVar((PyVarObject *)kept[fields].record[--kept[fields].count],
+                                              (PyTypeObject *)type, fields);
+    else
+        record = ((PyTypeObject *)type)->tp_alloc((PyTypeObject *)type, fields);
     if (!record)
         return NULL;
 #if PY_VERSION_HEX >= 0x030E0000
@@ -44,6 +78,8 @@ static inline PyObject *make(PyObject *type, PyObject *const *args, size_t nargs
         Py_INCREF(args[i]);
         PyTuple_SET_ITEM(record, i, args[i]);
     }
+    if (again)
+        PyObject_GC_Track(record);
     return record;
 }
 
@@ -70,9 +106,11 @@ static PyObject *quick(PyObject *module, PyObject *type)
     Py_XDECREF(fields);
     if (count < 0)
         return NULL;
-    if (count == 0 || count >= (Py_ssize_t)(sizeof(MAKERS) / sizeof(MAKERS[0])))
-        return PyErr_Format(PyExc_TypeError, "quick: %R has %zd fields, 1 to 24 are provided for", type, count);
+    if (count == 0 || count > MOST_FIELDS)
+        return PyErr_Format(PyExc_TypeError, "quick: %R has %zd fields, 1 to %d are provided for", type, count,
+                            MOST_FIELDS);
     ((PyTypeObject *)type)->tp_vectorcall = MAKERS[count];
+    ((PyTypeObject *)type)->tp_dealloc = let_go;
     Py_INCREF(type);
     return type;
 }

@@ -76,6 +76,32 @@ def test_it_holds_its_fields_and_lets_them_go() -> None:
     assert sys.getrefcount(field) == before
 
 
+@quick
+class Turned(NamedTuple):
+    x: Any
+    y: Any
+    z: Any
+
+
+def test_the_memory_of_one_is_that_of_another_with_as_many_fields() -> None:
+    class Derived(Quick):
+        """Larger: it has a dict."""
+
+    field = object()
+    types, before = (Quick, Turned, Derived), sys.getrefcount(field)
+    counts = [sys.getrefcount(each) for each in types]
+    for _ in range(30):
+        made = [each(field, k, [k]) for k in range(20) for each in types]
+        made[2].own = field  # type: ignore[attr-defined]
+        assert [type(one) for one in made] == [*types] * 20
+        assert all(tuple(one) == (field, k, [k]) for k in range(20) for one in made[3 * k : 3 * k + 3])
+        assert all(gc.is_tracked(one) for one in made)
+        assert hash(made[0][:2]) == hash((field, 0))
+        del made
+    assert sys.getrefcount(field) == before
+    assert [sys.getrefcount(each) for each in types] == counts
+
+
 @pytest.mark.parametrize("other", [tuple, object, int, Plain(1, 2), type("T", (tuple,), {"_fields": ()})])
 def test_nothing_but_a_named_tuple_is_taken(other: Any) -> None:
     with pytest.raises(TypeError, match="quick"):
