@@ -27,7 +27,7 @@ WALL_FLUSH_S = 1.0  # a slow flight is handed on this often too
 
 
 class Sink(Protocol):
-    """Takes blocks of the log, shape (columns, rows)."""
+    """Takes blocks of the log, shape (columns, rows), each good until the next: who keeps one copies it."""
 
     def write(self, table: Array) -> None: ...
 
@@ -96,24 +96,23 @@ class Recorder:
 
 
 class _Blocks:
-    """Makes rows a block of columns of its own, which a sink may keep."""
+    """Makes rows a block of columns, each in the memory of the one before, which is in the processor's cache."""
 
     def __init__(self, sink: Sink, columns: int, run: Program) -> None:
         self._sink = sink
-        self._columns, self._width, self._angles = columns, run.width, run.angles
+        self._columns, self._angles = columns, run.angles
+        self._memory = np.empty((run.width, 0))
         self.handed_on = 0  # rows
 
     def hand_on(self, rows: Rows) -> None:
         count = len(rows)
         if count:
-            table = np.empty((self._columns, count))
-            rows.read(0, table)
-            if self._angles:
-                behind = np.empty((self._width - self._columns, count))
-                rows.read(self._columns, behind)
-                for angle in self._angles:
-                    first = angle.of - self._columns
-                    table[angle.column] = angle.law(*behind[first : first + 4])
+            if self._memory.shape[1] != count:
+                self._memory = np.empty((self._memory.shape[0], count))
+            memory, table = self._memory, self._memory[: self._columns]
+            rows.read(0, memory)
+            for angle in self._angles:
+                table[angle.column] = angle.law(*memory[angle.of : angle.of + 4])
             self._sink.write(table)
             self.handed_on += count
         rows.clear()
@@ -130,7 +129,7 @@ class MemorySink:
         self._columns = tuple(columns)
 
     def write(self, table: Array) -> None:
-        self.tables.append(table)
+        self.tables.append(table.copy())
 
     def log(self) -> Log:
         """What was recorded so far; what is recorded later is not in it."""
@@ -148,7 +147,7 @@ class OneRow:
         """Nothing: the columns are known."""
 
     def write(self, table: Array) -> None:
-        self._table = table
+        self._table = table.copy()
 
     def __call__(self, sample: Sample) -> Array:
         """The columns of a sample, each an array of one row: shape (columns, 1)."""
@@ -174,7 +173,7 @@ class BackgroundSink:
         """Raises FlightError if a block before could not be written, or too many wait."""
         self._complain()
         try:
-            self._blocks.put_nowait(table)
+            self._blocks.put_nowait(table.copy())
         except Full:
             raise FlightError(f"the log is {_BEHIND} blocks behind: the disk is too slow") from None
 

@@ -330,7 +330,7 @@ def test_rows_that_cannot_be_handed_on_stay() -> None:
             self.calls += 1
             if self.calls <= 2:
                 raise OSError("not now")
-            self.tables.append(table)
+            self.tables.append(table.copy())
 
     sink = Stubborn()
     recorder = Recorder(0.5, sink)  # two rows a second
