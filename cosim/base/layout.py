@@ -57,7 +57,8 @@ def turned(axis: Vector3, angle: float, vector: Vector3) -> Vector3:
 class Layout:
     """The stations and hinges of one vehicle.
 
-    Jets whose thrust points the same way whatever the hinges do are a group: ``groups[i]`` is that of jet ``i``.
+    Jets whose thrust points the same way whatever the hinges do are a group: ``groups[i]`` is that of jet ``i``,
+    ``members[j]`` are the jets of group ``j``.
     ``moves``: some hinge carries a jet, so that stations move.
     """
 
@@ -85,6 +86,7 @@ class Layout:
                 kinds.append(kind)
             self.groups.append(kinds.index(kind))
         self._kinds = kinds
+        self.members = [[jet for jet, of in enumerate(self.groups) if of == group] for group in range(len(kinds))]
         # of each group the hinges from the outermost inwards: axis, number, effect
         self._turning: list[list[tuple[Vector3, int, float]]] = [
             [(self.turns[number].axis, number, effect) for number, effect in reversed(chain)] for _, chain in kinds
@@ -95,12 +97,14 @@ class Layout:
         """Unit thrust, body, of each group, with the hinges at ``angles`` rad."""
         if not self.turns:
             return self._still
-        answer: list[Vector3] = []
-        for group, axis in enumerate(self._still):
-            for about, number, effect in self._turning[group]:
-                axis = turned(about, effect * angles[number], axis)
-            answer.append(axis)
-        return answer
+        return [self.axis(group, angles) for group in range(len(self._still))]
+
+    def axis(self, group: int, angles: Sequence[float]) -> Vector3:
+        """As :meth:`axes`, of one group."""
+        axis = self._still[group]
+        for about, number, effect in self._turning[group]:
+            axis = turned(about, effect * angles[number], axis)
+        return axis
 
     def frames(self, angles: Sequence[float]) -> list[tuple[Vector3, Vector3, Vector3]]:
         """Thrust, forward and right of each group, body: the body's axes turned with the thrust.

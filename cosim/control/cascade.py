@@ -26,6 +26,7 @@ from cosim.base.signals import (
     Unallocated,
     Vector3,
 )
+from cosim.control.allocation.allocation import TiltAllocator
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.allocation.engine_monitor import EngineMonitor
 from cosim.control.allocation.thrust_map import ThrustMap
@@ -95,7 +96,8 @@ class Cascade:
     ) -> None:
         self.own_attitude, self.own_rate = own_attitude, own_rate
         self.attitude, self.rate, self.altitude = attitude, rate, altitude
-        self.allocator, self.thrust_map = allocator, thrust_map
+        self.allocator: TiltAllocator | Allocator = allocator
+        self.thrust_map = thrust_map
         self.monitor, self.schedule = monitor, schedule
         self._catch, self._reduced, self._wing = catch, reduced, wing
         self._added_delay = DelayLine(added_delay)

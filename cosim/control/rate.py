@@ -12,7 +12,7 @@ from cosim.base.protocols import Diagnostics, Predictor
 from cosim.base.signals import Unallocated, Vector3
 from cosim.control.bumpless import Fade
 from cosim.control.lead import Lead
-from cosim.control.predictors.smith import NoPredictor
+from cosim.control.predictors.smith import NoPredictor, SmithPredictor
 from cosim.spec.vehicle import EngineLead, RateGains
 
 _NOTHING: Diagnostics = (nan, nan, nan)
@@ -132,7 +132,7 @@ class RateAxis:
         return self._predictor
 
     def _use(self, predictor: Predictor) -> None:
-        self._predictor = predictor
+        self._predictor: SmithPredictor | Predictor = predictor
         self._predicts = not isinstance(predictor, NoPredictor)  # else the measurement is fed back without a call
 
     def _change(self, old: _Law, setpoint: float, measured: float, unallocated: float) -> float:

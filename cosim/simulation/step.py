@@ -31,6 +31,7 @@ from cosim.simulation.delay_ledger import LedgerRow
 from cosim.simulation.ending import Ending, Judge
 from cosim.simulation.pacing import Pace
 from cosim.simulation.script.commander import Commander
+from cosim.simulation.script.disturber import Disturber
 from cosim.simulation.script.fault_schedule import FaultSchedule
 from cosim.simulation.script.wind import FieldWind
 from cosim.spec.scenario import Fault, Scenario
@@ -87,8 +88,10 @@ class Simulation:
         self.engine, *self.stations = specs
         self.ledger = ledger
         self.dt = scenario.step_s
-        self.commander, self.pilot, self.disturber = commander, pilot, disturber
-        self.controller, self.propulsion = controller, propulsion
+        self.commander, self.pilot, self.propulsion = commander, pilot, propulsion
+        # ours among those that may stand here are named, because compiled code calls what it knows directly
+        self.disturber: Disturber | Disturbances = disturber
+        self.controller: Cascade | Controller = controller
         self.airframe, self.sensors, self.faults, self.judge = airframe, sensors, faults, judge
         self.reset()
 

@@ -69,6 +69,7 @@ MAKE_UP: Final = {IN_THE_AIR: 0.5, ON_THE_GROUND: 1.0}
 _POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
 _RANKINE: Final = 5.0 / 9.0  # K, exact
 _NED = ("north", "east", "down")
+_NONE: Final[Any] = ZERO3  # as one object
 _number = itertools.count()  # of the airframes of this process
 use(getattr(sys.modules[jsbsim.FGPropertyNode.__module__], "__file__", None))
 
@@ -414,29 +415,30 @@ class Airframe:
         motion = self._motion()
         if motion is None:
             raise FlightError("the airframe's state is not finite")
-        place, velocity, euler, rate, felt = motion  # as objects: nothing of them is taken apart that need not be
-        up: float = place[2]
-        roll: float = euler[0]
-        pitch: float = euler[1]
-        yaw: float = euler[2]
+        # as objects: nothing of them is taken apart that need not be
+        place: tuple[Any, Any, float] = motion[0]
+        euler: Any = motion[2]
+        north, east, up = place
+        angles: Vector3 = euler
+        roll, pitch, yaw = angles
         height = (self._over_ellipsoid() - self._ground) * FOOT
         near = height < NEAR_GROUND
         on_ground = near and any(touches() > 0.0 for touches in self._legs)
         hull_contact = near and any(touches() > 0.0 for touches in self._hull)
         self._touching = on_ground or hull_contact
         return State(
-            (place[0], place[1], self._datum - up),
-            velocity,
+            (north, east, self._datum - up),
+            motion[1],
             from_euler(roll, pitch, yaw),
             euler if yaw < pi else (roll, pitch, yaw - 2.0 * pi),
-            rate,
-            felt,
+            motion[3],
+            motion[4],
             height,
-            ZERO3 if self._still else self._wind.get(),
+            _NONE if self._still else self._wind.get(),
             self._mass,
             on_ground,
             hull_contact,
-            self._air_rate.get() if self._turbulent else ZERO3,
+            self._air_rate.get() if self._turbulent else _NONE,
         )
 
     def external_wrench(self) -> tuple[Vector3, Vector3]:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from math import nan
 from operator import mul
+from typing import Any
 
 from cosim.base.frames import (
     conjugate,
@@ -93,7 +94,8 @@ class Propulsion:
         self.tilt = self._rest  # where the servos stand
         self.output = EngineOutput((), (), (), ())
         self.fuel = nan  # kg on board at the step's beginning
-        self.momentum, self.spool_moment = ZERO3, UNKNOWN3
+        self.momentum = ZERO3
+        self.spool_moment: Any = UNKNOWN3  # a vector, kept as the object that goes into the log
         self._off = NO_JETS  # as last asked for
 
     @property
@@ -238,12 +240,13 @@ class Propulsion:
 
     def forces(self, thrust: PerJet, tilt: PerServo) -> list[Vector3]:
         """Each jet's thrust along its own turned axis: N, body."""
-        axes = self._layout.axes(tilt)
-        answer: list[Vector3] = []
-        for jet, group in enumerate(self._layout.groups):
-            x, y, z = axes[group]
-            newton = thrust[jet]
-            answer.append((newton * x, newton * y, newton * z))
+        layout = self._layout
+        answer = [ZERO3] * self._jets
+        for group, jets in enumerate(layout.members):
+            x, y, z = layout.axis(group, tilt)
+            for jet in jets:
+                newton = thrust[jet]
+                answer[jet] = (newton * x, newton * y, newton * z)
         return answer
 
     def beside(self, output: EngineOutput, tilt: PerServo) -> tuple[list[Vector3], Vector3]:

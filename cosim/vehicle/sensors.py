@@ -225,7 +225,7 @@ class FaultySensors:
     """
 
     def __init__(self, sensors: Sensors) -> None:
-        self.inner = sensors  # sound
+        self.inner: SensorSuite | Sensors = sensors  # sound
         self._faults: list[tuple[SensorFault, Measured]] = []
 
     def begin(self, fault: SensorFault, last: Measured) -> None:

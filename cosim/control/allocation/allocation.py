@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf
-from typing import Final
+from typing import Any, Final
 
 from cosim.base.errors import InputError
 from cosim.base.limits import clamp
@@ -129,8 +129,9 @@ class TiltAllocator:
             y = room if y > 0.0 else -room
             left_yaw = yaw - y * share
 
+        sides: tuple[Any, Any] = (right, left)  # an object each, not one for each jet
         return Actuation(
-            tuple([left if on_left else right for on_left in self.left]),
+            tuple([sides[1] if on_left else sides[0] for on_left in self.left]),
             (p + y, p - y),
             Unallocated(roll - r, left_pitch, left_yaw, collective - c),
             NO_JETS,

@@ -58,7 +58,7 @@ class ThrustMap:
 
     def share(self, thrust: float) -> float:
         """The share that asks a station for ``thrust`` [N]."""
-        return (thrust - self.low) / self.span if self.inverse is None else self.inverse(thrust)
+        return (thrust - self.low) / self.span if self.inverse is None else self.inverse.at(thrust)
 
     def collective(self, total: float) -> float:
         """The share that asks every station for its part of ``total`` [N]."""
