@@ -7,15 +7,16 @@ that the vehicle has a model for.  A flight is judged by where it ends: *held* (
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import degrees, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import InputError
+from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import AXES
 from cosim.base.storage.files import write_records
 from cosim.base.storage.toml import merge
@@ -76,6 +77,7 @@ class Row:
     detected_s: float | None  # from the fault to the monitor's first verdict
     reason: str
     controller_sha256: str | None = None  # of one from outside
+    case: str = ""  # its scenario, as seen from the folder of the result
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,7 @@ class Survival:
     limits: list[Limit]  # empty if they were not asked for
     own: tuple[Source, ...] = ()  # the controllers from outside
     warnings: tuple[str, ...] = ()  # where a design is not flown as what it was made for
+    flown: tuple[Scenario, ...] = ()  # of the rows
 
     @property
     def unwatched(self) -> list[str]:
@@ -247,7 +250,8 @@ def survival(
         survived.append(limit)
         say(limit.quantity, len(survived), len(scans))
     sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
-    return Survival(vehicle.name, engine, rows, sets, moments, survived, tuple(own.values()), warnings)
+    flown = tuple(scenario for *_, scenario in flights)
+    return Survival(vehicle.name, engine, rows, sets, moments, survived, tuple(own.values()), warnings, flown)
 
 
 def step_of(aircraft: str) -> float:
@@ -369,16 +373,35 @@ def _moments(vehicle: Vehicle, delay: float | None) -> Moments | None:
 
 
 def write(result: Survival, folder: Path) -> dict[str, Path]:
-    """``survival.csv`` and ``survival.html`` in ``folder``, and the files of controllers.
+    """``survival.csv`` and ``survival.html`` in ``folder``, the files of controllers, and in ``cases/`` every flight.
 
     Raises InputError if they cannot be written.
     """
+    from cosim.campaign.analysis.worst_cases import write_flight
+
     paths = {"table": folder / "survival.csv", "report": folder / "survival.html"}
     try:
+        digits = len(str(len(result.rows)))
+        names = [
+            "-".join([f"{n:0{digits}d}", *re.findall(r"\w+", f"{row.kind} {row.place} {row.start}")])
+            for n, row in enumerate(result.rows, 1)
+        ]
+        cases = [write_flight(each, folder, name) for each, name in zip(result.flown, names, strict=False)]
+        cases += [""] * (len(result.rows) - len(cases))
+        result = replace(result, rows=[replace(row, case=case) for row, case in zip(result.rows, cases, strict=True)])
         write_records(paths["table"], Row, result.rows)
         controllers, table = summary(result)
         named = [label(name) for name in controllers]
-        render(TEMPLATE, paths["report"], {}, found=result, controllers=named, table=table, starts=STARTS)
+        render(
+            TEMPLATE,
+            paths["report"],
+            {},
+            found=result,
+            controllers=named,
+            table=table,
+            starts=STARTS,
+            where=folder.name,
+        )
         files: dict[str, Path | bytes] = {}
         for own in result.own:
             copied_controller(own, files)
@@ -386,6 +409,8 @@ def write(result: Survival, folder: Path) -> dict[str, Path]:
         for name, source in files.items():
             assert isinstance(source, Path)
             shutil.copyfile(source, folder / name)
+    except FlightError as error:
+        raise InputError(str(error)) from error
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror or error}") from error
     return paths

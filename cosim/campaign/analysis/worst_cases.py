@@ -19,6 +19,7 @@ from cosim.results.report.flight_figures import run_colour
 if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
     from cosim.campaign.study.study import Study
+    from cosim.spec.scenario import Scenario
 
 EACH = 3  # flights listed for each way of being bad
 NONE = "–"
@@ -125,25 +126,35 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
     """
     from cosim.campaign.run import flight_of
     from cosim.campaign.study.plan import scenario_of
-    from cosim.flight import resolve
-    from cosim.simulation.build import build
 
     stated = ("flight", "draw", "controller", "seed", *(vary.key for vary in campaign.study.vary))
     try:
         flight = flight_of(campaign.study, {name: campaign.columns[name][row] for name in stated})
-        with build(scenario_of(campaign.study, flight)) as simulation:
-            scenario, files = resolve(simulation)
+        scenario = scenario_of(campaign.study, flight)
+        return write_flight(scenario, campaign.folder, f"flight-{flight.number:06d}"), ""
     except (InputError, FlightError) as error:
         return "", str(error)
+
+
+def write_flight(scenario: Scenario, folder: Path, name: str) -> str:
+    """Write a scenario as it flies below ``folder``; its place as seen from there.
+
+    Where files go along with it it has a folder of its own.  Raises InputError or FlightError if it cannot be built or
+    written.
+    """
     import tomli_w
 
-    name = f"flight-{flight.number:06d}"
+    from cosim.flight import resolve
+    from cosim.simulation.build import build
+
+    with build(scenario) as simulation:
+        resolved, files = resolve(simulation)
     place = Path(CASES) / name / SCENARIO if files else Path(CASES) / f"{name}.toml"
-    path = campaign.folder / place
+    path = folder / place
     for beside, content in files.items():
         _write(path.with_name(beside), content)
-    _write(path, tomli_w.dumps(scenario.model_dump(mode="json", exclude_none=True)).encode())
-    return place.as_posix(), ""
+    _write(path, tomli_w.dumps(resolved.model_dump(mode="json", exclude_none=True)).encode())
+    return place.as_posix()
 
 
 def _write(path: Path, content: Path | bytes) -> None:

@@ -791,7 +791,12 @@ def test_a_small_table(tmp_path: Path) -> None:
     assert controllers == ["baseline", "smith"]
     assert next((kind, start, cells[1].held) for kind, start, cells in table) == ("none", "hover", 1)
     paths = write(found, tmp_path / "table")
-    assert len(paths["table"].read_text().splitlines()) == 1 + len(found.rows)
+    lines = paths["table"].read_text().splitlines()
+    assert len(lines) == 1 + len(found.rows)
+    lost = next(n for n, row in enumerate(found.rows) if row.verdict == "lost")
+    case = lines[1 + lost].rpartition(",")[2]
+    assert f'href="{case}"' in paths["report"].read_text()
+    assert fly(Scenario.load(tmp_path / "table" / case)).reason == found.rows[lost].reason  # as it was flown
     assert "gyro bias 3 deg/s" in paths["report"].read_text()
     assert found.moments is not None
     assert found.moments.moment == pytest.approx(5.525 * 9.80665 / 6 * 0.15)
