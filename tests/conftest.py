@@ -84,6 +84,7 @@ LENGTHY = {
     "test_gcs_conformance": ("test_connect_fly_and_land_as_qgroundcontrol[0.2]", "test_a_stranger_without_the_key"),
     "test_campaign_store": ("test_ten_kills_at_random_moments",),
     "test_campaign_workers": ("test_a_flight_that_does_not_end_is_ended",),
+    "test_betaflight": ("test_its_margin_of_delay_is_the_designs",),
     "test_open": ("test_by_keyboard[10000]",),
     "test_axe": (
         "test_a_flight[dark]",

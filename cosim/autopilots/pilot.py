@@ -11,6 +11,9 @@ from cosim.base.signals import Command, Measured, PerJet, Unallocated
 from cosim.control.altitude import AltitudeController
 from cosim.control.belief import Belief
 
+# Chosen by us: who has asked for a height below the ground and has stood still for so long has landed.
+STILL_M_S, STANDS_S = 0.1, 1.0
+
 
 class Pilot:
     """Lean goes to the sticks as it is asked for; height and heading are held by the pilot.
@@ -18,6 +21,7 @@ class Pilot:
     The autopilot flies the attitude that the sticks ask for, of full stick ``lean`` [rad] and ``turn`` [rad/s].  Height
     is held with the altitude loop of ``vehicle.toml`` and becomes a throttle: what the autopilot does with it is its
     own.  Heading is held by a turn in proportion to its error, with the yaw gain of the vehicle's attitude loop.
+    Once a height below the ground is asked for and the vehicle stands still, it is disarmed, and stays so.
     """
 
     def __init__(self, belief: Belief, lean: float, turn: float) -> None:
@@ -26,16 +30,20 @@ class Pilot:
         self._altitude = AltitudeController(gains.altitude, vehicle.mass_kg, self._map.collective, belief.step_s)
         self._heading = gains.attitude.gain_1_s[2]
         self._lean, self._turn = lean, turn
+        self._wait, self._still = round(STANDS_S / belief.step_s), 0
         self.hover = self._throttle(belief.hover)
 
     def reset(self) -> None:
         """Hands at rest."""
         self._altitude.reset()
+        self._still = 0
 
     def sticks(self, command: Command, measured: Measured, burnt: float) -> Sticks:
         """Where the sticks stand for a command.  Raises FlightError for one of body rates, which these are not for."""
         if command.rate is not None:
             raise FlightError("the scenario asks for body rates; its sticks ask for angles: roll, pitch, yaw, altitude")
+        if self._landed(command.altitude, measured.velocity[2]):
+            return Sticks()
         roll, pitch, yaw = command.attitude
         _, _, heading = to_euler(measured.attitude)
         off = (yaw - heading + pi) % (2.0 * pi) - pi
@@ -43,6 +51,12 @@ class Pilot:
         return Sticks(
             roll / self._lean, -pitch / self._lean, self._heading * off / self._turn, self._throttle(collective), True
         )
+
+    def _landed(self, asked: float, down: float) -> bool:
+        """Whether it has stood for long enough; ``asked`` the height [m], ``down`` the speed [m/s], measured."""
+        if self._still < self._wait:
+            self._still = self._still + 1 if asked < 0.0 and abs(down) < STILL_M_S else 0
+        return self._still >= self._wait
 
     def _throttle(self, share: float) -> float:
         throttle: PerJet = self._map.throttle((min(max(share, 0.0), 1.0),) * self._jets)

@@ -134,6 +134,36 @@ def test_asked_again_it_answers_as_before(tmp_path: Path) -> None:
     assert one.log["roll_rad"].max() > np.radians(5.0)
 
 
+def test_it_takes_off_lands_and_is_disarmed(tmp_path: Path) -> None:
+    """From its legs to 5 m and back; once it stands the switch is turned, and no engine gives more than its least."""
+    run = flown(Scenario.load("climb-and-land").replace(vehicle=DESIGNED), tmp_path / "run").run
+    assert run.summary.as_planned, run.reason
+    log = run.log
+    height, armed, ground = log["altitude_m"], log["autopilot_armed"], log["on_ground"]
+    assert height.max() == pytest.approx(5.0 + height[0], abs=0.2)
+    assert run.summary.touchdown_m_s is not None
+    assert run.summary.touchdown_m_s < 0.8
+    off = int(np.argmin(armed))
+    stood = len(ground) - int(np.argmin(ground[::-1]))  # since when it has not left the ground again
+    assert 0.9 < log["time_s"][off] - log["time_s"][stood] < 3.0
+    assert np.all(armed[:off] == 1.0)
+    assert np.all(armed[off:] == 0.0)
+    assert max(log[f"throttle_{jet}"][off:].max() for jet in range(1, 7)) == 0.0
+
+
+def test_with_a_motor_lost_it_is_lost(tmp_path: Path) -> None:
+    """Its mixer goes on as if all were there; our own plan around the lost one flies the same scenario."""
+    out = Scenario.load("fault-flame-out").replace(vehicle=DESIGNED)
+    run = flown(out, tmp_path / "run").run
+    assert run.outcome == "diverged"
+    (fault,) = run.scenario.fault
+    stated(
+        "docs/autopilots.md",
+        "(`--scenario fault-flame-out`) the vehicle is lost {} s after the engine",
+        run.summary.duration_s - fault.start_s,
+    )
+
+
 def test_at_its_own_gains_the_delay_loses_it(minute: Flown, tmp_path: Path) -> None:
     """And at those of the vehicle, which are for a predictor; without the delay they fly.  As the page has it."""
     hover, doublet = Scenario.load("hover").replace(duration_s=10.0), Scenario.load("roll-doublet")
