@@ -646,6 +646,7 @@ def test_without_a_browser_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setenv("PATH", "")
     with looking() as look:
         assert look == "no browser: install chromium, or name one in HEXJET_BROWSER"
+    pytest.importorskip("playwright")
     monkeypatch.setenv("HEXJET_BROWSER", "/not/there")
     with looking() as look:
         assert isinstance(look, str)
