@@ -7,9 +7,9 @@ What is asked for is a speed ahead; its set-point ``V_r`` goes there no faster t
 are the force along the heading and the one up that the vehicle needs.  The attitude asked for has the wing carry
 ``F_v`` where it can, ``theta = gamma + alpha`` with alpha that at which the wing's lift is ``F_v``, within a corridor
 that opens with the speed.  Where ``F_v`` bends the path by ``(F_v / m - g) / V`` the attitude asked for leads by that
-times what attitude and rates follow late, else alpha would be short by it.  At that angle the wing gives lift L, drag
-D and a pitching moment M, by its own model at the speed of still air, and allocation asks jets, hinges and surfaces
-for the rest,
+times what attitude and rates follow late, else alpha would be short by it; by a quarter of the most alpha at most.  At
+that angle the wing gives lift L, drag D and a pitching moment M, by its own model at the speed of still air, and
+allocation asks jets, hinges and surfaces for the rest,
 
     f = F_h + D cos(gamma) + L sin(gamma),    g = F_v - L cos(gamma) + D sin(gamma)    along the heading and up, that is
     f cos(theta) + g sin(theta)    ahead and    (g cos(theta) - f sin(theta)) / cos(phi)    up in body axes,
@@ -41,6 +41,9 @@ DENSITY: Final = 1.225
 AHEAD_M_S: Final = 2.0  # no further from the speed its set-point goes, which limits would leave behind; chosen by us
 SLACK: Final = 0.005  # rad: nearer to the least angle of attack the wing is at its end
 LEAST_PRESSURE: Final = 1e-3  # Pa: less than this carries nothing
+# of the most angle of attack: no further does the nose lead; chosen by us, by flights in wind from behind: where lift
+# is missing the height loop asks for more for good, which bends no path, and the nose would go up until the wing stalls
+LEADING: Final = 0.25
 STEEPEST: Final = 0.35  # rad, of the path that pitch follows; chosen by us, well beyond the climb of the height loop
 
 
@@ -137,7 +140,7 @@ class WingFlight:
         # what bends the path turns the nose as well, and the attitude follows late: what is lost of alpha till then
         # would be lost of the lift, more than half of what the height loop asks for at 25 m/s
         bend = opened * (self._vertical / self._mass - GRAVITY) / max(speed, settings.open_m_s)
-        path += self._late * bend
+        path += clamp(self._late * bend, LEADING * settings.alpha_rad[1])
         roll, pitch, heading = command.attitude
         bank = clamp(settings.aside_1_s * aside / GRAVITY, settings.bank_rad)
         return command._replace(attitude=(roll - bank, pitch + path + self._alpha, heading))

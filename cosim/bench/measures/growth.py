@@ -24,7 +24,7 @@ from cosim.spec.scenario import Scenario
 
 SUBSTEPS = 4  # as the shipped scenarios have it
 ENGINE = "edf-as-flown"
-COUNTS = (1, 2, 4, 6, 8, 12)  # engines in a bank
+COUNTS = (1, 2, 4, 6, 8, 12, 16)  # engines in a bank, to as many as a vehicle may have
 EVERY = (1, 2, 5, 25)  # steps a recorded row
 BANK_STEPS = 20_000  # one takes a microsecond
 

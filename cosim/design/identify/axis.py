@@ -14,7 +14,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES, Sample
 from cosim.base.storage.toml import parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE
-from cosim.design.identify.fit import Fit, fit
+from cosim.design.identify.fit import Fit, doubted, fit
 from cosim.design.identify.response import FrequencyResponse, Record, estimate
 from cosim.design.identify.result import (
     Identification,
@@ -40,7 +40,6 @@ MARGIN = 0.8  # of the amplitude that would just have fitted
 UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
 # of an angular acceleration: half of what AMPLITUDE of throttle gives the Hex-Jet, 433 rad/s^2 for all of it
 ACCELERATION, ACCELERATION_UNIT = 4.0, "rad/s^2"
-POOR = 0.15  # misfit above which the form is said not to fit
 
 
 def identify_axis(
@@ -82,11 +81,7 @@ def identify_axis(
     # pitch and yaw turn the jets, they do not throttle them; what hinges and engines share has no one engine's delay
     own = flight.engine.delay if axis == "roll" and not accelerates else None
     fits = _fits(response, lags, hold, None if own is None else own / base.step_s)
-    if fits[0].misfit > POOR:
-        notes.append(
-            f"the chosen form is {100 * fits[0].misfit:.0f} % off the response; "
-            "more --amplitude, another band or another --lags may help"
-        )
+    notes += doubted(fits[0])
     return Identification(
         kind="axis",
         subject=base.aircraft_name,

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
-from cosim.design.identify.fit import WHOLE, Fit, fit
+from cosim.design.identify.fit import WHOLE, Fit, doubted, fit
 from cosim.design.identify.response import FrequencyResponse, Record, estimate
 from cosim.design.identify.result import (
     Identification,
@@ -65,6 +65,7 @@ def identify_engine(
     first = fit(response, lags, "free", hold)
     response = estimate(record, low, high, first.model.response)
     notes = need_coherence(response, f"engine {engine.name}: its thrust", size)
+    fits = _fits(response, lags, hold)
     return Identification(
         kind="engine",
         subject=engine.name,
@@ -74,11 +75,11 @@ def identify_engine(
         output_unit="N",
         sweep=sweep,
         response=response,
-        fits=_fits(response, lags, hold),
+        fits=fits,
         source=f"swept {low:.3g} to {high:.3g} Hz around throttle {throttle:g}, amplitude {size:.3g}",
         ledger_samples=None,
         reference=None,
-        notes=tuple(notes),
+        notes=(*notes, *doubted(fits[0])),
     )
 
 

@@ -21,6 +21,7 @@ from cosim.spec.vehicle import RateModel
 LONGEST_DELAY_S = 10.0
 UNAMBIGUOUS = 0.75  # of the delay after which the phases of the two closest points repeat
 _EXP = 300.0  # whose exponential still is a number
+POOR = 0.15  # misfit above which the form is said not to fit
 WHOLE = 0.05  # samples: nearer than this to a whole number, a delay may be taken as whole
 LEAST_COHERENCE = 0.6  # below it a point does not count (Tischler and Remple's bound)
 
@@ -116,6 +117,14 @@ class Fit:
     def values(self) -> dict[str, float]:
         """The continuous parameters by name."""
         return dict(zip(names(len(self.model.lags)), _natural(self.model), strict=True))
+
+
+def doubted(chosen: Fit) -> list[str]:
+    """What is to be said of a form that does not follow the response."""
+    if chosen.misfit <= POOR:
+        return []
+    off = f"the chosen form is {100 * chosen.misfit:.0f} % off the response"
+    return [f"{off}; more --amplitude, another band or another --lags may help"]
 
 
 def names(lags: int) -> list[str]:

@@ -26,7 +26,7 @@ from cosim.design.identify import (
     identify_engine,
     write,
 )
-from cosim.design.identify.fit import counts
+from cosim.design.identify.fit import POOR, counts, doubted
 from cosim.design.identify.response import FrequencyResponse
 from cosim.design.identify.result import equation, low_frequency_delay, rate_response
 from cosim.simulation.script.commander import sweep
@@ -240,6 +240,14 @@ def test_another_operating_point_band_and_sample_time() -> None:
     found = identify_engine("edf", step=0.008, throttle=0.3, amplitude=0.05, from_hz=0.8, to_hz=20.0, duration=40.0)
     assert found.model.poles == pytest.approx([PAPER["edf"][1] ** 2], rel=1e-6)  # two internal steps in one
     assert found.sweep.amplitude == 0.05
+
+
+def test_a_form_that_does_not_follow_the_engine_says_so() -> None:
+    """A turbine whose acceleration is limited is no pole with a delay."""
+    found = identify_engine("turbine-20", duration=60.0, from_hz=0.3, to_hz=7.0)
+    assert found.fits[0].misfit > POOR
+    assert f"the chosen form is {100 * found.fits[0].misfit:.0f} % off the response" in found.notes[-1]
+    assert not doubted(replace(found.fits[0], misfit=POOR))
 
 
 def test_the_printed_form_is_the_papers() -> None:

@@ -16,8 +16,8 @@ from scipy.optimize import fsolve
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.base.signals import ZERO3
-from cosim.control.wing import WingTable
+from cosim.base.signals import ZERO3, Command, Measured
+from cosim.control.wing import LEADING, WingTable
 from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.spec.scenario import Environment, Initial, Scenario
@@ -184,9 +184,8 @@ def test_jsbsim_trims_itself_where_its_forces_balance(speed: float, tmp_path: Pa
 
 def test_it_settles_where_jsbsim_trims_it(tmp_path: Path) -> None:
     """Long.  On the wing: with its jets ahead, rear and front alike."""
-    still = {"turbulence_wind_m_s": 0.0, "turbulence_severity": 0}
     scenario = Scenario.load("jetwing-cruise").replace(
-        environment=still, duration_s=40.0, sensor_noise=False, expect=[]
+        environment=STILL, duration_s=40.0, sensor_noise=False, expect=[]
     )
     log = fly(scenario).log
     last = log["time_s"] > 38.0
@@ -258,6 +257,65 @@ def test_without_an_engine_it_turns_and_falls() -> None:
     assert degrees(np.abs(log["yaw_rad"]).max()) > 90.0
     assert log["altitude_m"][-1] < 12.0
     assert "turns through 90° of heading within 3 s and falls" in PAGE
+
+
+STILL = {"turbulence_wind_m_s": 0.0, "turbulence_severity": 0}
+
+
+def test_the_figures_without_an_engine_on_its_wing() -> None:
+    """Long.  It stays there on the other three and its rudder, and is lost when it comes back to its jets."""
+    cruise = Scenario.load("jetwing-cruise").replace(environment=STILL, expect=[], duration_s=30.0)
+    off, turns, slowest = 0.0, 0.0, 25.0
+    for jet in (1, 3):
+        log = fly(cruise.replace(fault=[{"kind": "flame_out", "start_s": 15.0, "jet": jet}])).log
+        since = log["time_s"] > 15.0
+        off = max(off, float(np.abs(log["altitude_m"][since] - 60.0).max()))
+        turns = max(turns, degrees(np.abs(log["yaw_rad"][since]).max()))
+        slowest = min(slowest, float(log["velocity_north_m_s"][since].min()))
+    assert (
+        f"within {off:.1f} m of its height, {turns:.0f}° of its heading and {25.0 - slowest:.1f} m/s of its speed"
+        in PAGE
+    )
+    brake = [
+        {"kind": "step", "signal": "ahead_m_s", "start_s": at, "amplitude": by} for at, by in ((0, 0.0), (10, -25.0))
+    ]
+    back = fly(cruise.replace(fault=[{"kind": "flame_out", "start_s": 5.0, "jet": 1}], command=brake, duration_s=45.0))
+    assert back.outcome == "diverged"
+    assert f"it is lost at {back.log['velocity_north_m_s'][-1]:.0f} m/s" in PAGE
+
+
+def test_the_figures_of_wind_along_its_way() -> None:
+    """Long.  It knows its speed over the ground alone."""
+    ahead = [{"kind": "step", "signal": "ahead_m_s", "start_s": 0.0, "amplitude": 25.0}]
+    calm = Scenario.load("jetwing-transition").replace(
+        initial={"altitude_m": 60.0, "on_ground": False}, duration_s=26.0, command=ahead, expect=[]
+    )
+    lowest = {}
+    for wind in (-6.0, 4.0, 6.0):
+        run = fly(calm.replace(environment={"wind_ned_m_s": [wind, 0.0, 0.0]}))
+        assert run.outcome == "completed"
+        assert run.log["velocity_down_m_s"][-1] < 0.0 or wind < 6.0  # it comes back up
+        lowest[wind] = 60.0 - float(run.log["altitude_m"].min())
+    assert f"6 m/s from ahead costs {lowest[-6.0]:.1f} m" in PAGE
+    assert f"4 m/s from behind {lowest[4.0]:.1f} m and 6 m/s {lowest[6.0]:.0f} m" in PAGE
+
+
+def test_the_nose_leads_no_further_than_stated_where_lift_is_missing() -> None:
+    simulation = build(Scenario.load("jetwing-transition"))
+    wing = simulation.cascade._wing
+    assert wing is not None
+    weight = VEHICLE.mass_kg * GRAVITY
+    level = Measured(ZERO3, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -60.0), (15.0, 0.0, 0.0), 60.0)
+    for vertical, leads in ((1.0, 0.0), (1.02, 0.02), (2.0, None)):
+        wing.reset()
+        for _ in range(1000):
+            asked = wing.attitude(Command(ZERO3, 60.0, ahead=15.0), 15.0, level)
+            wing.wanted(vertical * weight, level, 0.0)
+        lead = asked.attitude[1] - wing.shown[2]
+        late = 1.0 / VEHICLE.control.attitude.gain_1_s[1] + 1.0 / VEHICLE.control.rate.pitch.p
+        expected = LEADING * 0.14 if leads is None else late * leads * GRAVITY / 15.0
+        assert lead == pytest.approx(expected, abs=1e-9)
+    simulation.close()
 
 
 def test_turbulence_may_meet_a_flight_that_is_under_way() -> None:
