@@ -30,8 +30,8 @@ static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 static pthread_cond_t changed = PTHREAD_COND_INITIALIZER;
 static pthread_t main_thread;
 static uint64_t now_ns, limit_ns, step_ns, tick_ns;
-static unsigned states, sticks; /* packets taken in */
-static int standing, told, taken; /* main thread stands at the limit; the start was told; a packet waits for its step */
+static unsigned states, sticks; /* packets taken in, and all done that their threads do with them */
+static int standing, told, taken, held; /* main thread stands at the limit; the start was told; a state, sticks are being taken in */
 static int port_base, state_socket = -1, rc_socket = -1;
 
 static int (*real_clock_gettime)(clockid_t, struct timespec *);
@@ -167,7 +167,7 @@ ssize_t recvfrom(int fd, void *data, size_t size, int flags, struct sockaddr *fr
     const int ours = step_ns && (fd == rc_socket || fd == state_socket);
     if (ours) { /* what the main thread reads does not change while it lives */
         pthread_mutex_lock(&lock);
-        while (!standing)
+        while (!standing || (fd == rc_socket && sticks > states)) /* the sticks of one step, not of the next */
             pthread_cond_wait(&changed, &lock);
         pthread_mutex_unlock(&lock);
     }
@@ -176,7 +176,7 @@ ssize_t recvfrom(int fd, void *data, size_t size, int flags, struct sockaddr *fr
         return got;
     pthread_mutex_lock(&lock);
     if (fd == rc_socket)
-        sticks++;
+        held = 1;
     else
         taken = 1;
     pthread_cond_broadcast(&changed);
@@ -184,9 +184,20 @@ ssize_t recvfrom(int fd, void *data, size_t size, int flags, struct sockaddr *fr
     return got;
 }
 
-/* The thread that takes in state packets asks for the next: the one before is taken in, and its step may be lived. */
+/*
+ * A thread that takes in packets asks for the next: the one before is taken in, and its step may be lived.  With the first
+ * sticks the program sets its receiver up, so they count when that is done and not when they have come: else the main
+ * thread would meet the receiver in one look or in the next, as the machine has it, and its tasks another order for good.
+ */
 int select(int count, fd_set *in, fd_set *out, fd_set *bad, struct timeval *limit)
 {
+    if (step_ns && in && rc_socket >= 0 && rc_socket < count && FD_ISSET(rc_socket, in)) {
+        pthread_mutex_lock(&lock);
+        sticks += (unsigned)held;
+        held = 0;
+        pthread_cond_broadcast(&changed);
+        pthread_mutex_unlock(&lock);
+    }
     if (step_ns && in && state_socket >= 0 && state_socket < count && FD_ISSET(state_socket, in)) {
         pthread_mutex_lock(&lock);
         if (taken) {
