@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cosim.base.signals import AXES
 from cosim.results.comparison import Flown, Pair, Signal, inputs_differ, pairs, step_of
 from cosim.results.events import events_of
@@ -38,9 +40,10 @@ def write_comparison(flown: Sequence[Flown], compared: Sequence[Pair], path: Pat
     strips = comparison_figures(flown, less)
     data = [flight_data(each, number) for number, each in enumerate(flown)]
     for number, log in less.items():
-        label = f"{flown[number].label} less {flown[0].label}"
-        times = log[TIME]
-        data.append(run_data(log, label, run_colour(number), step_s=step_of(times), times=times))
+        label, times = f"{flown[number].label} less {flown[0].label}", log[TIME]
+        step = step_of(times)
+        even = bool(np.allclose(times, step * np.arange(times.size), rtol=0.0, atol=1e-6 * step))
+        data.append(run_data(log, label, run_colour(number), step_s=step, times=None if even else times))
     render(
         TEMPLATES / "compare.html",
         path,
