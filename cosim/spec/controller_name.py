@@ -50,7 +50,10 @@ def file_name(controller: str) -> FileName | None:
 
 def is_design(controller: str) -> bool:
     """Whether it is a file of hexjet design: gains of the built-in controller, and no mapping file of an FMU."""
-    return controller.lower().endswith(".toml") and not controller.lower().endswith(".fmu.toml")
+    named = file_name(controller)
+    if named is None or named.before or named.after:
+        return False
+    return named.file.lower().endswith(".toml") and not named.file.lower().endswith(".fmu.toml")
 
 
 def seen_from(controller: str, folder: Path) -> str:

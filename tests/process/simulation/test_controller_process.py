@@ -26,6 +26,7 @@ from cosim.campaign.study.options import open_study
 from cosim.cli.main import main
 from cosim.engine.make.controller_fmu import read_controller_fmu
 from cosim.results.run import scenario_toml
+from cosim.spec.controller_name import is_design
 
 PAGE = ROOT / "docs" / "own-controller.md"
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.1}
@@ -169,6 +170,17 @@ def test_the_whole_cascade_in_a_process_leaves_the_log_of_ours(tmp_path: Path) -
     ours, theirs = fly(ROLL.replace(controller="smith")), fly(ROLL.replace(controller=f"process:{script}"))
     assert theirs.outcome == "completed", theirs.reason
     assert same(ours, theirs)
+
+
+def test_a_program_with_a_file_of_toml_as_its_argument_is_no_design(tmp_path: Path, reference: Run) -> None:
+    assert [is_design(name) for name in ("a/b.toml", "B.TOML", "b.fmu.toml", "process:l.py b.toml")] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    script = of_page("script", tmp_path / "loop.py")
+    assert same(reference, fly(ROLL.replace(controller=f"process:{script} gains.toml")))
 
 
 # ---- hinges and surfaces
