@@ -216,6 +216,8 @@ def design(
         raise InputError(f"{model}: holds no model of {vehicle.name} with engine {spec.family!r}")
     for axis, table in given.items():
         plants[axis] = replace(plants[axis], identified=RateModel(**table))
+    if controller == "auto" and plants["roll"].by_servo and firmware is None:
+        names = (BASELINE.name,)  # a predictor is for engines that answer late
     source = f"{identified.source}; with the airframe of {vehicle.name}"
     begin = None if start is None else _begin(start, plants, scenario.aircraft, vehicle, spec)
     asked = _Asked(vehicle, spec, names, need, source, lead, firmware, say)
@@ -606,7 +608,9 @@ def _why_not(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
         if axis_design.after is None:
             bandwidth = f", {need.min_bandwidth_hz:g} Hz included" if axis in ("roll", "pitch") else ""
             unsure = axis_design.channel.actuator.dynamics.unsure_words()
+            beside = f"whatever others and what its hinges turn add to it, {unsure.removeprefix('what was measured, ')}"
             misfit = f", for every engine that differs from the model by {unsure}" if unsure else ""
+            misfit = f", {beside}" if unsure and axis_design.channel.by_servo else misfit
             return f"{axis}: no gains keep the requirements{bandwidth}{misfit}"
     return ""
 

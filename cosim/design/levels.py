@@ -69,12 +69,15 @@ def levels(
     """The levels at which a design is proved, a full tank first; ``dynamics`` of the engine that carries a vehicle.
 
     With less thrust in hover there is less room below it, for a step as for noise, and the requirements stay the same.
+    Of an axis that hinges give they are those of a full tank: allocation turns more where there is less to turn.
     """
-    designed = []
+    designed: list[Level] = []
     for fuel in PROVED:
         there = lighter(vehicle, fuel)
         own = channels(scenario, there, spec, dynamics(there))
-        designed.append(Level(fuel, there.mass_kg, hover_share(there, spec), {axis: own[axis] for axis in AXES}))
+        full = designed[0].channels if designed else own
+        kept = {axis: full[axis] if full[axis].by_servo else own[axis] for axis in AXES}
+        designed.append(Level(fuel, there.mass_kg, hover_share(there, spec), kept))
     return designed
 
 
@@ -109,6 +112,9 @@ def follow(
         if level.fuel == 1.0 or level.fuel not in designed:
             continue
         channel = level.channels[axis]
+        if channel.by_servo:
+            tunings[level.fuel] = full
+            continue
         start = begin.get(level.fuel, last)
         # the derivative's filter, predictor and model stay those of a full tank
         gains = start.gains.model_copy(update={"d_filter_s": full.gains.d_filter_s})

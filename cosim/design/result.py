@@ -8,6 +8,7 @@ from math import degrees, exp, inf, isfinite
 from pathlib import Path
 from typing import Any
 
+from cosim.base.signals import AXES
 from cosim.base.storage.files import finite
 from cosim.design.controller_table import controller_table, write_controller
 from cosim.design.design import (
@@ -181,7 +182,7 @@ def _model_lines(design: Design) -> list[str]:
     lines = []
     roll = design.axes["roll"].channel
     if design.identification is not None:
-        dynamics = roll.actuator.dynamics
+        dynamics = design.axes["altitude"].channel.actuator.dynamics
         lines.append(
             f"engine {design.engine.name}: {dynamics.words()}, delay {dynamics.delay_samples:.4g} samples "
             f"({1e3 * dynamics.delay_samples * dynamics.step:.4g} ms); {design.identification.source}"
@@ -196,10 +197,22 @@ def _model_lines(design: Design) -> list[str]:
                 "what is tolerated are the worst among them"
             )
         lines += [f"note: {note}" for note in design.identification.notes]
-    lines.append(
-        f"roll: {roll.gain:.4g} rad/s^2 per unit of share, all delay {1e3 * roll.slowness_s:.4g} ms "
-        f"at low frequency, {roll.room:.2f} of share to either side at hover"
-    )
+    delay = f"all delay {1e3 * roll.slowness_s:.4g} ms at low frequency"
+    if roll.unit == "share":
+        room = f"{roll.room:.2f} of share to either side at hover"
+        return [*lines, f"roll: {roll.gain:.4g} rad/s^2 per unit of share, {delay}, {room}"]
+    for axis in AXES:
+        channel = design.axes[axis].channel
+        delay = f"all delay {1e3 * channel.slowness_s:.4g} ms at low frequency"
+        room = f"{channel.room:.3g} rad/s^2 to either side at hover"
+        by, dynamics = "thrust", channel.actuator.dynamics
+        if channel.by_servo:
+            by, room = f"hinges, lag {1e3 * dynamics.lag_s:.4g} ms", f"{room} that their rates and ranges follow"
+        line = f"{axis}: by {by}, {delay}, {room}"
+        if channel.by_servo and dynamics.unsure:
+            at, most = max(dynamics.unsure, key=lambda point: point[1])
+            line += f"; designed for what others and all that turns add, up to {100.0 * most:.2g} % at {at:.2g} Hz"
+        lines.append(line)
     return lines
 
 
@@ -274,7 +287,8 @@ def _reach(design: Design) -> str:
     assert after.step_peak is not None
     rate = design.vehicle.control.attitude.rate_limit_rad_s[0] / after.tuning.angle_gain
     return (
-        f"a roll step asks for the whole share from {degrees(roll.channel.room / after.step_peak):.0f} deg on, "
+        f"a roll step asks for {'the whole share' if roll.channel.unit == 'share' else 'all of this'} "
+        f"from {degrees(roll.channel.room / after.step_peak):.0f} deg on, "
         f"and for the limit of the rate from {degrees(rate):.0f} deg on"
     )
 

@@ -22,9 +22,9 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.base.signals import AXES
+from cosim.base.signals import AXES, ZERO3
 from cosim.control.predictors.linear import delayed_response
-from cosim.design.loop.dynamics import Dynamics, lags
+from cosim.design.loop.dynamics import CARRIED, Dynamics, lags
 from cosim.engine import EngineSpec
 from cosim.simulation.build import effectiveness_of
 from cosim.spec.scenario import Scenario
@@ -35,8 +35,9 @@ from cosim.spec.vehicle import (
     Servo,
     Vehicle,
 )
+from cosim.vehicle.parts.hinges import HingeReactions
 
-PURE = 0.1  # of an axis: what gives no more of it than this is not looked at; chosen by us
+BESIDE = 160  # frequencies at which what others add to an axis is computed: 4 % apart, more counts below than is
 SERVO = "tilt servo"  # what an actuator that turns a thrust is called
 INSTANT = 1e-9  # a pole in z below which a lag is over within a step: a 20th of one; chosen by us, far below what acts
 
@@ -261,33 +262,71 @@ def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, d
 def _by_effectiveness(
     axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator
 ) -> Channel:
-    """Angular acceleration asked for, through what gives it in hover.  Raises InputError where engines and servos of
-    unlike lags share it, so that no one actuator stands for both."""
+    """Angular acceleration asked for, through what gives most of it in hover: thrusts, or hinges of one lag.
+
+    What others give of it, and how parts that hinges turn push back, is known: :func:`_beside`.
+    """
     index = AXES.index(axis)
-    allocator = effectiveness_of(scenario, vehicle, engine)
-    by_thrust = allocator.by_thrust(index)
-    if PURE < by_thrust < 1.0 - PURE:
-        raise InputError(
-            f"{vehicle.name}: {axis} is given by thrust to {100.0 * by_thrust:.0f} % and by hinges for the rest, of "
-            "which no one lag stands for both; raise effort of the hinges or of the jets until one of them gives it"
-        )
-    thrusts = by_thrust >= 0.5
-    slowest = max(vehicle.hinges, key=lambda hinge: hinge.lag_s, default=None)
-    actuator = dynamics
-    if not thrusts and slowest is not None:
-        actuator = servo_actuator(slowest, scenario.step_s)
+    allocator, step = effectiveness_of(scenario, vehicle, engine), scenario.step_s
+    moves, effects = allocator.split(index)
+    jets = len(vehicle.jets)
+    turns = list(zip(vehicle.hinges, moves[jets:], effects[jets:], strict=False))  # surfaces do nothing in hover
+    room = allocator.room(index)
+    kicks = _kicks(vehicle, step)[:, index]
+    parts = [(dynamics, sum([move * effect for move, effect in zip(moves[:jets], effects[:jets], strict=True)]), 0.0)]
+    for lag in dict.fromkeys(hinge.lag_s for hinge in vehicle.hinges):
+        alike = [k for k, (hinge, _, _) in enumerate(turns) if hinge.lag_s == lag]
+        share = sum([turns[k][1] * turns[k][2] for k in alike])
+        parts.append((servo_actuator(turns[alike[0]][0], step), share, sum([turns[k][1] * kicks[k] for k in alike])))
+    main, _, _ = max(parts, key=lambda part: part[1])
+    if main is not dynamics:
+        # no step of the command may ask more of a hinge than its servo follows
+        room = min([room, *(_servo_room(hinge) / abs(move) for hinge, move, _ in turns if move)])
+    main = _beside(main, parts, step)
     return Channel(
         axis,
         "rad/s^2",
-        actuator,
+        main,
         1.0,
         vehicle.aero.damping_n_m_s[index] / vehicle.inertia_kg_m2[index],
-        scenario.step_s,
+        step,
         scenario.substeps,
-        allocator.room(index),
+        room,
         **_gyro(vehicle.sensors),  # type: ignore[arg-type]
         added_delay=scenario.added_delay_samples if axis == "roll" else 0,
     )
+
+
+def _kicks(vehicle: Vehicle, step: float) -> Array:
+    """Angular acceleration of the body per rad/s^2 of each hinge from rest: of what hangs on it, which pushes back."""
+    reactions = HingeReactions(vehicle.hinges, vehicle.jets, step)
+    small, rows = 1e-6, []
+    for number in range(len(vehicle.hinges)):
+        reactions.reset()
+        angles = [hinge.rest_rad + small * (k == number) for k, hinge in enumerate(vehicle.hinges)]
+        push, moment = reactions.act(tuple(angles), ZERO3)
+        whole = np.array(moment) + np.cross(vehicle.jets[0].position_m, push)
+        rows.append(np.linalg.solve(np.array(vehicle.tensor), whole) / (small / step**2))
+    return np.array(rows).reshape(-1, 3)
+
+
+def _beside(main: Actuator, parts: Sequence[tuple[Actuator, float, float]], step: float) -> Actuator:
+    """The actuator that gives most of an axis; what others do beside it is carried as an uncertainty.
+
+    ``parts``: actuator ``A``, its share ``w`` of the axis and the reaction ``r`` of what it turns, per command.  The
+    axis is ``sum (w + r (1 - 1/z)^2 / T^2) A``: at every frequency that is known, and so is how far ``A`` of this one
+    alone is off it.  A design that stands all that are as far off stands this one.
+    """
+    hertz = np.geomspace(1e-3, 0.49, BESIDE) / step
+    z = np.exp(2j * np.pi * hertz * step)
+    whole = np.zeros(len(z), complex)
+    for actuator, share, kick in parts:
+        whole += (share + kick * ((1.0 - 1.0 / z) / step) ** 2) * delayed_response(actuator.model, z)
+    off = np.abs(whole / delayed_response(main.model, z) - 1.0)
+    if float(off.max()) < CARRIED:
+        return main
+    unsure = tuple((float(f), float(share)) for f, share in zip(hertz, off, strict=True))
+    return replace(main, dynamics=replace(main.dynamics, unsure=unsure))
 
 
 def _reaction(axis: str, vehicle: Vehicle, moment: float, step: float) -> float:
@@ -315,11 +354,16 @@ def _room(vehicle: Vehicle, engine: EngineSpec) -> float:
     return min(share - limits.throttle_min, limits.throttle_max - share)
 
 
-def _servo_room(servo: Servo | None) -> float:
+def _servo_room(servo: Servo | Hinge | None) -> float:
     """A step of the command that neither range nor rate limit cuts: a lag sets out at step / lag."""
     if servo is None:
         return inf
-    return min(servo.range_rad, servo.rate_limit_rad_s * servo.lag_s) if servo.lag_s else servo.range_rad
+    if isinstance(servo, Hinge):
+        least, most = servo.least_most
+        reach = min(most - servo.rest_rad, servo.rest_rad - least)
+    else:
+        reach = servo.range_rad
+    return min(reach, servo.rate_limit_rad_s * servo.lag_s) if servo.lag_s else reach
 
 
 def _altitude(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:

@@ -1,0 +1,115 @@
+"""Axes that hinges give, alone or beside thrust: their channels against closed forms, and what is designed on them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import exp
+
+import control
+import numpy as np
+import pytest
+
+from cosim.base.constants import GRAVITY
+from cosim.design.design import _Asked, _axis, _scenario, assess, dynamics_of, identify_there, shipped
+from cosim.design.loop.channel import SERVO, Actuator, Channel, _kicks, channels
+from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.tune import Requirements
+from cosim.engine import EngineSpec, load_engine
+from cosim.simulation.build import effectiveness_of
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle, engine_of
+
+T = 0.004
+
+
+@lru_cache
+def plants(aircraft: str) -> tuple[Vehicle, EngineSpec, dict[str, Channel]]:
+    """The vehicle, its engine and its channels in hover."""
+    scenario, vehicle = _scenario(engine_of(aircraft), aircraft, ())
+    spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
+    engine = Actuator.of(spec.name, dynamics_of(identify_there(scenario, vehicle, spec, None)))
+    return vehicle, spec, channels(scenario, vehicle, spec, engine)
+
+
+def test_a_nozzles_channel_is_servo_inertia_and_gyro() -> None:
+    """python-control's L of the quadjet's yaw, which nozzles alone give: held, sampled and closed as it is flown."""
+    vehicle, spec, of = plants("quadjet")
+    channel, hinge = of["yaw"], vehicle.hinges[0]
+    assert channel.actuator.name == SERVO
+    assert not channel.actuator.dynamics.unsure
+    tuning = shipped(channel, vehicle, spec)
+    gains, closed = tuning.gains, Closed(Points(channel), tuning)
+    at, z = closed.points.z, control.tf([1.0, 0.0], [1.0], T)
+    servo, gyro = exp(-T / hinge.lag_s), exp(-T / vehicle.sensors.gyro.filter_s)
+    fall = channel.damping_1_s * T
+    # factor by factor: one polynomial of as many poles near 1 loses its digits there
+    rate = ((1.0 - servo) / (z - servo))(at) * (T * (1.0 - exp(-fall)) / fall * z / (z - exp(-fall)))(at)
+    measured = ((1.0 - gyro) * z / (z - gyro))(at) + tuning.angle_gain * (T / 2.0 * (z + 1.0) / (z - 1.0))(at)
+    loop = (gains.p + gains.i * T * z / (z - 1.0))(at) * rate * measured
+    assert gains.d == 0.0
+    assert np.abs(closed.open_loop / loop - 1.0).max() < 1e-9
+    points = control.frd(loop, closed.points.theta / T, smooth=True)
+    _, phase, *_ = control.stability_margins(points)
+    told = assess(channel, tuning, Requirements(min_bandwidth_hz=0.0)).margins
+    assert told is not None
+    assert told.phase_deg == pytest.approx(phase, abs=0.05)
+
+
+def test_the_room_of_an_axis_is_what_its_servos_follow() -> None:
+    """Of the quadjet: the weight on its arm turned by the angle at which a lag sets out at the limit of the rate."""
+    vehicle, _, of = plants("quadjet")
+    hinge = vehicle.hinges[0]
+    turn = min(0.26, hinge.rate_limit_rad_s * hinge.lag_s)
+    alone = vehicle.mass_kg * GRAVITY * 0.2 / vehicle.inertia_kg_m2[0] * turn
+    share = 1.0 - effectiveness_of(*_hover("quadjet")).by_thrust(0)
+    assert of["roll"].room == pytest.approx(alone / share, rel=1e-4)
+
+
+def _hover(aircraft: str) -> tuple[Scenario, Vehicle, EngineSpec]:
+    scenario, vehicle = _scenario(engine_of(aircraft), aircraft, ())
+    return scenario, vehicle, load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
+
+
+def test_what_turns_pushes_back_as_newton_has_it() -> None:
+    """The trijet's turbojets about y: J + m d x h of each, over the body's tensor."""
+    vehicle, _, _ = plants("trijet")
+    hinge = vehicle.hinges[0]
+    assert hinge.centre_m is None or hinge.centre_m == hinge.position_m
+    moment = -hinge.inertia_kg_m2 * np.array(hinge.axis)
+    assert _kicks(vehicle, T)[0] == pytest.approx(np.linalg.solve(np.array(vehicle.tensor), moment), rel=1e-6)
+
+
+def test_what_is_given_beside_is_carried() -> None:
+    """The trijet's pitch: servo 86 %, thrust 14 %, and a notch of the reaction; at each frequency within what is carried."""
+    vehicle, spec, of = plants("trijet")
+    channel = of["pitch"]
+    assert channel.by_servo
+    scenario, _, _ = _hover("trijet")
+    moves, effects = effectiveness_of(scenario, vehicle, spec).split(1)
+    jets = len(vehicle.jets)
+    by_thrust = sum(m * e for m, e in zip(moves[:jets], effects[:jets], strict=True))
+    engine = of["altitude"].actuator.dynamics
+    kick = sum(m * k for m, k in zip(moves[jets:], _kicks(vehicle, T)[:, 1], strict=True))
+    hertz = np.array([0.3, 0.5, 2.0, 5.0, 10.0])
+    s = 2j * np.pi * hertz
+    hold = np.exp(-s * T / 2)  # of both the same to the share that counts here
+    servo = 1.0 / (1.0 + s * channel.actuator.dynamics.lag_s)
+    whole = (1.0 - by_thrust) * servo + by_thrust * engine.held(hertz) / hold + kick * s * s * servo
+    carried = channel.actuator.dynamics.uncertainty(hertz)
+    assert carried == pytest.approx(np.abs(whole / servo - 1.0), rel=0.05, abs=0.005)
+
+
+@pytest.mark.parametrize(("aircraft", "axis"), [("quadjet", "roll"), ("trijet", "pitch"), ("jetwing", "yaw")])
+def test_an_axis_by_hinges_is_designed(aircraft: str, axis: str) -> None:
+    """Also where thrusts give a part of it: every requirement is kept with what they add.  Two of three are long."""
+    vehicle, spec, of = plants(aircraft)
+    need = Requirements()
+    found = _axis(of[axis], _Asked(vehicle, spec, ("baseline",), need, "", True, None, lambda text: None), None)
+    assert list(found.candidates) == ["baseline"]  # no lead: no engine answers
+    assert found.after is not None
+    assert found.after.stable
+    assert found.after.peak_sensitivity is not None
+    assert found.after.peak_sensitivity <= need.max_sensitivity
+    assert found.after.tolerated is not None
+    assert found.after.tolerated >= 1.0
+    assert all(found.checks.values())
