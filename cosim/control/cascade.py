@@ -182,14 +182,14 @@ class Cascade:
                 return self._ahead(self._wing, self._winged, measured, injected, rate_setpoint, torque, collective)
         given = self.allocator.allocate(collective, self._injected(torque, injected), injected.torque_command)
         self._unallocated = given.unallocated
-        return self._given(given, rate_setpoint, torque, collective)
+        return self._actuated(given, self._share(given, rate_setpoint, torque, collective))
 
-    def _given(self, given: Actuation, rate_setpoint: Vector3, torque: Vector3, collective: float) -> Actuation:
-        """What allocation gave for the loops, shown and as throttles."""
+    def _share(self, given: Actuation, rate_setpoint: Vector3, torque: Vector3, collective: float) -> float:
+        """The collective that allocation gave, shown with what the loops asked for."""
         share = collective - given.unallocated.collective
         predicted = self.rate.predicted if self.own_rate is None else self.own_rate.predicted
         self.signals = ControlSignals(rate_setpoint, predicted, torque, collective, share)
-        return self._actuated(given, share)
+        return share
 
     def _on_the_wing(self, wing: WingFlight, command: Command, measured: Measured) -> Command:
         """Where a speed ahead is asked for, with the attitude that the wing needs for it."""
@@ -217,7 +217,7 @@ class Cascade:
         asked = (roll + a, pitch + b, yaw + c)
         given, missing = allocator.ahead(wanted.ahead, wanted.lift, wanted.pitch, asked, wing.tilts)
         self._unallocated = wing.refused(missing, given.unallocated)
-        return self._given(given, rate_setpoint, torque, collective)
+        return self._actuated(given, self._share(given, rate_setpoint, torque, collective))
 
     def _caught(
         self,
