@@ -12,6 +12,12 @@ linearly, each with its own matrices.
 
 Sources: Betaflight 4.6 ``flight/pid.c``, ``pid_init.c``, ``sensors/gyro.c``, ``common/filter.c``; PX4 1.15
 ``RateControl.cpp``, ``VehicleAngularVelocity.cpp``, ``AlphaFilter.hpp``; ArduPilot 4.6 ``AC_PID.cpp``, ``Copter.cpp``.
+That PX4's and ArduPilot's rate loops hear the attitude loop one step later follows from the order of their tasks.  PX4:
+``mc_rate_control`` runs at each new rate, in the work queue of the highest priority (``rate_ctrl`` in
+``WorkQueueManager.hpp``); ``mc_att_control`` runs at each new attitude, which the estimator makes of the same sample,
+in a queue of a lower one (``nav_and_controllers``).  ArduPilot: the fast tasks of ``Copter.cpp`` are gyro, rate loop,
+motors, estimator, and then the flight mode with its attitude loop.  It was measured with neither program.
+
 Of limits and anti-windup nothing is in it, nor of gains that follow the throttle: our settings switch these off.
 """
 
