@@ -80,7 +80,11 @@ LENGTHY = {
     ),
     "test_design": ("test_where_there_is_no_design_it_says_which_delay_would_allow_one", "test_a_later_engine"),
     "test_design_proof": ("test_an_engine_that_trembles",),
-    "test_design_hinges": tuple(f"test_an_axis_by_hinges_is_designed[{name}" for name in ("quadjet", "jetwing")),
+    "test_design_hinges": (
+        *(f"test_an_axis_by_hinges_is_designed[{name}" for name in ("quadjet", "jetwing")),
+        *(f"test_a_design_beside_its_vehicle_is_what_todays_command_makes[{name}" for name in ("quadjet", "jetwing")),
+        "test_a_doublet_with_the_design_is_what_it_promises",
+    ),
     "test_design_stored": ("test_a_level_is_designed_where_a_straight_line_misses_a_requirement",),
     "test_gcs_conformance": ("test_connect_fly_and_land_as_qgroundcontrol[0.2]", "test_a_stranger_without_the_key"),
     "test_campaign_store": ("test_ten_kills_at_random_moments",),

@@ -212,6 +212,9 @@ def _model_lines(design: Design) -> list[str]:
         if channel.by_servo and dynamics.unsure:
             at, most = max(dynamics.unsure, key=lambda point: point[1])
             line += f"; designed for what others and all that turns add, up to {100.0 * most:.2g} % at {at:.2g} Hz"
+            if most > 1.0:
+                first = next(hertz for hertz, share in dynamics.unsure if share > 1.0)
+                line += f", more than itself from {first:.2g} Hz on"
         lines.append(line)
     return lines
 
