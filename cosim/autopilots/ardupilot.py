@@ -24,6 +24,11 @@ BEFORE_S = 40.0  # chosen by us: until its estimator has a position, without whi
 ANGLE_LIMIT_DEG, YAW_RATE_DEG_S = 30, 202  # ANGLE_MAX, and PILOT_Y_RATE as it ships
 _SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by their magic: frame rate, frame count, pulses [us]
 _STICKS = Struct("<16H")
+# One line between two ends of lines; its parser wants no blank behind a colon, and one behind a comma.
+_STATE = (
+    b'\n{"timestamp":%.6f,"imu":{"gyro":[%.9g, %.9g, %.9g],"accel_body":[%.9g, %.9g, %.9g]},'
+    b'"position":[%.9g, %.9g, %.9g],"quaternion":[%.9g, %.9g, %.9g, %.9g],"velocity":[%.9g, %.9g, %.9g]}\n'
+)
 _START_S = 60.0  # until its first packet
 # A packet that comes again this soon after it was answered was sent before that.  It is not answered again: ArduPilot
 # would take the second answer for that to its next packet, and be a step late from there on.  It waits for a second.
@@ -136,7 +141,9 @@ class ArduPilot:
 
     def _answer(self, pulses: tuple[int, ...]) -> Answer:
         jets = self._jets
-        throttle = tuple([min(max((pulse - 1000.0) / 1000.0, 0.0), 1.0) for pulse in pulses[:jets]])
+        throttle = tuple([
+            0.0 if pulse <= 1000 else 1.0 if pulse >= 2000 else (pulse - 1000.0) / 1000.0 for pulse in pulses[:jets]
+        ])  # fmt: skip
         tilt = (0.0, 0.0)
         if self._range:
             left, right = (
@@ -147,12 +154,9 @@ class ArduPilot:
         return Answer(throttle, tilt, max(throttle) > 0.0)
 
     def _state(self, frame: Frame) -> bytes:
-        """One line between two ends of lines; its parser wants no blank behind a colon, and one behind a comma."""
-        attitude = ", ".join([f"{value:.9g}" for value in frame.attitude])
-        return (
-            f'\n{{"timestamp":{frame.time:.6f},"imu":{{"gyro":[{_three(frame.rate)}],"accel_body":[{_three(frame.force)}]}},'
-            f'"position":[{_three(frame.position)}],"quaternion":[{attitude}],"velocity":[{_three(frame.velocity)}]}}\n'
-        ).encode()
+        return _STATE % (
+            frame.time, *frame.rate, *frame.force, *frame.position, *frame.attitude, *frame.velocity,
+        )  # fmt: skip
 
     def close(self) -> None:
         """End it; may be called twice."""
@@ -161,11 +165,6 @@ class ArduPilot:
         if self._socket is not None:
             self._socket.close()
         self._out.close()
-
-
-def _three(vector: tuple[float, float, float]) -> str:
-    x, y, z = vector
-    return f"{x:.9g}, {y:.9g}, {z:.9g}"
 
 
 def _pulses(frame: Frame) -> list[int]:

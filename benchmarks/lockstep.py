@@ -1,0 +1,192 @@
+"""What the lockstep with an autopilot costs a step: numbers only, nothing is judged.
+
+    python benchmarks/lockstep.py                            a minute
+    python benchmarks/lockstep.py --write docs/autopilots.md     puts the table between the page's marks
+
+The autopilots are the tests' stand-ins, in processes of their own. What an exchange costs is given three times: of the
+clock, which has the stand-in's own time and the system's way there and back in it; of the processor, in the thread that
+flies; and beside them a bare echo of packets of the same sizes over the same kind of socket, which no lockstep can be
+cheaper than. Rounds of all of them take turns; the figures are medians.
+"""
+
+from __future__ import annotations
+
+import argparse
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+
+from cosim.autopilots.ardupilot import ArduPilot
+from cosim.autopilots.lockstep import Autopilot, Frame, Sticks
+from cosim.autopilots.px4 import Px4
+from cosim.base.frames import from_euler
+from cosim.base.geodesy import Geodesy
+from cosim.results.report.marks import table, write_marks
+from cosim.spec.scenario import Scenario
+
+MARK = "lockstep"
+HERE = Path(__file__).resolve()
+HOVER = Scenario.load("hover").replace(engine="edf")
+VEHICLE = HOVER.resolved_vehicle()[0]
+PLACE = Geodesy(22.35, 113.59)
+ROUNDS, FRAMES = 7, 4000
+INSTANCE = {"ardupilot": 2711, "px4": 31_711}  # ports that nobody has
+STILL = Frame(
+    0.0, (0.1, -0.2, 0.3), (0.5, -0.4, -9.8), from_euler(0.1, 0.2, 0.3), (1.0, 2.0, -30.0), (0.1, 0.2, -0.3), 30.0,
+    Sticks(0.5, -0.25, 0.1, 0.4, True),
+)  # fmt: skip
+Cost = tuple[float, float]  # of the clock and of this thread's processor, s each
+
+
+def stand_in(kind: str) -> None:
+    """What the child process does, until its standard input ends."""
+    sys.path.insert(0, str(HERE.parents[1] / "tests" / "tools"))
+    import autopilot_standins
+
+    if kind == "ardupilot":
+
+        def pulses(told: dict[str, object]) -> list[int]:
+            return [1500] * 16
+
+        autopilot_standins.ArduPilotStandIn(9002 + 10 * INSTANCE[kind], pulses=pulses)
+    elif kind == "px4":
+        autopilot_standins.Px4StandIn(4560 + INSTANCE[kind])
+    else:
+        echo(kind)
+    sys.stdin.read()
+
+
+def echo(kind: str) -> None:
+    """Say back what comes: by UDP, or by TCP."""
+    if kind == "udp":
+        here = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        here.bind(("127.0.0.1", 0))
+        print(here.getsockname()[1], flush=True)
+        while True:
+            packet, sender = here.recvfrom(4096)
+            here.sendto(packet[:40], sender)
+    server = socket.create_server(("127.0.0.1", 0))
+    print(server.getsockname()[1], flush=True)
+    there, _ = server.accept()
+    there.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    while packet := there.recv(4096):
+        there.sendall(packet[:95])
+
+
+@contextmanager
+def child(kind: str) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        [sys.executable, str(HERE), "--stand-in", kind], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def timed(step: Callable[[int], object]) -> Cost:
+    """What one of :data:`FRAMES` steps costs."""
+    wall, own = time.perf_counter(), time.thread_time()
+    for k in range(FRAMES):
+        step(k)
+    return (time.perf_counter() - wall) / FRAMES, (time.thread_time() - own) / FRAMES
+
+
+def bare(kind: str) -> Cost:
+    """A round trip of packets as large as those of the lockstep, and nothing else."""
+    with child(kind) as process:
+        assert process.stdout is not None
+        port = int(process.stdout.readline())
+        state = b"x" * (300 if kind == "udp" else 140)
+        if kind == "udp":
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+                link.connect(("127.0.0.1", port))
+
+                def there_and_back(k: int) -> None:
+                    link.send(state)
+                    link.recv(4096)
+
+                return timed(there_and_back)
+        with socket.create_connection(("127.0.0.1", port)) as link:
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+            def say_and_hear(k: int) -> None:
+                link.sendall(state)
+                link.recv(4096)
+
+            return timed(say_and_hear)
+
+
+@contextmanager
+def paired(kind: str, folder: Path) -> Iterator[Autopilot]:
+    ours: Autopilot
+    if kind == "ardupilot":
+        ours = ArduPilot(None, folder, VEHICLE, HOVER.step_s, PLACE, instance=INSTANCE[kind], limit=20.0)
+    else:
+        ours = Px4(None, folder, VEHICLE, HOVER.step_s, PLACE, instance=INSTANCE[kind], limit=20.0)
+    with child(kind):
+        try:
+            yield ours
+        finally:
+            ours.close()
+
+
+def exchanged(kind: str, folder: Path) -> Cost:
+    with paired(kind, folder) as ours:
+        ours.start()
+        for k in range(20):  # its boot
+            ours.exchange(STILL._replace(time=k * HOVER.step_s))
+        return timed(lambda k: ours.exchange(STILL._replace(time=(20 + k) * HOVER.step_s)))
+
+
+def measured() -> dict[str, list[tuple[Cost, Cost]]]:
+    """Cost of an exchange and of a bare round trip, round by round, of each autopilot."""
+    found: dict[str, list[tuple[Cost, Cost]]] = {"ardupilot": [], "px4": []}
+    for number in range(ROUNDS):
+        for kind, sort in (("ardupilot", "udp"), ("px4", "tcp")):
+            with tempfile.TemporaryDirectory() as folder:
+                found[kind].append((exchanged(kind, Path(folder)), bare(sort)))
+        print(f"round {number + 1} of {ROUNDS}", flush=True)
+    return found
+
+
+def text_of(found: dict[str, list[tuple[Cost, Cost]]]) -> str:
+    rows = []
+    for kind, rounds in found.items():
+        (wall, own), (bare_wall, bare_own) = (
+            tuple(1e6 * median(each[part][k] for each in rounds) for k in (0, 1)) for part in (0, 1)
+        )
+        rows.append([
+            kind, f"{wall:.0f}", f"{own:.0f}", f"{bare_wall:.0f}", f"{bare_own:.0f}", f"{own - bare_own:.0f}",
+            f"{HOVER.step_s * 1e6 / wall:.0f}",
+        ])  # fmt: skip
+    head = [
+        "", "exchange, us of the clock", "of our processor", "bare echo, us of the clock", "of our processor",
+        "ours over the echo's, of the processor", "real time at most by this",
+    ]  # fmt: skip
+    return table(head, rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--stand-in", help=argparse.SUPPRESS)
+    parser.add_argument("--write", type=Path, metavar="PAGE.md")
+    asked = parser.parse_args()
+    if asked.stand_in:
+        stand_in(asked.stand_in)
+        return
+    text = text_of(measured())
+    print(text)
+    if asked.write is not None:
+        write_marks(asked.write, {MARK: text})
+
+
+if __name__ == "__main__":
+    main()
