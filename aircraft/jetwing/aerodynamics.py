@@ -93,10 +93,10 @@ def coefficients(alpha: float) -> tuple[float, float, float]:
     )
 
 
-def weathercock(beta: float) -> float:
-    """Yawing moment of the fin: attached as a wing, ``a_v V_v beta``, then a plate."""
+def weathercock(beta: float) -> tuple[float, float]:
+    """Yawing moment of the fin, its two parts: attached as a wing, ``a_v V_v beta``, and a plate."""
     share = attached(beta + ZERO_LIFT)
-    return FIN_VOLUME * (share * FIN * beta + (1.0 - share) * PLATE * sin(beta))
+    return FIN_VOLUME * share * FIN * beta, FIN_VOLUME * (1.0 - share) * PLATE * sin(beta)
 
 
 def alphas() -> list[float]:
@@ -132,36 +132,39 @@ def function(name: str, *factors: str | float, inner: str = "") -> str:
 
 # Lift, drag and pitch see the stream in the plane of symmetry alone: cos^2 beta of the dynamic pressure
 IN_PLANE = "        <pow><cos><property>aero/beta-rad</property></cos><value>2</value></pow>\n"
-# A wing that stands across the stream has no dihedral: sin beta cos beta
+# What goes with sin beta cos beta: dihedral, which a wing across the stream does not have; and the part that stands across
+# the stream of a force along body y in proportion to sin beta.  The part along the stream, a drag, goes with sin^2 beta.
 ACROSS = "        <sin><property>aero/beta-rad</property></sin><cos><property>aero/beta-rad</property></cos>\n"
-# Surfaces work while the stream comes from ahead: cos alpha, none from behind
-AHEAD = "        <max><value>0</value><cos><property>aero/alpha-rad</property></cos></max>\n"
+SIDEWAYS = "        <pow><sin><property>aero/beta-rad</property></sin><value>2</value></pow>\n"
+# Surfaces work while the stream comes from ahead: by its part along body x, cos alpha cos beta, and none from behind.  In a
+# stream from the side alpha is that of next to nothing, and turns round when that does.
+AHEAD = """        <max><value>0</value><product>
+          <cos><property>aero/alpha-rad</property></cos><cos><property>aero/beta-rad</property></cos>
+        </product></max>
+"""
 
 
 def document() -> str:
     d = DERIVATIVES
     q, s, c, b = "aero/qbar-psf", "metrics/Sw-sqft", "metrics/cbarw-ft", "metrics/bw-ft"
     p, r, w = "velocities/p-aero-rad_sec", "velocities/r-aero-rad_sec", "velocities/q-aero-rad_sec"
-    turning = table("cn", [(float(x), weathercock(radians(x))) for x in range(-90, 91, 3)], "aero/beta-deg")
-    side = "\n".join(f"          {x} {-SIDE_AREA / AREA * PLATE * sin(radians(x)):.6f}" for x in range(-90, 91, 15))
+    plate = SIDE_AREA / AREA * PLATE
+    betas = [float(x) for x in range(-90, 91, 3)]
+    turning, turned = (
+        table(name, [(x, weathercock(radians(x))[part]) for x in betas], "aero/beta-deg")
+        for part, name in enumerate(("cn", "cn-plate"))
+    )
     axes = {
         "LIFT": [
             function("lift", q, s, inner=IN_PLANE + coefficient("cl", 0) + "\n"),
             function("lift-elevator", q, s, "fcs/elevator-cmd-norm", d["elevator, lift"], inner=AHEAD),
         ],
-        "DRAG": [function("drag", q, s, inner=IN_PLANE + coefficient("cd", 1) + "\n")],
+        "DRAG": [
+            function("drag", q, s, inner=IN_PLANE + coefficient("cd", 1) + "\n"),
+            function("drag-side", q, s, plate, inner=SIDEWAYS),
+        ],
         "SIDE": [
-            f"""    <function name="aero/side">
-      <product>
-        {product(q, s)}
-        <table name="aero/cy">
-        <independentVar lookup="row">aero/beta-deg</independentVar>
-        <tableData>
-{side}
-        </tableData>
-        </table>
-      </product>
-    </function>""",
+            function("side", q, s, -plate, inner=ACROSS),
             function("side-rudder", q, s, "fcs/rudder-cmd-norm", d["rudder, side"], inner=AHEAD),
         ],
         "ROLL": [
@@ -176,6 +179,7 @@ def document() -> str:
         ],
         "YAW": [
             function("yaw-weathercock", q, s, b, inner=AHEAD + turning + "\n"),
+            function("yaw-fin-across", q, s, b, inner=turned + "\n"),
             function("yaw-damping", q, s, b, "aero/bi2vel", r, d["yaw damping"]),
             function("yaw-rudder", q, s, b, "fcs/rudder-cmd-norm", d["rudder, yaw"], inner=AHEAD),
         ],
