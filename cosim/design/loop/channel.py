@@ -325,6 +325,9 @@ def _beside(main: Actuator, parts: Sequence[tuple[Actuator, float, float]], step
     off = np.abs(whole / delayed_response(main.model, z) - 1.0)
     if float(off.max()) < CARRIED:
         return main
+    if main.dynamics.unsure:  # what its own model leaves comes on top
+        at, left = np.array(main.dynamics.unsure).T
+        off += np.interp(np.log(hertz), np.log(at), left)
     unsure = tuple((float(f), float(share)) for f, share in zip(hertz, off, strict=True))
     return replace(main, dynamics=replace(main.dynamics, unsure=unsure))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +108,7 @@ def test_by_hand_every_servo_has_a_number(tmp_path: Path) -> None:
             flight.step(tilt=[0.1, 0.1])
 
 
-def test_a_design_says_where_two_lags_share_an_axis(tmp_path: Path) -> None:
+def test_where_two_lags_share_an_axis_the_lesser_is_an_uncertainty_of_the_greater(tmp_path: Path) -> None:
     scenario = gimballed(tmp_path)
     vehicle, _ = scenario.resolved_vehicle()
     engine = load_engine("motor", {}, scenario.step_s)
@@ -118,8 +119,15 @@ def test_a_design_says_where_two_lags_share_an_axis(tmp_path: Path) -> None:
         )
 
     answer = Actuator.of("engine", lags([0.05], 0.0, scenario.step_s))
-    with pytest.raises(InputError, match=r"yaw is given by thrust to \d+ % and by hinges for the rest"):
-        channels(scenario, with_effort(1.0), engine, answer)
+    shared = {axis: plant.actuator for axis, plant in channels(scenario, with_effort(1.0), engine, answer).items()}
+    assert (shared["roll"].name, shared["yaw"].name) == ("engine", "tilt servo")
+    assert all(max(share for _, share in shared[axis].dynamics.unsure) > 0.1 for axis in ("roll", "yaw"))
+    # what the engine's model leaves by itself comes on top
+    loose = replace(answer, dynamics=replace(answer.dynamics, unsure=((0.01, 0.2), (400.0, 0.2))))
+    roll = channels(scenario, with_effort(1.0), engine, loose)["roll"].actuator
+    assert [share for _, share in roll.dynamics.unsure] == pytest.approx(
+        [share + 0.2 for _, share in shared["roll"].dynamics.unsure], abs=1e-12
+    )
     # hinges that are dear leave it to the jets
     roll = channels(scenario, with_effort(100.0), engine, answer)["roll"]
     assert (roll.unit, roll.gain, roll.actuator.name) == ("rad/s^2", 1.0, "engine")
