@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 
 Verdict = Literal["landed", "slid", "holds", "flies on", "stands armed", "crashed", "lost"]
 
-# Of docs/failsafes.md; others by their names.
-TABLED = ("hexjet", "hexjet-100", "hexjet-p220", "quadrotor", "octojet", "quadjet")
+# Of docs/failsafes.md, every one that ships with an autopilot; vehicles of one's own by their names.
+TABLED = ("hexjet", "hexjet-100", "hexjet-p220", "quadrotor", "octojet", "quadjet", "trijet", "jetwing")
 HEIGHTS_M = (3.0, 10.0, 30.0)
 WINDS_M_S = (0.0, 5.0, 10.0)
 # Chosen by us.
