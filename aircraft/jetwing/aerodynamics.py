@@ -132,12 +132,12 @@ def function(name: str, *factors: str | float, inner: str = "") -> str:
 
 # Lift, drag and pitch see the stream in the plane of symmetry alone: cos^2 beta of the dynamic pressure
 IN_PLANE = "        <pow><cos><property>aero/beta-rad</property></cos><value>2</value></pow>\n"
-# What goes with sin beta cos beta: dihedral, which a wing across the stream does not have; and the part that stands across
-# the stream of a force along body y in proportion to sin beta.  The part along the stream, a drag, goes with sin^2 beta.
+# What goes with sin beta cos beta: dihedral, which a wing across the stream does not have; and of a force along body y
+# in proportion to sin beta the part across the stream.  The part along the stream, a drag, goes with sin^2 beta.
 ACROSS = "        <sin><property>aero/beta-rad</property></sin><cos><property>aero/beta-rad</property></cos>\n"
 SIDEWAYS = "        <pow><sin><property>aero/beta-rad</property></sin><value>2</value></pow>\n"
-# Surfaces work while the stream comes from ahead: by its part along body x, cos alpha cos beta, and none from behind.  In a
-# stream from the side alpha is that of next to nothing, and turns round when that does.
+# Surfaces work while the stream comes from ahead: by its part along body x, cos alpha cos beta, and none from behind.
+# In a stream from the side alpha is that of next to nothing, and turns round when that does.
 AHEAD = """        <max><value>0</value><product>
           <cos><property>aero/alpha-rad</property></cos><cos><property>aero/beta-rad</property></cos>
         </product></max>
