@@ -50,11 +50,7 @@ def stand_in(kind: str) -> None:
     import autopilot_standins
 
     if kind == "ardupilot":
-
-        def pulses(told: dict[str, object]) -> list[int]:
-            return [1500] * 16
-
-        autopilot_standins.ArduPilotStandIn(9002 + 10 * INSTANCE[kind], pulses=pulses)
+        autopilot_standins.ArduPilotStandIn(9002 + 10 * INSTANCE[kind])
     elif kind == "px4":
         autopilot_standins.Px4StandIn(4560 + INSTANCE[kind])
     else:
@@ -105,32 +101,22 @@ def bare(kind: str) -> Cost:
         assert process.stdout is not None
         port = int(process.stdout.readline())
         state = b"x" * (300 if kind == "udp" else 140)
-        if kind == "udp":
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-                link.connect(("127.0.0.1", port))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM) as link:
+            link.connect(("127.0.0.1", port))
+            if kind == "tcp":
+                link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
-                def there_and_back(k: int) -> None:
-                    link.send(state)
-                    link.recv(4096)
-
-                return timed(there_and_back)
-        with socket.create_connection(("127.0.0.1", port)) as link:
-            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-            def say_and_hear(k: int) -> None:
+            def there_and_back(k: int) -> None:
                 link.sendall(state)
                 link.recv(4096)
 
-            return timed(say_and_hear)
+            return timed(there_and_back)
 
 
 @contextmanager
 def paired(kind: str, folder: Path) -> Iterator[Autopilot]:
-    ours: Autopilot
-    if kind == "ardupilot":
-        ours = ArduPilot(None, folder, VEHICLE, HOVER.step_s, PLACE, instance=INSTANCE[kind], limit=20.0)
-    else:
-        ours = Px4(None, folder, VEHICLE, HOVER.step_s, PLACE, instance=INSTANCE[kind], limit=20.0)
+    make = {"ardupilot": ArduPilot, "px4": Px4}[kind]
+    ours = make(None, folder, VEHICLE, HOVER.step_s, PLACE, instance=INSTANCE[kind], limit=20.0)
     with child(kind):
         try:
             yield ours

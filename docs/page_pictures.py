@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
-from cosim.bench.measures.browser import NAMES as BROWSERS
+from cosim.bench.measures.browser import find_browser
 from cosim.cli.main import main as hexjet
 from cosim.control.autopilot import requests as rq
 from cosim.groundstation.exchange import Exchange
@@ -163,7 +163,7 @@ def main(names: list[str]) -> int:
     if unknown := set(names) - set(known):
         print(f"{', '.join(sorted(unknown))}: no such page; there are {', '.join(known)}", file=sys.stderr)
         return 2
-    found = os.environ.get("HEXJET_BROWSER") or next(filter(None, map(shutil.which, BROWSERS)), None)
+    found = find_browser()
     if found is None:
         print("no pictures of pages: install chromium, or name a browser in HEXJET_BROWSER", file=sys.stderr)
         return 0

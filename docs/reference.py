@@ -550,7 +550,7 @@ ENVIRONMENT = {
     "ARDUPILOT_SITL": "the ArduPilot program that `hexjet sitl` runs",
     "BETAFLIGHT_SITL": "the Betaflight program that `hexjet sitl` runs",
     "PX4_SITL": "the PX4 program that `hexjet sitl` runs",
-    "HEXJET_BROWSER": "for the tests: the browser that they drive",
+    "HEXJET_BROWSER": "the browser that tests, pictures of pages and `hexjet bench` drive",
     "CC": "the C compiler that builds FMUs and extensions; `cc` without it",
     "PYTHONPATH": "where Python finds modules of your own; a campaign's workers on this machine have the same",
     "PATH": "where compiler and CMake are found",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import signal
 import subprocess
 import threading
@@ -28,7 +26,6 @@ settings.load_profile("any machine")
 if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 BROWSER_FLAGS = [
     # WebGL by software, the same on every machine
     "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -179,7 +176,9 @@ def hexjet(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytes
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """A headless browser that is installed; without one the test says that it was skipped."""
-    found = os.environ.get("HEXJET_BROWSER") or next(filter(None, map(shutil.which, BROWSERS)), None)
+    from cosim.bench.measures.browser import find_browser
+
+    found = find_browser()
     # what stands in for a browser that is not installed answers with an error
     if found is None or subprocess.run([found, "--version"], capture_output=True).returncode:
         pytest.skip("no browser: install chromium, or name one in HEXJET_BROWSER")

@@ -141,9 +141,7 @@ class ArduPilot:
 
     def _answer(self, pulses: tuple[int, ...]) -> Answer:
         jets = self._jets
-        throttle = tuple([
-            0.0 if pulse <= 1000 else 1.0 if pulse >= 2000 else (pulse - 1000.0) / 1000.0 for pulse in pulses[:jets]
-        ])  # fmt: skip
+        throttle = tuple([min(max((pulse - 1000.0) / 1000.0, 0.0), 1.0) for pulse in pulses[:jets]])
         tilt = (0.0, 0.0)
         if self._range:
             left, right = (

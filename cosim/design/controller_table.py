@@ -68,7 +68,7 @@ def controller_table(design: Design) -> dict[str, Any]:
             }
         }
     scenario, spec = design.scenario, design.engine
-    dynamics = design.axes["altitude"].channel.actuator.dynamics
+    dynamics = design.engine_dynamics
     purpose = Purpose(
         aircraft=design.vehicle.name,
         engine=spec.name,

@@ -156,6 +156,11 @@ class Design:
         return not self.reason
 
     @property
+    def engine_dynamics(self) -> Dynamics:
+        """What was found of the engine: the height's actuator, which is thrust alone on every vehicle."""
+        return self.axes["altitude"].channel.actuator.dynamics
+
+    @property
     def controller(self) -> str:
         """The chosen one; the best of what there is where none is acceptable."""
         chosen = self.axes["roll"].after
@@ -339,8 +344,7 @@ def _again(channel: Channel, asked: _Asked, roll: Tuning | None, start: Tuning) 
     asked.say(f"{axis}: {start.controller}")
     model, predictor = believed(channel, asked.source), roll.predictor if roll else start.predictor
     start = replace(start, model=model, lead=lead_there(start.lead, channel), predictor=predictor)
-    free = axis == "roll" or vehicle.allocation != "rotors" or axis == "altitude"
-    tuned = near(channel, start, need, free)
+    tuned = near(channel, start, need, not _follows_roll(axis, vehicle))
     before = assess(channel, shipped(channel, vehicle, asked.spec), need)
     key = start.controller + (WITH_LEAD if start.lead else "")
     if tuned is None:
@@ -417,6 +421,11 @@ class _Asked:
     say: Say
 
 
+def _follows_roll(axis: str, vehicle: Vehicle) -> bool:
+    """Jets that tilt give pitch and yaw by servo; rotors give them like roll, through the same predictor."""
+    return axis in ("pitch", "yaw") and vehicle.allocation == "rotors"
+
+
 def _there(firmware: Firmware | None, axis: str, roll: Tuning | None) -> Firmware | None:
     """The autopilot's loop on another axis, with what roll has chosen for all; the height is held by ours."""
     if firmware is None or axis == "altitude":
@@ -429,8 +438,7 @@ def _there(firmware: Firmware | None, axis: str, roll: Tuning | None) -> Firmwar
 def _axis(channel: Channel, asked: _Asked, roll: Tuning | None) -> AxisDesign:
     """The best candidate on an axis, tuned; ``roll`` is what roll has chosen, None where nothing, and for itself."""
     axis, vehicle, say, need = channel.name, asked.vehicle, asked.say, needed(channel.name, asked.need)
-    # jets that tilt give pitch and yaw by servo; rotors give them like roll, through the same predictor
-    predicted = roll is not None and axis != "altitude" and vehicle.allocation == "rotors"
+    predicted = roll is not None and _follows_roll(axis, vehicle)
     names = asked.names if axis == "roll" else (roll.controller if predicted and roll else BASELINE.name,)
     firmware = asked.firmware if axis == "roll" else _there(asked.firmware, axis, roll)
     lead = engine_lead(channel) if asked.lead else None

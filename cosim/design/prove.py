@@ -89,7 +89,7 @@ def prove(design: Design, say: Callable[[str], None] = lambda text: None) -> Pro
     """
     proof = Proof("", np.nan, 0.0, 0.0, 0.0, ())
     if design.identification is not None:
-        dynamics = design.axes["altitude"].channel.actuator.dynamics
+        dynamics = design.engine_dynamics
         if dynamics.misfit > MOST_MISFIT:
             why = (
                 f"no model follows the engine: the best one is {100.0 * dynamics.misfit:.0f} % off its response, and "

@@ -182,7 +182,7 @@ def _model_lines(design: Design) -> list[str]:
     lines = []
     roll = design.axes["roll"].channel
     if design.identification is not None:
-        dynamics = design.axes["altitude"].channel.actuator.dynamics
+        dynamics = design.engine_dynamics
         lines.append(
             f"engine {design.engine.name}: {dynamics.words()}, delay {dynamics.delay_samples:.4g} samples "
             f"({1e3 * dynamics.delay_samples * dynamics.step:.4g} ms); {design.identification.source}"

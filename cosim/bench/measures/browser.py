@@ -144,10 +144,15 @@ def _frames(what: str, tab: Any, spent: _Spent, seconds: float, by: int) -> dict
     }
 
 
+def find_browser() -> str | None:
+    """The program that ``HEXJET_BROWSER`` names, else one that is installed; None: none is."""
+    return os.environ.get("HEXJET_BROWSER") or next(filter(None, map(shutil.which, NAMES)), None)
+
+
 @contextmanager
 def looking() -> Iterator[Look | str]:
     """What looks at pages, as the browser is started by anybody; where there is no browser, why."""
-    name = os.environ.get("HEXJET_BROWSER") or next(filter(None, map(shutil.which, NAMES)), None)
+    name = find_browser()
     if name is None:
         yield "no browser: install chromium, or name one in HEXJET_BROWSER"
         return

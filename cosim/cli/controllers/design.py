@@ -194,9 +194,8 @@ def print_design(design: Design, paths: dict[str, Path]) -> None:
     console.print(f"{design.vehicle.name} with engine [bold]{design.engine.name}[/bold]", highlight=False)
     shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
     found = rows(design)
-    side = max(
-        1, (console.width - 14) // 40 * 2
-    )  # so many stand side by side: before and after together where they fit
+    # so many stand side by side: before and after together where they fit
+    side = max(1, (console.width - 14) // 40 * 2)
     for first in range(0, len(found), side):
         table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
         beside = found[first : first + side]

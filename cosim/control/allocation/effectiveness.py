@@ -189,16 +189,9 @@ class EffectivenessAllocator:
 
     def by_thrust(self, axis: int) -> float:
         """The share of a small angular acceleration about an axis in hover that thrusts give; hinges give the rest."""
-        row = (ROLL, PITCH, YAW)[axis]
-        small = 1e-3
-        still, _ = self.hovering(ZERO3)
-        moved, _ = self.hovering((small * (axis == 0), small * (axis == 1), small * (axis == 2)))
-        jets = self._jets
-        at_rest, _ = self._linear(still)
-        of_thrust, _ = self._linear([*moved[:jets], *still[jets:]])
-        of_all, _ = self._linear(moved)
-        whole = of_all[row] - at_rest[row]
-        return (of_thrust[row] - at_rest[row]) / whole if whole else 1.0
+        moves, effects = self.split(axis)
+        given = [move * effect for move, effect in zip(moves, effects, strict=True)]
+        return sum(given[: self._jets]) if any(given) else 1.0
 
     def split(self, axis: int) -> tuple[list[float], list[float]]:
         """Of each thrust [N], hinge and surface in hover: its change per rad/s^2 asked for about an axis, and the

@@ -248,14 +248,14 @@ def serve(path: str) -> None:
     if not line:
         return
     told = json.loads(line)
-    columns = [_word(v) for v in fmu.shown]
+    columns, own = [_word(v) for v in fmu.shown], fmu.servos
     if fmu.level == "controller":
         fmu = read_controller_fmu(Path(path), told["servos"])
     asked, answered = wire.frame(len(told["inputs"])), wire.frame(len(told["outputs"]))
     folder = Path(tempfile.mkdtemp(prefix="hexjet-controller-"))
     try:
         if told["outputs"] != [*fmu.outputs, *columns] or columns != [_word(v) for v in fmu.shown]:
-            moved = f"servos {', '.join(there)}" if (there := read_controller_fmu(Path(path)).servos) else "no servos"
+            moved = f"servos {', '.join(own)}" if own else "no servos"
             raise RuntimeError(
                 f"is for {fmu.jets} jets and {moved}; {told['vehicle']['name']} has {len(told['vehicle']['jets'])} and "
                 + (f"servos {', '.join(told['servos'])}" if told["servos"] else "no servos")

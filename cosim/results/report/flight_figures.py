@@ -230,32 +230,32 @@ def strips(reader: Reader, panels: Sequence[Panel]) -> Figure:
     """Panels as ``assets/strips.js`` draws them; signals that never move are left out where their trace says so."""
     return {
         "panels": [
-            {
-                "title": panel.title,
-                "unit": panel.unit,
-                "least": panel.least_span,
-                "signals": [
-                    _signal(panel, trace)
-                    for trace in panel.traces
-                    if not trace.only_if_moving or reader.moves(trace.column)
-                ],
-            }
+            _strip(panel, [(0, each) for each in panel.traces if not each.only_if_moving or reader.moves(each.column)])
             for panel in panels
         ]
     }
 
 
-def _signal(panel: Panel, trace: Trace, run: int = 0) -> dict[str, Any]:
+def _strip(panel: Panel, traces: Sequence[tuple[int, Trace]]) -> dict[str, Any]:
+    """A panel with these traces, each of the run of that number."""
     return {
-        "run": run,
-        "column": trace.column,
-        "label": trace.label,
-        "colour": trace.colour,
-        "dash": trace.dash,
-        "width": trace.width,
-        "held": trace.held,
-        "scale": panel.scale,
-        "shown": panel.unit,
+        "title": panel.title,
+        "unit": panel.unit,
+        "least": panel.least_span,
+        "signals": [
+            {
+                "run": run,
+                "column": trace.column,
+                "label": trace.label,
+                "colour": trace.colour,
+                "dash": trace.dash,
+                "width": trace.width,
+                "held": trace.held,
+                "scale": panel.scale,
+                "shown": panel.unit,
+            }
+            for run, trace in traces
+        ],
     }
 
 
@@ -302,17 +302,7 @@ def comparison_figures(flown: Sequence[Flown], less: Mapping[int, Log]) -> dict[
     track = [(n, Trace(f"{way}_m", f"{labels[n]}, {way}", run_colour(n))) for n in placed for way in ("east", "north")]
     figures["track"] = [(Panel("Track", "m", []), track)] if track else []
     told: dict[str, Figure] = {
-        name: {
-            "panels": [
-                {
-                    "title": panel.title,
-                    "unit": panel.unit,
-                    "least": panel.least_span,
-                    "signals": [_signal(panel, trace, run) for run, trace in traces],
-                }
-                for panel, traces in panels
-            ]
-        }
+        name: {"panels": [_strip(panel, traces) for panel, traces in panels]}
         for name, panels in figures.items()
         if panels
     }
