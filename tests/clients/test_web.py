@@ -205,7 +205,7 @@ def test_the_parts_of_others_are_as_stated() -> None:
 def test_only_get_is_answered_with_a_page(flown: Flown, method: str) -> None:
     port = flown.web.port
     with socket.create_connection(("127.0.0.1", port)) as asking:
-        asking.settimeout(60.0)
+        asking.settimeout(SOON)
         asking.sendall(f"{method} / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n".encode())
         answer = b""
         while part := asking.recv(4096):
@@ -615,7 +615,7 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
             page.focus("#tab-strips")
             page.keyboard.press("ArrowRight")
             cells = page.locator("#engine-table tbody tr").nth(5).locator("td")
-            screen.expect(cells.nth(9)).to_have_text("100", timeout=3e4)
+            screen.expect(cells.nth(9)).to_have_text("100", timeout=1e3 * SOON)
             page.keyboard.press("End")
             page.fill("#parameters-search", "horizontal jerk")
             screen.shows("#parameters-count", f"1 of {len(flight.now.facts.parameters.values)}")

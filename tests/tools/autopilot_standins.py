@@ -13,6 +13,8 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
+from patience import PATIENCE
+
 from cosim.groundstation.mavlink.wire.dialect import mav
 
 Pulses = Callable[[dict[str, object]], Sequence[int]]
@@ -154,7 +156,7 @@ class Px4StandIn:
     def _connected(self) -> socket.socket:
         while True:
             try:
-                return socket.create_connection(("127.0.0.1", self.port), 10.0)
+                return socket.create_connection(("127.0.0.1", self.port), PATIENCE)
             except ConnectionRefusedError:
                 threading.Event().wait(0.01)
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import pytest
 from autopilot_standins import ArduPilotStandIn, Px4StandIn
+from patience import PATIENCE
 
 from cosim.autopilots.ardupilot import ArduPilot
 from cosim.autopilots.lockstep import Autopilot
@@ -47,10 +49,10 @@ def test_px4_flies_by_the_sticks(tmp_path: Path) -> None:
             [throttle + (-roll if jet.servo == "right" else roll) for jet in VEHICLE.jets] + [pitch, pitch] + [0.0] * 8
         )
 
-    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, instance=31_007, limit=20.0)
+    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, instance=31_007, limit=PATIENCE)
     theirs = Px4StandIn(4560 + 31_007, controls=controls)
     flown = fly_it(ours, "px4", tmp_path / "run")
-    theirs.thread.join(10.0)
+    theirs.thread.join(PATIENCE)
     assert flown.run.summary.as_planned, flown.run.reason
     assert flown.counts.answers == flown.counts.frames - flown.counts.boot == 750 - 10
     assert abs(flown.run.log["altitude_m"][-1] - 10.0) < 0.1
@@ -62,8 +64,15 @@ def test_px4_flies_by_the_sticks(tmp_path: Path) -> None:
 
 def test_ardupilot_that_hangs_ends_the_flight_and_keeps_the_run(tmp_path: Path) -> None:
     """Named with step and time; the record flies again as far as it goes."""
-    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, instance=3307, limit=0.5)
-    theirs = ArduPilotStandIn(9002 + 33_070, hang=600, pulses=lambda told: [1450] * 6 + [1500] * 10)
+    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, instance=3307, limit=PATIENCE)
+    packets = count()
+
+    def pulses(told: dict[str, Any]) -> Sequence[int]:
+        if next(packets) == 600:  # nothing comes after it: only that is waited for by the clock
+            ours.limit = 0.5
+        return [1450] * 6 + [1500] * 10
+
+    theirs = ArduPilotStandIn(9002 + 33_070, hang=600, pulses=pulses)
     flown = fly_it(ours, "ardupilot", tmp_path / "run")
     theirs.close()
     assert flown.run.outcome == "failed"
@@ -75,7 +84,7 @@ def test_ardupilot_that_hangs_ends_the_flight_and_keeps_the_run(tmp_path: Path) 
 
 
 def test_one_that_is_not_armed_does_not_fly(tmp_path: Path) -> None:
-    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, instance=3308, limit=20.0)
+    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, instance=3308, limit=PATIENCE)
     theirs = ArduPilotStandIn(9002 + 33_080, pulses=lambda told: [1000] * 16)
     flown = fly_it(ours, "ardupilot", tmp_path / "run")
     theirs.close()

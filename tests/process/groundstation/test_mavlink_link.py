@@ -322,10 +322,10 @@ def test_tcp_client_tries_again(flights: list[Flight]) -> None:
         flights.append(Flight(f"tcp:127.0.0.1:{port}"))  # nobody listens yet
         time.sleep(0.1)
         server.listen()
-        server.settimeout(5.0)
+        server.settimeout(PATIENCE)
         for _ in range(2):  # and again after it was lost
             connection, _ = server.accept()
-            connection.settimeout(2.0)
+            connection.settimeout(PATIENCE)
             other = mav.MAVLink(None)
             other.robust_parsing = True
             assert other.parse_buffer(connection.recv(4096))

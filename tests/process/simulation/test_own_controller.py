@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 from places import ROOT
 
 from cosim import InputError, Scenario, fly, open_run
@@ -214,7 +215,7 @@ class Wrong:
 def test_what_a_controller_does_wrong_ends_the_run_which_names_it(answer: Any, reason: str, tmp_path: Path) -> None:
     block = Wrong()
     block.answer = answer
-    limit = 0.2 if "longer" in reason else 10.0
+    limit = 0.2 if "longer" in reason else PATIENCE
     run = fly(SHORT.replace(controller_limit_s=limit), tmp_path / "run", controller=block, report=False)
     assert run.outcome == "failed"
     assert f"Wrong: {reason}" in run.reason

@@ -560,7 +560,7 @@ def test_lists_that_are_asked_for_again_and_again_read_no_files_and_hold_up_nobo
 
     def slow() -> list[Path]:
         reads.append(current_thread().name)
-        go_on.wait(60.0)
+        go_on.wait(PATIENCE)
         return []
 
     shelf = Shelf(slow)
@@ -591,13 +591,13 @@ def test_a_run_that_has_just_been_finished_is_in_the_next_list(tmp_path: Path, d
     def found() -> list[Path]:
         now = list(here)
         begun.set()
-        go_on.wait(60.0)
+        go_on.wait(PATIENCE)
         return now
 
     shelf = Shelf(found)
     try:
         shelf.look(0.0)
-        assert begun.wait(60.0)
+        assert begun.wait(PATIENCE)
         if not during:
             go_on.set()
             look(shelf, 0.0)

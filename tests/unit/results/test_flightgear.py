@@ -8,6 +8,7 @@ from math import degrees, pi
 
 import pytest
 from command_tools import Hexjet
+from patience import PATIENCE
 
 from cosim import Scenario, fly
 from cosim.base.errors import InputError
@@ -100,7 +101,7 @@ def test_the_air_comes_from_where_the_wind_does(samples: list[Sample]) -> None:
 def test_a_flight_sends_sixty_packets_a_second(samples: list[Sample]) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
         listening.bind(("127.0.0.1", 0))
-        listening.settimeout(60)
+        listening.settimeout(PATIENCE)
         viewer = FlightGear(str(listening.getsockname()[1]), 22.35, 113.59, 0.0)
         for sample in samples:
             viewer.observe(sample)

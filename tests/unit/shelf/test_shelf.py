@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from command_tools import Hexjet
+from patience import PATIENCE
 from places import TESTS
 from shelves import shelf
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -164,7 +165,7 @@ def server(runs: Path) -> Iterator[ShelfServer]:
 
 
 def get(server: ShelfServer, path: str, **headers: str) -> http.client.HTTPResponse:
-    line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
+    line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE)
     line.request("GET", path, headers=headers)
     answer = line.getresponse()
     answer.text = answer.read().decode()  # type: ignore[attr-defined]
