@@ -105,6 +105,8 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
     with ExitStack() as made:
         plugged = None if own is None else _Plugged(own, told, scenario, vehicle, engine, stations)
         end = made.callback(plugged.close) if plugged is not None else None
+        if plugged is not None:
+            plugged.make()
         controller = _cascade(scenario, vehicle, engine, stations, plugged)
         airframe = Airframe(flown, folder, scenario.environment, step, scenario.substeps, scenario.seed, spools.any)
         made.callback(airframe.close)
@@ -319,11 +321,14 @@ class _Plugged:
                 f"loop's output, which controller {own.label} does not have; take mismatch.delay_samples"
             )
         self._belief = _told(scenario, vehicle, engine, stations, parameters)
-        if own.level == "controller":
+
+    def make(self) -> None:
+        """Its block, but for predictors.  Raises InputError as ``_made``; :meth:`close` ends what was begun by then."""
+        if self._own.level == "controller":
             self.whole = GuardedController(self._made(self._belief), self._named, self._belief)
-        elif own.level == "rate":
+        elif self._own.level == "rate":
             self.rate = GuardedRate(self._made(self._belief), self._named)
-        elif own.level == "attitude":
+        elif self._own.level == "attitude":
             self.attitude = GuardedAttitude(self._made(self._belief), self._named)
 
     def predictors(self) -> list[Predictor]:

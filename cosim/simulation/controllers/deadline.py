@@ -1,7 +1,9 @@
 """A bound on how long code of somebody else may take: a call that is past it is broken off, where that can be.
 
 A thread looks now and then; a call that takes too long is interrupted by a signal, which ends a sleep and a loop of
-Python.  Where flights are not flown by the main thread nothing can be interrupted: what took too long is found after.
+Python.  The signal is one for the process, so all deadlines share what answers it: one flight may be open beside
+another, or left open.  Where flights are not flown by the main thread nothing can be interrupted: what took too long is
+found after.
 """
 
 from __future__ import annotations
@@ -18,15 +20,23 @@ class LateError(Exception):
     """The call was broken off."""
 
 
+_OPEN: list[Deadline] = []  # those that the signal breaks off, while they have it
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    for each in _OPEN:
+        if each.late:
+            raise LateError
+
+
 class Deadline:
-    """``limit`` s for each call; :meth:`close` gives the signal back."""
+    """``limit`` s for each call; :meth:`close` of the last one gives the signal back."""
 
     def __init__(self, limit: float) -> None:
         self.limit = limit
         self._begun: float | None = None
         self._ended = threading.Event()
         self._watcher: threading.Thread | None = None
-        self._before: object = None
 
     def begin(self) -> float:
         """A call begins; :meth:`done` is told what this gives back."""
@@ -49,25 +59,29 @@ class Deadline:
         """No call follows; may be called twice."""
         self._ended.set()
         self._begun, self._watcher = None, None
-        if self._before is not None:
-            signal.signal(signal.SIGUSR2, self._before)  # type: ignore[arg-type]
-            self._before = None
+        if self in _OPEN:
+            _OPEN.remove(self)
+            main = threading.current_thread() is threading.main_thread()
+            if main and not _OPEN and signal.getsignal(signal.SIGUSR2) is _interrupt:
+                signal.signal(signal.SIGUSR2, signal.SIG_DFL)
+
+    @property
+    def late(self) -> bool:
+        """Whether a call is on that has taken longer than the limit."""
+        begun = self._begun
+        return begun is not None and monotonic() - begun > self.limit
 
     def _start(self) -> None:
-        main = threading.current_thread() is threading.main_thread()
-        if main and signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL:
-            self._before = signal.signal(signal.SIGUSR2, self._interrupt)
+        if threading.current_thread() is threading.main_thread():
+            if signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL:
+                signal.signal(signal.SIGUSR2, _interrupt)
+            if signal.getsignal(signal.SIGUSR2) is _interrupt:
+                _OPEN.append(self)
         self._ended = threading.Event()
         self._watcher = threading.Thread(target=self._watch, args=(threading.get_ident(), self._ended), daemon=True)
         self._watcher.start()
 
-    def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        begun = self._begun
-        if begun is not None and monotonic() - begun > self.limit:
-            raise LateError
-
     def _watch(self, caller: int, ended: threading.Event) -> None:
         while not ended.wait(self.limit / _LOOKS):
-            begun = self._begun
-            if begun is not None and monotonic() - begun > self.limit and self._before is not None:
+            if self.late and self in _OPEN:
                 signal.pthread_kill(caller, signal.SIGUSR2)

@@ -74,6 +74,9 @@ class Named:
         except Exception as error:
             self.deadline.drop()
             raise self.error(f"{what} raised {described(error)}") from error
+        except BaseException:  # Ctrl-C: nothing is on that could be late
+            self.deadline.drop()
+            raise
         return answer
 
     def numbers(self, answer: Any, names: Sequence[str], what: str = "update") -> tuple[float, ...]:

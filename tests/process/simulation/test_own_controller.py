@@ -8,6 +8,7 @@ import linecache
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -35,6 +36,7 @@ from cosim.campaign.workers.flight_row import fly_one
 from cosim.control.attitude import AttitudeController
 from cosim.control.rate import RateController
 from cosim.simulation.build import build
+from cosim.simulation.controllers.deadline import Deadline, LateError
 from cosim.simulation.with_autopilot import with_autopilot
 
 PAGE = ROOT / "docs" / "own-controller.md"
@@ -221,6 +223,40 @@ def test_what_a_controller_does_wrong_ends_the_run_which_names_it(answer: Any, r
     assert f"Wrong: {reason}" in run.reason
     assert "at step 10 (0.040 s)" in run.reason
     assert len(open_run(tmp_path / "run").log) == 10
+
+
+def test_what_hangs_is_broken_off_beside_a_flight_that_was_left_open() -> None:
+    """The signal is one for the process: each of them has it, in whatever order they begin and end."""
+
+    def hang(deadline: Deadline) -> None:
+        deadline.begin()
+        time.sleep(PATIENCE)
+
+    left, ours = Deadline(0.1), Deadline(0.1)
+    for each in (left, ours, left, ours):
+        with pytest.raises(LateError):
+            hang(each)
+        each.drop()
+    left.close()
+    with pytest.raises(LateError):
+        hang(ours)
+    ours.drop()
+    ours.close()
+    assert signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL
+
+
+def test_one_that_is_refused_leaves_no_signal_behind(tmp_path: Path) -> None:
+    script = tmp_path / "ctrl.py"
+    script.write_text(
+        "class Mine:\n"
+        "    level = 'rate'\n"
+        "    def prepare(self, plant): raise ValueError('not this one')\n"
+        "    def reset(self): pass\n"
+        "    def update(self, setpoint, measured, applied): return (0.0, 0.0, 0.0)\n"
+    )
+    with pytest.raises(InputError, match="not this one"):
+        build(SHORT.replace(controller=f"{script}:Mine"))
+    assert signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL
 
 
 def test_a_predictor_and_a_loop_too() -> None:
