@@ -23,6 +23,7 @@ ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "packages.md"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 BEFORE_MB = 863.0  # a fresh installation of commit 2f44bdb, with pymavlink, plotly and python-control
+COMPILER = "cmake"  # what FMPy asks for to compile with, and nothing else needs
 WHAT = {  # every package that pyproject.toml names for those who fly, and why it is needed
     "click": "the command line",
     "fastcrc": "checksums of MAVLink frames",
@@ -106,7 +107,8 @@ def parts() -> dict[str, str]:
     halved = (
         f"These {total:.0f} MB are {100.0 * total / BEFORE_MB:.0f} % of the {BEFORE_MB:.0f} MB of before. "
         f"To half of them, {half:.0f} MB, {total - half:.0f} MB are missing: {', '.join(four[:-1])} and {four[-1]} "
-        f"alone weigh {most:.0f} MB, all others together {total - most:.0f} MB.\n"
+        f"alone weigh {most:.0f} MB, all others together {total - most:.0f} MB. After `pip uninstall cmake` they are "
+        f"{total - weights[COMPILER]:.0f} MB, {100.0 * (total - weights[COMPILER]) / BEFORE_MB:.0f} %.\n"
     )
     extras = []
     for name, what in EXTRAS.items():

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import DESIGNS
+from stated_figures import stated
 
 from cosim import flight
 from cosim.base.errors import InputError
@@ -202,6 +203,25 @@ def test_the_law_of_a_flame_out_is_that_of_the_gas_path_of_its_class(engine: str
     assert thrust == pytest.approx(law.left * slowed**law.exponent, abs=0.015)
     assert speed == pytest.approx(slowed, abs=0.03)
     assert thrust[0] < 0.45
+
+
+def test_how_the_gas_path_goes_out_at_the_ends_of_its_range() -> None:
+    """docs/faults.md: what is left at once, and when the speed is half of what it was."""
+    said = []
+    for throttle in (1.0, 0.1):
+        with EngineBank(load_engine("turbine-220", {}, STEP), 1, STEP) as bank:
+            before = bank.reset(throttle)
+            bank.set_run(0, False)
+            rows = [bank.step(k, (throttle,)) for k in range(500)]
+        speed = [row.spool_speed[0] / before.spool_speed[0] for row in rows]
+        late = next(k for k, share in enumerate(speed) if share < 0.5)
+        half = late + (speed[late - 1] - 0.5) / (speed[late - 1] - speed[late])  # row k is k + 1 steps later
+        said += [100.0 * rows[0].thrust[0] / before.thrust[0], half * STEP]
+    stated(
+        "docs/faults.md",
+        "at full throttle the gas path keeps {} % and has half its speed after {} s, at a tenth of throttle {} % and {} s",
+        *said,
+    )
 
 
 def test_an_engine_shut_off_goes_out_by_its_law_too_and_a_fan_at_once() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import sysconfig
 import tarfile
 import tomllib
 import zipfile
+from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
@@ -250,6 +252,17 @@ def test_the_package_imports_what_it_asks_for(packages: Any) -> None:
     assert foreign - OPTIONAL <= {name.replace("-", "_") for name in packages.needed(asked)}
     # the messages that the build makes import one
     assert {name.replace("-", "_") for name in asked} <= foreign | {"fastcrc"}
+
+
+def test_nothing_imports_cmake_but_what_compiles() -> None:
+    """docs/packages.md: it may be uninstalled; what compiles says so then (`test_no_cmake`)."""
+    (builder,) = [
+        (path, found[0])
+        for folder in (ROOT / "cosim", *map(Path, import_module("fmpy").__path__))
+        for path in folder.rglob("*.py")
+        if (found := re.findall(r"^( *)(?:import|from) cmake\b", path.read_text(encoding="utf-8"), re.MULTILINE))
+    ]
+    assert builder == (ROOT / "cosim" / "engine" / "build.py", 8 * " ")  # within the function that compiles
 
 
 def test_the_page_of_packages_says_what_each_is_for(packages: Any) -> None:
