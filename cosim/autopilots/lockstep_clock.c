@@ -7,6 +7,9 @@
  * thread then lives through exactly one step, and what it computes follows no clock of the machine.  Before the first
  * packet it may live through HEXJET_BOOT_NS; when it has, eight bytes "HJREADY" go to the port of the raw outputs.
  *
+ * The program's threads begin when its main thread has opened its ports: its console's thread throws away whatever port it
+ * finds made and not yet open, so that on a busy machine nobody answers there.
+ *
  * Without HEXJET_STEP_NS the clock is the machine's.  HEXJET_PORT moves the program's ports: 9001 to 9004 become that and
  * the next three, 5761 to 5768 those from the tenth behind it on, so that several can fly at the same time.
  */
@@ -32,10 +35,12 @@ static pthread_t main_thread;
 static uint64_t now_ns, limit_ns, step_ns, tick_ns;
 static unsigned states, sticks; /* packets taken in, and all done that their threads do with them */
 static int standing, told, taken, held; /* main thread stands at the limit; the start was told; a state, sticks are being taken in */
+static int bound, opened; /* the console's port has been bound; the main thread has gone on from there */
 static int port_base, state_socket = -1, rc_socket = -1;
 
 static int (*real_clock_gettime)(clockid_t, struct timespec *);
 static int (*real_nanosleep)(const struct timespec *, struct timespec *);
+static int (*real_pthread_create)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
 static int (*real_bind)(int, const struct sockaddr *, socklen_t);
 static int (*real_select)(int, fd_set *, fd_set *, fd_set *, struct timeval *);
 static ssize_t (*real_sendto)(int, const void *, size_t, int, const struct sockaddr *, socklen_t);
@@ -52,6 +57,7 @@ __attribute__((constructor)) static void begin(void)
     main_thread = pthread_self();
     real_clock_gettime = dlsym(RTLD_NEXT, "clock_gettime");
     real_nanosleep = dlsym(RTLD_NEXT, "nanosleep");
+    real_pthread_create = dlsym(RTLD_NEXT, "pthread_create");
     real_bind = dlsym(RTLD_NEXT, "bind");
     real_select = dlsym(RTLD_NEXT, "select");
     real_sendto = dlsym(RTLD_NEXT, "sendto");
@@ -83,6 +89,40 @@ static void tell(void)
     real_sendto(out, "HJREADY", 8, 0, (struct sockaddr *)&to, sizeof to);
 }
 
+struct thread {
+    void *(*run)(void *);
+    void *argument;
+};
+
+static void *begin_late(void *given)
+{
+    const struct thread thread = *(struct thread *)given;
+    free(given);
+    pthread_mutex_lock(&lock);
+    while (!opened)
+        pthread_cond_wait(&changed, &lock);
+    pthread_mutex_unlock(&lock);
+    return thread.run(thread.argument);
+}
+
+int pthread_create(pthread_t *made, const pthread_attr_t *attributes, void *(*run)(void *), void *argument)
+{
+    struct thread *thread = malloc(sizeof *thread);
+    if (!thread)
+        return EAGAIN;
+    *thread = (struct thread){run, argument};
+    return real_pthread_create(made, attributes, begin_late, thread);
+}
+
+/* The main thread looks at the clock, or stands: what it was opening is open. */
+static void open_up(void)
+{
+    pthread_mutex_lock(&lock);
+    opened = 1;
+    pthread_cond_broadcast(&changed);
+    pthread_mutex_unlock(&lock);
+}
+
 /* The main thread lives on by so much; it stands at the limit until that has moved. */
 static void live(uint64_t ns)
 {
@@ -90,7 +130,7 @@ static void live(uint64_t ns)
     const uint64_t wanted = now_ns + ns;
     while (wanted > limit_ns) {
         now_ns = limit_ns;
-        standing = 1;
+        standing = opened = 1;
         if (!told) {
             told = 1;
             tell();
@@ -107,6 +147,8 @@ static int owned(void) { return step_ns && pthread_equal(pthread_self(), main_th
 
 int clock_gettime(clockid_t clock, struct timespec *at)
 {
+    if (bound && !opened && pthread_equal(pthread_self(), main_thread))
+        open_up();
     if (!step_ns || clock != CLOCK_MONOTONIC)
         return real_clock_gettime(clock, at);
     if (owned())
@@ -143,6 +185,7 @@ int bind(int fd, const struct sockaddr *address, socklen_t size)
             state_socket = fd;
         if (stated == RC)
             rc_socket = fd;
+        bound |= stated >= CONSOLE && stated < CONSOLE + CONSOLES;
         if (moved(stated) != stated || stated == STATE || stated == RC) {
             const int yes = 1; /* a console that was closed a moment ago keeps its port for a minute else */
             setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
