@@ -47,6 +47,7 @@ _STICKS = struct.Struct("<d16H")
 _RAW = struct.Struct("<H2x16f")
 _READY = b"HJREADY\0"
 _CONSOLE_S = 20.0  # chosen by us: until its console answers, on a busy machine
+_LIVES = 3  # chosen by us: to be configured in; its console's threads share buffers without a lock, and it may hang
 _NEUTRAL = 1500
 # What would change the gains in flight is off, so that they are those designed: more P and I while the throttle
 # moves, less of all at high throttle, more D in quick turns, less I while the rate set-point moves, which an attitude
@@ -193,11 +194,16 @@ class Betaflight:
         shim = str(clock())
         ports = {"LD_PRELOAD": shim, "HEXJET_PORT": str(self._port)}
         log = self._folder / "betaflight.log"
-        first = Program([str(self._binary)], self._folder, log, ports)
-        try:
-            configure(first, self._port + CONSOLE, self.settings, self._folder / "console.txt")
-        finally:
-            first.close()
+        for life in range(_LIVES):
+            first = Program([str(self._binary)], self._folder, log, ports)
+            try:
+                configure(first, self._port + CONSOLE, self.settings, self._folder / "console.txt")
+                break
+            except UnansweredError:
+                if first.ended or life == _LIVES - 1:
+                    raise
+            finally:
+                first.close()
         timed = ports | {"HEXJET_STEP_NS": str(round(self._step * 1e9))}
         drain(self._in)
         self._program = Program([str(self._binary)], self._folder, log, timed)
@@ -293,8 +299,15 @@ def clock() -> Path:
     return made
 
 
+class UnansweredError(InputError):
+    """Its console said nothing any more."""
+
+
 def configure(program: Program, port: int, lines: Sequence[str], transcript: Path) -> None:
-    """Type the lines into its console, and ``save``, after which it ends.  Raises InputError for what it refuses."""
+    """Type the lines into its console, and ``save``, after which it ends.
+
+    Raises InputError for what it refuses, UnansweredError where it falls silent.
+    """
     end = monotonic() + _CONSOLE_S
     said = ""
     with _console(program, port, end) as console:
@@ -305,15 +318,14 @@ def configure(program: Program, port: int, lines: Sequence[str], transcript: Pat
             console.sendall(text.encode())
             got = ""
             while mark not in got:
-                if monotonic() > end or program.ended:
-                    raise InputError(f"betaflight: its console did not answer {text.strip()!r} within {_CONSOLE_S:g} s")
                 try:
                     data = console.recv(4096)
                 except TimeoutError:
-                    continue
-                if not data:
-                    break
-                got += data.decode(errors="replace")
+                    data = None
+                if data == b"" or program.ended or monotonic() > end:
+                    asked = f"did not answer {text.strip()!r} within {_CONSOLE_S:g} s"
+                    raise UnansweredError(f"betaflight: its console {asked}")
+                got += (data or b"").decode(errors="replace")
             said += got
             return got
 
@@ -327,7 +339,7 @@ def configure(program: Program, port: int, lines: Sequence[str], transcript: Pat
         console.sendall(b"save\n")
         while not program.ended:
             if monotonic() > end:
-                raise InputError("betaflight: it did not end after its settings were saved")
+                raise UnansweredError("betaflight: it did not end after its settings were saved")
             sleep(0.02)
     transcript.write_text(said)
 

@@ -323,6 +323,37 @@ def test_a_line_that_its_console_refuses_is_told(tmp_path: Path) -> None:
     autopilot.close()
 
 
+def test_a_console_that_falls_silent_is_asked_in_another_life(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answer, asked = theirs.configure, []
+
+    def silent_once(*given: Any) -> None:
+        asked.append(given)
+        if len(asked) == 1:
+            raise theirs.UnansweredError("betaflight: its console did not answer")
+        answer(*given)
+
+    monkeypatch.setattr(theirs, "configure", silent_once)
+    autopilot = made(Scenario.load("hover"), tmp_path)
+    try:
+        autopilot.start()
+        first, second = (given[0] for given in asked)
+        assert first.ended
+        assert first is not second
+        assert autopilot.process is not None
+        assert autopilot.process.poll() is None
+    finally:
+        autopilot.close()
+
+    def silent(*_: Any) -> None:
+        raise theirs.UnansweredError("betaflight: its console did not answer")
+
+    monkeypatch.setattr(theirs, "configure", silent)
+    silent_one = made(Scenario.load("hover"), tmp_path / "again")
+    with pytest.raises(InputError, match="did not answer"):
+        silent_one.start()
+    silent_one.close()
+
+
 def test_its_own_blackbox_is_read(tmp_path: Path) -> None:
     """What Betaflight logged of the flight is what it was told: the gyro, in whole degrees a second, on another clock."""
     scenario = Scenario.load("roll-doublet").replace(duration_s=3.0, vehicle=DESIGNED)
