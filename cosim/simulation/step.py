@@ -19,9 +19,13 @@ from cosim.base.protocols import (
 )
 from cosim.base.signals import (
     ZERO3,
+    Actuation,
     Command,
+    Disturbance,
     Measured,
+    PerJet,
     Sample,
+    State,
 )
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
@@ -129,25 +133,67 @@ class Simulation:
         ``given``: in place of what the script asks for, or the pilot, who is not asked in this step.
         """
         k, state, measured, propulsion = self.k, self.state, self.measured, self.propulsion
-        if k >= self.faults.next:
-            self.faults.change(k, measured)
-        command, seen, engines = self._command(k) if given is None else (given, measured, _FLY)
-        if self.starting and engines is not _OFF:
-            engines = _START
-        disturbance = self.disturber.at(k)
-        if self._field is not None:
-            disturbance = self._field.blown(k, state, disturbance)
-            propulsion.gusts = self._field.at_jets
+        self.faults.update(k, measured)
+        command, seen, engines = self._command(k, given)
+        disturbance = self._disturbance(k)
         actuation = self.controller.update(command, seen, disturbance, engines)
         forces, moment = propulsion.step(k, actuation, state)
         health = self.controller.watch(propulsion.output, propulsion.burnt)
         self.airframe.carry(propulsion.momentum, propulsion.burnt, propulsion.tilt)
         self.state = self.airframe.step(forces, disturbance, moment)
         self.measured = self.sensors.sample(self.state)
-        self.k = k + 1
+        self._count()
+        return self._sample(k, command, state, measured, actuation, disturbance, health)
+
+    def _command(self, k: int, given: Command | None) -> tuple[Command, Measured, EngineState]:
+        """What the pilot or the script asks for, what it is flown with, and what the engines do meanwhile."""
+        pilot, measured, engines = self.pilot, self.measured, _FLY
+        if given is not None:
+            command = given
+        elif pilot is None:
+            command = self.commander.at(k)
+        else:
+            controller = self.controller
+            report = Report(
+                self.state.on_ground,
+                controller.signals.allocated,
+                controller.lost,
+                self.propulsion.remaining,
+                self.starting,
+            )
+            command = pilot.update(k, measured, report)
+            measured, engines = pilot.seen, pilot.engines
+        if self.starting and engines is not _OFF:
+            engines = _START
+        return command, measured, engines
+
+    def _disturbance(self, k: int) -> Disturbance:
+        """What acts from outside, and what is added to the controller's own signals; a field's wind is in it."""
+        disturbance = self.disturber.at(k)
+        if self._field is not None:
+            disturbance = self._field.blown(k, self.state, disturbance)
+            self.propulsion.gusts = self._field.at_jets
+        return disturbance
+
+    def _count(self) -> None:
+        """The step is done."""
+        self.k += 1
         if self.starting:
             self.starting = self._yet_to_start()
-            self.started = k + 1
+            self.started = self.k
+
+    def _sample(
+        self,
+        k: int,
+        command: Command,
+        state: State,
+        measured: Measured,
+        actuation: Actuation,
+        disturbance: Disturbance,
+        health: PerJet,
+    ) -> Sample:
+        """What was on the wires during step ``k``, for the observers."""
+        propulsion = self.propulsion
         return Sample(
             k,
             k * self.dt,
@@ -179,22 +225,6 @@ class Simulation:
                 raise FlightError(f"{type(block).__name__} shows {len(shown)} numbers for {len(columns)} columns")
             own.extend(shown)
         return tuple(own)
-
-    def _command(self, k: int) -> tuple[Command, Measured, EngineState]:
-        """What the pilot or the script asks for, what it is flown with, and what the engines do meanwhile."""
-        pilot, measured = self.pilot, self.measured
-        if pilot is None:
-            return self.commander.at(k), measured, _FLY
-        controller = self.controller
-        report = Report(
-            self.state.on_ground,
-            controller.signals.allocated,
-            controller.lost,
-            self.propulsion.remaining,
-            self.starting,
-        )
-        command = pilot.update(k, measured, report)
-        return command, pilot.seen, pilot.engines
 
     @property
     def columns(self) -> tuple[Column, ...]:

@@ -124,8 +124,12 @@ class FaultSchedule:
             for start, end, fault in self._spans
         ]
 
-    def change(self, k: int, measured: Measured) -> None:
+    def update(self, k: int, measured: Measured) -> None:
         """Begin and end what is due at step ``k``; ``measured`` is what the sensors said last."""
+        if k >= self.next:
+            self._change(k, measured)
+
+    def _change(self, k: int, measured: Measured) -> None:
         due = [fault for start, end, fault in self._spans if start <= k < end]
         for fault in [fault for fault in self._acting if not any(fault is other for other in due)]:
             self._end(fault)
