@@ -114,7 +114,9 @@ for _axis in AXES:
 @click.option("--axis", type=click.Choice(AXES), help="Identify torque command to measured rate of an axis.")
 @click.option("--engine", "number", type=click.IntRange(min=1), metavar="N", help="Identify engine N instead.")
 @click.option("--command", "command_text", metavar="SUM", help="The channels instead, such as 'm1 + m2 - 0.5*m3'.")
-@click.option("--output", "output_text", metavar="SUM", help="The same; deg(NAME) is one in degrees.")
+@click.option(
+    "--output", "output_text", metavar="SUM", help="The same; deg(NAME) is one in degrees, square(NAME) a square."
+)
 @click.option("--setpoint", "setpoint_text", metavar="SUM", help="What was asked of the output: to test for bias.")
 @log_options
 @click.option(

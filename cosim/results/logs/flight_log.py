@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -47,7 +47,8 @@ class FlightLog:
     engine: str = ""  # what flew, where the log says so
 
     def signal(self, text: str) -> Channel:
-        """A channel, or a sum such as ``m1 + m2 - 0.5*m3``; ``deg(NAME)`` is one in degrees, brought to radians.
+        """A channel, or a sum such as ``m1 + m2 - 0.5*m3``; ``deg(NAME)`` is one in degrees, brought to radians, and
+        ``square(NAME)`` its square, as a rotor's thrust goes with that of its speed.
 
         The terms must have the same times.  Raises InputError for a name that the log has not.
         """
@@ -55,15 +56,15 @@ class FlightLog:
         times: Array | None = None
         unit = ""
         for factor, name in terms(text):
-            inner = _inner(name)
+            taken, inner = _inner(name)
             if inner not in self.channels:
                 raise InputError(f"{self.path}: no channel {inner!r}; {nearest(inner, self.channels)}"[:600])
             channel = self.channels[inner]
-            scale = factor * (DEGREE if inner != name else 1.0)
+            term = factor * _TAKEN[taken](channel.values)
             if times is None or total is None:
-                times, total, unit = channel.times, scale * channel.values, channel.unit
+                times, total, unit = channel.times, term, f"({channel.unit})^2" if taken == "square" else channel.unit
             elif len(times) == len(channel.times) and bool(np.array_equal(times, channel.times)):
-                total = total + scale * channel.values
+                total = total + term
             else:
                 raise InputError(f"{self.path}: {text!r}: its channels do not have the same times")
         assert times is not None
@@ -72,12 +73,20 @@ class FlightLog:
 
     def has(self, text: str) -> bool:
         """Whether the log has all channels of a sum."""
-        return bool(text) and all(_inner(name) in self.channels for _, name in terms(text))
+        return bool(text) and all(_inner(name)[1] in self.channels for _, name in terms(text))
 
 
-def _inner(name: str) -> str:
-    """The channel of a term, which may be ``deg(NAME)``."""
-    return name[4:-1] if name.startswith("deg(") and name.endswith(")") else name
+_TAKEN: dict[str, Callable[[Array], Array]] = {
+    "": lambda values: values,
+    "deg": lambda values: DEGREE * values,
+    "square": np.square,
+}
+
+
+def _inner(name: str) -> tuple[str, str]:
+    """What is made of a channel in a term, such as ``deg(NAME)``, and the channel."""
+    taken, bracket, rest = name.partition("(")
+    return (taken, rest[:-1]) if bracket and taken in _TAKEN and rest.endswith(")") else ("", name)
 
 
 def terms(text: str) -> list[tuple[float, str]]:

@@ -121,12 +121,12 @@ def _axis(n: int) -> list[Wanted]:
 
 
 def _engine(n: int) -> list[Wanted]:
-    motors = "motor.m1 + motor.m2 + motor.m3 + motor.m4"
+    motors = " + ".join(f"square(motor.m{n})" for n in (1, 2, 3, 4))  # thrust goes with the square of the speed
     return [
         Wanted(f"throttle_{n}", f"thrust_{n}_N", "", "throttle", "N"),
         Wanted(f"actuator_motors.control[{n - 1}]", f"hexjet_thrust.newton[{n - 1}]", "", "throttle", "N"),
         Wanted(f"actuator_motors.control[{n - 1}]", f"esc_status.esc[{n - 1}].esc_rpm", "", "throttle", "rpm"),
         Wanted(f"RCOU.C{n}", f"ESC[{n - 1}].RPM", "", "us", "rpm"),
         Wanted(f"motor[{n - 1}]", f"eRPM[{n - 1}]", "", "motor counts", "eRPM/100"),
-        Wanted(motors, "acc.z", "", "PWM counts of all four", "g"),
+        Wanted(motors, "acc.z", "", "PWM counts squared, of all four", "g"),
     ]

@@ -212,6 +212,18 @@ def test_a_sum_is_read_as_written() -> None:
             terms(text)
 
 
+def test_degrees_and_squares_are_taken_before_they_are_added() -> None:
+    log = FlightLog(Path("x"), "table", {"a": Channel(TIMES, WAVE, "m"), "b": Channel(TIMES, 2.0 * WAVE, "m")})
+    squared = log.signal("square(a) - 0.5*square(b)")
+    assert np.allclose(squared.values, -(WAVE**2), rtol=1e-15)
+    assert squared.unit == "(m)^2"
+    assert np.allclose(log.signal("deg(a)").values, np.radians(WAVE), rtol=1e-15)
+    assert log.has("square(a) + deg(b)")
+    assert not log.has("cube(a)")
+    with pytest.raises(InputError, match="no channel 'cube"):
+        log.signal("cube(a)")
+
+
 def test_channels_of_two_clocks_are_not_added() -> None:
     log = FlightLog(Path("x"), "table", {"a": Channel(TIMES, WAVE), "b": Channel(TIMES + 1e-3, WAVE)})
     with pytest.raises(InputError, match="do not have the same times"):
