@@ -47,6 +47,7 @@ LONG = (
 # What make test leaves to make long: searches of whole designs again, the wheel, long waits for other programs, and the
 # further cases of flights of which two are always flown.
 LENGTHY = {
+    "test_adapters": ("test_inside_betaflight",),
     "test_octojet": ("test_it_stays_up", "test_on_seven"),
     "test_quadjet": ("test_the_figures",),
     "test_trijet": ("test_the_figures",),

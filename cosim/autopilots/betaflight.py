@@ -35,7 +35,7 @@ from cosim.autopilots.lockstep import (
 )
 from cosim.base.errors import FlightError, InputError
 from cosim.base.limits import clamp
-from cosim.base.signals import AXES
+from cosim.base.signals import AXES, Vector3
 from cosim.base.storage.scratch import scratch
 from cosim.spec.vehicle import Jet, Vehicle
 from cosim.vehicle.atmosphere import standard_air
@@ -356,13 +356,18 @@ def _console(program: Program, port: int, end: float) -> socket.socket:
             sleep(0.05)
 
 
-def units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
-    """Of each axis, what one of the attitude gain [1/s] and of P, I and D is in ours, by :func:`mixing`."""
+def torque(vehicle: Vehicle) -> Vector3:
+    """What one of an axis' sum is, by :func:`mixing`: throttle about roll, rad of tilt about the others."""
     motor = _SUM_TO_MOTOR * (1.0 - vehicle.control.allocation.throttle_min)  # throttle
     tilt = vehicle.servo.range_rad / _FULL_SUM if vehicle.servo else motor
+    return motor, tilt, tilt
+
+
+def units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
+    """Of each axis, what one of the attitude gain [1/s] and of P, I and D is in ours, by :func:`mixing`."""
     return {
         axis: (0.1, *(degrees(1.0) * worth * scale for scale in (P_SCALE, I_SCALE, D_SCALE)))  # type: ignore[misc]
-        for axis, worth in zip(AXES, (motor, tilt, tilt), strict=True)
+        for axis, worth in zip(AXES, torque(vehicle), strict=True)
     }
 
 

@@ -1,9 +1,10 @@
-"""A vehicle as the parameters of one of the autopilots, as text."""
+"""A vehicle to one of the autopilots: its parameters as text, and what its torques are."""
 
 from __future__ import annotations
 
-from cosim.autopilots.betaflight import fixed, gains_of, mixing
+from cosim.autopilots.betaflight import fixed, gains_of, mixing, torque
 from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_parameters
+from cosim.base.signals import Vector3
 from cosim.spec.vehicle import Vehicle
 
 
@@ -15,3 +16,8 @@ def parameters_of(autopilot: str, vehicle: Vehicle, step: float) -> str:
         return "\n".join(lines) + "\n"
     told = px4_parameters(vehicle) if autopilot == "px4" else ardupilot_parameters(vehicle, step)
     return parameter_file(autopilot, told)
+
+
+def torque_of(autopilot: str, vehicle: Vehicle) -> Vector3:
+    """What a torque of 1 is to an autopilot: throttle about roll, rad of tilt (or throttle) about pitch and yaw."""
+    return torque(vehicle)

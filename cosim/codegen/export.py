@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
 from cosim.base.errors import FlightError, InputError
+from cosim.base.signals import Vector3
+from cosim.codegen.adapters import adapter_texts
 from cosim.codegen.files import TITLES, Labels, render, texts
 from cosim.codegen.fmu import build_fmus
 from cosim.codegen.form import Form, form_of
@@ -28,11 +31,18 @@ class Exported:
 
 
 def export_controller(
-    scenario: Scenario, folder: Path, name: str, licence: str | None = None, fmus: bool = True, source: str = ""
+    scenario: Scenario,
+    folder: Path,
+    name: str,
+    licence: str | None = None,
+    fmus: bool = True,
+    source: str = "",
+    inside: Mapping[str, Vector3] | None = None,
 ) -> Exported:
     """Fly a scenario and write its controller, as C and as FMUs, with the flight as test vectors.
 
-    ``name``: of files, functions and types; ``licence``: stated in every file; ``source``: the controller's file.
+    ``name``: of files, functions and types; ``licence``: stated in every file; ``source``: the controller's file;
+    ``inside``: autopilots that get adapters, and what a torque of 1 is to each, see :func:`.adapters.adapter_texts`.
     Raises InputError for what has no C form, for a folder that is not empty, and for a flight that fails.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -46,17 +56,22 @@ def export_controller(
         vectors = record(simulation)
     labels = replace(labels, origin=origin)
     made = texts(form, vectors, labels)
+    adapters = {
+        f"{autopilot}/{file}": text
+        for autopilot, worth in (inside or {}).items()
+        for file, text in adapter_texts(form, labels, autopilot, worth).items()
+    }
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for file, text in made.items():
+        for file, text in (made | adapters).items():
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_text(text, encoding="utf-8")
         measured = measure(folder, name)
         archives, without = build_fmus(form, vectors, labels, made, folder) if fmus else ([], "left out, as asked")
-        readme = _readme(form, vectors, labels, measured, archives)
+        readme = _readme(form, vectors, labels, measured, archives, [*(inside or {})])
         (folder / "README.md").write_text(readme, encoding="utf-8")
     except OSError as error:
         raise FlightError(f"{folder}: {error.strerror or error}") from error
-    return Exported(folder, [*made, *archives, "README.md"], len(vectors.rows), measured, without)
+    return Exported(folder, [*made, *archives, "README.md", *adapters], len(vectors.rows), measured, without)
 
 
 def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[str, ...]:
@@ -70,7 +85,9 @@ def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[
     return tuple(lines)
 
 
-def _readme(form: Form, vectors: Vectors, labels: Labels, measured: Measured | None, fmus: list[str]) -> str:
+def _readme(
+    form: Form, vectors: Vectors, labels: Labels, measured: Measured | None, fmus: list[str], inside: list[str]
+) -> str:
     kinds = [f"{axis['name']}: {TITLES[axis['predictor']['kind']]}" for axis in form["axes"]]
     leads = [axis["lead"] for axis in form["axes"]] + [form["altitude"]["lead"]]
     return render(
@@ -82,6 +99,7 @@ def _readme(form: Form, vectors: Vectors, labels: Labels, measured: Measured | N
         step=repr(form["step"]),
         steps=len(vectors.rows),
         fmus=fmus,
+        inside=inside,
         origin=labels.origin,
         predictors="predictors " + ", ".join(kinds),
         leads=any(leads),

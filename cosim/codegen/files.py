@@ -53,11 +53,32 @@ class Labels:
 
 def texts(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
     """Every C file by its name."""
-    n, f = labels.name, _prepared(form)
-    columns = [*INPUTS, *output_names(form["jets"])]
-    common = {
-        "n": n,
-        "N": n.upper(),
+    n = labels.name
+    told = {
+        "columns": [*INPUTS, *output_names(form["jets"])],
+        "inputs": len(INPUTS),
+        "rows": [[repr(x) for x in row] for row in vectors.rows],
+        "start": [repr(x) for x in vectors.start],
+        "burnt": repr(vectors.burnt),
+        "on_ground": vectors.on_ground,
+    }
+    test = {f"{n}_vectors.h": "vectors.h", f"{n}_vectors.c": "vectors.c", f"test_{n}.c": "test.c"}
+    return controller_texts(form, labels) | written(test, common(form, labels) | told)
+
+
+def controller_texts(form: Form, labels: Labels, single: bool = False) -> dict[str, str]:
+    """The C files of the controller alone; ``single``: in single precision without being told."""
+    n = labels.name
+    files = {f"{n}.h": "controller.h", f"{n}.c": "controller.c", f"{n}_parameters.c": "parameters.c"}
+    return written(files, common(form, labels) | {"single": single})
+
+
+def common(form: Form, labels: Labels) -> dict[str, Any]:
+    """What every template of C is told."""
+    f = _prepared(form)
+    return {
+        "n": labels.name,
+        "N": labels.name.upper(),
         "f": f,
         "title": labels.title,
         "maker": f"hexjet-cosim {version('hexjet-cosim')}",
@@ -68,23 +89,13 @@ def texts(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
         "least_share": repr(LEAST_SHARE),
         "origin": [part for line in labels.origin for part in textwrap.wrap(line.replace("*/", "* /"), 110)],
         "values": _values(f),
-        "columns": columns,
-        "inputs": len(INPUTS),
-        "rows": [[repr(x) for x in row] for row in vectors.rows],
-        "start": [repr(x) for x in vectors.start],
-        "burnt": repr(vectors.burnt),
-        "on_ground": vectors.on_ground,
     }
-    made = {
-        f"{n}.h": "controller.h",
-        f"{n}.c": "controller.c",
-        f"{n}_parameters.c": "parameters.c",
-        f"{n}_vectors.h": "vectors.h",
-        f"{n}_vectors.c": "vectors.c",
-        f"test_{n}.c": "test.c",
-    }
+
+
+def written(files: Mapping[str, str], told: Mapping[str, Any]) -> dict[str, str]:
+    """Files by their names, of templates by theirs."""
     environment = _environment()
-    return {name: environment.get_template(template).render(**common) for name, template in made.items()}
+    return {name: environment.get_template(template).render(**told) for name, template in files.items()}
 
 
 def render(template: str, **values: Any) -> str:

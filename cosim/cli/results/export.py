@@ -131,6 +131,13 @@ def log(folder: Path, target: str, out: Path | None, rates: Literal["all", "px4"
 )
 @click.option("--no-fmu", is_flag=True, help="The C alone.")
 @click.option(
+    "inside",
+    "--for",
+    type=click.Choice(["betaflight"]),
+    multiple=True,
+    help="Also its rate loop for the inside of this autopilot, in a folder of that name, with instructions.",
+)
+@click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="A new or an empty folder.  [default: NAME]"
 )
 @click.option("as_json", "--json", is_flag=True, help="Print one JSON object.")
@@ -143,6 +150,7 @@ def controller(
     name: str,
     licence: str | None,
     no_fmu: bool,
+    inside: tuple[str, ...],
     out: Path | None,
     as_json: bool,
 ) -> int:
@@ -151,13 +159,16 @@ def controller(
     The scenario is flown once; the C is compiled and compared with that flight where there is a compiler.  Status 1:
     it does not repeat the flight to the last bit.
     """
+    from cosim.autopilots.dump import torque_of
     from cosim.codegen.export import export_controller
     from cosim.spec.controller_name import is_design
 
     offer_to_compile(*engines)
     flown = load_scenario(scenario, controller, engines, None, settings, None, aircraft)
     source = Path(controller).name if controller is not None and is_design(controller) else ""
-    done = export_controller(flown, out if out is not None else Path(name), name, licence, not no_fmu, source)
+    vehicle, _ = flown.resolved_vehicle()
+    torques = {autopilot: torque_of(autopilot, vehicle) for autopilot in inside}
+    done = export_controller(flown, out if out is not None else Path(name), name, licence, not no_fmu, source, torques)
     if as_json:
         click.echo(json.dumps(_data(done)))
     else:

@@ -20,6 +20,11 @@
 #include <stdint.h>
 {% endif %}
 
+{% if single %}
+#ifndef [[ N ]]_FLOAT
+#define [[ N ]]_FLOAT /* as the autopilot computes */
+#endif
+{% endif %}
 #ifdef [[ N ]]_FLOAT
 typedef float [[ n ]]_Real;
 #else

@@ -1,0 +1,91 @@
+"""An exported controller's rate loop inside an autopilot: the files that stand between the two.
+
+An autopilot keeps its attitude loop, its mixer and its outputs; rate set-point and gyro go to the controller, at the
+autopilot's collective, and what the controller would do with throttles and tilts goes back to three torques.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from cosim.base.errors import InputError
+from cosim.base.signals import Vector3
+from cosim.codegen.files import Labels, common, controller_texts, written
+from cosim.codegen.form import Form
+
+AUTOPILOTS = ("betaflight",)
+_TITLES = {"betaflight": "Betaflight"}
+_WORTH = {"betaflight": "of pidData[].Sum, by its mixer's 1000 and the range of motors and tilts"}
+
+
+def inverse(form: Form) -> list[list[float]]:
+    """Of a form's allocation: roll, pitch and yaw by every throttle, then by the left and the right tilt.
+
+    The rows of the pseudo-inverse of throttles and tilts by collective and torques, at hover's thrust, where a tilt is
+    what was asked for.
+    """
+    allocation, jets = form["allocation"], form["jets"]
+    columns = np.zeros((jets + 2, 4))
+    columns[:jets, 0] = 1.0
+    if allocation["kind"] == "tilt":
+        columns[:jets, 1] = [1.0 if on_left else -1.0 for on_left in allocation["left"]]
+        columns[jets:, 2] = allocation["pitch_sign"]
+        columns[jets:, 3] = (1.0, -1.0)
+    else:
+        columns[:jets, 1:] = allocation["signs"]
+    # what is left of rounding is no coupling
+    return [[round(float(x), 15) + 0.0 for x in row] for row in np.linalg.pinv(columns)[1:]]
+
+
+def adapter_texts(form: Form, labels: Labels, autopilot: str, worth: Vector3) -> dict[str, str]:
+    """Every file of an adapter, by its name in the folder of the autopilot.
+
+    ``worth``: what a torque of 1 is to the autopilot: throttle about roll, rad of tilt about pitch and yaw (throttle
+    without tilts).  Raises InputError for an autopilot that is not known.
+    """
+    if autopilot not in _MADE:
+        raise InputError(f"autopilot {autopilot!r}: allowed: {', '.join(AUTOPILOTS)}")
+    thrust = form["thrust"]
+    curve = None if thrust["identity"] else _curve(thrust)
+    told = common(form, labels) | {
+        "autopilot": _TITLES[autopilot],
+        "tilts": form["allocation"]["kind"] == "tilt",
+        "inverse": inverse(form),
+        "worth": list(worth),
+        "origin_of_worth": _WORTH[autopilot],
+        "curve": curve,
+        "points": 0 if curve is None else len(thrust["curves"][curve]["thrust"]),
+        "idle": repr(form["allocation"]["low"]),
+        "motor_idle": round(1e4 * form["allocation"]["low"]),
+        "range": repr(form["allocation"].get("range", 0.0)),
+        "step_us": round(1e6 * form["step"]),
+    }
+    n = labels.name
+    rates = {f"{n}_rates.h": "adapters/rates.h", f"{n}_rates.c": "adapters/rates.c"}
+    shared = controller_texts(form, labels, single=True) | written(rates, told)
+    return _MADE[autopilot](n, shared, told)
+
+
+def _curve(thrust: Mapping[str, Any]) -> int:
+    """By which of the curves a throttle is turned back: the reference's, or that of the first station with one."""
+    return int(thrust["mapped"][0]["curve"] if thrust["reference"] is None else thrust["reference"])
+
+
+def _betaflight(n: str, shared: Mapping[str, str], told: Mapping[str, Any]) -> dict[str, str]:
+    """One patch with everything in it, and how it is applied."""
+    own = {f"{n}_betaflight.h": "adapters/betaflight.h", f"{n}_betaflight.c": "adapters/betaflight.c"}
+    files = dict(shared) | written(own, told)
+    sources = sorted(name for name in files if name.endswith(".c"))
+    patch = written({"": "adapters/betaflight.patch"}, dict(told) | {"sources": sources})[""]
+    for name, text in sorted(files.items()):
+        lines = text.splitlines()
+        patch += f"--- /dev/null\n+++ b/src/main/flight/{name}\n@@ -0,0 +1,{len(lines)} @@\n"
+        patch += "".join(f"+{line}\n" for line in lines)
+    readme = written({"README.md": "adapters/betaflight.md"}, told)
+    return {f"{n}-betaflight.patch": patch} | readme
+
+
+_MADE: dict[str, Callable[[str, Mapping[str, str], Mapping[str, Any]], dict[str, str]]] = {"betaflight": _betaflight}

@@ -1,0 +1,2 @@
+#pragma once
+#define XYZ_AXIS_COUNT 3
