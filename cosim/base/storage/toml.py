@@ -66,7 +66,10 @@ def _numeric(model: type[BaseModel]) -> frozenset[str]:
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
+Seconds = Annotated[float, Field(ge=0.0, le=1e6)]  # from the flight's start, or as long
+Duration = Annotated[float, Field(gt=0.0, le=1e6)]  # s
 Vector = tuple[float, float, float]
+Axis3 = tuple[NotNegative, NotNegative, NotNegative]
 
 M = TypeVar("M", bound=BaseModel)
 

@@ -13,6 +13,7 @@ import pytest
 from pyulog import ULog
 
 from cosim.base.errors import InputError
+from cosim.base.signals import MOST_JETS
 from cosim.base.storage.paths import data_folder
 from cosim.campaign.fault_survey import judge
 from cosim.campaign.study.keys import find_key
@@ -27,9 +28,8 @@ from cosim.results.metrics import activity, fuel_burnt
 from cosim.results.report.flight_figures import jet_rows, run_figures
 from cosim.results.run import Run
 from cosim.simulation.build import build
-from cosim.spec import vehicle as vehicles
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import MOST_JETS
+from cosim.spec.vehicle import files as vehicle_files
 
 JETS = [  # on a circle, every other one turning the other way
     {"position_m": [0.11 * cos(at), 0.11 * sin(at), -0.02], "reaction_m": 0.012 * way, "spin": way}
@@ -53,8 +53,8 @@ def hangar(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         text.replace('"quadrotor"', '"octorotor"').replace("quadrotor.xml", "octorotor.xml")
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(vehicles, "data_folder", lambda name: home / name)
-        patch.setattr(vehicles, "aircraft_names", lambda: ["octorotor"])
+        patch.setattr(vehicle_files, "data_folder", lambda name: home / name)
+        patch.setattr(vehicle_files, "aircraft_names", lambda: ["octorotor"])
         yield
 
 

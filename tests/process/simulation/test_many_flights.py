@@ -41,9 +41,9 @@ from cosim.engine.qualify import check
 from cosim.engine.response import NO_CHANGE, Response
 from cosim.engine.spec import find_source
 from cosim.results.run import Run
-from cosim.spec import vehicle
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.spec.vehicle import files as vehicle_files
 from cosim.vehicle import jsbsim_model
 from cosim.vehicle.jsbsim_model import render
 
@@ -101,7 +101,7 @@ def test_a_second_flight_repeats_no_work(monkeypatch: pytest.MonkeyPatch) -> Non
         (ElementTree, "tostring"),
         (archive, "_read"),
         (engine_measure, "measure"),
-        (vehicle, "_read"),
+        (vehicle_files, "_read"),
         (FMU3Slave, "_loadFunctions"),
     ):
         monkeypatch.setattr(module, name, counted(done, name, getattr(module, name)))

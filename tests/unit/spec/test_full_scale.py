@@ -342,8 +342,8 @@ def test_a_wrong_copy_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         (tmp_path / known).symlink_to(data_folder("aircraft") / known)
     (tmp_path / "wrong").mkdir()
     (tmp_path / "wrong" / "vehicle.toml").write_text(f'name = "wrong"\ntitle = "x"\n{table}\n', encoding="utf-8")
-    monkeypatch.setattr("cosim.spec.vehicle.data_folder", lambda kind: tmp_path)
-    monkeypatch.setattr("cosim.spec.vehicle.names_in", lambda *_: ["hexjet", "hexjet-p220", "wrong"])
+    monkeypatch.setattr("cosim.spec.vehicle.files.data_folder", lambda kind: tmp_path)
+    monkeypatch.setattr("cosim.spec.vehicle.files.names_in", lambda *_: ["hexjet", "hexjet-p220", "wrong"])
     with pytest.raises(InputError, match=complaint):
         load_vehicle("wrong")
 

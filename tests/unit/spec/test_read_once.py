@@ -16,9 +16,9 @@ from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.flight import fly
 from cosim.results.run import open_run
-from cosim.spec import scenario as scenarios
-from cosim.spec import vehicle as vehicles
 from cosim.spec.scenario import Scenario
+from cosim.spec.scenario import scenario as scenario_file
+from cosim.spec.vehicle import files as vehicle_files
 
 
 def test_a_wrong_vehicle_key_is_found_when_the_scenario_is_read(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_a_studys_key_is_checked_once_a_flight(monkeypatch: pytest.MonkeyPatch) 
         checked[model.__name__] += 1
         return toml.validate(model, data, where)
 
-    for module in (scenarios, vehicles):
+    for module in (scenario_file, vehicle_files):
         monkeypatch.setattr(module, "validate", counting)
     row = fly_one(study, flights(study)[0])
     assert row["outcome"] == "completed", row["reason"]

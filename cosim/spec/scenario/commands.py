@@ -1,0 +1,167 @@
+"""What a scenario asks of the vehicle: signals over time, places, velocities, ways."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, get_args
+
+from pydantic import Field
+
+from cosim.base.storage.toml import (
+    Duration,
+    Model,
+    Positive,
+    Seconds,
+)
+
+Amplitude = Annotated[float, Field(ge=-1e6, le=1e6)]
+Signal = Literal[
+    "roll_deg",
+    "pitch_deg",
+    "yaw_deg",
+    "altitude_m",
+    "rate_p_deg_s",
+    "rate_q_deg_s",
+    "rate_r_deg_s",
+    "collective",
+    "ahead_m_s",
+]
+SIGNALS: tuple[str, ...] = get_args(Signal)
+
+
+class StepCommand(Model):
+    """``amplitude`` from ``start_s`` on."""
+
+    kind: Literal["step"]
+    signal: Signal
+    start_s: Seconds
+    amplitude: Amplitude
+
+
+class DoubletCommand(Model):
+    """``amplitude`` for ``width_s``, then its opposite for as long."""
+
+    kind: Literal["doublet"]
+    signal: Signal
+    start_s: Seconds
+    amplitude: Amplitude
+    width_s: Duration
+
+
+class RampCommand(Model):
+    """From nothing at ``start_s`` to ``amplitude`` after ``duration_s``, held from then on."""
+
+    kind: Literal["ramp"]
+    signal: Signal
+    start_s: Seconds
+    amplitude: Amplitude
+    duration_s: Duration
+
+
+class SweepCommand(Model):
+    """A sine whose frequency grows exponentially from ``from_hz`` to ``to_hz`` over ``duration_s``."""
+
+    kind: Literal["sweep"]
+    signal: Signal
+    start_s: Seconds
+    amplitude: Amplitude
+    from_hz: Positive
+    to_hz: Positive
+    duration_s: Duration
+
+
+class TableCommand(Model):
+    """Columns of a CSV: ``time_s`` and any signals, held between rows or interpolated linearly."""
+
+    kind: Literal["table"]
+    file: str
+    start_s: Seconds = 0.0
+    interpolate: Literal["hold", "linear"] = "linear"
+
+
+class SticksCommand(Model):
+    """A recording of sticks, a CSV with ``time_s, roll, pitch, yaw, throttle`` in -1..1.
+
+    Roll and pitch ask for an angle, yaw for a turn rate, throttle for a climb rate.
+    """
+
+    kind: Literal["sticks"]
+    file: str
+    start_s: Seconds = 0.0
+    tilt_deg: Positive = 20.0
+    yaw_rate_deg_s: Positive = 45.0
+    climb_m_s: Positive = 1.0
+
+
+class PlaceCommand(Model):
+    """From ``start_s`` on: fly to a place and hold it, by the autopilot's law; what is not stated is where it is then.
+
+    m, NED, from the place below the start; ``altitude_m`` above the ground there.  Height and heading that no place has
+    stated yet are those of other commands.
+    """
+
+    kind: Literal["place"]
+    start_s: Seconds = 0.0
+    north_m: Amplitude | None = None
+    east_m: Amplitude | None = None
+    altitude_m: Annotated[float, Field(ge=0.0, le=20000.0)] | None = None
+    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None  # from north, the short way round
+    speed_m_s: Positive | None = None  # at most on the way; not stated: the vehicle's [control.pilot]
+
+
+class VelocityCommand(Model):
+    """From ``start_s`` on: fly at a velocity over the ground, by the autopilot's law; m/s, NED.
+
+    Not stated: ``climb_m_s``, the height stays that of other commands; ``yaw_deg``, the heading.
+    """
+
+    kind: Literal["velocity"]
+    start_s: Seconds = 0.0
+    north_m_s: Amplitude = 0.0
+    east_m_s: Amplitude = 0.0
+    climb_m_s: Amplitude | None = None  # no faster than the autopilot climbs and sinks; ends above the ground
+    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None  # from north, the short way round
+
+
+class Waypoint(Model):
+    """One of the places of a :class:`WaypointsCommand`; as there where something is not stated."""
+
+    north_m: Amplitude
+    east_m: Amplitude
+    altitude_m: Annotated[float, Field(ge=0.0, le=20000.0)] | None = None
+    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
+    speed_m_s: Positive | None = None
+    hold_s: Seconds | None = None
+
+
+class WaypointsCommand(Model):
+    """From ``start_s`` on: fly to one place after the other, each once the one before is reached, and hold the last.
+
+    A waypoint is reached where the estimated place is within ``radius_m`` of it, horizontally and, where it states a
+    height, vertically; ``hold_s`` later the next one is flown to.  Places as in :class:`PlaceCommand`.
+    """
+
+    kind: Literal["waypoints"]
+    start_s: Seconds = 0.0
+    speed_m_s: Positive | None = None
+    radius_m: Positive = 1.5  # the autopilot's own, HJ_ACC_RADIUS
+    hold_s: Seconds = 0.0
+    waypoint: Annotated[list[Waypoint], Field(min_length=1)]
+
+
+class TrackCommand(Model):
+    """A CSV of places over time, flown as it says: ``time_s, north_m, east_m`` and, if wanted, ``altitude_m, yaw_deg``.
+
+    Between its rows runs the cubic spline that begins and ends at rest; the law is given its place, velocity and
+    acceleration.  Before its first row the first place holds, after the last the last.
+    """
+
+    kind: Literal["track"]
+    file: str
+    start_s: Seconds = 0.0
+
+
+GuidedCommand = PlaceCommand | VelocityCommand | WaypointsCommand | TrackCommand  # the position law flies them
+CommandEntry = Annotated[
+    StepCommand | DoubletCommand | RampCommand | SweepCommand | TableCommand | SticksCommand | GuidedCommand,
+    Field(discriminator="kind"),
+]

@@ -1,0 +1,139 @@
+"""What fails in a flight: engines, servos, sensors."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from cosim.base.constants import Sensor
+from cosim.base.signals import MOST_JETS
+from cosim.base.storage.toml import (
+    Duration,
+    Model,
+    Seconds,
+    Vector,
+)
+
+
+def _as_list(jet: Any) -> Any:
+    return jet if isinstance(jet, list) else [jet]
+
+
+def _station_number(text: str) -> str:
+    if text not in map(str, range(1, MOST_JETS + 1)):
+        raise ValueError(f"a station is the number of a jet, 1 to {MOST_JETS} at most")
+    return text
+
+
+def _once_each(jets: list[int]) -> list[int]:
+    if len(set(jets)) != len(jets):
+        raise ValueError("name a jet once")
+    return jets
+
+
+StationNumber = Annotated[str, AfterValidator(_station_number)]
+JetNumber = Annotated[int, Field(ge=1, le=MOST_JETS)]
+Jets = Annotated[list[JetNumber], Field(min_length=1), BeforeValidator(_as_list), AfterValidator(_once_each)]
+
+
+class FlameOut(Model):
+    """The engine goes out, and is lit again at the end."""
+
+    kind: Literal["flame_out"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    jet: Jets
+
+
+class StuckThrottle(Model):
+    """The engine stays at the throttle it has at the start, or at ``throttle``."""
+
+    kind: Literal["stuck_throttle"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    jet: Jets
+    throttle: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+
+
+class ThrustLoss(Model):
+    """``share`` of the thrust is missing."""
+
+    kind: Literal["thrust_loss"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    jet: Jets
+    share: Annotated[float, Field(gt=0.0, le=1.0)]
+
+
+class SlowSpool(Model):
+    """A further first-order lag before the engine."""
+
+    kind: Literal["slow_spool"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    jet: Jets
+    lag_s: Annotated[float, Field(gt=0.0, le=100.0)]
+
+
+class DelayGrowth(Model):
+    """A further delay before the engine; at its end the commands on their way are lost."""
+
+    kind: Literal["delay_growth"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    jet: Jets
+    delay_s: Annotated[float, Field(gt=0.0, le=10.0)]
+
+
+class ServoJam(Model):
+    """A tilt servo stays where it stands, or runs to ``angle_deg`` and stays there."""
+
+    kind: Literal["servo_jam"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    servo: str  # left or right of two banks, else the name of a hinge or a surface
+    angle_deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None
+
+
+class SensorBias(Model):
+    """Added to what a sensor gives out: rad/s (gyro), rad about the body axes (attitude), m (gnss, NED; barometer)."""
+
+    kind: Literal["sensor_bias"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    sensor: Sensor
+    bias: list[float] = [0.0, 0.0, 0.0]  # one number for the barometer, else three
+    velocity_bias: Vector = (0.0, 0.0, 0.0)  # m/s, NED, of the gnss alone
+
+    @model_validator(mode="after")
+    def _fits_the_sensor(self) -> SensorBias:
+        wanted = 1 if self.sensor == "barometer" else 3
+        if len(self.bias) != wanted:
+            raise ValueError(f"bias: the {self.sensor} needs a list of {wanted}")
+        if any(self.velocity_bias) and self.sensor != "gnss":
+            raise ValueError("velocity_bias: only the gnss measures a velocity")
+        if not any((*self.bias, *self.velocity_bias)):
+            raise ValueError("bias: give one that is not 0")
+        return self
+
+    @property
+    def vector(self) -> Vector:
+        """``bias``, the barometer's in its first place."""
+        x, y, z = (*self.bias, 0.0, 0.0)[:3]
+        return (x, y, z)
+
+
+class SensorDropout(Model):
+    """A sensor repeats the last it gave before the start."""
+
+    kind: Literal["sensor_dropout"]
+    start_s: Seconds
+    duration_s: Duration | None = None
+    sensor: Sensor
+
+
+EngineFault = FlameOut | StuckThrottle | ThrustLoss | SlowSpool | DelayGrowth
+SensorFault = SensorBias | SensorDropout
+Fault = EngineFault | ServoJam | SensorFault
+FaultEntry = Annotated[Fault, Field(discriminator="kind")]

@@ -1,0 +1,45 @@
+"""What flies in place of the vehicle that the controller knows."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from cosim.base.storage.toml import (
+    Model,
+    Vector,
+)
+
+Factor = Annotated[float, Field(gt=0.0, le=10.0)]
+
+
+class Mismatch(Model):
+    """How what flies differs from what aircraft, identified models and engines state; no controller knows of it.
+
+    Keys of the aircraft and of the engine change both sides where the controller is made from them too: the hover
+    throttle follows the mass, the allocation the places of the jets, height control and tilts the engine's curve.
+    """
+
+    mass_factor: Factor = 1.0  # of the mass; the moments of inertia stay
+    centre_m: Vector = (0.0, 0.0, 0.0)  # where the centre of gravity is, body, from where it is taken to be
+    thrust_factor: Factor = 1.0  # of every engine's thrust, at the same reported spool speed
+    thrust_factor_1: Factor = 1.0  # of one jet's beside, of the first six
+    thrust_factor_2: Factor = 1.0
+    thrust_factor_3: Factor = 1.0
+    thrust_factor_4: Factor = 1.0
+    thrust_factor_5: Factor = 1.0
+    thrust_factor_6: Factor = 1.0
+    delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # control steps by which every engine is later
+
+    @property
+    def single_factors(self) -> tuple[float, ...]:
+        """The factors of the single jets."""
+        return (
+            self.thrust_factor_1,
+            self.thrust_factor_2,
+            self.thrust_factor_3,
+            self.thrust_factor_4,
+            self.thrust_factor_5,
+            self.thrust_factor_6,
+        )

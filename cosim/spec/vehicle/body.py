@@ -1,0 +1,82 @@
+"""What else a vehicle is of: tank, drag, contacts, what the ground does to its jets, and panels that are drawn."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+
+from cosim.base.storage.toml import Axis3, Model, NotNegative, Positive, Vector
+
+
+class Panel(Model):
+    """A flat part that is drawn and does nothing else: of a wing, a tail, a surface.
+
+    What a named surface moves turns right-handed about the edge from the first corner to the second.
+    """
+
+    corners_m: Annotated[list[Vector], Field(min_length=3, max_length=12)]  # body, one after the other around it
+    surface: str | None = None  # that turns it
+    turn_rad: Annotated[float, Field(ge=-3.2, le=3.2)] = 0.0  # where the surface's property is 1
+
+    @model_serializer(mode="wrap")
+    def _without_a_surface(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        return {key: value for key, value in stated.items() if key == "corners_m" or self.surface is not None}
+
+
+class Fuel(Model):
+    """What is in the tank at the start: a part of ``Vehicle.mass_kg``, all of it at one place."""
+
+    mass_kg: Positive
+    position_m: Vector  # body
+
+
+class GroundEffect(Model):
+    """What jets do to the vehicle near the ground; see :mod:`cosim.vehicle.parts.ground_effect`.  Each effect has its
+    switch."""
+
+    suckdown: bool = False  # lift loss by Wyatt's correlation
+    planform_m: Positive  # angular mean diameter of what is above the jets: (1 / pi) times the integral of its radius
+    jet_m: Positive  # diameter of one round jet with the area of all
+    planform_z_m: float = 0.0  # body: how far the planform lies below the centre of gravity
+    hot_gas: bool = False  # warmed intakes, of engines that take the ambient temperature
+    hot_gas_height_m: list[NotNegative] = Field(default_factory=list)  # of the centre of gravity, the least first
+    hot_gas_rise_k: list[NotNegative] = Field(default_factory=list)  # at each; the last is 0
+
+    @model_validator(mode="after")
+    def _complete(self) -> GroundEffect:
+        if self.jet_m >= self.planform_m:
+            raise ValueError(f"jet_m {self.jet_m:g} must be below planform_m {self.planform_m:g}")
+        heights, rises = self.hot_gas_height_m, self.hot_gas_rise_k
+        if len(heights) != len(rises):
+            raise ValueError(f"hot_gas_rise_k: needs one value for each of the {len(heights)} of hot_gas_height_m")
+        if self.hot_gas and len(heights) < 2:
+            raise ValueError("hot_gas: needs two or more heights in hot_gas_height_m, and their hot_gas_rise_k")
+        if any(b <= a for a, b in pairwise(heights)):
+            raise ValueError(f"hot_gas_height_m: every height must be above the one before it, not {heights}")
+        if rises and rises[-1] != 0.0:
+            raise ValueError(f"hot_gas_rise_k: the last must be 0, not {rises[-1]:g}: above it nothing is swallowed")
+        return self
+
+
+class Aero(Model):
+    """Body drag, one drag area per axis, and linear damping of the rates."""
+
+    span_m: Positive  # what JSBSim's turbulence model takes for the wing span: how coarse gusts must be to turn it
+    drag_area_m2: Axis3  # Cd times reference area along x, y, z
+    centre_m: Vector  # where the drag acts, body
+    damping_n_m_s: Axis3  # moment per rate about x, y, z
+
+
+class Contact(Model):
+    """A point that can touch the ground."""
+
+    name: str
+    kind: Literal["leg", "hull"]
+    position_m: Vector
+    spring_n_m: Positive
+    damping_n_s_m: NotNegative
+    friction_static: NotNegative
+    friction_dynamic: NotNegative

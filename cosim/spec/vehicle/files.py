@@ -1,0 +1,189 @@
+"""Aircraft by name or by path: found, read with what they take from another, and refused where they cannot be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError, nearest
+from cosim.base.storage.cache import Memory
+from cosim.base.storage.paths import data_folder, names_in
+from cosim.base.storage.toml import Model, Positive, merge, read_toml, validate
+from cosim.spec.plausible import implausible
+from cosim.spec.scaling import scaled
+from cosim.spec.vehicle.vehicle import Vehicle
+
+VEHICLE = "vehicle.toml"  # in an aircraft's folder
+
+
+class Scaled(Model):
+    """The table ``scaled``: everything that the file does not state is another aircraft's, at this mass."""
+
+    base: str
+    mass_kg: Positive
+
+
+def aircraft_names() -> list[str]:
+    """Every aircraft that is shipped."""
+    return names_in("aircraft", VEHICLE)
+
+
+def is_own(aircraft: str) -> bool:
+    """Whether an aircraft is named by a path: a folder with a ``vehicle.toml``, or such a file."""
+    return "/" in aircraft or aircraft.lower().endswith(".toml") or aircraft in (".", "..")
+
+
+def aircraft_seen_from(aircraft: str, folder: Path) -> str:
+    """The same with an absolute path where it is one, which is relative to ``folder`` otherwise."""
+    return str((folder / aircraft).absolute()) if is_own(aircraft) else aircraft
+
+
+def aircraft_name(aircraft: str, folder: Path = Path()) -> str:
+    """What it is called: by the library, or by its own file.  Raises InputError as :func:`load_vehicle`."""
+    return load_vehicle(aircraft, folder=folder)[0].name if is_own(aircraft) else aircraft
+
+
+def engine_of(aircraft: str, folder: Path = Path()) -> str | None:
+    """The engine that an aircraft is made for; a file is seen from the aircraft's folder.
+
+    Raises InputError as :func:`load_vehicle`.
+    """
+    vehicle, place = load_vehicle(aircraft, folder=folder)
+    return None if vehicle.engine is None else file_seen_from(vehicle.engine, place)
+
+
+def file_seen_from(engine: str, folder: Path) -> str:
+    """An engine with an absolute path where it is a file."""
+    return str((folder / engine).absolute()) if is_file(engine) else engine
+
+
+def is_file(engine: str) -> bool:
+    """Whether an engine is given by a file: an FMU, a system of them (SSP), or a mapping file that names one."""
+    return engine.lower().endswith((".fmu", ".ssp", ".toml")) or "/" in engine
+
+
+def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:
+    """The ``vehicle.toml`` of an aircraft given by its name, or by a path that is relative to ``folder``.
+
+    Raises InputError for an unknown aircraft (lists the known ones) and for a path where none is.
+    """
+    if not is_own(aircraft):
+        if aircraft not in aircraft_names():
+            known = nearest(aircraft, aircraft_names())
+            here = f"./{aircraft}" if (folder / aircraft / VEHICLE).is_file() else "the path of a folder"
+            raise InputError(f"unknown aircraft {aircraft!r}; {known}, or {here}")
+        return data_folder("aircraft") / aircraft / VEHICLE
+    path = folder / aircraft
+    path = path / VEHICLE if path.is_dir() else path
+    if not path.is_file():
+        raise InputError(f"aircraft {path}: no such file; name a folder with a {VEHICLE}, or such a file")
+    return path
+
+
+_known: Memory[tuple[dict[str, Any], Vehicle]] = Memory(32)
+
+
+def load_vehicle(
+    name: str, overrides: dict[str, Any] | None = None, where: str = "vehicle", folder: Path = Path()
+) -> tuple[Vehicle, Path]:
+    """Read an aircraft's ``vehicle.toml`` with ``overrides`` merged over it, and say which folder it is in.
+
+    Parameters
+    ----------
+    name : str
+        Of an aircraft that is shipped, or a path: a folder, or a file.
+    overrides : dict or None
+        Written over what the file states.
+    where : str
+        What they are called, for the error.
+    folder : Path
+        What a relative path is seen from.
+
+    Returns
+    -------
+    tuple of Vehicle and Path
+        The vehicle, and the folder of its file.
+
+    Raises
+    ------
+    InputError
+        For an unknown aircraft (lists the known ones), a path where none is, or a wrong key.
+    """
+    path = find_aircraft(name, folder)
+    stated, vehicle = _known.get((path, *_texts(path)), lambda: _read(path))
+    if overrides:
+        vehicle = validate(Vehicle, merge(stated, _with_own_banks(overrides)), where)
+    return vehicle, path.parent
+
+
+def as_read(name: str, folder: Path = Path()) -> dict[str, Any]:
+    """What the file of an aircraft states, with all that it takes from another.  Raises as :func:`load_vehicle`."""
+    path = find_aircraft(name, folder)
+    return _known.get((path, *_texts(path)), lambda: _read(path))[0]
+
+
+def _with_own_banks(overrides: dict[str, Any]) -> dict[str, Any]:
+    """A servo that is stated whole, in a file from before banks had an inertia, has none: not that of the aircraft."""
+    servo = overrides.get("servo")
+    if not isinstance(servo, dict) or not {"lag_s", "rate_limit_rad_s", "range_rad"} <= set(servo):
+        return overrides
+    return overrides | {"servo": {"bank_inertia_kg_m2": 0.0, "bank_imbalance_kg_m": 0.0} | servo}
+
+
+def _texts(path: Path) -> list[bytes]:
+    """The files that an aircraft is made from: its own, and that of the one that it is a scaled copy of."""
+    law = read_toml(path).get("scaled")
+    base = law.get("base") if isinstance(law, dict) else None
+    files = [path, *([data_folder("aircraft") / base / VEHICLE] if base in aircraft_names() else [])]
+    return [file.read_bytes() for file in files]
+
+
+def _read(path: Path) -> tuple[dict[str, Any], Vehicle]:
+    stated = _stated(path)
+    vehicle = validate(Vehicle, stated, str(path))
+    if path.parents[1] != data_folder("aircraft") and vehicle.name in aircraft_names():
+        raise InputError(f"{path}: name = {vehicle.name!r}: is the name of an aircraft that is shipped; choose another")
+    engines = ((f"jets.{number}.engine", jet.engine) for number, jet in enumerate(vehicle.jets, 1))
+    for key, file in (("engine", vehicle.engine), ("model", vehicle.model), *engines):
+        if file is not None and (key == "model" or is_file(file)) and not (path.parent / file).is_file():
+            raise InputError(f"{path}: {key} = {file!r}: no such file, as seen from the folder of {path.name}")
+    _refuse_implausible(vehicle, path)
+    return stated, vehicle
+
+
+def _refuse_implausible(vehicle: Vehicle, path: Path) -> None:
+    places = {f"jets.{n}.position_m": jet.position_m for n, jet in enumerate(vehicle.jets)}
+    contacts = {f"contacts.{n}.position_m": contact.position_m for n, contact in enumerate(vehicle.contacts)}
+    legs = {key: place for contact, (key, place) in zip(vehicle.contacts, contacts.items(), strict=True)
+            if contact.kind == "leg"}  # fmt: skip
+    fuel = {"fuel.position_m": vehicle.fuel.position_m} if vehicle.fuel else {}
+    if why := implausible(vehicle.mass_kg, vehicle.inertia_kg_m2, places | contacts | fuel, legs):
+        raise InputError(f"{path}: {why}")
+
+
+def _stated(path: Path) -> dict[str, Any]:
+    """What a ``vehicle.toml`` states, over what it takes from the aircraft that it is a scaled copy of."""
+    stated = read_toml(path)
+    if "scaled" not in stated:
+        return stated
+    where = f"{path}: scaled"
+    table = stated.pop("scaled")
+    if not isinstance(table, dict):
+        raise InputError(f"{where} = {table!r}: must be a table with base and mass_kg")
+    law = validate(Scaled, table, where)
+    folder = data_folder("aircraft") / law.base
+    if law.base not in aircraft_names():
+        raise InputError(f"{where}.base: unknown aircraft {law.base!r}; {nearest(law.base, aircraft_names())}")
+    base = read_toml(folder / VEHICLE)
+    if "scaled" in base:
+        raise InputError(f"{where}.base: {law.base} is a scaled copy itself; name the aircraft that it is made from")
+    original = validate(Vehicle, base, str(folder / VEHICLE)).model_dump(mode="json", exclude_none=True)
+    if any(key in original for key in ("hinges", "surfaces")) or "model" not in original:
+        raise InputError(
+            f"{where}.base: {law.base} is not of banks or rotors in a model of its own, which is what the law scales; "
+            f"hexjet aircraft new NAME --from {law.base} copies it as it is"
+        )
+    near = path.parents[1] == data_folder("aircraft")
+    model = f"../{law.base}/{original['model']}" if near else str(folder / original["model"])
+    shared = {"model": model, "engine": None}
+    return merge(scaled(original, law.mass_kg) | shared, stated)

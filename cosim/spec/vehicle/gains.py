@@ -1,0 +1,238 @@
+"""What a vehicle is flown with: gains and limits of the controllers and of the autopilot."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+
+from cosim.base.storage.toml import Axis3, Model, NotNegative, Positive
+
+
+class AttitudeGains(Model):
+    """Quaternion P: rate set-point = gain x attitude error, limited per axis."""
+
+    gain_1_s: Axis3
+    rate_limit_rad_s: tuple[Positive, Positive, Positive]
+
+
+class RateGains(Model):
+    """One axis of the rate PID; its output is in throttle (roll) or rad of tilt (pitch, yaw)."""
+
+    p: NotNegative
+    i: NotNegative
+    d: NotNegative
+    d_filter_s: Positive
+    integral_limit: NotNegative
+
+
+class RateControl(Model):
+    roll: RateGains
+    pitch: RateGains
+    yaw: RateGains
+
+
+class EngineLead(Model):
+    """Lags of an engine and what a lead on its command makes of them; see :mod:`cosim.control.lead`."""
+
+    natural_rad_s: Positive  # two poles of the engine; or, without a damping, one lag of 1 / this
+    damping: Positive | None = None
+    pole_rad_s: Positive  # each of them is moved to minus this
+
+
+class Leads(Model):
+    """A lead for each command that engines answer to; false is none, also where the aircraft states one."""
+
+    roll: EngineLead | Literal[False] | None = None
+    pitch: EngineLead | Literal[False] | None = None
+    yaw: EngineLead | Literal[False] | None = None
+    altitude: EngineLead | Literal[False] | None = None
+
+
+class ScheduledGains(Model):
+    """What a thrust level makes of one command's gains: factors on those stated, and its lead there."""
+
+    angle: Positive = 1.0  # on the attitude gain; of the height, on position_1_s
+    p: Positive = 1.0  # of the height, on velocity_1_s
+    i: Positive = 1.0  # of the height, on integral_1_s2
+    d: Positive = 1.0
+    natural_rad_s: Positive | None = None  # the engine's at this thrust, as in EngineLead
+    damping: Positive | None = None
+    pole_rad_s: Positive | None = None
+
+    @property
+    def lead(self) -> EngineLead | None:
+        """The lead at this level, where it states one."""
+        if self.natural_rad_s is None or self.pole_rad_s is None:
+            return None
+        return EngineLead(natural_rad_s=self.natural_rad_s, damping=self.damping, pole_rad_s=self.pole_rad_s)
+
+
+class ThrustLevel(Model):
+    """One level of a schedule."""
+
+    share: Annotated[float, Field(ge=0.0, le=1.0)]  # the collective, in shares of the engines' range
+    roll: ScheduledGains = ScheduledGains()
+    altitude: ScheduledGains = ScheduledGains()
+
+
+class Schedule(Model):
+    """Gains and leads that follow the thrust level: linear between levels, held beyond the first and the last."""
+
+    filter_s: Positive  # lag with which the collective is followed
+    level: Annotated[list[ThrustLevel], Field(min_length=2)]  # the least share first
+
+    @model_validator(mode="after")
+    def _rising(self) -> Schedule:
+        shares = [level.share for level in self.level]
+        if any(b <= a for a, b in pairwise(shares)):
+            raise ValueError(f"level: every share must be above the one before it, not {shares}")
+        return self
+
+
+class AltitudeGains(Model):
+    """Height: P to climb rate, PI to vertical acceleration, with the hover throttle fed forward."""
+
+    position_1_s: NotNegative
+    climb_limit_m_s: Positive
+    descent_limit_m_s: Positive
+    velocity_1_s: NotNegative
+    integral_1_s2: NotNegative
+    integral_limit_m_s2: NotNegative
+
+
+class AllocationLimits(Model):
+    throttle_min: Annotated[float, Field(ge=0.0, lt=1.0)]
+    throttle_max: Annotated[float, Field(gt=0.0, le=1.0)]
+    # banks: of a vehicle with [servo]; rotors: of one whose jets all point straight up; effectiveness: of any.  None:
+    # by what the vehicle has
+    method: Literal["banks", "rotors", "effectiveness"] | None = None
+    horizontal: bool = False  # effectiveness: keep the force along x and y at zero where that costs nothing else
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        return {key: value for key, value in stated.items() if key != "horizontal" or value}
+
+    @model_validator(mode="after")
+    def _ordered(self) -> AllocationLimits:
+        if self.throttle_min >= self.throttle_max:
+            raise ValueError(f"throttle_min {self.throttle_min} must be below throttle_max {self.throttle_max}")
+        return self
+
+
+class PredictorTuning(Model):
+    """What a predictor needs beside the identified model; each predictor reads its own."""
+
+    filter_s: NotNegative  # filtered Smith: time constant of the robustness filter
+    observer_rad_s: Positive  # state: both poles of the double-integrator observer at minus this
+    model_observer_rad_s: Positive  # state-model: observer poles
+    disturbance_observer_rad_s: Positive  # state-disturbance: observer poles
+    own: dict[str, dict[str, float]] = Field(default_factory=dict)  # of predictors from elsewhere, by their names
+
+    @model_serializer(mode="wrap")
+    def _without_empty_tables(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        return {key: value for key, value in stated.items() if key != "own" or value}
+
+
+class PositionGains(Model):
+    """Velocity and position control above the attitude loop, and the filter that estimates both from the GNSS."""
+
+    position_1_s: Positive
+    velocity_1_s: Positive
+    catch_up_m_s: Positive  # most speed asked for because of a position error
+    lean_rad: Annotated[float, Field(gt=0.0, lt=1.2)]  # most lean asked for
+    acceleration_noise_m_s15: Positive  # white, of what the attitude does not explain: m/s^2 per root Hz
+    disturbance_walk_m_s25: Positive  # of its slow part (wind on the body): m/s^2 per root s
+
+
+class PilotSettings(Model):
+    """What the autopilot flies with before anybody tells it otherwise."""
+
+    speed_m_s: Positive
+    acceleration_m_s2: Positive
+    jerk_m_s3: Positive
+    climb_m_s: Positive
+    descent_m_s: Positive
+    land_m_s: Positive
+    yaw_rate_rad_s: Positive
+    stick_lean_rad: Annotated[float, Field(gt=0.0, lt=1.2)]
+    takeoff_height_m: Positive
+    return_height_m: Positive
+    spool_s: Positive  # from idle to hover thrust before take-off
+    endurance_s: NotNegative = 0.0  # hover on a full battery; 0: not known, nothing is estimated
+
+
+class MonitorSettings(Model):
+    """When the engine monitor calls an engine faulty."""
+
+    threshold: Positive  # of a jet's thrust in hover, beyond what a healthy engine may do
+    confirm_s: Positive  # for so long without a break
+    stuck_s: Positive  # the same before an engine that does not follow its command is called stuck
+    lag_factor: Annotated[float, Field(ge=1.0)]  # a healthy lag is the nominal one within this factor
+    delay_spread_s: NotNegative  # a healthy delay is the nominal one within this
+    shut_opposite: bool = False  # with the first engine lost, shut off the one across the centre of gravity
+    # then fly roll and height by the catch, until the thrust is made up for, own engine alone; where no jet tilts: with
+    # the first rotor of four lost fly the direction of thrust on the others, spinning
+    catch: bool = False
+
+
+class WingControl(Model):
+    """Flight ahead on a wing; see :mod:`cosim.control.wing`."""
+
+    tilts: Annotated[list[str], Field(min_length=1)]  # the hinges that turn thrust ahead
+    acceleration_m_s2: Positive  # with which the set-point of the speed rises
+    braking_m_s2: Positive  # and falls
+    velocity_1_s: Positive  # acceleration over what the speed is off
+    integral_1_s2: NotNegative  # the same over its integral
+    integral_limit_m_s2: NotNegative  # most of that
+    alpha_rad: tuple[float, float]  # least and most angle of attack that is asked for
+    alpha_filter_s: NotNegative  # lag of that
+    open_m_s: Positive  # speed from which on all of that corridor is used
+    aside_1_s: NotNegative  # bank over drift to the side
+    bank_rad: Annotated[float, Field(ge=0.0, lt=1.2)]  # most of that
+
+    @model_validator(mode="after")
+    def _has_a_corridor(self) -> WingControl:
+        least, most = self.alpha_rad
+        if not -0.6 <= least < most <= 0.6:
+            raise ValueError(f"alpha_rad [{least:g}, {most:g}]: least, then most, within -0.6 to 0.6 rad")
+        return self
+
+
+class Control(Model):
+    attitude: AttitudeGains
+    rate: RateControl
+    altitude: AltitudeGains
+    allocation: AllocationLimits
+    predictor: PredictorTuning
+    lead: Leads | None = None
+    schedule: Schedule | Literal[False] | None = None  # false: none, also where the aircraft states one
+    monitor: MonitorSettings | None = None
+    position: PositionGains | None = None
+    pilot: PilotSettings | None = None
+    wing: WingControl | None = None  # None: no speed ahead can be asked for
+
+    @model_serializer(mode="wrap")
+    def _without_a_wing(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        return {key: value for key, value in stated.items() if key != "wing" or value is not None}
+
+    @model_validator(mode="after")
+    def _leads_at_every_level(self) -> Control:
+        """A lead is divided out in the same form at every level; without one, what the levels say of it is not read."""
+        for number, level in enumerate(self.schedule.level if self.schedule else ()):
+            for name, stated in (("roll", level.roll), ("altitude", level.altitude)):
+                lead = getattr(self.lead, name, None)
+                if not lead:
+                    continue
+                where = f"schedule.level.{number}.{name}"
+                if stated.lead is None:
+                    raise ValueError(f"{where}: control.lead.{name} needs natural_rad_s and pole_rad_s at every level")
+                if (stated.damping is None) != (lead.damping is None):
+                    raise ValueError(
+                        f"{where}: damping must be stated where control.lead.{name} has one, and only there"
+                    )
+        return self

@@ -1,0 +1,67 @@
+"""How a vehicle's rates answer commands, as identified: in its own file, or in one of models alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+
+from cosim.base.storage.toml import Model, Positive, read_toml, validate
+
+
+def _with_pairs(real: list[float], pairs: list[tuple[float, float]]) -> list[float] | list[complex]:
+    if not pairs:
+        return real
+    return [*map(complex, real), *(complex(re, sign * im) for re, im in pairs for sign in (1.0, -1.0))]
+
+
+class RateModel(Model):
+    """An identified rate response: gain * prod(z - zeros) / prod(z - poles) * z^-delay, command to rad/s.
+
+    Poles and zeros that are not real come in pairs, of which the one with the positive imaginary part is stated.
+    """
+
+    gain: float
+    zeros: list[float]
+    poles: list[Annotated[float, Field(gt=-1.0, le=1.0)]]
+    zero_pairs: list[tuple[float, Positive]] = Field(default_factory=list)  # real and imaginary part
+    pole_pairs: list[tuple[float, Positive]] = Field(default_factory=list)
+    delay_samples: Annotated[float, Field(ge=0.0, le=1000.0)]  # need not be whole
+    sample_time_s: Positive
+    source: str
+
+    @model_validator(mode="after")
+    def _strictly_proper(self) -> RateModel:
+        if len(self.all_zeros) >= len(self.all_poles):
+            raise ValueError("a predictor needs a strictly proper model: fewer zeros than poles")
+        if any(re * re + im * im > 1.0 for re, im in self.pole_pairs):
+            raise ValueError("pole_pairs: must lie within the unit circle")
+        return self
+
+    @property
+    def all_poles(self) -> list[float] | list[complex]:
+        """The real ones first, then both of each pair."""
+        return _with_pairs(self.poles, self.pole_pairs)
+
+    @property
+    def all_zeros(self) -> list[float] | list[complex]:
+        """The same of the zeros."""
+        return _with_pairs(self.zeros, self.zero_pairs)
+
+    @model_serializer(mode="wrap")
+    def _without_empty_pairs(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        return {key: value for key, value in stated.items() if not key.endswith("_pairs") or value}
+
+
+class ModelFile(Model):
+    """Identified models in a file of their own, to be written over a vehicle's."""
+
+    identified: Annotated[dict[str, dict[Literal["roll", "pitch", "yaw"], RateModel]], Field(min_length=1)]
+
+
+def read_models(path: Path) -> dict[str, Any]:
+    """The table ``identified`` of a model file.  Raises InputError if it cannot be read or is not one."""
+    models: dict[str, Any] = validate(ModelFile, read_toml(path), str(path)).model_dump(mode="json")["identified"]
+    return models

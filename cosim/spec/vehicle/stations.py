@@ -1,0 +1,166 @@
+"""What pushes a vehicle and what turns it: engine stations, tilt servos, hinges, surfaces, and their layout."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import hypot
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+
+from cosim.base.constants import SERVOS, Side
+from cosim.base.layout import UP, Layout, Station, Turn
+from cosim.base.storage.toml import Model, NotNegative, Positive, Vector
+
+
+def _unit(axis: Vector) -> Vector:
+    """The direction of a vector that is not zero; one of length 1 stays as it is, to the last bit."""
+    length = hypot(*axis)
+    if not length:
+        raise ValueError("must have a direction, not [0, 0, 0]")
+    if abs(length - 1.0) <= 1e-15:
+        return axis
+    return (axis[0] / length, axis[1] / length, axis[2] / length)
+
+
+Direction = Annotated[Vector, AfterValidator(_unit)]
+
+
+class Airflow(Model):
+    """The air that one engine swallows: ``kg_s (thrust / at_thrust_n)^exponent``, and where on its axis it does so."""
+
+    kg_s: Positive
+    at_thrust_n: Positive
+    exponent: NotNegative
+    intake_m: float  # from the station along the thrust
+    exhaust_m: float  # the same for where it leaves
+
+
+class Jet(Model):
+    """One engine station: fixed to the body, on a tilting bank, or on hinges."""
+
+    position_m: Vector  # body, from the centre of gravity of the vehicle as built
+    axis: Direction | None = None  # of the thrust on the vehicle, body, hinges at zero; None: straight up, [0, 0, -1]
+    servo: Side | None = None
+    # moment on the frame per thrust, against the thrust's direction: with thrust straight up positive turns the nose
+    # right
+    reaction_m: float = 0.0
+    spin: Literal[-1, 0, 1] = 0  # sense of the rotor about the thrust, right-handed; 0: its spin is not modelled
+    engine: str | None = None  # of another kind than the scenario's; None: as that
+    airflow: Airflow | None = None  # of an engine of its own; None: that of the vehicle
+    effort: Positive = 1.0  # of allocation by effectiveness: how dear its range is beside that of the others
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        if stated.get("effort") == 1.0:
+            del stated["effort"]
+        return {key: value for key, value in stated.items() if value is not None or key == "servo"}
+
+
+class Servo(Model):
+    """A tilt servo: first-order lag, then rate and range limits."""
+
+    lag_s: NotNegative
+    rate_limit_rad_s: Positive
+    range_rad: Annotated[float, Field(gt=0.0, le=3.2)]  # either way from straight up
+    bank_inertia_kg_m2: NotNegative = 0.0  # of one bank about its tilt axis; 0: turning it does not turn the body
+    bank_imbalance_kg_m: float = 0.0  # mass of one bank times how far its centre is from that axis along the thrust
+
+
+class Hinge(Model):
+    """What turns about an axis, by a servo of its own, and moves jets or their thrust: a bank, a gimbal, a vane.
+
+    Its servo is a first-order lag with rate and range limited.  What turns has ``mass_kg`` with its centre at
+    ``centre_m`` (hinge at zero) and ``inertia_kg_m2`` about the hinge's axis, all of it a part of the vehicle's.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]  # in the log, and where faults name it
+    position_m: Vector  # body: a point of its axis
+    axis: Direction  # body; positive turns right-handed about it
+    carries: list[Annotated[int, Field(ge=1)]] = Field(default_factory=list)  # jets, from 1, that stand on it
+    deflects: list[Annotated[int, Field(ge=1)]] = Field(default_factory=list)  # jets whose thrust alone it turns
+    effect: float = 1.0  # angle of the thrust that it deflects over its own
+    lag_s: NotNegative
+    rate_limit_rad_s: Positive
+    range_rad: Positive | tuple[float, float]  # either way from zero, or least and most
+    rest_rad: float = 0.0  # where it stands at the start, and where allocation leaves it if nothing is asked of it
+    mass_kg: NotNegative = 0.0
+    centre_m: Vector | None = None  # body; None: on the axis
+    inertia_kg_m2: NotNegative = 0.0  # 0: turning it does not turn the body
+    effort: Positive = 1.0
+
+    @property
+    def least_most(self) -> tuple[float, float]:
+        """The ends of its range, rad."""
+        return self.range_rad if isinstance(self.range_rad, tuple) else (-self.range_rad, self.range_rad)
+
+    @model_validator(mode="after")
+    def _can_be(self) -> Hinge:
+        least, most = self.least_most
+        if least >= most:
+            raise ValueError(f"range_rad [{least:g}, {most:g}]: the first must be below the second")
+        if not least <= self.rest_rad <= most:
+            raise ValueError(f"rest_rad {self.rest_rad:g}: must be within range_rad, {least:g} to {most:g}")
+        if max(abs(least), abs(most)) > 3.2:
+            raise ValueError(f"range_rad [{least:g}, {most:g}]: is more than half a turn either way: which unit?")
+        if not self.carries and not self.deflects:
+            raise ValueError("carries, deflects: name the jets that it moves, numbered from 1")
+        if set(self.carries) & set(self.deflects):
+            raise ValueError(
+                f"deflects {self.deflects}: what a hinge carries turns with it as a whole; name a jet once"
+            )
+        if self.centre_m is not None:
+            x, y, z = (c - p for c, p in zip(self.centre_m, self.position_m, strict=True))
+            a, b, c = self.axis
+            off = x * x + y * y + z * z - (a * x + b * y + c * z) ** 2
+            if self.mass_kg * off > self.inertia_kg_m2 * (1.0 + 1e-9):
+                raise ValueError(
+                    f"inertia_kg_m2 {self.inertia_kg_m2:g}: {self.mass_kg:g} kg with the centre that far from the axis "
+                    f"have at least {self.mass_kg * off:.3g} about it"
+                )
+        return self
+
+
+class Surface(Model):
+    """A surface of the JSBSim model that is commanded: a property of it, set by a servo of its own."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]
+    property: Annotated[str, Field(pattern=r"^[A-Za-z0-9_./\[\]-]+$")]  # of the JSBSim model: fcs/elevator-cmd-norm
+    lag_s: NotNegative
+    rate_limit_1_s: Positive  # of the property's own unit
+    range: tuple[float, float] = (-1.0, 1.0)
+    # airspeed along x at which allocation has the model say what it does; chosen by us: of small jets in transition
+    at_m_s: Positive = 20.0
+    effort: Positive = 1.0
+
+    @model_validator(mode="after")
+    def _has_a_range(self) -> Surface:
+        if not self.range[0] <= 0.0 <= self.range[1] or self.range[0] == self.range[1]:
+            raise ValueError(f"range {list(self.range)}: least and most, and 0 within them")
+        return self
+
+
+_BANK: Vector = (0.0, -1.0, 0.0)  # positive leans the thrust forward
+
+
+def layout_of(jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> Layout:
+    """Stations and hinges; the banks of jets with a ``servo`` turn the thrust of each about its own station."""
+    stations = [Station(jet.position_m, jet.axis or UP, -jet.reaction_m) for jet in jets]
+    if any(jet.servo for jet in jets):
+        turns = [
+            Turn((0.0, 0.0, 0.0), _BANK, (), tuple(n for n, jet in enumerate(jets) if jet.servo == side))
+            for side in SERVOS
+        ]
+    else:
+        turns = [
+            Turn(
+                hinge.position_m,
+                hinge.axis,
+                tuple(jet - 1 for jet in hinge.carries),
+                tuple(jet - 1 for jet in hinge.deflects),
+                hinge.effect,
+            )
+            for hinge in hinges
+        ]
+    return Layout(stations, turns)

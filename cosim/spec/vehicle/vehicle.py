@@ -1,0 +1,258 @@
+"""A vehicle as its ``vehicle.toml`` states it, with all that one part asks of another.
+
+Body frame: forward-right-down (FRD), origin at the centre of gravity of the vehicle as built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from re import fullmatch
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+
+from cosim.base.constants import SERVOS
+from cosim.base.layout import UP, Layout
+from cosim.base.signals import MOST_JETS
+from cosim.base.storage.toml import Model, Positive, Vector
+from cosim.spec.vehicle.body import Aero, Contact, Fuel, GroundEffect, Panel
+from cosim.spec.vehicle.gains import Control
+from cosim.spec.vehicle.rate_model import RateModel
+from cosim.spec.vehicle.sensors import Sensors
+from cosim.spec.vehicle.stations import Airflow, Hinge, Jet, Servo, Surface, layout_of
+
+STEP_S = 0.004  # the control step of who states none: the paper's 250 Hz
+Step = Annotated[float, Field(gt=0.0, le=0.1)]  # s, of control
+
+
+class Limits(Model):
+    """Where a flight is over."""
+
+    tilt_deg: Annotated[float, Field(gt=0.0, le=180.0)]  # from upright, in the air: diverged
+    rate_deg_s: Positive  # any axis: diverged
+    touchdown_m_s: Positive  # a leg touching faster: crashed
+
+
+def _named(name: str) -> str:
+    if not fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
+        raise ValueError("letters, digits, - and _ are allowed, a letter or digit first")
+    return name
+
+
+def _differ(where: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{where}: two are called {name!r}; names must differ")
+
+
+class Vehicle(Model):
+    """Everything that ``aircraft/<name>/vehicle.toml`` says."""
+
+    name: Annotated[str, AfterValidator(_named)]
+    title: str
+    model: str | None = None  # the JSBSim model's file, beside vehicle.toml; None: all is stated in that
+    engine: str | None = None  # what it is made for, and flies with where only the aircraft is named
+    step_s: Step | None = None  # control step where a scenario states none; None: see control_step
+    mass_kg: Positive
+    inertia_kg_m2: tuple[Positive, Positive, Positive]
+    products_kg_m2: Vector = (0.0, 0.0, 0.0)  # of inertia: integral of x y, x z and y z over the mass, body
+    jets: Annotated[list[Jet], Field(min_length=1, max_length=MOST_JETS)]
+    hinges: Annotated[list[Hinge], Field(max_length=MOST_JETS)] = Field(default_factory=list)  # from the body outwards
+    surfaces: Annotated[list[Surface], Field(max_length=MOST_JETS)] = Field(default_factory=list)
+    panels: Annotated[list[Panel], Field(max_length=100)] = Field(default_factory=list)  # drawn; they carry no force
+    contacts: Annotated[list[Contact], Field(min_length=1)]
+    servo: Servo | None = None
+    fuel: Fuel | None = None
+    airflow: Airflow | None = None  # of every jet without one of its own; None: no intake drag but theirs
+    ground_effect: GroundEffect | None = None  # None: the ground does nothing to the jets
+    aero: Aero
+    sensors: Sensors
+    control: Control
+    identified: dict[str, dict[Literal["roll", "pitch", "yaw"], RateModel]]
+    limits: Limits
+
+    @model_validator(mode="after")
+    def _all_tilt_or_none(self) -> Vehicle:
+        tilting = [jet.servo is not None for jet in self.jets]
+        if any(tilting) != all(tilting) or any(tilting) != (self.servo is not None):
+            raise ValueError("jets: either all jets have a servo and there is a table [servo], or none and no table")
+        return self
+
+    @model_validator(mode="after")
+    def _hinges_move_jets(self) -> Vehicle:
+        names = [hinge.name for hinge in self.hinges] + [surface.name for surface in self.surfaces]
+        _differ("hinges, surfaces", names)
+        for number, hinge in enumerate(self.hinges):
+            for jet in (*hinge.carries, *hinge.deflects):
+                if jet > len(self.jets):
+                    raise ValueError(f"hinges.{number}: jet {jet}: there are jets 1 to {len(self.jets)}")
+        known = [surface.name for surface in self.surfaces]
+        for number, panel in enumerate(self.panels):
+            if panel.surface is not None and panel.surface not in known:
+                there = f"there are: {', '.join(known)}" if known else "there are none"
+                raise ValueError(f"panels.{number}.surface: no surface is called {panel.surface!r}; {there}")
+            if panel.turn_rad and panel.surface is None:
+                raise ValueError(f"panels.{number}.turn_rad {panel.turn_rad:g}: no surface is named that turns it")
+        if self.surfaces and self.model is None:
+            raise ValueError("surfaces: are moved in the vehicle's own JSBSim model, and model names none")
+        if self.servo is None:
+            return self
+        if self.hinges:
+            raise ValueError("hinges: a vehicle with a table [servo] has its two banks; state them as hinges instead")
+        if self.surfaces:
+            raise ValueError("surfaces: the allocation of the two banks of [servo] moves none; state them as hinges")
+        for number, station in enumerate(self.jets):
+            if station.axis not in (None, UP):
+                raise ValueError(
+                    f"jets.{number}.axis {list(station.axis or UP)}: jets on the banks of [servo] point up"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _method_fits(self) -> Vehicle:
+        method, where = self.control.allocation.method, "control.allocation.method"
+        if method == "banks" and self.servo is None:
+            raise ValueError(f"{where} 'banks': is for two banks with a table [servo]; take 'effectiveness'")
+        if method == "rotors" and (self.servo is not None or not self._plain):
+            raise ValueError(f"{where} 'rotors': is for jets that all point straight up; take 'effectiveness'")
+        if method == "effectiveness" and self.servo is not None:
+            raise ValueError(f"{where} 'effectiveness': state the two banks of [servo] as [[hinges]]")
+        if self.allocation != "effectiveness" and len(self.jets) < 4:
+            raise ValueError(
+                f"jets: {len(self.jets)} that point straight up do not hold a vehicle level; four do, or hinges"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _wing_turns_thrust(self) -> Vehicle:
+        wing, where = self.control.wing, "control.wing"
+        if wing is None:
+            return self
+        if self.model is None or self.allocation != "effectiveness":
+            raise ValueError(f"{where}: needs a model with a wing, and control.allocation.method 'effectiveness'")
+        names = [hinge.name for hinge in self.hinges]
+        for name in wing.tilts:
+            if name not in names:
+                raise ValueError(f"{where}.tilts: no hinge is called {name!r}; there are: {', '.join(names)}")
+        return self
+
+    @property
+    def allocation(self) -> Literal["banks", "rotors", "effectiveness"]:
+        """How commands become throttles and angles: as stated, or by what the vehicle has."""
+        if self.control.allocation.method is not None:
+            return self.control.allocation.method
+        if self.servo is not None:
+            return "banks"
+        return "rotors" if self._plain else "effectiveness"
+
+    @property
+    def _plain(self) -> bool:
+        """Whether all jets point straight up and nothing but banks moves."""
+        return not self.hinges and not self.surfaces and all(jet.axis in (None, UP) for jet in self.jets)
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """The names of what servos move: hinges, then surfaces; the two banks where there is neither."""
+        return (*(hinge.name for hinge in self.hinges), *(surface.name for surface in self.surfaces)) or SERVOS
+
+    @property
+    def turns(self) -> tuple[tuple[float, float], ...]:
+        """Least and most of each angle of :meth:`layout` [rad]; empty where no thrust turns."""
+        if self.servo is not None:
+            return ((-self.servo.range_rad, self.servo.range_rad),) * len(SERVOS)
+        return tuple(hinge.least_most for hinge in self.hinges)
+
+    @property
+    def ranges(self) -> tuple[tuple[float, float], ...]:
+        """Least and most of each of :attr:`actuators`; empty where nothing moves."""
+        return (*self.turns, *(surface.range for surface in self.surfaces))
+
+    @property
+    def rest(self) -> tuple[float, ...]:
+        """Where each of :attr:`actuators` stands when nothing is asked of it."""
+        if not self.hinges and not self.surfaces:
+            return (0.0, 0.0)
+        return (*(hinge.rest_rad for hinge in self.hinges), *(0.0 for _ in self.surfaces))
+
+    @property
+    def tensor(self) -> tuple[Vector, Vector, Vector]:
+        """Of inertia, kg m^2, by rows, body: the products of inertia stand in it with the other sign."""
+        (a, b, c), (xy, xz, yz) = self.inertia_kg_m2, self.products_kg_m2
+        return ((a, -xy, -xz), (-xy, b, -yz), (-xz, -yz, c))
+
+    def layout(self) -> Layout:
+        """Where jets stand and push while hinges turn; its angles are the hinges', or those of the two banks."""
+        return layout_of(self.jets, self.hinges)
+
+    @model_validator(mode="after")
+    def _contacts_differ(self) -> Vehicle:
+        _differ("contacts", [contact.name for contact in self.contacts])
+        return self
+
+    @model_validator(mode="after")
+    def _inertia_exists(self) -> Vehicle:
+        a, b, c = sorted(self.inertia_kg_m2)
+        if a + b < c:
+            raise ValueError(
+                f"inertia_kg_m2 {list(self.inertia_kg_m2)}: no body has one moment above the sum of the others"
+            )
+        if any(self.products_kg_m2):
+            # the second moments of the mass, integral of x x^T, must be a positive definite matrix
+            (a, b, c), (xy, xz, yz) = self.inertia_kg_m2, self.products_kg_m2
+            xx, yy, zz = (b + c - a) / 2.0, (a + c - b) / 2.0, (a + b - c) / 2.0
+            minor = xx * yy - xy * xy
+            whole = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+            if minor < 0.0 or xx * zz < xz * xz or yy * zz < yz * yz or whole < 0.0:
+                raise ValueError(
+                    f"products_kg_m2 {list(self.products_kg_m2)}: no body with inertia_kg_m2 "
+                    f"{list(self.inertia_kg_m2)} has them: too large, or in another unit"
+                )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_there(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stated: dict[str, Any] = handler(self)
+        for key in ("hinges", "surfaces", "panels"):
+            if not stated.get(key, True):
+                del stated[key]
+        if not any(self.products_kg_m2):
+            stated.pop("products_kg_m2", None)
+        return stated
+
+    @model_validator(mode="after")
+    def _banks_are_a_part(self) -> Vehicle:
+        if self.servo and 2.0 * self.servo.bank_inertia_kg_m2 >= self.inertia_kg_m2[1]:
+            raise ValueError(
+                f"servo.bank_inertia_kg_m2 {self.servo.bank_inertia_kg_m2:g}: two banks are a part of the vehicle and "
+                f"must have less than its moment of inertia about y, {self.inertia_kg_m2[1]:g} kg m^2"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _exists_without_fuel(self) -> Vehicle:
+        if self.fuel is None:
+            return self
+        whole, fuel, place = self.mass_kg, self.fuel.mass_kg, self.fuel.position_m
+        if fuel >= whole:
+            raise ValueError(f"fuel.mass_kg {fuel:g} is a part of mass_kg {whole:g} and must be below it")
+        # about the empty vehicle's own centre of gravity, by the theorem of parallel axes
+        squares = [x * x for x in place]
+        shift = fuel * whole / (whole - fuel)
+        empty = [moment - shift * (sum(squares) - own) for moment, own in zip(self.inertia_kg_m2, squares, strict=True)]
+        a, b, c = sorted(empty)
+        if a <= 0.0 or a + b < c:
+            raise ValueError(
+                f"fuel: {fuel:g} kg at {list(place)} leave an empty vehicle with the moments of inertia "
+                f"{[round(moment, 6) for moment in empty]} kg m^2, which no body has"
+            )
+        return self
+
+    @property
+    def control_step(self) -> float:
+        """The control step [s] of scenarios that state none: its own, else the sample time of its identified models
+        where all have the same, else :data:`STEP_S`.
+        """
+        if self.step_s is not None:
+            return self.step_s
+        steps = {model.sample_time_s for models in self.identified.values() for model in models.values()}
+        return steps.pop() if len(steps) == 1 else STEP_S
