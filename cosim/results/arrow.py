@@ -344,7 +344,7 @@ def read_numbers(path: Path) -> tuple[dict[str, Array], tuple[str, ...]]:
             if pa.types.is_integer(kept) or pa.types.is_floating(kept) or kept in (pa.bool_(), pa.null()):
                 column = pc.fill_null(table.column(name).cast(pa.float64(), safe=False), float("nan"))
                 numbers[name] = np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
         raise InputError(f"{path}: {one_line(error)}") from error
     return numbers, tuple(name for name in names if name not in numbers)
 

@@ -12,7 +12,7 @@ from zlib import crc32
 import numpy as np
 
 from cosim.base.errors import InputError
-from cosim.results.logs.flight_log import Channel, FlightLog
+from cosim.results.logs.flight_log import Channel, FlightLog, numbers
 
 MAGIC = 0xBC
 UNITS = {"acc": "g", "gyro": "deg/s"}  # by the group of the firmware's variable
@@ -70,7 +70,7 @@ def read(path: Path) -> FlightLog:
         for field in table.dtype.names[2:] if table.dtype.names else ():
             label = field if len(kinds) == 1 else f"{name}/{field}"
             times = unit * table["time"].astype(np.float64)
-            channels[label] = Channel(times, table[field].astype(np.float64), UNITS.get(field.split(".")[0], ""))
+            channels[label] = Channel(times, numbers(table[field]), UNITS.get(field.split(".")[0], ""))
     if not channels:
         raise InputError(f"{path}: the Crazyflie log holds no event")
     return FlightLog(path, "Crazyflie", channels, tuple(remarks))

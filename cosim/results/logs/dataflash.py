@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.errors import InputError
-from cosim.results.logs.flight_log import Channel, FlightLog
+from cosim.results.logs.flight_log import Channel, FlightLog, numbers
 
 HEAD = b"\xa3\x95"
 FMT, FMT_LENGTH = 0x80, 89
@@ -65,7 +65,7 @@ def read(path: Path) -> FlightLog:
             full = name if number is None else f"{name}[{number}]"
             for label, c in zip(labels, columns, strict=True):
                 if TYPES[c][1] and label != stamp:
-                    channels[f"{full}.{label}"] = Channel(when, TYPES[c][1] * part[label].astype(np.float64))
+                    channels[f"{full}.{label}"] = Channel(when, TYPES[c][1] * numbers(part[label]))
     if not channels:
         raise InputError(f"{path}: the DataFlash log holds no message with a time: it was cut short, or is damaged")
     remarks = (f"{passed} bytes are damaged and were passed over",) if passed else ()

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -87,6 +87,12 @@ def _inner(name: str) -> tuple[str, str]:
     """What is made of a channel in a term, such as ``deg(NAME)``, and the channel."""
     taken, bracket, rest = name.partition("(")
     return (taken, rest[:-1]) if bracket and taken in _TAKEN and rest.endswith(")") else ("", name)
+
+
+def numbers(values: Any) -> Array:
+    """As floats; bytes that are damaged may be any number, or none."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(values).astype(np.float64)
 
 
 def terms(text: str) -> list[tuple[float, str]]:

@@ -12,7 +12,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line
-from cosim.results.logs.flight_log import Channel, FlightLog
+from cosim.results.logs.flight_log import Channel, FlightLog, numbers
 
 
 def is_one(head: bytes) -> bool:
@@ -34,23 +34,27 @@ def read(path: Path) -> FlightLog:
         raise InputError("a ULog needs pyulog, which is not installed: pip install 'hexjet-cosim[logs]'") from None
     said = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said):
-            log = ULog(str(path))
+        with contextlib.redirect_stdout(said), path.open("rb") as file:
+            log = ULog(file)
     except Exception as error:  # what the library raises for a file that is wrong is of no one kind
         raise InputError(f"{path}: cannot be read as ULog: {one_line(error)}") from error
     channels = {}
+    untimed: list[str] = []
     for topic in log.data_list:
-        stamp = topic.data.get("timestamp_sample", topic.data["timestamp"])
+        stamp = topic.data.get("timestamp_sample", topic.data.get("timestamp"))
+        if stamp is None:
+            untimed.append(topic.name)
+            continue
         times = 1e-6 * np.asarray(stamp, np.float64)
         if topic.name == "hexjet_thrust":  # ours: what the engine has at the end of the step that the message is of
             times = times + _step(log, times)
         name = topic.name + (f"#{topic.multi_id}" if topic.multi_id else "")
         for field, values in topic.data.items():
             if not field.startswith("timestamp"):
-                channels[f"{name}.{field}"] = Channel(times, np.asarray(values, np.float64))
+                channels[f"{name}.{field}"] = Channel(times, numbers(values))
     if not channels:
         raise InputError(f"{path}: the ULog holds no data: it was cut short before the first message, or damaged")
-    remarks: list[str] = []
+    remarks = [f"left out, having no time: {', '.join(untimed)}"] if untimed else []
     if log.file_corruption or said.getvalue().strip():
         remarks.append("parts of the file are damaged and were passed over")
     if log.dropouts:
