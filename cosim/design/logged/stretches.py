@@ -80,6 +80,12 @@ def prepare(
     output = _within(output, low, high)
     clocks = clock_of(command.times), clock_of(output.times)
     sample = clocks[1].step
+    for channel, clock in zip(("command", "output"), clocks, strict=True):
+        if clock.step > longest_delay:
+            raise InputError(
+                f"the {channel} has a sample every {clock.step:.3g} s, and a delay of at most {longest_delay:g} s is "
+                "looked for (--longest-delay): no log of so fast a thing, or of another unit of time"
+            )
     factor = max(1, round((WORKING_STEP_S if step is None else step) / sample))
     if step is None and clocks[1].lost > LOSSY:
         factor = max(factor, 2)

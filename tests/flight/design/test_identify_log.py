@@ -145,6 +145,7 @@ def test_a_log_that_does_not_tell_is_refused(logs: list[Log]) -> None:
     assert "does not show the command" in refusal(flight_log(log, output=noise))
     assert "no stretch that can be used" in refusal(flight_log(log), begin=3.0, end=5.0)
     assert "have no time in common" in refusal(flight_log(log), begin=100.0)
+    assert "a sample every 4e+03 s" in refusal(flight_log(log, times=1e6 * log.times))  # us that were ms
     assert "values that are numbers" in refusal(flight_log(log, output=still + np.nan))
 
 
