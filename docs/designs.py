@@ -28,7 +28,7 @@ from cosim.design import design as make
 from cosim.design.controller_file import read_controller, with_controller
 from cosim.design.levels import AXES, DESIGNED, at_share
 from cosim.design.loop.channel import Actuator, channels
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.tune import FINE
 from cosim.engine import load_engine
 from cosim.results.report.marks import table, write_marks
@@ -182,7 +182,7 @@ def heavier(name: str) -> str:
         for tuning in (full["roll"], at_share(plan, full, level.share, scenario.step_s)["roll"]):
             for inertia in (1.0, 1.25):
                 roll = level.channels["roll"]
-                closed = Closed(Points(replace(roll, gain=roll.gain / inertia), close=FINE), tuning)
+                closed = ClosedLoop(FrequencyGrid(replace(roll, gain=roll.gain / inertia), close=FINE), tuning)
                 row.append("unstable" if closed.unstable_poles else f"{closed.peak_sensitivity:.2f}")
         rows.append(row)
     return table(("fuel", "held", "25 % more inertia", "scheduled", "25 % more inertia"), rows)

@@ -218,15 +218,15 @@ def predicted(engine: str, out: Path) -> dict[str, Any]:
         shipped,
     )
     from cosim.design.loop.channel import Actuator, channels
-    from cosim.design.loop.closed_loop import Closed, Points
+    from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
     from cosim.engine import load_engine
 
     flight, vehicle = _scenario(engine, AIRCRAFT, ())
     spec = load_engine(engine, {}, flight.step_s)
     dynamics = Actuator.of(engine, dynamics_of(identify_there(flight, vehicle, spec, None)))
     channel = channels(flight, vehicle, spec, dynamics)["roll"]
-    points = Points(channel)
-    loop = Closed(points, shipped(channel, vehicle, spec)).open_loop
+    points = FrequencyGrid(channel)
+    loop = ClosedLoop(points, shipped(channel, vehicle, spec)).open_loop
     hertz = np.angle(points.z) / flight.step_s / 2.0 / np.pi
     inside = (hertz > 0.2) & (hertz < 3.0)
     misses = []

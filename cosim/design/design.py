@@ -37,7 +37,7 @@ from cosim.design.loop.channel import (
     channels,
     hover_share,
 )
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import Dynamics, fit_dynamics, lags, with_misfit
 from cosim.design.loop.firmware import Firmware
 from cosim.design.loop.frequency import crossings, wrapped
@@ -45,8 +45,8 @@ from cosim.design.loop.tuning import Tuning, candidates, designable
 from cosim.design.proof import Proof
 from cosim.design.tune import (
     FINE,
-    Found,
     Requirements,
+    TuningResult,
     near,
     objective,
     settle,
@@ -350,7 +350,7 @@ def _again(channel: Channel, asked: _Asked, roll: Tuning | None, start: Tuning) 
     if tuned is None:
         return AxisDesign(channel, before, {key: inf}, None, {}, {})
     after = assess(channel, tuned, need)
-    value = objective(Closed(Points(channel, close=FINE), tuned))
+    value = objective(ClosedLoop(FrequencyGrid(channel, close=FINE), tuned))
     return AxisDesign(channel, before, {key: value}, after, {}, tolerance_checks(channel, tuned, need))
 
 
@@ -448,7 +448,7 @@ def _axis(channel: Channel, asked: _Asked, roll: Tuning | None) -> AxisDesign:
     before = assess(channel, fixed, need)
     model = believed(channel, asked.source)
     start = replace(fixed, predictor=roll.predictor if roll else vehicle.control.predictor)
-    tried: dict[str, Found] = {}
+    tried: dict[str, TuningResult] = {}
     for with_lead in (None,) if lead is None else (None, lead):
         for name in names:
             if with_lead and len(names) > 1 and not PREDICTORS[name].with_lead:
@@ -522,7 +522,7 @@ def shipped(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
 
 def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
     """Everything that is reported of a tuning, with more points than the search takes."""
-    closed = Closed(Points(channel, close=FINE), tuning)
+    closed = ClosedLoop(FrequencyGrid(channel, close=FINE), tuning)
     if closed.unstable_poles:
         return Assessment(tuning.controller, tuning, False, *[None] * 10)
     settled = bool(tuning.gains.i) and not closed.load_left
@@ -543,7 +543,7 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
     )
 
 
-def margins(closed: Closed) -> Margins:
+def margins(closed: ClosedLoop) -> Margins:
     """Gain, phase and delay margins from the loop's response, straight lines between its points."""
     theta = closed.points.theta
     inside = theta < pi * (1.0 - 1e-9)
@@ -573,7 +573,7 @@ def _limits(channel: Channel, after: Assessment, need: Requirements, lead: Engin
         led = None if what == "lag" else kept
         tuned = tune(changed, after.controller, changed.model("without"), after.tuning, needed, lead=led)
         if isfinite(tuned.objective):
-            limits[what] = Closed(Points(changed, close=FINE), tuned.tuning).bandwidth
+            limits[what] = ClosedLoop(FrequencyGrid(changed, close=FINE), tuned.tuning).bandwidth
     return limits
 
 
@@ -605,7 +605,7 @@ def _whole(low: float, high: float) -> list[float]:
 
 
 def _stable(channel: Channel, tuning: Tuning) -> bool:
-    return Closed(Points(channel, close=2000), tuning).unstable_poles == 0
+    return ClosedLoop(FrequencyGrid(channel, close=2000), tuning).unstable_poles == 0
 
 
 # ---- where there is none

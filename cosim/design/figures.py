@@ -6,7 +6,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.design.design import AxisDesign, Design
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.tuning import Tuning
 from cosim.design.panels import Figure, panels, trace
 from cosim.results.report.flight_figures import (
@@ -34,8 +34,8 @@ def design_figures(design: Design) -> dict[str, Figure]:
     return figures
 
 
-def _loops(axis_design: AxisDesign) -> list[tuple[str, str, Closed, bool]]:
-    points = Points(axis_design.channel, close=POINTS)
+def _loops(axis_design: AxisDesign) -> list[tuple[str, str, ClosedLoop, bool]]:
+    points = FrequencyGrid(axis_design.channel, close=POINTS)
     loops = []
     states: list[tuple[str, str, Tuning, bool]] = [
         ("shipped", ORANGE, axis_design.before.tuning, axis_design.before.stable)
@@ -43,15 +43,15 @@ def _loops(axis_design: AxisDesign) -> list[tuple[str, str, Closed, bool]]:
     if axis_design.after is not None:
         states.append(("designed", BLUE, axis_design.after.tuning, axis_design.after.stable))
     for label, colour, tuning, stable in states:
-        loops.append((f"{label}, {tuning.controller}", colour, Closed(points, tuning), stable))
+        loops.append((f"{label}, {tuning.controller}", colour, ClosedLoop(points, tuning), stable))
     return loops
 
 
-def _hertz(loop: Closed) -> Array:
+def _hertz(loop: ClosedLoop) -> Array:
     return np.asarray(loop.points.theta / (2.0 * np.pi * loop.points.channel.step))
 
 
-def _bode(loops: list[tuple[str, str, Closed, bool]]) -> Figure:
+def _bode(loops: list[tuple[str, str, ClosedLoop, bool]]) -> Figure:
     data = []
     for label, colour, loop, _ in loops:
         value = loop.open_loop
@@ -63,7 +63,7 @@ def _bode(loops: list[tuple[str, str, Closed, bool]]) -> Figure:
     return {"data": data, "layout": panels(460, "frequency [Hz]", ["|L| [dB]", "phase of L [deg]"], True)}
 
 
-def _nyquist(loops: list[tuple[str, str, Closed, bool]], design: Design) -> Figure:
+def _nyquist(loops: list[tuple[str, str, ClosedLoop, bool]], design: Design) -> Figure:
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     radius = 1.0 / design.need.max_sensitivity
     data = [trace(f"|S| = {design.need.max_sensitivity:g}", RED, radius * np.cos(turn) - 1.0, radius * np.sin(turn))]
@@ -78,7 +78,7 @@ def _nyquist(loops: list[tuple[str, str, Closed, bool]], design: Design) -> Figu
     return {"data": data, "layout": layout}
 
 
-def _sensitivity(loops: list[tuple[str, str, Closed, bool]], design: Design) -> Figure:
+def _sensitivity(loops: list[tuple[str, str, ClosedLoop, bool]], design: Design) -> Figure:
     data = []
     hertz = _hertz(loops[0][2])
     limit = design.need.max_sensitivity
@@ -92,7 +92,7 @@ def _sensitivity(loops: list[tuple[str, str, Closed, bool]], design: Design) -> 
     return {"data": data, "layout": layout}
 
 
-def _step(loops: list[tuple[str, str, Closed, bool]], axis_design: AxisDesign) -> Figure:
+def _step(loops: list[tuple[str, str, ClosedLoop, bool]], axis_design: AxisDesign) -> Figure:
     data: list[Figure] = []
     end = TIMES * axis_design.channel.slowness_s
     for label, colour, loop, stable in loops:

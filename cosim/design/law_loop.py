@@ -110,7 +110,7 @@ def run(channel: Channel, law: RateLoop, gain_1_s: float, samples: int, setpoint
 
 
 class LawLoop:
-    """A channel closed with a rate law: what :class:`cosim.design.loop.closed_loop.Closed` says of the built-in one.
+    """A channel closed with a rate law, as :class:`cosim.design.loop.closed_loop.ClosedLoop` is with the built-in one.
 
     ``seconds``: how long impulses are followed; 0: as long as a design looks.  Raises ArithmeticError for a loop that
     runs away.

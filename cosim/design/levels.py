@@ -17,7 +17,7 @@ from cosim.design.loop.channel import (
     channels,
     hover_share,
 )
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.tuning import Tuning
 from cosim.design.tune import (
     FINE,
@@ -83,7 +83,7 @@ def levels(
 
 def keeps(channel: Channel, tuning: Tuning, need: Requirements) -> bool:
     """Whether a tuning keeps the requirements on a channel."""
-    return acceptable(Closed(Points(channel, close=FINE), tuning), need)
+    return acceptable(ClosedLoop(FrequencyGrid(channel, close=FINE), tuning), need)
 
 
 def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:

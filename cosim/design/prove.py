@@ -33,7 +33,7 @@ from cosim.design.controller_table import controller_table
 from cosim.design.design import Design, throttle_for
 from cosim.design.identify.engine import fly_sweep
 from cosim.design.identify.result import Sweep, suitable_duration
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import Dynamics, bounds
 from cosim.design.proof import Flown, Proof
 from cosim.flight import fly
@@ -119,7 +119,7 @@ def _measured(design: Design, dynamics: Dynamics) -> Proof:
         for axis, axis_design in design.axes.items()
         if axis_design.after is not None and not axis_design.channel.by_servo and axis_design.channel.identified is None
     }
-    wide = {axis: Closed(Points(channel), tuning) for axis, (channel, tuning) in loops.items()}
+    wide = {axis: ClosedLoop(FrequencyGrid(channel), tuning) for axis, (channel, tuning) in loops.items()}
     crossing = max(_crossover(closed) for closed in wide.values())
     identification = design.identification
     assert identification is not None
@@ -147,7 +147,7 @@ def _measured(design: Design, dynamics: Dynamics) -> Proof:
     ratio = value / (gain * dynamics.held(hertz))
     share, peak, above, worst = 0.0, 0.0, 0.0, ("", 0.0)
     for axis, (channel, tuning) in loops.items():
-        own = Closed(Points(channel, z=np.exp(2j * pi * hertz * step)), tuning)
+        own = ClosedLoop(FrequencyGrid(channel, z=np.exp(2j * pi * hertz * step)), tuning)
         loop = own.open_loop
         off = np.abs(loop / (1.0 + loop) * (ratio - 1.0))
         if float(off.max()) > share:
@@ -170,7 +170,7 @@ def _measured(design: Design, dynamics: Dynamics) -> Proof:
     return Proof(reason, end, share, peak, above, (), unsure if reason else ())
 
 
-def _crossover(closed: Closed, gain: float = 1.0) -> float:
+def _crossover(closed: ClosedLoop, gain: float = 1.0) -> float:
     """Hz, the highest at which the loop has this gain."""
     over = np.flatnonzero(np.abs(closed.open_loop) >= gain)
     return float(closed.points.theta[over[-1]] / (2.0 * pi * closed.points.channel.step)) if len(over) else 0.0

@@ -13,7 +13,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.toml import Model, NotNegative
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.loop.channel import Channel
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.tuning import Tuning
 from cosim.spec.vehicle import EngineLead, RateModel
 
@@ -57,7 +57,7 @@ class Requirements(Model):
 
 
 @dataclass(frozen=True)
-class Found:
+class TuningResult:
     """The best tuning of a search; ``objective`` is infinite where nothing keeps the requirements."""
 
     tuning: Tuning
@@ -65,7 +65,7 @@ class Found:
     evaluations: int
 
 
-def objective(closed: Closed) -> float:
+def objective(closed: ClosedLoop) -> float:
     """``ln`` of the integrated absolute error of a step of the set-point, plus a third of that of a step of load.
 
     The logarithm needs no units and no sizes of the steps.  At a bandwidth w the first goes with 1/w, the second with
@@ -74,7 +74,7 @@ def objective(closed: Closed) -> float:
     return float(np.log(closed.step_error) + np.log(closed.load_error) / 3.0)
 
 
-def excess(closed: Closed, need: Requirements, spare: float = 0.0) -> float:
+def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
     """By how much the requirements are missed, as a sum of relative parts; 0 where all are kept."""
     channel = closed.points.channel
     step = STEP_M if channel.name == "altitude" else need.step_rad
@@ -94,12 +94,12 @@ def excess(closed: Closed, need: Requirements, spare: float = 0.0) -> float:
     return sum(max(part, 0.0) for part in parts)
 
 
-def acceptable(closed: Closed, need: Requirements) -> bool:
+def acceptable(closed: ClosedLoop, need: Requirements) -> bool:
     """Stable, and within the requirements."""
     return closed.unstable_poles == 0 and excess(closed, need) == 0.0
 
 
-class Box:
+class TuningBounds:
     """What is searched: logarithms of ``K tau``, ``p k tau``, ``i / p tau``, ``d / (p tau)``, and the predictor's own.
 
     ``tau`` is the channel's delay at low frequency and ``k`` its gain, so the same box fits every vehicle.  With a lead
@@ -133,7 +133,7 @@ class Box:
         self.high = np.array([log(ends[k][1]) for k in self.free])
 
     def tuning(self, x: Array) -> Tuning:
-        """The tuning at a point of the box."""
+        """The tuning at a point of the bounds."""
         value = np.zeros(self._size)
         value[self.free] = np.exp(np.clip(x, self.low, self.high))
         tau, lead = self._tau, self._lead
@@ -170,7 +170,7 @@ def tune(
     need: Requirements,
     predictor: bool = True,
     lead: EngineLead | None = None,
-) -> Found:
+) -> TuningResult:
     """The tuning with the least objective that keeps the requirements.
 
     Deterministic: differential evolution from a Sobol sequence with a fixed seed, then Nelder and Mead's simplex, with
@@ -179,8 +179,8 @@ def tune(
     """
     from scipy.optimize import differential_evolution, minimize
 
-    box = Box(channel, controller, model, fixed, predictor, lead)
-    points = Points(channel)
+    bounds = TuningBounds(channel, controller, model, fixed, predictor, lead)
+    points = FrequencyGrid(channel)
     count = 0
     feasible: tuple[float, Array | None] = (inf, None)  # the best that kept everything
 
@@ -188,10 +188,10 @@ def tune(
         nonlocal count, feasible
         count += 1
         try:
-            closed = Closed(points, box.tuning(x))
+            closed = ClosedLoop(points, bounds.tuning(x))
             if closed.unstable_poles:
                 return UNSTABLE + float(np.sum(x))  # downhill is less gain
-            out = float(np.sum(np.maximum(x - box.high, 0.0) + np.maximum(box.low - x, 0.0)))
+            out = float(np.sum(np.maximum(x - bounds.high, 0.0) + np.maximum(bounds.low - x, 0.0)))
             value, missed = objective(closed), excess(closed, need, SPARE) + out
         except (InputError, ValueError, ArithmeticError):  # a predictor whose answer does not end, say: it is none
             return UNSTABLE + float(np.sum(x))
@@ -201,7 +201,7 @@ def tune(
 
     searched = differential_evolution(
         cost,
-        list(zip(box.low, box.high, strict=True)),
+        list(zip(bounds.low, bounds.high, strict=True)),
         popsize=POPULATION,
         maxiter=GENERATIONS,
         init="sobol",
@@ -216,13 +216,13 @@ def tune(
         optimum = minimize(cost, x, method="Nelder-Mead", options=options)
         if optimum.fun < value:
             x, value = optimum.x, float(optimum.fun)
-    fine = Points(channel, close=FINE)
+    fine = FrequencyGrid(channel, close=FINE)
     for point in (x, feasible[1]):
         if point is not None:
-            closed = Closed(fine, box.tuning(point))
+            closed = ClosedLoop(fine, bounds.tuning(point))
             if acceptable(closed, need):
-                return Found(closed.tuning, objective(closed), count)
-    return Found(box.tuning(x), inf, count)
+                return TuningResult(closed.tuning, objective(closed), count)
+    return TuningResult(bounds.tuning(x), inf, count)
 
 
 def settle(
@@ -234,13 +234,13 @@ def settle(
     written down is where this descent stops, and from there it stops at once.  None where no such tuning near
     ``start`` keeps the requirements.  At a ``level`` of a schedule only what follows the level is changed.
     """
-    points = Points(channel, close=WRITTEN)
+    points = FrequencyGrid(channel, close=WRITTEN)
     firmware = start.firmware
     if firmware is not None and firmware.units is not None:
         return _settle_whole(channel, start, need)
 
     def cost(values: Mapping[str, Digits]) -> float:
-        closed = Closed(points, _written(start, values, channel.step, level))
+        closed = ClosedLoop(points, _written(start, values, channel.step, level))
         return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
 
     values = {name: digits(value) for name, value in _searched(start, predictor and not level).items()}
@@ -253,7 +253,7 @@ def settle(
                 if (value := cost(trial)) < best - LEAST_GAIN:
                     values, best, moved = trial, value, True
     tuning = _written(start, values, channel.step, level)
-    return tuning if acceptable(Closed(Points(channel, close=FINE), tuning), need) else None
+    return tuning if acceptable(ClosedLoop(FrequencyGrid(channel, close=FINE), tuning), need) else None
 
 
 def _settle_whole(channel: Channel, start: Tuning, need: Requirements) -> Tuning | None:
@@ -261,7 +261,7 @@ def _settle_whole(channel: Channel, start: Tuning, need: Requirements) -> Tuning
 
     They are coarse for a slow vehicle, so the nearest ones may miss what was searched: what is missed comes first.
     """
-    points, firmware = Points(channel, close=WRITTEN), start.firmware
+    points, firmware = FrequencyGrid(channel, close=WRITTEN), start.firmware
     assert firmware is not None
     names = [name for name in ("angle_gain", "p", "i", "d") if not (name == "angle_gain" and firmware.angle_gain)]
     units = {name: firmware.unit(name) or 1.0 for name in names}
@@ -274,7 +274,7 @@ def _settle_whole(channel: Channel, start: Tuning, need: Requirements) -> Tuning
         return replace(start, angle_gain=angle, gains=gains.model_copy(update=told))
 
     def cost(values: Mapping[str, int]) -> float:
-        closed = Closed(points, at(values))
+        closed = ClosedLoop(points, at(values))
         return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
 
     values = {name: min(max(1, round(stated[name] / units[name])), firmware.most) for name in names}
@@ -288,7 +288,7 @@ def _settle_whole(channel: Channel, start: Tuning, need: Requirements) -> Tuning
             if all(1 <= trial[name] <= firmware.most for name in way) and (value := cost(trial)) < best - LEAST_GAIN:
                 values, best, moved = trial, value, True
     tuning = at(values)
-    return tuning if acceptable(Closed(Points(channel, close=FINE), tuning), need) else None
+    return tuning if acceptable(ClosedLoop(FrequencyGrid(channel, close=FINE), tuning), need) else None
 
 
 def near(
@@ -300,7 +300,7 @@ def near(
     """
     from scipy.optimize import minimize
 
-    points = Points(channel)
+    points = FrequencyGrid(channel)
     names = list(_searched(start, predictor and not level))
 
     def at(x: Array) -> Tuning:
@@ -308,7 +308,7 @@ def near(
         return _with(start, {name: float(each) for name, each in value.items()}, channel.step, level)
 
     def cost(x: Array) -> float:
-        closed = Closed(points, at(x))
+        closed = ClosedLoop(points, at(x))
         return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
 
     x = np.log([_searched(start, True)[name] for name in names])
@@ -321,11 +321,11 @@ def near(
             x, value = optimum.x, float(optimum.fun)
     there = settle(channel, at(x), need, predictor, level)
     # from far off the requirements, digit by digit would be a long way
-    fine = Points(channel, close=FINE)
-    here = settle(channel, start, need, predictor, level) if excess(Closed(fine, start), need) < CLOSE else None
+    fine = FrequencyGrid(channel, close=FINE)
+    here = settle(channel, start, need, predictor, level) if excess(ClosedLoop(fine, start), need) < CLOSE else None
     if here is None or there is None:
         return here or there
-    return there if objective(Closed(fine, there)) < objective(Closed(fine, here)) - TOLD else here
+    return there if objective(ClosedLoop(fine, there)) < objective(ClosedLoop(fine, here)) - TOLD else here
 
 
 def digits(value: float) -> Digits:

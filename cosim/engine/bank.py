@@ -9,13 +9,13 @@ import cosim.engine._bank as _bank
 from cosim.base.errors import EngineError
 from cosim.base.protocols import Column
 from cosim.base.signals import Ambient, EngineOutput, PerJet
-from cosim.engine.fmu.instance import Slave, SlaveError
+from cosim.engine.fmu.instance import FmuInstance, InstanceError
 from cosim.engine.fmu.ports import AMBIENT, ASIDE, Air
 from cosim.engine.fmu.starting import Ignition, StartError
 from cosim.engine.fmu.unpacked import Unpacked, unpack
 from cosim.engine.response import ResponseError, settle
 from cosim.engine.spec import EngineSpec
-from cosim.engine.ssp.system_slave import make_slave
+from cosim.engine.ssp.system_instance import make_instance
 
 
 def logged_columns(specs: Sequence[EngineSpec], in_flight: bool = False) -> tuple[Column, ...]:
@@ -105,7 +105,7 @@ class EngineBank:
         self._in_flight = in_flight
         self._starts: dict[int, Ignition] = {}  # of the instances that have yet to start
         self._given_up: set[int] = set()  # stations that were shut off meanwhile
-        self._slaves: list[Slave] = []
+        self._instances: list[FmuInstance] = []
         self._folders: dict[tuple[str, int], Unpacked] = {}
         self.wants_ambient = any(each.has(port) for each in self._specs for port in AMBIENT)
         self._native = _bank.Bank((), step, EngineOutput)
@@ -125,13 +125,13 @@ class EngineBank:
             if key not in self._folders:
                 self._folders[key] = unpack(spec.archive)
             try:
-                self._slaves.append(make_slave(spec.archive, self._folders[key].path, _numbers(crew)))
-            except SlaveError as error:
+                self._instances.append(make_instance(spec.archive, self._folders[key].path, _numbers(crew)))
+            except InstanceError as error:
                 raise EngineError(f"{label}: {error}") from error
         self._hand_over()
 
     def _hand_over(self) -> None:
-        rows = [slave.row(0, crew) for slave, crew in zip(self._slaves, self._crews, strict=True)]
+        rows = [instance.row(0, crew) for instance, crew in zip(self._instances, self._crews, strict=True)]
         self._native = _bank.Bank(tuple(rows), self._step, EngineOutput)
 
     def _spec(self, index: int) -> EngineSpec:
@@ -197,8 +197,8 @@ class EngineBank:
             port = spec.archive.ports["start"]
             settings.append((port.variable, port.value(throttles[0])))
         try:
-            self._slaves[index].initialize(settings, throttles, airs, step=self._step, cold=cold)
-        except SlaveError as error:
+            self._instances[index].initialize(settings, throttles, airs, step=self._step, cold=cold)
+        except InstanceError as error:
             raise EngineError(f"{self._label(index)}: {error}") from error
 
     def _run_up(self, station: int, throttle: float) -> None:
@@ -220,7 +220,7 @@ class EngineBank:
         station, what, *_ = failure.args
         index = self._server[station]
         label = self._one(station) if what in ("nan", "input") else self._label(index)
-        return EngineError(f"{label}: {self._slaves[index].explain(failure, moment)}")
+        return EngineError(f"{label}: {self._instances[index].explain(failure, moment)}")
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """Advance all engines over flight step ``k``, inputs held, and return what they report at its end.
@@ -254,10 +254,10 @@ class EngineBank:
     def _advance(self, moment: str) -> None:
         """Every start by the step to come; who has none left has started."""
         for index in [index for index in self._starts if not self._given_up.issuperset(self._stations(index))]:
-            slave = self._slaves[index]
+            instance = self._instances[index]
             try:
-                more = self._starts[index].advance(slave.write, slave.read)
-            except (SlaveError, StartError) as error:
+                more = self._starts[index].advance(instance.write, instance.read)
+            except (InstanceError, StartError) as error:
                 self._native.stop()
                 raise EngineError(f"{self._label(index)}: {error} {moment}") from error
             if not more:
@@ -285,9 +285,9 @@ class EngineBank:
         ]
         for station, spec in enumerate(self._specs):
             try:
-                slave = self._slaves[self._server[station]]
-                found += [slave.read(variable) for _, variable in spec.logged]
-            except SlaveError as error:
+                instance = self._instances[self._server[station]]
+                found += [instance.read(variable) for _, variable in spec.logged]
+            except InstanceError as error:
                 self._native.stop()
                 raise EngineError(f"{self._one(station)}: {error}") from error
         return tuple(found)
@@ -300,8 +300,8 @@ class EngineBank:
         if self._server[index] in self._starts:
             self._given_up.add(index)
         try:
-            return self._slaves[self._server[index]].set_run(on, self._specs[index].lane)
-        except SlaveError as error:
+            return self._instances[self._server[index]].set_run(on, self._specs[index].lane)
+        except InstanceError as error:
             self._native.stop()
             raise EngineError(f"{self._one(index)}: {error}") from error
 
@@ -314,8 +314,8 @@ class EngineBank:
 
     def _close_slaves(self) -> None:
         self._native = _bank.Bank((), self._step, EngineOutput)  # nothing may step what is being freed
-        while self._slaves:
-            self._slaves.pop().close()
+        while self._instances:
+            self._instances.pop().close()
 
     def __enter__(self) -> EngineBank:
         return self

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from cosim.base.errors import InputError, nearest
-from cosim.engine.fmu.instance import SlaveError
+from cosim.engine.fmu.instance import InstanceError
 from cosim.engine.fmu.ports import (
     AMBIENT,
     STANDARD_AIR,
@@ -65,7 +65,7 @@ def load_unchecked(
             measured = foreign(name_or_path, parameters, step, air)
         elif measured is None:
             measured = measure_once(archive, settings, start, step, air, small=engine is None)
-    except (SlaveError, ResponseError) as error:
+    except (InstanceError, ResponseError) as error:
         raise InputError(f"{archive.path}: {error}") from error
     return EngineSpec(
         name=name_or_path if engine else source.path.stem,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cosim.engine._bank as _bank
 from cosim.base.storage.cache import Memory
 from cosim.engine.fmu.archive import Archive
-from cosim.engine.fmu.instance import SlaveError
+from cosim.engine.fmu.instance import InstanceError
 from cosim.engine.fmu.ports import STANDARD_AIR, Air
 from cosim.engine.fmu.starting import Setting
 from cosim.engine.fmu.unpacked import unpack
@@ -28,7 +28,7 @@ from cosim.engine.response import (
     window_for,
 )
 from cosim.engine.spec import behaviour_of
-from cosim.engine.ssp.system_slave import make_slave
+from cosim.engine.ssp.system_instance import make_instance
 
 AROUND, BY = 0.5, 0.05  # of the throttle, a small step: about where an engine hovers, and what no limit of it sees
 CLEAR = 5.0  # times its own movement at rest, that the small step has to change the thrust
@@ -79,7 +79,7 @@ def measure(
 
     An engine that goes on trembling at rest is measured once more with more patience.  ``alive`` is called every now
     and then while it lasts.
-    Raises SlaveError or ResponseError if it fails, never settles or never answers.
+    Raises InstanceError or ResponseError if it fails, never settles or never answers.
     """
     try:
         return _measure(archive, settings, start, step, alive, NO_CHANGE, air, small)
@@ -98,10 +98,10 @@ def _measure(
     small: bool,
 ) -> Measured:
     with unpack(archive) as folder:
-        slave = make_slave(archive, folder, "measured")
+        instance = make_instance(archive, folder, "measured")
         try:
-            slave.initialize(settings, 0.0, air, step=step)
-            native = _bank.Bank([slave.row()], step)
+            instance.initialize(settings, 0.0, air, step=step)
+            native = _bank.Bank([instance.row()], step)
             rest = archive.starting.rest_n
             found = []
             for lane in range(len(archive.engines)):
@@ -116,9 +116,9 @@ def _measure(
                 little = _small(hold, window_for(response.delay), step, quiet, rest) if small else None
                 found.append(Measured(curve, response, None, quiet, little))
         except _bank.FailureError as failure:
-            raise SlaveError(slave.explain(failure, "while its thrust was measured")) from failure
+            raise InstanceError(instance.explain(failure, "while its thrust was measured")) from failure
         finally:
-            slave.close()
+            instance.close()
         first, *others = found
         if start is not None and not _starts_level(archive, folder, settings, step, first.curve, first.response, air):
             start = None
@@ -156,17 +156,17 @@ def _starts_level(
     """Whether the start parameter starts the engine on its static curve and keeps it there, tried at half throttle."""
     middle = len(curve.throttle) // 2
     throttle, thrust = curve.throttle[middle], curve.thrust[middle]
-    slave = make_slave(archive, folder, "started")
+    instance = make_instance(archive, folder, "started")
     try:
         port = archive.ports["start"]
-        first = slave.initialize([*settings, (port.variable, port.value(throttle))], throttle, air, step=step)
-        rest = _bank.Bank([slave.row()], step).hold(0, throttle, window_for(response.delay))
-    except SlaveError:
+        first = instance.initialize([*settings, (port.variable, port.value(throttle))], throttle, air, step=step)
+        rest = _bank.Bank([instance.row()], step).hold(0, throttle, window_for(response.delay))
+    except InstanceError:
         return False
     except _bank.FailureError as failure:
-        slave.explain(failure, "")
+        instance.explain(failure, "")
         return False
     finally:
-        slave.close()
+        instance.close()
     tolerance = max(1e-6 * max(1.0, abs(response.after)), archive.starting.rest_n)
     return all(abs(value - thrust) <= tolerance for value in [first, *rest])

@@ -179,7 +179,7 @@ def _fmpy(stack: ExitStack) -> Stepper:
     """FMPy's Python wrappers around the same instances, by which a script would step them."""
     _, throttle, thrust = _fmu()
     bank = _bank(stack)
-    slaves = [slave.fmu for slave in bank._slaves]
+    slaves = [slave.fmu for slave in bank._instances]
 
     def exchange(k: int, throttles: Throttles) -> Sequence[float]:
         for slave, value in zip(slaves, throttles, strict=True):

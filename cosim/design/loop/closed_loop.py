@@ -38,7 +38,7 @@ FADED = 1e-10  # what a response in time is wrong by, as a part of what comes a 
 BAND = 0.05  # of a step, for the settling time, as in the metrics of a flight
 
 
-class Points:
+class FrequencyGrid:
     """Points of the unit circle with a channel's response there, close together where a loop turns.
 
     Among them are those at which a misfit of the model is stated: it is straight between them, so no narrow mode is
@@ -61,10 +61,10 @@ class Points:
         self.unsure = channel.actuator.dynamics.uncertainty(hertz) if channel.identified is None else None
 
 
-class Closed:
+class ClosedLoop:
     """A channel closed with a tuning, at the points."""
 
-    def __init__(self, points: Points, tuning: Tuning) -> None:
+    def __init__(self, points: FrequencyGrid, tuning: Tuning) -> None:
         self.points, self.tuning = points, tuning
         z, channel = points.z, points.channel
         self._of_rate, of_command = tuning.answer()(z)
@@ -236,7 +236,7 @@ def steps_by_response(channel: Channel, tuning: Tuning, samples: int) -> Steps:
     period = 4 << ceil(log2(samples))
     radius = FADED ** (-1.0 / period)
     z = radius * np.exp(2j * pi / period * np.arange(period // 2 + 1))
-    closed = Closed(Points(channel, z=z), tuning)
+    closed = ClosedLoop(FrequencyGrid(channel, z=z), tuning)
     grown = radius ** np.arange(samples)
 
     def in_time(response: Complex) -> Array:

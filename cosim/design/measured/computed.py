@@ -13,7 +13,7 @@ from cosim.design.design import dynamics_of, identify_there, shipped
 from cosim.design.levels import AXES as LEVELLED
 from cosim.design.levels import at_share, lighter
 from cosim.design.loop.channel import Actuator, Channel, channels, hover_share
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.tuning import Tuning
 from cosim.design.measured.estimate import LoopMargins, loop_margins
 from cosim.design.tune import FINE
@@ -56,7 +56,7 @@ def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[
         tunings |= at_share(plan, levelled, hover_share(there, spec), step)
     found = {}
     for axis in axes:
-        closed = Closed(Points(plants[axis], close=FINE), tunings[axis])
+        closed = ClosedLoop(FrequencyGrid(plants[axis], close=FINE), tunings[axis])
         if closed.unstable_poles:
             return f"{axis}: the linear loop is not stable"
         below = closed.points.theta < np.pi * (1.0 - 1e-9)

@@ -234,8 +234,8 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
     root = parse(xml)
     fmi = fmi_of(root)
     description, blemishes = describe(data)
-    slave = description.coSimulation
-    _need_library(names, fmi, slave.modelIdentifier)
+    cosimulation = description.coSimulation
+    _need_library(names, fmi, cosimulation.modelIdentifier)
     _read_unsigned(root, description)
     bases = _bases(description)
     elements = [element for v in description.modelVariables if v.type in TYPES for element in _elements(v, bases)]
@@ -253,7 +253,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
     except PortError as error:
         raise UnusableError(str(error)) from error
     without = (
-        "the FMU has no event mode" if not slave.hasEventMode
+        "the FMU has no event mode" if not cosimulation.hasEventMode
         else "the components of a system are stepped without event mode" if stated is None
         else None
     )  # fmt: skip
@@ -266,7 +266,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
         fmi=fmi,
         version=root.attrib["fmiVersion"],
         model=description.modelName,
-        identifier=slave.modelIdentifier,
+        identifier=cosimulation.modelIdentifier,
         token=description.instantiationToken,
         engines=engines,
         port_notes=tuple(notes),
@@ -274,12 +274,12 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap | None) -> Archi
         inputs=inputs,
         outputs=outputs,
         parameters=parameters,
-        internal_step=_positive(slave.fixedInternalStepSize),
-        once_per_process=slave.canBeInstantiatedOnlyOncePerProcess,
+        internal_step=_positive(cosimulation.fixedInternalStepSize),
+        once_per_process=cosimulation.canBeInstantiatedOnlyOncePerProcess,
         event_mode=events,
-        returns_early=slave.mightReturnEarlyFromDoStep,
-        saves_state=slave.canGetAndSetFMUstate,
-        serializes_state=slave.canGetAndSetFMUstate and slave.canSerializeFMUstate,
+        returns_early=cosimulation.mightReturnEarlyFromDoStep,
+        saves_state=cosimulation.canGetAndSetFMUstate,
+        serializes_state=cosimulation.canGetAndSetFMUstate and cosimulation.canSerializeFMUstate,
         starting=begin,
         clocks=clocks if events else (),
     )

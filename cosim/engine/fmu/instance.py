@@ -62,14 +62,14 @@ VALUES = {
 }  # fmt: skip
 
 
-class SlaveError(Exception):
+class InstanceError(Exception):
     """An FMU refused: one line without its name, which the caller knows."""
 
 
-class Slave:
+class FmuInstance:
     """An instance of ``archive``, whose unpacked files are in ``folder``.
 
-    Raises SlaveError if the library does not load or the FMU refuses to be instantiated.
+    Raises InstanceError if the library does not load or the FMU refuses to be instantiated.
     """
 
     def __init__(self, archive: Archive, folder: Path, name: str, load: Callable[[], Any] | None = None) -> None:
@@ -127,7 +127,7 @@ class Slave:
                 intermediateUpdate=self._callbacks[1],
             )
         if not fmu.component:
-            raise SlaveError(self._with_log("cannot be instantiated"))
+            raise InstanceError(self._with_log("cannot be instantiated"))
 
     def initialize(
         self,
@@ -142,8 +142,8 @@ class Slave:
 
         Throttle and air are one for all engines that it holds, or one each; the thrust is that of the first.  Where the
         mapping file states a start, it is gone through in steps of ``step`` seconds, and the thrust is that after it;
-        not if it is to stay ``cold``, for its start to be flown.  Raises SlaveError if the FMU returns an error on the
-        way, or if it does not start.
+        not if it is to stay ``cold``, for its start to be flown.  Raises InstanceError if the FMU returns an error on
+        the way, or if it does not start.
         """
         engines = self.archive.engines
         throttles = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(engines)
@@ -173,7 +173,7 @@ class Slave:
             self._start(step)
         thrusts = [self.output("thrust", lane) for lane in range(len(engines))]
         if not all(map(math.isfinite, thrusts)):
-            raise SlaveError("thrust is not finite at the start")
+            raise InstanceError("thrust is not finite at the start")
         return thrusts[0]
 
     def _start(self, step: float) -> None:
@@ -186,9 +186,9 @@ class Slave:
                 native.hold(0, ignition.throttle, 1, True)
                 self._done += 1
         except StartError as error:
-            raise SlaveError(str(error)) from error
+            raise InstanceError(str(error)) from error
         except _bank.FailureError as failure:
-            raise SlaveError(self.explain(failure, f"in stage {ignition.stage} of its start")) from failure
+            raise InstanceError(self.explain(failure, f"in stage {ignition.stage} of its start")) from failure
 
     def read(self, variable: Variable) -> float:
         """What a variable is now, in the FMU's own unit."""
@@ -235,22 +235,22 @@ class Slave:
         for _ in range(MOST_UPDATES):
             again, terminate, *_ = self.call("updateDiscreteStates")
             if terminate:
-                raise SlaveError(self._with_log("it asked to end the simulation at its start"))
+                raise InstanceError(self._with_log("it asked to end the simulation at its start"))
             if not again:
                 break
         else:
-            raise SlaveError("its events at the start do not come to an end")
+            raise InstanceError("its events at the start do not come to an end")
         self.call("enterStepMode")
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> Any:
-        """Call one of FMPy's wrappers.  Raises SlaveError if it returns worse than a warning."""
+        """Call one of FMPy's wrappers.  Raises InstanceError if it returns worse than a warning."""
         from fmpy.fmi1 import FMICallException  # type: ignore[import-untyped]
 
         try:
             return getattr(self.fmu, name)(*args, **kwargs)
         except FMICallException as error:
             self.failed(error.status)
-            raise SlaveError(self._with_log(f"{error.function} returned {_status(error.status)}")) from error
+            raise InstanceError(self._with_log(f"{error.function} returned {_status(error.status)}")) from error
 
     def failed(self, status: int) -> None:
         """Remember that the FMU is in its error state, where little may be called, or beyond all calls."""
@@ -309,7 +309,7 @@ class Slave:
     def _grid(self, clock: InputClock) -> tuple[int, int]:
         grid = clock.grid(self._step, self.archive.parts(self._step))
         if grid is None:  # a step that need_whole_steps refuses
-            raise SlaveError(f"its clock {clock.name} does not tick at whole parts of a step of {self._step:g} s")
+            raise InstanceError(f"its clock {clock.name} does not tick at whole parts of a step of {self._step:g} s")
         return grid
 
     def _address(self, name: str) -> int:
@@ -445,7 +445,7 @@ def _load(archive: Archive, folder: Path, name: str) -> Any:
         )
     except Exception as error:  # FMPy raises bare exceptions here
         reason = one_line(error).replace(f"{folder}{os.sep}", "")
-        raise SlaveError(f"its shared library does not load: {reason}") from error
+        raise InstanceError(f"its shared library does not load: {reason}") from error
     finally:
         os.chdir(here)  # FMPy changes it, and leaves it changed when loading fails
 

@@ -299,7 +299,7 @@ class _Instance:
         self._told = _by_type(list(inputs), list(inputs.values()))
         answers = [*fmu.outputs.values(), *fmu.shown]
         self._asked = _by_type(list(range(len(answers))), answers)
-        self._slave: Any = None
+        self._instance: Any = None
         try:
             with zipfile.ZipFile(BytesIO(fmu.data)) as archive:
                 archive.extractall(folder)
@@ -311,10 +311,12 @@ class _Instance:
             self._begin(values)
         else:
             self._set_inputs(values)
-        self._slave.doStep(currentCommunicationPoint=k * self._dt, communicationStepSize=self._dt)
+        self._instance.doStep(currentCommunicationPoint=k * self._dt, communicationStepSize=self._dt)
         outputs_by_reference: dict[int, float] = {}
         for kind, places, references in self._asked:
-            outputs_by_reference |= zip(places, map(float, getattr(self._slave, f"get{kind}")(references)), strict=True)
+            outputs_by_reference |= zip(
+                places, map(float, getattr(self._instance, f"get{kind}")(references)), strict=True
+            )
         return [outputs_by_reference[place] for place in range(len(outputs_by_reference))]
 
     def _begin(self, values: Mapping[str, float]) -> None:
@@ -322,30 +324,30 @@ class _Instance:
         from fmpy.fmi3 import FMU3Slave  # type: ignore[import-untyped]
 
         fmu = self._fmu
-        if self._slave is not None:
-            self._slave.terminate()
-            self._slave.reset()
+        if self._instance is not None:
+            self._instance.terminate()
+            self._instance.reset()
         else:
             kind = FMU2Slave if fmu.fmi == 2 else FMU3Slave
             library = Path("binaries", platform_folder(fmu.fmi))
             if not (self._folder / library).is_dir():
                 raise RuntimeError(f"has no library for this machine, {library}")
-            self._slave = kind(
+            self._instance = kind(
                 guid=fmu.description.guid if fmu.fmi == 2 else fmu.description.instantiationToken,
                 unzipDirectory=str(self._folder),
                 modelIdentifier=fmu.description.coSimulation.modelIdentifier,
                 instanceName="controller",
             )
-            self._slave.instantiate()
-        slave = self._slave
+            self._instance.instantiate()
+        instance = self._instance
         if fmu.fmi == 2:
-            slave.setupExperiment(startTime=0.0)
+            instance.setupExperiment(startTime=0.0)
         for v, value in self._settings.items():
             if value is not None:
                 self._set(v, value)
-        slave.enterInitializationMode()
+        instance.enterInitializationMode()
         self._set_inputs(values)
-        slave.exitInitializationMode()
+        instance.exitInitializationMode()
 
     def _set_inputs(self, values: Mapping[str, float]) -> None:
         for kind, names, references in self._told:
@@ -356,4 +358,4 @@ class _Instance:
 
     def _call(self, kind: str, references: list[int], values: Sequence[float]) -> None:
         made: type = float if kind in REALS else bool if kind == "Boolean" else int
-        getattr(self._slave, f"set{kind}")(references, [made(value) for value in values])
+        getattr(self._instance, f"set{kind}")(references, [made(value) for value in values])

@@ -445,7 +445,7 @@ def measure_apart(name_or_path: str, parameters: Mapping[str, float], step: floa
     ``air`` than the standard one at sea level it is only measured.  A process that flies it again, with other
     parameters or in another air, measures it itself.
 
-    Raises InputError if it is unfit: one line with the first problem.  SlaveError, ResponseError if it fails here.
+    Raises InputError if it is unfit: one line with the first problem.  InstanceError, ResponseError if it fails here.
     """
     source = find_source(name_or_path)
     content = source.archive.sha256, source.mapping.model_dump_json(), step

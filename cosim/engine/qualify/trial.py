@@ -24,7 +24,7 @@ from cosim.base.signals import EngineOutput
 from cosim.engine.bank import EngineBank
 from cosim.engine.fmu.archive import libraries_of, validate
 from cosim.engine.fmu.description import is_blemish
-from cosim.engine.fmu.instance import Slave, SlaveError
+from cosim.engine.fmu.instance import FmuInstance, InstanceError
 from cosim.engine.fmu.ports import STANDARD_AIR, Air
 from cosim.engine.fmu.unpacked import contents, unpack
 from cosim.engine.load import load_unchecked
@@ -48,10 +48,10 @@ from cosim.engine.spec import (
     find_source,
     resolve_parameters,
 )
-from cosim.engine.ssp.system_slave import make_slave
+from cosim.engine.ssp.system_instance import make_instance
 
 Say = Callable[[dict[str, Any]], None]
-Found = tuple[dict[str, Any], list[str]]  # of the report, and problems
+Findings = tuple[dict[str, Any], list[str]]  # of the report, and problems
 
 RUN_S = 20.0  # of simulated time under a throttle that keeps changing
 TRIAL_STEPS = 500
@@ -104,33 +104,35 @@ class Trial:
         _, self.settings = resolve_parameters(self.archive, given, self.start)
 
     @contextmanager
-    def slave(self, throttle: float = 0.0) -> Iterator[Slave]:
+    def instance(self, throttle: float = 0.0) -> Iterator[FmuInstance]:
         """A fresh instance, initialized at a throttle and freed afterwards, with a word before each of these."""
         self.say({"at": "when it was instantiated"})
-        slave = make_slave(self.archive, self.folder, "checked")
+        instance = make_instance(self.archive, self.folder, "checked")
         try:
-            self.initialize(slave, throttle)
-            yield slave
-        except (_bank.FailureError, SlaveError) as error:
-            text = slave.explain(error, "while it was stepped") if isinstance(error, _bank.FailureError) else str(error)
+            self.initialize(instance, throttle)
+            yield instance
+        except (_bank.FailureError, InstanceError) as error:
+            text = (
+                instance.explain(error, "while it was stepped") if isinstance(error, _bank.FailureError) else str(error)
+            )
             self.say({"problems": [text]})  # now, because freeing what has failed may well be the end
-            raise SlaveError(text) from error
+            raise InstanceError(text) from error
         finally:
             self.say({"at": "when it was terminated and freed"})
-            slave.close()
+            instance.close()
 
-    def initialize(self, slave: Slave, throttle: float = 0.0) -> None:
-        """Set the parameters that the user gave and bring a slave into step mode."""
+    def initialize(self, instance: FmuInstance, throttle: float = 0.0) -> None:
+        """Set the parameters that the user gave and bring an instance into step mode."""
         self.say({"at": "when it was initialized"})
-        slave.initialize(self.settings, throttle, step=self.step)
+        instance.initialize(self.settings, throttle, step=self.step)
 
-    def native(self, slave: Slave, done: int = 0) -> _bank.Bank:
+    def native(self, instance: FmuInstance, done: int = 0) -> _bank.Bank:
         """The C loop around an instance that has ``done`` steps behind it."""
-        return _bank.Bank((slave.row(done),), self.step, EngineOutput)
+        return _bank.Bank((instance.row(done),), self.step, EngineOutput)
 
-    def hold(self, slave: Slave) -> Hold:
+    def hold(self, instance: FmuInstance) -> Hold:
         """Stepping of a fresh instance, with signs of life."""
-        native = self.native(slave)
+        native = self.native(instance)
         count = 0
 
         def hold(throttle: float, steps: int) -> list[float]:
@@ -149,9 +151,9 @@ class Trial:
         """A sign of life."""
         self.say({"at": f"while it was stepped, {k * self.step:g} s after its start or later"})
 
-    def zigzag(self, slave: Slave, begin: int = 0, end: int = TRIAL_STEPS) -> list[float]:
+    def zigzag(self, instance: FmuInstance, begin: int = 0, end: int = TRIAL_STEPS) -> list[float]:
         """Thrusts under a throttle that keeps changing within 0..1, from an instance with ``begin`` steps behind it."""
-        native = self.native(slave, begin)
+        native = self.native(instance, begin)
         thrusts: list[float] = []
         for k in range(begin, end):
             if k == begin or k % CHUNK == 0:
@@ -159,7 +161,7 @@ class Trial:
             try:
                 thrusts += native.hold(0, zigzag(k), 1)
             except _bank.FailureError as failure:
-                raise SlaveError(slave.explain(failure, f"at step {k} ({k * self.step:g} s)")) from failure
+                raise InstanceError(instance.explain(failure, f"at step {k} ({k * self.step:g} s)")) from failure
         return thrusts
 
 
@@ -181,7 +183,7 @@ def perform(order: Mapping[str, Any], say: Say) -> None:
             over = False
             try:
                 findings, problems = PARTS[part](trial)
-            except (SlaveError, ResponseError, InputError, FlightError) as error:
+            except (InstanceError, ResponseError, InputError, FlightError) as error:
                 findings, problems, over = {}, [str(error)], part in NEEDED
             say({"of": part, "found": findings, "problems": problems, "over": over})
             if over:
@@ -218,7 +220,7 @@ def _changes(before: Mapping[str, Any]) -> list[str]:
 # ---- the parts
 
 
-def _validate(trial: Trial) -> Found:
+def _validate(trial: Trial) -> Findings:
     from fmpy import read_model_description  # type: ignore[import-untyped]
 
     trial.say({"at": "while its description was validated"})
@@ -233,21 +235,21 @@ def _validate(trial: Trial) -> Found:
 
 def _features(description: Any) -> list[str]:
     """What of FMI an FMU offers or uses, in words."""
-    slave = description.coSimulation
+    stated = description.coSimulation
     kinds = Counter(v.type for v in description.modelVariables)
     said = [
-        *(words for key, words in FEATURES.items() if getattr(slave, key, False)),
+        *(words for key, words in FEATURES.items() if getattr(stated, key, False)),
         *(words for key, words in INTERFACES.items() if getattr(description, key) is not None),
         *(["sources"] if description.buildConfigurations else []),
         *(["arrays"] if any(v.dimensions for v in description.modelVariables) else []),
         *(f"{kinds[kind]} of type {kind}" for kind in ("Binary", "Clock", "String") if kinds[kind]),
     ]
-    if slave.fixedInternalStepSize is not None:
-        said.append(f"internal step {float(slave.fixedInternalStepSize):g} s")
+    if stated.fixedInternalStepSize is not None:
+        said.append(f"internal step {float(stated.fixedInternalStepSize):g} s")
     return [*said, f"{len(description.modelVariables)} variables"]
 
 
-def _load(trial: Trial) -> Found:
+def _load(trial: Trial) -> Findings:
     """The library alone, before it is asked for anything; of a system those of its components, one after the other."""
     before = _surroundings()
     for library in libraries_of(trial.archive):
@@ -265,21 +267,21 @@ def _load_library(trial: Trial, library: Path) -> None:
         handle = ctypes.CDLL(str(library))._handle
     except OSError as error:
         reason = str(error).replace(f"{library.parent}{os.sep}", "")
-        raise SlaveError(f"its shared library does not load: {reason}") from error
+        raise InstanceError(f"its shared library does not load: {reason}") from error
     finally:
         os.chdir(here)
     trial.say({"at": "when its shared library was unloaded"})
     fmpy.freeLibrary(handle)
 
 
-def _start(trial: Trial) -> Found:
+def _start(trial: Trial) -> Findings:
     """One instance and one step; what it brings into its process beside itself."""
     import fmpy.fmi2  # type: ignore[import-untyped]
     import fmpy.fmi3  # type: ignore[import-untyped] # noqa: F401 - these start threads of numpy
 
     before, threads, libraries = _surroundings(), _threads(), _libraries()
-    with trial.slave() as slave:
-        trial.zigzag(slave, 0, 1)
+    with trial.instance() as instance:
+        trial.zigzag(instance, 0, 1)
         runtimes = sorted({match[0] for name in _libraries() - libraries if (match := RUNTIMES.match(name))})
         more = _threads() - threads
     own = f"brings a run time of its own ({', '.join(runtimes)})" if runtimes else ""
@@ -305,15 +307,15 @@ def _libraries() -> set[str]:
         return set()
 
 
-def _run(trial: Trial) -> Found:
+def _run(trial: Trial) -> Findings:
     before = _surroundings()
-    with trial.slave() as slave:
-        thrusts = trial.zigzag(slave, 0, max(TRIAL_STEPS, round(RUN_S / trial.step)))
+    with trial.instance() as instance:
+        thrusts = trial.zigzag(instance, 0, max(TRIAL_STEPS, round(RUN_S / trial.step)))
     digest = hashlib.sha256(struct.pack(f"<{len(thrusts)}d", *thrusts)).hexdigest()
     return {"digest": digest}, _changes(before)
 
 
-def _measure(trial: Trial) -> Found:
+def _measure(trial: Trial) -> Findings:
     """What a flight wants to know, by the same function, so that it need not be measured again."""
     trial.say({"at": "while its thrust was measured"})
     measurement = trial.measured = measure(
@@ -331,12 +333,12 @@ def _measure(trial: Trial) -> Found:
     return {**curve, "up": measurement.response._asdict(), "measured": measured, "notes": notes}, problems
 
 
-def _respond(trial: Trial) -> Found:
+def _respond(trial: Trial) -> Findings:
     """The throttle opened and closed, both ways as they are drawn."""
-    with trial.slave() as slave:
+    with trial.instance() as instance:
         courses: dict[str, Any] = {}
         notes: list[str] = []
-        hold = trial.hold(slave)
+        hold = trial.hold(instance)
         quiet = trial.measured.quiet if trial.measured else NO_CHANGE
         rest = trial.archive.starting.rest_n
         before = settle(hold, 0.0, window_for(round(1.0 / trial.step)), trial.step, quiet, rest)
@@ -375,21 +377,21 @@ def _drawn(course: Sequence[float], response: Response) -> int:
     return min(len(course), last + max(10, last // 4))
 
 
-def _repeat(trial: Trial) -> Found:
+def _repeat(trial: Trial) -> Findings:
     """Two runs, the first instance alive during the second: they must not share anything."""
-    with trial.slave() as slave:
-        first = trial.zigzag(slave)
+    with trial.instance() as instance:
+        first = trial.zigzag(instance)
         if not trial.archive.once_per_process:
-            with trial.slave() as other:
+            with trial.instance() as other:
                 second = trial.zigzag(other)
     if trial.archive.once_per_process:
-        with trial.slave() as other:
+        with trial.instance() as other:
             second = trial.zigzag(other)
     problems = [] if first == second else ["two runs with the same throttle differ"]
     return {"deterministic": first == second}, problems
 
 
-def _together(trial: Trial) -> Found:
+def _together(trial: Trial) -> Findings:
     """Six engines at once, as a vehicle has them: what one of them answers is what it answers alone.
 
     Of an FMU that holds several two instances: what one of them answers is what it answers without the other.
@@ -428,64 +430,66 @@ def _spec(trial: Trial) -> EngineSpec:
     return load_unchecked(task.name, task.parameters, task.step, measured=trial.measured)
 
 
-def _reset(trial: Trial) -> Found:
-    with trial.slave() as slave:
-        first = trial.zigzag(slave)
+def _reset(trial: Trial) -> Findings:
+    with trial.instance() as instance:
+        first = trial.zigzag(instance)
         trial.say({"at": "when it was reset"})
-        slave.call("reset")
-        trial.initialize(slave)
-        good = trial.zigzag(slave) == first
+        instance.call("reset")
+        trial.initialize(instance)
+        good = trial.zigzag(instance) == first
     return {"reset_restores_start": good}, [] if good else ["a run after a reset differs from the first"]
 
 
-def _restore(trial: Trial) -> Found:
+def _restore(trial: Trial) -> Findings:
     if not trial.archive.saves_state:
         return {}, []
-    with trial.slave() as slave:
-        good = _continues(trial, slave, lambda state: state)
+    with trial.instance() as instance:
+        good = _continues(trial, instance, lambda state: state)
     return {"state_restores": good}, [] if good else ["a run from a restored state differs from the first"]
 
 
-def _serialize(trial: Trial) -> Found:
+def _serialize(trial: Trial) -> Findings:
     if not trial.archive.serializes_state:
         return {}, []
 
-    with trial.slave() as slave:
+    with trial.instance() as instance:
         good = _continues(
-            trial, slave, lambda state: slave.call("deserializeFMUState", slave.call("serializeFMUState", state))
+            trial,
+            instance,
+            lambda state: instance.call("deserializeFMUState", instance.call("serializeFMUState", state)),
         )
     return {"serialized_state_restores": good}, [] if good else ["a run from a serialized state differs from the first"]
 
 
-def _continues(trial: Trial, slave: Slave, copy: Callable[[Any], Any]) -> bool:
+def _continues(trial: Trial, instance: FmuInstance, copy: Callable[[Any], Any]) -> bool:
     """Save the state in mid-run, run on, go back to it, or to what ``copy`` makes of it, and see the same again."""
-    trial.zigzag(slave, 0, SAVED_AT)
+    trial.zigzag(instance, 0, SAVED_AT)
     trial.say({"at": "when its state was saved"})
-    saved = slave.call("getFMUState")
-    first = trial.zigzag(slave, SAVED_AT)
+    saved = instance.call("getFMUState")
+    first = trial.zigzag(instance, SAVED_AT)
     trial.say({"at": "when its state was restored"})
     copied = copy(saved)
-    slave.call("setFMUState", copied)
-    second = trial.zigzag(slave, SAVED_AT)
+    instance.call("setFMUState", copied)
+    second = trial.zigzag(instance, SAVED_AT)
     trial.say({"at": "when a saved state was freed"})
     for state in {id(state): state for state in (saved, copied)}.values():
-        slave.call("freeFMUState", state)
+        instance.call("freeFMUState", state)
     return first == second
 
 
-def _time(trial: Trial) -> Found:
-    with trial.slave() as slave:
-        hold = trial.hold(slave)
+def _time(trial: Trial) -> Findings:
+    with trial.instance() as instance:
+        hold = trial.hold(instance)
         begin = time.perf_counter()
         hold(0.5, TIMED_STEPS)
         microseconds = (time.perf_counter() - begin) / TIMED_STEPS * 1e6
     return {"microseconds_per_step": microseconds}, []
 
 
-def _grow(trial: Trial) -> Found:
+def _grow(trial: Trial) -> Findings:
     """Resident memory after many steps, and again after as many: what a step leaves behind for good."""
-    with trial.slave() as slave:
-        hold = trial.hold(slave)
+    with trial.instance() as instance:
+        hold = trial.hold(instance)
         resident = []
         for _ in range(3):
             for _ in range(GROWTH_STEPS // CHUNK):
@@ -506,7 +510,7 @@ def _resident() -> float:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1.0 if sys.platform == "darwin" else 1024.0)
 
 
-PARTS: Mapping[str, Callable[[Trial], Found]] = {
+PARTS: Mapping[str, Callable[[Trial], Findings]] = {
     "validate": _validate,
     "load": _load,
     "start": _start,

@@ -165,7 +165,7 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, mad
         path=path,
         sha256=sha256,
         equations_sha256=None,
-        fmi=2,  # by whose functions it is stepped: see system_slave
+        fmi=2,  # by whose functions it is stepped: see system_instance
         version=f"SSP {structure.version}",
         model=structure.name,
         identifier="",

@@ -32,7 +32,7 @@ from cosim.design.design import (
     margins,
 )
 from cosim.design.loop.channel import Actuator, Channel, channels, without_instant
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
 from cosim.design.loop.frequency import (
     grid,
@@ -198,8 +198,8 @@ def test_the_loop_agrees_with_state_space(controller: str) -> None:
     _, _, _, found = parts("edf-as-flown")
     roll = found["roll"]
     chosen = tuning(controller, roll)
-    points = Points(roll, close=2000)
-    closed = Closed(points, chosen)
+    points = FrequencyGrid(roll, close=2000)
+    closed = ClosedLoop(points, chosen)
     second = by_hand("edf-as-flown", roll, chosen)
     assert second.stable == (closed.unstable_poles == 0)
     mine = np.abs(closed.inner / closed.characteristic)
@@ -230,7 +230,7 @@ def test_margins_put_the_loop_on_the_edge(controller: str) -> None:
     and delay to the sample."""
     roll = parts("edf-as-flown")[3]["roll"]
     chosen = tuning(controller, roll)
-    closed = Closed(Points(roll, close=4000), chosen)
+    closed = ClosedLoop(FrequencyGrid(roll, close=4000), chosen)
     found = margins(closed)
     assert found.gain_db is not None
     assert found.delay_s is not None
@@ -257,7 +257,7 @@ def test_what_is_tolerated_is_where_eigenvalues_reach_the_circle(controller: str
         if controller == "baseline"
         else tuning(controller, roll, k=3.0, p=0.03)
     )
-    closed = Closed(Points(roll, close=4000), chosen)
+    closed = ClosedLoop(FrequencyGrid(roll, close=4000), chosen)
     assert closed.unstable_poles == 0
     factor = closed.tolerated(10.0, 0.3)
     inside = [by_hand("edf-as-flown", roll, chosen, g, d).stable for g, d in box(0.97 * factor)]
@@ -304,7 +304,7 @@ def test_the_time_response_is_the_blocks_response(controller: str) -> None:
     """Angle after steps of set-point and load, in state space, against the flying blocks stepped in time."""
     roll = parts("edf")[3]["roll"]
     chosen = tuning(controller, roll, k=4.0, p=0.03)
-    found = Closed(Points(roll), chosen).space.steps(2000)
+    found = ClosedLoop(FrequencyGrid(roll), chosen).space.steps(2000)
     by_blocks = stepped(roll, chosen, 1.0, 0.0, 8.0)
     # the channel has a damped rate's exact decay, the blocks JSBSim's second-order rule for it
     assert np.abs(by_blocks - found.angle).max() < 2e-6
@@ -332,7 +332,7 @@ def test_the_time_response_is_that_of_a_second_realisation(controller: str, dela
             angle += 0.5 * roll.step * (before + rate)
             course.append(angle)
             u = blocks.update(chosen.angle_gain * (set_point - angle), rate, 0.0)
-        steps = Closed(Points(roll), chosen).space.steps(1000)
+        steps = ClosedLoop(FrequencyGrid(roll), chosen).space.steps(1000)
         found = steps.angle if set_point else 0.01 * steps.load
         assert np.abs(course - found).max() < 1e-8 * np.abs(found).max()
 
@@ -344,7 +344,7 @@ def test_what_is_told_of_a_step_is_what_python_control_says(controller: str) -> 
 
     roll = parts("edf-as-flown")[3]["roll"]
     chosen = tuning(controller, roll, k=1.7, p=0.012)
-    closed = Closed(Points(roll), chosen)
+    closed = ClosedLoop(FrequencyGrid(roll), chosen)
     second = by_hand("edf-as-flown", roll, chosen)
     time = np.arange(len(closed.steps.angle)) * roll.step
     answer = control.forced_response(second.closed(roll.step), time, np.ones(len(time)))
@@ -356,9 +356,9 @@ def test_what_is_told_of_a_step_is_what_python_control_says(controller: str) -> 
 
 def test_a_step_that_does_not_settle_says_so() -> None:
     roll = parts("edf-as-flown")[3]["roll"]
-    closed = Closed(Points(roll), tuning("baseline", roll, k=1.0, p=0.0166))
+    closed = ClosedLoop(FrequencyGrid(roll), tuning("baseline", roll, k=1.0, p=0.0166))
     assert not closed.unstable_poles
-    assert np.isnan(Closed(Points(roll), tuning("baseline", roll, k=0.05, p=0.01)).settling_s)
+    assert np.isnan(ClosedLoop(FrequencyGrid(roll), tuning("baseline", roll, k=0.05, p=0.01)).settling_s)
 
 
 @pytest.mark.parametrize(
@@ -369,7 +369,7 @@ def test_a_load_that_no_integral_removes_is_told(controller: str, stays: bool) -
     roll = parts("edf")[3]["roll"]
     chosen = tuning(controller, roll, k=4.0, p=0.03, i=0.1)
     chosen = replace(chosen, predictor=TUNING.model_copy(update={"disturbance_observer_rad_s": 30.0}))
-    closed = Closed(Points(roll), chosen)
+    closed = ClosedLoop(FrequencyGrid(roll), chosen)
     assert not closed.unstable_poles
     by_blocks = 100.0 * stepped(roll, chosen, 0.0, 0.01, 20.0)
     assert bool(closed.load_left) == stays

@@ -24,7 +24,7 @@ from cosim.design.design import (
     shipped,
 )
 from cosim.design.loop.channel import SERVO, Actuator, Channel, _kicks, channels
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.tune import Requirements, settle
 from cosim.engine import EngineSpec, load_engine
 from cosim.flight import fly
@@ -51,7 +51,7 @@ def test_a_nozzles_channel_is_servo_inertia_and_gyro() -> None:
     assert channel.actuator.name == SERVO
     assert not channel.actuator.dynamics.unsure
     tuning = shipped(channel, vehicle, spec)
-    gains, closed = tuning.gains, Closed(Points(channel), tuning)
+    gains, closed = tuning.gains, ClosedLoop(FrequencyGrid(channel), tuning)
     at, z = closed.points.z, control.tf([1.0, 0.0], [1.0], T)
     servo, gyro = exp(-T / hinge.lag_s), exp(-T / vehicle.sensors.gyro.filter_s)
     fall = channel.damping_1_s * T

@@ -19,7 +19,7 @@ from cosim.design import tune as search
 from cosim.design.controller_table import controller_table
 from cosim.design.design import Design, design
 from cosim.design.identify.response import FrequencyResponse
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import bounds, fit_dynamics, with_misfit
 from cosim.design.proof import Proof
 from cosim.design.prove import CORNER, fault_of, prove, proved
@@ -112,7 +112,7 @@ def test_a_misfit_is_the_worst_engine_that_it_allows(sound: Design) -> None:
     actuator = roll.channel.actuator
     changed = replace(actuator, dynamics=replace(actuator.dynamics, unsure=unsure))
     channel = replace(roll.channel, actuator=changed)
-    plain, wide = (Closed(Points(each, close=2000), roll.after.tuning) for each in (roll.channel, channel))
+    plain, wide = (ClosedLoop(FrequencyGrid(each, close=2000), roll.after.tuning) for each in (roll.channel, channel))
     share = np.interp(np.log(plain.points.theta / (2.0 * np.pi * STEP)), np.log([0.05, 1.0, 8.0]), [0.02, 0.1, 0.6])
     turns = np.exp(2j * np.pi * np.arange(360) / 360)
     worst = max(float(np.max(np.abs(1.0 / (1.0 + (1.0 + share * x) * plain.open_loop)))) for x in turns)
@@ -123,7 +123,7 @@ def test_a_misfit_is_the_worst_engine_that_it_allows(sound: Design) -> None:
     assert wide.tolerated(3.0, 0.3) < plain.tolerated(3.0, 0.3)
     assert not search.acceptable(wide, sound.need)  # what the search keeps to
     lost = replace(changed, dynamics=replace(actuator.dynamics, unsure=((1.0, 5.0),)))
-    beyond = Closed(Points(replace(channel, actuator=lost)), roll.after.tuning)
+    beyond = ClosedLoop(FrequencyGrid(replace(channel, actuator=lost)), roll.after.tuning)
     assert beyond.distance < 0.0
     assert np.isinf(beyond.peak_sensitivity)
     assert 0.0 < search.excess(beyond, sound.need) < 10.0  # a slope, for a search that comes from there
@@ -136,7 +136,7 @@ def test_a_search_sees_a_narrow_misfit_as_the_check_behind_it_does(sound: Design
     narrow = ((0.05, 0.002), (8.88, 0.1), (8.893, 9.0), (8.9, 0.1), (12.0, 0.05))
     actuator = roll.channel.actuator
     channel = replace(roll.channel, actuator=replace(actuator, dynamics=replace(actuator.dynamics, unsure=narrow)))
-    few, many = (Closed(Points(channel, close=close), roll.after.tuning) for close in (600, 20_000))
+    few, many = (ClosedLoop(FrequencyGrid(channel, close=close), roll.after.tuning) for close in (600, 20_000))
     assert few.beyond_stability == pytest.approx(many.beyond_stability, rel=1e-9)
     assert few.distance == pytest.approx(many.distance, rel=1e-4)
 

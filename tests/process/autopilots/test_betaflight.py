@@ -22,7 +22,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Sample
 from cosim.design.design import margins
 from cosim.design.loop.channel import Actuator, channels
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
 from cosim.design.loop.firmware import Firmware, matrices
 from cosim.design.loop.tuning import Tuning
@@ -259,7 +259,7 @@ def test_its_margin_of_delay_is_the_designs(tmp_path: Path) -> None:
         channel.model("none"),
         firmware=Firmware("betaflight"),
     )
-    closed = Closed(Points(channel, close=4000), tuning)
+    closed = ClosedLoop(FrequencyGrid(channel, close=4000), tuning)
     margin = margins(closed).delay_s
     assert margin is not None
     whole = 25.0 + margin / 0.004

@@ -23,12 +23,12 @@ from cosim.codegen import measure
 from cosim.codegen.ssp import write_ssp
 from cosim.engine import EngineBank, load_engine
 from cosim.engine.fmu.archive import Archive
-from cosim.engine.fmu.instance import Slave
+from cosim.engine.fmu.instance import FmuInstance
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.qualify.trial import perform
 from cosim.engine.spec import find_source
 from cosim.engine.ssp.structure import order
-from cosim.engine.ssp.system_slave import make_slave
+from cosim.engine.ssp.system_instance import make_instance
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario
 
@@ -47,16 +47,16 @@ def mine(tmp_path: Path, fmus: dict[str, bytes]) -> Path:
 
 
 @contextmanager
-def stepped(path: Path, **settings: float) -> Iterator[tuple[Archive, Slave, native.Bank]]:
+def stepped(path: Path, **settings: float) -> Iterator[tuple[Archive, FmuInstance, native.Bank]]:
     archive = find_source(str(path)).archive
     with unpack(archive) as folder:
-        slave = make_slave(archive, folder, "tried")
+        instance = make_instance(archive, folder, "tried")
         try:
             named = [(archive.parameter(name.replace("__", ".")), value) for name, value in settings.items()]
-            slave.initialize(named, 0.0, step=STEP)
-            yield archive, slave, native.Bank((slave.row(),), STEP)
+            instance.initialize(named, 0.0, step=STEP)
+            yield archive, instance, native.Bank((instance.row(),), STEP)
         finally:
-            slave.close()
+            instance.close()
 
 
 def thrusts(path: Path, **settings: float) -> list[float]:
@@ -208,14 +208,14 @@ def test_it_flies_and_flies_again_from_the_run_in_a_process_of_its_own(mine: Pat
 
 
 def test_a_component_that_fails_is_named_with_its_file(mine: Path) -> None:
-    with stepped(mine) as (_, slave, bank):
+    with stepped(mine) as (_, instance, bank):
         bank.hold(0, 0.5, 1)
-        slave.fmu._slaves[1].call("terminate")  # the pump, behind its back
+        instance.fmu._components[1].call("terminate")  # the pump, behind its back
         with pytest.raises(native.FailureError) as failure:
             bank.hold(0, 0.5, 1)
-        said = slave.explain(failure.value, "at step 1")
+        said = instance.explain(failure.value, "at step 1")
         assert "component pump (resources/pump.fmu): " in said
-        slave.fmu._slaves[1]._stepping = False
+        instance.fmu._components[1]._stepping = False
 
 
 def test_one_bank_with_systems_and_fmus(mine: Path) -> None:

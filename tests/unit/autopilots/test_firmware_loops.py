@@ -18,7 +18,7 @@ from cosim.cli.controllers.design import design
 from cosim.design.design import assess
 from cosim.design.law_loop import LawLoop
 from cosim.design.loop.channel import Actuator, Channel, channels
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
 from cosim.design.loop.firmware import Firmware
 from cosim.design.loop.tuning import Tuning
@@ -121,12 +121,12 @@ def tuning(channel: Channel, firmware: Firmware, gains: RateGains = GAINS) -> Tu
 def test_a_firmwares_loop_is_that_of_its_lines(name: str, written: type[Written]) -> None:
     _, channel = place()
     flown = LawLoop(channel, written(GAINS), ANGLE)
-    exact = Closed(Points(channel, close=4000), tuning(channel, Firmware(name)))
+    exact = ClosedLoop(FrequencyGrid(channel, close=4000), tuning(channel, Firmware(name)))
     assert exact.unstable_poles == 0
     for what in ("step_error", "load_error", "step_peak", "overshoot"):
         assert getattr(flown, what) == pytest.approx(getattr(exact, what), rel=1e-7), what
     assert flown.peak_sensitivity == pytest.approx(exact.peak_sensitivity, rel=1e-3)
-    ours = Closed(Points(channel, close=4000), replace(tuning(channel, Firmware(name)), firmware=None))
+    ours = ClosedLoop(FrequencyGrid(channel, close=4000), replace(tuning(channel, Firmware(name)), firmware=None))
     assert abs(ours.step_error / exact.step_error - 1.0) > 1e-3  # its filters and delays are there
 
 
@@ -153,8 +153,8 @@ def test_gains_are_whole_and_no_neighbour_is_better() -> None:
     assert state.margins.delay_s is not None
     # the margin is where it says: less than it more of delay is stable, more is not
     late = state.margins.delay_s / STEP
-    assert Closed(Points(channel.with_delay(25.0 + late - 0.05), close=4000), found).unstable_poles == 0
-    assert Closed(Points(channel.with_delay(25.0 + late + 0.05), close=4000), found).unstable_poles == 2
+    assert ClosedLoop(FrequencyGrid(channel.with_delay(25.0 + late - 0.05), close=4000), found).unstable_poles == 0
+    assert ClosedLoop(FrequencyGrid(channel.with_delay(25.0 + late + 0.05), close=4000), found).unstable_poles == 2
 
 
 def values(found: Tuning) -> tuple[float, float, float]:

@@ -31,7 +31,7 @@ from cosim.control.predictors.linear import model_response
 from cosim.control.rate import RateController
 from cosim.design.law_loop import BuiltIn, LawLoop
 from cosim.design.loop.channel import Actuator, Channel, channels
-from cosim.design.loop.closed_loop import WINDOW, Closed, Points
+from cosim.design.loop.closed_loop import WINDOW, ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
 from cosim.design.loop.tuning import Tuning
 from cosim.engine import EngineSpec, load_engine
@@ -92,7 +92,9 @@ def test_a_loop_of_the_built_in_law_is_that_of_its_responses(name: str) -> None:
     rate = RateController((gains.roll, gains.pitch, gains.yaw), predictors(scenario, vehicle, engine), STEP)
     found = LawLoop(channel, BuiltIn(rate), attitude)
     model = vehicle.identified["edf-as-flown"]["roll"]
-    exact = Closed(Points(channel, close=4000), Tuning(name, attitude, gains.roll, vehicle.control.predictor, model))
+    exact = ClosedLoop(
+        FrequencyGrid(channel, close=4000), Tuning(name, attitude, gains.roll, vehicle.control.predictor, model)
+    )
     for what in ("step_error", "load_error", "step_peak", "overshoot"):
         assert getattr(found, what) == pytest.approx(getattr(exact, what), rel=1e-8)
     # the one looks at 65536 points in a row and 7 s, the other at 4000 that are closest at low frequency

@@ -26,9 +26,9 @@ from cosim.control.autopilot.parameters import Parameters, table
 from cosim.control.predictors.registry import PREDICTORS, PredictorSpec, TuningParameter
 from cosim.control.predictors.smith import FilteredSmithPredictor, NoPredictor, robustness_filter
 from cosim.design.loop.channel import Channel
-from cosim.design.loop.closed_loop import Closed, Points, steps_by_response
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
 from cosim.design.loop.tuning import Tuning, candidates
-from cosim.design.tune import Box, Requirements, excess, objective
+from cosim.design.tune import Requirements, TuningBounds, excess, objective
 from cosim.spec.vehicle import load_vehicle
 
 FIXED = {"baseline": 0, "smith": 1, "filtered-smith": 2, "state": 3, "state-model": 4, "state-disturbance": 5}
@@ -197,7 +197,7 @@ def test_responses_in_time_from_the_frequency_response_are_those_of_the_state_sp
     name: str, loop: tuple[Channel, Tuning]
 ) -> None:
     """So a predictor that states its frequency response alone is designed with what is exact for the others."""
-    closed = Closed(Points(loop[0]), replace(loop[1], controller=name))
+    closed = ClosedLoop(FrequencyGrid(loop[0]), replace(loop[1], controller=name))
     assert not closed.unstable_poles
     exact = closed.steps
     found = steps_by_response(closed.points.channel, closed.tuning, len(exact.angle))
@@ -211,8 +211,8 @@ def test_a_design_searches_and_measures_it_like_the_one_that_it_is(
     """The same box for its parameter, and the same objective and requirements, once with a state space and once without."""
     channel, start = loop
     need = Requirements()
-    theirs = Box(channel, "filtered-smith", start.model, start, predictor=True)
-    ours = Box(channel, "mine", start.model, start, predictor=True)
+    theirs = TuningBounds(channel, "filtered-smith", start.model, start, predictor=True)
+    ours = TuningBounds(channel, "mine", start.model, start, predictor=True)
     assert np.array_equal(ours.low, theirs.low)
     assert np.array_equal(ours.high, theirs.high)
     for share in (0.3, 0.5, 0.6):
@@ -223,7 +223,7 @@ def test_a_design_searches_and_measures_it_like_the_one_that_it_is(
             other.angle_gain,
             other.predictor.filter_s,
         )
-        a, b = Closed(Points(channel), one), Closed(Points(channel), other)
+        a, b = ClosedLoop(FrequencyGrid(channel), one), ClosedLoop(FrequencyGrid(channel), other)
         assert a.unstable_poles == b.unstable_poles
         if not b.unstable_poles:
             assert objective(a) == pytest.approx(objective(b), rel=1e-7)

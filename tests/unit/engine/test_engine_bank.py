@@ -245,12 +245,12 @@ def test_an_fmu_that_may_be_instantiated_once_gets_libraries_of_its_own(tmp_path
         '<CoSimulation canBeInstantiatedOnlyOncePerProcess="true" ',
     )
     with EngineBank(load_engine(str(path), {}, STEP, unchecked=True), 3, STEP) as bank:
-        assert len({slave.fmu.dll._handle for slave in bank._slaves}) == 3
+        assert len({instance.fmu.dll._handle for instance in bank._instances}) == 3
         bank.reset(0.0)
         thrust = np.array([bank.step(k, (0.2, 0.5, 1.0)).thrust for k in range(50)])
     np.testing.assert_allclose(thrust[:, 1], paper_thrust("edf", np.full(50, 0.5)), rtol=0.0, atol=1e-12)
     with EngineBank(spec_of("edf"), 3, STEP) as bank:
-        assert len({slave.fmu.dll._handle for slave in bank._slaves}) == 1
+        assert len({instance.fmu.dll._handle for instance in bank._instances}) == 1
 
 
 def test_an_archive_that_changed_since_it_was_loaded_is_refused(tmp_path: Path, workplace: Path) -> None:

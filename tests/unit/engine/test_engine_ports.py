@@ -27,7 +27,7 @@ from cosim.engine import (
     load_engine,
 )
 from cosim.engine.fmu.archive import read_archive
-from cosim.engine.fmu.instance import Slave
+from cosim.engine.fmu.instance import FmuInstance
 from cosim.engine.fmu.ports import (
     INPUTS,
     KINDS,
@@ -865,10 +865,10 @@ def test_a_discrete_input_keeps_event_mode_off(odd: Path, odd_with_events: Path)
 def test_variables_of_two_types_may_share_a_reference(monkeypatch: pytest.MonkeyPatch) -> None:
     """FMI 2.0 counts its references anew for every type."""
     calls: list[tuple[object, ...]] = []
-    monkeypatch.setattr(Slave, "call", lambda self, *args: calls.append(args))
+    monkeypatch.setattr(FmuInstance, "call", lambda self, *args: calls.append(args))
     real, whole = variable("gain", "parameter"), replace(variable("samples", "parameter"), type="Integer")
     settings = [(replace(real, reference=1), 2.0), (replace(whole, reference=1), 3.0)]
-    Slave.__new__(Slave).write(settings)
+    FmuInstance.__new__(FmuInstance).write(settings)
     assert calls == [("setReal", [1], [2.0]), ("setInteger", [1], [3])]
 
 

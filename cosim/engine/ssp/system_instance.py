@@ -14,7 +14,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from cosim.engine.fmu.archive import Archive, System
-from cosim.engine.fmu.instance import STATUS, Slave, SlaveError
+from cosim.engine.fmu.instance import STATUS, FmuInstance, InstanceError
 from cosim.engine.fmu.ports import INTEGERS, Variable
 
 _OK, _WARNING, _ERROR = 0, 1, 3
@@ -49,15 +49,17 @@ _DO_STEP_3 = ctypes.CFUNCTYPE(
 _ONE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
 
 
-def make_slave(archive: Archive, folder: Path, name: str) -> Slave:
-    """An instance of an archive, FMU or system, whose unpacked files are in ``folder``.  Raises SlaveError."""
+def make_instance(archive: Archive, folder: Path, name: str) -> FmuInstance:
+    """An instance of an archive, FMU or system, whose unpacked files are in ``folder``.  Raises InstanceError."""
     return (
-        Slave(archive, folder, name) if archive.system is None else SystemSlave(archive, archive.system, folder, name)
+        FmuInstance(archive, folder, name)
+        if archive.system is None
+        else SystemInstance(archive, archive.system, folder, name)
     )
 
 
-class SystemSlave(Slave):
-    """As :class:`Slave`.  What a component complains of is told with the component's name and file."""
+class SystemInstance(FmuInstance):
+    """As :class:`FmuInstance`.  What a component complains of is told with the component's name and file."""
 
     def __init__(self, archive: Archive, system: System, folder: Path, name: str) -> None:
         self.fmu: Any = None
@@ -72,12 +74,12 @@ class SystemSlave(Slave):
 
 
 class _Together:
-    """What FMPy's instances of FMI 2.0 are to a :class:`Slave`."""
+    """What FMPy's instances of FMI 2.0 are to a :class:`FmuInstance`."""
 
     def __init__(self, system: System, folder: Path, name: str) -> None:
         self._system, self.problem = system, ""
         self.component = 1  # nobody looks at it
-        self._slaves: list[Slave] = []
+        self._components: list[FmuInstance] = []
         self.dll = SimpleNamespace(
             fmi2DoStep=_DO_STEP(self._guarded_step),
             fmi2SetReal=_REALS(self._guarded_set),
@@ -87,7 +89,7 @@ class _Together:
         try:
             for number, part in enumerate(system.parts):
                 with self._of(number):
-                    self._slaves.append(Slave(part.archive, folder / str(number), f"{name}.{part.name}"))
+                    self._components.append(FmuInstance(part.archive, folder / str(number), f"{name}.{part.name}"))
         except BaseException:
             self.freeLibrary()
             raise
@@ -95,22 +97,24 @@ class _Together:
 
     def _join(self) -> None:
         """What is read of each component after its step, and what it is given before it, each in one call."""
-        read: list[dict[str, Variable]] = [{} for _ in self._slaves]
+        read: list[dict[str, Variable]] = [{} for _ in self._components]
         for feed in self._system.feeds:
             read[feed.source].setdefault(feed.output.name, feed.output)
-        self._outputs = [_Values(slave, list(each.values())) for slave, each in zip(self._slaves, read, strict=True)]
+        self._outputs = [
+            _Values(component, list(each.values())) for component, each in zip(self._components, read, strict=True)
+        ]
         places = [list(each) for each in read]
-        self._given: list[list[float]] = [[] for _ in self._slaves]  # what each gave last
+        self._given: list[list[float]] = [[] for _ in self._components]  # what each gave last
         self._feeds = []
-        for number, slave in enumerate(self._slaves):
+        for number, component in enumerate(self._components):
             feeds = [feed for feed in self._system.feeds if feed.part == number]
             rows = [
                 (each.source, places[each.source].index(each.output.name), each.factor, each.offset) for each in feeds
             ]
-            self._feeds.append((_Values(slave, [feed.variable for feed in feeds]), rows))
-        self._steppers = [_Stepper(slave) for slave in self._slaves]
+            self._feeds.append((_Values(component, [feed.variable for feed in feeds]), rows))
+        self._steppers = [_Stepper(component) for component in self._components]
         self._places = [
-            [(each, _Values(self._slaves[each.part], [each.variable])) for each in places]
+            [(each, _Values(self._components[each.part], [each.variable])) for each in places]
             for places in self._system.places
         ]
 
@@ -119,29 +123,29 @@ class _Together:
         return _Named(f"component {part.name} ({part.file})")
 
     def setupExperiment(self, startTime: float = 0.0, **_: Any) -> None:
-        for number, (slave, part) in enumerate(zip(self._slaves, self._system.parts, strict=True)):
+        for number, (component, part) in enumerate(zip(self._components, self._system.parts, strict=True)):
             with self._of(number):
                 if part.archive.fmi == 2:
-                    slave.call("setupExperiment", startTime=startTime)
-                slave.write([(v, _whole(v, value)) for v, value in part.settings])
+                    component.call("setupExperiment", startTime=startTime)
+                component.write([(v, _whole(v, value)) for v, value in part.settings])
 
     def enterInitializationMode(self) -> None:
-        for number, slave in enumerate(self._slaves):
+        for number, component in enumerate(self._components):
             with self._of(number):
-                slave.call("enterInitializationMode")
+                component.call("enterInitializationMode")
 
     def exitInitializationMode(self) -> None:
         """Each is told what those before it start with, and then what those start with that are stepped after it."""
         for _ in range(2):
-            for number in range(len(self._slaves)):
+            for number in range(len(self._components)):
                 if all(self._given[source] for source, *_ in self._feeds[number][1]):
                     self._feed(number)
                 with self._of(number):
                     self._given[number] = self._outputs[number].get()
-        for number, slave in enumerate(self._slaves):
+        for number, component in enumerate(self._components):
             with self._of(number):
-                slave.call("exitInitializationMode")
-                slave._stepping = True
+                component.call("exitInitializationMode")
+                component._stepping = True
         self._look()
 
     def _look(self) -> None:
@@ -151,11 +155,11 @@ class _Together:
                 self._given[number] = outputs.get()
 
     def reset(self) -> None:
-        self._given = [[] for _ in self._slaves]
-        for number, slave in enumerate(self._slaves):
+        self._given = [[] for _ in self._components]
+        for number, component in enumerate(self._components):
             with self._of(number):
-                slave.call("reset")
-                slave._stepping = False
+                component.call("reset")
+                component._stepping = False
 
     def _feed(self, number: int) -> None:
         inputs, rows = self._feeds[number]
@@ -165,7 +169,7 @@ class _Together:
                 inputs.set([factor * given[source][at] + offset for source, at, factor, offset in rows])
 
     def doStep(self, time: float, step: float) -> None:
-        """Raises SlaveError with the component's name."""
+        """Raises InstanceError with the component's name."""
         for number, stepper in enumerate(self._steppers):
             self._feed(number)  # of what is stepped after it this is what that gave a step ago
             with self._of(number):
@@ -187,26 +191,31 @@ class _Together:
         return found
 
     def getFMUState(self) -> list[Any]:
-        return [slave.call("getFMUState") for slave in self._slaves]
+        return [component.call("getFMUState") for component in self._components]
 
     def setFMUState(self, states: Sequence[Any]) -> None:
-        for slave, state in zip(self._slaves, states, strict=True):
-            slave.call("setFMUState", state)
+        for component, state in zip(self._components, states, strict=True):
+            component.call("setFMUState", state)
         self._look()
 
     def freeFMUState(self, states: Sequence[Any]) -> None:
-        for slave, state in zip(self._slaves, states, strict=True):
-            slave.call("freeFMUState", state)
+        for component, state in zip(self._components, states, strict=True):
+            component.call("freeFMUState", state)
 
     def serializeFMUState(self, states: Sequence[Any]) -> list[Any]:
-        return [slave.call("serializeFMUState", state) for slave, state in zip(self._slaves, states, strict=True)]
+        return [
+            component.call("serializeFMUState", state)
+            for component, state in zip(self._components, states, strict=True)
+        ]
 
     def deserializeFMUState(self, data: Sequence[Any]) -> list[Any]:
-        return [slave.call("deserializeFMUState", each) for slave, each in zip(self._slaves, data, strict=True)]
+        return [
+            component.call("deserializeFMUState", each) for component, each in zip(self._components, data, strict=True)
+        ]
 
     def freeInstance(self) -> None:
-        while self._slaves:
-            self._slaves.pop().close()
+        while self._components:
+            self._components.pop().close()
 
     def freeLibrary(self) -> None:
         self.freeInstance()
@@ -244,70 +253,70 @@ class _Named:
         pass
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, SlaveError) and not str(error).startswith("component "):
-            raise SlaveError(f"{self._name}: {error}") from error
+        if isinstance(error, InstanceError) and not str(error).startswith("component "):
+            raise InstanceError(f"{self._name}: {error}") from error
 
 
 class _Values:
     """Variables of one component that are read or set together: in one call what is in double precision."""
 
-    def __init__(self, slave: Slave, variables: Sequence[Variable]) -> None:
-        self._slave, self._variables = slave, list(variables)
+    def __init__(self, component: FmuInstance, variables: Sequence[Variable]) -> None:
+        self._component, self._variables = component, list(variables)
         self._fast = all(v.type in _DOUBLES and not v.is_array for v in variables)
         count = self._count = len(variables)
         self._references = (ctypes.c_uint * count)(*(v.reference for v in variables))
         self._numbers = (ctypes.c_double * count)()
-        self._instance = ctypes.c_void_p(slave.fmu.component)
-        kind = "Real" if slave.archive.fmi == 2 else "Float64"
-        self._names = [f"fmi{slave.archive.fmi}{way}{kind}" for way in ("Get", "Set")]
-        prototype = _REALS if slave.archive.fmi == 2 else _FLOATS
-        self._get, self._set = (prototype(slave._address(name)) for name in self._names)
-        self._more = () if slave.archive.fmi == 2 else (count,)
+        self._instance = ctypes.c_void_p(component.fmu.component)
+        kind = "Real" if component.archive.fmi == 2 else "Float64"
+        self._names = [f"fmi{component.archive.fmi}{way}{kind}" for way in ("Get", "Set")]
+        prototype = _REALS if component.archive.fmi == 2 else _FLOATS
+        self._get, self._set = (prototype(component._address(name)) for name in self._names)
+        self._more = () if component.archive.fmi == 2 else (count,)
 
     def get(self) -> list[float]:
-        """Their values.  Raises SlaveError."""
+        """Their values.  Raises InstanceError."""
         if not self._fast:
-            return [self._slave.read(v) for v in self._variables]
+            return [self._component.read(v) for v in self._variables]
         if self._count:
             status = self._get(self._instance, self._references, self._count, self._numbers, *self._more)
-            _need_good(self._slave, self._names[0], status)
+            _need_good(self._component, self._names[0], status)
         return list(self._numbers)
 
     def set(self, values: Sequence[float]) -> None:
-        """Give them values.  Raises SlaveError."""
+        """Give them values.  Raises InstanceError."""
         if not self._fast:
-            self._slave.write([(v, _whole(v, value)) for v, value in zip(self._variables, values, strict=True)])
+            self._component.write([(v, _whole(v, value)) for v, value in zip(self._variables, values, strict=True)])
             return
         self._numbers[:] = list(values)
         status = self._set(self._instance, self._references, self._count, self._numbers, *self._more)
-        _need_good(self._slave, self._names[1], status)
+        _need_good(self._component, self._names[1], status)
 
 
 class _Stepper:
     """The step of one component."""
 
-    def __init__(self, slave: Slave) -> None:
-        self._slave, self._instance = slave, ctypes.c_void_p(slave.fmu.component)
-        prototype = _DO_STEP if slave.archive.fmi == 2 else _DO_STEP_3
-        self._call = prototype(slave._address(f"fmi{slave.archive.fmi}DoStep"))
+    def __init__(self, component: FmuInstance) -> None:
+        self._component, self._instance = component, ctypes.c_void_p(component.fmu.component)
+        prototype = _DO_STEP if component.archive.fmi == 2 else _DO_STEP_3
+        self._call = prototype(component._address(f"fmi{component.archive.fmi}DoStep"))
         self._event, self._terminate, self._early = (ctypes.c_bool() for _ in range(3))
         self._last = ctypes.c_double()
         said = (self._event, self._terminate, self._early, self._last)
-        self._more = () if slave.archive.fmi == 2 else tuple(ctypes.byref(each) for each in said)
+        self._more = () if component.archive.fmi == 2 else tuple(ctypes.byref(each) for each in said)
 
     def step(self, time: float, step: float) -> None:
-        """Raises SlaveError."""
-        _need_good(self._slave, "doStep", self._call(self._instance, time, step, 0, *self._more))
+        """Raises InstanceError."""
+        _need_good(self._component, "doStep", self._call(self._instance, time, step, 0, *self._more))
         if self._terminate.value:
-            raise SlaveError("it asked to end the simulation")
+            raise InstanceError("it asked to end the simulation")
         if self._early.value:
-            raise SlaveError("it returned early from doStep, which a component may not")
+            raise InstanceError("it returned early from doStep, which a component may not")
 
 
-def _need_good(slave: Slave, function: str, status: int) -> None:
+def _need_good(component: FmuInstance, function: str, status: int) -> None:
     if status > _WARNING:
-        slave.failed(status)
-        raise SlaveError(slave._with_log(f"{function} returned {STATUS.get(status, f'status {status}')}"))
+        component.failed(status)
+        raise InstanceError(component._with_log(f"{function} returned {STATUS.get(status, f'status {status}')}"))
 
 
 def _whole(variable: Variable, value: float) -> float:
