@@ -33,7 +33,7 @@ from cosim.campaign.workers.local import LocalWorkers
 from cosim.cli.main import main
 from cosim.design.design import shipped
 from cosim.design.loop.channel import Actuator, channels
-from cosim.design.loop.closed_loop import Closed, Points
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import lags
 from cosim.engine import load_engine
 from cosim.flight import fly
@@ -323,7 +323,7 @@ def first_unstable(controller: str) -> int:
     return next(
         later
         for later in range(60)
-        if Closed(Points(channel.with_delay(25.0 + later), close=2000), tuning).unstable_poles
+        if ClosedLoop(FrequencyGrid(channel.with_delay(25.0 + later), close=2000), tuning).unstable_poles
     )
 
 
