@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from cosim.autopilots.betaflight import fixed, gains_of, mixing, torque
-from cosim.autopilots.parameters import ardupilot_parameters, parameter_file, px4_parameters
+from cosim.autopilots.parameters import (
+    ardupilot_parameters,
+    ardupilot_torque,
+    parameter_file,
+    px4_parameters,
+    px4_torque,
+)
+from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
 from cosim.spec.vehicle import Vehicle
 
@@ -19,5 +26,14 @@ def parameters_of(autopilot: str, vehicle: Vehicle, step: float) -> str:
 
 
 def torque_of(autopilot: str, vehicle: Vehicle) -> Vector3:
-    """What a torque of 1 is to an autopilot: throttle about roll, rad of tilt (or throttle) about pitch and yaw."""
-    return torque(vehicle)
+    """What a torque of 1 is to an autopilot: throttle about roll, rad of tilt (or throttle) about pitch and yaw.
+
+    Raises InputError for a vehicle that is flown by effectiveness.
+    """
+    if vehicle.allocation == "effectiveness":
+        raise InputError(
+            f"{autopilot}: {vehicle.name}: is flown by effectiveness, whose torques are not an autopilot's"
+        )
+    if autopilot == "betaflight":
+        return torque(vehicle)
+    return px4_torque(vehicle) if autopilot == "px4" else ardupilot_torque(vehicle)

@@ -98,6 +98,13 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
 _X_FRAME = {(True, True): 0, (False, False): 1, (True, False): 2, (False, True): 3}  # front, right: its motor less one
 
 
+def ardupilot_torque(vehicle: Vehicle) -> Vector3:
+    """What a torque of 1 is for ArduPilot: half of the motors' range, as throttle, and the whole range of tilts."""
+    half = 0.5 * (1.0 - vehicle.control.allocation.throttle_min)
+    tilt = vehicle.servo.range_rad if vehicle.servo else half
+    return half, tilt, tilt
+
+
 def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
     """ArduPilot: a quadrotor of its X frame, rate and attitude gains, filters, sticks, and the flight's rate.
 
@@ -119,8 +126,7 @@ def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
         x, y, _ = jet.position_m
         told[f"SERVO{number}_FUNCTION"] = 33 + _X_FRAME[x > 0.0, y > 0.0]
         told |= {f"SERVO{number}_MIN": 1000, f"SERVO{number}_MAX": 2000}
-    half = 0.5 * (1.0 - least)
-    for axis, gains, worth in rates(vehicle, (half, half, half)):
+    for axis, gains, worth in rates(vehicle, ardupilot_torque(vehicle)):
         name = f"ATC_RAT_{'RLL' if axis == 'roll' else 'PIT' if axis == 'pitch' else 'YAW'}"
         told |= {f"{name}_P": gains.p / worth, f"{name}_I": gains.i / worth, f"{name}_D": gains.d / worth}
         told |= {f"{name}_FLTT": 0.0, f"{name}_FLTE": 0.0}

@@ -16,9 +16,13 @@ from cosim.base.signals import Vector3
 from cosim.codegen.files import Labels, common, controller_texts, written
 from cosim.codegen.form import Form
 
-AUTOPILOTS = ("betaflight",)
-_TITLES = {"betaflight": "Betaflight"}
-_WORTH = {"betaflight": "of pidData[].Sum, by its mixer's 1000 and the range of motors and tilts"}
+AUTOPILOTS = ("px4", "ardupilot", "betaflight")
+_TITLES = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
+_WORTH = {
+    "px4": "by its control allocation with the vehicle's geometry",
+    "ardupilot": "half of the motors' range, and the whole range of tilts",
+    "betaflight": "of pidData[].Sum, by its mixer's 1000 and the range of motors and tilts",
+}
 
 
 def inverse(form: Form) -> list[list[float]]:
@@ -58,6 +62,8 @@ def adapter_texts(form: Form, labels: Labels, autopilot: str, worth: Vector3) ->
         "origin_of_worth": _WORTH[autopilot],
         "curve": curve,
         "points": 0 if curve is None else len(thrust["curves"][curve]["thrust"]),
+        "Class": "".join(part.capitalize() for part in labels.name.split("_")),
+        "rate": f"{1.0 / form['step']:g}",
         "idle": repr(form["allocation"]["low"]),
         "motor_idle": round(1e4 * form["allocation"]["low"]),
         "range": repr(form["allocation"].get("range", 0.0)),
@@ -88,4 +94,31 @@ def _betaflight(n: str, shared: Mapping[str, str], told: Mapping[str, Any]) -> d
     return {f"{n}-betaflight.patch": patch} | readme
 
 
-_MADE: dict[str, Callable[[str, Mapping[str, str], Mapping[str, Any]], dict[str, str]]] = {"betaflight": _betaflight}
+def _ardupilot(n: str, shared: Mapping[str, str], told: Mapping[str, Any]) -> dict[str, str]:
+    """A backend of ``AC_CustomControl``, as files for its folder."""
+    name = f"AC_CustomControl_{told['Class']}"
+    own = {f"{name}.h": "adapters/ardupilot.h", f"{name}.cpp": "adapters/ardupilot.cpp"}
+    files = dict(shared) | written(own, told)
+    return {f"AC_CustomControl/{file}": text for file, text in files.items()} | written(
+        {"README.md": "adapters/ardupilot.md"}, told
+    )
+
+
+def _px4(n: str, shared: Mapping[str, str], told: Mapping[str, Any]) -> dict[str, str]:
+    """A folder as ``EXTERNAL_MODULES_LOCATION`` wants it, with one module."""
+    sources = [f"{n}_px4.cpp", *sorted(name for name in shared if name.endswith(".c"))]
+    own = {
+        f"{n}_px4.cpp": "adapters/px4.cpp",
+        "CMakeLists.txt": "adapters/px4_module.txt",
+        "Kconfig": "adapters/px4_kconfig.txt",
+    }
+    module = dict(shared) | written(own, dict(told) | {"sources": sources})
+    around = {"src/CMakeLists.txt": "adapters/px4_list.txt", "README.md": "adapters/px4.md"}
+    return {f"src/modules/{n}/{file}": text for file, text in module.items()} | written(around, told)
+
+
+_MADE: dict[str, Callable[[str, Mapping[str, str], Mapping[str, Any]], dict[str, str]]] = {
+    "px4": _px4,
+    "ardupilot": _ardupilot,
+    "betaflight": _betaflight,
+}

@@ -133,9 +133,9 @@ def log(folder: Path, target: str, out: Path | None, rates: Literal["all", "px4"
 @click.option(
     "inside",
     "--for",
-    type=click.Choice(["betaflight"]),
+    type=click.Choice(["px4", "ardupilot", "betaflight"]),
     multiple=True,
-    help="Also its rate loop for the inside of this autopilot, in a folder of that name, with instructions.",
+    help="Also its rate loop for the inside of this autopilot, with instructions, in a folder of its own; repeatable.",
 )
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="A new or an empty folder.  [default: NAME]"

@@ -3,6 +3,12 @@
 #include "[[ n ]].h"
 
 #include <math.h>
+{% if single %}
+
+#ifdef __GNUC__
+#pragma GCC diagnostic ignored "-Wfloat-equal" /* what is compared with zero is zero, or was never set */
+#endif
+{% endif %}
 
 typedef [[ n ]]_Real Real;
 

@@ -14,6 +14,7 @@ import pytest
 from command_tools import Hexjet
 from numpy.typing import NDArray
 from places import TOOLS
+from scipy.optimize import brentq
 from stated_figures import stated
 
 from cosim.autopilots import betaflight as theirs
@@ -32,7 +33,24 @@ from cosim.spec.scenario import Scenario
 
 CC = measure.compiler()
 STUBS = TOOLS / "stubs"
-WARNINGS = ("-Wall", "-Wextra", "-Werror", "-Wdouble-promotion")
+CXX = shutil.which("c++") or shutil.which("g++")
+WARNINGS = ("-Wall", "-Wextra", "-Werror", "-Wdouble-promotion", "-Wfloat-equal", "-Wshadow")
+# What the adapters include, each with all that the stub of their autopilot declares.
+HEADERS = {
+    "ardupilot": (
+        "AC_CustomControl_config.h",
+        "AC_CustomControl_Backend.h",
+        "AP_Scheduler/AP_Scheduler.h",
+        "GCS_MAVLink/GCS.h",
+    ),
+    "px4": (
+        "drivers/drv_hrt.h",
+        *(f"px4_platform_common/{name}" for name in ("defines.h", "log.h", "module.h", "px4_work_queue/WorkItem.hpp")),
+        *(f"uORB/{name}.hpp" for name in ("Publication", "Subscription", "SubscriptionCallback")),
+        *(f"uORB/topics/vehicle_{name}.h" for name in ("angular_velocity", "control_mode", "land_detected")),
+        *(f"uORB/topics/vehicle_{name}_setpoint.h" for name in ("rates", "thrust", "torque")),
+    ),
+}
 try:
     BINARY: Path | None = theirs.program(None)
 except InputError:
@@ -44,7 +62,9 @@ pytestmark = pytest.mark.skipif(CC is None, reason="no C compiler")
 
 
 def scenario(name: str) -> Scenario:
-    """The Hex-Jet on two tilting banks, or four rotors; each with a predictor."""
+    """The Hex-Jet on two tilting banks, with curves of thrust too, or four rotors; each with a predictor."""
+    if name == "hexjet-p220":
+        return Scenario.load("full-scale-roll-doublet").replace(expect=[], controller="smith")
     made = Scenario.load("roll-doublet").replace(expect=[], controller="smith")
     return made.replace(aircraft="quadrotor", engine="motor", step_s=0.0025) if name == "quadrotor" else made
 
@@ -70,8 +90,10 @@ def adapted(name: str, autopilot: str, folder: Path) -> tuple[Array, Array]:
             asked, rate = (size * draw.standard_normal(3).astype(np.float32) for _ in range(2))
             throttle = float(np.float32(draw.uniform(0.3, 0.8)))
             drive.append([*asked, *rate, throttle, float(flies)])
+            told = simulation.cascade.thrust_map
+            share = brentq(lambda c: told.throttle((c,) * jets)[0] - throttle, -0.5, 1.5, xtol=1e-12)  # noqa: B023
             given = controller.update(
-                Command(ZERO3, 0.0, tuple(map(float, asked)), throttle),  # type: ignore[arg-type]
+                Command(ZERO3, 0.0, tuple(map(float, asked)), share),  # type: ignore[arg-type]
                 Measured(tuple(map(float, rate)), (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, 0.0),  # type: ignore[arg-type]
                 Disturbance(),
                 EngineState.FLY if flies else EngineState.IDLE,
@@ -97,9 +119,10 @@ def adapted(name: str, autopilot: str, folder: Path) -> tuple[Array, Array]:
     return np.array(drive), np.array(torques) / np.array(worth)
 
 
-def driven(program: Path, drive: Array) -> Array:
+def driven(program: Path, drive: Array, *told: str) -> Array:
     rows = "\n".join(" ".join(f"{x:.9g}" for x in row) for row in drive)
-    done = subprocess.run([program], input=rows, capture_output=True, text=True, check=True)
+    done = subprocess.run([program, *told], input=rows, capture_output=True, text=True)
+    assert done.returncode == 0, (done.returncode, done.stderr)
     return np.array([[float(x) for x in line.split()] for line in done.stdout.splitlines()])
 
 
@@ -115,6 +138,25 @@ def compiled(program: Path, *sources: Path | str) -> None:
         [str(CC), "-std=gnu17", "-O1", *WARNINGS, "-o", program, *sources, "-lm"], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
+
+
+def built(program: Path, autopilot: str, sources: Path) -> None:
+    """The adapter of C++ and the controller of C in a folder, and what stands in for the autopilot."""
+    around = program.parent / "headers"
+    for name in HEADERS[autopilot]:
+        (around / name).parent.mkdir(parents=True, exist_ok=True)
+        (around / name).write_text(f'#include "{autopilot}.hpp"\n')
+    includes = [f"-I{each}" for each in (around, STUBS / autopilot, sources)]
+    objects = []
+    for file in [*sorted(sources.glob("*.c")), *sources.glob("*.cpp"), STUBS / autopilot / "drive.cpp"]:
+        plain = file.suffix == ".c"
+        language = [str(CC), "-std=c99", "-pedantic"] if plain else [str(CXX), "-std=c++17", '-DMODULE_NAME="ours"']
+        objects.append(program.parent / f"{file.name}.o")
+        done = subprocess.run(
+            [*language, "-O1", *WARNINGS, *includes, "-c", "-o", objects[-1], file], capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+    subprocess.run([str(CXX), "-o", program, *objects, "-lm"], check=True)
 
 
 def new_files(patch: Path, folder: Path) -> None:
@@ -143,6 +185,36 @@ def test_betaflight_hears_the_torques_of_the_controller(name: str, tmp_path: Pat
     same(driven(tmp_path / "program", drive), wanted, worth)
 
 
+@pytest.mark.skipif(CXX is None, reason="no C++ compiler")
+@pytest.mark.parametrize("name", ["hexjet", "hexjet-p220", "quadrotor"])
+def test_ardupilot_hears_the_torques_of_the_controller(name: str, tmp_path: Path) -> None:
+    """At twice the controller's rate; at a rate of which it is no whole number the main controller is handed on."""
+    drive, wanted = adapted(name, "ardupilot", tmp_path)
+    built(tmp_path / "program", "ardupilot", tmp_path / "AC_CustomControl")
+    flown = scenario(name)
+    vehicle, _ = flown.resolved_vehicle()
+    least = f"{vehicle.control.allocation.throttle_min}"
+    found = driven(tmp_path / "program", drive, f"{0.5 * flown.step_s}", least)
+    same(found, wanted, torque_of("ardupilot", vehicle))
+    handed = driven(tmp_path / "program", drive, f"{flown.step_s / 1.6}", least)
+    assert np.allclose(handed, (0.1, 0.2, 0.3))
+
+
+@pytest.mark.skipif(CXX is None, reason="no C++ compiler")
+@pytest.mark.parametrize("name", ["hexjet", "quadrotor"])
+def test_px4_is_told_the_torques_of_the_controller(name: str, tmp_path: Path) -> None:
+    """At the gyro samples nearest to the controller's steps, though their times are unsteady; started and stopped."""
+    drive, wanted = adapted(name, "px4", tmp_path)
+    module = tmp_path / "src" / "modules" / "ours"
+    built(tmp_path / "program", "px4", module)
+    flown = scenario(name)
+    found = driven(tmp_path / "program", drive, f"{round(1e6 * flown.step_s)}")
+    same(found, wanted, torque_of("px4", flown.resolved_vehicle()[0]))
+    stated_sources = set(re.findall(r"^\t\t(\S+\.c\w*)$", (module / "CMakeLists.txt").read_text(), re.MULTILINE))
+    assert stated_sources == {path.name for path in module.iterdir() if path.suffix in (".c", ".cpp")}
+    assert "modules/ours\n" in (tmp_path / "src" / "CMakeLists.txt").read_text()
+
+
 def test_the_inverse_gives_back_what_the_allocation_was_told() -> None:
     form = {"jets": 4, "allocation": {"kind": "tilt", "left": [True, True, False, False], "pitch_sign": -1.0}}
     assert inverse(form) == [[0.25, 0.25, -0.25, -0.25, 0.0, 0.0], [0.0] * 4 + [-0.5, -0.5], [0.0] * 4 + [0.5, -0.5]]
@@ -153,7 +225,7 @@ def test_what_cannot_be_exported_and_an_unknown_autopilot_are_refused(hexjet: He
         (["--for", "inav"], "'inav' is not"),
         (
             ["--for", "betaflight", "--scenario", "hover", "--aircraft", "trijet", "--controller", "baseline"],
-            "has no C form",
+            "flown by effectiveness",
         ),
     ):
         done = hexjet("export", "controller", *given, "--out", str(tmp_path / "out"))
