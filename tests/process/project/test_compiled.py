@@ -46,6 +46,10 @@ def flights() -> dict[str, Scenario]:
         {"kind": "sensor_dropout", "sensor": "gnss", "start_s": 0.7},
     ]
     near = {"initial": {"altitude_m": 1.5}}
+    ahead = {"kind": "step", "signal": "ahead_m_s", "start_s": 0.2, "amplitude": 25.0}
+    surge = {"kind": "gust", "start_s": 0.1, "rise_s": 0.3, "hold_s": 0.2, "fall_s": 0.3}
+    out = [{"kind": "flame_out", "jet": 6, "start_s": 0.1}]
+    blown = {"wind_ned_m_s": [-20.0, 2.0, 0.0]}  # on the wing, while it hovers
     plain = Scenario.load("roll-doublet").replace(duration_s=1.0, command=[doublet])
     made = {name: plain.replace(controller=name) for name in ("filtered-smith", "state", "state-disturbance")}
     return {
@@ -56,6 +60,14 @@ def flights() -> dict[str, Scenario]:
         "added": plain.replace(disturbance=[seen | {"at": "controller", "seen": True}, seen]),
         "full scale": Scenario.load("full-scale-gust").replace(duration_s=1.0),
         "turbine": plain.replace(engine="turbine-20", controller="baseline", duration_s=0.5),
+        # of other engines and servos: hinges, surfaces, stations that are not alike
+        "trijet": Scenario.load("trijet-gust").replace(
+            duration_s=1.0, command=[doublet], disturbance=[surge | {"velocity_ned_m_s": [0.0, 8.0, 0.0]}]
+        ),
+        "jetwing": Scenario.load("jetwing-transition").replace(
+            duration_s=1.0, command=[ahead], environment=blown, initial={"altitude_m": 30.0}
+        ),
+        "octojet": Scenario.load("octojet-flame-out-inner").replace(duration_s=1.0, fault=out),
     }
 
 
