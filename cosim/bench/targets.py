@@ -33,7 +33,7 @@ STUDY_S = 300.0
 
 
 @dataclass(frozen=True)
-class Judged:
+class TargetResult:
     """One thing that is asked for: at most ``bound``, or at least if ``least``.  The median decides."""
 
     name: str
@@ -48,7 +48,7 @@ class Judged:
         return median >= self.bound if self.least else median <= self.bound
 
 
-def judge(result: Result) -> list[Judged]:
+def judge(result: Result) -> list[TargetResult]:
     """Everything that is asked for and was measured."""
     return [*_step(result), *_processes(result), *_campaign(result)]
 
@@ -63,64 +63,64 @@ def runs_a_step(runs: int) -> str:
     return f"{runs} run{'s' if runs > 1 else ''} a step"
 
 
-def _step(result: Result) -> Iterator[Judged]:
+def _step(result: Result) -> Iterator[TargetResult]:
     for runs, costs in (result.step or {}).items():
         in_it = runs_a_step(runs)
-        yield Judged(f"not JSBSim, recorded in full, {in_it}", costs[OUTSIDE].units, OUTSIDE_UNITS, RUNS)
+        yield TargetResult(f"not JSBSim, recorded in full, {in_it}", costs[OUTSIDE].units, OUTSIDE_UNITS, RUNS)
         whole = costs[RECORDED].units.times(1.0 / runs)
-        yield Judged(f"whole flight by bare JSBSim, {in_it}", whole, BY_BARE[runs], "times")
-        yield Judged(f"{ENGINES}, {in_it}", costs[ENGINES].units, ENGINE_UNITS, RUNS)
+        yield TargetResult(f"whole flight by bare JSBSim, {in_it}", whole, BY_BARE[runs], "times")
+        yield TargetResult(f"{ENGINES}, {in_it}", costs[ENGINES].units, ENGINE_UNITS, RUNS)
     if result.others:
         units = [cost.units for costs in result.others.outside.values() for cost in costs.values()]
         dearest = max(units, key=lambda each: each.median)
-        yield Judged("the dearest of the other flights, recorded in full", dearest, DEAREST_UNITS, RUNS)
+        yield TargetResult("the dearest of the other flights, recorded in full", dearest, DEAREST_UNITS, RUNS)
     if result.own:
         for name in CLASSES:
-            yield Judged(f"more by {name}", result.own.more[name].units, CLASS_UNITS, RUNS)
+            yield TargetResult(f"more by {name}", result.own.more[name].units, CLASS_UNITS, RUNS)
     if result.time:
         shortest, longest = min(result.time.steps), max(result.time.steps)
         name = f"a step of {longest} s flown by one of {shortest} s"
-        yield Judged(name, result.time.growth, STEP_GROWTH, "times")
+        yield TargetResult(name, result.time.growth, STEP_GROWTH, "times")
 
 
-def _processes(result: Result) -> Iterator[Judged]:
+def _processes(result: Result) -> Iterator[TargetResult]:
     if result.pages:
         for seconds, page in result.pages.by_length.items():
             if seconds in PAGE_MB:
                 name = f"the page of {seconds} s flown"
-                yield Judged(name, Spread.of([page.whole_mb]), PAGE_MB[seconds], "MB")
+                yield TargetResult(name, Spread.of([page.whole_mb]), PAGE_MB[seconds], "MB")
                 yield from _seen(name, page.seen)
         campaign = result.pages.campaign
         name = f"the page of a campaign of {campaign.flights} flights"
-        yield Judged(name, Spread.of([campaign.mb]), CAMPAIGN_PAGE_MB, "MB")
+        yield TargetResult(name, Spread.of([campaign.mb]), CAMPAIGN_PAGE_MB, "MB")
     if result.start:
-        yield Judged("from command to first step", result.start.first_step_s, FIRST_STEP_S, "s")
+        yield TargetResult("from command to first step", result.start.first_step_s, FIRST_STEP_S, "s")
     if result.memory:
         minutes = f"{result.memory.minutes:g} min flown"
         if result.memory.growth_mb:
-            yield Judged(
+            yield TargetResult(
                 f"memory gained from a quarter to the end, {minutes}", result.memory.growth_mb, FLIGHT_GROWTH_MB, "MB"
             )
-        yield Judged(f"memory at its peak, {minutes}", result.memory.peak_mb, PEAK_MB, "MB")
+        yield TargetResult(f"memory at its peak, {minutes}", result.memory.peak_mb, PEAK_MB, "MB")
 
 
-def _seen(name: str, seen: Seen | None) -> Iterator[Judged]:
+def _seen(name: str, seen: Seen | None) -> Iterator[TargetResult]:
     if seen:
-        yield Judged(f"{name}, until it is there", seen.open_s, OPEN_S, "s")
-        yield Judged(f"{name}, scrolled", seen.scrolled.rate, FRAMES_S, "frames a second", least=True)
+        yield TargetResult(f"{name}, until it is there", seen.open_s, OPEN_S, "s")
+        yield TargetResult(f"{name}, scrolled", seen.scrolled.rate, FRAMES_S, "frames a second", least=True)
 
 
-def _campaign(result: Result) -> Iterator[Judged]:
+def _campaign(result: Result) -> Iterator[TargetResult]:
     campaign = result.campaign
     if campaign is None:
         return
-    yield Judged("gain by a second worker, by bare JSBSim's", campaign.share, CAMPAIGN_SHARE, "times", least=True)
+    yield TargetResult("gain by a second worker, by bare JSBSim's", campaign.share, CAMPAIGN_SHARE, "times", least=True)
     if campaign.study:
         growth = [
             worker.end_mb / worker.early_mb for worker in campaign.study.workers if worker.end_mb and worker.early_mb
         ]
         if growth:
-            yield Judged("memory of a worker, last flight by 50th", Spread.of(growth), WORKER_GROWTH, "times")
+            yield TargetResult("memory of a worker, last flight by 50th", Spread.of(growth), WORKER_GROWTH, "times")
         if campaign.study.flights == STUDY_FLIGHTS:
             wall = Spread.of([campaign.study.wall_s])
-            yield Judged(f"{STUDY_FLIGHTS} flights of {campaign.flight_s:g} s, two workers", wall, STUDY_S, "s")
+            yield TargetResult(f"{STUDY_FLIGHTS} flights of {campaign.flight_s:g} s, two workers", wall, STUDY_S, "s")

@@ -93,7 +93,7 @@ def fmu_survey(
         check_marks(page, [MARK])
     if page and missing:
         there = rows_of(page)
-        engines = tuple(each for each in engines if each.stem not in there)
+        engines = tuple(path for path in engines if path.stem not in there)
     rows = []
     with part_progress("survey", quiet=as_json) as tell:
         for number, row in enumerate(survey(engines, controller, time_limit), start=1):

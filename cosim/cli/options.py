@@ -244,10 +244,10 @@ def engine_for(aircraft: str, engine: str | None) -> str:
     """The engine that is named, or else the aircraft's own.  Raises InputError where it has none."""
     from cosim.spec.vehicle import aircraft_seen_from, engine_of
 
-    found = engine or engine_of(aircraft_seen_from(aircraft, Path()))
-    if found is None:
+    chosen = engine or engine_of(aircraft_seen_from(aircraft, Path()))
+    if chosen is None:
         raise InputError(f"{aircraft}: vehicle.toml names no engine: name one with --engine")
-    return found
+    return chosen
 
 
 def flown_by(aircraft: str | None) -> list[str]:

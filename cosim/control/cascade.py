@@ -212,10 +212,10 @@ class Cascade:
         _, x, y, _ = measured.attitude
         upright = max(LEAST_UPRIGHT, 1.0 - 2.0 * (x * x + y * y))
         # of the height loop as a force up: it divides by how upright the thrust stands, which here is turned as wanted
-        wanted = wing.wanted(allocator.force(collective) * upright, measured, self._burnt)
+        demand = wing.demand(allocator.force(collective) * upright, measured, self._burnt)
         (roll, pitch, yaw), (a, b, c) = self._injected(torque, injected), injected.torque_command
         asked = (roll + a, pitch + b, yaw + c)
-        given, missing = allocator.ahead(wanted.ahead, wanted.lift, wanted.pitch, asked, wing.tilts)
+        given, missing = allocator.ahead(demand.ahead, demand.lift, demand.pitch, asked, wing.tilts)
         self._unallocated = wing.refused(missing, given.unallocated)
         return self._actuated(given, self._share(given, rate_setpoint, torque, collective))
 

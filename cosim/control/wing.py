@@ -76,7 +76,7 @@ class WingTable(NamedTuple):
         return self.alpha[-1]
 
 
-class Wanted(NamedTuple):
+class WingDemand(NamedTuple):
     """What jets, hinges and surfaces are to give: N along body x and up, N m about y."""
 
     ahead: float
@@ -145,7 +145,7 @@ class WingFlight:
         bank = clamp(settings.aside_1_s * aside / GRAVITY, settings.bank_rad)
         return command._replace(attitude=(roll - bank, pitch + path + self._alpha, heading))
 
-    def wanted(self, vertical: float, measured: Measured, burnt: float) -> Wanted:
+    def demand(self, vertical: float, measured: Measured, burnt: float) -> WingDemand:
         """What is left for jets, hinges and surfaces where ``vertical`` N are needed up."""
         roll, pitch, _ = to_euler(measured.attitude)
         lift, drag, moment = (self._pressure * each for each in self._table.at(self._alpha))
@@ -156,7 +156,7 @@ class WingFlight:
         c, s = cos(pitch), sin(pitch)
         along = ahead * c + up * s
         self._vertical = vertical - max(0.0, along) * s  # thrust along the body lifts where the nose is up
-        return Wanted(along, (up * c - ahead * s) / max(LEAST_UPRIGHT, cos(roll)), -moment)
+        return WingDemand(along, (up * c - ahead * s) / max(LEAST_UPRIGHT, cos(roll)), -moment)
 
     def refused(self, ahead: float, others: Unallocated) -> Unallocated:
         """What allocation could not give, of the force ahead [N] and otherwise, as the loops are to know it.

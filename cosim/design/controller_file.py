@@ -121,7 +121,9 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
 def _older_than_banks(file: ControllerFile, original: Vehicle) -> bool:
     """Whether a file is from before the reaction of tilting banks, and its gains therefore not for it."""
     servo = original.servo
-    stated = any("bank_inertia_kg_m2" in each.get("servo", {}) for each in (file.vehicle, file.design.vehicle_changes))
+    stated = any(
+        "bank_inertia_kg_m2" in table.get("servo", {}) for table in (file.vehicle, file.design.vehicle_changes)
+    )
     return file.design.bank_inertia_kg_m2 is None and not stated and bool(servo and servo.bank_inertia_kg_m2)
 
 

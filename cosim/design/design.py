@@ -387,14 +387,14 @@ def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, ampli
     )
 
 
-def dynamics_of(found: Identification, unsure: tuple[tuple[float, float], ...] = ()) -> Dynamics:
+def dynamics_of(identified: Identification, unsure: tuple[tuple[float, float], ...] = ()) -> Dynamics:
     """One lag and a delay, as identified; where that does not follow the response, what does, and what it leaves."""
-    model = found.chosen.model
-    if found.chosen.misfit <= MISFIT and model.rate > 0.0:
+    model = identified.chosen.model
+    if identified.chosen.misfit <= MISFIT and model.rate > 0.0:
         one = lags([1.0 / model.rate], model.delay_samples, model.step)
-        return replace(one, misfit=found.chosen.misfit, unsure=unsure)
-    fitted = fit_dynamics(found.response, model.delay_samples, 1.0 / max(model.rate, 0.01))
-    return replace(fitted, unsure=unsure) if unsure else with_misfit(fitted, found.response)
+        return replace(one, misfit=identified.chosen.misfit, unsure=unsure)
+    fitted = fit_dynamics(identified.response, model.delay_samples, 1.0 / max(model.rate, 0.01))
+    return replace(fitted, unsure=unsure) if unsure else with_misfit(fitted, identified.response)
 
 
 def throttle_for(spec: EngineSpec, vehicle: Vehicle) -> float:
@@ -456,7 +456,7 @@ def _axis(channel: Channel, asked: _Asked, roll: Tuning | None) -> AxisDesign:
             key = name + WITH_LEAD if with_lead else name
             say(f"{axis}: {key}")
             tried[key] = tune(channel, name, model, start, need, not predicted, with_lead)
-    objectives = {key: each.objective for key, each in tried.items()}
+    objectives = {key: result.objective for key, result in tried.items()}
     best = tried[_simplest(objectives)]
     if not isfinite(best.objective):
         return AxisDesign(channel, before, objectives, None, {}, {})
@@ -551,7 +551,7 @@ def margins(closed: ClosedLoop) -> Margins:
     gains, angle, omega = crossings(closed.open_loop[inside], theta[inside] / closed.points.channel.step)
     gains = np.concatenate([gains, -1.0 / last[last < 0.0]])
     up, down = gains[gains > 1.0], gains[gains < 1.0]
-    turns = [wrapped(float(np.degrees(each))) for each in angle]
+    turns = [wrapped(float(np.degrees(radians))) for radians in angle]
     return Margins(
         gain_db=float(20.0 * np.log10(up.min())) if len(up) else None,
         gain_down_db=float(20.0 * np.log10(down.max())) if len(down) else None,

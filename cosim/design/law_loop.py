@@ -89,8 +89,8 @@ def run(channel: Channel, law: RateLoop, gain_1_s: float, samples: int, setpoint
     law.reset()
     for k in range(samples):
         angles[k] = angle[0]
-        wanted = _alone(gain_1_s * (setpoint - angle[-1]), index)
-        asked = law.update(wanted, _alone(gyro[-1], index), asked)
+        rate_setpoint = _alone(gain_1_s * (setpoint - angle[-1]), index)
+        asked = law.update(rate_setpoint, _alone(gyro[-1], index), asked)
         acting = asked[index] + load
         setpoint = load = 0.0
         commands[k] = acting
@@ -122,8 +122,8 @@ class LawLoop:
         self._load = self._run(load=SMALL)
 
     def _run(self, **impulse: float) -> Record:
-        found = run(self.channel, self._law, self._gain, self.samples, **impulse)
-        return Record(found.command / SMALL, found.angle / SMALL)
+        response = run(self.channel, self._law, self._gain, self.samples, **impulse)
+        return Record(response.command / SMALL, response.angle / SMALL)
 
     @cached_property
     def _set(self) -> Record:
@@ -276,23 +276,25 @@ def tune(
     def cost(x: Array) -> float:
         out = float(np.sum(np.maximum(x - high, 0.0) + np.maximum(low - x, 0.0)))
         try:
-            found = loop([float(value) for value in np.exp(np.clip(x, low, high))])
-            off = (found.peak_sensitivity / sensitivity - 1.0) ** 2
+            candidate = loop([float(value) for value in np.exp(np.clip(x, low, high))])
+            off = (candidate.peak_sensitivity / sensitivity - 1.0) ** 2
             if off > FAR:
                 return float(UNSTABLE / 2.0 + off)
-            off += max(0.0, found.step_peak * DOUBLET / room - 1.0) ** 2 + max(0.0, found.noise / noise - 1.0) ** 2
-            return both(found) + HELD * off + out
+            off += (
+                max(0.0, candidate.step_peak * DOUBLET / room - 1.0) ** 2 + max(0.0, candidate.noise / noise - 1.0) ** 2
+            )
+            return both(candidate) + HELD * off + out
         except (ArithmeticError, InputError, np.linalg.LinAlgError):
             return UNSTABLE
 
     x0 = np.clip(np.log(np.array(start, np.float64)), low, high)
-    found = differential_evolution(
+    optimum = differential_evolution(
         cost, list(zip(low, high, strict=True)), popsize=POPULATION, maxiter=GENERATIONS, init="sobol", x0=x0,
         rng=np.random.default_rng(SEED), polish=False, tol=1e-4,
     )  # fmt: skip
-    x = found.x
+    x = optimum.x
     for size in (0.1, 0.03):
         simplex = np.vstack([x, x + size * np.eye(len(x))])
         options = {"maxfev": ROUNDS, "xatol": 1e-4, "fatol": 1e-5, "initial_simplex": simplex}
         x = minimize(cost, x, method="Nelder-Mead", options=options).x
-    return [float(each) for each in np.exp(np.clip(x, low, high))], cost(x)
+    return [float(value) for value in np.exp(np.clip(x, low, high))], cost(x)

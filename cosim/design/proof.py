@@ -8,7 +8,7 @@ from math import isfinite
 
 
 @dataclass(frozen=True)
-class Flown:
+class ProofFlight:
     """One flight of a proof."""
 
     scenario: str
@@ -34,7 +34,7 @@ class Proof:
     share: float  # of what stability allows, that the measured response takes: max |T (r - 1)|
     sensitivity: float  # the greatest of the measured loops
     above: float  # greatest loop gain where nothing was measured
-    flights: Sequence[Flown]
+    flights: Sequence[ProofFlight]
     unsure: tuple[tuple[float, float], ...] = ()  # (Hz, share): how far the measured response was off; where it fails
 
     def lines(self) -> list[str]:

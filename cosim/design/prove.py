@@ -35,7 +35,7 @@ from cosim.design.identify.engine import fly_sweep
 from cosim.design.identify.result import Sweep, suitable_duration
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import Dynamics, bounds
-from cosim.design.proof import Flown, Proof
+from cosim.design.proof import Proof, ProofFlight
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario, find_scenario
@@ -179,18 +179,18 @@ def _crossover(closed: ClosedLoop, gain: float = 1.0) -> float:
 # ---- flights
 
 
-def _fly_all(design: Design, say: Callable[[str], None]) -> list[Flown]:
+def _fly_all(design: Design, say: Callable[[str], None]) -> list[ProofFlight]:
     need, roll = design.need, design.axes["roll"]
     assert roll.after is not None
     later = floor(need.delay_samples(roll.channel))
     low, high = 1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance
     corners = dict.fromkeys([(1.0, 0), (low, 0), (high, 0), (low, later), (high, later)])
     tables = _tables(design)
-    flights: list[Flown] = []
+    flights: list[ProofFlight] = []
     for gain, steps in corners:
         for name, table in tables.items():
             say(f"flight: {name}, gain {gain:.2f}, {steps} steps later")
-            flights.append(Flown(name, gain, steps, _flight(design, name, table, gain, steps)))
+            flights.append(ProofFlight(name, gain, steps, _flight(design, name, table, gain, steps)))
         if any(flight.fault for flight in flights[-len(tables) :]):
             break  # one corner that fails is enough
     return flights

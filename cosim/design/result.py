@@ -166,9 +166,9 @@ def _firmware_lines(design: Design, firmware: Firmware) -> list[str]:
     ]
     if firmware.common_angle:
         lines.append("roll and pitch have one attitude gain: roll's, which holds back the quicker pitch")
-    for axis, each in design.axes.items():
-        if each.after is not None and each.after.margins is not None and axis != "altitude":
-            m = each.after.margins
+    for axis, axis_design in design.axes.items():
+        if axis_design.after is not None and axis_design.after.margins is not None and axis != "altitude":
+            m = axis_design.after.margins
             more = "" if m.delay_s is None else f", {1e3 * m.delay_s:.1f} ms more delay"
             less = None if m.gain_down_db is None else -m.gain_down_db
             lines.append(

@@ -61,7 +61,7 @@ def add_to_page(page: Path, row: Row) -> None:
     line = marks.row(row.cells)
     rows[line.split("|")[1].strip()] = line
     head = marks.table(COLUMNS, [], left=len(COLUMNS) - 1)
-    marks.write_marks(page, {MARK: head + "".join(f"{each}\n" for each in rows.values())})
+    marks.write_marks(page, {MARK: head + "".join(f"{row}\n" for row in rows.values())})
 
 
 def rows_of(page: Path) -> dict[str, str]:

@@ -305,7 +305,7 @@ def near(
 
     def at(x: Array) -> Tuning:
         value = dict(zip(names, np.exp(x), strict=True))
-        return _with(start, {name: float(each) for name, each in value.items()}, channel.step, level)
+        return _with(start, {name: float(number) for name, number in value.items()}, channel.step, level)
 
     def cost(x: Array) -> float:
         closed = ClosedLoop(points, at(x))

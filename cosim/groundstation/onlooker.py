@@ -7,7 +7,7 @@ import threading
 from cosim.base.errors import InputError
 from cosim.groundstation.exchange import Exchange
 from cosim.results.export.foxglove_live import LiveExport
-from cosim.results.export.output import Said
+from cosim.results.export.output import LogLine
 
 LOOKS_1_S = 25  # chosen by us: a picture every 40 ms, as the exported arrows; every step is in the run's log
 DRAWN_S = 1.0  # between two drawings of what stands still: as long a viewer that comes later waits for it
@@ -62,7 +62,7 @@ class Onlooker:
             lines = [message for message in self._exchange.messages if message.number > told]
             told = lines[-1].number if lines else told
             self._export.say(
-                Said(each.k, each.k * scenario.step_s, int(each.severity), "autopilot", each.text) for each in lines
+                LogLine(each.k, each.k * scenario.step_s, int(each.severity), "autopilot", each.text) for each in lines
             )
             if snapshot.sample.k != step:
                 step = snapshot.sample.k

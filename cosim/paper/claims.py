@@ -88,7 +88,7 @@ class Evidence:
         return self.metrics[name].max
 
 
-class Judged(BaseModel):
+class Judgement(BaseModel):
     """One answer: does it follow, and the numbers that say so."""
 
     model_config = ConfigDict(frozen=True)
@@ -108,8 +108,8 @@ class ClaimRow(BaseModel):
     claim: str
     place: str
     how: str
-    linear: Judged
-    flight: Judged | None = None
+    linear: Judgement
+    flight: Judgement | None = None
     rests_on: str = ""
 
 
@@ -137,7 +137,7 @@ class Claim:
     flight_basis: Basis | None = None
     rests_on: str = ""
 
-    def judge(self, evidence: Evidence, flown: bool = False) -> Judged:
+    def judge(self, evidence: Evidence, flown: bool = False) -> Judgement:
         """The verdict of one fidelity; experiments that it has not flown leave it open."""
         basis = (self.flight_basis if flown else None) or self.basis
         judged = self._judge(evidence)
@@ -145,13 +145,13 @@ class Claim:
             return judged.model_copy(update={"verdict": "by construction", "basis": basis})
         return judged.model_copy(update={"basis": basis})
 
-    def _judge(self, evidence: Evidence) -> Judged:
+    def _judge(self, evidence: Evidence) -> Judgement:
         try:
             holds, said = self.test(evidence, "state")
         except KeyError as missing:
-            return Judged(verdict="not flown", evidence=f"no {missing.args[0]}")
+            return Judgement(verdict="not flown", evidence=f"no {missing.args[0]}")
         if holds:
-            return Judged(verdict="holds", evidence=said)
+            return Judgement(verdict="holds", evidence=said)
         other = self.condition_test or (self.test if self.about_state else None)
         condition = self.condition or (PRINTED_MATRICES if self.about_state else "")
         if other:
@@ -162,8 +162,8 @@ class Claim:
             if also and also != said:
                 said = f"{said}; under the condition: {also}"
             if holds:
-                return Judged(verdict="under a condition", evidence=said, condition=condition)
-        return Judged(verdict="does not hold", evidence=said)
+                return Judgement(verdict="under a condition", evidence=said, condition=condition)
+        return Judgement(verdict="does not hold", evidence=said)
 
 
 def _percent(new: float, old: float) -> float:

@@ -116,9 +116,9 @@ class ParquetLog(Columnar):
 
     def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
         """The named columns, at most ``rows`` rows at a time."""
-        wanted = [known(name, self.columns) for name in names]
+        chosen = [known(name, self.columns) for name in names]
         with _parquet(self._path) as file:
-            for batch in file.iter_batches(batch_size=rows, columns=wanted, use_threads=False):
+            for batch in file.iter_batches(batch_size=rows, columns=chosen, use_threads=False):
                 yield {name: _numbers(batch.column(name)) for name in names}
 
 

@@ -76,7 +76,7 @@ def _torques(name: str, meaning: str, source: str, accelerations: bool) -> list[
     ]
 
 
-class Flown(NamedTuple):
+class LoggedVehicle(NamedTuple):
     """What of a vehicle its log has columns of.
 
     ``servos``: of banks and hinges, and behind them the surfaces; ``accelerations``: its rate controller asks for
@@ -89,13 +89,13 @@ class Flown(NamedTuple):
     accelerations: bool = False
 
 
-HEXJET = Flown()  # six jets in two banks
+HEXJET = LoggedVehicle()  # six jets in two banks
 
 
-def _columns(flown: Flown) -> list[Column]:
-    jets, servos = flown.jets, flown.servos
-    banks = servos == SERVOS and not flown.accelerations
-    moved = (*servos, *flown.surfaces)
+def _columns(vehicle: LoggedVehicle) -> list[Column]:
+    jets, servos = vehicle.jets, vehicle.servos
+    banks = servos == SERVOS and not vehicle.accelerations
+    moved = (*servos, *vehicle.surfaces)
     numbers = [str(jet) for jet in range(1, max(jets, JETS) + 1)]
 
     def of_jets(pattern: str, unit: str, frame: str, meaning: str, source: str) -> list[Column]:
@@ -138,15 +138,15 @@ def _columns(flown: Flown) -> list[Column]:
         ),
         *_torques(
             "torque_{}",
-            "rate controller's output on {}" + ("" if flown.accelerations else f" ({_OWN})"),
+            "rate controller's output on {}" + ("" if vehicle.accelerations else f" ({_OWN})"),
             "control.torque.{n}",
-            flown.accelerations,
+            vehicle.accelerations,
         ),
         *_torques(
             "refused_{}",
             "part of torque_{} that allocation did not give",
             "actuation.unallocated.{n}",
-            flown.accelerations,
+            vehicle.accelerations,
         ),
         Column(
             "refused_collective",
@@ -169,7 +169,7 @@ def _columns(flown: Flown) -> list[Column]:
         ),
         *_each(servos, "tilt_{}_command_rad", "rad", "body", "where the {} servo is told to go", "actuation.tilt.{n}"),
         *_each(
-            flown.surfaces,
+            vehicle.surfaces,
             "deflection_{}",
             "1",
             "",
@@ -178,7 +178,7 @@ def _columns(flown: Flown) -> list[Column]:
             first=len(servos),
         ),
         *_each(
-            flown.surfaces,
+            vehicle.surfaces,
             "deflection_{}_command",
             "1",
             "",
@@ -257,7 +257,7 @@ def _columns(flown: Flown) -> list[Column]:
             "added to torque_{}, unknown to the controller",
             # before and after the added delay; neither is ever -0, so that zeros change nothing
             "disturbance.torque_output.{n} + disturbance.torque_command.{n}",
-            flown.accelerations,
+            vehicle.accelerations,
         ),
         Column("payload_kg", "kg", "", "mass of the payload", "disturbance.payload.0"),
         *_each(
@@ -306,13 +306,13 @@ def _columns(flown: Flown) -> list[Column]:
     ]
 
 
-def log_columns(flown: Flown = HEXJET, own: Sequence[Column] = ()) -> tuple[Column, ...]:
+def log_columns(vehicle: LoggedVehicle = HEXJET, own: Sequence[Column] = ()) -> tuple[Column, ...]:
     """The columns of a flight of a vehicle whose blocks show ``own``.
 
     At least six of everything that a jet has, so that the logs of all vehicles can be laid side by side.  Raises
     InputError for a column of a block's own that cannot be one.
     """
-    made = _columns(flown)
+    made = _columns(vehicle)
     known = {column.name for column in made}
     for n, column in enumerate(own):
         if not column.name.isidentifier() or not column.name.isascii():
@@ -336,11 +336,11 @@ def jets_in(columns: Iterable[str]) -> int:
     return next(jets for jets in count(JETS) if f"throttle_{jets + 1}" not in names)
 
 
-def flown_by(vehicle: Vehicle) -> Flown:
+def flown_by(vehicle: Vehicle) -> LoggedVehicle:
     """What the log of a flight of this vehicle has columns of."""
     surfaces = tuple(surface.name for surface in vehicle.surfaces)
     servos = vehicle.actuators[: len(vehicle.actuators) - len(surfaces)]
-    return Flown(len(vehicle.jets), servos, surfaces, vehicle.allocation == "effectiveness")
+    return LoggedVehicle(len(vehicle.jets), servos, surfaces, vehicle.allocation == "effectiveness")
 
 
 def servos_in(columns: Iterable[str]) -> tuple[str, ...]:
@@ -354,14 +354,14 @@ def surfaces_in(columns: Iterable[str]) -> tuple[str, ...]:
 
 
 def _named(pattern: str, columns: Iterable[str]) -> tuple[str, ...]:
-    found = [re.fullmatch(pattern, name) for name in columns]
-    return tuple([each[1] for each in found if each])
+    matches = [re.fullmatch(pattern, name) for name in columns]
+    return tuple([match[1] for match in matches if match])
 
 
-def flown_in(columns: Iterable[str]) -> Flown:
+def flown_in(columns: Iterable[str]) -> LoggedVehicle:
     """What a log with these columns was flown by, as far as their names tell it."""
     names = tuple(columns)
-    return Flown(jets_in(names), servos_in(names), surfaces_in(names))
+    return LoggedVehicle(jets_in(names), servos_in(names), surfaces_in(names))
 
 
 def own_columns(columns: Iterable[Column]) -> list[Column]:

@@ -23,7 +23,7 @@ _EULER = "body to NED"  # the frame of angles, whose difference is taken the sho
 _SLACK = 1e-6  # of a step: times that are nearer are the same, k * dt being rounded
 
 
-class Flown(NamedTuple):
+class ComparedFlight(NamedTuple):
     """One of the flights that are compared; ``run`` is None for a log of another tool."""
 
     label: str
@@ -98,17 +98,17 @@ def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
     return MemoryLog([np.stack([times, *columns.values()])], names, described), tuple(remarks)
 
 
-def shifted(flown: Flown, by: float) -> Flown:
+def shifted(flight: ComparedFlight, by: float) -> ComparedFlight:
     """With ``by`` [s] added to its times, which is said."""
-    columns = {name: flown.log[name] for name in flown.log.columns}
+    columns = {name: flight.log[name] for name in flight.log.columns}
     columns[TIME] = columns[TIME] + by
-    log = MemoryLog([np.stack(list(columns.values()))], flown.log.columns, flown.log.described)
-    return flown._replace(log=log, remarks=(*flown.remarks, f"its times moved by {by:g} s"))
+    log = MemoryLog([np.stack(list(columns.values()))], flight.log.columns, flight.log.described)
+    return flight._replace(log=log, remarks=(*flight.remarks, f"its times moved by {by:g} s"))
 
 
-def pairs(flown: Sequence[Flown]) -> list[Pair]:
+def pairs(flights: Sequence[ComparedFlight]) -> list[Pair]:
     """Every other one against the first."""
-    return [_pair(flown[0], other) for other in flown[1:]]
+    return [_pair(flights[0], other) for other in flights[1:]]
 
 
 def base_of(first: Log, second: Log) -> Base:
@@ -117,7 +117,7 @@ def base_of(first: Log, second: Log) -> Base:
     A row is in force from its time on, for as long as a step.  With equal steps both are taken as they are.
     """
     times = (first[TIME], second[TIME])
-    steps = tuple(step_of(each) for each in times)
+    steps = tuple(step_of(series) for series in times)
     which = 1 if steps[1] < (1.0 - _SLACK) * steps[0] else 0
     none = np.empty(0, np.intp)
     if not (times[0].size and times[1].size):
@@ -145,7 +145,7 @@ def step_of(times: Array) -> float:
 def inputs_differ(first: Run, second: Run) -> list[tuple[str, str, str]]:
     """What of two runs' scenarios, versions and files is not the same: its key, and both values as texts."""
     try:
-        left, right = (_flat(each) for each in (first, second))
+        left, right = (_flat(side) for side in (first, second))
     except InputError:  # a scenario that cannot be read any more
         return []
     keys = dict.fromkeys([*left, *right])
@@ -159,7 +159,7 @@ def inputs_differ(first: Run, second: Run) -> list[tuple[str, str, str]]:
 # ---- pieces
 
 
-def _pair(first: Flown, second: Flown) -> Pair:
+def _pair(first: ComparedFlight, second: ComparedFlight) -> Pair:
     base = base_of(first.log, second.log)
     ours, theirs = first.log.columns, second.log.columns
     common = [name for name in ours if name in theirs and name != TIME]

@@ -66,8 +66,8 @@ class DigestSink:
     def begin(self, columns: Sequence[Column]) -> None:
         """See :class:`cosim.results.recorder.KeepingSink`."""
         names = [column.name for column in columns]
-        wanted = names if self._whole else [known(name, names) for name in self._names]
-        self._indices = [names.index(name) for name in wanted]
+        chosen = names if self._whole else [known(name, names) for name in self._names]
+        self._indices = [names.index(name) for name in chosen]
         self._described = tuple(columns[index] for index in self._indices)
         self._digest = Digest(names)
 

@@ -22,7 +22,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import nearest
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES, JETS
-from cosim.results.columns import HEXJET, RATES, Flown, flown_in, jets_in, servos_in
+from cosim.results.columns import HEXJET, RATES, LoggedVehicle, flown_in, jets_in, servos_in
 from cosim.spec.scenario import Range
 
 HOLD_S = 0.2  # chosen by us: shorter than any doublet worth flying, longer than the holds of recorded sticks at 10 Hz
@@ -142,12 +142,12 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
     )
 
 
-def columns(flown: Flown = HEXJET, waypoints: bool = False) -> tuple[str, ...]:
+def columns(vehicle: LoggedVehicle = HEXJET, waypoints: bool = False) -> tuple[str, ...]:
     """The names of the columns that :func:`flight_metrics` and the limits of a flight read, of such a vehicle's log.
 
     ``waypoints``: of a flight along some.
     """
-    jets = max(flown.jets, JETS)
+    jets = max(vehicle.jets, JETS)
     names = [name for axis, rate in zip(AXES, RATES, strict=True) for name in _axis_columns(axis, rate)]
     return (
         *names,
@@ -158,16 +158,16 @@ def columns(flown: Flown = HEXJET, waypoints: bool = False) -> tuple[str, ...]:
             *REFUSED,
             *_of_jets(THROTTLE, jets),
             *_of_jets(HEALTH, jets),
-            *_moved(flown),
+            *_moved(vehicle),
             *_of_jets(FLOW, jets),
             "fuel_kg",
         ),
     )
 
 
-def _moved(flown: Flown) -> list[str]:
+def _moved(vehicle: LoggedVehicle) -> list[str]:
     """The columns of where servos are told to go: banks and hinges, and behind them surfaces."""
-    return [TILT.format(name) for name in flown.servos] + [DEFLECTION.format(name) for name in flown.surfaces]
+    return [TILT.format(name) for name in vehicle.servos] + [DEFLECTION.format(name) for name in vehicle.surfaces]
 
 
 def _of_jets(pattern: str, jets: int) -> list[str]:
@@ -329,9 +329,9 @@ def _position_of(log: Columns) -> PositionMetrics:
     if not asks_for_a_place(log):
         return position_metrics(drift, np.full(drift.size, np.nan))
     wanted_north, wanted_east = (log[name] for name in PLACE)
-    found = position_metrics(drift, np.hypot(wanted_north - north, wanted_east - east))
+    position = position_metrics(drift, np.hypot(wanted_north - north, wanted_east - east))
     left = _at_end(log[WAYPOINTS_LEFT]) if WAYPOINTS_LEFT in log.columns else None
-    return found.model_copy(update={"waypoints_left": left})
+    return position.model_copy(update={"waypoints_left": left})
 
 
 def asks_for_a_place(log: Columns) -> bool:

@@ -536,14 +536,14 @@ def summarize(
 
 def _own(metrics: Sequence[OwnMetric], log: Log, step_s: float) -> tuple[dict[str, float | None], list[str]]:
     """What metrics of the user's say, and a line for each that could not; without a step they say nothing."""
-    found: dict[str, float | None] = {name: None for each in metrics for name in each.names}
+    values: dict[str, float | None] = {name: None for metric in metrics for name in metric.names}
     failed = []
     for each in metrics if len(log) else ():
         try:
-            found |= each.of(log, step_s)
+            values |= each.of(log, step_s)
         except (FlightError, InputError) as error:
             failed.append(str(error))
-    return found, failed
+    return values, failed
 
 
 def versions() -> dict[str, str]:

@@ -62,7 +62,7 @@ _NAME = re.compile(r"[A-Za-z_]\w*")
 
 
 @dataclass(frozen=True)
-class Told:
+class BlockInfo:
     """What a block of the user's is told in ``prepare``, where it has one.  It is none of it the controller's."""
 
     step_s: float
@@ -267,7 +267,7 @@ def _made(source: Source, scenario: Scenario, vehicle: Vehicle, number: int) -> 
     block = source.make()
     if hasattr(block, "prepare"):
         check_method(block, "prepare", ("told",), f"{source.level} {source.label}")
-        told = Told(scenario.step_s, vehicle, scenario.seed, (_KEYS[source.level], number))
+        told = BlockInfo(scenario.step_s, vehicle, scenario.seed, (_KEYS[source.level], number))
         try:
             _called(source, "prepare", block.prepare, told)
         except FlightError as error:

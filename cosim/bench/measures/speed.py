@@ -56,7 +56,7 @@ JSBSIMS_OWN = {
 Pairs = dict[tuple[int, str], list[Pair]]  # of the rounds, by JSBSim runs a step and name
 
 
-class Flown:
+class RepeatedFlight:
     """A flight that is flown again and again, recorded below ``folder`` or not."""
 
     def __init__(self, simulation: Simulation, folder: Path) -> None:
@@ -131,10 +131,10 @@ class Flights:
         """One more flight; closed with the others."""
         return self._stack.enter_context(build(hover(self.steps, substeps)))
 
-    def fly(self, scenario: Scenario) -> Flown:
+    def fly(self, scenario: Scenario) -> RepeatedFlight:
         """Any flight, closed with the others; recorded in a folder of its own."""
         simulation = self._stack.enter_context(build(scenario))
-        flown = Flown(simulation, Path(mkdtemp(dir=self._folder)))
+        flown = RepeatedFlight(simulation, Path(mkdtemp(dir=self._folder)))
         self._stack.callback(flown.close)
         return flown
 

@@ -193,12 +193,12 @@ def print_design(design: Design, paths: dict[str, Path]) -> None:
     console = terminal()
     console.print(f"{design.vehicle.name} with engine [bold]{design.engine.name}[/bold]", highlight=False)
     shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
-    found = rows(design)
+    table_rows = rows(design)
     # so many stand side by side: before and after together where they fit
     side = max(1, (console.width - 14) // 40 * 2)
-    for first in range(0, len(found), side):
+    for first in range(0, len(table_rows), side):
         table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-        beside = found[first : first + side]
+        beside = table_rows[first : first + side]
         for n, heading in enumerate((COLUMNS[0], *(row[0] for row in beside))):
             table.add_column(heading, justify="right" if n else "left")
         for k in shown[1:]:

@@ -193,7 +193,7 @@ def _identify_log(
     else:
         chosen = wanted(log, what)
         chosen = chosen._replace(setpoint=setpoint_text or chosen.setpoint)
-    found = identify_log(
+    identified = identify_log(
         log,
         what,
         chosen,
@@ -205,11 +205,11 @@ def _identify_log(
         lags=lags,
     )
     folder = out if out is not None else new_folder(Path("runs"), f"identify-log-{what.replace(':', '-')}")
-    paths = write(found, folder, step, family or log.engine or "edf-as-flown")
+    paths = write(identified, folder, step, family or log.engine or "edf-as-flown")
     if as_json:
-        click.echo(json.dumps(found.to_dict(step), allow_nan=False))
+        click.echo(json.dumps(identified.to_dict(step), allow_nan=False))
     else:
-        print_from_log(found, paths)
+        print_from_log(identified, paths)
     return DONE
 
 
@@ -224,14 +224,14 @@ def print_channels(log: FlightLog) -> None:
         click.echo(f"{name}  {len(channel.times)} values, {seconds:.1f} s, {rate:.4g} Hz  {channel.unit}".rstrip())
 
 
-def print_from_log(found: LogIdentification, paths: dict[str, Path]) -> None:
+def print_from_log(identified: LogIdentification, paths: dict[str, Path]) -> None:
     """The forms side by side, what is to be said of them, and where the files are."""
     from cosim.design.logged.result import rows, summary
 
     console = terminal()
-    console.print(summary(found), highlight=False, markup=False)
-    console.print(_side_by_side([each.form.label for each in found.estimates], rows(found)))
-    for note in found.notes:
+    console.print(summary(identified), highlight=False, markup=False)
+    console.print(_side_by_side([estimate.form.label for estimate in identified.estimates], rows(identified)))
+    for note in identified.notes:
         console.print(f"note: {note}", highlight=False, markup=False)
     for name in ("model", "engine", "report"):
         if name in paths:

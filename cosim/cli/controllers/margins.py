@@ -76,21 +76,21 @@ def margins(
             progress(text, done, 2 * len(axes or AXES) + 1)
             done += 1
 
-        found = measure_margins(
+        margins = measure_margins(
             flown, axes or AXES, amplitude=amplitude, from_hz=from_hz, to_hz=to_hz, period_s=period_s, periods=periods,
             say=say,
         )  # fmt: skip
     paths = write(
-        found, out if out is not None else new_folder(Path("runs"), f"margins-{folder_name(found.controller)}")
+        margins, out if out is not None else new_folder(Path("runs"), f"margins-{folder_name(margins.controller)}")
     )
     if as_json:
-        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+        click.echo(json.dumps(margins.to_dict(), allow_nan=False))
     else:
-        print_margins(found, paths)
+        print_margins(margins, paths)
     return DONE
 
 
-def print_margins(found: Margins, paths: dict[str, Path]) -> None:
+def print_margins(margins: Margins, paths: dict[str, Path]) -> None:
     """A table an axis, what is to be said about it, and where the page is."""
     from rich import box
     from rich.table import Table
@@ -99,17 +99,18 @@ def print_margins(found: Margins, paths: dict[str, Path]) -> None:
 
     console = terminal()
     console.print(
-        f"[bold]{found.controller}[/bold] on {found.scenario.aircraft}, engine {found.scenario.engine}", highlight=False
+        f"[bold]{margins.controller}[/bold] on {margins.scenario.aircraft}, engine {margins.scenario.engine}",
+        highlight=False,
     )
-    for each in found.axes.values():
-        table = Table(box=box.SIMPLE_HEAD, title=heading(each), title_justify="left", title_style="")
+    for measured in margins.axes.values():
+        table = Table(box=box.SIMPLE_HEAD, title=heading(measured), title_justify="left", title_style="")
         for column in COLUMNS:
             table.add_column(column, justify="right" if column else "left")
-        for row in rows(each):
+        for row in rows(measured):
             table.add_row(*row)
         console.print(table)
-        for note in each.notes:
-            console.print(f"note: {each.axis}: {note}", highlight=False, markup=False)
-    if found.uncomputed:
-        console.print(f"not computed: {found.uncomputed}", highlight=False, markup=False)
+        for note in measured.notes:
+            console.print(f"note: {measured.axis}: {note}", highlight=False, markup=False)
+    if margins.uncomputed:
+        console.print(f"not computed: {margins.uncomputed}", highlight=False, markup=False)
     console.print(f"report: {paths['report']}", highlight=False, soft_wrap=True)

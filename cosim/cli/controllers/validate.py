@@ -44,20 +44,20 @@ def validate(
     from cosim.flight import new_folder
     from cosim.results.logs import read_flight_log
 
-    found = compare(read_model(model, axis), read_flight_log(log, time_column, time_unit), begin, end)
-    paths = write(found, out if out is not None else new_folder(Path("runs"), "validation"))
+    comparison = compare(read_model(model, axis), read_flight_log(log, time_column, time_unit), begin, end)
+    paths = write(comparison, out if out is not None else new_folder(Path("runs"), "validation"))
     if as_json:
-        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+        click.echo(json.dumps(comparison.to_dict(), allow_nan=False))
         return DONE
     console = terminal()
     console.print(
-        f"{found.model.what} of {found.model.path} beside {found.log}, {found.seconds:.1f} s",
+        f"{comparison.model.what} of {comparison.model.path} beside {comparison.log}, {comparison.seconds:.1f} s",
         highlight=False,
         markup=False,
     )
-    for name, value in rows(found):
+    for name, value in rows(comparison):
         console.print(f"  {name}: {value}", highlight=False, markup=False)
-    for note in found.notes:
+    for note in comparison.notes:
         console.print(f"note: {note}", highlight=False, markup=False)
     console.print(f"report: {paths['report']}", highlight=False, soft_wrap=True)
     return DONE

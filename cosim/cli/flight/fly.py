@@ -264,7 +264,7 @@ def print_run(run: Run) -> None:
     _print_whole(run)
     for text in summary.exceeded:
         console.print(f"beyond its limit: {text}", highlight=False)
-    for engine, why in dict.fromkeys((each.engine, each.apart) for each in summary.stations if each.apart):
+    for engine, why in dict.fromkeys((station.engine, station.apart) for station in summary.stations if station.apart):
         text = f"engines in a process of their own, because {engine} {why}"
         console.print(text, highlight=False, markup=False, soft_wrap=True)
     own = summary.own_controller
@@ -313,7 +313,7 @@ def print_metrics(runs: Sequence[Run], by: str = "axis") -> None:
     if console.width < _WIDE:  # lying down: a metric a row
         heads, lines = (
             [line[0] for line in lines],
-            [list(each) for each in zip(heads, *(line[1:] for line in lines), strict=True)],
+            [list(cells) for cells in zip(heads, *(line[1:] for line in lines), strict=True)],
         )
         by = "metric"
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)

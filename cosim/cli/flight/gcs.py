@@ -204,7 +204,7 @@ def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
         [
             f"{len(runs)} flight{'s' if len(runs) > 1 else ''}, the last {last.outcome}: {last.reason}",
             *([", ".join(["beyond limits", *last.summary.exceeded])] if last.summary.beyond else []),
-            f"{sum(each.missed_deadlines for each in paced)} steps late" if paced else "not paced",
+            f"{sum(pacing.missed_deadlines for pacing in paced)} steps late" if paced else "not paced",
             f"{counts['taken']} frames taken, {sum(refused.values())} refused{why}",
             f"{signatures} bad signatures",
             *([f"{sum(faults.values())} faults of the links, the first: {next(iter(faults))}"] if faults else []),

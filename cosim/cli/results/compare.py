@@ -16,7 +16,7 @@ from cosim.cli.console import output_to_stderr, terminal
 from cosim.cli.options import DONE, example
 
 if TYPE_CHECKING:
-    from cosim.results.comparison import Flown, Pair
+    from cosim.results.comparison import ComparedFlight, Pair
 
 PAGE = "comparison.html"
 LETTERS = "ABCDEFGH"  # as many as there are colours that can be told apart
@@ -104,9 +104,9 @@ def write_page(names: Sequence[str], folder: Path) -> Path:
     from cosim.results.comparison import pairs
     from cosim.results.report.comparison import write_comparison
 
-    flown = [_flown(letter, name) for letter, name in zip(LETTERS, _expanded(names, ()), strict=False)]
+    flights = [_flown(letter, name) for letter, name in zip(LETTERS, _expanded(names, ()), strict=False)]
     folder.mkdir(parents=True, exist_ok=True)
-    write_comparison(flown, pairs(flown), folder / PAGE)
+    write_comparison(flights, pairs(flights), folder / PAGE)
     return folder / PAGE
 
 
@@ -127,11 +127,11 @@ def _expanded(names: Sequence[str], flights: Sequence[int]) -> list[str]:
     return asked
 
 
-def _shifted(flown: Sequence[Flown], shifts: Sequence[str]) -> list[Flown]:
+def _shifted(flights: Sequence[ComparedFlight], shifts: Sequence[str]) -> list[ComparedFlight]:
     """With the times that are to be moved.  Raises InputError for what is no letter of theirs or no number."""
     from cosim.results.comparison import shifted
 
-    found = list(flown)
+    moved = list(flights)
     for text in shifts:
         letter, _, seconds = text.partition("=")
         place = LETTERS.find(letter.strip().upper()) if letter.strip() else -1
@@ -139,17 +139,17 @@ def _shifted(flown: Sequence[Flown], shifts: Sequence[str]) -> list[Flown]:
             by = float(seconds)
         except ValueError:
             by = nan
-        if not 0 <= place < len(found) or not isfinite(by):
-            raise InputError(f"--shift {text}: is not one of {', '.join(LETTERS[: len(found)])} = a number of seconds")
-        found[place] = shifted(found[place], by)
-    return found
+        if not 0 <= place < len(moved) or not isfinite(by):
+            raise InputError(f"--shift {text}: is not one of {', '.join(LETTERS[: len(moved)])} = a number of seconds")
+        moved[place] = shifted(moved[place], by)
+    return moved
 
 
-def _flown(letter: str, name: str) -> Flown:
+def _flown(letter: str, name: str) -> ComparedFlight:
     from cosim.campaign import fly_again, open_campaign
     from cosim.campaign.folder import is_campaign
     from cosim.flight import fly
-    from cosim.results.comparison import Flown, read_log
+    from cosim.results.comparison import ComparedFlight, read_log
     from cosim.results.logs import is_flight_log, read_flight_log
     from cosim.results.logs.as_columns import as_columns
     from cosim.results.run import finish_killed, open_run
@@ -162,20 +162,20 @@ def _flown(letter: str, name: str) -> Flown:
         again = fly_again(open_campaign(Path(folder)), int(number))
         if not again.same:
             click.echo(f"hexjet: warning: {name}: {again.verdict}: {'; '.join(again.otherwise)}", err=True)
-        return Flown(label, again.run.log, again.run, name, (f"flown again: {again.verdict}",))
+        return ComparedFlight(label, again.run.log, again.run, name, (f"flown again: {again.verdict}",))
     if path.is_dir():
         run = open_run(path)
-        return Flown(label, run.log, run, name)
+        return ComparedFlight(label, run.log, run, name)
     if path.suffix.lower() in (".csv", ".parquet"):
         log, remarks = read_log(path)
-        return Flown(label, log, None, name, remarks)
+        return ComparedFlight(label, log, None, name, remarks)
     if name not in scenario_names() and path.suffix.lower() != ".toml" and is_flight_log(path):
         log, remarks = as_columns(read_flight_log(path))
-        return Flown(label, log, None, name, remarks)
+        return ComparedFlight(label, log, None, name, remarks)
     if path.suffix.lower() == ".toml" or name in scenario_names():
         finish_killed(path)
         run = fly(Scenario.read(name, []))
-        return Flown(label, run.log, run, name, ("flown for this comparison",))
+        return ComparedFlight(label, run.log, run, name, ("flown for this comparison",))
     raise InputError(
         f"{name}: no flight; allowed: the folder of a run, CAMPAIGN:NUMBER, a scenario, a log "
         "(.csv, .parquet, ULog, DataFlash, Betaflight's blackbox, Crazyflie)"
@@ -197,13 +197,13 @@ def _chosen(compared: Sequence[Pair], patterns: Sequence[str]) -> list[list[str]
     ]
 
 
-def _data(flown: Sequence[Flown], compared: Sequence[Pair], page: Path | None) -> dict[str, Any]:
+def _data(flights: Sequence[ComparedFlight], compared: Sequence[Pair], page: Path | None) -> dict[str, Any]:
     """Everything in SI."""
     from cosim.results.report.comparison import inputs_between
 
     runs = []
-    for each in flown:
-        summary = None if each.run is None else each.run.summary
+    for flight in flights:
+        summary = None if flight.run is None else flight.run.summary
         known = (
             {}
             if summary is None
@@ -211,27 +211,29 @@ def _data(flown: Sequence[Flown], compared: Sequence[Pair], page: Path | None) -
             | {key: getattr(summary, key) for key in ("outcome", "reason", "verdict", "step_s", "duration_s")}
             | {"metrics": summary.flat_metrics}
         )
-        runs.append({"label": each.label, "source": each.source, "remarks": list(each.remarks)} | known)
+        runs.append({"label": flight.label, "source": flight.source, "remarks": list(flight.remarks)} | known)
     differences = [
         pair._asdict()
         | {"signals": {s.name: s._asdict() for s in pair.signals}}
-        | {"inputs": {key: [left, right] for key, left, right in inputs_between(flown[0], other)}}
-        for pair, other in zip(compared, flown[1:], strict=True)
+        | {"inputs": {key: [left, right] for key, left, right in inputs_between(flights[0], other)}}
+        for pair, other in zip(compared, flights[1:], strict=True)
     ]
     return {"runs": runs, "differences": differences, "page": None if page is None else str(page)}
 
 
-def _print(flown: Sequence[Flown], compared: Sequence[Pair], chosen: Sequence[list[str]], page: Path | None) -> None:
+def _print(
+    flights: Sequence[ComparedFlight], compared: Sequence[Pair], chosen: Sequence[list[str]], page: Path | None
+) -> None:
     from cosim.results.report.comparison import inputs_between, pair_said, signal_cells
 
     console = terminal()
-    for each in flown:
-        console.print(f"[bold]{each.label[0]}[/bold]", end=" ")
-        console.print(": ".join([each.source, *_about(each)]), highlight=False, markup=False, soft_wrap=True)
-    _print_metrics(flown)
-    for pair, other, names in zip(compared, flown[1:], chosen, strict=True):
+    for flight in flights:
+        console.print(f"[bold]{flight.label[0]}[/bold]", end=" ")
+        console.print(": ".join([flight.source, *_about(flight)]), highlight=False, markup=False, soft_wrap=True)
+    _print_metrics(flights)
+    for pair, other, names in zip(compared, flights[1:], chosen, strict=True):
         console.print(" ".join(pair_said(pair)), highlight=False, markup=False)
-        inputs = inputs_between(flown[0], other)
+        inputs = inputs_between(flights[0], other)
         for key, left, right in inputs[:_MOST_INPUTS]:
             text = f"  {key}: {left}; {other.label[0]} {right}"
             console.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -249,17 +251,17 @@ def _print(flown: Sequence[Flown], compared: Sequence[Pair], chosen: Sequence[li
         console.print(f"page: {page}", highlight=False, soft_wrap=True)
 
 
-def _about(each: Flown) -> list[str]:
-    if each.run is None:
+def _about(flight: ComparedFlight) -> list[str]:
+    if flight.run is None:
         said = "a log"
     else:
-        summary = each.run.summary
+        summary = flight.run.summary
         said = f"{summary.scenario}, {summary.aircraft}, {summary.engine}, {summary.controller}, {summary.outcome}"
         said += f" ({summary.verdict})" if summary.verdict not in (None, "not completed") else ""
-    return ["; ".join([said, *each.remarks])]
+    return ["; ".join([said, *flight.remarks])]
 
 
-def _print_metrics(flown: Sequence[Flown]) -> None:
+def _print_metrics(flights: Sequence[ComparedFlight]) -> None:
     from cosim.results.report.comparison import comparison_rows
 
     table = [
@@ -268,13 +270,13 @@ def _print_metrics(flown: Sequence[Flown]) -> None:
             *(cell["text"] for cell in row["cells"]),
             row["unit"],
         )
-        for row in comparison_rows([None if each.run is None else each.run.summary for each in flown])
+        for row in comparison_rows([None if flight.run is None else flight.run.summary for flight in flights])
     ]
     if table:
         _print_table(
-            ("metric", *(each.label[0] for each in flown), "unit"),
+            ("metric", *(flight.label[0] for flight in flights), "unit"),
             [(name.replace("rmse", "RMSE"), *rest) for name, *rest in table],
-            range(1, len(flown) + 1),
+            range(1, len(flights) + 1),
         )
 
 

@@ -70,13 +70,13 @@ def show(name: str, kind: str | None, as_json: bool) -> int:
     The thrust of an engine is measured: its FMU is held at throttles until it stands still.
     """
     kinds = [kind] if kind else list(KINDS)
-    found = [(each, entry) for each in kinds for entry in catalogue(each) if entry["name"] == name]
-    if not found:
-        names = {entry["name"] for each in kinds for entry in catalogue(each)}
+    entries = [(kind, entry) for kind in kinds for entry in catalogue(kind) if entry["name"] == name]
+    if not entries:
+        names = {entry["name"] for kind in kinds for entry in catalogue(kind)}
         raise InputError(f"nothing that can be flown is called {name!r}; {similar(name, names)}")
     shown = [
-        {"kind": each, **entry, "description": _description(each, name), "numbers": list(_numbers(each, name))}
-        for each, entry in found
+        {"kind": kind, **entry, "description": _description(kind, name), "numbers": list(_numbers(kind, name))}
+        for kind, entry in entries
     ]
     if as_json:
         click.echo(json.dumps([one | {"numbers": [number._asdict() for number in one["numbers"]]} for one in shown]))
@@ -152,7 +152,7 @@ def _aircraft(name: str) -> Iterator[Number]:
         full = {kind: _loaded(kind).curve.thrust[-1] for kind in dict.fromkeys(kinds)}
         yield Number("engine", vehicle.engine, "", "what it is made for")
         for kind, thrust in full.items():
-            at = ", ".join(str(number) for number, each in enumerate(kinds, 1) if each == kind)
+            at = ", ".join(str(number) for number, other in enumerate(kinds, 1) if other == kind)
             name, of = ("full thrust", "") if len(full) == 1 else (f"full thrust, {kind}", f"; jets {at}")
             yield Number(name, thrust, "N", f"of one engine at rest, at full throttle{of}")
         total = sum(full[kind] for kind in kinds)
@@ -234,8 +234,8 @@ def _stated(table: Mapping[str, Any]) -> Iterator[Number]:
             continue
         meaning = _MEANINGS.get(key, "")
         if isinstance(value, Mapping):
-            yield from (each._replace(meaning=meaning) for each in _leaves(value, f"{key}."))
-        elif isinstance(value, list) and any(isinstance(each, Mapping) for each in value):
+            yield from (leaf._replace(meaning=meaning) for leaf in _leaves(value, f"{key}."))
+        elif isinstance(value, list) and any(isinstance(element, Mapping) for element in value):
             for number, each in enumerate(value):
                 yield Number(f"{key}.{number}", " ".join(_words(each)), "", meaning)
         else:
@@ -246,7 +246,7 @@ def _leaves(table: Mapping[str, Any], before: str) -> Iterator[Number]:
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from _leaves(value, f"{before}{key}.")
-        elif isinstance(value, list) and any(isinstance(each, Mapping) for each in value):
+        elif isinstance(value, list) and any(isinstance(element, Mapping) for element in value):
             for number, each in enumerate(value):
                 yield Number(f"{before}{key}.{number}", " ".join(_words(each)), "", "")
         else:
@@ -263,7 +263,7 @@ def _unit(key: str) -> str:
 
 def _text(value: Any) -> str:
     if isinstance(value, list):
-        return "[" + ", ".join(_text(each) for each in value) + "]"
+        return "[" + ", ".join(_text(element) for element in value) + "]"
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:.6g}" if isinstance(value, float) else str(value)

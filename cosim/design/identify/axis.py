@@ -236,20 +236,20 @@ def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
     late = scenario.added_delay_samples if index == 0 else 0
     if late:
         asked = np.concatenate([np.zeros(late), asked[:-late]])[: len(asked)]
-    wanted = asked + injected
+    command = asked + injected
     if ledger is not None:
         ledger = ledger - scenario.added_delay_samples if axis == "roll" else None
-    share = _granted(wanted, refused, cut)
-    return _Flight(sweep, ending, vehicle, engine, step, injected, wanted - refused, rate, ledger, share)
+    share = _granted(command, refused, cut)
+    return _Flight(sweep, ending, vehicle, engine, step, injected, command - refused, rate, ledger, share)
 
 
-def _granted(wanted: Array, refused: Array, cut: Array) -> float:
+def _granted(command: Array, refused: Array, cut: Array) -> float:
     """The least share of the command that was granted; a collective that gave way to roll counts as refused roll."""
     short = np.maximum(np.abs(refused), np.abs(cut))
     hit = short > 0.0
     if not hit.any():
         return 1.0
-    return float(np.clip(1.0 - short[hit] / np.maximum(np.abs(wanted[hit]), short[hit]), 0.0, 0.999).min())
+    return float(np.clip(1.0 - short[hit] / np.maximum(np.abs(command[hit]), short[hit]), 0.0, 0.999).min())
 
 
 # ---- response and fits

@@ -146,18 +146,18 @@ def fit_dynamics(response: FrequencyResponse, delay: float, lag: float) -> Dynam
     return best
 
 
-def with_misfit(found: Dynamics, response: FrequencyResponse) -> Dynamics:
+def with_misfit(dynamics: Dynamics, response: FrequencyResponse) -> Dynamics:
     """The same with what the model leaves of the response as an uncertainty, where that is worth to be carried.
 
     Each point has the largest of its own misfit and its neighbours', because the response between points is not known.
     """
-    if found.misfit < CARRIED:
-        return found
+    if dynamics.misfit < CARRIED:
+        return dynamics
     use = counts(response) > 0.0
-    hertz, ratio = response.hertz[use], response.value[use] / found.held(response.hertz[use])
+    hertz, ratio = response.hertz[use], response.value[use] / dynamics.held(response.hertz[use])
     off = np.abs(ratio / np.exp(np.mean(np.log(np.abs(ratio)))) - 1.0)
     wide = np.maximum(off, np.maximum(np.append(off[1:], off[-1]), np.append(off[0], off[:-1])))
-    return replace(found, unsure=tuple((float(f), float(share)) for f, share in zip(hertz, wide, strict=True)))
+    return replace(dynamics, unsure=tuple((float(f), float(share)) for f, share in zip(hertz, wide, strict=True)))
 
 
 def bounds(hertz: Array, off: Array) -> tuple[tuple[float, float], ...]:

@@ -147,8 +147,8 @@ def _parts(name: str, axis: str, step: float, hertz: float, at: bytes) -> Comple
     a, b, c, d = matrices(name, axis, step, hertz or 1.0)
     # few states each: those that a part does not read are left out, so the equations stay small
     response = np.empty((3, 2, len(z)), np.complex128)
-    wanted = (2,) if hertz else (0, 1)
-    for part in wanted:
+    needed = (2,) if hertz else (0, 1)
+    for part in needed:
         keep = _reached(a, c[part])
         small = z[:, None, None] * np.eye(len(keep)) - a[np.ix_(keep, keep)]
         solved = np.linalg.solve(small, np.broadcast_to(b[keep], (len(z), *b[keep].shape)))
@@ -158,10 +158,10 @@ def _parts(name: str, axis: str, step: float, hertz: float, at: bytes) -> Comple
 
 def _reached(a: Array, c: Array) -> list[int]:
     """States that an output depends on."""
-    found = {int(i) for i in np.flatnonzero(c)}
-    while more := {int(j) for i in found for j in np.flatnonzero(a[i])} - found:
-        found |= more
-    return sorted(found)
+    reached = {int(i) for i in np.flatnonzero(c)}
+    while more := {int(j) for i in reached for j in np.flatnonzero(a[i])} - reached:
+        reached |= more
+    return sorted(reached)
 
 
 def matrices(name: str, axis: str, step: float, hertz: float) -> tuple[Array, Array, Array, Array]:
@@ -170,7 +170,7 @@ def matrices(name: str, axis: str, step: float, hertz: float) -> tuple[Array, Ar
     count = max(1, round(step / BETAFLIGHT_LOOP_S)) if name == "betaflight" else 1
     period = step / count
     columns = np.eye(size + 2)
-    answers = [loop(list(each[:size]), each[size], each[size + 1], period, hertz) for each in columns]
+    answers = [loop(list(column[:size]), column[size], column[size + 1], period, hertz) for column in columns]
     after = np.array([state for state, *_ in answers]).T
     parts = np.array([answer[1:] for answer in answers]).T
     a, b = after[:, :size], after[:, size:]

@@ -54,15 +54,15 @@ def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[
     if plan:
         levelled = {axis: tunings[axis] for axis in LEVELLED}
         tunings |= at_share(plan, levelled, hover_share(there, spec), step)
-    found = {}
+    margins = {}
     for axis in axes:
         closed = ClosedLoop(FrequencyGrid(plants[axis], close=FINE), tunings[axis])
         if closed.unstable_poles:
             return f"{axis}: the linear loop is not stable"
         below = closed.points.theta < np.pi * (1.0 - 1e-9)
         hertz, loop = closed.points.theta[below] / (2.0 * np.pi * step), closed.open_loop[below]
-        found[axis] = Computed(loop_margins(loop, hertz), hertz, loop)
-    return found
+        margins[axis] = Computed(loop_margins(loop, hertz), hertz, loop)
+    return margins
 
 
 def _tuning(channel: Channel, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Tuning:

@@ -108,11 +108,13 @@ def measured(sensitivity: Complex, hertz: Array) -> Response:
 
     whole = margins_of(sensitivity)
     without = [margins_of(np.delete(sensitivity, number, axis=0)) for number in range(periods)]
-    found = {
-        name: _jackknife(value, [each[name] for each in without]) for name, value in whole.items() if value is not None
+    bounded = {
+        name: _jackknife(value, [margins[name] for margins in without])
+        for name, value in whole.items()
+        if value is not None
     }
     coherence = np.abs(mean) ** 2 / (np.abs(mean) ** 2 + scatter / periods)
-    return Response(hertz, loop, mean, spread, coherence, used, found)
+    return Response(hertz, loop, mean, spread, coherence, used, bounded)
 
 
 def _fine(loop: Complex, hertz: Array) -> tuple[Complex, Array]:
@@ -126,7 +128,7 @@ def _fine(loop: Complex, hertz: Array) -> tuple[Complex, Array]:
 def _jackknife(value: float, without: list[float | None]) -> Bounded:
     from scipy.special import stdtrit
 
-    if any(each is None for each in without):
+    if any(value is None for value in without):
         return Bounded(value, nan, nan)
     count = len(without)
     left = np.array(without, np.float64)
@@ -136,9 +138,9 @@ def _jackknife(value: float, without: list[float | None]) -> Bounded:
 
 def apart(one: Mapping[str, Bounded], other: Mapping[str, Bounded]) -> dict[str, float]:
     """By how much each of two sets of margins is off the other, relative; of gains in dB the factor's."""
-    found = {}
+    margins = {}
     for name in one.keys() & other.keys():
         a, b = one[name].value, other[name].value
         if isfinite(a) and isfinite(b):
-            found[name] = 10.0 ** ((a - b) / 20.0) - 1.0 if name.endswith("_db") else (a - b) / b if b else nan
-    return found
+            margins[name] = 10.0 ** ((a - b) / 20.0) - 1.0 if name.endswith("_db") else (a - b) / b if b else nan
+    return margins

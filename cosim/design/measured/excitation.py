@@ -134,11 +134,11 @@ class Tap:
         if self.tilts:
             left, right = given.tilt
             return given._replace(tilt=(left + self._sides[0] * value, right + self._sides[1] * value))
-        throttle = [each + value * share for each, share in zip(given.throttle, self._adds, strict=True)]
+        throttle = [command + value * share for command, share in zip(given.throttle, self._adds, strict=True)]
         if self._moves:
             moved = [angle + value * move for angle, move in zip(given.tilt, self._moves, strict=True)]
             given = given._replace(tilt=tuple(moved))
-        return given._replace(throttle=tuple([min(max(each, 0.0), 1.0) for each in throttle]))
+        return given._replace(throttle=tuple([min(max(command, 0.0), 1.0) for command in throttle]))
 
 
 def _slope(spec: EngineSpec, thrust: float) -> float:
@@ -238,8 +238,8 @@ def fly_with(
     if ending.outcome != "completed":
         raise FlightError(ending.reason)
     before, behind = (np.array(rows).reshape(periods + 1, sine.period)[1:] for rows in (tapped.before, tapped.behind))
-    wanted = amplitude * sine.wave
-    off = float(np.abs(behind - before - wanted).max())
+    excitation = amplitude * sine.wave
+    off = float(np.abs(behind - before - excitation).max())
     return Record(sine, amplitude, before, behind, off > 1e-9 * amplitude + 1e-12 or tapped.refused > 0)
 
 

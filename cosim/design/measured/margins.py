@@ -82,32 +82,32 @@ class Margins:
             "step_s": scenario.step_s,
             "sensor_noise": scenario.sensor_noise,
             "not_computed": self.uncomputed or None,
-            "axes": {axis: _axis_dict(each) for axis, each in self.axes.items()},
+            "axes": {axis: _axis_dict(measured) for axis, measured in self.axes.items()},
         }
 
 
-def _axis_dict(found: AxisMargins) -> dict[str, Any]:
+def _axis_dict(measured: AxisMargins) -> dict[str, Any]:
     def number(value: float | None) -> float | None:
         return None if value is None or not isfinite(value) else float(value)
 
     return {
-        "unit": found.unit,
-        "amplitude": found.amplitude,
-        "from_hz": float(found.sine.hertz[0]),
-        "to_hz": float(found.sine.hertz[-1]),
-        "period_s": found.sine.period * found.sine.step,
-        "periods": found.periods,
-        "least_coherence": float(found.response.coherence.min()),
+        "unit": measured.unit,
+        "amplitude": measured.amplitude,
+        "from_hz": float(measured.sine.hertz[0]),
+        "to_hz": float(measured.sine.hertz[-1]),
+        "period_s": measured.sine.period * measured.sine.step,
+        "periods": measured.periods,
+        "least_coherence": float(measured.response.coherence.min()),
         "measured": {
-            name: {"value": each.value, "low": number(each.low), "high": number(each.high)}
-            for name, each in found.response.margins.items()
+            name: {"value": bounded.value, "low": number(bounded.low), "high": number(bounded.high)}
+            for name, bounded in measured.response.margins.items()
         },
         "computed": None
-        if found.computed is None
-        else {n: number(getattr(found.computed.margins, n)) for n in QUANTITIES},
-        "off": {name: number(found.off(name)) for name in QUANTITIES},
-        "at_half_the_amplitude": {name: each.value for name, each in found.half.margins.items()},
-        "notes": list(found.notes),
+        if measured.computed is None
+        else {n: number(getattr(measured.computed.margins, n)) for n in QUANTITIES},
+        "off": {name: number(measured.off(name)) for name in QUANTITIES},
+        "at_half_the_amplitude": {name: bounded.value for name, bounded in measured.half.margins.items()},
+        "notes": list(measured.notes),
     }
 
 
@@ -256,7 +256,7 @@ def _notes(response: Response, half: Response) -> tuple[str, ...]:
         if name not in JUDGED:
             continue
         one, two = response.margins[name], half.margins[name]
-        wide = sum(0.5 * (each.high - each.low) for each in (one, two) if isfinite(each.high))
+        wide = sum(0.5 * (bounded.high - bounded.low) for bounded in (one, two) if isfinite(bounded.high))
         if abs(share) > LINEAR and abs(one.value - two.value) > wide:
             notes.append(
                 f"{name} is {100.0 * share:+.0f} % off at half the amplitude: the loop is not linear at this one"

@@ -32,88 +32,94 @@ SHOWN = (  # quantity, what it is called, and its numbers
 )
 
 
-def rows(found: AxisMargins) -> list[list[str]]:
+def rows(measured: AxisMargins) -> list[list[str]]:
     """A line a quantity, as :data:`COLUMNS` head them."""
     lines = []
     for name, title, form in SHOWN:
-        ours = found.response.margins.get(name)
-        theirs = None if found.computed is None else getattr(found.computed.margins, name)
+        ours = measured.response.margins.get(name)
+        theirs = None if measured.computed is None else getattr(measured.computed.margins, name)
         if ours is None and theirs is None:
             continue
         value, bounds = "not in the band", ""
         if ours is not None:
             value = form.format(ours.value)
             bounds = f"{form.split(' ')[0].format(ours.low)} to {form.format(ours.high)}" if isfinite(ours.low) else "-"
-        share = found.off(name)
+        share = measured.off(name)
         off = "" if share is None else f"{100.0 * share:+.1f} %"
         lines.append([title, value, bounds, "-" if theirs is None else form.format(theirs), off])
     return lines
 
 
-def heading(found: AxisMargins) -> str:
+def heading(measured: AxisMargins) -> str:
     """What was done on an axis."""
-    sine = found.sine
-    band = f"{found.axis.capitalize()}: {sine.hertz[0]:.3g} to {sine.hertz[-1]:.3g} Hz"
+    sine = measured.sine
+    band = f"{measured.axis.capitalize()}: {sine.hertz[0]:.3g} to {sine.hertz[-1]:.3g} Hz"
     return (
-        f"{band}, {len(sine.bins)} lines, {found.periods} "
-        f"periods of {sine.period * sine.step:g} s, peak {found.amplitude:g} {found.unit}"
+        f"{band}, {len(sine.bins)} lines, {measured.periods} "
+        f"periods of {sine.period * sine.step:g} s, peak {measured.amplitude:g} {measured.unit}"
     )
 
 
-def write(found: Margins, folder: Path) -> dict[str, Path]:
+def write(margins: Margins, folder: Path) -> dict[str, Path]:
     """Write ``margins.json``, ``response.csv`` and ``report.html``.  Raises FlightError if a file cannot be written."""
     paths = {"json": folder / "margins.json", "response": folder / "response.csv", "report": folder / "report.html"}
-    data = json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n"
-    write_files({paths["json"]: data, paths["response"]: _csv(found)})
+    data = json.dumps(margins.to_dict(), indent=2, allow_nan=False) + "\n"
+    write_files({paths["json"]: data, paths["response"]: _csv(margins)})
     figures: dict[str, Any] = {}
-    for axis, each in found.axes.items():
-        figures |= {f"bode_{axis}": _bode(each), f"nyquist_{axis}": _nyquist(each), f"peak_{axis}": _peak(each)}
-    tables = [(axis, heading(each), rows(each), each.notes) for axis, each in found.axes.items()]
-    render(TEMPLATE, paths["report"], figures, found=found, columns=COLUMNS, tables=tables)
+    for axis, measured in margins.axes.items():
+        figures |= {
+            f"bode_{axis}": _bode(measured),
+            f"nyquist_{axis}": _nyquist(measured),
+            f"peak_{axis}": _peak(measured),
+        }
+    tables = [(axis, heading(measured), rows(measured), measured.notes) for axis, measured in margins.axes.items()]
+    render(TEMPLATE, paths["report"], figures, found=margins, columns=COLUMNS, tables=tables)
     return paths
 
 
-def _csv(found: Margins) -> str:
+def _csv(margins: Margins) -> str:
     lines = [
         "axis,frequency_hz,loop_real,loop_imaginary,sensitivity_real,sensitivity_imaginary,sensitivity_spread,coherence"
     ]
-    for axis, each in found.axes.items():
-        r = each.response
+    for axis, measured in margins.axes.items():
+        r = measured.response
         columns = (r.hertz, r.loop.real, r.loop.imag, r.sensitivity.real, r.sensitivity.imag, r.spread, r.coherence)
         lines += [f"{axis}," + ",".join(f"{value:.9g}" for value in row) for row in zip(*columns, strict=True)]
     return "\n".join(lines) + "\n"
 
 
-def _curves(found: AxisMargins) -> list[tuple[str, str, Any, Any, dict[str, Any]]]:
+def _curves(measured: AxisMargins) -> list[tuple[str, str, Any, Any, dict[str, Any]]]:
     """Computed and measured: label, colour, Hz, L, how it is drawn."""
     curves: list[tuple[str, str, Any, Any, dict[str, Any]]] = []
-    hertz = found.sine.hertz
-    if found.computed is not None:
-        inside = (found.computed.hertz >= hertz[0]) & (found.computed.hertz <= hertz[-1])
-        curves.append(("computed", ORANGE, found.computed.hertz[inside], found.computed.loop[inside], beneath(ORANGE)))
+    hertz = measured.sine.hertz
+    if measured.computed is not None:
+        inside = (measured.computed.hertz >= hertz[0]) & (measured.computed.hertz <= hertz[-1])
+        curves.append(
+            ("computed", ORANGE, measured.computed.hertz[inside], measured.computed.loop[inside], beneath(ORANGE))
+        )
     dots = {"mode": "markers", "marker": {"size": 5, "color": BLUE}}
-    return [*curves, ("measured", BLUE, hertz, found.response.loop, dots)]
+    return [*curves, ("measured", BLUE, hertz, measured.response.loop, dots)]
 
 
-def _bode(found: AxisMargins) -> Figure:
+def _bode(measured: AxisMargins) -> Figure:
     data: list[Figure] = []
-    for label, colour, hertz, loop, how in _curves(found):
+    for label, colour, hertz, loop, how in _curves(measured):
         phase = np.degrees(np.unwrap(np.angle(loop)))
         phase -= 360.0 * np.round((phase[0] + 180.0) / 360.0)
         data += [trace(label, colour, hertz, 20.0 * np.log10(np.maximum(np.abs(loop), TINY)), **how)]
         data += [trace(label, colour, hertz, phase, 1, **how)]
-    data.append(trace("coherence", GREY, found.sine.hertz, found.response.coherence, 2))
+    data.append(trace("coherence", GREY, measured.sine.hertz, measured.response.coherence, 2))
     layout = panels(560, "frequency [Hz]", ["|L| [dB]", "phase of L [deg]", "coherence"], True)
     layout["yaxis3"]["range"] = [0.0, 1.05]
     return {"data": data, "layout": layout}
 
 
-def _nyquist(found: AxisMargins) -> Figure:
+def _nyquist(measured: AxisMargins) -> Figure:
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
-    peak = found.response.margins["peak_sensitivity"].value
+    peak = measured.response.margins["peak_sensitivity"].value
     circle = trace(f"|S| = {peak:.2f}", RED, np.cos(turn) / peak - 1.0, np.sin(turn) / peak)
     data = [circle]
-    for label, colour, _, loop, how in _curves(found):
+    for label, colour, _, loop, how in _curves(measured):
         near = np.abs(loop) < 2.0 * FAR
         data.append(trace(label, colour, loop.real[near], loop.imag[near], **how))
     layout = panels(560, "real part of L", ["imaginary part of L"], False)
@@ -122,18 +128,18 @@ def _nyquist(found: AxisMargins) -> Figure:
     return {"data": data, "layout": layout}
 
 
-def _peak(found: AxisMargins) -> Figure:
+def _peak(measured: AxisMargins) -> Figure:
     data: list[Figure] = []
-    for label, colour, hertz, loop, how in _curves(found):
+    for label, colour, hertz, loop, how in _curves(measured):
         more = dict(how)
         if label == "measured":
-            wide = _wide(found)
+            wide = _wide(measured)
             more["error_y"] = {"type": "data", "array": wide, "thickness": 1, "width": 0}
         data.append(trace(label, colour, hertz, np.abs(1.0 / (1.0 + loop)), **more))
     return {"data": data, "layout": panels(320, "frequency [Hz]", ["|S|, with 95 % bounds"], True)}
 
 
-def _wide(found: AxisMargins) -> Sequence[float]:
+def _wide(measured: AxisMargins) -> Sequence[float]:
     from scipy.special import stdtrit
 
-    return np.asarray(float(stdtrit(found.periods - 1, 0.975)) * found.response.spread, np.float64)  # type: ignore[return-value]
+    return np.asarray(float(stdtrit(measured.periods - 1, 0.975)) * measured.response.spread, np.float64)  # type: ignore[return-value]

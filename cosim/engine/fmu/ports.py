@@ -310,29 +310,29 @@ class Port:
         return float(floor(value + 0.5)) if self.variable.type in INTEGERS else value
 
 
-Wanted = str | list[str]  # a variable's name; several, or one with a * for a number: an engine each
+VariableName = str | list[str]  # a variable's name; several, or one with a * for a number: an engine each
 
 
 class _Ports(Model):
-    throttle: Wanted | None = None
-    thrust: Wanted | None = None
-    ambient_pressure: Wanted | None = None
-    ambient_temperature: Wanted | None = None
-    air_speed: Wanted | None = None
-    altitude: Wanted | None = None
-    mach: Wanted | None = None
-    density: Wanted | None = None
-    total_pressure: Wanted | None = None
-    total_temperature: Wanted | None = None
-    run: Wanted | None = None
-    ram_drag: Wanted | None = None
-    spool_speed: Wanted | None = None
-    exhaust_temperature: Wanted | None = None
-    fuel_flow: Wanted | None = None
-    force_forward: Wanted | None = None
-    force_right: Wanted | None = None
-    torque: Wanted | None = None
-    start: Wanted | None = None
+    throttle: VariableName | None = None
+    thrust: VariableName | None = None
+    ambient_pressure: VariableName | None = None
+    ambient_temperature: VariableName | None = None
+    air_speed: VariableName | None = None
+    altitude: VariableName | None = None
+    mach: VariableName | None = None
+    density: VariableName | None = None
+    total_pressure: VariableName | None = None
+    total_temperature: VariableName | None = None
+    run: VariableName | None = None
+    ram_drag: VariableName | None = None
+    spool_speed: VariableName | None = None
+    exhaust_temperature: VariableName | None = None
+    fuel_flow: VariableName | None = None
+    force_forward: VariableName | None = None
+    force_right: VariableName | None = None
+    torque: VariableName | None = None
+    start: VariableName | None = None
 
 
 class _Units(Model):
@@ -464,7 +464,7 @@ class MappingFile(Model):
     rotor: _Rotor = _Rotor()
     flame_out: _FlameOut | None = None
     ledger: _Ledger = _Ledger()
-    log: Annotated[dict[str, Wanted], BeforeValidator(flat)] = Field(default_factory=dict)  # column: output
+    log: Annotated[dict[str, VariableName], BeforeValidator(flat)] = Field(default_factory=dict)  # column: output
     parameter_set: str | None = Field(default=None, min_length=1)  # a file (SSV) beside it; [parameters] go before it
 
 
@@ -472,7 +472,7 @@ class MappingFile(Model):
 class PortMap:
     """What is stated about an FMU's ports; everything else is found."""
 
-    ports: Mapping[str, Wanted] = field(default_factory=dict)
+    ports: Mapping[str, VariableName] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     throttle_range: tuple[float, float] | None = None
     search: bool = True  # look for the ports that are not stated
@@ -567,12 +567,12 @@ def find_engines(variables: Sequence[Variable], stated: PortMap) -> tuple[tuple[
     return tuple(found), [f"holds {count} engines, stepped as one: {pairs}", *notes]
 
 
-def is_several(wanted: Wanted) -> bool:
+def is_several(wanted: VariableName) -> bool:
     """Whether what is stated for a port speaks of several engines."""
     return isinstance(wanted, list) or "*" in wanted
 
 
-def members_of(port: str, causality: str, wanted: Wanted, variables: Sequence[Variable]) -> list[str]:
+def members_of(port: str, causality: str, wanted: VariableName, variables: Sequence[Variable]) -> list[str]:
     """The variables that are stated for a port: a list as it is, a ``*`` as the numbers that there are, rising."""
     if isinstance(wanted, list):
         return wanted

@@ -11,7 +11,7 @@ from typing import Any
 
 from cosim.paper import numbers
 from cosim.paper.beyond import ROBUST
-from cosim.paper.claims import ClaimRow, Judged
+from cosim.paper.claims import ClaimRow, Judgement
 from cosim.paper.comparison import Row
 from cosim.paper.report.figures import FIDELITIES, NAMES, paper_figures
 from cosim.paper.result import COMPARISON, DATA, Reproduction
@@ -71,7 +71,7 @@ def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
     """How many claims came to each verdict, by fidelity."""
     rows = list(claims)
     counted: dict[str, dict[str, int]] = {}
-    by_fidelity: list[list[Judged | None]] = [[row.linear for row in rows], [row.flight for row in rows]]
+    by_fidelity: list[list[Judgement | None]] = [[row.linear for row in rows], [row.flight for row in rows]]
     for fidelity, judged in zip(FIDELITIES, by_fidelity, strict=True):
         counts: Counter[str] = Counter(each.verdict if each else "not flown" for each in judged)
         counted[fidelity] = {verdict: counts[verdict] for verdict in VERDICTS}

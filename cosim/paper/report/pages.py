@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from cosim.base.errors import InputError
 from cosim.paper import numbers
-from cosim.paper.claims import ClaimRow, Evidence, Judged
+from cosim.paper.claims import ClaimRow, Evidence, Judgement
 from cosim.paper.experiments import Metrics, Result
 from cosim.paper.report.figures import FIDELITIES, NAMES
 from cosim.paper.report.page import counts_in_words
@@ -139,7 +139,7 @@ def _held(reproduction: Reproduction) -> str:
     return "".join(f"- {line}\n" for line in lines)
 
 
-def _agrees(judged: Judged | None) -> bool:
+def _agrees(judged: Judgement | None) -> bool:
     return judged is not None and judged.verdict in ("holds", "by construction")
 
 

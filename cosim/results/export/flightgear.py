@@ -66,10 +66,10 @@ def parse(address: str) -> tuple[str, int]:
     if not port.isdigit() or not 1 <= int(port) <= 65535:
         raise InputError(f"--flightgear {address}: must be PORT or HOST:PORT, such as 5550")
     try:
-        found = socket.getaddrinfo(host or "127.0.0.1", int(port), socket.AF_INET, socket.SOCK_DGRAM)
+        addresses = socket.getaddrinfo(host or "127.0.0.1", int(port), socket.AF_INET, socket.SOCK_DGRAM)
     except OSError as error:
         raise InputError(f"--flightgear {address}: {host}: {error.strerror or error}") from error
-    name, number = found[0][4][:2]
+    name, number = addresses[0][4][:2]
     return str(name), int(number)
 
 
@@ -87,10 +87,10 @@ def packet(sample: Sample, where: Geodesy) -> bytes:
     (north, east, down), wind, to_body = state.velocity, state.wind, conjugate(state.attitude)
     air = rotate(to_body, (north - wind[0], east - wind[1], down - wind[2]))
     u, v, w = rotate(to_body, state.velocity)
-    speed = sqrt(sum(each * each for each in air))
+    speed = sqrt(sum(component * component for component in air))
     slip = asin(max(-1.0, min(1.0, air[1] / speed))) if speed > 0.0 else 0.0
     flow = atan2(air[2], air[0]) if hypot(air[0], air[2]) > 0.0 else 0.0
-    thrust, turning, heat = (_four(each) for each in (sample.engines.thrust, sample.engines.spool_speed,
+    thrust, turning, heat = (_four(values) for values in (sample.engines.thrust, sample.engines.spool_speed,
                                                       sample.engines.exhaust_temperature))  # fmt: skip
     nothing = [0.0] * ENGINES
     return struct.pack(
@@ -117,5 +117,5 @@ def packet(sample: Sample, where: Geodesy) -> bytes:
 
 def _four(values: Sequence[float]) -> list[float]:
     """Of the first four engines, 0 where there is none or it does not say."""
-    found = [each if isfinite(each) else 0.0 for each in values[:ENGINES]]
-    return found + [0.0] * (ENGINES - len(found))
+    finite = [value if isfinite(value) else 0.0 for value in values[:ENGINES]]
+    return finite + [0.0] * (ENGINES - len(finite))

@@ -14,7 +14,7 @@ from cosim.base.errors import InputError
 from cosim.base.protocols import Column
 from cosim.base.signals import Sample
 from cosim.results.columns import flown_by, log_columns
-from cosim.results.export.output import Said
+from cosim.results.export.output import LogLine
 from cosim.results.recorder import OneRow
 from cosim.spec.scenario import Scenario
 
@@ -105,7 +105,7 @@ class LiveExport:
                 self._scene.drawing(self._vehicle, stamp).SerializeToString(), log_time=stamp
             )
 
-    def say(self, lines: Iterable[Said]) -> None:
+    def say(self, lines: Iterable[LogLine]) -> None:
         """What was said in the flight."""
         for line in lines:
             _, time, number, content = self._mcap.text_of(self._log, line)

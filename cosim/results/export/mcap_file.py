@@ -19,7 +19,18 @@ from cosim.base.errors import InputError
 from cosim.base.protocols import Column
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.columns import own_columns
-from cosim.results.export.output import ROWS, Block, Said, Timed, described, facts, meaning, output, said, scenario_of
+from cosim.results.export.output import (
+    ROWS,
+    Block,
+    LogLine,
+    Timed,
+    described,
+    facts,
+    meaning,
+    output,
+    said,
+    scenario_of,
+)
 from cosim.results.run import SCENARIO, SUMMARY, open_run
 
 # What each column of every flight is about; those that blocks show of their own are in /own.
@@ -104,8 +115,8 @@ def subjects(columns: Sequence[Column]) -> dict[str, list[Column]]:
     own = {column.name for column in own_columns(columns)}
     made: dict[str, list[Column]] = {}
     for column in columns:
-        found = [name for name, pattern in SUBJECTS.items() if re.fullmatch(pattern, column.name)]
-        subject = OWN if column.name in own else TIME if column.name == "time_s" else found[0] if found else OWN
+        matches = [name for name, pattern in SUBJECTS.items() if re.fullmatch(pattern, column.name)]
+        subject = OWN if column.name in own else TIME if column.name == "time_s" else matches[0] if matches else OWN
         made.setdefault(subject, []).append(column)
     return made
 
@@ -169,7 +180,7 @@ def nanoseconds(block: Block) -> list[int]:
     return [round(1e9 * time) for time in block["time_s"].tolist()]
 
 
-def _texts(writer: Any, lines: Sequence[Said]) -> list[Timed]:
+def _texts(writer: Any, lines: Sequence[LogLine]) -> list[Timed]:
     channel = log_channel(writer)
     return [text_of(channel, line) for line in lines]
 
@@ -183,7 +194,7 @@ def log_channel(writer: Any) -> int:
     return channel
 
 
-def text_of(channel: int, line: Said) -> Timed:
+def text_of(channel: int, line: LogLine) -> Timed:
     """A line of text as a message."""
     from foxglove_schemas_protobuf.Log_pb2 import Log
 

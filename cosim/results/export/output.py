@@ -27,7 +27,7 @@ INFO, ERROR = 6, 3  # severities as in syslog
 _DESCRIBED = {column.name: column for column in COLUMNS}
 
 
-class Said(NamedTuple):
+class LogLine(NamedTuple):
     """A line of text about a flight: its step, its time, its severity as in syslog, and what it is of."""
 
     k: int
@@ -37,20 +37,20 @@ class Said(NamedTuple):
     text: str
 
 
-def said(run: Run, lines: Sequence[ulog_autopilot.Line]) -> list[Said]:
+def said(run: Run, lines: Sequence[ulog_autopilot.Line]) -> list[LogLine]:
     """Faults, verdicts, disturbances and contacts, their ends, what the autopilot said, and how the flight ended."""
     step, summary = run.summary.step_s, run.summary
-    found = [Said(k, k * step, severity, "pilot", text) for k, severity, text in ulog_autopilot.messages(lines)]
-    found += [Said(k, k * step, INFO, "pilot", text) for k, text in ulog_autopilot.mode_changes(lines)]
+    found = [LogLine(k, k * step, severity, "pilot", text) for k, severity, text in ulog_autopilot.messages(lines)]
+    found += [LogLine(k, k * step, INFO, "pilot", text) for k, text in ulog_autopilot.mode_changes(lines)]
     level = INFO if summary.outcome == "completed" else ERROR
     end, last = summary.steps, summary.duration_s
-    found.append(Said(end, last, level, "outcome", f"{summary.outcome}: {summary.reason}"))
-    found += [Said(end, last, ERROR, "limit", f"beyond its limit: {text}") for text in summary.exceeded]
+    found.append(LogLine(end, last, level, "outcome", f"{summary.outcome}: {summary.reason}"))
+    found += [LogLine(end, last, ERROR, "limit", f"beyond its limit: {text}") for text in summary.exceeded]
     for event in events_of(run):
         if event.kind != "pilot":
-            found.append(Said(round(event.time_s / step), event.time_s, event.severity, event.kind, event.text))
+            found.append(LogLine(round(event.time_s / step), event.time_s, event.severity, event.kind, event.text))
             if event.end_s is not None:
-                found.append(Said(round(event.end_s / step), event.end_s, INFO, event.kind, f"over: {event.text}"))
+                found.append(LogLine(round(event.end_s / step), event.end_s, INFO, event.kind, f"over: {event.text}"))
     return sorted(found, key=lambda each: each.k)
 
 

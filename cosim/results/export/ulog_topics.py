@@ -10,7 +10,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.constants import SENSORS
 from cosim.base.signals import AXES
-from cosim.results.columns import HEXJET, RATES, Flown, jets_in
+from cosim.results.columns import HEXJET, RATES, LoggedVehicle, jets_in
 from cosim.results.export.output import Block, quaternions
 
 MOTORS = 12  # of PX4's actuator_motors
@@ -139,9 +139,9 @@ def _rates(suffix: str) -> list[str]:
     return [f"rate_{rate}{suffix}_rad_s" for rate in RATES]
 
 
-def topics(flown: Flown) -> dict[str, list[Field]]:
+def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
     """What is in each topic, of a log of such a vehicle."""
-    jets, servos, surfaces, _ = flown
+    jets, servos, surfaces, _ = vehicle
     moved = [*servos, *surfaces]
 
     def of_jets(pattern: str) -> list[str]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.signals import AXES
-from cosim.results.comparison import Flown, Pair, Signal, inputs_differ, pairs, step_of
+from cosim.results.comparison import ComparedFlight, Pair, Signal, inputs_differ, pairs, step_of
 from cosim.results.events import events_of
 from cosim.results.report.flight import axis_cell, verdict
 from cosim.results.report.flight_figures import comparison_figures, less_the_first, run_colour
@@ -24,23 +24,23 @@ from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, metric, shown, un
 def compare_report(runs: Sequence[Run], path: Path) -> None:
     """Write one page with several runs laid over each other.  Raises FlightError if the file cannot be written."""
     labels = run_labels([run.summary for run in runs])
-    flown = [Flown(label, run.log, run) for label, run in zip(labels, runs, strict=True)]
-    write_comparison(flown, pairs(flown), path)
+    flights = [ComparedFlight(label, run.log, run) for label, run in zip(labels, runs, strict=True)]
+    write_comparison(flights, pairs(flights), path)
 
 
-def write_comparison(flown: Sequence[Flown], compared: Sequence[Pair], path: Path) -> None:
+def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[Pair], path: Path) -> None:
     """Write the page of flights and of what :func:`cosim.results.comparison.pairs` says of them.
 
     Raises FlightError if the file cannot be written.
     """
-    summaries = [None if each.run is None else each.run.summary for each in flown]
+    summaries = [None if flight.run is None else flight.run.summary for flight in flights]
     known = [summary for summary in summaries if summary is not None]
     title = known[0].title or known[0].scenario if len({each.scenario for each in known}) == 1 else "Comparison"
-    less = less_the_first(flown)
-    strips = comparison_figures(flown, less)
-    data = [flight_data(each, number) for number, each in enumerate(flown)]
+    less = less_the_first(flights)
+    strips = comparison_figures(flights, less)
+    data = [flight_data(flight, number) for number, flight in enumerate(flights)]
     for number, log in less.items():
-        label, times = f"{flown[number].label} less {flown[0].label}", log[TIME]
+        label, times = f"{flights[number].label} less {flights[0].label}", log[TIME]
         step = step_of(times)
         even = bool(np.allclose(times, step * np.arange(times.size), rtol=0.0, atol=1e-6 * step))
         data.append(run_data(log, label, run_colour(number), step_s=step, times=None if even else times))
@@ -54,15 +54,15 @@ def write_comparison(flown: Sequence[Flown], compared: Sequence[Pair], path: Pat
         description=known[0].description.strip() if title != "Comparison" else "",
         runs=[
             {
-                "label": each.label,
+                "label": flight.label,
                 "colour": run_colour(number),
                 "summary": summary,
                 "verdict": "" if summary is None else verdict(summary),
-                "link": "" if each.run is None else _link(each.run, path),
-                "source": each.source,
-                "remarks": each.remarks,
+                "link": "" if flight.run is None else _link(flight.run, path),
+                "source": flight.source,
+                "remarks": flight.remarks,
             }
-            for number, (each, summary) in enumerate(zip(flown, summaries, strict=True))
+            for number, (flight, summary) in enumerate(zip(flights, summaries, strict=True))
         ],
         rows=comparison_rows(summaries),
         pairs=[
@@ -70,7 +70,7 @@ def write_comparison(flown: Sequence[Flown], compared: Sequence[Pair], path: Pat
                 "pair": pair,
                 "colour": run_colour(number),
                 "said": pair_said(pair),
-                "inputs": inputs_between(flown[0], flown[number]),
+                "inputs": inputs_between(flights[0], flights[number]),
                 "signals": [signal_cells(signal) for signal in by_time(pair.signals)],
                 "alike": [signal.name for signal in pair.signals if signal.same],
             }
@@ -79,20 +79,20 @@ def write_comparison(flown: Sequence[Flown], compared: Sequence[Pair], path: Pat
     )
 
 
-def flight_data(flown: Flown, number: int) -> tuple[dict[str, Any], dict[str, str]]:
+def flight_data(flight: ComparedFlight, number: int) -> tuple[dict[str, Any], dict[str, str]]:
     """What replay and strips draw of one of several flights, in its colour."""
     colour = run_colour(number)
-    if flown.run is None:
-        times = flown.log[TIME]
-        return run_data(flown.log, flown.label, colour, step_s=step_of(times), times=times)
-    summary = flown.run.summary
+    if flight.run is None:
+        times = flight.log[TIME]
+        return run_data(flight.log, flight.label, colour, step_s=step_of(times), times=times)
+    summary = flight.run.summary
     return run_data(
-        flown.log,
-        flown.label,
+        flight.log,
+        flight.label,
         colour,
         step_s=summary.step_s,
-        events=events_of(flown.run),
-        vehicle=vehicle_of(flown.run),
+        events=events_of(flight.run),
+        vehicle=vehicle_of(flight.run),
         jets_m=summary.jets_m,
         reach=summary.reach,
     )
@@ -138,7 +138,7 @@ def signal_cells(signal: Signal) -> tuple[str, str, str, str, str, str]:
     return signal.name, first, largest, at, rms, unit
 
 
-def inputs_between(first: Flown, second: Flown) -> list[tuple[str, str, str]]:
+def inputs_between(first: ComparedFlight, second: ComparedFlight) -> list[tuple[str, str, str]]:
     """What of two flights' inputs is not the same; nothing where one is a log alone."""
     return [] if first.run is None or second.run is None else inputs_differ(first.run, second.run)
 

@@ -17,7 +17,7 @@ from cosim.base.arrays import Array
 from cosim.base.protocols import Column
 from cosim.base.signals import AXES, JETS
 from cosim.results.columns import RATES, jets_in, known, own_columns, servos_in, surfaces_in
-from cosim.results.comparison import Flown, base_of, difference, step_of
+from cosim.results.comparison import ComparedFlight, base_of, difference, step_of
 from cosim.results.recorder import Log, MemoryLog
 from cosim.results.report.page import drawn
 from cosim.results.run import Run, Summary
@@ -275,14 +275,14 @@ def engine_panels(reader: Reader) -> list[Panel]:
     return panels + [panel for panel in (SPOOLS, TANK) if reader.known(panel.traces[0].column)]
 
 
-def comparison_figures(flown: Sequence[Flown], less: Mapping[int, Log]) -> dict[str, Figure]:
+def comparison_figures(flights: Sequence[ComparedFlight], less: Mapping[int, Log]) -> dict[str, Figure]:
     """The strips of several flights: attitudes, rates, efforts, heights and tracks, each over the others, and what each
     is less the first; figures of columns that no log has are left out.
 
     ``less``: by the number of a flight its :func:`less_the_first`, on the page as runs after the flights, in order.
     """
-    readers = [Reader.of(each) for each in flown]
-    labels = [each.label for each in flown]
+    readers = [Reader.of(flight) for flight in flights]
+    labels = [flight.label for flight in flights]
     chosen = {"attitude": (ATTITUDE, "true"), "rate": (RATE, "measured"), "effort": (EFFORT, "asked for")}
     figures: dict[str, list[tuple[Panel, list[tuple[int, Trace]]]]] = {
         name: over(readers, labels, panels, which) for name, (panels, which) in chosen.items()
@@ -292,13 +292,13 @@ def comparison_figures(flown: Sequence[Flown], less: Mapping[int, Log]) -> dict[
     for panel in LESS:
         name = panel.traces[0].column
         found = [
-            (len(flown) + n, Trace(name, labels[number], run_colour(number), width=1.4))
+            (len(flights) + n, Trace(name, labels[number], run_colour(number), width=1.4))
             for n, (number, log) in enumerate(less.items())
             if name in log.columns
         ]
         if found:
             figures["difference"].append((panel, found))
-    placed = [n for n, each in enumerate(flown) if {"north_m", "east_m"} <= set(each.log.columns)]
+    placed = [n for n, flight in enumerate(flights) if {"north_m", "east_m"} <= set(flight.log.columns)]
     track = [(n, Trace(f"{way}_m", f"{labels[n]}, {way}", run_colour(n))) for n in placed for way in ("east", "north")]
     figures["track"] = [(Panel("Track", "m", []), track)] if track else []
     told: dict[str, Figure] = {
@@ -311,24 +311,24 @@ def comparison_figures(flown: Sequence[Flown], less: Mapping[int, Log]) -> dict[
     return told
 
 
-def less_the_first(flown: Sequence[Flown]) -> dict[int, MemoryLog]:
+def less_the_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
     """By the number of each further flight: its true attitude [rad] and height [m] less those of the first, and how far
     both are from each other, level [m], at the times that both have; as far as both have the columns.
     """
-    first, found = flown[0].log, {}
+    first, differences = flights[0].log, {}
     level = ("north_m", "east_m")
     wanted = [((name.removesuffix(_LESS),), name) for name in LESS_NAMES[:-1]] + [(level, LESS_NAMES[-1])]
-    for number, each in enumerate(flown[1:], 1):
-        base = base_of(first, each.log)
-        common = {*first.columns} & {*each.log.columns}
+    for number, flight in enumerate(flights[1:], 1):
+        base = base_of(first, flight.log)
+        common = {*first.columns} & {*flight.log.columns}
         columns = {TIME: base.times}
         for names, name in wanted:
             if common.issuperset(names):
-                apart = [difference(first, each.log, one, base) for one in names]
+                apart = [difference(first, flight.log, one, base) for one in names]
                 columns[name] = apart[0] if len(apart) == 1 else np.hypot(*apart)
         if base.times.size > 1 and len(columns) > 1:
-            found[number] = MemoryLog([np.stack(list(columns.values()))], tuple(columns), LESS_COLUMNS)
-    return found
+            differences[number] = MemoryLog([np.stack(list(columns.values()))], tuple(columns), LESS_COLUMNS)
+    return differences
 
 
 def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
@@ -351,15 +351,15 @@ def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
     InputError
         For a column that a log has not, or where Plotly is not installed.
     """
-    flown = [runs] if isinstance(runs, Run) else list(runs)
-    readers = [Reader(run.log, run.summary.step_s) for run in flown]
+    flights = [runs] if isinstance(runs, Run) else list(runs)
+    readers = [Reader(run.log, run.summary.step_s) for run in flights]
     if not columns:
-        labels = [f"{n}: {run.summary.controller}, {run.summary.engine}" for n, run in enumerate(flown, 1)]
-        one = len(flown) == 1
+        labels = [f"{n}: {run.summary.controller}, {run.summary.engine}" for n, run in enumerate(flights, 1)]
+        one = len(flights) == 1
         return drawn(stacked(readers[0], ATTITUDE) if one else overlaid(readers, labels, ATTITUDE, "true"))
-    units = {column.name: column.unit for run in flown for column in run.log.described}
+    units = {column.name: column.unit for run in flights for column in run.log.described}
     for name in columns:
-        for run in flown:
+        for run in flights:
             known(name, run.log.columns)
     shared = list(dict.fromkeys(units.get(name, "") for name in columns))
     panels = [Panel("", unit, []) for unit in shared]
@@ -390,12 +390,12 @@ class Reader:
         self._times = times  # of the rows, where they are not 0, step_s, ...
 
     @classmethod
-    def of(cls, flown: Flown) -> Reader:
+    def of(cls, flight: ComparedFlight) -> Reader:
         """A reader of a flight that is compared."""
-        if flown.run is not None:
-            return cls(flown.log, flown.run.summary.step_s)
-        times = flown.log[TIME]
-        return cls(flown.log, step_of(times), times)
+        if flight.run is not None:
+            return cls(flight.log, flight.run.summary.step_s)
+        times = flight.log[TIME]
+        return cls(flight.log, step_of(times), times)
 
     def xy(self, values: Array) -> Figure:
         """The x and y of a trace for one value a row."""
@@ -497,9 +497,9 @@ def over(
 
 def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
     """The same as a figure of Plotly."""
-    found = over(readers, labels, panels, which)
-    data = [_line(readers[run], panel, n, trace) for n, (panel, traces) in enumerate(found) for run, trace in traces]
-    return {"data": _named_once(data), "layout": _stacked_layout([panel for panel, _ in found], data)}
+    figures = over(readers, labels, panels, which)
+    data = [_line(readers[run], panel, n, trace) for n, (panel, traces) in enumerate(figures) for run, trace in traces]
+    return {"data": _named_once(data), "layout": _stacked_layout([panel for panel, _ in figures], data)}
 
 
 def _asks_as(reader: Reader, other: Reader, column: str) -> bool:

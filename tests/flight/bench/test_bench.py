@@ -54,7 +54,7 @@ from cosim.bench.suite import (
     QUICK,
 )
 from cosim.bench.tables import spread
-from cosim.bench.targets import Judged, judge, to_dict
+from cosim.bench.targets import TargetResult, judge, to_dict
 from cosim.bench.timing import (
     Clocked,
     Cost,
@@ -228,7 +228,7 @@ def test_what_is_asked_for(measured: Result) -> None:
 
 @pytest.mark.parametrize(("median", "least", "met"), [(1.9, False, True), (2.1, False, False), (1.9, True, False)])
 def test_the_median_decides(median: float, least: bool, met: bool) -> None:
-    assert Judged("a", Spread.of([median - 1.0, median, median + 1.0]), 2.0, "times", least).met is met
+    assert TargetResult("a", Spread.of([median - 1.0, median, median + 1.0]), 2.0, "times", least).met is met
 
 
 def test_all_engines_answer_alike_to_the_last_bit() -> None:

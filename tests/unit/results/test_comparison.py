@@ -17,7 +17,7 @@ from cosim.cli.results.compare import compare
 from cosim.flight import with_page
 from cosim.results.arrow import write_table
 from cosim.results.columns import COLUMNS
-from cosim.results.comparison import Flown, Signal, base_of, inputs_differ, pairs, read_log
+from cosim.results.comparison import ComparedFlight, Signal, base_of, inputs_differ, pairs, read_log
 from cosim.results.recorder import MemoryLog
 from cosim.results.report.comparison import comparison_rows, pair_said, write_comparison
 from cosim.results.report.flight_figures import comparison_figures, less_the_first
@@ -31,7 +31,7 @@ def log(step: float, rows: int, **columns: Any) -> MemoryLog:
 
 
 def only(first: MemoryLog, second: MemoryLog) -> Signal:
-    (pair,) = pairs([Flown("A", first), Flown("B", second)])
+    (pair,) = pairs([ComparedFlight("A", first), ComparedFlight("B", second)])
     (signal,) = pair.signals
     return signal
 
@@ -54,7 +54,9 @@ def test_angles_differ_the_short_way_round_and_numbers_that_are_alone_are_counte
 
 @pytest.mark.parametrize(("left", "right", "same"), [(nan, -nan, True), (0.0, -0.0, False), (1.0, 1.0 + 1e-15, False)])
 def test_the_same_is_the_same_to_the_last_bit(left: float, right: float, same: bool) -> None:
-    (pair,) = pairs([Flown("A", log(0.1, 5, altitude_m=left)), Flown("B", log(0.1, 5, altitude_m=right))])
+    (pair,) = pairs(
+        [ComparedFlight("A", log(0.1, 5, altitude_m=left)), ComparedFlight("B", log(0.1, 5, altitude_m=right))]
+    )
     assert pair.same is same
     assert ("to the last bit: 5 steps" in pair_said(pair)[0]) is same
 
@@ -65,7 +67,7 @@ def test_where_steps_differ_the_longer_ones_are_held(finer: int) -> None:
     coarse = np.arange(20.0)
     logs = [log(0.004, 100, altitude_m=np.repeat(coarse, 5)), log(0.02, 20, altitude_m=coarse)]
     first, second = logs[:: 1 - 2 * finer]
-    (pair,) = pairs([Flown("A", first), Flown("B", second)])
+    (pair,) = pairs([ComparedFlight("A", first), ComparedFlight("B", second)])
     assert (pair.steps, pair.steps_of, pair.held) == (100, "AB"[finer], "BA"[finer])
     assert pair.signals[0].same
     assert not pair.same  # the logs are not
@@ -74,10 +76,10 @@ def test_where_steps_differ_the_longer_ones_are_held(finer: int) -> None:
 
 def test_a_shorter_flight_is_compared_as_far_as_it_goes() -> None:
     one, other = log(0.1, 50, altitude_m=1.0), log(0.1, 20, altitude_m=1.0)
-    (pair,) = pairs([Flown("A", one), Flown("B", other)])
+    (pair,) = pairs([ComparedFlight("A", one), ComparedFlight("B", other)])
     assert (pair.steps, pair.ends_s, pair.signals[0].same, pair.same) == (20, pytest.approx(1.9), True, False)
     late = MemoryLog([np.stack([100.0 + np.arange(3.0), np.zeros(3)])], ("time_s", "altitude_m"))
-    (pair,) = pairs([Flown("A", one), Flown("B", late)])
+    (pair,) = pairs([ComparedFlight("A", one), ComparedFlight("B", late)])
     assert pair_said(pair) == ["A and B have no time in common."]
 
 
@@ -94,7 +96,7 @@ def test_a_page_of_runs_and_a_log_of_another_tool(tmp_path: Path) -> None:
     other, remarks = read_log(tmp_path / "x.parquet")
     assert other.columns == ("time_s", "roll_rad", "on_ground")
     assert remarks == ("t is taken for the time in seconds", "left out, being no numbers: note")
-    runs = [Flown("A: a", flown().log, flown()), Flown("B: x", other, None, "x", remarks)]
+    runs = [ComparedFlight("A: a", flown().log, flown()), ComparedFlight("B: x", other, None, "x", remarks)]
     compared = pairs(runs)
     assert compared[0].begins_s == pytest.approx(0.2)
     write_comparison(runs, compared, tmp_path / "page.html")
@@ -123,7 +125,7 @@ def test_what_went_in_and_is_not_the_same_is_named(tmp_path: Path) -> None:
 def test_a_figure_of_logs_has_the_panels_that_there_are_and_the_times_of_each() -> None:
     times = np.array([2.0, 2.5, 4.0])
     logs = [MemoryLog([np.stack([times, gain * times])], ("time_s", "roll_rad"), COLUMNS[:2]) for gain in (1.0, 0.5)]
-    flights = [Flown("A", logs[0]), Flown("B", logs[1])]
+    flights = [ComparedFlight("A", logs[0]), ComparedFlight("B", logs[1])]
     less = less_the_first(flights)
     figures = comparison_figures(flights, less)
     assert set(figures) == {"attitude", "difference"}

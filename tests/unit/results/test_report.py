@@ -26,7 +26,7 @@ from cosim.base.signals import Command, Sample
 from cosim.cli.results.runs import report
 from cosim.flight import integration, with_page
 from cosim.results.columns import NAMES
-from cosim.results.comparison import Flown
+from cosim.results.comparison import ComparedFlight
 from cosim.results.metrics import Reach, flight_metrics
 from cosim.results.recorder import MemoryLog
 from cosim.results.report import signals_data
@@ -584,7 +584,7 @@ def test_runs_are_laid_over_each_other(tmp_path: Path) -> None:
 
 def test_the_set_point_is_that_of_the_longest_run(run: Run) -> None:
     figures = comparison_figures(
-        [Flown("abc"[n], each.log, each) for n, each in enumerate((flown(500), run, flown(100)))], {}
+        [ComparedFlight("abc"[n], each.log, each) for n, each in enumerate((flown(500), run, flown(100)))], {}
     )
     last = figures["attitude"]["panels"][0]["signals"][3:]
     assert [(signal["run"], signal["label"]) for signal in last] == [(1, "set-point")]

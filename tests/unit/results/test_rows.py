@@ -32,7 +32,7 @@ from cosim.base.signals import (
     Unallocated,
 )
 from cosim.results._rows import Rows
-from cosim.results.columns import COLUMNS, NAMES, Flown, log_columns, program
+from cosim.results.columns import COLUMNS, NAMES, LoggedVehicle, log_columns, program
 from cosim.results.recorder import MemorySink, Recorder
 
 NUMBERS = st.one_of(st.floats(), st.sampled_from([nan, -nan, -0.0, 5e-324]), st.integers(-9, 9), st.booleans())
@@ -167,7 +167,7 @@ def rows_of(capacity: int, patience: float, hand_on: Any) -> Rows:
 def test_every_bit_ends_in_the_column_that_bears_its_name(flight: list[Sample]) -> None:
     with np.errstate(over="ignore", invalid="ignore"):
         rows = [expected(sample) for sample in flight]
-        table = table_of(flight, log_columns(Flown(len(flight[0].actuation.throttle))))
+        table = table_of(flight, log_columns(LoggedVehicle(len(flight[0].actuation.throttle))))
     for index, name in enumerate(NAMES):
         values = np.array([float(row[name]) for row in rows])
         np.testing.assert_array_equal(table[index].view(np.uint64), values.view(np.uint64), err_msg=name)
@@ -451,7 +451,7 @@ def test_a_source_that_no_sample_has_is_refused(source: str, complaint: str) -> 
 
 
 def test_a_vehicle_of_eight_engines_has_eight_columns_of_each() -> None:
-    columns = log_columns(Flown(8))
+    columns = log_columns(LoggedVehicle(8))
     eight = tuple(float(jet) for jet in range(1, 9))
     sample = good()._replace(
         actuation=Actuation(eight, (0.0, 0.0), Unallocated()),
