@@ -371,6 +371,18 @@ def units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
     }
 
 
+# With --rates its loop is P of the set-point: so small that no motor is at its limit for what a scenario asks for,
+# 64 of 500 at 100 deg/s.  Chosen by us.
+OUTSIDE_P = 20
+OUTSIDE = [f"set {key}_{axis} = {OUTSIDE_P if key == 'p' else 0}" for axis in AXES for key in "pidf"]
+
+
+def outside_gain(vehicle: Vehicle) -> Vector3:
+    """Throttle about roll and rad of tilt about pitch and yaw, per rad/s, of its P with :data:`OUTSIDE`."""
+    roll, pitch, yaw = (OUTSIDE_P * unit for _, unit, _, _ in units(vehicle).values())
+    return roll, pitch, yaw
+
+
 def gains_of(vehicle: Vehicle) -> list[str]:
     """The vehicle's attitude and rate gains as console lines, rounded to Betaflight's whole numbers.
 

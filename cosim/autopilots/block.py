@@ -12,12 +12,40 @@ from cosim.autopilots.pilot import Pilot
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import conjugate, rotate
-from cosim.base.protocols import Applied
-from cosim.base.signals import ZERO3, Actuation, Command, Measured, State, Unallocated, Vector3
+from cosim.base.protocols import Applied, EngineState
+from cosim.base.signals import ZERO3, Actuation, Command, Disturbance, Measured, State, Unallocated, Vector3
+from cosim.control.allocation.reallocation import torques
 from cosim.control.belief import Belief
+from cosim.control.cascade import Cascade
 from cosim.simulation.controllers.recorded import COLUMNS, Row
 
 ARMING_S, THROTTLE_S = 1.5, 0.5  # before the flight: armed with the throttle closed; the throttle of hover
+
+
+class OutsideRates:
+    """A rate loop of ours around an autopilot whose own has nothing but P: what that answers is what it asks for.
+
+    ``cascade``: whose rate loop and allocation fly.  ``gain``: of the autopilot's P about each axis, throttle or rad of
+    tilt per rad/s.  The autopilot is told that nothing turns, so its answer is its set-point times that gain, at the
+    collective that the mean of its throttles is.  Raises InputError for an allocation without torques.
+    """
+
+    def __init__(self, cascade: Cascade, gain: Vector3) -> None:
+        self._cascade, self._gain = cascade, gain
+        self._jets = len(cascade.reset(False, 0.0))
+        self._torques = np.array(torques(self._jets, cascade.allocator))
+        self._shares = np.linspace(0.0, 1.0, 2001)
+        self._throttles = [cascade.thrust_map.throttle((float(share),) * self._jets)[0] for share in self._shares]
+
+    def answer(self, asked: Answer, measured: Measured) -> Answer:
+        """What goes to the actuators for what the autopilot asks for."""
+        roll, pitch, yaw = self._torques @ np.array([*asked.throttle, *asked.tilt]) / self._gain
+        collective = float(np.interp(sum(asked.throttle) / self._jets, self._throttles, self._shares))
+        command = Command(ZERO3, 0.0, (float(roll), float(pitch), float(yaw)), collective)
+        engines = EngineState.FLY if asked.armed else EngineState.IDLE
+        given = self._cascade.update(command, measured, Disturbance(), engines)
+        left, right = given.tilt
+        return Answer(given.throttle, (left, right), True) if asked.armed else asked
 
 
 class AutopilotBlock:
@@ -26,7 +54,7 @@ class AutopilotBlock:
     ``before`` s pass between the autopilot's first frame and the flight's first step, in which the vehicle stands in a
     stand as it begins the flight: level or not, still, on its engines of a flight that has begun.  In that time the
     autopilot calibrates and is armed.  ``rows``: what it answered in the flight, step by step.
-    ``truth``: the true motion, for the autopilot's own log.
+    ``truth``: the true motion, for the autopilot's own log.  ``rates``: flies in the place of its rate loop.
     """
 
     level = "controller"
@@ -41,6 +69,7 @@ class AutopilotBlock:
         self.shown: tuple[float, ...] = (0.0, 0.0)
         self._frames = 0
         self.truth: Callable[[], State] | None = None
+        self.rates: OutsideRates | None = None
 
     def prepare(self, belief: Belief) -> None:
         """See :class:`cosim.base.protocols.RateLoop`.  Raises InputError for a vehicle that is not told to them."""
@@ -85,7 +114,8 @@ class AutopilotBlock:
     def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
         """One step.  Raises FlightError where the autopilot does not answer."""
         sticks = self._pilot.sticks(command, measured, applied.burnt)
-        throttle, tilt, armed = self._exchange(measured, sticks, applied.engines.spool_speed)
+        answer = self._exchange(measured, sticks, applied.engines.spool_speed)
+        throttle, tilt, armed = answer if self.rates is None else self.rates.answer(answer, measured)
         self.shown = (1.0 if armed else 0.0, self._frames * self._belief.step_s)
         self.rows.append((throttle, tilt, self.shown))
         return Actuation(throttle, tilt, Unallocated())
@@ -93,7 +123,7 @@ class AutopilotBlock:
     def _exchange(self, measured: Measured, sticks: Sticks, spool: tuple[float, ...]) -> Answer:
         frame = Frame(
             self._frames * self._belief.step_s,
-            measured.rate,
+            measured.rate if self.rates is None else ZERO3,
             measured.specific_force,
             measured.attitude,
             measured.position,

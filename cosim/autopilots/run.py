@@ -10,11 +10,11 @@ from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any
 
-from cosim.autopilots.block import AutopilotBlock
+from cosim.autopilots.block import AutopilotBlock, OutsideRates
 from cosim.autopilots.lockstep import Autopilot, Counts
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Observer
-from cosim.base.signals import Sample
+from cosim.base.signals import Sample, Vector3
 from cosim.flight import record, resolve, with_page
 from cosim.results.run import Run
 from cosim.simulation.build import build
@@ -71,6 +71,16 @@ class _Writer:
         self._file.close()
 
 
+def outside_rates(scenario: Scenario, gain: Vector3) -> OutsideRates:
+    """The rate loop of a scenario's controller, see :class:`OutsideRates`.  Raises InputError for one of the user's."""
+    with build(scenario) as simulation:
+        if simulation.own is not None:
+            raise InputError(
+                f"--rates {scenario.controller}: its rate loop is its own; allowed are built-in controllers"
+            )
+        return OutsideRates(simulation.cascade, gain)
+
+
 def fly_autopilot(
     scenario: Scenario,
     autopilot: Autopilot,
@@ -84,13 +94,14 @@ def fly_autopilot(
     told: dict[str, Any] | None = None,
     observers: Sequence[Observer] = (),
     realtime_factor: float | None = None,
+    rates: OutsideRates | None = None,
 ) -> Flown:
     """Fly a scenario with an autopilot in the place of the controller, and close that.
 
     ``before``, ``lean_deg``, ``turn_deg_s``: see :class:`AutopilotBlock`.  ``files``: what flew, to be hashed.
-    ``told``: what else is to be known of it.  A crash, an autopilot that ends or hangs, and Ctrl-C are outcomes, and
-    the run is kept.  Raises InputError for what cannot be flown, and FlightError for an autopilot that does not begin;
-    there is no run then.
+    ``told``: what else is to be known of it.  ``rates``: in the place of its rate loop.  A crash, an autopilot that
+    ends or hangs, and Ctrl-C are outcomes, and the run is kept.  Raises InputError for what cannot be flown, and
+    FlightError for an autopilot that does not begin; there is no run then.
     """
     try:
         if scenario.engine_start == "in flight":
@@ -104,6 +115,7 @@ def fly_autopilot(
                 "for two banks, and for jets that all point straight up"
             )
         block = AutopilotBlock(autopilot, label, before, lean_deg, turn_deg_s, scenario.seed)
+        block.rates = rates
         own = Source(
             f"autopilot:{label}",
             "controller",

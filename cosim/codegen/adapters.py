@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
 from cosim.codegen.files import Labels, common, controller_texts, written
@@ -23,25 +21,6 @@ _WORTH = {
     "ardupilot": "half of the motors' range, and the whole range of tilts",
     "betaflight": "of pidData[].Sum, by its mixer's 1000 and the range of motors and tilts",
 }
-
-
-def inverse(form: Form) -> list[list[float]]:
-    """Of a form's allocation: roll, pitch and yaw by every throttle, then by the left and the right tilt.
-
-    The rows of the pseudo-inverse of throttles and tilts by collective and torques, at hover's thrust, where a tilt is
-    what was asked for.
-    """
-    allocation, jets = form["allocation"], form["jets"]
-    columns = np.zeros((jets + 2, 4))
-    columns[:jets, 0] = 1.0
-    if allocation["kind"] == "tilt":
-        columns[:jets, 1] = [1.0 if on_left else -1.0 for on_left in allocation["left"]]
-        columns[jets:, 2] = allocation["pitch_sign"]
-        columns[jets:, 3] = (1.0, -1.0)
-    else:
-        columns[:jets, 1:] = allocation["signs"]
-    # what is left of rounding is no coupling
-    return [[round(float(x), 15) + 0.0 for x in row] for row in np.linalg.pinv(columns)[1:]]
 
 
 def adapter_texts(form: Form, labels: Labels, autopilot: str, worth: Vector3) -> dict[str, str]:
@@ -57,7 +36,7 @@ def adapter_texts(form: Form, labels: Labels, autopilot: str, worth: Vector3) ->
     told = common(form, labels) | {
         "autopilot": _TITLES[autopilot],
         "tilts": form["allocation"]["kind"] == "tilt",
-        "inverse": inverse(form),
+        "inverse": form["allocation"]["inverse"],
         "worth": list(worth),
         "origin_of_worth": _WORTH[autopilot],
         "curve": curve,

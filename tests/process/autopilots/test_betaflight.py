@@ -17,7 +17,7 @@ from stated_figures import stated
 
 from cosim.autopilots import betaflight as theirs
 from cosim.autopilots.lockstep import Frame, Sticks
-from cosim.autopilots.run import LOCKSTEP, Flown, fly_autopilot
+from cosim.autopilots.run import LOCKSTEP, Flown, fly_autopilot, outside_rates
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Sample
 from cosim.design.design import margins
@@ -280,6 +280,30 @@ def test_its_margin_of_delay_is_the_designs(tmp_path: Path) -> None:
         settled,
         closed.settling_s,
     )
+
+
+def test_a_rate_loop_of_ours_flies_it_from_outside(tmp_path: Path) -> None:
+    """The gains with which its own loop is lost hold with a predictor; the flight repeats without either."""
+    doublet = Scenario.load("roll-doublet")
+    vehicle, _ = doublet.resolved_vehicle()
+    lines = [*theirs.gains_of(vehicle), *theirs.OUTSIDE]
+    assert BINARY is not None
+    autopilot = theirs.Betaflight(BINARY, tmp_path / "its", vehicle, doublet.step_s, lines, free_port(), 60.0)
+    rates = outside_rates(doublet.replace(controller="smith"), theirs.outside_gain(vehicle))
+    run = fly_with(autopilot, doublet, tmp_path / "run", rates=rates).run
+    roll = run.metrics["roll"]
+    assert run.outcome == "completed"
+    assert roll.settling_time_s is not None
+    assert roll.overshoot_percent is not None
+    stated(
+        "docs/autopilots.md",
+        "The doublet settles in {} s with {} % of overshoot, as with the patch inside",
+        roll.settling_time_s,
+        roll.overshoot_percent,
+    )
+    assert all(run.metrics[axis].max_abs_error_rad < np.radians(1.0) for axis in ("pitch", "yaw"))
+    again = fly(tmp_path / "run" / "scenario.toml", tmp_path / "again", report=False)
+    assert again.log["roll_rad"].tobytes() == run.log["roll_rad"].tobytes()
 
 
 class Strike:

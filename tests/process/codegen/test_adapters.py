@@ -24,7 +24,7 @@ from cosim.base.errors import InputError
 from cosim.base.protocols import EngineState
 from cosim.base.signals import ZERO3, Command, Disturbance, EngineOutput, Measured
 from cosim.codegen import measure
-from cosim.codegen.adapters import adapter_texts, inverse
+from cosim.codegen.adapters import adapter_texts
 from cosim.codegen.files import Labels
 from cosim.codegen.form import form_of
 from cosim.results.run import Run
@@ -213,11 +213,6 @@ def test_px4_is_told_the_torques_of_the_controller(name: str, tmp_path: Path) ->
     stated_sources = set(re.findall(r"^\t\t(\S+\.c\w*)$", (module / "CMakeLists.txt").read_text(), re.MULTILINE))
     assert stated_sources == {path.name for path in module.iterdir() if path.suffix in (".c", ".cpp")}
     assert "modules/ours\n" in (tmp_path / "src" / "CMakeLists.txt").read_text()
-
-
-def test_the_inverse_gives_back_what_the_allocation_was_told() -> None:
-    form = {"jets": 4, "allocation": {"kind": "tilt", "left": [True, True, False, False], "pitch_sign": -1.0}}
-    assert inverse(form) == [[0.25, 0.25, -0.25, -0.25, 0.0, 0.0], [0.0] * 4 + [-0.5, -0.5], [0.0] * 4 + [0.5, -0.5]]
 
 
 def test_what_cannot_be_exported_and_an_unknown_autopilot_are_refused(hexjet: Hexjet, tmp_path: Path) -> None:
