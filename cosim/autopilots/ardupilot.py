@@ -13,7 +13,7 @@ from pathlib import Path
 from struct import Struct
 from time import monotonic
 
-from cosim.autopilots.lockstep import LOCAL, Answer, Counts, Frame, Program, Waiting, listen, pulse
+from cosim.autopilots.lockstep import LOCAL, STICKS_S, Answer, Counts, Frame, Program, Sticks, Waiting, listen, pulse
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp
@@ -62,6 +62,7 @@ class ArduPilot:
         self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._program: Program | None = None
         self._peer: tuple[str, int] | None = None
+        self._sticks, self._sticks_every = Sticks(), max(1, round(STICKS_S / step))
         self._count = -1  # frame count of the packet that was answered last, or is to be
         self._anew = False  # a count that begins anew was seen
 
@@ -95,7 +96,9 @@ class ArduPilot:
         assert self._peer is not None
         counts, opened, peer = self.counts, self._socket, self._peer
         state = self._state(frame)
-        self._out.sendto(_STICKS.pack(*_pulses(frame)), (LOCAL, RC_PORT + APART * self._instance))
+        if frame.sticks != self._sticks or counts.frames % self._sticks_every == 0:
+            self._sticks = frame.sticks
+            self._out.sendto(_STICKS.pack(*_pulses(frame)), (LOCAL, RC_PORT + APART * self._instance))
         opened.sendto(state, peer)
         said = monotonic()
         counts.frames += 1

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from struct import Struct
 from time import monotonic
 from typing import NamedTuple, Protocol
 
@@ -20,6 +21,8 @@ from cosim.base.runtime.processes import end_group
 from cosim.base.signals import PerJet, Quaternion, State, Vector3
 
 LOCAL = "127.0.0.1"
+_TIMEVAL = Struct("@ll")  # seconds and microseconds
+SLICE_S = 0.25  # chosen by us: the longest that is waited without a look at the program
 
 
 class Sticks(NamedTuple):
@@ -30,6 +33,9 @@ class Sticks(NamedTuple):
     yaw: float = 0.0  # 1: nose right
     throttle: float = 0.0
     armed: bool = False
+
+
+STICKS_S = 0.02  # how often they are told at least: as often as a receiver tells them
 
 
 def pulse(share: float) -> int:
@@ -140,7 +146,7 @@ def check_program(path: Path, where: str) -> Path:
 
 
 def listen(kind: socket.SocketKind, port: int, what: str) -> socket.socket:
-    """A socket of this machine alone at a port.  Raises InputError where somebody else has it."""
+    """A socket of this machine alone at a port, of datagrams as :func:`waits`.  Raises InputError where it is taken."""
     opened = socket.socket(socket.AF_INET, kind)
     try:
         if kind == socket.SOCK_STREAM:
@@ -153,7 +159,7 @@ def listen(kind: socket.SocketKind, port: int, what: str) -> socket.socket:
         if error.errno == errno.EADDRINUSE:
             raise InputError(f"{what}: port {port} is in use; another flight or autopilot has it (--port)") from None
         raise InputError(f"{what}: port {port}: {error.strerror or error}") from error
-    return opened
+    return waits(opened) if kind == socket.SOCK_DGRAM else opened
 
 
 class Waiting:
@@ -162,6 +168,7 @@ class Waiting:
     def __init__(self, name: str, limit: float, program: Program | None, lacks: str = "did not answer") -> None:
         self._name, self._limit, self._program, self._lacks = name, limit, program, lacks
         self.begun = monotonic()
+        self._looked = False
 
     def left(self) -> float:
         """Seconds to wait on before looking again.  Raises FlightError where the autopilot is gone, or hangs."""
@@ -170,21 +177,30 @@ class Waiting:
         left = self.begun + self._limit - monotonic()
         if left <= 0.0:
             raise FlightError(f"{self._name} {self._lacks} within {self._limit:g} s")
-        return min(left, 0.25)
+        return min(left, SLICE_S)
 
     def packet(self, opened: socket.socket) -> tuple[bytes, tuple[str, int]]:
         """The next packet, and who sent it.  Raises FlightError as :meth:`left`."""
         while True:
-            opened.settimeout(self.left())
-            try:
+            if self._looked:  # not before the first, which is all that most frames take
+                self.left()
+            self._looked = True
+            with suppress(BlockingIOError):
                 return opened.recvfrom(1024)
-            except TimeoutError:
-                continue
 
     @property
     def took(self) -> float:
         """Since it began."""
         return monotonic() - self.begun
+
+
+def waits(opened: socket.socket) -> socket.socket:
+    """The socket, which from now on waits for :data:`SLICE_S` and then raises BlockingIOError: one call, where a
+    time-out of Python's takes three.
+    """
+    opened.setblocking(True)
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(SLICE_S), round(1e6 * (SLICE_S % 1.0))))
+    return opened
 
 
 def drain(opened: socket.socket) -> None:

@@ -16,7 +16,18 @@ from pathlib import Path
 
 from cosim.autopilots import hil
 from cosim.autopilots.instruments import compass, dipole_field
-from cosim.autopilots.lockstep import Answer, Counts, Frame, Program, Waiting, listen, pulse
+from cosim.autopilots.lockstep import (
+    STICKS_S,
+    Answer,
+    Counts,
+    Frame,
+    Program,
+    Sticks,
+    Waiting,
+    listen,
+    pulse,
+    waits,
+)
 from cosim.base.errors import FlightError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp
@@ -32,6 +43,7 @@ _MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
 _ARMED = 128  # of mode
 _START_S = 60.0  # until it connects; a start on a busy machine
 _PATIENCE = 64  # bytes that are no MAVLink, after which what is connected is no PX4
+_SECOND = 16  # frames between looks at who else connects
 _BOOT_WAIT = 0.02  # s of the clock for an answer before there was one
 
 
@@ -63,6 +75,7 @@ class Px4:
         self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # cm
         self._mag_every = max(1, round(_MAG_EVERY / step))
         self._baro_every = max(1, round(_BARO_EVERY / step))
+        self._told_sticks, self._sticks_every = Sticks(), max(1, round(STICKS_S / step))
         self._writer, self._reader = hil.Writer(), hil.Reader()
         self._server: socket.socket | None = None
         self._link: socket.socket | None = None
@@ -85,7 +98,7 @@ class Px4:
             with suppress(TimeoutError):
                 self._link, _ = self._server.accept()
         self._server.setblocking(False)
-        self._link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        waits(self._link).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def exchange(self, frame: Frame) -> Answer:
         """See :class:`cosim.autopilots.lockstep.Autopilot`."""
@@ -96,16 +109,19 @@ class Px4:
         counts.frames += 1
         booting = counts.answers == 0
         waiting = Waiting("px4", _BOOT_WAIT if booting else self.limit, self._program)
+        if booting or counts.frames % _SECOND == 0:
+            self._refuse_second()
+        looked = booting  # not before the first answer, which is all that most frames take
         while True:
             try:
-                left = waiting.left()
+                left = waiting.left() if looked else 0.0
             except FlightError:
                 if not booting or self._ended:
                     raise
                 counts.boot += 1
                 return Answer((0.0,) * self._jets, (0.0, 0.0), False)
-            answer = None
-            for values in self._controls(left):
+            looked, answer = True, None
+            for values in self._controls(left if booting else None):
                 if values[0] > now:
                     raise FlightError(f"px4 answered for {values[0] / 1e6:.3f} s and was told of {now / 1e6:.3f} s")
                 if values[0] < now or answer is not None:
@@ -133,21 +149,28 @@ class Px4:
         left, right = (self._range * clamp(value, 1.0) for value in controls[self._jets : self._jets + 2])
         return Answer(throttle, (left, right), armed)
 
-    def _controls(self, left: float) -> list[tuple[float, ...]]:
-        """The HIL_ACTUATOR_CONTROLS that come within so many seconds.  Raises FlightError for a link that is none."""
-        link, server = self._link, self._server
+    def _refuse_second(self) -> None:
+        """Who connects beside the one that flies is told that nobody is there."""
+        assert self._server is not None
+        with suppress(BlockingIOError):
+            second, _ = self._server.accept()
+            second.close()
+            self.counts.foreign += 1
+
+    def _controls(self, left: float | None) -> list[tuple[float, ...]]:
+        """The HIL_ACTUATOR_CONTROLS that come within so many seconds, or as :func:`cosim.autopilots.lockstep.waits`.
+
+        Raises FlightError for a link that is none.
+        """
+        link = self._link
         assert link is not None
-        assert server is not None
-        ready, _, _ = select.select([link, server], [], [], left)
-        if server in ready:
-            with suppress(BlockingIOError):
-                second, _ = server.accept()
-                second.close()
-                self.counts.foreign += 1
-        if link not in ready:
+        if left is not None and not select.select([link], [], [], left)[0]:
             return []
         try:
             data = link.recv(65536)
+        except BlockingIOError:
+            self._refuse_second()
+            return []
         except ConnectionError:
             data = b""
         if not data:
@@ -167,7 +190,10 @@ class Px4:
     def _told(self, frame: Frame, now: int) -> bytes:
         """What goes out in one step: HIL_SENSOR last, because it moves PX4's clock."""
         k = self.counts.frames
-        parts = [self._sticks(frame)]
+        parts = []
+        if frame.sticks != self._told_sticks or k % self._sticks_every == 0:
+            self._told_sticks = frame.sticks
+            parts.append(self._sticks(frame))
         if k % self._fix_every == 0:
             parts.append(self._fix(frame, now))
         for index, spool in enumerate(frame.spool if k % self._baro_every == 0 else ()):

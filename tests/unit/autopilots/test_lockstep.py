@@ -215,7 +215,7 @@ def test_px4_is_told_what_was_measured(tmp_path: Path) -> None:
     assert answer.throttle == pytest.approx((0.1, 0.2, 0.3, 0.4, 0.5, 1.0))
     assert answer.tilt == pytest.approx((0.5 * HEXJET.servo.range_rad, -HEXJET.servo.range_rad))
     assert {kind: seen[kind] for kind in ("HIL_SENSOR", "RC_CHANNELS", "HIL_GPS", "RAW_RPM")} == {
-        "HIL_SENSOR": 100, "RC_CHANNELS": 100, "HIL_GPS": 4, "RAW_RPM": 120,
+        "HIL_SENSOR": 100, "RC_CHANNELS": 20, "HIL_GPS": 4, "RAW_RPM": 120,
     }  # fmt: skip
     given = frame(0)
     assert (sensor.xgyro, sensor.ygyro, sensor.zgyro) == pytest.approx(given.rate)
