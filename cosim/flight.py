@@ -270,7 +270,7 @@ def copied_aircraft(
     files |= own
     names = engine_files(specs, files)
     called = {(spec.mapping or spec.path).resolve(): names[id(spec)] for spec in specs}
-    table, stated = (_with_engines(each, folder, called) for each in (table, stated))
+    table, stated = (_with_engines(aircraft_table, folder, called) for aircraft_table in (table, stated))
     files[VEHICLE] = tomli_w.dumps(_written(table)).encode()
     return VEHICLE, stated, names
 
@@ -304,8 +304,12 @@ def copied_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) 
         name = f"{vehicle.name}-{Path(vehicle.model).name}"
         own[name] = read_model(place / vehicle.model)
         table = table | {"model": name}
-    stated = {each: None for each in (vehicle.engine, *(jet.engine for jet in vehicle.jets)) if each and is_file(each)}
-    specs = {(place / each).resolve(): load_engine(str(place / each), {}, vehicle.control_step) for each in stated}
+    stated = {
+        engine: None for engine in (vehicle.engine, *(jet.engine for jet in vehicle.jets)) if engine and is_file(engine)
+    }
+    specs = {
+        (place / engine).resolve(): load_engine(str(place / engine), {}, vehicle.control_step) for engine in stated
+    }
     names = engine_files(list(specs.values()), files)
     table = _with_engines(table, place, {source: names[id(spec)] for source, spec in specs.items()})
     own[f"{vehicle.name}-{VEHICLE}"] = tomli_w.dumps(_written(table)).encode()

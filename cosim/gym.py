@@ -55,7 +55,7 @@ Reward = Callable[[Stepper, Sample, Command], float]
 Vary = Callable[[Scenario, np.random.Generator], Scenario]
 
 
-def time_on_target(flight: Stepper, sample: Sample, wanted: Command) -> float:
+def time_on_target(flight: Stepper, sample: Sample, command: Command) -> float:
     """The reward unless another is given: the control step [s], less the further the vehicle is from what is asked for.
 
     ``dt exp(-(angle / ANGLE)^2 - (height / HEIGHT)^2)``, of the true state at the end of the step, and 0 where the
@@ -77,8 +77,8 @@ def time_on_target(flight: Stepper, sample: Sample, wanted: Command) -> float:
     """
     if flight.ending is not None and flight.ending.outcome != "completed":
         return 0.0
-    turn = multiply(conjugate(from_euler(*wanted.attitude)), flight.state.attitude)
-    angle, height = 2.0 * acos(min(abs(turn[0]), 1.0)), flight.state.altitude - wanted.altitude
+    turn = multiply(conjugate(from_euler(*command.attitude)), flight.state.attitude)
+    angle, height = 2.0 * acos(min(abs(turn[0]), 1.0)), flight.state.altitude - command.altitude
     return flight.scenario.step_s * exp(-((angle / ANGLE) ** 2) - (height / HEIGHT) ** 2)
 
 
@@ -168,7 +168,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
     def _observations(self, memory: int) -> tuple[Signal, ...]:
         vehicle = self.flight.simulation.vehicle
         rate, speed, height = 2.0 * radians(vehicle.limits.rate_deg_s), MOST_SPEED, MOST_HEIGHT
-        found = [
+        signals = [
             *[Signal(f"rate_{name}", "rad/s", "body", -rate, rate) for name in "pqr"],
             *[Signal(f"attitude_{name}", "1", "body to NED", -1.0, 1.0) for name in "wxyz"],
             *[Signal(f"velocity_{name}", "m/s", "NED", -speed, speed) for name in ("north", "east", "down")],
@@ -178,12 +178,13 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         ]
         for back in range(1, memory + 1):
             jets = range(1, len(vehicle.jets) + 1)
-            found += [Signal(f"throttle_{jet}_before_{back}", "throttle", "", 0.0, 1.0) for jet in jets]
+            signals += [Signal(f"throttle_{jet}_before_{back}", "throttle", "", 0.0, 1.0) for jet in jets]
             moved = _moved(vehicle, f"_before_{back}")
-            found += [
-                each._replace(low=each.low * each.scale, high=each.high * each.scale, scale=1.0) for each in moved
+            signals += [
+                signal._replace(low=signal.low * signal.scale, high=signal.high * signal.scale, scale=1.0)
+                for signal in moved
             ]
-        return tuple(found)
+        return tuple(signals)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """A new flight, of other noise; ``options`` has nothing to choose."""
@@ -217,14 +218,14 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         if flight.ending is not None:
             raise FlightError(f"the episode is over ({flight.ending.outcome}): reset begins another")
         for _ in range(self._hold):
-            wanted = flight.command
+            command = flight.command
             try:
-                sample = self._fly(values.tolist(), wanted)
+                sample = self._fly(values.tolist(), command)
             except FlightError:  # an engine or a controller failed, and nothing of this step is to be seen
                 break
             told = sample.actuation.throttle + (sample.actuation.tilt if flight.simulation.vehicle.ranges else ())
             self._told.appendleft(told)
-            total += self._reward(flight, sample, wanted)
+            total += self._reward(flight, sample, command)
             if flight.ending is not None:
                 break
         if flight.ending is None or flight.ending.outcome != "failed":
@@ -236,26 +237,26 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         done = over and info["outcome"] == "completed"
         return self._seen.copy(), total, over and not done, done, info
 
-    def _fly(self, values: list[float], wanted: Command) -> Sample:
+    def _fly(self, values: list[float], command: Command) -> Sample:
         flight = self.flight
         if self._act == "actuators":
             jets = len(flight.simulation.vehicle.jets)
             return flight.step(throttle=values[:jets], tilt=values[jets:] or None)
         x, y, z, last = values
         if self._act == "rates":
-            return flight.step(Command(wanted.attitude, wanted.altitude, (x, y, z), last))
+            return flight.step(Command(command.attitude, command.altitude, (x, y, z), last))
         return flight.step(Command((x, y, z), self._start + last))
 
     def _observation(self) -> Array:
         flight = self.flight
-        measured, wanted = flight.measured, flight.command
+        measured, command = flight.measured, flight.command
         seen = [
             *measured.rate,
             *measured.attitude,
             *measured.velocity,
             measured.altitude,
-            *wanted.attitude,
-            wanted.altitude,
+            *command.attitude,
+            command.altitude,
         ]
         for told in self._told:
             seen += told
@@ -280,12 +281,12 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
 def _moved(vehicle: Vehicle, ending: str) -> list[Signal]:
     """What servos move, each in shares of the farther end of its range."""
     turning = len(vehicle.actuators) - len(vehicle.surfaces)
-    found = []
+    signals = []
     for n, (low, high) in enumerate(vehicle.ranges):
         kind, unit, frame = ("tilt", "rad", "body") if n < turning else ("deflection", "1", "")
         most = max(-low, high)
-        found.append(Signal(f"{kind}_{vehicle.actuators[n]}{ending}", unit, frame, low / most, high / most, most))
-    return found
+        signals.append(Signal(f"{kind}_{vehicle.actuators[n]}{ending}", unit, frame, low / most, high / most, most))
+    return signals
 
 
 def _check(flight: Stepper) -> None:

@@ -125,14 +125,14 @@ class Stepper:
             raise InputError(
                 "actuators = True: throttles and tilts are given by hand, so there is no controller to name"
             )
-        found, self._own = opened(scenario, controller)
-        _refuse_autopilot(found)
+        opened_scenario, self._own = opened(scenario, controller)
+        _refuse_autopilot(opened_scenario)
         if self._hand is not None:
             hand, name = self._hand, f"{OBJECT}by hand"
             self._own = Source(name, "controller", lambda: hand, {}, copied=False)
-            found = found.replace(controller=name)
-        self._scenario, self._log = found, log
-        self.simulation = build(found, self._own)
+            opened_scenario = opened_scenario.replace(controller=name)
+        self._scenario, self._log = opened_scenario, log
+        self.simulation = build(opened_scenario, self._own)
         self._begin()
 
     def _begin(self) -> None:
@@ -219,11 +219,11 @@ class Stepper:
         if self._hand is None:
             raise InputError("throttle, tilt: a controller flies; Stepper(..., actuators=True) gives them by hand")
         if throttle is not None:
-            found = _numbers(throttle, len(self.simulation.vehicle.jets), "throttle")
-            for number, value in enumerate(found, 1):
+            throttles = _numbers(throttle, len(self.simulation.vehicle.jets), "throttle")
+            for number, value in enumerate(throttles, 1):
                 if not 0.0 <= value <= 1.0:
                     raise InputError(f"throttle {number} = {value:g}: must be from 0 to 1")
-            self._hand.throttle = found
+            self._hand.throttle = throttles
         if tilt is not None:
             self._hand.tilt = _numbers(tilt, len(self.simulation.vehicle.actuators), "tilt")
 
@@ -287,15 +287,15 @@ class Stepper:
         InputError
             If the scenario cannot be flown; the flight stays where it is.
         """
-        wanted = self._scenario if scenario is None else scenario.replace(controller=self._scenario.controller)
-        if seed is not None and seed != wanted.seed:
-            wanted = wanted.replace(seed=seed)
-        _refuse_autopilot(wanted)
+        next_scenario = self._scenario if scenario is None else scenario.replace(controller=self._scenario.controller)
+        if seed is not None and seed != next_scenario.seed:
+            next_scenario = next_scenario.replace(seed=seed)
+        _refuse_autopilot(next_scenario)
         broken = self.ending is not None and self.ending.outcome == "failed"
-        if wanted is not self._scenario or broken or self._watching:  # observers are for one flight
-            simulation = build(wanted, self._own)
+        if next_scenario is not self._scenario or broken or self._watching:  # observers are for one flight
+            simulation = build(next_scenario, self._own)
             self._let_go()
-            self.simulation, self._scenario = simulation, wanted
+            self.simulation, self._scenario = simulation, next_scenario
         else:
             self.simulation.reset()
         self._begin()
@@ -345,7 +345,7 @@ class Stepper:
                 "files of aircraft and engines"
             )
         self.reset(snapshot.seed)
-        changes = {each.k: each for each in snapshot.given}
+        changes = {step.k: step for step in snapshot.given}
         command = None
         while self.k < snapshot.k and self.ending is None:
             if self.k in changes:
@@ -416,12 +416,12 @@ def _refuse_autopilot(scenario: Scenario) -> None:
 def _numbers(values: Sequence[float], count: int, what: str) -> tuple[float, ...]:
     """So many finite numbers.  Raises InputError."""
     try:
-        found = tuple([float(value) for value in values])
+        numbers = tuple([float(value) for value in values])
     except (TypeError, ValueError):
         raise InputError(f"{what} = {values!r}: must be {count} numbers") from None
-    if len(found) != count or not all(isfinite(value) for value in found):
-        raise InputError(f"{what} = {found}: must be {count} finite numbers")
-    return found
+    if len(numbers) != count or not all(isfinite(value) for value in numbers):
+        raise InputError(f"{what} = {numbers}: must be {count} finite numbers")
+    return numbers
 
 
 def _checked(command: Any) -> Command:

@@ -148,7 +148,7 @@ class WingFlight:
     def demand(self, vertical: float, measured: Measured, burnt: float) -> WingDemand:
         """What is left for jets, hinges and surfaces where ``vertical`` N are needed up."""
         roll, pitch, _ = to_euler(measured.attitude)
-        lift, drag, moment = (self._pressure * each for each in self._table.at(self._alpha))
+        lift, drag, moment = (self._pressure * coefficient for coefficient in self._table.at(self._alpha))
         self._lift = lift
         c, s = cos(self._path), sin(self._path)
         ahead = (self._mass - burnt) * self._acceleration + drag * c + lift * s

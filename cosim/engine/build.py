@@ -139,8 +139,8 @@ def _engine(folder: Path, data: dict[str, Any]) -> Engine:
         raise _WrongError(
             f"the folder's name {name!r} must be lower-case words joined by '-', not ending in {FMI2_SUFFIX}"
         )
-    wanted = {"title", "description", "sources", "internal_step_s", "ports", "variables"}
-    _keys("", data, wanted | {"ledger", "rotor", "flame_out"}, wanted)
+    needed = {"title", "description", "sources", "internal_step_s", "ports", "variables"}
+    _keys("", data, needed | {"ledger", "rotor", "flame_out"}, needed)
     step = _number("internal_step_s", data["internal_step_s"])
     if not step > 0.0:
         raise _WrongError(f"internal_step_s = {step}: must be above 0")

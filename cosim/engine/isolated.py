@@ -179,7 +179,7 @@ def serve(number: int) -> None:
                 if k % LOOKED_AT == 0 and (size := megabytes(os.getpid())) > MOST_MB:
                     much = f"takes {size:.0f} MB of memory at step {k}, {MOST_MB:g} MB at most: it leaks"
                     raise EngineError(f"engines: their process {much}")
-                pipe.send_bytes(b"s" + answer.pack(*(value for each in output for value in each)))
+                pipe.send_bytes(b"s" + answer.pack(*(value for values in output for value in values)))
                 continue
             what, *given = pickle.loads(data[1:])
             if what == "make":

@@ -86,7 +86,7 @@ def load_unchecked(
         mapping=source.path if is_mapping(source.path) else None,
         archive=archive,
         settings=settings,
-        window=window_for(max(each.response.delay for each in (measured, *measured.others))),
+        window=window_for(max(measurement.response.delay for measurement in (measured, *measured.others))),
         quiet=measured.quiet,
         air=air,
         isolated=bool(mapping.isolated),
@@ -104,19 +104,19 @@ def _logged(source: EngineSource, lane: int) -> tuple[tuple[str, Variable], ...]
 
     Where the FMU holds several engines, those of one of them; one output for all goes with the first.
     """
-    found = []
+    columns = []
     count = len(source.archive.engines)
-    for name, wanted in source.mapping.log.items():
-        if is_several(wanted):
+    for name, variable in source.mapping.log.items():
+        if is_several(variable):
             try:
-                outputs = members_of(f"log.{name}", "output", wanted, source.archive.outputs)
+                outputs = members_of(f"log.{name}", "output", variable, source.archive.outputs)
             except PortError as error:
                 raise InputError(f"{source.path}: {error}") from error
             if len(outputs) != count:
                 raise InputError(f"{source.path}: log.{name} states {len(outputs)} outputs of {count} engines")
             output = outputs[lane]
         elif lane == 0:
-            output = str(wanted)
+            output = str(variable)
         else:
             continue
         hits = [v for v in source.archive.outputs if v.name == output]
@@ -128,8 +128,8 @@ def _logged(source: EngineSource, lane: int) -> tuple[tuple[str, Variable], ...]
             raise InputError(f"{where}: it is of type {hits[0].type}; allowed: {', '.join(CONSTANTS)}")
         if not name.isidentifier() or not name.isascii():
             raise InputError(f"{where}: a column's name is of letters, digits and _, no digit first")
-        found.append((name, hits[0]))
-    return tuple(found)
+        columns.append((name, hits[0]))
+    return tuple(columns)
 
 
 def _flame_out(source: EngineSource) -> FlameOutLaw | None:

@@ -103,7 +103,7 @@ def _measure(
             instance.initialize(settings, 0.0, air, step=step)
             native = _bank.Bank([instance.row()], step)
             rest = archive.starting.rest_n
-            found = []
+            curves = []
             for lane in range(len(archive.engines)):
 
                 def hold(throttle: float, steps: int, lane: int = lane) -> list[float]:
@@ -114,12 +114,12 @@ def _measure(
                 response = step_response(hold, at_rest, 1.0, step, quiet, rest)
                 curve = static_curve(hold, window_for(response.delay), step, quiet, rest)
                 little = _small(hold, window_for(response.delay), step, quiet, rest) if small else None
-                found.append(Measured(curve, response, None, quiet, little))
+                curves.append(Measured(curve, response, None, quiet, little))
         except _bank.FailureError as failure:
             raise InstanceError(instance.explain(failure, "while its thrust was measured")) from failure
         finally:
             instance.close()
-        first, *others = found
+        first, *others = curves
         if start is not None and not _starts_level(archive, folder, settings, step, first.curve, first.response, air):
             start = None
     return first._replace(start=start, others=tuple(others))
@@ -135,13 +135,13 @@ def _small(hold: Hold, window: int, step: float, quiet: float, rest: float) -> S
 
     try:
         before = settle(hold, AROUND, window, step, quiet, rest)
-        found = step_response(recorded, before, AROUND + BY, step, quiet, rest)
+        response = step_response(recorded, before, AROUND + BY, step, quiet, rest)
     except ResponseError:
         return None
-    change = found.after - found.before
+    change = response.after - response.before
     if abs(change) < CLEAR * rest:
         return None
-    return Small(found.delay, sum((found.after - thrust) / change for thrust in course))
+    return Small(response.delay, sum((response.after - thrust) / change for thrust in course))
 
 
 def _starts_level(

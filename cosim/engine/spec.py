@@ -181,7 +181,7 @@ _definitions: Memory[build.Engine] = Memory(64)
 def behaviour_of(archive: Archive, settings: tuple[Setting, ...], air: Air) -> tuple[Hashable, ...]:
     """What decides how an FMU with these settings answers, in this air."""
     values = tuple((variable.name, value.hex()) for variable, value in settings)
-    ports = tuple(tuple(sorted(each.items())) for each in archive.engines)
+    ports = tuple(tuple(sorted(engine_ports.items())) for engine_ports in archive.engines)
     return archive.sha256, ports, archive.starting, values, air
 
 

@@ -244,7 +244,7 @@ class EngineChain:
         aside = [output.force_forward, output.force_right, output.torque]
         if self._aside:
             shares = [after / before if before else 0.0 for after, before in zip(thrust, output.thrust, strict=True)]
-            aside = [tuple([share * each for share, each in zip(shares, values, strict=True)]) for values in aside]
+            aside = [tuple([share * value for share, value in zip(shares, values, strict=True)]) for values in aside]
         forward, right, torque = aside
         return EngineOutput(tuple(thrust), speed, output.exhaust_temperature, flow, forward, right, torque)
 

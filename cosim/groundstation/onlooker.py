@@ -62,7 +62,7 @@ class Onlooker:
             lines = [message for message in self._exchange.messages if message.number > told]
             told = lines[-1].number if lines else told
             self._export.say(
-                LogLine(each.k, each.k * scenario.step_s, int(each.severity), "autopilot", each.text) for each in lines
+                LogLine(line.k, line.k * scenario.step_s, int(line.severity), "autopilot", line.text) for line in lines
             )
             if snapshot.sample.k != step:
                 step = snapshot.sample.k

@@ -112,7 +112,7 @@ class DelayPoint(Record):
 def delay_sweep(calibration: Calibration, longest: int = 60, every: int = 3) -> dict[tuple[str, str], list[DelayPoint]]:
     """0 to ``longest`` samples of added delay, the predictor told of it, gains unchanged."""
     amplitude = {"quadrotor": numbers.value("step.amplitude"), "hexjet": numbers.value("hexjet.amplitude")}
-    each, seconds = {"quadrotor": 0.5, "hexjet": 3.0}, {"quadrotor": 2.0, "hexjet": 8.0}
+    doublet_s, seconds = {"quadrotor": 0.5, "hexjet": 3.0}, {"quadrotor": 2.0, "hexjet": 8.0}
     by_loop: dict[tuple[str, str], list[DelayPoint]] = {}
     for (vehicle, controller), axis in loops(calibration).items():
         points = []
@@ -121,7 +121,7 @@ def delay_sweep(calibration: Calibration, longest: int = 60, every: int = 3) -> 
             sensitivity = _cell(LoopMap(loop, _POINTS), 1.0, delay)
             rmse = None
             if sensitivity is not None:
-                signal = doublet(np.radians(amplitude[vehicle]), 0.2, each[vehicle], loop.step)
+                signal = doublet(np.radians(amplitude[vehicle]), 0.2, doublet_s[vehicle], loop.step)
                 record = simulate(loop, round(seconds[vehicle] / loop.step), setpoint=signal)
                 rmse = float(np.sqrt(np.mean((np.array(record.setpoint) - np.array(record.angle)) ** 2)))
             points.append(DelayPoint(delay=delay, stable=sensitivity is not None, sensitivity=sensitivity, rmse=rmse))

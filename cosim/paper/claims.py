@@ -549,19 +549,19 @@ def _doublet_length(calibration: Calibration) -> Condition:
     amplitude, most = np.radians(numbers.value("hexjet.amplitude")), numbers.value("hexjet-doublet.smith.max")
     rmse = numbers.value("hexjet-doublet.smith.rmse")
     lengths = []
-    for each in np.arange(0.4, 3.01, 0.1):
+    for width in np.arange(0.4, 3.01, 0.1):
         record = simulate(
-            loop, round(20.0 / loop.step), setpoint=doublet(float(amplitude), 1.0, float(each), loop.step)
+            loop, round(20.0 / loop.step), setpoint=doublet(float(amplitude), 1.0, float(width), loop.step)
         )
         error = np.array(record.setpoint) - np.array(record.angle)
-        lengths.append((float(np.max(np.abs(error))), float(each), float(np.sum(error**2) * loop.step / rmse**2)))
-    largest, each, length = min(lengths, key=lambda item: abs(item[0] - most))
+        lengths.append((float(np.max(np.abs(error))), float(width), float(np.sum(error**2) * loop.step / rmse**2)))
+    largest, width, length = min(lengths, key=lambda item: abs(item[0] - most))
     return Condition(
         key="hexjet-record",
         question="which doublet and record would give Smith's printed errors on the Hex-Jet, at the vehicle's gains?",
-        answer=f"{each:.1f} s either way give a largest error of {largest:.4f} rad (paper {most:g} rad); "
+        answer=f"{width:.1f} s either way give a largest error of {largest:.4f} rad (paper {most:g} rad); "
         f"over a record of {length:.1f} s the RMSE is then {rmse:g} rad as printed",
-        values={"each_s": each, "max_rad": largest, "record_s": length},
+        values={"each_s": width, "max_rad": largest, "record_s": length},
     )
 
 

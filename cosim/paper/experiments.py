@@ -251,12 +251,12 @@ def result(
 
     A run that ended before ``experiment.run`` was lost: it is unstable.
     """
-    step, each = experiment.step, experiment.each(calibration)
+    step, width = experiment.step, experiment.each(calibration)
     wanted, is_angle, is_rate = np.array(setpoint), np.array(angle), np.array(rate)
     rows = round(experiment.record / step)
     error = (is_rate if experiment.kind == "disturbance" else wanted - is_angle)[:rows]
-    settles = len(is_rate) >= round(experiment.run / step) and not swings(is_rate, step, experiment.start + 2.0 * each)
-    edges = [round((experiment.start + n * each) / step) for n in range(3)]
+    settles = len(is_rate) >= round(experiment.run / step) and not swings(is_rate, step, experiment.start + 2.0 * width)
+    edges = [round((experiment.start + n * width) / step) for n in range(3)]
     commanded = experiment.kind != "disturbance" and len(error) == rows
     overshoots, times = _steps(wanted[:rows], is_angle[:rows], edges, step) if commanded else ([], [])
     return Result(
@@ -286,20 +286,20 @@ def swings(rate: Array, step: float, last_edge: float) -> bool:
     return not isfinite(float(end)) or bool(end > _FLOOR and end > _GROWS * before)
 
 
-def _steps(wanted: Array, angle: Array, edges: list[int], step: float) -> tuple[list[float], list[float | None]]:
+def _steps(command: Array, angle: Array, edges: list[int], step: float) -> tuple[list[float], list[float | None]]:
     overshoots: list[float] = []
     times: list[float | None] = []
-    for first, end in zip(edges, [*edges[1:], len(wanted)], strict=True):
-        size = float(wanted[first] - wanted[first - 1])
-        error = wanted[first:end] - angle[first:end]
+    for first, end in zip(edges, [*edges[1:], len(command)], strict=True):
+        size = float(command[first] - command[first - 1])
+        error = command[first:end] - angle[first:end]
         overshoots.append(overshoot(error, size) or 0.0)
         times.append(settling_time(error, size, step))
     return overshoots, times
 
 
-def _late(wanted: Array, angle: Array, samples: int = 20) -> float:
+def _late(command: Array, angle: Array, samples: int = 20) -> float:
     late = np.concatenate([np.full(samples, angle[0]), angle[:-samples]])
-    return float(np.sqrt(np.mean(np.square(wanted - late))))
+    return float(np.sqrt(np.mean(np.square(command - late))))
 
 
 def _rise(angle: Array, first: int, end: int, step: float) -> float | None:

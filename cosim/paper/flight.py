@@ -61,7 +61,7 @@ def scenario(experiment: Experiment, calibration: Calibration, noisy: bool = Tru
     }
     if experiment.kind == "disturbance":
         # an edge must fall on a step: the calibrated length, rounded to one
-        each = round(experiment.each(calibration) / experiment.step) * experiment.step
+        width = round(experiment.each(calibration) / experiment.step) * experiment.step
         data["disturbance"] = [
             *made.get("disturbance", []),
             {
@@ -69,7 +69,7 @@ def scenario(experiment: Experiment, calibration: Calibration, noisy: bool = Tru
                 "axis": "roll",
                 "shape": "doublet",
                 "start_s": experiment.start,
-                "duration_s": 2.0 * each,
+                "duration_s": 2.0 * width,
                 "amplitude": experiment.amplitude,
                 "at": "controller",
                 "seen": calibration.predictor_sees_disturbance and not experiment.unseen,

@@ -151,14 +151,14 @@ def simulate(
     record = Record(axis.step)
     angle = rate = refused = 0.0
     for k in range(steps):
-        wanted = setpoint(k)
-        r = k_att * (wanted - angle)
+        command = setpoint(k)
+        r = k_att * (command - angle)
         r = clamp(r, limit) + rate_setpoint(k)
         asked = rate_loop.update(r, rate + sigma * noise[k], refused)
         u = clamp(asked, most)
         refused = asked - u
         w = disturbance(k)
-        record.setpoint.append(wanted)
+        record.setpoint.append(command)
         record.angle.append(angle)
         record.rate_setpoint.append(r)
         record.rate.append(rate)
@@ -187,12 +187,12 @@ def _noise(seed: int, steps: int) -> list[float]:
     return values
 
 
-def doublet(amplitude: float, start: float, each: float, step: float) -> Signal:
+def doublet(amplitude: float, start: float, width: float, step: float) -> Signal:
     """``amplitude`` for ``each`` seconds from ``start``, then as long the other way, then 0.
 
     An edge inside a step gives that step its mean, so that the integral is right for any length.
     """
-    edges = [t / step for t in (start, start + each, start + 2.0 * each)]
+    edges = [t / step for t in (start, start + width, start + 2.0 * width)]
 
     def since(edge: float, k: int) -> float:
         # the part of step k that lies after the edge; lengths are decimal, steps are not

@@ -217,8 +217,8 @@ def fly_manual() -> Manual:
 
 
 def _thin(log: Log, *names: str) -> tuple[list[float], list[float]]:
-    wanted, flown = (log[name][::10].tolist() for name in names)
-    return wanted, flown
+    command, flown = (log[name][::10].tolist() for name in names)
+    return command, flown
 
 
 def fly_offset(controller: str) -> Offset:

@@ -109,13 +109,13 @@ def height_lag(setpoint: Array, altitude: Array, law: tuple[float, float, float]
         return float(abs(here[0] - altitude[0]))
     gain, up, down = law
     worst, height, asked = 0.0, 0.0, False
-    for wanted, actual in zip(setpoint.tolist(), altitude.tolist(), strict=True):
-        if wanted != wanted:  # NaN: the collective is commanded
+    for level, actual in zip(setpoint.tolist(), altitude.tolist(), strict=True):
+        if level != level:  # NaN: the collective is commanded
             asked = False
             continue
         if not asked:
             height, asked = actual, True
-        off = wanted - height
+        off = level - height
         worst = max(worst, abs(off))
         height += step_s * min(max(gain * off, -down), up)
     return worst

@@ -87,8 +87,8 @@ class Columnar:
         for name, values in self._read(self.columns).items():
             column = said.get(name, Column(name, "", "", ""))
             finite = values[np.isfinite(values)]
-            span = [f"{each:.6g}" for each in (finite.min(), finite.max())] if finite.size else ["", ""]
+            span = [f"{value:.6g}" for value in (finite.min(), finite.max())] if finite.size else ["", ""]
             cells = (name, column.unit, column.frame, column.meaning, *span)
             rows.append(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>")
-        head = "".join(f"<th>{each}</th>" for each in ("column", "unit", "frame", "meaning", "least", "greatest"))
+        head = "".join(f"<th>{title}</th>" for title in ("column", "unit", "frame", "meaning", "least", "greatest"))
         return f"<p><b>{len(self)} steps</b></p><table><tr>{head}</tr>{''.join(rows)}</table>"

@@ -57,26 +57,26 @@ class Shelf:
 
     def entries(self) -> list[Entry]:
         """What is there now, the newest first; what has not changed since is not read again."""
-        found: dict[str, tuple[list[int], Entry]] = {}
+        entries: dict[str, tuple[list[int], Entry]] = {}
         try:
             with os.scandir(self.folder) as inside:
-                folders = [each for each in inside if _may_be_one(each)]
+                folders = [item for item in inside if _may_be_one(item)]
         except OSError as error:
             raise InputError(f"{self.folder}: {error.strerror or error}") from error
         changed = len(folders) != len(self._known)
-        for each in folders:
-            stamp = _stamp(each)
-            known = self._known.get(each.name)
+        for folder in folders:
+            stamp = _stamp(folder)
+            known = self._known.get(folder.name)
             if known is None or known[0] != stamp:
-                changed, known = True, (stamp, read_entry(Path(each.path)))
+                changed, known = True, (stamp, read_entry(Path(folder.path)))
             if known[1].kind:
-                found[each.name] = known
-            elif each.name in self._known:
+                entries[folder.name] = known
+            elif folder.name in self._known:
                 changed = True
-        self._known = found
+        self._known = entries
         if changed:
             self._save()
-        ordered = sorted(found.values(), key=lambda pair: pair[0][0], reverse=True)
+        ordered = sorted(entries.values(), key=lambda pair: pair[0][0], reverse=True)
         return [entry for _, entry in ordered]
 
     def place(self, name: str) -> Path:
@@ -131,12 +131,12 @@ class Shelf:
             temporary.write_text(json.dumps({"form": FORM, "rows": rows}), encoding="utf-8")
 
 
-def _may_be_one(each: os.DirEntry[str]) -> bool:
+def _may_be_one(entry: os.DirEntry[str]) -> bool:
     """Whether it is to be looked into: a folder, or a file that is no table and not hidden."""
-    if each.name[:1] == ".":
+    if entry.name[:1] == ".":
         return False
-    return each.is_dir(follow_symlinks=False) or (
-        each.is_file(follow_symlinks=False) and Path(each.name).suffix.lower() in LOGS
+    return entry.is_dir(follow_symlinks=False) or (
+        entry.is_file(follow_symlinks=False) and Path(entry.name).suffix.lower() in LOGS
     )
 
 
@@ -193,15 +193,15 @@ def _stated(path: Path, *keys: str) -> dict[str, str]:
 
 def flat(summary: Mapping[str, Any]) -> dict[str, float]:
     """The metrics of a summary by their names: every number below the groups that have metrics."""
-    found: dict[str, Any] = {}
+    metrics: dict[str, Any] = {}
     groups: dict[str, Any] = dict(summary.get("metrics") or {})
     groups |= {name: summary.get(name) for name in ("altitude", "position", "speed", "effort")}
     for name, group in groups.items():
         for key, value in group.items() if isinstance(group, dict) else ():
-            found[f"{name}.{key}"] = value
+            metrics[f"{name}.{key}"] = value
     own = summary.get("own_metrics") or {}
-    found |= {name: summary.get(name) for name in ("touchdown_m_s", "fuel_burnt_kg", "duration_s")} | dict(own)
-    return {name: value for name, value in found.items() if type(value) in (int, float)}
+    metrics |= {name: summary.get(name) for name in ("touchdown_m_s", "fuel_burnt_kg", "duration_s")} | dict(own)
+    return {name: value for name, value in metrics.items() if type(value) in (int, float)}
 
 
 def _tags(path: Path) -> list[str]:

@@ -185,16 +185,16 @@ class ShelfServer:
 
 
 def _texts(value: Any) -> list[str]:
-    return [each for each in value if isinstance(each, str)] if isinstance(value, list) else []
+    return [item for item in value if isinstance(item, str)] if isinstance(value, list) else []
 
 
 def _parsed(text: str | bytes) -> dict[str, Any]:
     """A message as a table; what is none is an empty one."""
     try:
-        found = json.loads(text)
+        message = json.loads(text)
     except ValueError:
         return {}
-    return found if isinstance(found, dict) else {}
+    return message if isinstance(message, dict) else {}
 
 
 def _not_found() -> Response:

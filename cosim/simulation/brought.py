@@ -101,15 +101,15 @@ class OwnMetric:
             answer = {own[0]: answer}
         if set(answer) != set(own):
             raise FlightError(f"{where}: gave {', '.join(map(str, answer))}: must be {', '.join(own)}")
-        found: dict[str, float | None] = {}
+        values: dict[str, float | None] = {}
         for name in own:
             value = answer[name]
             try:
                 number = None if value is None else float(value)
             except (TypeError, ValueError) as error:
                 raise FlightError(f"{where}: {name} = {value!r}: must be a number or None") from error
-            found[PREFIX + name] = number if number is not None and isfinite(number) else None
-        return found
+            values[PREFIX + name] = number if number is not None and isfinite(number) else None
+        return values
 
 
 @dataclass(frozen=True)
@@ -124,8 +124,8 @@ class Brought:
 
     def over(self) -> None:
         """The flight is over: its observers are told.  Raises FlightError."""
-        for each in self.observers:
-            each.close()
+        for observer in self.observers:
+            observer.close()
 
 
 def find_block(kind: str, name: str, folder: Path) -> Source:
@@ -137,16 +137,16 @@ def find_block(kind: str, name: str, folder: Path) -> Source:
     if _MODULE.fullmatch(name):
         module_name, _, attribute = name.partition(":")
         module, path, files = imported(module_name, where)
-        found = _attribute(module, attribute, where, path)
-        return _stated(kind, name, found, files, version_of(module_name), copied=False)
+        block = _attribute(module, attribute, where, path)
+        return _stated(kind, name, block, files, version_of(module_name), copied=False)
     entries = {entry.name: entry for entry in entry_points(group=GROUPS[kind])}
     if name not in entries:
         ways = f"FILE.py:Name, package.module:Name or an entry point of {GROUPS[kind]}"
         more = f" ({nearest(name, entries)})" if entries else ""
         raise InputError(f"{where}: must be {'FILE.csv, ' if kind == 'wind' else ''}{ways}{more}")
-    found, package = loaded(entries[name], where)
-    path_of = file_of(found)
-    return _stated(kind, name, found, {} if path_of is None else {path_of.name: path_of}, package, copied=False)
+    block, package = loaded(entries[name], where)
+    path_of = file_of(block)
+    return _stated(kind, name, block, {} if path_of is None else {path_of.name: path_of}, package, copied=False)
 
 
 def _of_file(kind: str, name: str, path: Path, attribute: str) -> Source:
@@ -163,7 +163,9 @@ def _of_file(kind: str, name: str, path: Path, attribute: str) -> Source:
 def _attribute(module: Any, name: str, where: str, path: Path) -> Any:
     found = getattr(module, name, None)
     if found is None:
-        there = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
+        there = [
+            attribute for attribute, value in vars(module).items() if callable(value) and not attribute.startswith("_")
+        ]
         raise InputError(f"{where}: {path.name} has no {name!r}; {nearest(name, there)}")
     return found
 
@@ -186,9 +188,9 @@ def _stated(
         except Exception as error:
             raise InputError(f"{where}: cannot be made without arguments: {described(error)}") from error
 
-    found = Source(name, kind, make, files, package, copied=copied)
-    found.hashes  # noqa: B018  of what was read just now
-    return found
+    source = Source(name, kind, make, files, package, copied=copied)
+    source.hashes  # noqa: B018  of what was read just now
+    return source
 
 
 def bring(scenario: Scenario) -> Brought:
@@ -203,7 +205,7 @@ def bring(scenario: Scenario) -> Brought:
         key: [_source(kinds.get(key, key), name, scenario) for name in names] for key, names in asked.items() if names
     }
     vehicle = scenario.resolved_vehicle()[0] if sources else None
-    found: dict[str, Any] = {}
+    brought: dict[str, Any] = {}
     if vehicle is not None:
         taken: set[str] = set()
         metrics = []
@@ -213,16 +215,16 @@ def bring(scenario: Scenario) -> Brought:
                 if each in taken:
                     raise InputError(f"metric {source.label}: {each} is said by another one already")
                 taken.add(each)
-        found["metrics"] = tuple(metrics)
-        found["observers"] = tuple(
+        brought["metrics"] = tuple(metrics)
+        brought["observers"] = tuple(
             [Watching(s, _made(s, scenario, vehicle, n)) for n, s in enumerate(sources.get("observers", []))]
         )
         for source in sources.get("sensors", []):
             block = _made(source, scenario, vehicle, 0)
-            found["sensors"] = lambda inner: OwnSensors(source, block, inner)  # noqa: B023  there is one
+            brought["sensors"] = lambda inner: OwnSensors(source, block, inner)  # noqa: B023  there is one
         for source in sources.get("wind", []):
-            found["wind"] = _wind(source, scenario, vehicle)
-    return Brought(sources=sources, **found)
+            brought["wind"] = _wind(source, scenario, vehicle)
+    return Brought(sources=sources, **brought)
 
 
 def _source(kind: str, name: str, scenario: Scenario) -> Source:
@@ -253,7 +255,7 @@ def own_metric(source: Source) -> OwnMetric:
     if len({*names}) < len(names):
         raise InputError(f"{where}: names = {names!r}: one is there twice")
     columns = getattr(block, "columns", None)
-    if columns is not None and (isinstance(columns, str) or not all(isinstance(each, str) for each in columns)):
+    if columns is not None and (isinstance(columns, str) or not all(isinstance(column, str) for column in columns)):
         raise InputError(f"{where}: columns = {columns!r}: must be names of columns of the log")
     return OwnMetric(source, tuple(PREFIX + n for n in names), None if columns is None else tuple(columns))
 
@@ -313,12 +315,12 @@ class OwnSensors:
         return self._answer("sample", self._block.sample, state, self._inner.sample(state))
 
     def _answer(self, what: str, method: Callable[..., Any], state: State, measured: Measured) -> Measured:
-        found = _called(self._source, what, method, state, measured)
+        answer = _called(self._source, what, method, state, measured)
         where = f"sensors {self._source.label}"
-        if not isinstance(found, Measured):
-            raise FlightError(f"{where}: {what} gave {type(found).__name__}: must be a Measured")
+        if not isinstance(answer, Measured):
+            raise FlightError(f"{where}: {what} gave {type(answer).__name__}: must be a Measured")
         values: list[Any] = []
-        for name, part in zip(Measured._fields, found, strict=True):
+        for name, part in zip(Measured._fields, answer, strict=True):
             given: Any = (part,) if name == "altitude" else part
             try:
                 numbers = [float(value) for value in given]
@@ -382,7 +384,7 @@ class WindTable:
             lines = list(csv.reader(StringIO(path.read_text(encoding="utf-8-sig"))))
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
-        if not lines or tuple(each.strip() for each in lines[0]) != TABLE:
+        if not lines or tuple(cell.strip() for cell in lines[0]) != TABLE:
             raise InputError(f"{path}: line 1: must be {','.join(TABLE)}")
         times: list[float] = []
         velocities: list[Vector3] = []
@@ -390,10 +392,10 @@ class WindTable:
             if not line:
                 continue
             try:
-                time, north, east, down = (float(each) for each in line)
+                time, north, east, down = (float(cell) for cell in line)
             except ValueError:
                 raise InputError(f"{path}: line {number}: must be {len(TABLE)} numbers") from None
-            if not all(isfinite(each) for each in (time, north, east, down)):
+            if not all(isfinite(number) for number in (time, north, east, down)):
                 raise InputError(f"{path}: line {number}: must be finite")
             if times and time <= times[-1]:
                 raise InputError(f"{path}: line {number}: time_s = {time:g}: must be later than the row before")

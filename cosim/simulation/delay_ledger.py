@@ -78,7 +78,7 @@ def _loops(engines: Sequence[EngineSpec]) -> list[LedgerRow]:
     """What a system of FMUs exchanges a step late inside itself: part of its own answer, and nothing on top of that."""
     return [
         LedgerRow(f"{text}, a step late in a loop: within the engine's own", f"engine {name}", "exchange", 0.0)
-        for name, late in {each.name: each.archive.system.late for each in engines if each.archive.system}.items()
+        for name, late in {spec.name: spec.archive.system.late for spec in engines if spec.archive.system}.items()
         for text in late
     ]
 

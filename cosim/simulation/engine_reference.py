@@ -43,7 +43,7 @@ def _measure(spec: EngineSpec, step: float) -> EngineReference:
             if lag is None:
                 # the time to 63 % counts from the throttle, so that it holds with the delay that is used
                 lag = max(step, measured + begins - delay)
-                others = [sum(_answer(bank, *each, step)) - delay for each in _OTHERS]
+                others = [sum(_answer(bank, *point, step)) - delay for point in _OTHERS]
                 lags = max(step, min(lag, *others)), max(lag, *others)
     short, long = lags
     assert short is not None

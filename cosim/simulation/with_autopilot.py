@@ -67,8 +67,8 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
         airborne,
         cascade.thrust_map.idle,
         (
-            max(each.delay + each.lag for each in references),
-            max(each.delay + each.longest for each in references),
+            max(reference.delay + reference.lag for reference in references),
+            max(reference.delay + reference.longest for reference in references),
         ),
         scenario.sensor_noise,
         "" if own is None else own.level,

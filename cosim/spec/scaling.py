@@ -100,9 +100,9 @@ def scaled(stated: Mapping[str, Any], mass: float) -> dict[str, Any]:
 
 def _scaled(value: Any, law: Any, scale: float) -> Any:
     if isinstance(value, list):
-        return [_scaled(each, law, scale) for each in value]
+        return [_scaled(item, law, scale) for item in value]
     if value is False:
         return value
     if not isinstance(law, dict):
         return value * scale**law
-    return {key: _scaled(each, law[key], scale) if key in law else each for key, each in value.items()}
+    return {key: _scaled(item, law[key], scale) if key in law else item for key, item in value.items()}

@@ -215,7 +215,7 @@ class Airframe:
     def _contacts(self, kind: str) -> list[Get]:
         """What says whether each contact of this kind touches."""
         kinds = enumerate(contact.kind for contact in self._vehicle.contacts)
-        return [self._node(f"contact/unit[{unit}]/WOW").get_double_value for unit, each in kinds if each == kind]
+        return [self._node(f"contact/unit[{unit}]/WOW").get_double_value for unit, other in kinds if other == kind]
 
     def _node(self, name: str) -> jsbsim.FGPropertyNode:
         # JSBSim silently creates a property that is written but does not exist, so every name is resolved first

@@ -77,7 +77,7 @@ class Propulsion:
         self._places: list[Vector3] = [jet.position_m for jet in jets]
         self._aside = bool(aside)
         self._gives: list[tuple[bool, bool, bool]] = [
-            ("force_forward" in each, "force_right" in each, "torque" in each) for each in aside
+            ("force_forward" in outputs, "force_right" in outputs, "torque" in outputs) for outputs in aside
         ]
         self._reactions = tuple(
             0.0 if aside and "torque" in aside[index] else jet.reaction_m for index, jet in enumerate(jets)

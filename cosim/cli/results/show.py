@@ -236,8 +236,8 @@ def _stated(table: Mapping[str, Any]) -> Iterator[Number]:
         if isinstance(value, Mapping):
             yield from (leaf._replace(meaning=meaning) for leaf in _leaves(value, f"{key}."))
         elif isinstance(value, list) and any(isinstance(element, Mapping) for element in value):
-            for number, each in enumerate(value):
-                yield Number(f"{key}.{number}", " ".join(_words(each)), "", meaning)
+            for number, item in enumerate(value):
+                yield Number(f"{key}.{number}", " ".join(_words(item)), "", meaning)
         else:
             yield Number(key, value, _unit(key), meaning)
 
@@ -247,8 +247,8 @@ def _leaves(table: Mapping[str, Any], before: str) -> Iterator[Number]:
         if isinstance(value, Mapping):
             yield from _leaves(value, f"{before}{key}.")
         elif isinstance(value, list) and any(isinstance(element, Mapping) for element in value):
-            for number, each in enumerate(value):
-                yield Number(f"{before}{key}.{number}", " ".join(_words(each)), "", "")
+            for number, item in enumerate(value):
+                yield Number(f"{before}{key}.{number}", " ".join(_words(item)), "", "")
         else:
             yield Number(f"{before}{key}", value, _unit(key), "")
 

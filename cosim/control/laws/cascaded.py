@@ -40,7 +40,7 @@ class Cascaded(RateLaw):
             update={"p": p, "i": p * own["i"] / theta, "d": p * d, "d_filter_s": max(axis.step, 0.1 * d)}
         )
         spec = PREDICTORS[self.predictor]
-        values = {each.name: own["predictor"] * each.scale(theta) for each in spec.parameters}
+        values = {parameter.name: own["predictor"] * parameter.scale(theta) for parameter in spec.parameters}
         predictor = spec.predictor(axis.model, spec.tuned(vehicle.control.predictor, values))
         return Pid(RateAxis(gains, predictor, axis.step))
 

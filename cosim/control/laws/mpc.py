@@ -105,10 +105,10 @@ class MpcAxis:
             )  # fmt: skip
         else:
             self._solver.update(q=gradient / size, l=low, u=high)
-        found = self._solver.solve(raise_error=False)
-        if found.info.status not in ("solved", "solved inaccurate"):
-            raise FlightError(f"OSQP: {found.info.status} after {found.info.iter} rounds")
-        plan: Array = np.clip(found.x, low, high)
+        solution = self._solver.solve(raise_error=False)
+        if solution.info.status not in ("solved", "solved inaccurate"):
+            raise FlightError(f"OSQP: {solution.info.status} after {solution.info.iter} rounds")
+        plan: Array = np.clip(solution.x, low, high)
         return plan
 
 

@@ -177,11 +177,11 @@ def measure_margins(
         taps = {axis: Tap(axis, scenario, vehicle, simulation.stations) for axis in axes}
     say("computing")
     known = computed(scenario, vehicle, spec, list(axes))
-    found = {}
+    by_axis = {}
     for axis in axes:
         asked = _Asked(scenario, own, axis, taps[axis], amplitude, from_hz, to_hz, period_s, periods, say)
-        found[axis] = asked.measure(None if isinstance(known, str) else known[axis])
-    return Margins(scenario, own, found, known if isinstance(known, str) else "")
+        by_axis[axis] = asked.measure(None if isinstance(known, str) else known[axis])
+    return Margins(scenario, own, by_axis, known if isinstance(known, str) else "")
 
 
 @dataclass(frozen=True)

@@ -108,9 +108,9 @@ class System:
         """The connections that are exchanged a step late, in words."""
         parts = self.parts
         return [
-            f"{parts[each.source].name}.{each.output.name} to {parts[each.part].name}.{each.variable.name}"
-            for each in self.feeds
-            if each.late
+            f"{parts[feed.source].name}.{feed.output.name} to {parts[feed.part].name}.{feed.variable.name}"
+            for feed in self.feeds
+            if feed.late
         ]
 
 
@@ -297,7 +297,7 @@ def _clocks(
     discrete without a clock may be set in event mode alone, so with such a port event mode is left off.  ``without``
     is why there is none anyway.
     """
-    found, notes = [], []
+    ticked, notes = [], []
     for element in root.iterfind("ModelVariables/Clock[@causality='input']"):
         name, kind = element.get("name", ""), element.get("intervalVariability")
         interval, shift = _seconds(element, "interval", None), _seconds(element, "shift", 0.0)
@@ -308,7 +308,7 @@ def _clocks(
             and shift is not None
             and shift >= 0.0
         ):
-            found.append(InputClock(name, int(element.get("valueReference", "0")), interval, shift))
+            ticked.append(InputClock(name, int(element.get("valueReference", "0")), interval, shift))
         else:
             notes.append(
                 f"its clock {name} never ticks: it is {kind or 'of no kind'}, and only one that states its interval "
@@ -316,11 +316,11 @@ def _clocks(
             )
     inputs = [port.variable for name, port in ports.items() if port.variable.causality == "input"]
     of_ports = {v.clocks for v in inputs if v.clocks}
-    known = {clock.reference for clock in found}
+    known = {clock.reference for clock in ticked}
     free = all(v.variability == "continuous" or set(v.clocks) & known for v in inputs)
     switch = any(port.variable.clocks for name, port in ports.items() if name.startswith("run"))
-    events = without is None and free and len(of_ports) <= 1 and not switch and len(found) <= MOST_CLOCKS
-    if found and not events:
+    events = without is None and free and len(of_ports) <= 1 and not switch and len(ticked) <= MOST_CLOCKS
+    if ticked and not events:
         why = (
             without if without is not None
             else "a port is discrete, without a clock that ticks" if not free
@@ -328,11 +328,11 @@ def _clocks(
             else "its run switch has a clock" if switch
             else f"it has more than {MOST_CLOCKS}"
         )  # fmt: skip
-        notes += [f"its clock {clock.name} never ticks: {why}" for clock in found]
-    elif found:
-        notes += [f"its clock {clock.name} ticks every {clock.interval:g} s" for clock in found]
+        notes += [f"its clock {clock.name} never ticks: {why}" for clock in ticked]
+    elif ticked:
+        notes += [f"its clock {clock.name} ticks every {clock.interval:g} s" for clock in ticked]
     first = of_ports.pop() if of_ports else ()
-    return events, tuple(sorted(found, key=lambda clock: clock.reference not in first)), notes
+    return events, tuple(sorted(ticked, key=lambda clock: clock.reference not in first)), notes
 
 
 def _seconds(element: ElementTree.Element, what: str, otherwise: float | None) -> float | None:
@@ -382,7 +382,7 @@ def named_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:
 def left_alone(inputs: Sequence[Variable], ports: Mapping[str, Port], begin: Starting) -> list[str]:
     """A note on inputs that nobody sets."""
     set_ = {port.variable.name for port in ports.values()} | {
-        v.name for each in (begin.constants, *(stage.settings for stage in begin.stages)) for v, _ in each
+        v.name for settings in (begin.constants, *(stage.settings for stage in begin.stages)) for v, _ in settings
     }
     left = [v for v in inputs if v.name not in set_ and not v.is_array]
     if not left:

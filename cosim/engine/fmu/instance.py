@@ -149,9 +149,9 @@ class FmuInstance:
         throttles = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(engines)
         airs = (air,) * len(engines) if isinstance(air, Air) else tuple(air)
         if self.archive.one_speed:
-            mean = fmean(each.speed for each in airs)
-            airs = tuple(each._replace(speed=mean) for each in airs)
-        self._inputs = [_canonical(*each) for each in zip(throttles, airs, strict=True)]
+            mean = fmean(air.speed for air in airs)
+            airs = tuple(air._replace(speed=mean) for air in airs)
+        self._inputs = [_canonical(*values) for values in zip(throttles, airs, strict=True)]
         self._done, self._step = 0, step
         if self.archive.fmi == 2:
             self.call("setupExperiment", startTime=0.0)
@@ -323,7 +323,7 @@ class FmuInstance:
         The places are by engine; those of the first port of all engines come before those of the second.
         """
         engines = self.archive.engines
-        ports = {(name, lane): each[name] for name in names for lane, each in enumerate(engines) if name in each}
+        ports = {(name, lane): engine[name] for name in names for lane, engine in enumerate(engines) if name in engine}
         ticked = bool(way == "set" and self.archive.clocks)
 
         def together(v: Variable) -> tuple[str, bool]:
@@ -331,7 +331,7 @@ class FmuInstance:
 
         types = list(dict.fromkeys(together(port.variable) for port in ports.values()))
         # the throttles alone are set in every step: their references, and how many values these have
-        alone = {v.reference: len(v.starts) for v in (each[names[0]].variable for each in engines)}
+        alone = {v.reference: len(v.starts) for v in (engine[names[0]].variable for engine in engines)}
         blocks: list[_bank.Block] = []
         places: dict[tuple[str, int], _bank.Place] = {}
         for number, (kind, clocked) in enumerate(types):

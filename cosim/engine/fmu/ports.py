@@ -411,7 +411,7 @@ def flat(table: object) -> object:
     values: dict[str, object] = {}
     for name, value in table.items():
         inner = flat(value)
-        values |= {f"{name}.{rest}": each for rest, each in inner.items()} if isinstance(inner, dict) else {name: value}
+        values |= {f"{name}.{rest}": v for rest, v in inner.items()} if isinstance(inner, dict) else {name: value}
     return values
 
 
@@ -532,12 +532,12 @@ def find_engines(variables: Sequence[Variable], stated: PortMap) -> tuple[tuple[
     It holds one, unless ports are stated as several variables.  Of what is not an engine's own, all have the same.
     Raises PortError as :func:`find_ports`, and where the engines are not as many everywhere.
     """
-    members = {name: members_of(name, KINDS[name].causality, wanted, variables)
-               for name, wanted in stated.ports.items() if is_several(wanted)}  # fmt: skip
+    members = {name: members_of(name, KINDS[name].causality, variable, variables)
+               for name, variable in stated.ports.items() if is_several(variable)}  # fmt: skip
     if not members:
         ports, notes = find_ports(variables, stated)
         return (ports,), notes
-    counts = {name: len(each) for name, each in members.items()}
+    counts = {name: len(names) for name, names in members.items()}
     lone = [name for name in NEEDED if name not in members]
     if lone:
         raise PortError(f"[ports] states several engines by {', '.join(members)}; their {' and '.join(lone)} too "
@@ -553,34 +553,34 @@ def find_engines(variables: Sequence[Variable], stated: PortMap) -> tuple[tuple[
         raise PortError(f"[ports] {shared[0]} is one for {count} engines; state one for each, or an output in [log]")
     if "start" in members:
         raise PortError("[ports] start: several engines in one FMU are run up before a flight; leave it out")
-    rest = {name: wanted for name, wanted in stated.ports.items() if name not in members}
+    rest = {name: variable for name, variable in stated.ports.items() if name not in members}
     rest |= {name: "" for name in OWN if name not in members}
-    found = []
+    engines = []
     notes = []
     for k in range(count):
-        own = {name: each[k] for name, each in members.items()}
+        own = {name: names[k] for name, names in members.items()}
         ports, said = find_ports(variables, replace(stated, ports={**rest, **own}))
-        found.append(ports)
+        engines.append(ports)
         notes += [note for note in said if note not in notes]
-    _need_apart(found)
-    pairs = ", ".join(f"{ports['throttle'].variable.name} and {ports['thrust'].variable.name}" for ports in found)
-    return tuple(found), [f"holds {count} engines, stepped as one: {pairs}", *notes]
+    _need_apart(engines)
+    pairs = ", ".join(f"{ports['throttle'].variable.name} and {ports['thrust'].variable.name}" for ports in engines)
+    return tuple(engines), [f"holds {count} engines, stepped as one: {pairs}", *notes]
 
 
-def is_several(wanted: VariableName) -> bool:
+def is_several(stated: VariableName) -> bool:
     """Whether what is stated for a port speaks of several engines."""
-    return isinstance(wanted, list) or "*" in wanted
+    return isinstance(stated, list) or "*" in stated
 
 
-def members_of(port: str, causality: str, wanted: VariableName, variables: Sequence[Variable]) -> list[str]:
+def members_of(port: str, causality: str, stated: VariableName, variables: Sequence[Variable]) -> list[str]:
     """The variables that are stated for a port: a list as it is, a ``*`` as the numbers that there are, rising."""
-    if isinstance(wanted, list):
-        return wanted
-    shape = re.compile(re.escape(wanted).replace(r"\*", r"(\d+)", 1))
+    if isinstance(stated, list):
+        return stated
+    shape = re.compile(re.escape(stated).replace(r"\*", r"(\d+)", 1))
     fitting = [v.name for v in variables if v.causality == causality]
     hits = sorted((int(match[1]), name) for name in fitting if (match := shape.fullmatch(name)))
     if not hits:
-        raise PortError(f"has no {causality} like {wanted}, with a number for *, for {port} "
+        raise PortError(f"has no {causality} like {stated}, with a number for *, for {port} "
                         f"({_list(causality, [v for v in variables if v.causality == causality])})")  # fmt: skip
     return [name for _, name in hits]
 
@@ -609,15 +609,15 @@ def find_ports(variables: Sequence[Variable], stated: PortMap) -> tuple[dict[str
     ports: dict[str, Port] = {}
     notes: list[str] = []
     for name, kind in KINDS.items():
-        wanted = stated.ports.get(name)
-        assert not isinstance(wanted, list)  # of one engine
-        insist = name in NEEDED or wanted or name in stated.units
-        if wanted == "" and name in NEEDED:
+        asked_for = stated.ports.get(name)
+        assert not isinstance(asked_for, list)  # of one engine
+        insist = name in NEEDED or asked_for or name in stated.units
+        if asked_for == "" and name in NEEDED:
             raise PortError(f"its {name} cannot be left unconnected")
-        if wanted == "" or (wanted is None and (kind.stated or not stated.search)):
+        if asked_for == "" or (asked_for is None and (kind.stated or not stated.search)):
             continue
         try:
-            variable = _named(name, kind, wanted, variables) if wanted else _search(name, kind, variables, ports)
+            variable = _named(name, kind, asked_for, variables) if asked_for else _search(name, kind, variables, ports)
             if variable is None and insist:
                 raise PortError(f"has no {kind.causality} that is known as its {name}; {_how(name)}")
             if variable is not None:
@@ -649,14 +649,14 @@ def without_unit(name: str, quantity: Quantity) -> tuple[str, str | None]:
     return name, None
 
 
-def _named(port: str, kind: Kind, wanted: str, variables: Sequence[Variable]) -> Variable:
+def _named(port: str, kind: Kind, stated: str, variables: Sequence[Variable]) -> Variable:
     """The variable that is stated for a port."""
     fitting = [v for v in variables if v.causality == kind.causality]
-    hits = [v for v in fitting if v.name == wanted] or [v for v in fitting if v.name.lower() == wanted.lower()]
+    hits = [v for v in fitting if v.name == stated] or [v for v in fitting if v.name.lower() == stated.lower()]
     if not hits:
-        raise PortError(f"has no {kind.causality} called {wanted} for {port} ({_list(kind.causality, fitting)})")
+        raise PortError(f"has no {kind.causality} called {stated} for {port} ({_list(kind.causality, fitting)})")
     if len(hits) > 1:
-        raise PortError(f"has several {kind.causality}s called {wanted} in other case; state the exact name")
+        raise PortError(f"has several {kind.causality}s called {stated} in other case; state the exact name")
     if hits[0].type not in kind.types:
         raise PortError(f"its {hits[0].name} is of type {hits[0].type}; it must be one of: {', '.join(kind.types)}")
     return hits[0]
@@ -667,7 +667,7 @@ def _search(port: str, kind: Kind, variables: Sequence[Variable], ports: Mapping
 
     None if there is none and none is needed.
     """
-    taken = {each.variable.name for each in ports.values()}
+    taken = {port.variable.name for port in ports.values()}
     fitting = [v for v in variables if v.causality == kind.causality and v.name not in taken and not v.is_array]
     usable = [v for v in fitting if v.type in kind.types and not _other_quantity(port, kind, v)]
     reals = [v for v in usable if v.type in REALS]

@@ -108,7 +108,9 @@ def _build_for_windows(path: Path, folder: str, description: Any) -> Path:
     sources = Path(folder) / "sources"
     binaries = Path(folder) / "binaries" / ("win64" if description.fmiVersion == "2.0" else "x86_64-windows")
     binaries.mkdir(parents=True, exist_ok=True)
-    defined = [f"-D{each.name}" + (f"={each.value}" if each.value else "") for each in files.preprocessorDefinitions]
+    defined = [
+        f"-D{macro.name}" + (f"={macro.value}" if macro.value else "") for macro in files.preprocessorDefinitions
+    ]
     command = [
         compiler, *_WINDOWS_FLAGS, *defined, f"-I{sources}", f"-I{Path(fmpy.__file__).parent / 'c-code'}",
         *(str(sources / name) for name in files.sourceFiles),

@@ -176,12 +176,12 @@ def _read(path: Path, mapping: Path | None, stated: Mapping[str, str], servos: S
 def _servos(outputs: Sequence[str], stated: Mapping[str, str]) -> tuple[str, ...]:
     """What its outputs are called behind ``tilt_``: those that a mapping names and, of others, left and right where it
     has both, else all."""
-    found = [name[5:] for name in stated if name.startswith("tilt_") and not name.endswith("_applied")]
+    servos = [name[5:] for name in stated if name.startswith("tilt_") and not name.endswith("_applied")]
     short = [plain(name)[4:] for name in outputs if plain(name).startswith("tilt") and name not in stated.values()]
-    banks = set(SERVOS) <= {*found, *short}
-    known = {plain(name) for name in found}
-    found += [name for name in short if name not in known and (name in SERVOS if banks else name)]
-    return tuple(sorted(found, key=lambda name: SERVOS.index(name) if name in SERVOS else len(SERVOS)))
+    banks = set(SERVOS) <= {*servos, *short}
+    known = {plain(name) for name in servos}
+    servos += [name for name in short if name not in known and (name in SERVOS if banks else name)]
+    return tuple(sorted(servos, key=lambda name: SERVOS.index(name) if name in SERVOS else len(SERVOS)))
 
 
 def _extra(level: str, jets: int, extra: str) -> list[str]:

@@ -93,10 +93,10 @@ def read_structure(xml: bytes, file: Callable[[str], bytes]) -> Structure:
     systems = list(children(root, "System"))
     if len(systems) != 1:
         raise UnusableError(f"{STRUCTURE} has {len(systems)} systems at its top; it must have one")
-    found = Structure(systems[0].get("name") or root.get("name") or "system", version)
-    found.units.update(read_units(root))
-    _system(systems[0], (), found, file)
-    return found
+    structure = Structure(systems[0].get("name") or root.get("name") or "system", version)
+    structure.units.update(read_units(root))
+    _system(systems[0], (), structure, file)
+    return structure
 
 
 def read_units(root: ElementTree.Element) -> dict[str, Unit]:
@@ -109,11 +109,11 @@ def read_units(root: ElementTree.Element) -> dict[str, Unit]:
     return units
 
 
-def _system(element: ElementTree.Element, path: Path, found: Structure, file: Callable[[str], bytes]) -> None:
+def _system(element: ElementTree.Element, path: Path, structure: Structure, file: Callable[[str], bytes]) -> None:
     where = "the system" if not path else f"system {'.'.join(path)}"
     if any(children(element, "SignalDictionaries")) or any(children(element, "Elements", "SignalDictionaryReference")):
         raise UnusableError(f"{where} has signal dictionaries, which are not supported")
-    _connectors(element, path, found)
+    _connectors(element, path, structure)
     names: set[str] = set()
     for list_ in children(element, "Elements"):
         for child in list_:
@@ -122,29 +122,29 @@ def _system(element: ElementTree.Element, path: Path, found: Structure, file: Ca
                 raise UnusableError(f"{where} has two elements, or one without a name, called {one_line(name)!r}")
             names.add(name)
             if local(child) == "System":
-                _system(child, (*path, name), found, file)
+                _system(child, (*path, name), structure, file)
             elif local(child) == "Component":
-                _component(child, (*path, name), found, file)
+                _component(child, (*path, name), structure, file)
             else:
                 raise UnusableError(f"{where} has a {one_line(local(child))}, which is not supported")
     for connection in children(element, "Connections", "Connection"):
-        _connection(connection, path, names, found)
-    _bindings(element, path, found, file)
+        _connection(connection, path, names, structure)
+    _bindings(element, path, structure, file)
 
 
-def _component(element: ElementTree.Element, path: Path, found: Structure, file: Callable[[str], bytes]) -> None:
+def _component(element: ElementTree.Element, path: Path, structure: Structure, file: Callable[[str], bytes]) -> None:
     name, kind = ".".join(path), element.get("type", "application/x-fmu-sharedlibrary")
     source = unquote(element.get("source", ""))
     if "x-fmu" not in kind or not source.lower().endswith(".fmu"):
         raise UnusableError(
             f"component {name} ({source or 'no source'}, {kind}) is no FMU; an FMU in the archive is needed"
         )
-    found.components[path] = str(PurePosixPath(source))
-    _connectors(element, path, found)
-    _bindings(element, path, found, file)
+    structure.components[path] = str(PurePosixPath(source))
+    _connectors(element, path, structure)
+    _bindings(element, path, structure, file)
 
 
-def _connectors(element: ElementTree.Element, path: Path, found: Structure) -> None:
+def _connectors(element: ElementTree.Element, path: Path, structure: Structure) -> None:
     for connector in children(element, "Connectors", "Connector"):
         name, kind = connector.get("name", ""), connector.get("kind", "")
         if kind not in KINDS:
@@ -152,10 +152,10 @@ def _connectors(element: ElementTree.Element, path: Path, found: Structure) -> N
             raise UnusableError(f"connector {where}: kind {kind!r} is not supported; allowed: {', '.join(KINDS)}")
         typed = [child for child in connector if local(child) in TYPES]
         unit = typed[0].get("unit") if typed else None
-        found.connectors[(path, name)] = Connector(kind, unit)
+        structure.connectors[(path, name)] = Connector(kind, unit)
 
 
-def _connection(element: ElementTree.Element, path: Path, names: set[str], found: Structure) -> None:
+def _connection(element: ElementTree.Element, path: Path, names: set[str], structure: Structure) -> None:
     ends: list[Node] = []
     for which in ("start", "end"):
         name, connector = element.get(f"{which}Element"), element.get(f"{which}Connector", "")
@@ -169,16 +169,16 @@ def _connection(element: ElementTree.Element, path: Path, names: set[str], found
             stated = float(child.get("factor", 1.0)), float(child.get("offset", 0.0))
         elif local(child).endswith("Transformation"):
             raise UnusableError(f"the connection to {_text(end)} has a {local(child)}, which is not supported")
-    if end in found.lines:
-        raise UnusableError(f"{_text(end)} is connected to both {_text(found.lines[end].start)} and {_text(start)}")
-    found.lines[end] = Line(start, stated, element.get("suppressUnitConversion") not in ("true", "1"))
+    if end in structure.lines:
+        raise UnusableError(f"{_text(end)} is connected to both {_text(structure.lines[end].start)} and {_text(start)}")
+    structure.lines[end] = Line(start, stated, element.get("suppressUnitConversion") not in ("true", "1"))
 
 
 def _text(node: Node) -> str:
     return ".".join((*node[0], node[1]))
 
 
-def _bindings(element: ElementTree.Element, path: Path, found: Structure, file: Callable[[str], bytes]) -> None:
+def _bindings(element: ElementTree.Element, path: Path, structure: Structure, file: Callable[[str], bytes]) -> None:
     """Parameter sets; those of a system outside go before those inside, as SSP has it."""
     where = ".".join(path) or "the system"
     for binding in children(element, "ParameterBindings", "ParameterBinding"):
@@ -189,14 +189,14 @@ def _bindings(element: ElementTree.Element, path: Path, found: Structure, file: 
             sets = [ElementTree.fromstring(file(unquote(source)))]
         else:
             sets = list(children(binding, "ParameterValues", "ParameterSet"))
-        for each in sets:
-            units = read_units(each)
-            for name, value in read_values(each, where).items():
-                node = _named(path, prefix + name, found)
+        for parameter_set in sets:
+            units = read_units(parameter_set)
+            for name, value in read_values(parameter_set, where).items():
+                node = _named(path, prefix + name, structure)
                 if value.unit in units:  # the set's own definition, under a name of its own
-                    found.units[f"{where}:{value.unit}"] = units[value.unit]
+                    structure.units[f"{where}:{value.unit}"] = units[value.unit]
                     value = Value(value.value, f"{where}:{value.unit}")
-                found.values[node] = value
+                structure.values[node] = value
 
 
 def read_values(root: ElementTree.Element, where: str) -> dict[str, Value]:
@@ -220,15 +220,17 @@ def read_values(root: ElementTree.Element, where: str) -> dict[str, Value]:
     return values
 
 
-def _named(path: Path, name: str, found: Structure) -> Node:
+def _named(path: Path, name: str, structure: Structure) -> Node:
     """What a name of a parameter set means: of the element itself, or of the longest element under it that it names."""
-    if path in found.components:
+    if path in structure.components:
         return path, name
-    elements = dict.fromkeys(each[:length] for each in found.components for length in range(1, len(each) + 1))
-    inside = [each for each in elements if each[: len(path)] == path and len(each) > len(path)]
-    fitting = [each for each in inside if name.startswith(".".join(each[len(path) :]) + ".")]
+    elements = dict.fromkeys(
+        component[:length] for component in structure.components for length in range(1, len(component) + 1)
+    )
+    inside = [element for element in elements if element[: len(path)] == path and len(element) > len(path)]
+    fitting = [element for element in inside if name.startswith(".".join(element[len(path) :]) + ".")]
     if fitting:
-        best = max(fitting, key=lambda each: len(".".join(each)))
+        best = max(fitting, key=lambda element: len(".".join(element)))
         return best, name[len(".".join(best[len(path) :])) + 1 :]
     return path, name
 
@@ -252,16 +254,16 @@ def origin(structure: Structure, node: Node, unit_of: Callable[[Node], Unit | No
     return node, factor, offset
 
 
-def conversion(given: Unit | None, wanted: Unit | None, what: str) -> tuple[float, float]:
+def conversion(given: Unit | None, target: Unit | None, what: str) -> tuple[float, float]:
     """Factor and offset from a value in one unit to that in another; none where one is not known.
 
     Raises UnusableError.
     """
-    if given is None or wanted is None or given == wanted:
+    if given is None or target is None or given == target:
         return 1.0, 0.0
-    if given.exponents != wanted.exponents:
+    if given.exponents != target.exponents:
         raise UnusableError(f"{what}: the units measure different things")
-    return given.factor / wanted.factor, (given.offset - wanted.offset) / wanted.factor
+    return given.factor / target.factor, (given.offset - target.offset) / target.factor
 
 
 def order(names: list[Path], feeds: Mapping[Path, set[Path]]) -> tuple[list[Path], set[tuple[Path, Path]]]:

@@ -64,8 +64,8 @@ class _Made:
             except UnusableError as reason:
                 raise UnusableError(f"component {'.'.join(name)} ({file}): {reason}") from reason
         self._known = {
-            name: {v.name: v for v in (*each.inputs, *each.outputs, *each.parameters)}
-            for name, each in self.archives.items()
+            name: {v.name: v for v in (*archive.inputs, *archive.outputs, *archive.parameters)}
+            for name, archive in self.archives.items()
         }
 
     def variable(self, node: Node) -> Variable:
@@ -101,11 +101,11 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
 
         def file(name: str) -> bytes:
             try:
-                found = zipped.read(name)
+                content = zipped.read(name)
             except KeyError:
                 raise UnusableError(f"there is no {name} in the archive") from None
-            need_harmless_xml(name, found)
-            return found
+            need_harmless_xml(name, content)
+            return content
 
         try:
             structure = read_structure(xml, file)
@@ -124,8 +124,8 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
 def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, made: _Made) -> Archive:
     origins = {
         (name, v.name): made.origin((name, v.name))
-        for name, each in made.archives.items()
-        for v in (*each.inputs, *each.parameters)
+        for name, archive in made.archives.items()
+        for v in (*archive.inputs, *archive.parameters)
     }
     fed: dict[At, set[At]] = {}
     for node, (source, _, _) in origins.items():
@@ -144,11 +144,11 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, mad
         for node, (source, factor, offset) in origins.items()
         if source != node and source[0] in made.archives and made.variable(node).causality == "input"
     )  # fmt: skip
-    starts = {(name, v.name): value for name, each in settings.items() for v, value in each}
+    starts = {(name, v.name): value for name, pairs in settings.items() for v, value in pairs}
     variables, places = _variables(structure, made, origins, number, starts)
     system = System(parts, feeds, places)
     named = {name for each in stated.ports.values() for name in (each if isinstance(each, list) else [each])}
-    many = any(is_several(each) and "." in each for each in stated.ports.values())  # of components, with a *
+    many = any(is_several(port) and "." in port for port in stated.ports.values())  # of components, with a *
     own = [v for v in variables if many or "." not in v.name or v.name in named]
     inputs, outputs, parameters = (
         tuple(v for v in variables if v.causality == causality) for causality in ("input", "output", "parameter")
@@ -191,11 +191,11 @@ def _settings(
     structure: Structure, made: _Made, origins: Mapping[Node, tuple[Node, float, float]]
 ) -> dict[At, tuple[Setting, ...]]:
     """What the parameter sets say of each component; what stands outside goes before what stands inside."""
-    found: dict[At, list[Setting]] = {}
+    settings: dict[At, list[Setting]] = {}
     used = set()
     for node in origins:
         through = _passed(structure, node)
-        stated = [each for each in through if each in structure.values]
+        stated = [source for source in through if source in structure.values]
         used.update(stated)
         if not stated:
             continue
@@ -205,7 +205,7 @@ def _settings(
         if at != node:
             _, scale, shift = origin(_cut(structure, at), node, made.unit)
             number = scale * number + shift
-        found.setdefault(node[0], []).append((variable, number))
+        settings.setdefault(node[0], []).append((variable, number))
     for node in structure.values:
         if node in used:
             continue
@@ -213,7 +213,7 @@ def _settings(
             made.variable(node)  # it may be an output, or an array
         text = ".".join((*node[0], node[1]))
         raise UnusableError(f"a parameter set states {text}, which is no parameter and no input")
-    return {name: tuple(values) for name, values in found.items()}
+    return {name: tuple(values) for name, values in settings.items()}
 
 
 def _passed(structure: Structure, node: Node) -> list[Node]:
@@ -296,8 +296,8 @@ def _variables(
         same = at[0].variable if plain else None
         unit = connector.unit or (same.unit if same else None)
         add(node[1], connector.kind, at, (unit, made.unit(node) or (same.base if same else None)))
-    for name, each in made.archives.items():
-        for v in (*each.inputs, *each.outputs, *each.parameters):
+    for name, archive in made.archives.items():
+        for v in (*archive.inputs, *archive.outputs, *archive.parameters):
             free = v.causality == "output" or origins[(name, v.name)][0] == (name, v.name)
             if free and not v.is_array:
                 add(f"{'.'.join(name)}.{v.name}", v.causality, [Place(number[name], v)], (v.unit, v.base))

@@ -101,20 +101,21 @@ class _Together:
         for feed in self._system.feeds:
             read[feed.source].setdefault(feed.output.name, feed.output)
         self._outputs = [
-            _Values(component, list(each.values())) for component, each in zip(self._components, read, strict=True)
+            _Values(component, list(variables.values()))
+            for component, variables in zip(self._components, read, strict=True)
         ]
-        places = [list(each) for each in read]
+        places = [list(variables) for variables in read]
         self._given: list[list[float]] = [[] for _ in self._components]  # what each gave last
         self._feeds = []
         for number, component in enumerate(self._components):
             feeds = [feed for feed in self._system.feeds if feed.part == number]
             rows = [
-                (each.source, places[each.source].index(each.output.name), each.factor, each.offset) for each in feeds
+                (feed.source, places[feed.source].index(feed.output.name), feed.factor, feed.offset) for feed in feeds
             ]
             self._feeds.append((_Values(component, [feed.variable for feed in feeds]), rows))
         self._steppers = [_Stepper(component) for component in self._components]
         self._places = [
-            [(each, _Values(self._components[each.part], [each.variable])) for each in places]
+            [(place, _Values(self._components[place.part], [place.variable])) for place in places]
             for places in self._system.places
         ]
 
@@ -183,12 +184,12 @@ class _Together:
                     one.set([place.factor * value + place.offset])
 
     def getReal(self, references: Sequence[int]) -> list[float]:
-        found = []
+        values = []
         for reference in references:
             place, one = self._places[reference][0]
             with self._of(place.part):
-                found.append(place.factor * one.get()[0] + place.offset)
-        return found
+                values.append(place.factor * one.get()[0] + place.offset)
+        return values
 
     def getFMUState(self) -> list[Any]:
         return [component.call("getFMUState") for component in self._components]
@@ -210,7 +211,8 @@ class _Together:
 
     def deserializeFMUState(self, data: Sequence[Any]) -> list[Any]:
         return [
-            component.call("deserializeFMUState", each) for component, each in zip(self._components, data, strict=True)
+            component.call("deserializeFMUState", serialized)
+            for component, serialized in zip(self._components, data, strict=True)
         ]
 
     def freeInstance(self) -> None:
@@ -302,7 +304,7 @@ class _Stepper:
         self._event, self._terminate, self._early = (ctypes.c_bool() for _ in range(3))
         self._last = ctypes.c_double()
         said = (self._event, self._terminate, self._early, self._last)
-        self._more = () if component.archive.fmi == 2 else tuple(ctypes.byref(each) for each in said)
+        self._more = () if component.archive.fmi == 2 else tuple(ctypes.byref(output) for output in said)
 
     def step(self, time: float, step: float) -> None:
         """Raises InstanceError."""

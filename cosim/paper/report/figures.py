@@ -217,10 +217,10 @@ def manual(reproduction: Reproduction) -> Figure:
 
 
 def _tracked(time: Sequence[float], pair: tuple[Sequence[float], Sequence[float]]) -> list[Curve]:
-    wanted, flown = pair
+    command, flown = pair
     return [
         Curve("flown", time, np.degrees(flown), BLUE, width=1.5),
-        Curve("set-point", time, np.degrees(wanted), GREY, "dash", 1.3),
+        Curve("set-point", time, np.degrees(command), GREY, "dash", 1.3),
     ]
 
 

@@ -57,7 +57,7 @@ def page_values(reproduction: Reproduction) -> dict[str, Any]:
             (name, part.noise.get(("quadrotor", key)), part.noise.get(("hexjet", key))) for key, name in NAMES.items()
         ],
         "turbojet": [
-            (reach, {each.controller: each for each in reproduction.turbojet}.get(reach.controller))
+            (reach, {row.controller: row for row in reproduction.turbojet}.get(reach.controller))
             for reach in part.turbojet
             if reach.engine == "turbojet"
         ],
@@ -73,7 +73,7 @@ def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
     counted: dict[str, dict[str, int]] = {}
     by_fidelity: list[list[Judgement | None]] = [[row.linear for row in rows], [row.flight for row in rows]]
     for fidelity, judged in zip(FIDELITIES, by_fidelity, strict=True):
-        counts: Counter[str] = Counter(each.verdict if each else "not flown" for each in judged)
+        counts: Counter[str] = Counter(judgement.verdict if judgement else "not flown" for judgement in judged)
         counted[fidelity] = {verdict: counts[verdict] for verdict in VERDICTS}
     return counted
 
@@ -83,7 +83,10 @@ def counts_in_words(claims: Iterable[ClaimRow]) -> str:
     rows = list(claims)
     linear, flight = tally(rows).values()
     chosen = [
-        sum(each is not None and each.verdict == "holds" and each.basis == "follows from a choice" for each in judged)
+        sum(
+            judgement is not None and judgement.verdict == "holds" and judgement.basis == "follows from a choice"
+            for judgement in judged
+        )
         for judged in ([row.linear for row in rows], [row.flight for row in rows])
     ]
     text = (

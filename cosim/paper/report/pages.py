@@ -69,7 +69,7 @@ def constructed_table(claims: Iterable[ClaimRow]) -> str:
 def _doublet(reproduction: Reproduction) -> str:
     """The Hex-Jet's roll doublet at the gains of vehicle.toml, flown with noise."""
     results = [reproduction.flown[f"hexjet-doublet.{c}"] for c in ("baseline", "smith")]
-    a, b = (each.metrics for each in results)
+    a, b = (result.metrics for result in results)
     less, faster = numbers.value("hexjet.less_overshoot"), numbers.value("hexjet.faster_settling")
     rmse, most = numbers.value("hexjet-doublet.smith.rmse"), numbers.value("hexjet-doublet.smith.max")
     return table(

@@ -99,15 +99,15 @@ def packet(sample: Sample, where: Geodesy) -> bytes:
         *(state.altitude, roll, pitch, yaw, flow, slip),
         *(p + turn * tan(level), q * cos(roll) - r * sin(roll), turn / cos(level)),
         *(speed / KNOT, -down * FEET),
-        *(each * FEET for each in (north, east, down, u, v, w)),
-        *(each * FEET for each in state.specific_force),
+        *(length * FEET for length in (north, east, down, u, v, w)),
+        *(component * FEET for component in state.specific_force),
         *(0.0, slip * 180.0 / pi),
         min(len(sample.engines.thrust), ENGINES),
-        *(RUNNING if each > 0.0 else OFF for each in thrust),
-        *(each * 30.0 / pi for each in turning),  # rpm
+        *(RUNNING if force > 0.0 else OFF for force in thrust),
+        *(rate * 30.0 / pi for rate in turning),  # rpm
         *nothing,  # fuel flow
         *nothing,  # fuel pressure
-        *(max(each * 1.8 - 459.67, 0.0) for each in heat),  # degrees Fahrenheit
+        *(max(kelvin * 1.8 - 459.67, 0.0) for kelvin in heat),  # degrees Fahrenheit
         *(nothing * 5),
         *(0, *([0.0] * TANKS)),
         *(WHEELS, *([int(state.on_ground)] * WHEELS), *([0.0] * (3 * WHEELS))),

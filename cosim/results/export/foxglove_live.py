@@ -82,7 +82,7 @@ class LiveExport:
         self._columns = self._mcap.channels_of(self, columns)
         self._drawn = self._scene.Scene(self, scenario.step_s, scenario)
         self._log = self._mcap.log_channel(self)
-        self._still = next(number for number, each in enumerate(self._channels) if each.topic() == "/scene")
+        self._still = next(number for number, channel in enumerate(self._channels) if channel.topic() == "/scene")
 
     def tell(self, sample: Sample) -> None:
         """The flight at one step, to those who look; what nobody looks at is not made."""

@@ -40,18 +40,18 @@ class LogLine(NamedTuple):
 def said(run: Run, lines: Sequence[ulog_autopilot.Line]) -> list[LogLine]:
     """Faults, verdicts, disturbances and contacts, their ends, what the autopilot said, and how the flight ended."""
     step, summary = run.summary.step_s, run.summary
-    found = [LogLine(k, k * step, severity, "pilot", text) for k, severity, text in ulog_autopilot.messages(lines)]
-    found += [LogLine(k, k * step, INFO, "pilot", text) for k, text in ulog_autopilot.mode_changes(lines)]
+    texts = [LogLine(k, k * step, severity, "pilot", text) for k, severity, text in ulog_autopilot.messages(lines)]
+    texts += [LogLine(k, k * step, INFO, "pilot", text) for k, text in ulog_autopilot.mode_changes(lines)]
     level = INFO if summary.outcome == "completed" else ERROR
     end, last = summary.steps, summary.duration_s
-    found.append(LogLine(end, last, level, "outcome", f"{summary.outcome}: {summary.reason}"))
-    found += [LogLine(end, last, ERROR, "limit", f"beyond its limit: {text}") for text in summary.exceeded]
+    texts.append(LogLine(end, last, level, "outcome", f"{summary.outcome}: {summary.reason}"))
+    texts += [LogLine(end, last, ERROR, "limit", f"beyond its limit: {text}") for text in summary.exceeded]
     for event in events_of(run):
         if event.kind != "pilot":
-            found.append(LogLine(round(event.time_s / step), event.time_s, event.severity, event.kind, event.text))
+            texts.append(LogLine(round(event.time_s / step), event.time_s, event.severity, event.kind, event.text))
             if event.end_s is not None:
-                found.append(LogLine(round(event.end_s / step), event.end_s, INFO, event.kind, f"over: {event.text}"))
-    return sorted(found, key=lambda each: each.k)
+                texts.append(LogLine(round(event.end_s / step), event.end_s, INFO, event.kind, f"over: {event.text}"))
+    return sorted(texts, key=lambda line: line.k)
 
 
 def facts(summary: Summary) -> dict[str, str]:

@@ -144,7 +144,7 @@ def drawing(vehicle: Vehicle, time: int) -> SceneUpdate:
     places = [*(places or [jet.position_m for jet in vehicle.jets]), (0.0, 0.0, 0.0)]
     low, high = np.min(places, axis=0), np.max(places, axis=0)
     cube = body.cubes.add(pose=_posed(0.5 * (low + high), (1.0, 0.0, 0.0, 0.0)))
-    cube.size.x, cube.size.y, cube.size.z = (max(float(each), 0.05 * size) for each in high - low)
+    cube.size.x, cube.size.y, cube.size.z = (max(float(length), 0.05 * size) for length in high - low)
     _colour(cube.color, _HULL)
     legs = body.lines.add(type=LinePrimitive.LINE_LIST, thickness=0.03 * size, pose=_posed((0, 0, 0), (1, 0, 0, 0)))
     _colour(legs.color, _LEG)
@@ -220,8 +220,8 @@ def _posed(at: Any, turned: Any) -> Pose:
 
 def _fill(vector: Any, quaternion: Any, at: Any, turned: Any) -> None:
     """Put a place and a quaternion, w first, into their messages."""
-    vector.x, vector.y, vector.z = (float(each) for each in at)
-    quaternion.w, quaternion.x, quaternion.y, quaternion.z = (float(each) for each in turned)
+    vector.x, vector.y, vector.z = (float(value) for value in at)
+    quaternion.w, quaternion.x, quaternion.y, quaternion.z = (float(value) for value in turned)
 
 
 def _colour(message: Any, rgba: tuple[float, float, float, float]) -> None:

@@ -44,7 +44,7 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
     step, lines = run.summary.step_s, read_pilot_record(folder)
     own = own_columns(run.log.described)
     held = dict(_of(lines, run.log.columns)) | (
-        {OWN: [column("float", each.name, each.name) for each in own]} if own else {}
+        {OWN: [column("float", own_column.name, own_column.name) for own_column in own]} if own else {}
     )
     topics_held = {
         name: _topic(fields, step if rates == "all" else EVERY_S[name], step) for name, fields in held.items()
@@ -56,7 +56,7 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
         file.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
         file.write(_message(b"B", bytes(40)))
         file.writelines(_message(b"I", _info(key, value)) for key, value in _facts(run.summary).items())
-        file.writelines(_message(b"I", _info(f"{OWN}_{each.name}", meaning(each))) for each in own)
+        file.writelines(_message(b"I", _info(f"{OWN}_{column.name}", meaning(column))) for column in own)
         file.writelines(_message(b"P", ulog_autopilot.parameter(name, value)) for name, value in at_start.items())
         file.writelines(_message(b"F", _format(name, topic.fields)) for name, topic in topics_held.items())
         file.writelines(_message(b"F", _series_format(name, series)) for name, series in pilot.items())
@@ -66,7 +66,7 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
         )
         events = [
             *_series_messages(pilot, len(topics_held), step),
-            *((each.k, _logged(each.severity, each.time_s, each.text)) for each in said(run, lines)),
+            *((line.k, _logged(line.severity, line.time_s, line.text)) for line in said(run, lines)),
             *((k, _message(b"P", ulog_autopilot.parameter(name, value))) for k, name, value in changes),
         ]
         events.sort(key=lambda event: event[0])
@@ -76,7 +76,9 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
             if estimates is not None:
                 block = block | _held(estimates, first, len(block["time_s"]))
             messages = [
-                each for n, topic in enumerate(topics_held.values()) for each in _messages(topic, n, block, first, last)
+                message
+                for n, topic in enumerate(topics_held.values())
+                for message in _messages(topic, n, block, first, last)
             ]
             first += len(block["time_s"])
             while done < len(events) and events[done][0] < first:

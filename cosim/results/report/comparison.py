@@ -35,7 +35,7 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[Pair]
     """
     summaries = [None if flight.run is None else flight.run.summary for flight in flights]
     known = [summary for summary in summaries if summary is not None]
-    title = known[0].title or known[0].scenario if len({each.scenario for each in known}) == 1 else "Comparison"
+    title = known[0].title or known[0].scenario if len({summary.scenario for summary in known}) == 1 else "Comparison"
     less = less_the_first(flights)
     strips = comparison_figures(flights, less)
     data = [flight_data(flight, number) for number, flight in enumerate(flights)]
@@ -125,7 +125,7 @@ def pair_said(pair: Pair) -> list[str]:
 def by_time(signals: Sequence[Signal]) -> list[Signal]:
     """Those that differ, first those that did so first."""
     unlike = [(signal.first_s, signal) for signal in signals if signal.first_s is not None]
-    return [signal for _, signal in sorted(unlike, key=lambda each: each[0])]
+    return [signal for _, signal in sorted(unlike, key=lambda pair: pair[0])]
 
 
 def signal_cells(signal: Signal) -> tuple[str, str, str, str, str, str]:

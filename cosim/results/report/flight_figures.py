@@ -219,7 +219,9 @@ def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
         figures["outside"] = strips(reader, outside)
     own = [column for column in own_columns(log.described) if reader.known(column.name)]
     if own:
-        figures["own"] = strips(reader, [Panel(each.name, each.unit, [Trace(each.name, each.name)]) for each in own])
+        figures["own"] = strips(
+            reader, [Panel(column.name, column.unit, [Trace(column.name, column.name)]) for column in own]
+        )
     inside = engine_panels(reader)
     if inside:
         figures["engines"] = strips(reader, inside)
@@ -230,7 +232,9 @@ def strips(reader: Reader, panels: Sequence[Panel]) -> Figure:
     """Panels as ``assets/strips.js`` draws them; signals that never move are left out where their trace says so."""
     return {
         "panels": [
-            _strip(panel, [(0, each) for each in panel.traces if not each.only_if_moving or reader.moves(each.column)])
+            _strip(
+                panel, [(0, trace) for trace in panel.traces if not trace.only_if_moving or reader.moves(trace.column)]
+            )
             for panel in panels
         ]
     }
@@ -472,7 +476,7 @@ def over(
     set-point: the longest run's where the others ask for the same as long as they last, else each run's own.
     """
     longest = max(range(len(readers)), key=lambda run: len(readers[run].log))
-    found = []
+    drawn = []
     for panel in panels:
         own = [trace for trace in panel.traces if trace.label == which]
         traces = [
@@ -491,8 +495,8 @@ def over(
                 traces += [
                     (run, setpoint._replace(label=f"{labels[run]}, set-point", colour=run_colour(run))) for run in asked
                 ]
-        found.append((panel, traces))
-    return found
+        drawn.append((panel, traces))
+    return drawn
 
 
 def overlaid(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:

@@ -69,7 +69,7 @@ def read(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
 def _numbers(text: str) -> list[float]:
     """None of them where one is no number."""
     try:
-        values = [float(each) for each in text.split(",")]
+        values = [float(cell) for cell in text.split(",")]
     except ValueError:
         return []
     return values if all(map(isfinite, values)) else []

@@ -174,8 +174,8 @@ def of_object(given: Any) -> Source:
     again = path is not None and path.suffix == ".py" and made.__qualname__.isidentifier()
     if again and (isinstance(given, type) or _as_made(given, made)):
         return _stated(f"{path}:{made.__name__}", given, make, files)
-    found = _stated(f"{OBJECT}{label}", given, make, files, copied=False)
-    return found if files else replace(found, text=_text_of(made))
+    source = _stated(f"{OBJECT}{label}", given, make, files, copied=False)
+    return source if files else replace(source, text=_text_of(made))
 
 
 def _copies(given: Any) -> Callable[[], Any]:
@@ -204,7 +204,7 @@ def file_of(made: Any) -> Path | None:
 
 def _codes(made: type) -> list[CodeType]:
     """Of the functions that its own text defines."""
-    return [inspect.unwrap(each).__code__ for each in vars(made).values() if inspect.isfunction(each)]
+    return [inspect.unwrap(function).__code__ for function in vars(made).values() if inspect.isfunction(function)]
 
 
 def _text_of(made: type) -> str:
@@ -265,7 +265,7 @@ def executed(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
     except Exception as error:
         line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
         raise InputError(f"{where}: {path}{line}: {described(error)}") from error
-    deep = [each for each in imported if each.parent != folder]
+    deep = [file for file in imported if file.parent != folder]
     if deep:
         raise InputError(
             f"{where}: imports {deep[0]}, which is in a package beside it: install that, and name it as "

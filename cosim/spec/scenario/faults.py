@@ -108,9 +108,9 @@ class SensorBias(Model):
 
     @model_validator(mode="after")
     def _fits_the_sensor(self) -> SensorBias:
-        wanted = 1 if self.sensor == "barometer" else 3
-        if len(self.bias) != wanted:
-            raise ValueError(f"bias: the {self.sensor} needs a list of {wanted}")
+        count = 1 if self.sensor == "barometer" else 3
+        if len(self.bias) != count:
+            raise ValueError(f"bias: the {self.sensor} needs a list of {count}")
         if any(self.velocity_bias) and self.sensor != "gnss":
             raise ValueError("velocity_bias: only the gnss measures a velocity")
         if not any((*self.bias, *self.velocity_bias)):

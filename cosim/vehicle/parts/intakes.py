@@ -29,7 +29,7 @@ class IntakeDrag:
 
     def __init__(self, flow: Airflow | None, jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> None:
         self._flows: list[Airflow | None] = [jet.airflow or flow for jet in jets]
-        self.any = any(each is not None for each in self._flows)
+        self.any = any(flow is not None for flow in self._flows)
         self._stations: list[Vector3] = [jet.position_m for jet in jets]
         self._layout = layout_of(jets, hinges)
 
