@@ -26,22 +26,30 @@ class OutsideRates:
     """A rate loop of ours around an autopilot whose own has nothing but P: what that answers is what it asks for.
 
     ``cascade``: whose rate loop and allocation fly.  ``gain``: of the autopilot's P about each axis, throttle or rad of
-    tilt per rad/s.  The autopilot is told that nothing turns, so its answer is its set-point times that gain, at the
-    collective that the mean of its throttles is.  Raises InputError for an allocation without torques.
+    tilt per rad/s.  Its answer is that gain times its set-point less its gyro, at the collective that the mean of its
+    throttles is.  ``hears``: its gyro is the vehicle's, by which its estimator lives; else it is told that nothing
+    turns.  Raises InputError for an allocation without torques.
     """
 
-    def __init__(self, cascade: Cascade, gain: Vector3) -> None:
-        self._cascade, self._gain = cascade, gain
+    def __init__(self, cascade: Cascade, gain: Vector3, hears: bool = False) -> None:
+        self._cascade, self._gain, self._hears = cascade, gain, hears
+        self.asked = ZERO3  # rad/s, what the autopilot asked for last
         self._jets = len(cascade.reset(False, 0.0))
         self._torques = np.array(torques(self._jets, cascade.allocator))
         self._shares = np.linspace(0.0, 1.0, 2001)
         self._throttles = [cascade.thrust_map.throttle((float(share),) * self._jets)[0] for share in self._shares]
 
+    def told(self, rate: Vector3) -> Vector3:
+        """What the autopilot's gyro says of a measured rate [rad/s]."""
+        return rate if self._hears else ZERO3
+
     def answer(self, asked: Answer, measured: Measured) -> Answer:
         """What goes to the actuators for what the autopilot asks for."""
-        roll, pitch, yaw = self._torques @ np.array([*asked.throttle, *asked.tilt]) / self._gain
+        torque = self._torques @ np.array([*asked.throttle, *asked.tilt])
+        roll, pitch, yaw = torque / self._gain + self.told(measured.rate)
         collective = float(np.interp(sum(asked.throttle) / self._jets, self._throttles, self._shares))
-        command = Command(ZERO3, 0.0, (float(roll), float(pitch), float(yaw)), collective)
+        self.asked = (float(roll), float(pitch), float(yaw))
+        command = Command(ZERO3, 0.0, self.asked, collective)
         engines = EngineState.FLY if asked.armed else EngineState.IDLE
         given = self._cascade.update(command, measured, Disturbance(), engines)
         left, right = given.tilt
@@ -123,7 +131,7 @@ class AutopilotBlock:
     def _exchange(self, measured: Measured, sticks: Sticks, spool: tuple[float, ...]) -> Answer:
         frame = Frame(
             self._frames * self._belief.step_s,
-            measured.rate if self.rates is None else ZERO3,
+            measured.rate if self.rates is None else self.rates.told(measured.rate),
             measured.specific_force,
             measured.attitude,
             measured.position,

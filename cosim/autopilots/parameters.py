@@ -86,6 +86,7 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
         for axis, limit in zip(AXES, control.attitude.rate_limit_rad_s, strict=True)
     }
     told |= {"IMU_GYRO_CUTOFF": 0.0, "MC_AIRMODE": 1.0}  # the gyro of the vehicle is filtered already
+    told["MC_YAW_TQ_CUTOFF"] = 0.0  # since 1.16 a low-pass of 2 Hz as shipped, which no design has
     if control.rate.roll.d:
         told["IMU_DGYRO_CUTOFF"] = 1.0 / (2.0 * pi * control.rate.roll.d_filter_s)
     # sticks by the simulator's link: Stabilized in every position, the fifth channel arms
@@ -137,6 +138,18 @@ def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
     told |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.0, "MOT_SPIN_MAX": 1.0}
     told |= {"MOT_SPIN_MIN": least, "MOT_SPIN_ARM": least, "INS_GYRO_FILTER": 0}
     return told | {"RC7_OPTION": 153, "ARMING_CHECK": 0}  # armed by the seventh channel
+
+
+# With --rates its rate loop is P of the error: so small that no output is at its limit for what a scenario asks for, a
+# tenth of a torque at 2 rad/s.  Chosen by us.
+_OUTSIDE_P = 0.05
+
+
+def px4_outside(vehicle: Vehicle) -> tuple[dict[str, float], Vector3]:
+    """The parameters by which PX4's rate loop is nothing but P, and what that is: throttle or rad of tilt per rad/s."""
+    kept = {"P": _OUTSIDE_P, "I": 0.0, "D": 0.0, "FF": 0.0, "K": 1.0}
+    roll, pitch, yaw = (_OUTSIDE_P * worth for worth in px4_torque(vehicle))
+    return {f"MC_{axis.upper()}RATE_{key}": value for axis in AXES for key, value in kept.items()}, (roll, pitch, yaw)
 
 
 NOTES = {

@@ -71,14 +71,14 @@ class _Writer:
         self._file.close()
 
 
-def outside_rates(scenario: Scenario, gain: Vector3) -> OutsideRates:
+def outside_rates(scenario: Scenario, gain: Vector3, hears: bool = False) -> OutsideRates:
     """The rate loop of a scenario's controller, see :class:`OutsideRates`.  Raises InputError for one of the user's."""
     with build(scenario) as simulation:
         if simulation.own is not None:
             raise InputError(
                 f"--rates {scenario.controller}: its rate loop is its own; allowed are built-in controllers"
             )
-        return OutsideRates(simulation.cascade, gain)
+        return OutsideRates(simulation.cascade, gain, hears)
 
 
 def fly_autopilot(

@@ -97,6 +97,14 @@ def _common(command: Callable[..., int]) -> Callable[..., int]:
     return told
 
 
+def _rates(command: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option(
+        "--rates",
+        metavar="NAME|FILE.toml",
+        help="The rate loop of this controller of ours, predictor and all, in the place of its own, from outside.",
+    )(command)
+
+
 @sitl.command(epilog=example("hexjet sitl betaflight --scenario roll-doublet --gains stock"))
 @_common
 @click.option(
@@ -106,12 +114,7 @@ def _common(command: Callable[..., int]) -> Callable[..., int]:
     metavar="vehicle|stock|FILE.toml",
     help="Rate and attitude gains: the vehicle's own, those of hexjet design in a file, or as Betaflight ships.",
 )
-@click.option(
-    "rates",
-    "--rates",
-    metavar="NAME|FILE.toml",
-    help="The rate loop of this controller of ours, predictor and all, in the place of its own, from outside.",
-)
+@_rates
 @click.option("console", "--line", metavar="TEXT", multiple=True, help='For its console, e.g. "set p_roll = 12".')
 @click.option(
     "--port",
@@ -158,11 +161,12 @@ def _instance(command: Callable[..., Any]) -> Callable[..., Any]:
 @sitl.command(epilog=example("hexjet sitl px4 --binary px4_sitl_default/bin/px4 --param MC_ROLLRATE_P=0.05"))
 @_common
 @_instance
+@_rates
 @click.option(
     "parameters", "--param", metavar="NAME=VALUE", multiple=True, help="Over those of hexjet sitl params px4."
 )
 @click.option("--field", metavar="N,E,D", help="The magnetic field [gauss].  [default: a dipole's at the place]")
-def px4(asked: Asked, instance: int, parameters: tuple[str, ...], field: str | None) -> int:
+def px4(asked: Asked, instance: int, rates: str | None, parameters: tuple[str, ...], field: str | None) -> int:
     """PX4's SITL: that of --binary or PX4_SITL, or one that you start; the port is 4560 and the instance.
 
     It flies in Stabilized and is flown by the sticks: lean as the scenario asks, height and heading held by the pilot
@@ -171,19 +175,24 @@ def px4(asked: Asked, instance: int, parameters: tuple[str, ...], field: str | N
     """
     from cosim.autopilots import px4 as theirs
     from cosim.autopilots.lockstep import stated_program
-    from cosim.autopilots.parameters import px4_parameters
+    from cosim.autopilots.parameters import px4_outside, px4_parameters
+    from cosim.autopilots.run import outside_rates
     from cosim.base.storage.toml import parse_numbers
 
     flown = asked.read()
     vehicle, _ = flown.resolved_vehicle()
     program, folder = stated_program(asked.binary, "PX4_SITL"), asked.folder(flown, "px4")
-    told = px4_parameters(vehicle) | parse_numbers(parameters, "--param")
+    told, ours = px4_parameters(vehicle), None
+    if rates:
+        kept, gain = px4_outside(vehicle)
+        told, ours = told | kept, outside_rates(asked.read(rates), gain, hears=True)
+    told |= parse_numbers(parameters, "--param")
     place = _place(flown)
     autopilot = theirs.Px4(
         program, folder / "px4", vehicle, flown.step_s, place, told, instance, asked.timeout, _field(field)
     )
     _wait_for("PX4", program, f"TCP port {theirs.PORT + instance}")
-    return _flown(asked, flown, autopilot, "px4", folder, theirs, program, {"parameters": told})
+    return _flown(asked, flown, autopilot, "px4", folder, theirs, program, {"parameters": told, "rates": rates}, ours)
 
 
 @sitl.command(epilog=example("hexjet sitl ardupilot --binary build/sitl/bin/arducopter --set step_s=0.0025"))

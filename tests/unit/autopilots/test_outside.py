@@ -23,14 +23,16 @@ FLOWN = {
 }
 
 
+@pytest.mark.parametrize("hears", [False, True])
 @pytest.mark.parametrize("name", FLOWN)
-def test_what_an_autopilot_asks_for_reaches_the_controller(name: str) -> None:
+def test_what_an_autopilot_asks_for_reaches_the_controller(name: str, hears: bool) -> None:
     """By mixing of the test's own: P of a set-point on banks and tilts, or on rotors; within what the curves' table is
     coarse, which is a part of a step of 12 bits."""
     scenario = FLOWN[name]
     vehicle, _ = scenario.resolved_vehicle()
-    rates = outside_rates(scenario, GAIN)
+    rates = outside_rates(scenario, GAIN, hears)
     draw = np.random.default_rng(3)
+    assert rates.told((0.1, 0.2, 0.3)) == ((0.1, 0.2, 0.3) if hears else ZERO3)
     with build(scenario) as simulation:
         cascade, jets = simulation.cascade, len(vehicle.jets)
         cascade.reset(False, 0.0)
@@ -39,7 +41,7 @@ def test_what_an_autopilot_asks_for_reaches_the_controller(name: str) -> None:
             rate: Vector3 = tuple(map(float, 0.1 * draw.standard_normal(3)))  # type: ignore[assignment]
             share = float(draw.uniform(0.4, 0.7))
             mean = cascade.thrust_map.throttle((share,) * jets)[0]
-            roll, pitch, yaw = asked * GAIN
+            roll, pitch, yaw = (asked - np.array(rates.told(rate))) * GAIN
             if vehicle.servo is None:
                 throttle = tuple(
                     mean - np.sign(jet.position_m[1]) * roll + np.sign(jet.position_m[0]) * pitch
@@ -78,8 +80,11 @@ def test_the_inverse_gives_back_what_the_allocation_was_told() -> None:
 
 def test_a_controller_without_a_rate_loop_of_ours_is_refused(hexjet: Hexjet) -> None:
     for given, said in (
-        (["--rates", "nobody"], "nobody"),
-        (["--rates", "baseline", "--aircraft", "trijet"], "torques are not those of banks or rotors"),
+        (["betaflight", "--rates", "nobody"], "nobody"),
+        (["betaflight", "--rates", "baseline", "--aircraft", "trijet"], "torques are not those of banks or rotors"),
+        (["px4", "--rates", "nobody"], "nobody"),
+        (["px4", "--rates", "baseline", "--aircraft", "trijet"], "flown by effectiveness"),
+        (["ardupilot", "--rates", "smith"], "--rates"),
     ):
-        done = hexjet("sitl", "betaflight", "--binary", "/bin/true", *given)
+        done = hexjet("sitl", *given, "--binary", "/bin/true")
         assert (done.status, said in done.err, "Traceback" in done.err) == (2, True, False), done.err
