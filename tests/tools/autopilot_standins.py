@@ -21,6 +21,16 @@ Pulses = Callable[[dict[str, object]], Sequence[int]]
 _NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 
 
+def free_port() -> int:
+    """One that is free, low enough for the others behind it."""
+    while True:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+            asked.bind(("127.0.0.1", 0))
+            port = int(asked.getsockname()[1])
+        if port < 65000:
+            return port
+
+
 class ArduPilotStandIn:
     """ArduPilot's side of the JSON backend, as ``SIM_JSON.cpp`` has it: sends, stands still, looks for keys by their text.
 

@@ -6,13 +6,13 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from autopilot_standins import free_port
 from stated_figures import stated
 
 from cosim.autopilots import betaflight as theirs
@@ -63,16 +63,6 @@ IN_ITS_LOOP: dict[str, Any] = {
         },
     }
 }
-
-
-def free_port() -> int:
-    """One that is free, low enough for the others behind it."""
-    while True:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
-            asked.bind(("127.0.0.1", 0))
-            port = int(asked.getsockname()[1])
-        if port < 65000:
-            return port
 
 
 def made(scenario: Scenario, folder: Path, gains: str = "vehicle", limit: float = 60.0) -> theirs.Betaflight:

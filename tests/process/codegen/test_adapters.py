@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from autopilot_standins import free_port
 from command_tools import Hexjet
 from numpy.typing import NDArray
 from places import TOOLS
@@ -277,7 +278,7 @@ def flown_inside(binary: Path, folder: Path) -> Run:
     doublet = Scenario.load("roll-doublet")
     vehicle, _ = doublet.resolved_vehicle()
     lines = [*theirs.gains_of(vehicle), "set pidsum_limit_yaw = 500"]
-    autopilot = theirs.Betaflight(binary, folder / "betaflight", vehicle, doublet.step_s, lines, 21_000, 60.0)
+    autopilot = theirs.Betaflight(binary, folder / "betaflight", vehicle, doublet.step_s, lines, free_port(), 60.0)
     return fly_autopilot(
         doublet, autopilot, "betaflight", folder, before=theirs.BEFORE_S, lean_deg=theirs.ANGLE_LIMIT_DEG,
         turn_deg_s=theirs.YAW_RATE_DEG_S,

@@ -7,7 +7,7 @@ typedef [[ n ]]_Real Real;
 #define R(x) ((Real)(x))
 #define ACTUATORS ([[ N ]]_JETS + 2)
 
-/* Roll [throttle], pitch and yaw [[[ "rad of tilt" if tilts else "throttle" ]]] of throttles and of the left and right tilt. */
+/* Roll in throttle, pitch and yaw in [[ "rad of tilt" if tilts else "throttle" ]], of throttles and of the left and right tilt. */
 static const Real INVERSE[3][ACTUATORS] = {
 {% for row in inverse %}
     [[ row|c("     ") ]],
