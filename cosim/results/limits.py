@@ -51,7 +51,7 @@ class Yardstick(Record):
     span_m: float
     height_law: tuple[float, float, float]  # gain 1/s, most climb and most descent m/s
     stated: dict[str, float | None]  # by the keys of LIMITED; None: none
-    piloted: bool  # by an autopilot that is asked things: where it flies is no drift
+    by_autopilot: bool  # flown by one that is asked things: where it flies is no drift
 
 
 def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
@@ -62,7 +62,7 @@ def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
         span_m=vehicle.aero.span_m,
         height_law=(gains.position_1_s, gains.climb_limit_m_s, gains.descent_limit_m_s),
         stated={key: None if value is False else float(value) for key, value in stated.items()},
-        piloted=scenario.requests is not None,
+        by_autopilot=scenario.requests is not None,
     )
 
 
@@ -82,7 +82,7 @@ def flight_limits(held: Yardstick, log: Columns, step_s: float) -> dict[str, flo
     placed, speed = asks_for_a_place(log), SPEEDS * sqrt(GRAVITY * span)
     if placed:
         limits["place_error_m"] = PLACE_SPANS * span
-    if not held.piloted:
+    if not held.by_autopilot:
         if placed:
             limits["speed_m_s"] = speed + track_speed(log[PLACE[0]], log[PLACE[1]], step_s)
         else:
@@ -152,7 +152,7 @@ def beyond(limits: Mapping[str, float], flat: Mapping[str, float | None]) -> lis
     return [name for name, most in limits.items() if (value := flat.get(name)) is not None and value > most]
 
 
-def told(name: str, limits: Mapping[str, float], flat: Mapping[str, float | None]) -> str:
+def exceedance(name: str, limits: Mapping[str, float], flat: Mapping[str, float | None]) -> str:
     """A metric and its limit in words: ``drift from the start 125.7 m, limit 10 m``."""
     of, value = metric(name), flat[name]
     assert value is not None

@@ -36,8 +36,8 @@ from cosim.results.columns import COLUMNS
 from cosim.results.limits import (
     Yardstick,
     beyond,
+    exceedance,
     flight_limits,
-    told,
 )
 from cosim.results.metrics import (
     AltitudeMetrics,
@@ -237,7 +237,7 @@ class Summary(Setup):
     @property
     def exceeded(self) -> list[str]:
         """What is beyond its limit, in words and with both figures."""
-        return [told(name, self.limits, self.flat_metrics) for name in self.beyond]
+        return [exceedance(name, self.limits, self.flat_metrics) for name in self.beyond]
 
 
 @dataclass(frozen=True, repr=False)

@@ -101,14 +101,14 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
     laws = [spec.flame_out for spec in stations]
     step, initial = scenario.step_s, scenario.initial
     flown = as_flown(vehicle, scenario.mismatch)
-    spools = RotorDynamics(flown.jets, stations, step, flown.hinges)
+    rotors = RotorDynamics(flown.jets, stations, step, flown.hinges)
     with ExitStack() as made:
         plugged = None if own is None else _Plugged(own, told, scenario, vehicle, engine, stations)
         end = made.callback(plugged.close) if plugged is not None else None
         if plugged is not None:
             plugged.make()
         controller = _cascade(scenario, vehicle, engine, stations, plugged)
-        airframe = Airframe(flown, folder, scenario.environment, step, scenario.substeps, scenario.seed, spools.any)
+        airframe = Airframe(flown, folder, scenario.environment, step, scenario.substeps, scenario.seed, rotors.any)
         made.callback(airframe.close)
         apart = scenario.engine_isolated or any(spec.isolated for spec in stations)
         in_flight = _starts_in_flight(scenario, stations)
@@ -136,7 +136,7 @@ def build(scenario: Scenario, own: Source | None = None) -> Simulation:
             flown.jets,
             engines,
             servos,
-            spools if spools.any else None,
+            rotors if rotors.any else None,
             Tank(vehicle.fuel.mass_kg, step, initial.fuel) if vehicle.fuel else None,
             banks if banks and banks.any else None,
             intakes if intakes.any else None,

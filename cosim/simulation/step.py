@@ -171,7 +171,7 @@ class Simulation:
         """What acts from outside, and what is added to the controller's own signals; a field's wind is in it."""
         disturbance = self.disturber.at(k)
         if self._field is not None:
-            disturbance = self._field.blown(k, self.state, disturbance)
+            disturbance = self._field.with_wind(k, self.state, disturbance)
             self.propulsion.gusts = self._field.at_jets
         return disturbance
 

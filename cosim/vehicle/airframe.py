@@ -121,7 +121,7 @@ def _group(node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> tu
 class Airframe:
     """JSBSim flying one vehicle.
 
-    ``step`` and ``substeps``: control step [s] and JSBSim runs in it.  ``spools``: spinning rotors are modelled;
+    ``step`` and ``substeps``: control step [s] and JSBSim runs in it.  ``rotors``: spinning rotors are modelled;
     without them the model is the file's own.  Raises InputError if the model does not load.
     """
 
@@ -133,11 +133,11 @@ class Airframe:
         step: float,
         substeps: int,
         seed: int,
-        spools: bool = False,
+        rotors: bool = False,
     ) -> None:
         self.substeps = substeps
         self.moving = True  # False: from the next reset on JSBSim does not run, to time what is around it
-        self._spools = spools
+        self._rotors = rotors
         self._vehicle = vehicle
         self._environment = environment
         self._file = scratch() / f"{vehicle.name}-{next(_number)}.xml"
@@ -145,7 +145,7 @@ class Airframe:
         self._dt = step / substeps
         self._seed = float(seed % 2**31)  # JSBSim keeps it in a C int
         try:
-            xml = render(vehicle, self._source, spools)
+            xml = render(vehicle, self._source, rotors)
             self.sha256 = hashlib.sha256(xml).hexdigest()  # of the model with the vehicle's numbers in it
             self.file_sha256 = hashlib.sha256(read_model(self._source)).hexdigest()
             self._file.write_bytes(xml)
@@ -205,7 +205,7 @@ class Airframe:
         self._set_wind = _Write(node, "atmosphere/wind-{}-fps", _NED, FOOT)
         self._set_payload = node("inertia/pointmass-weight-lbs").set_double_value
         self._payload_place = _Write(node, "inertia/pointmass-location-{}-inches", "XYZ")
-        self._momentum = _Write(node, MOMENTUM, "xyz", SLUG_FT2) if self._spools else None
+        self._momentum = _Write(node, MOMENTUM, "xyz", SLUG_FT2) if self._rotors else None
         self._pressure: Get = node("atmosphere/P-psf").get_double_value
         self._temperature: Get = node("atmosphere/T-R").get_double_value
         self._surfaces: list[Set] = [node(surface.property).set_double_value for surface in self._vehicle.surfaces]
@@ -242,7 +242,7 @@ class Airframe:
     ) -> State:
         """Put the vehicle at its initial state with ``forces`` (N, body, one per jet) already acting.
 
-        ``momentum``: of the spools, as for :meth:`set_momentum`; ``burnt``: fuel [kg] that it lacks from the start.
+        ``momentum``: of the rotors, as for :meth:`set_momentum`; ``burnt``: fuel [kg] that it lacks from the start.
         """
         if not self._fresh:
             # JSBSim's own reset leaves traces in the initial state; a new one is the same to the last bit
@@ -277,7 +277,7 @@ class Airframe:
         self._set("atmosphere/turbulence/milspec/severity", float(place.turbulence_severity))
         self._act(forces, ZERO3, ZERO3)
         self._apply(Disturbance(wind=wind))
-        if momentum and self._spools:
+        if momentum and self._rotors:
             self.set_momentum(momentum)
         if not self._fdm.run_ic():
             raise FlightError("JSBSim could not start from the initial state")
@@ -377,7 +377,7 @@ class Airframe:
             self._momentum.put(momentum[0], momentum[1], momentum[2])
 
     def set_momentum(self, momentum: Vector3) -> None:
-        """Hold the spools' angular momentum (kg m^2/s, body, against the airframe) from the next run on.
+        """Hold the rotors' angular momentum (kg m^2/s, body, against the airframe) from the next run on.
 
         At every run JSBSim then adds the gyroscopic moment ``momentum x omega`` with the inertial body rates omega, and
         integrates it with all other moments, in the air by the method of Adams and Bashforth of second order: a

@@ -18,7 +18,7 @@ from cosim.base.storage.cache import Memory
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, SLUG, SLUG_FT2
 
-MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the spools, body; a property of our own in the model
+MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the rotors, body; a property of our own in the model
 
 _RENDERED = {
     "mass_kg",
@@ -95,21 +95,21 @@ def _parsed(path: Path, text: bytes) -> ET.Element:
         raise InputError(f"{path}: not valid XML: {error}") from error
 
 
-def render(vehicle: Vehicle, model: Path | None, spools: bool = False) -> bytes:
+def render(vehicle: Vehicle, model: Path | None, rotors: bool = False) -> bytes:
     """The JSBSim model with the vehicle's numbers written over the ones in the file, in JSBSim's own units.
 
-    A vehicle with a tank gets a point mass for the fuel that is burnt, and with ``spools`` a gyroscopic moment.
+    A vehicle with a tank gets a point mass for the fuel that is burnt, and with ``rotors`` a gyroscopic moment.
 
     Raises InputError if the file cannot be read or has what a vehicle here cannot have.
     """
     text = read_model(model)
     return _rendered.get(
-        (model, text, vehicle.model_dump_json(include=_RENDERED), spools),
-        lambda: _render(vehicle, model or Path(vehicle.name), text, spools),
+        (model, text, vehicle.model_dump_json(include=_RENDERED), rotors),
+        lambda: _render(vehicle, model or Path(vehicle.name), text, rotors),
     )
 
 
-def _render(vehicle: Vehicle, model: Path, text: bytes, spools: bool) -> bytes:
+def _render(vehicle: Vehicle, model: Path, text: bytes, rotors: bool) -> bytes:
     root = _parsed(model, text)
     if root.tag != "fdm_config":
         raise InputError(f"{model}: is no JSBSim model: its root is {root.tag}, not fdm_config")
@@ -168,7 +168,7 @@ def _render(vehicle: Vehicle, model: Path, text: bytes, spools: bool) -> bytes:
         at = ET.SubElement(burnt, "location", unit="IN")
         for axis, inches in zip("xyz", structural(vehicle.fuel.position_m), strict=True):
             ET.SubElement(at, axis).text = repr(inches + 0.0)
-    if spools:
+    if rotors:
         for axis in "xyz":
             ET.SubElement(find("flight_control"), "property", value="0").text = MOMENTUM.format(axis)
         for axis, turn in zip(("ROLL", "PITCH", "YAW"), ("xyz", "yzx", "zxy"), strict=True):

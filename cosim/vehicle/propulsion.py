@@ -56,7 +56,7 @@ class Propulsion:
         jets: Sequence[Jet],
         engines: EngineChain,
         servos: Sequence[TiltServo],
-        spools: RotorDynamics | None,
+        rotors: RotorDynamics | None,
         tank: Tank | None,
         banks: Banks | None,
         streams: IntakeDrag | None,
@@ -68,7 +68,7 @@ class Propulsion:
     ) -> None:
         self.engines = engines
         self.servos = list(servos)
-        self.spools, self.tank, self.banks, self.streams = spools, tank, banks, streams
+        self.rotors, self.tank, self.banks, self.streams = rotors, tank, banks, streams
         self._suckdown = ground if ground is not None and ground.suckdown else None
         self._hot_gas = ground if ground is not None and ground.hot_gas else None
         self._air = air
@@ -133,9 +133,9 @@ class Propulsion:
             self._hinges.reset()
         ambient = self.ambient(state, wind) if state is not None else None
         self.output = self.engines.reset(throttle, ambient)
-        if self.spools is not None:
-            self.spools.reset(self.output.spool_speed)
-            self.momentum = self.spools.momentum
+        if self.rotors is not None:
+            self.rotors.reset(self.output.spool_speed)
+            self.momentum = self.rotors.momentum
         forces = self.forces(self.output.thrust, self.tilt)
         if self._aside:
             across, _ = self.beside(self.output, self.tilt)
@@ -160,10 +160,10 @@ class Propulsion:
         moment = ZERO3
         if self._reacting:
             moment = self._reaction(output.thrust, tilt)
-        if self.spools is not None:
-            change = self.spools.update(output.spool_speed, tilt)
-            self.momentum = self.spools.momentum
-            self.spool_moment = self.spools.moment(change, state.rate)
+        if self.rotors is not None:
+            change = self.rotors.update(output.spool_speed, tilt)
+            self.momentum = self.rotors.momentum
+            self.spool_moment = self.rotors.moment(change, state.rate)
             moment = _plus(change, moment)
         forces = self.forces(output.thrust, tilt)
         if self._aside:

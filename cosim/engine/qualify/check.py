@@ -360,7 +360,7 @@ def _measured(data: Mapping[str, Any]) -> Measured:
     return Measured(curve, Response(**data["response"]), data["start"], float(data["quiet"]), small, others)
 
 
-def told(measured: Measured) -> dict[str, Any]:
+def as_table(measured: Measured) -> dict[str, Any]:
     """What was measured, as it travels and is remembered."""
     return {
         **measured.curve._asdict(),
@@ -368,7 +368,7 @@ def told(measured: Measured) -> dict[str, Any]:
         "start": measured.start,
         "quiet": measured.quiet,
         "small": measured.small._asdict() if measured.small else None,
-        "others": [told(other) for other in measured.others],
+        "others": [as_table(other) for other in measured.others],
     }
 
 
@@ -556,4 +556,4 @@ def _recall(place: Path) -> Measured | None:
 
 
 def _remember(place: Path, measured: Measured) -> None:
-    write(place, json.dumps(told(measured)))
+    write(place, json.dumps(as_table(measured)))

@@ -29,7 +29,7 @@ from cosim.engine.fmu.ports import STANDARD_AIR, Air
 from cosim.engine.fmu.unpacked import contents, unpack
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import Measured, measure
-from cosim.engine.qualify.check import NEEDED, all_curve_problems, told
+from cosim.engine.qualify.check import NEEDED, all_curve_problems, as_table
 from cosim.engine.qualify.supervisor import READ
 from cosim.engine.response import (
     NO_CHANGE,
@@ -327,7 +327,7 @@ def _measure(trial: Trial) -> Findings:
         Air(*trial.task.air),
     )
     curve = measurement.curve._asdict()
-    measured = told(measurement)
+    measured = as_table(measurement)
     problems = all_curve_problems(measurement, trial.archive.starting.rest_n)
     notes = flat_notes(measurement.curve, measurement.quiet, trial.archive.starting.rest_n)
     return {**curve, "up": measurement.response._asdict(), "measured": measured, "notes": notes}, problems

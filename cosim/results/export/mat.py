@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.errors import InputError
 from cosim.results.autopilot.autopilot_record import read_pilot_record
-from cosim.results.export.output import described, facts, output, said
+from cosim.results.export.output import described, facts, log_lines, output
 from cosim.results.run import open_run
 
 _LONGEST = 63  # MATLAB's namelengthmax
@@ -45,7 +45,7 @@ def export_mat(folder: Path, path: Path) -> None:
         for name, values in block.items():
             columns[names[name]][first : first + count, 0] = values
         first += count
-    events = said(run, read_pilot_record(folder))
+    events = log_lines(run, read_pilot_record(folder))
     known = described(run)
     metrics = {name: value for name, value in run.summary.flat_metrics.items() if value is not None}
     flight: dict[str, Any] = {

@@ -26,9 +26,9 @@ from cosim.results.export.output import (
     Timed,
     described,
     facts,
+    log_lines,
     meaning,
     output,
-    said,
     scenario_of,
 )
 from cosim.results.run import SCENARIO, SUMMARY, open_run
@@ -92,7 +92,7 @@ def export_mcap(folder: Path, path: Path) -> None:
                 writer.add_attachment(0, 0, name, kind, (folder / name).read_bytes())
         channels = channels_of(writer, described(run))
         drawn = scene.Scene(writer, run.summary.step_s, scenario_of(run))
-        texts = _texts(writer, said(run, read_pilot_record(folder)))
+        texts = _texts(writer, log_lines(run, read_pilot_record(folder)))
         done, first, last = 0, 0, len(run.log) - 1
         for block in run.log.blocks(run.log.columns, ROWS):
             messages = [*messages_of(channels, block, first), *drawn.messages(block, first, last)]

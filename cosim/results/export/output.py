@@ -37,7 +37,7 @@ class LogLine(NamedTuple):
     text: str
 
 
-def said(run: Run, lines: Sequence[ulog_autopilot.Line]) -> list[LogLine]:
+def log_lines(run: Run, lines: Sequence[ulog_autopilot.Line]) -> list[LogLine]:
     """Faults, verdicts, disturbances and contacts, their ends, what the autopilot said, and how the flight ended."""
     step, summary = run.summary.step_s, run.summary
     texts = [LogLine(k, k * step, severity, "pilot", text) for k, severity, text in ulog_autopilot.messages(lines)]

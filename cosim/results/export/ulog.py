@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.columns import flown_in, own_columns
 from cosim.results.export import ulog_autopilot
-from cosim.results.export.output import ROWS, Block, facts, meaning, output, said, scenario_of, settings
+from cosim.results.export.output import ROWS, Block, facts, log_lines, meaning, output, scenario_of, settings
 from cosim.results.export.ulog_topics import BY_AUTOPILOT, EVERY_S, OWN, STATES, Field, column, topics
 from cosim.results.run import Summary, open_run
 
@@ -66,7 +66,7 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
         )
         events = [
             *_series_messages(pilot, len(topics_held), step),
-            *((line.k, _logged(line.severity, line.time_s, line.text)) for line in said(run, lines)),
+            *((line.k, _logged(line.severity, line.time_s, line.text)) for line in log_lines(run, lines)),
             *((k, _message(b"P", ulog_autopilot.parameter(name, value))) for k, name, value in changes),
         ]
         events.sort(key=lambda event: event[0])

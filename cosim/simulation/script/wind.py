@@ -31,7 +31,7 @@ class FieldWind:
         x, y, z = self._velocity(0.0, 0.0, 0.0, self._height)
         return (wind[0] + x, wind[1] + y, wind[2] + z)
 
-    def blown(self, k: int, state: State, disturbance: Disturbance) -> Disturbance:
+    def with_wind(self, k: int, state: State, disturbance: Disturbance) -> Disturbance:
         """The disturbance of step ``k`` with the field's wind in it."""
         time = k * self._step
         north, east, _ = state.position

@@ -22,9 +22,9 @@ from cosim.results.limits import (
     SATURATED_PERCENT,
     SPEEDS,
     beyond,
+    exceedance,
     height_lag,
     lean_motion,
-    told,
     track_speed,
 )
 from cosim.results.metrics import metric_names
@@ -107,7 +107,7 @@ def test_beyond_is_above_and_is_told_with_both_figures() -> None:
     flat = {"position.drift_m": 125.71, "speed.max_m_s": 4.0, "effort.tilt_rad_s": 2 * pi, "fuel_burnt_kg": None}
     found = beyond(limits, flat)
     assert found == ["position.drift_m", "effort.tilt_rad_s"]
-    assert [told(name, limits, flat) for name in found] == [
+    assert [exceedance(name, limits, flat) for name in found] == [
         "drift from the start 125.7 m, limit 10 m",
         "tilt activity 360 deg/s, limit 180 deg/s",
     ]
