@@ -7,6 +7,7 @@ import os
 import signal
 import socket
 import subprocess
+import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -93,11 +94,17 @@ class Autopilot(Protocol):
         """End it; may be called twice."""
 
 
+# Linux ends the program with the thread that started it, however that goes; 1 is PR_SET_PDEATHSIG of <sys/prctl.h>.
+_TIED = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9); os.execv(sys.argv[1], sys.argv[1:])"
+
+
 class Program:
     """A program that was started for a flight, with what it prints in a file; ended with all that it started."""
 
     def __init__(self, command: Sequence[str], folder: Path, log: Path, environment: dict[str, str]) -> None:
         self.name = Path(command[0]).name
+        if sys.platform == "linux":
+            command = [sys.executable, "-I", "-S", "-c", _TIED, *command]
         try:
             with log.open("ab") as output:
                 self.process = subprocess.Popen(

@@ -95,13 +95,14 @@ def fly_autopilot(
     observers: Sequence[Observer] = (),
     realtime_factor: float | None = None,
     rates: OutsideRates | None = None,
+    page: bool = True,
 ) -> Flown:
     """Fly a scenario with an autopilot in the place of the controller, and close that.
 
     ``before``, ``lean_deg``, ``turn_deg_s``: see :class:`AutopilotBlock`.  ``files``: what flew, to be hashed.
-    ``told``: what else is to be known of it.  ``rates``: in the place of its rate loop.  A crash, an autopilot that
-    ends or hangs, and Ctrl-C are outcomes, and the run is kept.  Raises InputError for what cannot be flown, and
-    FlightError for an autopilot that does not begin; there is no run then.
+    ``told``: what else is to be known of it.  ``rates``: in the place of its rate loop.  ``page``: whether to make
+    one.  A crash, an autopilot that ends or hangs, and Ctrl-C are outcomes, and the run is kept.  Raises InputError
+    for what cannot be flown, and FlightError for an autopilot that does not begin; there is no run then.
     """
     try:
         if scenario.engine_start == "in flight":
@@ -152,6 +153,6 @@ def fly_autopilot(
             books = {"autopilot": label, "steps": simulation.k, **asdict(autopilot.counts), **(told or {})}
             (folder / LOCKSTEP).write_text(json.dumps(books, indent=2) + "\n")
             run = recording.finish(ending.outcome, ending.reason, wall, pace.report if realtime_factor else None)
-            return Flown(with_page(run), autopilot.counts, label)
+            return Flown(with_page(run) if page else run, autopilot.counts, label)
     finally:
         autopilot.close()

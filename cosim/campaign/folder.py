@@ -67,7 +67,7 @@ def freeze(study: Study) -> Frozen:
     InputError.
     """
     base = study.base()
-    for controller in study.flown_with:
+    for controller in study.tried:
         build(with_values(base, {"controller": controller})).close()
     with build(with_values(base, {"controller": BASELINE.name})) as simulation:
         resolved, sources = resolve(simulation)

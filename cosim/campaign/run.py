@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cosim.autopilots.ready import program_of
 from cosim.base.errors import FlightError, InputError
 from cosim.campaign.folder import is_campaign
 from cosim.campaign.store import (
@@ -18,10 +19,11 @@ from cosim.campaign.store import (
     Tally,
     open_campaign,
 )
+from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.campaign.study.study import Study, study_names
-from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256
+from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256, with_autopilot
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.campaign.workers.protocol import Workers
 from cosim.flight import fly, new_folder
@@ -55,6 +57,8 @@ def run_campaign(
     """
     folder = Path(out)
     begun = study is None or (resume and folder.is_dir() and any(folder.iterdir()))
+    if study is not None and study.autopilot is not None:
+        _check_autopilot(study, study.autopilot, workers)
     with Store.resume(folder, study) if begun else Store.create(folder, study) as store:  # type: ignore[arg-type]
         tell = progress or (lambda tally, done, of: None)
         tell(store.tally, store.kept, len(store.flights))
@@ -70,6 +74,13 @@ def run_campaign(
                 tell(store.tally, store.kept, len(store.flights))
                 raise
     return open_campaign(folder)
+
+
+def _check_autopilot(study: Study, autopilot: StudyAutopilot, workers: Workers | int | None) -> None:
+    """Raises InputError for an autopilot that is not here, or flights that are to be flown elsewhere."""
+    if not (workers is None or isinstance(workers, (int, LocalWorkers))):
+        raise InputError(f"study {study.name}: autopilot {autopilot.name} flies on this machine; leave out --cluster")
+    program_of(autopilot.name, Path(autopilot.seen_from(study.folder).binary) if autopilot.binary else None)
 
 
 def opened(name: str, out: Path | None, resume: bool, **options: Any) -> tuple[Study | None, Path]:
@@ -153,7 +164,12 @@ def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **
     """
     row = campaign.row(number)
     try:
-        run = fly(scenario_of(campaign.study, flight_of(campaign.study, row)), out, **options)
+        scenario = scenario_of(campaign.study, flight_of(campaign.study, row))
+        if campaign.study.autopilot is not None:
+            place = Path(out) if out is not None else new_folder(Path("runs"), f"{campaign.study.name}-flight-{number}")
+            _, run = with_autopilot(campaign.study, scenario, place)
+        else:
+            run = fly(scenario, out, **options)
     except InputError as error:
         if str(error) == row["reason"]:
             raise FlightError(f"flight {number} cannot be flown, as the first time: {error}") from error
@@ -178,6 +194,8 @@ def _otherwise(row: Row, run: Run) -> list[str]:
         for name in sorted({*then[kind], *now[kind]})
         if then[kind].get(name) != now[kind].get(name)
     ]
+    if not differences and row.get("autopilot"):
+        differences = ["its autopilot is a program with threads of its own, which may answer in another order"]
     if not differences and row["inputs_sha256"] != inputs_sha256(run):
         differences = ["the numbers of the aircraft or of an engine are others"]
     ended = f"it ended {run.outcome}, {run.reason}; then {row['outcome']}, {row['reason']}"

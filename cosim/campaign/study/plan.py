@@ -72,8 +72,7 @@ def controllers(study: Study) -> list[str]:
 
 def scenario_of(study: Study, flight: Flight) -> Scenario:
     """The scenario of one flight, which expects nothing.  Raises InputError if its values make none."""
-    name = flight.controller
-    controller = seen_from(name, study.folder)
+    controller = study.tried[0] if study.autopilot is not None else seen_from(flight.controller, study.folder)
     return with_values(study.base(), {**flight.values, "controller": controller, "seed": flight.seed})
 
 

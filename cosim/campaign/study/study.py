@@ -24,6 +24,7 @@ from cosim.base.storage.toml import (
     split_key,
     validate,
 )
+from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.distributions import Vary, parse_vary
 from cosim.campaign.study.keys import (
     OWN_PARAMETERS,
@@ -87,6 +88,7 @@ class Study(Model):
     vary: Annotated[list[Vary], Field(min_length=1)]
     correlate: list[Correlation] = Field(default_factory=list)
     success: dict[str, Range] = Field(default_factory=dict)  # metrics that must hold beside a completed flight
+    autopilot: StudyAutopilot | None = None  # flies in the place of the controller, whose gains go into it
 
     _folder: Path = PrivateAttr(default_factory=Path)
     _where: str = PrivateAttr(default="study")
@@ -107,9 +109,14 @@ class Study(Model):
         return self.repeats * prod(_levels(vary) for vary in self.vary)
 
     @property
-    def flown_with(self) -> list[str]:
-        """The controllers, one at least."""
+    def tried(self) -> list[str]:
+        """The controllers that scenarios are made with, one at least."""
         return self.controllers or [seen_from(self.base().controller, self.base().folder)]
+
+    @property
+    def flown_with(self) -> list[str]:
+        """Who flies, as rows have it: the controllers, or the autopilot in their place."""
+        return self.tried if self.autopilot is None else [self.autopilot.name]
 
     def base(self) -> Scenario:
         """The scenario with the study's settings, before any draw; what it expected is left out."""
@@ -127,7 +134,7 @@ class Study(Model):
         if name not in self._keys:
             base = self.base()
             if name.startswith(OWN_PARAMETERS):  # of any controller that is flown
-                known = [with_values(base, {"controller": controller}) for controller in self.flown_with]
+                known = [with_values(base, {"controller": controller}) for controller in self.tried]
                 known.sort(
                     key=lambda scenario: [
                         name in [key.path for key in own_keys(scenario)],
@@ -174,10 +181,12 @@ class Study(Model):
         the study's folder, that of the file which :meth:`save` writes.
         """
         changes: dict[str, Any] = {}
+        if self.autopilot is not None:
+            changes["autopilot"] = self.autopilot.seen_from(self.folder)
         if scenario is not None:
-            changes = {"scenario": scenario.as_posix(), "settings": {}}
+            changes |= {"scenario": scenario.as_posix(), "settings": {}}
         elif is_path(self.scenario):
-            changes = {"scenario": str(_scenario_path(self.scenario, self.folder).absolute())}
+            changes |= {"scenario": str(_scenario_path(self.scenario, self.folder).absolute())}
         return self.changed(**changes)
 
     def changed(self, **changes: Any) -> Study:
@@ -214,6 +223,11 @@ class Study(Model):
     @model_validator(mode="after")
     def _design_fits(self) -> Study:
         """A grid has points and no number of runs; whatever is drawn has a number of runs and no levels."""
+        if self.autopilot is not None and self.controllers:
+            raise ValueError(
+                f"controllers: {self.autopilot.name} flies in their place, with the gains of the scenario's "
+                "controller; leave them out (settings.controller = a file of hexjet design)"
+            )
         if self.design != "grid":
             for vary in self.vary:
                 if vary.levels is not None:
@@ -295,7 +309,7 @@ def check(study: Study, where: str) -> None:
             study.key(name)
         for vary in study.vary:
             check_vary(vary, study.key(vary.key))
-        for controller in study.flown_with:  # files exist, and are for this aircraft
+        for controller in study.tried:  # files exist, and are for this aircraft
             with_values(study.base(), {"controller": controller})
         _check_together(study)
     except InputError as error:

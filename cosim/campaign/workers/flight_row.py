@@ -9,17 +9,20 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import tempfile
 import time
 from functools import cache
+from pathlib import Path
 from socket import gethostname
 from typing import TYPE_CHECKING
 
+from cosim.autopilots.ready import make_ready, own_instance
 from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.flight import fly
 from cosim.results import metrics
 from cosim.results.columns import flown_by
-from cosim.results.digest import DigestSink
+from cosim.results.digest import DigestSink, log_digest
 from cosim.results.metrics import check_expectations, metric_names
 from cosim.simulation.brought import metrics_of
 from cosim.spec.scenario import WaypointsCommand
@@ -44,6 +47,8 @@ _LAST: Kinds = {
     "wall_s": float,
     "worker": str,
 }
+# of an autopilot of others: states that it was told, and answers that never came
+_LOCKSTEP: Kinds = {"autopilot": str, "autopilot_frames": int, "autopilot_missing": int}
 _KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
 
 
@@ -54,7 +59,9 @@ def kinds(study: Study) -> Kinds:
     have a value.
     """
     varied = {vary.key: _kind(study, vary.key) for vary in study.vary}
-    return _FIRST | varied | _OUTCOME | dict.fromkeys([*_metrics(), *own_names(study)], float) | _LAST | _brought(study)
+    measured = dict.fromkeys([*_metrics(), *own_names(study)], float)
+    lockstep = _LOCKSTEP if study.autopilot is not None else {}
+    return _FIRST | varied | _OUTCOME | measured | _LAST | _brought(study) | lockstep
 
 
 def fly_one(study: Study, flight: Flight) -> Row:
@@ -65,8 +72,12 @@ def fly_one(study: Study, flight: Flight) -> Row:
     begin = time.perf_counter()
     try:
         scenario = scenario_of(study, flight)
-        sink = _sink(scenario)
-        flown = _flown(study, fly(scenario, sink=sink), sink.hexdigest())
+        if study.autopilot is not None:
+            with tempfile.TemporaryDirectory(prefix="hexjet-autopilot-") as folder:
+                flown, _ = with_autopilot(study, scenario, Path(folder) / "run", page=False)
+        else:
+            sink = _sink(scenario)
+            flown = _flown(study, fly(scenario, sink=sink), sink.hexdigest())
     except Exception as error:
         trouble = _machine_trouble(error)
         if trouble is not None:
@@ -75,6 +86,40 @@ def fly_one(study: Study, flight: Flight) -> Row:
         reason = str(error) if told else ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
         flown = {"reason": reason}
     return failed_row(study, flight, "") | flown | {"wall_s": time.perf_counter() - begin, "worker": _worker()}
+
+
+def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = True) -> tuple[Row, Run]:
+    """A flight of the study's autopilot, recorded whole in ``folder``: what its row says, and the run.
+
+    What it was made from is the scenario as the study has it: the record of the autopilot's commands is of the flight.
+    Raises InputError and FlightError.
+    """
+    stated = study.autopilot
+    assert stated is not None
+    with own_instance() as instance:
+        ready = make_ready(
+            stated.name,
+            scenario,
+            folder,
+            Path(stated.seen_from(study.folder).binary) if stated.binary else None,
+            instance,
+            stated.gains,
+            stated.lines,
+            stated.parameters,
+            stated.timeout_s,
+        )
+        done = ready.fly(scenario, folder, page)
+    run, counts = done.run, done.counts
+    made = hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
+    row = _flown(study, run, log_digest(run.log)) | {
+        "controller_sha256": None,
+        "controller_repeatable": None,
+        "inputs_sha256": made,
+        "autopilot": stated.name,
+        "autopilot_frames": counts.frames,
+        "autopilot_missing": counts.frames - counts.boot - counts.answers,
+    }
+    return row, run
 
 
 def own_names(study: Study) -> list[str]:

@@ -1,0 +1,38 @@
+"""The autopilot of others that flies every flight of a study, as the study's table ``[autopilot]`` states it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from cosim.base.storage.toml import Model
+
+
+class StudyAutopilot(Model):
+    """In the place of the controller: see ``hexjet sitl`` for what each of them takes.
+
+    The gains of the scenario's controller go into it: those of the vehicle, or of a file of ``hexjet design``.
+    """
+
+    name: Literal["betaflight", "px4", "ardupilot"]
+    binary: str = ""  # its program, as seen from the study's folder; none: the one that the environment names
+    gains: Literal["vehicle", "stock"] = "vehicle"  # stock: as it ships; Betaflight's alone
+    lines: list[str] = Field(default_factory=list)  # for Betaflight's console
+    parameters: dict[str, float] = Field(default_factory=dict)  # of PX4, over those made from the vehicle
+    timeout_s: Annotated[float, Field(ge=0.1, le=600.0)] = 30.0  # for an answer, of the clock
+
+    @model_validator(mode="after")
+    def _fits(self) -> StudyAutopilot:
+        """Every autopilot takes what is its own."""
+        for key, owner in (("lines", "betaflight"), ("parameters", "px4")):
+            if getattr(self, key) and self.name != owner:
+                raise ValueError(f"{key}: only {owner} has them, and this is {self.name}")
+        if self.gains != "vehicle" and self.name != "betaflight":
+            raise ValueError(f"gains = {self.gains!r}: only betaflight flies as it ships, and this is {self.name}")
+        return self
+
+    def seen_from(self, folder: Path) -> StudyAutopilot:
+        """With its program by absolute path."""
+        return self.model_copy(update={"binary": str((folder / self.binary).absolute())}) if self.binary else self
