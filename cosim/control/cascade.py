@@ -349,6 +349,8 @@ class Cascade:
             elif self._opposites:
                 self._shut_opposite(monitor)
             self.allocator.replan(monitor.health)
+        if isinstance(self.allocator, EffectivenessAllocator):
+            self.allocator.look(monitor.reported)
         if self._catching and self._catch is not None:
             self._catch.look(monitor.reported, monitor.gains)
         if self._reduced is not None and self._reduced.flies:

@@ -16,7 +16,7 @@ from cosim.base.protocols import Allocator, Predictor, Sensors
 from cosim.base.signals import AXES
 from cosim.base.storage.cache import Memory
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
-from cosim.control.allocation.effectiveness import EffectivenessAllocator, Mover
+from cosim.control.allocation.effectiveness import EffectivenessAllocator, Late, Mover
 from cosim.control.allocation.engine_monitor import EngineMonitor
 from cosim.control.allocation.reallocation import get_ready
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
@@ -522,7 +522,20 @@ def _by_effectiveness(
         [jet.effort for jet in vehicle.jets],
         movers,
         limits.horizontal,
+        _late(scenario, vehicle, stations),
     )
+
+
+def _late(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> Late | None:
+    """Of the engines, where the vehicle is to be caught without one of them.
+
+    A throttle has acted after the delay and a third of the lag, by when an engine is well on its way: chosen by us.
+    """
+    monitor = vehicle.control.monitor
+    if not scenario.monitored or monitor is None or not monitor.catch:
+        return None
+    known = [engine_reference(spec, scenario.step_s) for spec in stations]
+    return Late(max(each.delay for each in known) + max(each.lag for each in known) / 3.0, scenario.step_s)
 
 
 def _surface_effects(scenario: Scenario, vehicle: Vehicle) -> list[tuple[float, ...]]:

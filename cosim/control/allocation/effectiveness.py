@@ -14,6 +14,12 @@ its ``effort``: thrusts as they share the weight in hover, hinges at rest, surfa
 
 A hinge's command moves no faster than its servo can.  An engine that is lost is taken out of the layout, one that is
 weak or stuck stays in it with what it gives.
+
+Without an engine, where the vehicle asks for it (:class:`Late`), two things are solved for in each step.  Hinges give
+the moments beside the thrusts that the engines *report*: they turn the vehicle at once, whatever engines are still on
+their way to.  Throttles ask for the lift in balance and for no moment, which they would give too late and pump the
+swing with, and leave hinges a part of their ranges.  Only while hinges at their limits and the thrusts that will be
+there when a throttle has acted turn the vehicle on the wrong way are throttles to balance it by themselves.
 """
 
 from __future__ import annotations
@@ -54,6 +60,20 @@ FAR: Final = 0.1  # of a hinge's range, in a pass without a step before
 FIRST_PASSES: Final = 60  # without a step before
 
 
+# Chosen by us, of the catch without an engine
+TRIMMED: Final = 0.7  # of the hinges' ranges, which they may balance thrusts with; the rest turns the vehicle
+PUSHED: Final = 1.0  # times what reported thrusts miss of the lift, asked for beside it: halves the engines' lag
+SLOPE_S: Final = 0.02  # time constant of the reports' slope: short against any jet
+TURNS: Final = ((ROLL, PITCH), (YAW,))  # what hinges alone are for
+
+
+class Late(NamedTuple):
+    """Engines that answer late, of a vehicle that is to be caught without one of them."""
+
+    ahead: float  # s, after which a throttle has acted
+    step: float  # s
+
+
 class Mover(NamedTuple):
     """A hinge or a surface as allocation sees it."""
 
@@ -70,7 +90,8 @@ class EffectivenessAllocator:
 
     ``tensor``: of inertia, kg m^2, by rows; ``low`` and ``span``: thrust of the reference engine without throttle, and
     what full throttle adds [N], which shares of thrust count in; ``shares``: least and most of each station;
-    ``efforts`` of the jets.  Raises InputError where the vehicle cannot be held in hover.
+    ``efforts`` of the jets; ``late``: without an engine hinges turn and throttles carry, see the module's text.
+    Raises InputError where the vehicle cannot be held in hover.
     """
 
     def __init__(
@@ -85,7 +106,9 @@ class EffectivenessAllocator:
         efforts: Sequence[float],
         movers: Sequence[Mover],
         horizontal: bool = False,
+        late: Late | None = None,
     ) -> None:
+        self._late = late
         self._layout, self._tensor, self._mass = layout, tensor, mass
         self._inverse = _inverted(tensor)
         self._low, self._span = low, span
@@ -118,6 +141,10 @@ class EffectivenessAllocator:
 
     def reset(self) -> None:
         """All engines are healthy, hinges at rest."""
+        self._reported: list[float] = []  # N, of the engines while hinges alone turn the vehicle; empty: they do not
+        self._rising = [0.0] * self._jets  # N/s
+        self._carrying: list[float] = []  # thrusts [N] and servos that give the lift in balance
+        self._turning_on = False  # the wrong way, hinges at their limits
         self._use([JetHealth()] * self._jets)
         self._settle()
         # commands begin where servos stand
@@ -151,7 +178,7 @@ class EffectivenessAllocator:
         self._missing = [missing[row] * self._norms[row] for row in range(6)]
         self._balanced = all(abs(self._missing[row]) <= 1e-6 for row in (ROLL, PITCH, LIFT))
         self._preferred = found[: self._jets]
-        self._last = found
+        self._hovers = self._last = found
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
         """Allocate for engines in this health from the next step on; always possible, whatever it then gives."""
@@ -241,8 +268,65 @@ class EffectivenessAllocator:
         (a, b, c), (d, e, f), (g, h, i) = self._tensor
         lift = self.force(collective)
         wanted = [a * x + b * y + c * z, d * x + e * y + f * z, lift, g * x + h * y + i * z, 0.0, 0.0]
+        if self._reported:
+            return self._caught(wanted, lift)
         found, missing = self._solve(wanted, lift, PASSES, True)
         return self._actuation(found, missing)
+
+    def look(self, thrust: PerJet) -> None:
+        """The ``thrust`` that the engines' reports at the end of a step stand for [N]; see :class:`Late`."""
+        late = self._late
+        if late is None or all(jet.gain > 0.0 for jet in self._health):
+            return
+        # the speed of a rotor without fire stands for thrust that is not there
+        given = [
+            0.0 if jet.gain == 0.0 and jet.fixed == 0.0 else f for f, jet in zip(thrust, self._health, strict=True)
+        ]
+        if self._reported:
+            share = late.step / (SLOPE_S + late.step)
+            for i, (now, before) in enumerate(zip(given, self._reported, strict=True)):
+                self._rising[i] += share * ((now - before) / late.step - self._rising[i])
+        else:
+            self._carrying = self._hovers
+        self._reported = given
+
+    def _caught(self, wanted: list[float], lift: float) -> Actuation:
+        """Throttles for the lift in balance, hinges for the moments; see the module's text.
+
+        What is told as missing of the lift is what the balanced thrusts at rest miss of all that is asked of them, so
+        that the height loop's integral waits until the engines have followed.
+        """
+        jets, last, reach = self._jets, self._last, self._reach
+        levels, ends, stand = self._levels, self._ends, self._stand
+        pushed = lift
+        for thrust in self._reported:
+            pushed -= PUSHED * thrust
+        pushed += PUSHED * lift
+        part = 0.0 if self._turning_on else TRIMMED
+        self._last, self._levels, self._stand = self._carrying, [*LEVELS, *HORIZONTAL], self._hovers[jets:]
+        self._reach = [
+            (mover.rest + part * (low - mover.rest), mover.rest + part * (high - mover.rest))
+            for mover, (low, high) in zip(self._movers, reach, strict=True)
+        ]
+        carrying, short = self._solve([0.0, 0.0, pushed, 0.0, 0.0, 0.0], lift, PASSES, False)
+        self._carrying = carrying
+        self._reach, self._levels = reach, list(TURNS)
+        self._ends = [(thrust, thrust) for thrust in self._reported]
+        self._last = [*self._reported, *last[jets:]]
+        turning, missing = self._solve(wanted, lift, PASSES, True)
+        self._levels, self._ends, self._stand = levels, ends, stand
+        self._turning_on = self._turns_on(wanted, missing, turning[jets:])
+        missing[LIFT] = short[LIFT]
+        return self._actuation([*carrying[:jets], *turning[jets:]], missing)
+
+    def _turns_on(self, wanted: Sequence[float], missing: Sequence[float], hinges: Sequence[float]) -> bool:
+        """Whether hinges are at their limits, and with the thrusts that are on their way turn it against the wanted."""
+        if all(-GIVEN <= missing[row] * self._norms[row] <= GIVEN for row in (ROLL, PITCH)):
+            return False
+        assert self._late is not None
+        coming = [max(0.0, f + self._late.ahead * up) for f, up in zip(self._reported, self._rising, strict=True)]
+        moments, _ = self._linear([*coming, *hinges])
+        return moments[ROLL] * wanted[ROLL] + moments[PITCH] * wanted[PITCH] <= 0.0
 
     def force(self, collective: float) -> float:
         """The thrust [N] of all engines at this share each."""
@@ -354,8 +438,9 @@ class EffectivenessAllocator:
             if not rated:  # from far away: no hinge goes further at once than a line stands for
                 for number, mover in enumerate(self._movers):
                     j, far = jets + number, FAR * (mover.most - mover.least)
-                    low[j] = max(mover.least, here[j] - far) / scales[j]
-                    high[j] = min(mover.most, here[j] + far) / scales[j]
+                    least, most = self._reach[number]
+                    low[j] = min(max(least, here[j] - far), most) / scales[j]
+                    high[j] = max(min(most, here[j] + far), least) / scales[j]
             targets: list[float] = []
             for row in range(6):
                 steps = 0.0

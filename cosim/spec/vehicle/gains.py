@@ -175,7 +175,8 @@ class MonitorSettings(Model):
     delay_spread_s: NotNegative  # a healthy delay is the nominal one within this
     shut_opposite: bool = False  # with the first engine lost, shut off the one across the centre of gravity
     # then fly roll and height by the catch, until the thrust is made up for, own engine alone; where no jet tilts: with
-    # the first rotor of four lost fly the direction of thrust on the others, spinning
+    # the first rotor of four lost fly the direction of thrust on the others, spinning; where allocation is by
+    # effectiveness: with an engine lost turn by the hinges alone and carry by the throttles
     catch: bool = False
 
 
