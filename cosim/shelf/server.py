@@ -9,10 +9,7 @@ pages are shown in a sandbox, without an origin: what stands in a run from someb
 from __future__ import annotations
 
 import json
-import logging
-import os
 import secrets
-import socket
 import threading
 from collections.abc import Callable, Sequence
 from html import escape
@@ -29,7 +26,16 @@ from websockets.typing import Origin
 
 from cosim.base.errors import FlightError, InputError
 from cosim.groundstation.web import loopback
-from cosim.groundstation.web.loopback import TEXT, WRONG_TOKEN, is_token, no_socket, response, stranger
+from cosim.groundstation.web.loopback import (
+    TEXT,
+    WRONG_TOKEN,
+    is_token,
+    listen,
+    no_socket,
+    quiet_logger,
+    response,
+    stranger,
+)
 from cosim.shelf.index import Shelf
 
 LARGEST = 1 << 20  # bytes of a message from the page: ten thousand names
@@ -63,17 +69,8 @@ class ShelfServer:
 
     def open(self) -> None:
         """Listen from now on.  Raises InputError where the port cannot be had."""
-        try:
-            listening = socket.create_server(("127.0.0.1", self.port))
-        except OSError as error:
-            raise InputError(
-                f"--port {self.port}: the port cannot be opened: {os.strerror(error.errno or 0)}"
-            ) from error
+        listening, self._hosts = listen(self.port, "--port")
         self.port = listening.getsockname()[1]
-        self._hosts = {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost")}
-        quiet = logging.getLogger("cosim.shelf")  # a browser that opens a connection ahead of need is no error
-        quiet.addHandler(logging.NullHandler())
-        quiet.propagate = False
         self._server = serve(
             self._serve,
             sock=listening,
@@ -83,7 +80,7 @@ class ShelfServer:
             open_timeout=HELLO_S,
             max_size=LARGEST,
             server_header=None,
-            logger=quiet,
+            logger=quiet_logger("cosim.shelf"),
         )
 
     def run(self) -> None:

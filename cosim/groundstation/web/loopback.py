@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import hmac
+import logging
+import os
+import socket
 from collections.abc import Container
 from http import HTTPStatus
 from typing import Any
 
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
+
+from cosim.base.errors import InputError
 
 WRONG_TOKEN = 4401  # a close code of our own
 TEXT = "text/plain; charset=utf-8"
@@ -18,6 +23,26 @@ TYPES = {  # by what a file's name ends with
     "css": "text/css; charset=utf-8",
     "svg": "image/svg+xml",
 }
+
+
+def listen(port: int, option: str) -> tuple[socket.socket, set[str]]:
+    """A socket that this machine alone reaches, at any free port for 0, and what a browser may call its server.
+
+    Raises InputError, with the ``option`` that named the port, where it cannot be had.
+    """
+    try:
+        listening = socket.create_server(("127.0.0.1", port))
+    except OSError as error:
+        raise InputError(f"{option} {port}: the port cannot be opened: {os.strerror(error.errno or 0)}") from error
+    return listening, {f"{name}:{listening.getsockname()[1]}" for name in ("127.0.0.1", "localhost")}
+
+
+def quiet_logger(name: str) -> logging.Logger:
+    """One that says nothing: a browser that opens a connection ahead of need is no error."""
+    quiet = logging.getLogger(name)
+    quiet.addHandler(logging.NullHandler())
+    quiet.propagate = False
+    return quiet
 
 
 def stranger(request: Request, hosts: Container[str]) -> Response | None:

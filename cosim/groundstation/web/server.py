@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import logging
-import os
 import secrets
 import socket
 import threading
@@ -35,7 +33,16 @@ from cosim.base.signals import Sample
 from cosim.control.autopilot import requests as rq
 from cosim.groundstation.exchange import Asked, Done, Exchange, Restart, Snapshot, untold
 from cosim.groundstation.web import feed
-from cosim.groundstation.web.loopback import TYPES, WRONG_TOKEN, is_token, no_socket, response, stranger
+from cosim.groundstation.web.loopback import (
+    TYPES,
+    WRONG_TOKEN,
+    is_token,
+    listen,
+    no_socket,
+    quiet_logger,
+    response,
+    stranger,
+)
 from cosim.results.report.page import ASSETS, SCENE, THREE
 
 # Chosen by us, with the reason.
@@ -109,15 +116,9 @@ class WebServer:
 
     def start(self) -> None:
         """Serve from now on."""
-        try:
-            listening = socket.create_server(("127.0.0.1", self.port))
-        except OSError as error:
-            raise InputError(
-                f"--web {self.port}: the port cannot be opened: {os.strerror(error.errno or 0)}"
-            ) from error
+        listening, self._hosts = listen(self.port, "--web")
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL)  # its connections have it from here
         self.port = listening.getsockname()[1]
-        self._hosts = {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost")}
         self._files = _read(self._token, self._hosts)
         running = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._main(listening, running)), name="web")
@@ -142,11 +143,6 @@ class WebServer:
     async def _main(self, listening: socket.socket, running: threading.Event) -> None:
         self._loop = asyncio.get_running_loop()
         self._stopping = asyncio.Event()
-        quiet = logging.getLogger(
-            "cosim.groundstation.web"
-        )  # a browser that opens a connection ahead of need is no error
-        quiet.addHandler(logging.NullHandler())
-        quiet.propagate = False
         async with serve(
             self._serve,
             sock=listening,
@@ -160,7 +156,7 @@ class WebServer:
             max_size=LARGEST,
             max_queue=4,
             server_header=None,
-            logger=quiet,
+            logger=quiet_logger("cosim.groundstation.web"),
         ):
             leave = self._exchange.subscribe(self._news)
             frames = asyncio.create_task(self._frames())
