@@ -51,7 +51,7 @@ class Yardstick(Record):
     span_m: float
     height_law: tuple[float, float, float]  # gain 1/s, most climb and most descent m/s
     stated: dict[str, float | None]  # by the keys of LIMITED; None: none
-    by_autopilot: bool  # flown by one that is asked things: where it flies is no drift
+    piloted: bool  # by an autopilot that is asked things: where it flies is no drift
 
 
 def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
@@ -62,7 +62,7 @@ def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
         span_m=vehicle.aero.span_m,
         height_law=(gains.position_1_s, gains.climb_limit_m_s, gains.descent_limit_m_s),
         stated={key: None if value is False else float(value) for key, value in stated.items()},
-        by_autopilot=scenario.requests is not None,
+        piloted=scenario.requests is not None,
     )
 
 
@@ -82,7 +82,7 @@ def flight_limits(held: Yardstick, log: Columns, step_s: float) -> dict[str, flo
     placed, speed = asks_for_a_place(log), SPEEDS * sqrt(GRAVITY * span)
     if placed:
         limits["place_error_m"] = PLACE_SPANS * span
-    if not held.by_autopilot:
+    if not held.piloted:
         if placed:
             limits["speed_m_s"] = speed + track_speed(log[PLACE[0]], log[PLACE[1]], step_s)
         else:
