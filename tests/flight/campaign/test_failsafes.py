@@ -355,6 +355,7 @@ def cell_of_the_page(aircraft: str, row: table.Row) -> str:
         ("octojet", "barometer lost", 3.0, 0.0),
         ("quadjet", "engine 2 out", 3.0, 5.0),  # crashes
         ("quadjet", "engine 3 out", 10.0, 0.0),
+        ("jetwing", "engine 1 out", 3.0, 0.0),  # crashes
         ("quadjet", "GNSS and barometer lost", 3.0, 10.0),
         ("quadjet", "gyro biased", 3.0, 5.0),
         ("hexjet", "attitude lost", 3.0, 10.0),
