@@ -151,7 +151,7 @@ class EngineBank:
         """
         if self._used:
             # fresh instances, because fmiReset is what many FMUs get wrong
-            self._close_slaves()
+            self._close_instances()
             self._instantiate()
         self._used = True
         count = len(self._specs)
@@ -307,12 +307,12 @@ class EngineBank:
 
     def close(self) -> None:
         """Terminate and free the engines and let go of their files.  May be called again."""
-        self._close_slaves()
+        self._close_instances()
         for folder in self._folders.values():
             folder.close()
         self._folders.clear()
 
-    def _close_slaves(self) -> None:
+    def _close_instances(self) -> None:
         self._native = _bank.Bank((), self._step, EngineOutput)  # nothing may step what is being freed
         while self._instances:
             self._instances.pop().close()

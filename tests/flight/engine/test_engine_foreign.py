@@ -425,7 +425,7 @@ def test_the_air_in_other_words(place: Path) -> None:
         bank.reset(1.0)
         for k in range(200):
             thrust = bank.step(k, (1.0,), Ambient(air.pressure, air.temperature, (air.speed,))).thrust[0]
-        height = bank._slaves[0].read(next(v for v in spec.archive.outputs if v.name == "h"))
+        height = bank._instances[0].read(next(v for v in spec.archive.outputs if v.name == "h"))
     assert thrust == pytest.approx(FULL * derived["density"] / 1.225 * (1.0 - 0.3 * derived["mach"]), rel=1e-9)
     assert height == pytest.approx(2000.0, abs=1.0)
 

@@ -57,7 +57,7 @@ def test_six_engines_of_one_instance_are_six_of_one_each(
     assert len(lines) + 1 <= 6
     alone = load(foreign(place, "alone", made_of))
     with EngineBank(all_six(spec), 6, STEP) as one, EngineBank(alone, 6, STEP) as six:
-        assert (len(one._slaves), len(six._slaves)) == (1, 6)
+        assert (len(one._instances), len(six._instances)) == (1, 6)
         assert one.reset(HELD).thrust == pytest.approx(six.reset(HELD).thrust, abs=1e-9)
         for k, each in enumerate(throttles(60)):
             assert one.step(k, each).thrust == pytest.approx(six.step(k, each).thrust, abs=1e-9)
@@ -87,12 +87,12 @@ def test_two_instances_and_a_stranger_between(place: Path) -> None:
     other = load_engine("edf", {}, STEP)
     stations = [spec.at(0), spec.at(1), other, spec.at(3)]
     with EngineBank(stations, 4, STEP) as bank:
-        assert len(bank._slaves) == 3
+        assert len(bank._instances) == 3
         thrust = bank.reset(0.5).thrust
         assert thrust[:2] == pytest.approx((5.0 * 1.5, 5.0 * 1.5), abs=1e-7)
         assert thrust[3] == pytest.approx(10.0 * (1.0 - 0.5 * 0.25), abs=1e-7)  # its companion takes nothing
     with EngineBank(spec, 8, STEP) as bank:
-        assert len(bank._slaves) == 4
+        assert len(bank._instances) == 4
         assert bank.reset(0.5).thrust == pytest.approx((7.5,) * 8, abs=1e-7)
 
 

@@ -317,7 +317,7 @@ def test_the_nose_leads_no_further_than_stated_where_lift_is_missing() -> None:
         wing.reset()
         for _ in range(1000):
             asked = wing.attitude(Command(ZERO3, 60.0, ahead=15.0), 15.0, level)
-            wing.wanted(vertical * weight, level, 0.0)
+            wing.demand(vertical * weight, level, 0.0)
         lead = asked.attitude[1] - wing.shown[2]
         late = 1.0 / VEHICLE.control.attitude.gain_1_s[1] + 1.0 / VEHICLE.control.rate.pitch.p
         expected = LEADING * 0.14 if leads is None else late * leads * GRAVITY / 15.0
