@@ -406,7 +406,7 @@ def test_growth_in_every_way(result: dict[str, Any]) -> None:
     time, engines, log = result["time"], result["engines"], result["log"]
     assert list(time["steps"]) == list(time["memory"]) == ["1", "2"]
     assert [memory["steps"] for memory in time["memory"].values()] == [250, 500]
-    assert list(engines["banks"]) == ["1", "2", "4", "6", "8", "12"]
+    assert list(engines["banks"]) == ["1", "2", "4", "6", "8", "12", "16"]
     flown = [growth.HEXJET, growth.QUADROTOR, growth.BARE_QUADROTOR, *growth.TURBINES.values()]
     assert list(engines["flown"]) == flown
     assert list(log["steps"]) == ["1", "2", "5", "25", "0"]
