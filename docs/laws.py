@@ -24,7 +24,7 @@ from cosim import InputError, Scenario, fly
 from cosim.base.protocols import Parameter, RateLoop
 from cosim.campaign import open_campaign
 from cosim.campaign.analysis.summary import places, shares
-from cosim.campaign.analysis.table import Flown, read
+from cosim.campaign.analysis.table import FlightTable, read
 from cosim.design import design as make
 from cosim.design.law_loop import LawLoop, both, tune
 from cosim.design.loop.channel import Actuator, Channel, channels
@@ -230,7 +230,7 @@ def flown() -> str:
     return said + table(head, rows)
 
 
-def robust(found: Flown) -> str:
+def robust(found: FlightTable) -> str:
     """How often each succeeds, how many flights it loses, and what the throttles do."""
     activity = found.values[ACTIVITY]
     rows = []
@@ -245,7 +245,7 @@ def robust(found: Flown) -> str:
     return table(head, rows)
 
 
-def by_delay(found: Flown) -> str:
+def by_delay(found: FlightTable) -> str:
     """Successes by the true delay."""
     (late,) = [key.numbers for key in found.keys if key.path == DELAY]
     classes = [np.greater(late, low) & np.less_equal(late, high) for low, high in pairwise(LATE)]
@@ -258,7 +258,7 @@ def by_delay(found: Flown) -> str:
     return table(["law", *titles], rows)
 
 
-def answer(found: Mapping[str, LawLoop], study: Flown) -> str:
+def answer(found: Mapping[str, LawLoop], study: FlightTable) -> str:
     """The first paragraph's figures."""
     means = {name: mean(each, found["pid"]) for name, each in found.items()}
     order = sorted(means, key=lambda name: means[name])

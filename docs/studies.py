@@ -26,7 +26,7 @@ from cosim.campaign.analysis.summary import (
 )
 from cosim.campaign.analysis.table import (
     KINDS,
-    Flown,
+    FlightTable,
     Mask,
     read,
 )
@@ -68,7 +68,7 @@ def run(command: str, folder: Path, workers: int) -> None:
             raise
 
 
-def flown_of(name: str, out: Path, workers: int) -> Flown:
+def flown_of(name: str, out: Path, workers: int) -> FlightTable:
     """A study's flights, flown as far as they are not there yet."""
     run(f"hexjet sweep {name}", out / name, workers)
     return read(open_campaign(out / name))
@@ -81,11 +81,11 @@ def percent(part: Mask, of: Mask) -> str:
     return f"{100.0 * np.count_nonzero(part & of) / np.count_nonzero(of):.0f} %"
 
 
-def lost(flown: Flown) -> Mask:
+def lost(flown: FlightTable) -> Mask:
     return np.greater(flown.kind, KINDS.index("missed"))
 
 
-def shared(flown: Flown) -> str:
+def shared(flown: FlightTable) -> str:
     """How often each controller succeeds, and how many flights it loses."""
     rows = []
     for place, found in zip(places(flown), shares(flown), strict=True):
@@ -96,7 +96,7 @@ def shared(flown: Flown) -> str:
     return table(["controller", "succeeds", "95 %", f"lost, of {found.of}"], rows)
 
 
-def drives(flown: Flown) -> str:
+def drives(flown: FlightTable) -> str:
     """First-order index and partial rank correlation of every key with success; of those within chance the latter."""
     found = [ranked(flown, place, SUCCESS) for place in places(flown)]
     rows = []
@@ -115,7 +115,7 @@ def code(text: str) -> str:
     return text.replace("\\`", "`").replace("\\_", "_")
 
 
-def by_delay(flown: Flown) -> str:
+def by_delay(flown: FlightTable) -> str:
     """The share of successes by the true delay."""
     (late,) = [key.numbers for key in flown.keys if key.path == DELAY]
     classes = [np.greater(late, low) & np.less_equal(late, high) for low, high in pairwise(LATE)]
@@ -127,7 +127,7 @@ def by_delay(flown: Flown) -> str:
     return table(["samples", *titles], rows)
 
 
-def missed(flown: Flown, limits: dict[str, float]) -> str:
+def missed(flown: FlightTable, limits: dict[str, float]) -> str:
     """What the flights that do not succeed are beyond; one may be beyond several."""
     rows = []
     for place, name in enumerate(flown.controllers):
@@ -138,7 +138,7 @@ def missed(flown: Flown, limits: dict[str, float]) -> str:
     return table(["controller", "no success", "lost", *(f"`{key}`" for key in limits)], rows).replace("\\", "")
 
 
-def envelope(flown: Flown) -> str:
+def envelope(flown: FlightTable) -> str:
     """Shares of the grid, and the heaviest load off to one side that is held in every gust up to HEAVY_M_S."""
     load, lever, gust = (_numbers(flown, key) for key in (LOAD, LEVER, SIDE_GUST))
     middle, off = np.equal(lever, 0.0), np.equal(lever, lever.min())
@@ -155,7 +155,7 @@ def envelope(flown: Flown) -> str:
     return table(["controller", "whole envelope", "load in the middle", side], rows)
 
 
-def by_lever(flown: Flown) -> str:
+def by_lever(flown: FlightTable) -> str:
     """In how many gusts each controller succeeds, by load times lever."""
     product = np.round(_numbers(flown, LOAD) * np.abs(_numbers(flown, LEVER)), 4)
     rows = []
@@ -169,12 +169,12 @@ def by_lever(flown: Flown) -> str:
     return table(["load times lever", *flown.controllers], rows)
 
 
-def _numbers(flown: Flown, path: str) -> Any:
+def _numbers(flown: FlightTable, path: str) -> Any:
     (found,) = [key.numbers for key in flown.keys if key.path == path]
     return found
 
 
-def full(flown: Flown) -> str:
+def full(flown: FlightTable) -> str:
     """How often, and how often in less and in more than a breeze."""
     gust, everything = _numbers(flown, GUST), np.ones(flown.flight.size, dtype=bool)
     calm = np.less(gust, BREEZE_M_S)

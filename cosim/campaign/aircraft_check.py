@@ -8,7 +8,7 @@ limits and over the hinges: what is attained, and what nothing exceeds (:mod:`co
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import inf, isfinite, sqrt
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,7 @@ class Line:
     """One thing that was looked at."""
 
     name: str
-    said: str
+    text: str
     fault: str = ""  # why it is not as it must be
 
 
@@ -62,7 +62,9 @@ class AircraftCheck:
     @property
     def exact(self) -> bool:
         """Whether what is attained is all that there is of authority, to three digits; else it is at least that."""
-        return all(each.falls or all(each.span(axis).met for axis in range(3)) for each in self.authority)
+        return all(
+            authority.falls or all(authority.span(axis).met for axis in range(3)) for authority in self.authority
+        )
 
     @property
     def fit(self) -> bool:
@@ -75,8 +77,8 @@ class AircraftCheck:
             "aircraft": self.aircraft,
             "engine": self.engine,
             "fit": self.fit,
-            "checks": [asdict(line) for line in self.lines],
-            "authority": [_told(each) for each in self.authority],
+            "checks": [{"name": line.name, "said": line.text, "fault": line.fault} for line in self.lines],
+            "authority": [_authority_json(authority) for authority in self.authority],
             "authority_exact": self.exact,
             "inertia_kg_m2": self.inertia,
             "drawing": None if self.drawing is None else str(self.drawing),
@@ -141,7 +143,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
     )
 
 
-def _told(authority: Authority) -> dict[str, Any]:
+def _authority_json(authority: Authority) -> dict[str, Any]:
     """For JSON: what is not known, or not there, is null."""
     most = authority.moment_at_most
     return authority._asdict() | {
@@ -167,8 +169,8 @@ def _forces(simulation: Simulation) -> Line:
             force, moment = frame.external_wrench()
             expected = np.concatenate(layout.wrench(thrusts, angles))
             worst = max(worst, float(np.max(np.abs(np.concatenate([force, moment]) - expected))) / thrust)
-    said = f"JSBSim and r x F differ by {worst:.1e} of a jet's thrust, hinges at zero and at the ends of their ranges"
-    return Line("forces", said, "" if worst <= ALIKE else f"more than {ALIKE:g}")
+    text = f"JSBSim and r x F differ by {worst:.1e} of a jet's thrust, hinges at zero and at the ends of their ranges"
+    return Line("forces", text, "" if worst <= ALIKE else f"more than {ALIKE:g}")
 
 
 def _masses(simulation: Simulation) -> Line:
@@ -187,8 +189,8 @@ def _masses(simulation: Simulation) -> Line:
             for own, stated in zip(products, vehicle.products_kg_m2, strict=True)
         ),
     )
-    said = f"{mass:.4g} kg, inertia {', '.join(f'{value:.4g}' for value in inertia)} kg m^2"
-    return Line("mass and inertia", said, "" if worst <= 1e-6 else f"JSBSim has others by {worst:.1e}")
+    text = f"{mass:.4g} kg, inertia {', '.join(f'{value:.4g}' for value in inertia)} kg m^2"
+    return Line("mass and inertia", text, "" if worst <= 1e-6 else f"JSBSim has others by {worst:.1e}")
 
 
 def _sizes(vehicle: Vehicle) -> list[Line]:
@@ -203,8 +205,8 @@ def _sizes(vehicle: Vehicle) -> list[Line]:
         fault = (
             "" if low <= share <= high else f"is {share:.2g} of it, and bodies have {low:g} to {high:g}: which unit?"
         )
-        said = f"radius of gyration {radius:.3g} m, the farthest part {farthest:.3g} m from the axis"
-        lines.append(Line(f"inertia about {axis}", said, fault))
+        text = f"radius of gyration {radius:.3g} m, the farthest part {farthest:.3g} m from the axis"
+        lines.append(Line(f"inertia about {axis}", text, fault))
     return lines
 
 
@@ -222,12 +224,12 @@ def _thrust(simulation: Simulation) -> tuple[Array, Array]:
 
 
 def _lift(whole: Authority) -> Line:
-    said = f"thrust in balance {whole.lift:.2f} times the weight"
+    text = f"thrust in balance {whole.lift:.2f} times the weight"
     if whole.lift < 1.0:
         return Line(
-            "hover", said, "it does not lift off" if whole.lift_at_most < 1.0 else "no balance was found that lifts it"
+            "hover", text, "it does not lift off" if whole.lift_at_most < 1.0 else "no balance was found that lifts it"
         )
-    return Line("hover", said, "" if whole.lift >= LIFT else f"less than {LIFT:g}: height and attitude fight for it")
+    return Line("hover", text, "" if whole.lift >= LIFT else f"less than {LIFT:g}: height and attitude fight for it")
 
 
 def _axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
@@ -238,18 +240,18 @@ def _axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
         fault = "" if moment.least > 0.0 else "nothing turns it while the weight is held"
         if fault and moment.most > 0.0:
             fault = "nothing was found that turns it while the weight is held"
-        said = f"{moment.said()} N m either way in hover, {turn.said()} rad/s^2"
-        lines.append(Line(f"{axis} authority", said, fault))
-    held = [each.lost[0] for each in authority[1:] if min(each.span(axis).least for axis in range(3)) > 0.0]
+        text = f"{moment.in_words()} N m either way in hover, {turn.in_words()} rad/s^2"
+        lines.append(Line(f"{axis} authority", text, fault))
+    held = [without.lost[0] for without in authority[1:] if min(without.span(axis).least for axis in range(3)) > 0.0]
     open_ = [
-        each.lost[0]
-        for each in authority[1:]
-        if each.lost[0] not in held and min(each.span(axis).most for axis in range(3)) > 0.0
+        without.lost[0]
+        for without in authority[1:]
+        if without.lost[0] not in held and min(without.span(axis).most for axis in range(3)) > 0.0
     ]
-    said = f"balanced, with authority about every axis, without any one of: {', '.join(map(str, held)) or 'none'}"
+    text = f"balanced, with authority about every axis, without any one of: {', '.join(map(str, held)) or 'none'}"
     if open_:
-        said += f"; without {', '.join(map(str, open_))} nothing was found, which does not prove that there is nothing"
-    return [*lines, Line("one engine lost", said)]
+        text += f"; without {', '.join(map(str, open_))} nothing was found, which does not prove that there is nothing"
+    return [*lines, Line("one engine lost", text)]
 
 
 def _flight(scenario: Scenario) -> Line:
@@ -263,8 +265,8 @@ def _flight(scenario: Scenario) -> Line:
     fault = (
         "" if height <= HEIGHT_ERROR_M and lean <= LEAN_DEG else f"more than {HEIGHT_ERROR_M:g} m or {LEAN_DEG:g} deg"
     )
-    said = f"{FLIGHT_S:g} s with sensor noise, controller baseline: {height:.2g} m off, leans {lean:.2g} deg"
-    return Line("a calm hover", said, fault)
+    text = f"{FLIGHT_S:g} s with sensor noise, controller baseline: {height:.2g} m off, leans {lean:.2g} deg"
+    return Line("a calm hover", text, fault)
 
 
 def _draw(vehicle: Vehicle, out: Path, reach: Reach) -> Path:

@@ -48,10 +48,10 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
     root = begun(title, VIEW * len(SECTIONS), VIEW + 2 * TITLE, STYLE)
     ET.SubElement(root, "rect", {"class": "frame", "width": "100%", "height": "100%"})
     text(root, 12, 22, f"{vehicle.title}: moments in hover, N m", "name")
-    said = "filled: all engines; red: without each one, named by its number; the third moment is 0"
+    caption = "filled: all engines; red: without each one, named by its number; the third moment is 0"
     if not reach.bounded:
-        said += "; found by search: there may be more"
-    text(root, 12, 38, said, "dim")
+        caption += "; found by search: there may be more"
+    text(root, 12, 38, caption, "dim")
     for number, (right, up) in enumerate(SECTIONS):
         whole, most = _section(reach, right, up)
         lost: dict[str, Corners] = {}
@@ -106,7 +106,7 @@ def _draw(
         ET.SubElement(root, "line", {"class": "axis"} | ends)
     if not whole:
         text(root, middle_x, middle_y - 8, "the weight is not held in balance", "dim", "middle")
-    for kind, section in (("whole", whole), ("most", most), *(("lost", each) for each in lost.values())):
+    for kind, section in (("whole", whole), ("most", most), *(("lost", corners) for corners in lost.values())):
         if section:
             points = " ".join(f"{x:.2f},{y:.2f}" for x, y in map(at, section))
             ET.SubElement(root, "polygon", {"class": kind, "points": points})

@@ -218,8 +218,8 @@ class Roller:
         upright = _upright(vehicle, after) if tilting else [1.0]
         for k in range(len(courses.up)):
             moment = 0.0
-            for number, each in enumerate(vehicle.jets, 1):
-                lever = each.position_m[1]
+            for number, station in enumerate(vehicle.jets, 1):
+                lever = station.position_m[1]
                 if number == jet:
                     thrust = courses.out[k]
                 elif number == other:
@@ -299,8 +299,8 @@ def courses_of(simulation: Simulation, share: float, seconds: float = FOLLOWED_S
     limits = simulation.vehicle.control.allocation
     count = len(simulation.vehicle.jets)
     hover, least, most = (
-        simulation.cascade.thrust_map.throttle((each,) * count)[0]
-        for each in (share, limits.throttle_min, limits.throttle_max)
+        simulation.cascade.thrust_map.throttle((level,) * count)[0]
+        for level in (share, limits.throttle_min, limits.throttle_max)
     )
     return Courses(simulation.engine, hover, least, most, round(seconds / STEP_S))
 
@@ -349,11 +349,11 @@ def engine_out(
             ]
             tasks += flights
             levers.append(_levers(flights[0][0]))
-    flown: list[Flight] = []
+    results: list[Flight] = []
     for flight in in_order(_fly, tasks, workers):
-        flown.append(flight)
-        say(f"{flight.aircraft}, {flight.engine}, jet {flight.jet}", len(flown), len(tasks))
-    return EngineOut(flown, left, levers)
+        results.append(flight)
+        say(f"{flight.aircraft}, {flight.engine}, jet {flight.jet}", len(results), len(tasks))
+    return EngineOut(results, left, levers)
 
 
 def unfit(aircraft: str, engine: str) -> str:
@@ -388,13 +388,13 @@ def _controller(aircraft: str, engine: str, designs: Path, say: Say) -> Controll
             if (made.aircraft, Path(made.engine).name) == (aircraft_name(aircraft), name):
                 return read_controller(path, aircraft)
     say(f"designing {aircraft} with {engine}", 0, 1)
-    found = design(engine, aircraft, need=Requirements())
-    if not found.ok:
-        return f"no controller keeps the requirements of hexjet design: {found.reason}"
+    designed = design(engine, aircraft, need=Requirements())
+    if not designed.ok:
+        return f"no controller keeps the requirements of hexjet design: {designed.reason}"
     path = designs / f"{name}-{aircraft_name(aircraft)}.toml"
     try:
         designs.mkdir(parents=True, exist_ok=True)
-        write_controller(found, path)
+        write_controller(designed, path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     return read_controller(path, aircraft)
@@ -522,18 +522,18 @@ LEVERS = (
     "aircraft", "engine", "at once", "and tilts", f"after {LATE_S:g} s", "half the mass", "J_xx times",
     "opposite, at once", "opposite, at the latest",
 )  # fmt: skip
-NOT_FLOWN = ("aircraft", "engine", "not flown")
-TABLES = {"engine-out": HEAD, "engine-out-levers": LEVERS, "engine-out-left": NOT_FLOWN}
+SKIPPED = ("aircraft", "engine", "not flown")
+TABLES = {"engine-out": HEAD, "engine-out-levers": LEVERS, "engine-out-left": SKIPPED}
 PAGES = {"faults.md": ("hexjet",), "full-scale.md": ("hexjet-100", "hexjet-p220")}  # which aircraft are on which
 
 
 def rows(result: EngineOut, aircraft: Sequence[str]) -> dict[str, list[tuple[str, ...]]]:
     """What became of these aircraft, the bounds for changed ones, and what was not flown: by the names of TABLES."""
     return {
-        "engine-out": [_row(each) for each in _together(result, aircraft)],
-        "engine-out-levers": [_lever_row(each) for each in result.levers if each.aircraft in aircraft],
+        "engine-out": [_row(flights) for flights in _together(result, aircraft)],
+        "engine-out-levers": [_lever_row(lever) for lever in result.levers if lever.aircraft in aircraft],
         "engine-out-left": [
-            (each.aircraft, each.engine, each.why) for each in result.left if each.aircraft in aircraft
+            (skipped.aircraft, skipped.engine, skipped.why) for skipped in result.left if skipped.aircraft in aircraft
         ],
     }
 

@@ -115,7 +115,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Flown:
+class FailsafeFlight:
     """A row, and what flies it again."""
 
     row: Row
@@ -132,11 +132,11 @@ class Failsafes:
     controller: str
     limit_m_s: float  # a leg that touches faster counts as a crash
     trip_m_s: float  # of a leg that touches faster sideways it is said
-    flights: list[Flown]
+    flights: list[FailsafeFlight]
 
     @property
     def rows(self) -> list[Row]:
-        return [flown.row for flown in self.flights]
+        return [flight.row for flight in self.flights]
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; null where there is no number."""
@@ -241,17 +241,17 @@ def failsafes(
     """
     if not 0.0 <= speed <= 20.0:
         raise InputError(f"speed {speed:g} m/s: must be from 0 to 20 m/s")
-    plans = [_plan(each, engine, controller, kinds, heights, winds, speed) for each in aircraft]
+    plans = [_plan(name, engine, controller, kinds, heights, winds, speed) for name in aircraft]
     done, of = 0, sum(len(plan.flights) for plan in plans)
     for plan in plans:
-        flown: list[Flown] = []
-        for one in in_order(fly_case, plan.flights, workers):
-            flown.append(one)
+        flights: list[FailsafeFlight] = []
+        for flight in in_order(fly_case, plan.flights, workers):
+            flights.append(flight)
             done += 1
-            say(f"{aircraft_name(plan.aircraft)}: {one.row.failsafe}, {one.row.start}", done, of)
+            say(f"{aircraft_name(plan.aircraft)}: {flight.row.failsafe}, {flight.row.start}", done, of)
         vehicle, _ = load_vehicle(plan.aircraft)
         limit = vehicle.limits.touchdown_m_s
-        yield Failsafes(aircraft_name(plan.aircraft), plan.engine, plan.controller, limit, trip_speed(vehicle), flown)
+        yield Failsafes(aircraft_name(plan.aircraft), plan.engine, plan.controller, limit, trip_speed(vehicle), flights)
 
 
 def _plan(
@@ -313,7 +313,7 @@ def scenario_of(aircraft: str, engine: str, controller: str, step: float, height
     )
 
 
-def fly_case(task: tuple[Case, Start, Scenario]) -> Flown:
+def fly_case(task: tuple[Case, Start, Scenario]) -> FailsafeFlight:
     """One flight, in this process."""
     from cosim.results.columns import flown_by, log_columns
     from cosim.results.digest import DigestSink
@@ -401,7 +401,9 @@ def fly_case(task: tuple[Case, Start, Scenario]) -> Flown:
             sink.hexdigest(),
         )
         # times are rounded to steps, so what a product of floats is off does not matter; the file shall be readable
-        return Flown(row, simulation.scenario.replace(fault=[], duration_s=round(simulation.k * dt, 9)), tuple(entries))
+        return FailsafeFlight(
+            row, simulation.scenario.replace(fault=[], duration_s=round(simulation.k * dt, 9)), tuple(entries)
+        )
 
 
 def _ask(pilot: Autopilot, name: str, requests: Sequence[Request], k: int) -> None:
@@ -476,13 +478,15 @@ def write(result: Failsafes, folder: Path) -> Path:
             lines = csv.writer(file)
             names = [field.name for field in fields(Row)]
             lines.writerow([*names, "flight"])
-            for one in result.flights:
-                name = file_name(one.row)
-                lines.writerow([*(getattr(one.row, each) for each in names), f"flights/{name}.toml"])
-                asked = [{"step": entry.step, "sender": entry.sender} | to_dict(entry.request) for entry in one.entries]
-                text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in asked)
+            for flight in result.flights:
+                name = file_name(flight.row)
+                lines.writerow([*(getattr(flight.row, column) for column in names), f"flights/{name}.toml"])
+                requests = [
+                    {"step": entry.step, "sender": entry.sender} | to_dict(entry.request) for entry in flight.entries
+                ]
+                text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in requests)
                 (flights / f"{name}.jsonl").write_text(text, encoding="utf-8")
-                stated = one.scenario.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+                stated = flight.scenario.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
                 stated |= {"name": name, "requests": f"{name}.jsonl"}
                 (flights / f"{name}.toml").write_text(tomli_w.dumps(stated), encoding="utf-8")
     except OSError as error:

@@ -116,7 +116,7 @@ class Survival:
     limits: list[Limit]  # empty if they were not asked for
     own: tuple[Source, ...] = ()  # the controllers from outside
     warnings: tuple[str, ...] = ()  # where a design is not flown as what it was made for
-    flown: tuple[Scenario, ...] = ()  # of the rows
+    scenarios: tuple[Scenario, ...] = ()  # of the rows
 
     @property
     def unwatched(self) -> list[str]:
@@ -244,14 +244,19 @@ def survival(
     for row in in_order(_fly, flights, workers):
         rows.append(row)
         say(f"{row.kind}, {row.place}", len(rows), len(flights))
-    scans = [(name, start, each, aircraft, engine, step) for name in SCANS for start in STARTS for each in controllers]
+    scans = [
+        (name, start, controller, aircraft, engine, step)
+        for name in SCANS
+        for start in STARTS
+        for controller in controllers
+    ]
     survived: list[Limit] = []
     for limit in in_order(_scan, scans, workers) if limits else ():
         survived.append(limit)
         say(limit.quantity, len(survived), len(scans))
     sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
-    flown = tuple(scenario for *_, scenario in flights)
-    return Survival(vehicle.name, engine, rows, sets, moments, survived, tuple(own.values()), warnings, flown)
+    scenarios = tuple(scenario for *_, scenario in flights)
+    return Survival(vehicle.name, engine, rows, sets, moments, survived, tuple(own.values()), warnings, scenarios)
 
 
 def step_of(aircraft: str) -> float:
@@ -323,10 +328,10 @@ def _scan(task: tuple[str, str, str, str, str, float]) -> Limit:
     reached: dict[Verdict, list[float]] = {"held": [], "airborne": []}
     for value in SCANS[quantity]:
         kind = {"kind": "thrust_loss", "share": value} if quantity == LOSS else {"kind": "flame_out"}
-        flown = scenario_of(Case("", "", kind | {"jet": 1}), start, controller, aircraft, engine, step)
+        scenario = scenario_of(Case("", "", kind | {"jet": 1}), start, controller, aircraft, engine, step)
         if quantity != LOSS:
-            flown = flown.replace(vehicle=merge(flown.vehicle, {"control": {"monitor": {"confirm_s": value}}}))
-        run = fly(flown)
+            scenario = scenario.replace(vehicle=merge(scenario.vehicle, {"control": {"monitor": {"confirm_s": value}}}))
+        run = fly(scenario)
         verdict = verdict_of(run.outcome, run.log, step)
         if verdict == "lost":
             return Limit(quantity, start, controller, reached["held"], reached["airborne"], value)
@@ -386,7 +391,7 @@ def write(result: Survival, folder: Path) -> dict[str, Path]:
             "-".join([f"{n:0{digits}d}", *re.findall(r"\w+", f"{row.kind} {row.place} {row.start}")])
             for n, row in enumerate(result.rows, 1)
         ]
-        cases = [write_flight(each, folder, name) for each, name in zip(result.flown, names, strict=False)]
+        cases = [write_flight(scenario, folder, name) for scenario, name in zip(result.scenarios, names, strict=False)]
         cases += [""] * (len(result.rows) - len(cases))
         result = replace(result, rows=[replace(row, case=case) for row, case in zip(result.rows, cases, strict=True)])
         write_records(paths["table"], Row, result.rows)
@@ -396,7 +401,7 @@ def write(result: Survival, folder: Path) -> dict[str, Path]:
             TEMPLATE,
             paths["report"],
             {},
-            found=result,
+            result=result,
             controllers=named,
             table=table,
             starts=STARTS,
@@ -444,13 +449,13 @@ def page_parts(result: Survival) -> dict[str, str]:
     }
 
 
-def _moments_in_words(one: Moments) -> str:
-    moment, acceleration = one.moment, one.acceleration
+def _moments_in_words(moments: Moments) -> str:
+    thrust, moment, acceleration = moments.thrust, moments.moment, moments.acceleration
     return (
-        f"One jet in hover is {one.thrust:.2f} N, {moment / one.thrust:.2f} m off the centre: {moment:.2f} N m on "
+        f"One jet in hover is {thrust:.2f} N, {moment / thrust:.2f} m off the centre: {moment:.2f} N m on "
         f"{moment / acceleration:.4f} kg m², {acceleration:.1f} rad/s². What the other five are told acts after "
-        f"{one.late:.2f} s (confirmation and delay): {one.rate:.1f} rad/s and {one.angle:.2f} rad by then, had it gone "
-        "out at once."
+        f"{moments.late:.2f} s (confirmation and delay): {moments.rate:.1f} rad/s and {moments.angle:.2f} rad by then, "
+        "had it gone out at once."
     )
 
 
@@ -465,12 +470,12 @@ def _scanned(result: Survival) -> Iterator[tuple[str, ...]]:
 def _reached(limit: Limit) -> str:
     """Where it is held, where no more than airborne, and the first point where it is lost."""
     grid = SCANS[limit.quantity]
-    said = [
+    spans = [
         f"{what} {_spans(values, grid)}"
         for what, values in (("held", limit.held), ("airborne", limit.airborne))
         if values
     ]
-    return ", ".join([*said, "lost nowhere" if limit.lost_at is None else f"lost at {limit.lost_at:g}"])
+    return ", ".join([*spans, "lost nowhere" if limit.lost_at is None else f"lost at {limit.lost_at:g}"])
 
 
 def _spans(values: Sequence[float], grid: Sequence[float]) -> str:
@@ -486,7 +491,7 @@ def _spans(values: Sequence[float], grid: Sequence[float]) -> str:
 
 def _cell_text(cell: Cell) -> str:
     airborne = f", {cell.airborne} airborne" if cell.airborne else ""
-    return f"{cell.held} of {cell.flown}{airborne}; {cell.lean_deg:.0f}°, {cell.lost_m:.1f} m"
+    return f"{cell.held} of {cell.flights}{airborne}; {cell.lean_deg:.0f}°, {cell.lost_m:.1f} m"
 
 
 def _predicts(controller: str) -> bool:
@@ -525,7 +530,7 @@ class Cell:
 
     held: int
     airborne: int
-    flown: int
+    flights: int
     lean_deg: float  # the largest
     lost_m: float
     detected_s: tuple[float, float] | None  # first and last
@@ -546,7 +551,7 @@ def _cell(rows: Sequence[Row]) -> Cell:
     return Cell(
         held=sum(row.verdict == "held" for row in rows),
         airborne=sum(row.verdict == "airborne" for row in rows),
-        flown=len(rows),
+        flights=len(rows),
         lean_deg=max(row.lean_deg for row in rows),
         lost_m=max(row.lost_m for row in rows),
         detected_s=(min(times), max(times)) if times else None,

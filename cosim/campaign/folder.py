@@ -173,16 +173,16 @@ def _differing(where: str, theirs: Any, ours: Any) -> Iterator[tuple[str, Any, A
         for key in dict.fromkeys([*ours, *theirs]):
             yield from _differing(f"{where}.{key}" if where else key, theirs.get(key), ours.get(key))
     elif isinstance(theirs, list) and isinstance(ours, list) and len(theirs) == len(ours):
-        for place, (one, other) in enumerate(zip(theirs, ours, strict=True)):
-            yield from _differing(f"{where}.{place}", one, other)
+        for place, (value, own) in enumerate(zip(theirs, ours, strict=True)):
+            yield from _differing(f"{where}.{place}", value, own)
     elif theirs != ours:
         yield where, theirs, ours
 
 
 def _by_key(value: Any) -> Any:
     """A list whose entries are each of a key, as a table."""
-    keyed = isinstance(value, list) and value and all(isinstance(each, Mapping) and "key" in each for each in value)
-    return {each["key"]: each for each in value} if keyed else value
+    keyed = isinstance(value, list) and value and all(isinstance(entry, Mapping) and "key" in entry for entry in value)
+    return {entry["key"]: entry for entry in value} if keyed else value
 
 
 def _shown(value: Any) -> str:

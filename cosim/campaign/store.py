@@ -75,12 +75,12 @@ class Tally:
     """Counts of what is finished: by controller, how many of how many were a success; and by outcome."""
 
     def __init__(self) -> None:
-        self.flown: Counter[str] = Counter()
+        self.flights: Counter[str] = Counter()
         self.successes: Counter[str] = Counter()
         self.outcomes: Counter[str] = Counter()
 
     def add(self, controller: str, success: bool, outcome: str) -> None:
-        self.flown[controller] += 1
+        self.flights[controller] += 1
         self.successes[controller] += success
         self.outcomes[outcome] += 1
 

@@ -75,13 +75,13 @@ def print_check(report: AircraftCheck) -> None:
     table.add_column("what it is")
     table.add_column("fault")
     for line in report.lines:
-        table.add_row(line.name, line.said, line.fault)
+        table.add_row(line.name, line.text, line.fault)
     console.print(table)
     table = Table(box=box.SIMPLE_HEAD)
     for head in ("engine lost", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"):
         table.add_column(head, justify="right")
     for row in report.authority:
-        moments = [row.span(axis).said() for axis in range(3)]
+        moments = [row.span(axis).in_words() for axis in range(3)]
         if row.moment is None:
             moments = ["falls" if row.falls else "none found", "", ""]
         table.add_row(", ".join(map(str, row.lost)) or "none", f"{row.lift:.2f}", *moments)

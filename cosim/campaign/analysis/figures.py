@@ -15,7 +15,7 @@ from cosim.base.arrays import Array
 from cosim.campaign.analysis.sensitivity import Ranking
 from cosim.campaign.analysis.statistics import Share, classes, wilson
 from cosim.campaign.analysis.summary import places
-from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
+from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.results.report.flight_figures import (
     GREEN,
     GREY,
@@ -34,22 +34,22 @@ CURVES = 12  # keys with a curve of their own, and bars: the most influential
 
 
 def campaign_figures(
-    flown: Flown, shares: Sequence[Share], rankings: Mapping[str, Sequence[Ranking | None]], order: Sequence[int]
+    table: FlightTable, shares: Sequence[Share], rankings: Mapping[str, Sequence[Ranking | None]], order: Sequence[int]
 ) -> dict[str, Figure]:
     """Every figure of the page by its name; ``order`` are the keys by influence."""
-    figures = {"outcomes": outcomes(flown), "probability": probability(flown, shares)}
-    figures |= {f"ranking-{name}": ranking_figure(flown, ranking) for name, ranking in rankings.items() if any(ranking)}
-    figures |= {f"key-{number}": success_over(flown, flown.keys[key]) for number, key in enumerate(order[:CURVES])}
-    return figures | {f"metric-{number}": distribution(flown, metric) for number, metric in enumerate(flown.metrics)}
+    figures = {"outcomes": outcomes(table), "probability": probability(table, shares)}
+    figures |= {f"ranking-{name}": ranking_figure(table, ranking) for name, ranking in rankings.items() if any(ranking)}
+    figures |= {f"key-{number}": success_over(table, table.keys[key]) for number, key in enumerate(order[:CURVES])}
+    return figures | {f"metric-{number}": distribution(table, metric) for number, metric in enumerate(table.metrics)}
 
 
 # ---- how many
 
 
-def outcomes(flown: Flown) -> Figure:
+def outcomes(table: FlightTable) -> Figure:
     """What the flights of each controller came to, in percent of them."""
     counts = np.array(
-        [np.bincount(flown.kind[flown.of(controller)], minlength=len(KINDS)) for controller in places(flown)]
+        [np.bincount(table.kind[table.of(controller)], minlength=len(KINDS)) for controller in places(table)]
     )
     of = np.maximum(counts.sum(axis=1), 1)
     data = [
@@ -57,7 +57,7 @@ def outcomes(flown: Flown) -> Figure:
             "type": "bar",
             "orientation": "h",
             "name": name,
-            "y": flown.controllers,
+            "y": table.controllers,
             "x": rounded(100.0 * counts[:, kind] / of),
             "customdata": counts[:, kind].tolist(),
             "marker": {"color": KIND_COLOURS[name]},
@@ -66,24 +66,24 @@ def outcomes(flown: Flown) -> Figure:
         for kind, name in enumerate(KINDS)
         if counts[:, kind].any()
     ]
-    layout = _layout(_rows_height(flown)) | {"barmode": "stack"}
+    layout = _layout(_rows_height(table)) | {"barmode": "stack"}
     layout["legend"]["traceorder"] = "normal"
     layout["xaxis"] = {"title": {"text": "of the flights [%]"}, "range": [0.0, 100.0]}
     layout["yaxis"] = _names_axis()
     return {"data": data, "layout": layout}
 
 
-def probability(flown: Flown, shares: Sequence[Share]) -> Figure:
+def probability(table: FlightTable, shares: Sequence[Share]) -> Figure:
     """The share of successes of each controller; of draws with Wilson's interval, and the exact one as a thin line."""
     known = [(place, share) for place, share in enumerate(shares) if share.value is not None]
     data = []
     for place, share in known:
         low, high = share.wilson
         value = 100.0 * share.hits / share.of
-        common: Figure = {"type": "scatter", "y": [flown.controllers[place]], "showlegend": False}
+        common: Figure = {"type": "scatter", "y": [table.controllers[place]], "showlegend": False}
         colour = run_colour(place)
-        text = f"{flown.controllers[place]}: {value:.4g} %, {share.hits} of {share.of}"
-        if not flown.grid:
+        text = f"{table.controllers[place]}: {value:.4g} %, {share.hits} of {share.of}"
+        if not table.grid:
             ends = [100.0 * end for end in share.exact]
             line = {"x": ends, "y": common["y"] * 2, "mode": "lines", "line": {"color": colour, "width": 1}}
             data.append(common | line | {"hoverinfo": "skip"})
@@ -94,35 +94,35 @@ def probability(flown: Flown, shares: Sequence[Share]) -> Figure:
         data.append(
             common | {"x": [value], "mode": "markers", "marker": marker, "hovertemplate": f"{text}<extra></extra>"}
         )
-    layout = _layout(_rows_height(flown)) | {"showlegend": False}
-    layout["xaxis"] = {"title": {"text": "success [%]"}, "range": _percent_range(flown, shares)}
+    layout = _layout(_rows_height(table)) | {"showlegend": False}
+    layout["xaxis"] = {"title": {"text": "success [%]"}, "range": _percent_range(table, shares)}
     # without a flight there is no point to make the axis from
-    layout["yaxis"] = _names_axis() | {"categoryorder": "array", "categoryarray": flown.controllers, "type": "category"}
+    layout["yaxis"] = _names_axis() | {"categoryorder": "array", "categoryarray": table.controllers, "type": "category"}
     return {"data": data, "layout": layout}
 
 
-def _percent_range(flown: Flown, shares: Sequence[Share]) -> list[float]:
+def _percent_range(table: FlightTable, shares: Sequence[Share]) -> list[float]:
     """Around everything that is drawn, a tenth of what may be at least."""
     ends = [
-        end for share in shares if share.of for end in ((share.hits / share.of,) * 2 if flown.grid else share.exact)
+        end for share in shares if share.of for end in ((share.hits / share.of,) * 2 if table.grid else share.exact)
     ]
     low, high = 100.0 * min(ends, default=0.0), 100.0 * max(ends, default=1.0)
     margin = max(0.06 * (high - low), 0.5 * (10.0 - (high - low)), 0.5)
     return [max(low - margin, -1.0), min(high + margin, 101.0)]
 
 
-def _rows_height(flown: Flown) -> int:
-    return 96 + 34 * len(flown.controllers)
+def _rows_height(table: FlightTable) -> int:
+    return 96 + 34 * len(table.controllers)
 
 
 # ---- what drives it
 
 
-def ranking_figure(flown: Flown, rankings: Sequence[Ranking | None]) -> Figure:
+def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Figure:
     """First-order indices, the largest on top; shaded is what chance gives, pale what is not above it."""
     known = [(place, ranking) for place, ranking in enumerate(rankings) if ranking is not None]
     by_key = {place: {effect.key: effect for effect in ranking.effects} for place, ranking in known}
-    labels = {key.path: wrapped(key.label) for key in flown.keys}
+    labels = {key.path: wrapped(key.label) for key in table.keys}
     most = {path: max(effects[path].index for effects in by_key.values()) for path in labels}
     paths = sorted(labels, key=lambda path: most[path])[-CURVES:]
     data = []
@@ -131,13 +131,13 @@ def ranking_figure(flown: Flown, rankings: Sequence[Ranking | None]) -> Figure:
         bar: Figure = {
             "type": "bar",
             "orientation": "h",
-            "name": flown.controllers[place],
+            "name": table.controllers[place],
             "y": [labels[path] for path in paths],
             "x": [_percent(effect.index) for effect in effects],
             "marker": {"color": run_colour(place), "opacity": [1.0 if effect.real else 0.3 for effect in effects]},
-            "hovertemplate": f"%{{y}}, {flown.controllers[place]}: %{{x:.1f}} %<extra></extra>",
+            "hovertemplate": f"%{{y}}, {table.controllers[place]}: %{{x:.1f}} %<extra></extra>",
         }
-        if not flown.grid:
+        if not table.grid:
             bar["error_x"] = {
                 "type": "data",
                 "symmetric": False,
@@ -182,25 +182,25 @@ def wrapped(label: str, most: int = 24) -> str:
     return "<br>".join(lines)
 
 
-def success_over(flown: Flown, key: KeyColumn) -> Figure:
+def success_over(table: FlightTable, key: KeyColumn) -> Figure:
     """The share of successes over one key, all others as they come, with 95 % intervals."""
     data = []
-    for place in places(flown):
-        rows = flown.of(place) & np.isfinite(key.numbers)
+    for place in places(table):
+        rows = table.of(place) & np.isfinite(key.numbers)
         count = int(np.sum(rows))
         if not count:
             continue
         values = key.numbers[rows]
-        numbered = classes(values, int(np.clip(count // 40, 4, 16)) if not flown.grid else count)
-        of, hits = np.bincount(numbered), np.bincount(numbered, flown.success[rows])
+        numbered = classes(values, int(np.clip(count // 40, 4, 16)) if not table.grid else count)
+        of, hits = np.bincount(numbered), np.bincount(numbered, table.success[rows])
         low, high = wilson(hits, of)
         share = hits / of
         middle = group_medians(numbered, values)
-        name = flown.controllers[place]
+        name = table.controllers[place]
         trace: Figure = {
             "type": "scatter",
             "name": name,
-            "x": _offset(middle, place, flown, key),
+            "x": _offset(middle, place, table, key),
             "y": rounded(100.0 * share),
             "mode": "markers" if key.levels else "lines+markers",
             "line": {"color": run_colour(place), "width": 1.6},
@@ -210,7 +210,7 @@ def success_over(flown: Flown, key: KeyColumn) -> Figure:
             ],
             "hovertemplate": f"{name}, %{{customdata}}, %{{y:.1f}} %<extra></extra>",
         }
-        if not flown.grid:
+        if not table.grid:
             trace["error_y"] = {
                 "type": "data",
                 "symmetric": False,
@@ -236,9 +236,9 @@ def group_medians(numbered: NDArray[np.integer[Any]], values: Array) -> Array:
     return np.array(0.5 * (ordered[first + (counts - 1) // 2] + ordered[first + counts // 2]), dtype=np.float64)
 
 
-def _offset(middle: Array, place: int, flown: Flown, key: KeyColumn) -> list[float]:
+def _offset(middle: Array, place: int, table: FlightTable, key: KeyColumn) -> list[float]:
     """Beside each other, where controllers would hide each other."""
-    apart = place - 0.5 * (len(flown.controllers) - 1)
+    apart = place - 0.5 * (len(table.controllers) - 1)
     if key.levels:
         return rounded(middle + 0.12 * apart)
     low, high = np.nanmin(key.numbers), np.nanmax(key.numbers)
@@ -268,18 +268,18 @@ def key_axis(key: KeyColumn) -> Figure:
 # ---- how the metrics are spread
 
 
-def distribution(flown: Flown, metric: Metric) -> Figure:
+def distribution(table: FlightTable, metric: Metric) -> Figure:
     """What share of all flights completed with a metric up to x: a curve ends where the flights that have it end."""
     data = []
     largest: list[float] = []
-    for place in places(flown):
-        rows = flown.of(place)
-        values = np.sort(metric.factor * flown.values[metric.name][rows])  # NaN comes last
+    for place in places(table):
+        rows = table.of(place)
+        values = np.sort(metric.factor * table.values[metric.name][rows])  # NaN comes last
         known = values[np.isfinite(values)]
         if not known.size:
             continue
         picked = np.unique(np.linspace(0, known.size - 1, CURVE_POINTS).round().astype(np.intp))
-        name = flown.controllers[place]
+        name = table.controllers[place]
         largest.append(float(known[-1]))
         data.append(
             {
@@ -295,15 +295,15 @@ def distribution(flown: Flown, metric: Metric) -> Figure:
     layout = _layout(270) | {"showlegend": False}
     layout["margin"] |= {"t": 30}
     layout["xaxis"] = {"title": {"text": f"{metric.label} [{metric.unit}]"}, "zeroline": False} | _stretch(
-        flown, metric
+        table, metric
     )
     layout["yaxis"] = {"title": {"text": "of all flights [%]"}, "range": [-3.0, 103.0]}
     return {"data": data, "layout": layout}
 
 
-def _stretch(flown: Flown, metric: Metric) -> Figure:
+def _stretch(table: FlightTable, metric: Metric) -> Figure:
     """Logarithmic for what is spread over decades."""
-    values = flown.values[metric.name]
+    values = table.values[metric.name]
     known = values[np.isfinite(values)]
     low, high = np.quantile(known, [0.05, 0.95]) if known.size else (0.0, 0.0)
     return {"type": "log", "dtick": 1} if known.size and known.min() > 0.0 and high > 30.0 * low else {}

@@ -29,7 +29,7 @@ from cosim.campaign.analysis.summary import (
 )
 from cosim.campaign.analysis.table import (
     KINDS,
-    Flown,
+    FlightTable,
     KeyColumn,
     criterion,
     read,
@@ -79,38 +79,38 @@ def write_campaign_report(campaign: Campaign) -> Path:
 
 def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
     """The figures of the page, and what its template asks for; writes the scenario files of its cases."""
-    flown, study = read(campaign), campaign.study
-    successes = shares(flown)
-    names = [SUCCESS, *(metric.name for metric in flown.metrics)]
-    rankings = {name: [ranked(flown, place, name) for place in places(flown)] for name in names}
+    table, study = read(campaign), campaign.study
+    successes = shares(table)
+    names = [SUCCESS, *(metric.name for metric in table.metrics)]
+    rankings = {name: [ranked(table, place, name) for place in places(table)] for name in names}
     leading = next((name for name in names if any(rankings[name])), SUCCESS)
-    order = by_influence(flown, rankings[leading])
-    figures = campaign_figures(flown, successes, rankings, order)
-    if len(flown.keys) > 1 and flown.flight.size:
+    order = by_influence(table, rankings[leading])
+    figures = campaign_figures(table, successes, rankings, order)
+    if len(table.keys) > 1 and table.flight.size:
         shown = order[:MAP_KEYS]
         figures["map-tables"] = map_tables(
-            flown, shown, strongest_pair(flown, shown, leading, rankings[leading]), leading
+            table, shown, strongest_pair(table, shown, leading, rankings[leading]), leading
         )
     return figures, {
         "study": study,
         "controllers": [
-            {"name": name, "colour": run_colour(place), "share": share, "kinds": kinds(flown, place)}
-            for place, (name, share) in enumerate(zip(flown.controllers, successes, strict=True))
+            {"name": name, "colour": run_colour(place), "share": share, "kinds": kinds(table, place)}
+            for place, (name, share) in enumerate(zip(table.controllers, successes, strict=True))
         ],
-        "flown": flown,
+        "table": table,
         "planned": campaign.of,
-        "facts": facts(campaign, flown),
+        "facts": facts(campaign, table),
         "success_is": criterion(study.success),
         "interval_note": INTERVALS.get(study.design, ""),
         "kind_colours": KIND_COLOURS,
-        "keys": key_rows(study, flown),
-        "correlations": [correlation_words(each) for each in study.correlate],
-        "comparisons": comparison_rows(flown),
-        "metric_rows": metric_rows(flown),
-        "rankings": ranking_tables(flown, rankings),
-        "reasons": reason_rows(campaign, flown),
-        "cases": case_rows(campaign, flown),
-        "warnings": warnings(campaign, flown),
+        "keys": key_rows(study, table),
+        "correlations": [correlation_words(correlation) for correlation in study.correlate],
+        "comparisons": comparison_rows(table),
+        "metric_rows": metric_rows(table),
+        "rankings": ranking_tables(table, rankings),
+        "reasons": reason_rows(campaign, table),
+        "cases": case_rows(campaign, table),
+        "warnings": warnings(campaign, table),
         "most_curves": len([name for name in figures if name.startswith("key-")]),
         "python": python_lines(campaign.folder),
         "made_from": made_from(campaign),
@@ -120,23 +120,23 @@ def page(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
 # ---- the head
 
 
-def facts(campaign: Campaign, flown: Flown) -> list[tuple[str, str]]:
+def facts(campaign: Campaign, table: FlightTable) -> list[tuple[str, str]]:
     """Name and value of what was flown, without anything of the machine."""
     study = campaign.study
-    wall = np.array([each or 0.0 for each in campaign.columns.get("wall_s", [])], dtype=np.float64)
-    simulated = float(np.nansum(flown.duration))
+    wall = np.array([seconds or 0.0 for seconds in campaign.columns.get("wall_s", [])], dtype=np.float64)
+    simulated = float(np.nansum(table.duration))
     lines = [
         ("scenario", scenario_name(study)),
         ("design", DESIGNS[study.design]),
         ("draws", f"{study.draws:,}" + (f", {study.repeats} at each point" if study.repeats > 1 else "")),
-        ("controllers", ", ".join(flown.controllers)),
+        ("controllers", ", ".join(table.controllers)),
         ("seed", str(study.seed)),
         ("simulated", duration(simulated)),
     ]
     if wall.sum() > 0.0:
         lines.append(("work", f"{duration(float(wall.sum()))}, {1e3 * float(wall.mean()):.0f} ms a flight"))
         lines.append(("workers", str(len(set(campaign.columns.get("worker", []))))))
-    return [each for each in lines if each[1] not in ("", "0")]
+    return [line for line in lines if line[1] not in ("", "0")]
 
 
 def scenario_name(study: Study) -> str:
@@ -155,9 +155,9 @@ def duration(seconds: float) -> str:
     return f"{seconds:.1f} s"
 
 
-def key_rows(study: Study, flown: Flown) -> list[dict[str, str]]:
+def key_rows(study: Study, table: FlightTable) -> list[dict[str, str]]:
     """What each varied key is drawn from, what it is without the study, and what was flown of it."""
-    columns = {key.path: key for key in flown.keys}
+    columns = {key.path: key for key in table.keys}
     rows = []
     for vary in study.vary:
         key = columns.get(vary.key)
@@ -170,14 +170,14 @@ def key_rows(study: Study, flown: Flown) -> list[dict[str, str]]:
                 "path": vary.key,
                 "drawn": drawn_from(vary),
                 "nominal": NONE if nominal is None else _number(nominal),
-                "flown": NONE if key is None else _flown_range(key),
+                "observed": NONE if key is None else _observed_range(key),
                 "unit": "" if key is None else key.unit,
             }
         )
     return rows
 
 
-def _flown_range(key: KeyColumn) -> str:
+def _observed_range(key: KeyColumn) -> str:
     known = key.numbers[np.isfinite(key.numbers)]
     if not known.size:
         return NONE
@@ -230,17 +230,17 @@ def correlation_words(correlation: Correlation) -> str:
     return f"{correlation.keys[0]} with {correlation.keys[1]}: {correlation.rank:g}"
 
 
-def warnings(campaign: Campaign, flown: Flown) -> list[str]:
+def warnings(campaign: Campaign, table: FlightTable) -> list[str]:
     """What a reader must know before believing a number of the page."""
     lines = []
-    done, planned = flown.flight.size, campaign.of
+    done, planned = table.flight.size, campaign.of
     if done < planned:
         lines.append(
             f"The study is not finished: {done:,} of {planned:,} flights ({done / planned:.1%}). "
             "Flights that are lost early end early, so that the finished ones may look worse than all will."
-            + (" Of a grid only a part is here." if flown.grid else "")
+            + (" Of a grid only a part is here." if table.grid else "")
         )
-    failed = int(np.sum(flown.kind == KINDS.index("failed")))
+    failed = int(np.sum(table.kind == KINDS.index("failed")))
     if failed:
         lines.append(
             f"{failed:,} flight{'s' if failed > 1 else ''} could not be flown to a verdict (failed): "
@@ -269,26 +269,28 @@ def made_from(campaign: Campaign) -> dict[str, list[str]]:
 # ---- what drives it
 
 
-def by_influence(flown: Flown, rankings: Sequence[Ranking | None]) -> list[int]:
+def by_influence(table: FlightTable, rankings: Sequence[Ranking | None]) -> list[int]:
     """The keys by the largest of their indices with any controller; in the study's order where that is not known."""
-    most = dict.fromkeys((key.path for key in flown.keys), -1.0)
+    most = dict.fromkeys((key.path for key in table.keys), -1.0)
     for ranking in rankings:
         for effect in ranking.effects if ranking else ():
             most[effect.key] = max(most[effect.key], effect.index)
-    return sorted(range(len(flown.keys)), key=lambda place: -most[flown.keys[place].path])
+    return sorted(range(len(table.keys)), key=lambda place: -most[table.keys[place].path])
 
 
-def strongest_pair(flown: Flown, keys: Sequence[int], name: str, rankings: Sequence[Ranking | None]) -> tuple[int, int]:
+def strongest_pair(
+    table: FlightTable, keys: Sequence[int], name: str, rankings: Sequence[Ranking | None]
+) -> tuple[int, int]:
     """The two of these keys that explain most of a result together, over all controllers.
 
     The first two, which explain most one at a time, unless others are above them by more than chance.
     """
-    values = result(flown, name)
+    values = result(table, name)
     together = {}
     for first, second in combinations(keys, 2):
-        a, b = flown.keys[first].numbers, flown.keys[second].numbers
+        a, b = table.keys[first].numbers, table.keys[second].numbers
         known = np.isfinite(values) & np.isfinite(a) & np.isfinite(b)
-        together[first, second] = sum(_joint(known & flown.of(place), a, b, values) for place in places(flown))
+        together[first, second] = sum(_joint(known & table.of(place), a, b, values) for place in places(table))
     usual = (keys[0], keys[1])
     best = max(together, key=lambda pair: together[pair])
     return best if together[best] > together[usual] + sum(ranking.floor for ranking in rankings if ranking) else usual
@@ -299,16 +301,16 @@ def _joint(rows: Any, first: Array, second: Array, values: Array) -> float:
     return max(0.0, joint(first[rows], second[rows], values[rows])) if some else 0.0
 
 
-def ranking_tables(flown: Flown, rankings: Mapping[str, Sequence[Ranking | None]]) -> list[dict[str, Any]]:
+def ranking_tables(table: FlightTable, rankings: Mapping[str, Sequence[Ranking | None]]) -> list[dict[str, Any]]:
     """One table for success and for each metric that could be ranked."""
-    labels = {SUCCESS: "success"} | {metric.name: metric.label for metric in flown.metrics}
+    labels = {SUCCESS: "success"} | {metric.name: metric.label for metric in table.metrics}
     return [
         {
             "figure": f"ranking-{name}",
             "label": labels[name],
             "rankings": [
                 {
-                    "controller": flown.controllers[place],
+                    "controller": table.controllers[place],
                     "colour": run_colour(place),
                     "flights": element.flights,
                     "floor": f"{100.0 * element.floor:.1f}",
@@ -342,12 +344,12 @@ def _span(ends: Interval | Sequence[float] | None, form: str) -> str:
 # ---- controllers compared, and metrics
 
 
-def comparison_rows(flown: Flown) -> list[dict[str, Any]]:
+def comparison_rows(table: FlightTable) -> list[dict[str, Any]]:
     """Every two controllers on the draws both have flown, as texts."""
     return [
         {
-            "first": flown.controllers[comparison.first],
-            "second": flown.controllers[comparison.second],
+            "first": table.controllers[comparison.first],
+            "second": table.controllers[comparison.second],
             "first_colour": run_colour(comparison.first),
             "second_colour": run_colour(comparison.second),
             "pairs": comparison.pairs,
@@ -357,11 +359,11 @@ def comparison_rows(flown: Flown) -> list[dict[str, Any]]:
             "completed": comparison.completed,
             "metrics": [
                 _difference(metric, difference)
-                for metric in flown.metrics
+                for metric in table.metrics
                 if (difference := comparison.metrics[metric.name]) is not None
             ],
         }
-        for comparison in comparisons(flown)
+        for comparison in comparisons(table)
     ]
 
 
@@ -393,15 +395,15 @@ def p_text(p: float) -> str:
     return "< 0.0001" if p < 1e-4 else f"{p:.2g}"
 
 
-def metric_rows(flown: Flown) -> list[dict[str, Any]]:
+def metric_rows(table: FlightTable) -> list[dict[str, Any]]:
     """How each metric is spread for each controller."""
     rows = []
-    for number, metric in enumerate(flown.metrics):
+    for number, metric in enumerate(table.metrics):
         cells = []
-        for place in places(flown):
-            quartiles = spread(flown, place, metric.name)
+        for place in places(table):
+            quartiles = spread(table, place, metric.name)
             cells.append(
-                {"text": NONE, "none": 0, "flights": 0, "of": int(np.sum(flown.of(place)))}
+                {"text": NONE, "none": 0, "flights": 0, "of": int(np.sum(table.of(place)))}
                 if quartiles is None
                 else {
                     "text": f"{metric.factor * quartiles.median:.3g}",
@@ -415,9 +417,9 @@ def metric_rows(flown: Flown) -> list[dict[str, Any]]:
     return rows
 
 
-def reason_rows(campaign: Campaign, flown: Flown) -> list[dict[str, Any]]:
+def reason_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
     """Why flights are no successes, the commonest first, with the count of every controller."""
-    counted = [reasons(flown, flown.of(place), campaign.study.success) for place in places(flown)]
+    counted = [reasons(table, table.of(place), campaign.study.success) for place in places(table)]
     names = sorted(
         {name for counter in counted for name in counter},
         key=lambda name: (-sum(counter[name] for counter in counted), name),

@@ -15,7 +15,7 @@ from cosim.base.arrays import Array
 from cosim.campaign.analysis.figures import Figure, group_medians, rounded
 from cosim.campaign.analysis.statistics import Counts
 from cosim.campaign.analysis.summary import places
-from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
+from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.results.wording import Metric
 
 CELL = 15  # flights in a cell of draws, were they spread evenly
@@ -27,53 +27,53 @@ MOST_POINTS = 400  # of successes and of the others, for one controller
 SEED = 1  # of the sample of single flights
 
 
-def map_tables(flown: Flown, keys: Sequence[int], pair: tuple[int, int], colour: str) -> Figure:
+def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], colour: str) -> Figure:
     """What the page draws the stability map from; ``keys`` are places, ``pair`` those shown first, ``colour`` too.
 
     Of every pair of keys and every controller: the number of flights in each cell, of successes, and the median of each
     metric over those that completed, row by row upwards; None where there are fewer than ``least`` to take it of.
     """
-    chosen = [flown.keys[key] for key in keys]
+    chosen = [table.keys[key] for key in keys]
     pairs = list(combinations(range(len(chosen)), 2))
-    sides = [_sides(flown, key, max(len(pairs), 1)) for key in chosen]
-    metrics = flown.metrics[:MAP_METRICS]
-    least = 1 if flown.grid else LEAST
+    sides = [_sides(table, key, max(len(pairs), 1)) for key in chosen]
+    metrics = table.metrics[:MAP_METRICS]
+    least = 1 if table.grid else LEAST
     return {
-        "grid": flown.grid,
+        "grid": table.grid,
         "least": least,
-        "pair": [keys.index(each) for each in pair],
+        "pair": [keys.index(key) for key in pair],
         "colour": colour,
-        "controllers": flown.controllers,
+        "controllers": table.controllers,
         "keys": [
             {"title": key.title, "label": key.label, "log": key.log, "levels": key.levels, "edges": rounded(edges, 6)}
             for key, (edges, _) in zip(chosen, sides, strict=True)
         ],
-        "metrics": [_metric_table(flown, metric) for metric in metrics],
+        "metrics": [_metric_table(table, metric) for metric in metrics],
         "cells": {
-            f"{x},{y}": [_cells(flown, place, sides[x], sides[y], metrics, least) for place in places(flown)]
+            f"{x},{y}": [_cells(table, place, sides[x], sides[y], metrics, least) for place in places(table)]
             for x, y in pairs
         },
-        "points": [_points(flown, place, chosen, metrics) for place in places(flown)],
+        "points": [_points(table, place, chosen, metrics) for place in places(table)],
     }
 
 
-def _metric_table(flown: Flown, metric: Metric) -> Figure:
-    values = metric.factor * flown.values[metric.name]
+def _metric_table(table: FlightTable, metric: Metric) -> Figure:
+    values = metric.factor * table.values[metric.name]
     low, high = np.nanquantile(values, [0.02, 0.98])
     return {"name": metric.name, "label": metric.label, "unit": metric.unit, "range": rounded(np.array([low, high]))}
 
 
-def _sides(flown: Flown, key: KeyColumn, pairs: int) -> tuple[Array, Counts]:
+def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Counts]:
     """The edges of a key's cells, and the cell of each row, -1 for none: levels, or stretches of equal length."""
     known = np.isfinite(key.numbers)
     if key.levels:
         return np.arange(-0.5, len(key.levels)), np.where(known, key.numbers, -1).astype(np.intp)
-    flights = max((int(np.sum(flown.of(place))) for place in places(flown)), default=0)
+    flights = max((int(np.sum(table.of(place))) for place in places(table)), default=0)
     most = int(np.clip(isqrt(flights // CELL), 3, max(16, min(40, isqrt(MAP_CELLS // pairs)))))
     numbers = np.where(known, key.numbers, key.numbers[known][0] if known.any() else 1.0)
     levels = np.unique(numbers)
     scaled, back = (np.log(numbers), np.exp) if key.log else (numbers, np.array)
-    if flown.grid or 2 * levels.size <= 3 * most:
+    if table.grid or 2 * levels.size <= 3 * most:
         edges: Array = _around(np.unique(scaled))
     elif not key.log and np.all(levels % 1.0 == 0.0):  # as many whole numbers in each cell
         wide = -(-(levels[-1] - levels[0] + 1.0) // most)
@@ -94,7 +94,7 @@ def _around(levels: Array) -> Array:
 
 
 def _cells(
-    flown: Flown,
+    table: FlightTable,
     place: int,
     across: tuple[Array, Counts],
     up: tuple[Array, Counts],
@@ -102,13 +102,13 @@ def _cells(
     least: int,
 ) -> Figure:
     width, height = across[0].size - 1, up[0].size - 1
-    rows = flown.of(place) & (across[1] >= 0) & (up[1] >= 0)
+    rows = table.of(place) & (across[1] >= 0) & (up[1] >= 0)
     cell = (up[1] * width + across[1])[rows]
     total = width * height
     return {
         "n": np.bincount(cell, minlength=total).tolist(),
-        "k": np.bincount(cell, flown.success[rows], minlength=total).astype(int).tolist(),
-        "m": [_medians(cell, metric.factor * flown.values[metric.name][rows], total, least) for metric in metrics],
+        "k": np.bincount(cell, table.success[rows], minlength=total).astype(int).tolist(),
+        "m": [_medians(cell, metric.factor * table.values[metric.name][rows], total, least) for metric in metrics],
     }
 
 
@@ -123,19 +123,19 @@ def _medians(cell: Counts, values: Array, total: int, least: int) -> list[float 
     return rounded(np.where(counts >= least, medians, np.nan))
 
 
-def _points(flown: Flown, place: int, keys: Sequence[KeyColumn], metrics: Sequence[Metric]) -> Figure:
+def _points(table: FlightTable, place: int, keys: Sequence[KeyColumn], metrics: Sequence[Metric]) -> Figure:
     generator = np.random.default_rng(SEED)
-    mine = flown.of(place)
+    mine = table.of(place)
     parts = []
-    for group in (mine & flown.success, mine & ~flown.success):
+    for group in (mine & table.success, mine & ~table.success):
         rows = np.flatnonzero(group)
         parts.append(np.sort(generator.choice(rows, MOST_POINTS, replace=False)) if rows.size > MOST_POINTS else rows)
     rows = np.concatenate(parts)
     return {
         "shown": [int(part.size) for part in parts],
-        "of": [int(np.sum(mine & flown.success)), int(np.sum(mine & ~flown.success))],
-        "flight": flown.flight[rows].tolist(),
-        "kind": [KINDS[kind] for kind in flown.kind[rows]],
+        "of": [int(np.sum(mine & table.success)), int(np.sum(mine & ~table.success))],
+        "flight": table.flight[rows].tolist(),
+        "kind": [KINDS[kind] for kind in table.kind[rows]],
         "keys": [rounded(key.numbers[rows]) for key in keys],
-        "m": [rounded(metric.factor * flown.values[metric.name][rows]) for metric in metrics],
+        "m": [rounded(metric.factor * table.values[metric.name][rows]) for metric in metrics],
     }

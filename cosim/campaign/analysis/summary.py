@@ -26,7 +26,7 @@ from cosim.campaign.analysis.statistics import (
 )
 from cosim.campaign.analysis.table import (
     KINDS,
-    Flown,
+    FlightTable,
     Mask,
     criterion,
     read,
@@ -67,29 +67,29 @@ class Spread(NamedTuple):
     high: float  # 5 % lie above
 
 
-def shares(flown: Flown) -> list[Share]:
+def shares(table: FlightTable) -> list[Share]:
     """The share of successes of every controller; a failed flight is none."""
     return [
-        share(int(np.sum(flown.success & flown.of(controller))), int(np.sum(flown.of(controller))))
-        for controller in places(flown)
+        share(int(np.sum(table.success & table.of(controller))), int(np.sum(table.of(controller))))
+        for controller in places(table)
     ]
 
 
-def places(flown: Flown) -> range:
+def places(table: FlightTable) -> range:
     """Of the controllers."""
-    return range(len(flown.controllers))
+    return range(len(table.controllers))
 
 
-def kinds(flown: Flown, controller: int) -> dict[str, int]:
+def kinds(table: FlightTable, controller: int) -> dict[str, int]:
     """How many flights of a controller came to what."""
-    counts = np.bincount(flown.kind[flown.of(controller)], minlength=len(KINDS))
+    counts = np.bincount(table.kind[table.of(controller)], minlength=len(KINDS))
     return {name: int(count) for name, count in zip(KINDS, counts, strict=True)}
 
 
-def spread(flown: Flown, controller: int, name: str) -> Spread | None:
+def spread(table: FlightTable, controller: int, name: str) -> Spread | None:
     """How a metric of a controller is spread; None if no flight has it."""
-    mine = flown.of(controller)
-    values = flown.values[name][mine & flown.completed]
+    mine = table.of(controller)
+    values = table.values[name][mine & table.completed]
     known = values[np.isfinite(values)]
     if not known.size:
         return None
@@ -98,53 +98,53 @@ def spread(flown: Flown, controller: int, name: str) -> Spread | None:
     return Spread(known.size, values.size - known.size, of, float(low), float(median), float(high))
 
 
-def comparisons(flown: Flown) -> list[Comparison]:
+def comparisons(table: FlightTable) -> list[Comparison]:
     """Every two controllers on the draws that both have flown."""
-    compared = [_compared(flown, first, second) for first, second in combinations(places(flown), 2)]
+    compared = [_compared(table, first, second) for first, second in combinations(places(table), 2)]
     corrected = holm([comparison.p for comparison in compared])
     return [comparison._replace(p_holm=p) for comparison, p in zip(compared, corrected, strict=True)]
 
 
-def _compared(flown: Flown, first: int, second: int) -> Comparison:
-    rows, others = common_draws(flown, first, second)
-    counted = pairs(flown.success[rows], flown.success[others])
-    done = flown.completed[rows] & flown.completed[others]
+def _compared(table: FlightTable, first: int, second: int) -> Comparison:
+    rows, others = common_draws(table, first, second)
+    counted = pairs(table.success[rows], table.success[others])
+    done = table.completed[rows] & table.completed[others]
     metrics = {}
-    for name in (metric_spec.name for metric_spec in flown.metrics):
-        difference = (flown.values[name][others] - flown.values[name][rows])[done]
+    for name in (metric_spec.name for metric_spec in table.metrics):
+        difference = (table.values[name][others] - table.values[name][rows])[done]
         metrics[name] = median_difference(difference[np.isfinite(difference)])
     p = mcnemar(counted)
     return Comparison(first, second, counted, newcombe(counted), p, p, metrics, int(np.sum(done)))
 
 
-def common_draws(flown: Flown, first: int, second: int) -> tuple[Any, Any]:
+def common_draws(table: FlightTable, first: int, second: int) -> tuple[Any, Any]:
     """The rows of two controllers, draw by draw, of the draws that both have flown."""
-    rows, others = np.flatnonzero(flown.of(first)), np.flatnonzero(flown.of(second))
-    _, here, there = np.intersect1d(flown.draw[rows], flown.draw[others], assume_unique=True, return_indices=True)
+    rows, others = np.flatnonzero(table.of(first)), np.flatnonzero(table.of(second))
+    _, here, there = np.intersect1d(table.draw[rows], table.draw[others], assume_unique=True, return_indices=True)
     return rows[here], others[there]
 
 
-def result(flown: Flown, name: str) -> Array:
+def result(table: FlightTable, name: str) -> Array:
     """What is ranked: success as 0 and 1, or a metric, NaN where there is none."""
-    return flown.success.astype(np.float64) if name == SUCCESS else flown.values[name]
+    return table.success.astype(np.float64) if name == SUCCESS else table.values[name]
 
 
-def ranked(flown: Flown, controller: int, name: str) -> Ranking | None:
+def ranked(table: FlightTable, controller: int, name: str) -> Ranking | None:
     """What each key does to the success or to a metric of a controller; None if that cannot be said."""
-    values = result(flown, name)
-    rows = flown.of(controller) & np.isfinite(values)
-    for key in flown.keys:
+    values = result(table, name)
+    rows = table.of(controller) & np.isfinite(values)
+    for key in table.keys:
         rows &= np.isfinite(key.numbers)
-    numbers = {key.path: key.numbers[rows] for key in flown.keys}
-    return ranking(numbers, [key.path for key in flown.keys if key.levels], values[rows])
+    numbers = {key.path: key.numbers[rows] for key in table.keys}
+    return ranking(numbers, [key.path for key in table.keys if key.levels], values[rows])
 
 
-def reasons(flown: Flown, rows: Mask, success: Mapping[str, Range]) -> Counter[str]:
+def reasons(table: FlightTable, rows: Mask, success: Mapping[str, Range]) -> Counter[str]:
     """Why flights are no successes, alike reasons together: without their numbers and what stands in brackets."""
     counts: Counter[str] = Counter()
-    missed = flown.kind == KINDS.index("missed")
-    for row in np.flatnonzero(rows & ~flown.success):
-        counts[" and ".join(missing(flown, int(row), success)) if missed[row] else plain(flown.reason[row])] += 1
+    missed = table.kind == KINDS.index("missed")
+    for row in np.flatnonzero(rows & ~table.success):
+        counts[" and ".join(missing(table, int(row), success)) if missed[row] else plain(table.reason[row])] += 1
     return counts
 
 
@@ -153,11 +153,11 @@ def plain(reason: str) -> str:
     return NUMBER.sub("…", BRACKETS.sub("", reason)).strip() or "no reason given"
 
 
-def missing(flown: Flown, row: int, success: Mapping[str, Range]) -> list[str]:
+def missing(table: FlightTable, row: int, success: Mapping[str, Range]) -> list[str]:
     """Which of a study's criteria a completed flight does not meet."""
-    lines = [f"{metric(name).label} beyond the flight's own limit" for name in flown.beyond[row]]
+    lines = [f"{metric(name).label} beyond the flight's own limit" for name in table.beyond[row]]
     for name, allowed in success.items():
-        value = flown.values[name][row] if name in flown.values else np.nan
+        value = table.values[name][row] if name in table.values else np.nan
         of = metric(name)
         if not np.isfinite(value):
             lines.append(f"{of.label}: none")
@@ -173,41 +173,41 @@ def missing(flown: Flown, row: int, success: Mapping[str, Range]) -> list[str]:
 
 def campaign_summary(campaign: Campaign) -> dict[str, Any]:
     """Everything that a program wants to know of a campaign, ready for JSON; a share of nothing is null."""
-    flown = read(campaign)
+    table = read(campaign)
     study = campaign.study
     return {
         "study": study.name,
         "design": study.design,
         "seed": study.seed,
-        "flights": int(flown.flight.size),
+        "flights": int(table.flight.size),
         "planned": campaign.of,
-        "finished": int(flown.flight.size) == campaign.of,
+        "finished": int(table.flight.size) == campaign.of,
         "success_is": criterion(study.success),
-        "share_is": "share of the grid" if flown.grid else "estimated probability",
+        "share_is": "share of the grid" if table.grid else "estimated probability",
         "controllers": {
-            name: _controller(flown, place, share)
-            for place, (name, share) in enumerate(zip(flown.controllers, shares(flown), strict=True))
+            name: _controller(table, place, share)
+            for place, (name, share) in enumerate(zip(table.controllers, shares(table), strict=True))
         },
-        "comparisons": [_comparison(flown, comparison) for comparison in comparisons(flown)],
+        "comparisons": [_comparison(table, comparison) for comparison in comparisons(table)],
         "reasons": {
-            name: dict(reasons(flown, flown.of(place), study.success).most_common(10))
-            for place, name in enumerate(flown.controllers)
+            name: dict(reasons(table, table.of(place), study.success).most_common(10))
+            for place, name in enumerate(table.controllers)
         },
         "drives_success": {
-            name: _ranking(ranked(flown, place, SUCCESS)) for place, name in enumerate(flown.controllers)
+            name: _ranking(ranked(table, place, SUCCESS)) for place, name in enumerate(table.controllers)
         },
         "wall_s": float(np.nansum(np.array(campaign.columns.get("wall_s", []), dtype=np.float64))),
     }
 
 
-def _controller(flown: Flown, place: int, success: Share) -> dict[str, Any]:
-    spreads = {metric_spec.name: spread(flown, place, metric_spec.name) for metric_spec in flown.metrics}
+def _controller(table: FlightTable, place: int, success: Share) -> dict[str, Any]:
+    spreads = {metric_spec.name: spread(table, place, metric_spec.name) for metric_spec in table.metrics}
     return {
         "flights": success.of,
-        "outcomes": kinds(flown, place),
+        "outcomes": kinds(table, place),
         "success": success.value,
-        "wilson_95": None if flown.grid or not success.of else list(success.wilson),
-        "clopper_pearson_95": None if flown.grid or not success.of else list(success.exact),
+        "wilson_95": None if table.grid or not success.of else list(success.wilson),
+        "clopper_pearson_95": None if table.grid or not success.of else list(success.exact),
         "metrics": {
             name: {
                 "flights": quartiles.flights, "without": quartiles.none, "of": quartiles.of,
@@ -219,25 +219,25 @@ def _controller(flown: Flown, place: int, success: Share) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _comparison(flown: Flown, comparison: Comparison) -> dict[str, Any]:
+def _comparison(table: FlightTable, comparison: Comparison) -> dict[str, Any]:
     return {
-        "first": flown.controllers[comparison.first],
-        "second": flown.controllers[comparison.second],
+        "first": table.controllers[comparison.first],
+        "second": table.controllers[comparison.second],
         "draws": comparison.pairs.draws,
         "both": comparison.pairs.both,
         "only_first": comparison.pairs.first,
         "only_second": comparison.pairs.second,
         "neither": comparison.pairs.neither,
         "difference": comparison.pairs.difference,
-        "newcombe_95": None if flown.grid or comparison.interval is None else list(comparison.interval),
-        "mcnemar_p": None if flown.grid else comparison.p,
-        "mcnemar_p_holm": None if flown.grid else comparison.p_holm,
+        "newcombe_95": None if table.grid or comparison.interval is None else list(comparison.interval),
+        "mcnemar_p": None if table.grid else comparison.p,
+        "mcnemar_p_holm": None if table.grid else comparison.p_holm,
         "metrics": {
             name: {
                 "draws": difference.draws,
                 "median_difference": difference.median,
-                "interval_95": None if flown.grid or difference.interval is None else list(difference.interval),
-                "wilcoxon_p": None if flown.grid else difference.p,
+                "interval_95": None if table.grid or difference.interval is None else list(difference.interval),
+                "wilcoxon_p": None if table.grid else difference.p,
             }
             for name, difference in comparison.metrics.items()
             if difference is not None
@@ -298,11 +298,11 @@ def comparison_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     Where there are more than three pairs the others are left to the page, and that is said.
     """
     pairs = summary["comparisons"]
-    told = pairs if len(pairs) <= _PAIRS else [each for each in pairs if each["first"] == pairs[0]["first"]]
-    for each in told:
-        yield f"  {_compared_line(each)}"
-    if len(told) < len(pairs):
-        yield f"  {len(pairs) - len(told)} more pairs are in the report; each p is corrected for all {len(pairs)}"
+    shown = pairs if len(pairs) <= _PAIRS else [pair for pair in pairs if pair["first"] == pairs[0]["first"]]
+    for pair in shown:
+        yield f"  {_compared_line(pair)}"
+    if len(shown) < len(pairs):
+        yield f"  {len(pairs) - len(shown)} more pairs are in the report; each p is corrected for all {len(pairs)}"
     for name, entry in summary["drives_success"].items():
         keys = [key for key in (entry or {"keys": []})["keys"] if key["above_noise"]]
         if keys:

@@ -63,7 +63,7 @@ class KeyColumn(NamedTuple):
         return f"{self.label} [{self.unit}]" if self.unit else self.label
 
 
-class Flown(NamedTuple):
+class FlightTable(NamedTuple):
     """Every finished flight, one element each, in the order of their numbers."""
 
     flight: Counts
@@ -94,7 +94,7 @@ class Flown(NamedTuple):
         return np.equal(self.controller, controller)
 
 
-def read(campaign: Campaign) -> Flown:
+def read(campaign: Campaign) -> FlightTable:
     """The rows of a campaign, of a whole one or of one that is still flown."""
     columns, study = campaign.columns, campaign.study
     outcomes = np.array(columns.get("outcome", []), dtype=str)
@@ -104,18 +104,18 @@ def read(campaign: Campaign) -> Flown:
         kind[outcomes == name] = place
     kind[outcomes == "completed"] = KINDS.index("missed")
     kind[success] = KINDS.index("success")
-    flown_with = [str(name) for name in columns.get("controller", [])]
+    row_controllers = [str(name) for name in columns.get("controller", [])]
     # a study that states none flies its scenario's own
     stated = controllers_of(study) if study.controllers else []
-    controllers = list(stated or dict.fromkeys(flown_with) or study.flown_with)
+    controllers = list(stated or dict.fromkeys(row_controllers) or study.controller_names)
     place_of = {name: place for place, name in enumerate(controllers)}
     completed = kind <= KINDS.index("missed")
     known = [*metric_names(), *(name for name in columns if name.startswith(PREFIX))]
     values = {name: np.where(completed, numbers(columns[name]), np.nan) for name in known if name in columns}
-    return Flown(
+    return FlightTable(
         flight=np.array(columns.get("flight", []), dtype=np.intp),
         draw=np.array(columns.get("draw", []), dtype=np.intp),
-        controller=np.array([place_of[name] for name in flown_with], dtype=np.intp),
+        controller=np.array([place_of[name] for name in row_controllers], dtype=np.intp),
         kind=kind,
         reason=[str(reason or "") for reason in columns.get("reason", [])],
         beyond=[str(names or "").split() for names in columns.get("beyond", outcomes.size * [""])],
@@ -142,10 +142,10 @@ def key_columns(campaign: Campaign) -> list[KeyColumn]:
         column = campaign.columns[vary.key]
         if any(isinstance(value, (str, bool)) for value in column):
             listed = [choice_text(value) for value in vary.values or []]
-            flown = [choice_text(value) for value in column]
-            levels = list(dict.fromkeys([*listed, *sorted(set(flown))]))
+            texts = [choice_text(value) for value in column]
+            levels = list(dict.fromkeys([*listed, *sorted(set(texts))]))
             place = {level: number for number, level in enumerate(levels)}
-            coded = np.array([place[text] for text in flown], dtype=np.float64)
+            coded = np.array([place[text] for text in texts], dtype=np.float64)
             columns.append(KeyColumn(vary.key, label, "", coded, levels))
         else:
             values = numbers(column)
@@ -182,14 +182,14 @@ def short_names(paths: Sequence[str]) -> list[str]:
     return names
 
 
-def telling(values: Mapping[str, Array], asked: Sequence[str]) -> list[str]:
+def telling(values: Mapping[str, Array], required: Sequence[str]) -> list[str]:
     """The metrics to show, at most ``MOST_METRICS``: those of the study's success, the user's own, then of axes that
     were commanded in steps, then the errors of the other axes and of height.  Beside them where the vehicles went and
     by what means.  What no flight has, or all have alike, tells nothing.
     """
     stepped = [axis for axis in AXES if np.isfinite(values.get(f"{axis}.overshoot_percent", np.empty(0))).any()]
     order = [
-        *asked,
+        *required,
         *(name for name in values if name.startswith(PREFIX)),
         *(f"{axis}.{last}" for axis in stepped for last in OF_AXES),
         *(f"{axis}.max_abs_error_rad" for axis in AXES),

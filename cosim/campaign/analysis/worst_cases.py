@@ -12,7 +12,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import one_line, write_whole
 from cosim.campaign.analysis.summary import SUCCESS, missing, places
-from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
+from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.folder import CASES, SCENARIO
 from cosim.results.report.flight_figures import run_colour
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cosim.campaign.study.study import Study
     from cosim.spec.scenario import Scenario
 
-EACH = 3  # flights listed for each way of being bad
+LISTED = 3  # flights listed for each way of being bad
 NONE = "–"
 
 
@@ -32,52 +32,52 @@ class Case(NamedTuple):
     why: str
 
 
-def case_rows(campaign: Campaign, flown: Flown) -> list[dict[str, Any]]:
+def case_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
     """The worst flights of each controller, each with a scenario file of its own beside the page."""
     return [
         {
-            "controller": flown.controllers[place],
+            "controller": table.controllers[place],
             "colour": run_colour(place),
-            "rows": [_case_row(campaign, flown, case) for case in worst(campaign.study, flown, place)],
+            "rows": [_case_row(campaign, table, case) for case in worst(campaign.study, table, place)],
         }
-        for place in places(flown)
+        for place in places(table)
     ]
 
 
-def worst(study: Study, flown: Flown, controller: int) -> list[Case]:
+def worst(study: Study, table: FlightTable, controller: int) -> list[Case]:
     """Those lost soonest, those that fail nearest to the middle of what was drawn, those not flown to a verdict.
 
     Then the successes with the worst of the first metric; a flight is named once.
     """
-    mine = flown.of(controller)
-    lost = mine & np.isin(flown.kind, [KINDS.index("crashed"), KINDS.index("diverged")])
-    bad = lost | (mine & (flown.kind == KINDS.index("missed")))
+    mine = table.of(controller)
+    lost = mine & np.isin(table.kind, [KINDS.index("crashed"), KINDS.index("diverged")])
+    bad = lost | (mine & (table.kind == KINDS.index("missed")))
     order = [
-        ("lost soonest", lost, flown.duration),
-        ("fails nearest to the middle of the draws", bad, eccentricity(flown)),
-        ("failed", mine & (flown.kind == KINDS.index("failed")), flown.flight.astype(np.float64)),
+        ("lost soonest", lost, table.duration),
+        ("fails nearest to the middle of the draws", bad, eccentricity(table)),
+        ("failed", mine & (table.kind == KINDS.index("failed")), table.flight.astype(np.float64)),
     ]
-    if flown.metrics:
-        metric = flown.metrics[0]
+    if table.metrics:
+        metric = table.metrics[0]
         allowed = study.success.get(metric.name)
         least = allowed is not None and allowed.max is None
-        values = flown.values[metric.name] * (1.0 if least else -1.0)
+        values = table.values[metric.name] * (1.0 if least else -1.0)
         why = f"success with the {'smallest' if least else 'largest'} {metric.label}"
-        order.append((why, mine & flown.success & np.isfinite(values), values))
+        order.append((why, mine & table.success & np.isfinite(values), values))
     cases: dict[int, Case] = {}
     for why, rows, by in order:
         chosen = np.flatnonzero(rows)
         fresh = [int(row) for row in chosen[np.argsort(by[chosen], kind="stable")] if int(row) not in cases]
-        cases |= {row: Case(row, why) for row in fresh[:EACH]}
+        cases |= {row: Case(row, why) for row in fresh[:LISTED]}
     return list(cases.values())
 
 
-def eccentricity(flown: Flown) -> Array:
+def eccentricity(table: FlightTable) -> Array:
     """How far each flight's numbers lie from the middle of all: 0 at every median, 1 where every one is extreme."""
-    size = max(flown.flight.size, 1)
-    squares = np.zeros(flown.flight.size)
+    size = max(table.flight.size, 1)
+    squares = np.zeros(table.flight.size)
     count = 0
-    for key in flown.keys:
+    for key in table.keys:
         if key.levels or not np.all(np.isfinite(key.numbers)):
             continue
         _, place, counts = np.unique(key.numbers, return_inverse=True, return_counts=True)
@@ -87,24 +87,24 @@ def eccentricity(flown: Flown) -> Array:
     return np.sqrt(squares / max(count, 1))
 
 
-def _case_row(campaign: Campaign, flown: Flown, case: Case) -> dict[str, Any]:
-    number = int(flown.flight[case.row])
+def _case_row(campaign: Campaign, table: FlightTable, case: Case) -> dict[str, Any]:
+    number = int(table.flight[case.row])
     link, refused = write_case(campaign, case.row)
-    metric = flown.metrics[0] if flown.metrics else None
-    value = np.nan if metric is None else metric.factor * flown.values[metric.name][case.row]
-    kind = KINDS[flown.kind[case.row]]
-    reason = flown.reason[case.row]
+    metric = table.metrics[0] if table.metrics else None
+    value = np.nan if metric is None else metric.factor * table.values[metric.name][case.row]
+    kind = KINDS[table.kind[case.row]]
+    reason = table.reason[case.row]
     if kind == "missed":
-        reason = " and ".join(missing(flown, case.row, campaign.study.success))
+        reason = " and ".join(missing(table, case.row, campaign.study.success))
     return {
         "flight": number,
-        "draw": int(flown.draw[case.row]),
+        "draw": int(table.draw[case.row]),
         "why": case.why,
         "kind": kind,
         "reason": "" if kind == SUCCESS else reason,
-        "flown": f"after {seconds:.2f} s" if np.isfinite(seconds := flown.duration[case.row]) else "not flown",
+        "lasted": f"after {seconds:.2f} s" if np.isfinite(seconds := table.duration[case.row]) else "not flown",
         "metric": "" if metric is None or not np.isfinite(value) else f"{metric.label} {value:.3g} {metric.unit}",
-        "values": [(key.label, key.path, _value(key, case.row)) for key in flown.keys],
+        "values": [(key.label, key.path, _value(key, case.row)) for key in table.keys],
         "link": link,
         "refused": refused,
         "command": f"hexjet fly {shlex.quote(campaign.folder.as_posix())} --flight {number}",

@@ -24,10 +24,10 @@ from cosim.campaign.search.probe import Journal, Point, Prober
 from cosim.campaign.search.result import Case, Searched, question
 from cosim.campaign.search.search import (
     Edge,
-    Found,
     Joint,
     Over,
     Plan,
+    SearchResult,
     search,
     why,
 )
@@ -71,7 +71,7 @@ def opened(
     """
     varied = [parse_vary(text) for text in vary]
     second = _over(over)
-    keys = [each.key for each in (*varied, *second)]
+    keys = [entry.key for entry in (*varied, *second)]
     twice = next((key for place, key in enumerate(keys) if key in keys[:place]), None)
     if twice is not None:
         raise InputError(f"--vary {twice}: is there twice")
@@ -79,16 +79,16 @@ def opened(
         raise InputError(f"{name}: nothing is varied; --vary KEY=LO:HI says what")
     if second and len(varied) > 1:
         raise InputError(f"--over {over}: goes with one --vary, and there are {len(varied)}")
-    plain = [each.model_copy(update={"levels": None}).text for each in (*varied, *second)]
+    plain = [entry.model_copy(update={"levels": None}).text for entry in (*varied, *second)]
     study = open_study(name, vary=plain, design="random", runs=1, **options)
     if len(study.vary) > len(keys):
         raise InputError(f"{name}: is a study, which draws; a search takes its scenario, {study.scenario}")
-    fine = _tolerances(tolerance, [each.key for each in varied])
+    fine = _tolerances(tolerance, [entry.key for entry in varied])
     first = study.base().seed if seed is None else seed
     if not 0 <= first <= 2**53 - seeds:
         raise InputError(f"--seed {first}: must be from 0 to {2**53 - seeds}")
     plan = Plan(
-        spans=tuple(span(each, study.key(each.key), fine.get(each.key)) for each in varied),
+        spans=tuple(span(entry, study.key(entry.key), fine.get(entry.key)) for entry in varied),
         over=Over(study.key(second[0].key), tuple(levels(second[0], study.key(second[0].key)))) if second else None,
         seeds=tuple(range(first, first + seeds)),
         share=share,
@@ -184,7 +184,7 @@ def _begin(out: Path, frozen: Frozen, plan: Plan) -> None:
     write_whole(out / QUESTION, tomli_w.dumps(question(plan)))  # the last: a folder that has it has all
 
 
-def _cases(result: Found, prober: Prober, folder: Path) -> Iterator[Case]:
+def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]:
     """Fly what breaks and what just holds once more, recorded in full."""
     for name, point, breaks in _shown(result):
         verdict = prober.verdict(point)
@@ -201,15 +201,15 @@ def _cases(result: Found, prober: Prober, folder: Path) -> Iterator[Case]:
         yield Case(name, point.controller, breaks, dict(point.values), seed, run.outcome, ended, same)
 
 
-def _held(result: Found, prober: Prober, point: Point) -> Row:
+def _held(result: SearchResult, prober: Prober, point: Point) -> Row:
     """The first flight of a point that held."""
     rows = [prober.row(point, seed) for seed in result.plan.seeds]
     return next((row for row in rows if row["success"]), rows[0])
 
 
-def _shown(result: Found) -> Iterator[tuple[str, Point, bool]]:
+def _shown(result: SearchResult) -> Iterator[tuple[str, Point, bool]]:
     """The points that are worth a folder: the edges, of a curve the nearest on each side, and what breaks together."""
-    for controller in result.study.flown_with:
+    for controller in result.study.controller_names:
         label = short_name(controller)
         for edge in _edges(result, controller):
             where = re.sub(r"[^A-Za-z0-9_.-]+", "_", f"{label}-{edge.key}-{edge.side}")
@@ -224,12 +224,12 @@ def _shown(result: Found) -> Iterator[tuple[str, Point, bool]]:
                     yield f"{label}-together-{'breaks' if breaks else 'holds'}", point, breaks
 
 
-def _edges(result: Found, controller: str) -> list[Edge]:
+def _edges(result: SearchResult, controller: str) -> list[Edge]:
     own = [edge for edge in result.edges if edge.controller == controller]
     if result.plan.over is None:
         return own
     broken = [edge for edge in own if edge.deviation is not None]
-    nearest = {edge.side: edge for edge in sorted(broken, key=lambda each: abs(each.deviation or 0.0), reverse=True)}
+    nearest = {edge.side: edge for edge in sorted(broken, key=lambda edge: abs(edge.deviation or 0.0), reverse=True)}
     return list(nearest.values())
 
 

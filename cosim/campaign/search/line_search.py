@@ -53,8 +53,8 @@ def outward(places: Sequence[float], between: Between, at_once: int | None = Non
     known: dict[float, bool] = {}
     rest = list(places)
     while rest and (at_once is None or _first_change(known) is None):
-        asked, rest = rest[:at_once], rest[at_once:] if at_once else []
-        known.update(zip(asked, (yield asked), strict=True))
+        batch, rest = rest[:at_once], rest[at_once:] if at_once else []
+        known.update(zip(batch, (yield batch), strict=True))
     change = _first_change(known)
     while change is not None and (middle := between(*change)) is not None:
         (known[middle],) = yield [middle]
@@ -76,14 +76,14 @@ def side_by_side(
 ) -> dict[Name, Scan]:
     """Go all walks to their ends; ``look`` tells of all places that they want to know of at one time."""
     scans: dict[Name, Scan] = {}
-    wanted: dict[Name, Sequence[float]] = {name: next(walk) for name, walk in walks.items()}
-    while wanted:
-        asked = [(name, place) for name, places in wanted.items() for place in places]
-        told = iter(look(asked))
-        for name, places in list(wanted.items()):
-            del wanted[name]
+    pending: dict[Name, Sequence[float]] = {name: next(walk) for name, walk in walks.items()}
+    while pending:
+        requests = [(name, place) for name, places in pending.items() for place in places]
+        answers = iter(look(requests))
+        for name, places in list(pending.items()):
+            del pending[name]
             try:
-                wanted[name] = walks[name].send([next(told) for _ in places])
+                pending[name] = walks[name].send([next(answers) for _ in places])
             except StopIteration as end:
                 scans[name] = end.value
     return {name: scans[name] for name in walks}

@@ -12,9 +12,9 @@ from cosim.campaign.search.probe import Point
 from cosim.campaign.search.result import Searched
 from cosim.campaign.search.search import (
     Edge,
-    Found,
     Joint,
     Plan,
+    SearchResult,
 )
 from cosim.campaign.search.span import Span
 from cosim.campaign.study.keys import Value
@@ -54,25 +54,25 @@ COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change",
 
 def write_page(searched: Searched, path: Path) -> None:
     """Write the page of a search.  Raises FlightError if the file cannot be written."""
-    result = searched.found
+    result = searched.result
     columns, rows = table(result)
     cases = []
     for case in searched.cases:
         folder = searched.folder / "cases" / case.name
-        flown = (folder / REPORT).is_file()
+        replayed = (folder / REPORT).is_file()
         values = ", ".join(f"{key} = {value}" for key, value in case.values.items())
-        link = Path(os.path.relpath(folder / REPORT, path.parent)).as_posix() if flown else ""
+        link = Path(os.path.relpath(folder / REPORT, path.parent)).as_posix() if replayed else ""
         command = shlex.quote((folder / SCENARIO).as_posix())
-        told = {"what": values, "report": link, "command": command}
-        cases.append({name: getattr(case, name) for name in ("name", "seed", "outcome", "reason", "same")} | told)
+        links = {"what": values, "report": link, "command": command}
+        cases.append({name: getattr(case, name) for name in ("name", "seed", "outcome", "reason", "same")} | links)
     render(
         TEMPLATE,
         path,
         figures(result, searched.looked),
-        found=result,
+        result=result,
         base=result.study.base(),
-        controllers=[short_name(name) for name in result.study.flown_with],
-        labels={name: short_name(name) for name in result.study.flown_with},
+        controllers=[short_name(name) for name in result.study.controller_names],
+        labels={name: short_name(name) for name in result.study.controller_names},
         columns=columns,
         rows=rows,
         fine=[how_fine(span) for span in result.plan.spans],
@@ -89,7 +89,7 @@ def text(value: Value | None, unit: str = "") -> str:
     return f"{shown} {unit}".strip()
 
 
-def table(result: Found) -> tuple[list[str], list[list[str]]]:
+def table(result: SearchResult) -> tuple[list[str], list[list[str]]]:
     """Every edge: titles and rows, without the columns that are the same in all of them by what was asked."""
     over = result.plan.over
     titles = [over.key.path if title == "at" and over else title for title in COLUMNS]
@@ -99,7 +99,7 @@ def table(result: Found) -> tuple[list[str], list[list[str]]]:
     return [titles[k] for k in kept], [[_row(result, edge)[k] for k in kept] for edge in result.edges]
 
 
-def _row(result: Found, edge: Edge) -> Row:
+def _row(result: SearchResult, edge: Edge) -> Row:
     over = result.plan.over
     level = text(edge.level, over.key.unit) if over else ""
     common = short_name(edge.controller), edge.key, level, text(edge.start, edge.unit)
@@ -140,12 +140,12 @@ def how_fine(span: Span) -> str:
     )
 
 
-def joint_lines(result: Found) -> list[str]:
+def joint_lines(result: SearchResult) -> list[str]:
     """What was found of several keys together, a line each."""
     return [_joint(result, joint) for joint in result.joints]
 
 
-def _joint(result: Found, joint: Joint) -> str:
+def _joint(result: SearchResult, joint: Joint) -> str:
     name = short_name(joint.controller)
     effort = f"{joint.rays} directions, {joint.flights} flights" + (", all that were allowed" if joint.spent else "")
     if joint.distance is None:
@@ -170,21 +170,21 @@ def _joint(result: Found, joint: Joint) -> str:
 # ---- figures
 
 
-def figures(result: Found, prober_points: list[tuple[Point, bool]]) -> dict[str, Figure]:
+def figures(result: SearchResult, prober_points: list[tuple[Point, bool]]) -> dict[str, Figure]:
     """Plotly figures by name: ``curve`` or ``key0``, ``key1``, ..., and ``pair0``, ... for two keys together."""
     if result.plan.over:
         return {"curve": _curve(result)}
     made = {f"key{number}": _bands(result, span) for number, span in enumerate(result.plan.spans)}
     if len(result.plan.spans) == 2:
         for number, joint in enumerate(result.joints):
-            looked = [each for each in prober_points if each[0].controller == joint.controller]
+            looked = [entry for entry in prober_points if entry[0].controller == joint.controller]
             made[f"pair{number}"] = _pair(result.plan, joint, looked)
     elif len(result.plan.spans) > 2:
         made["shares"] = _shares(result)
     return made
 
 
-def _bands(result: Found, span: Span) -> Figure:
+def _bands(result: SearchResult, span: Span) -> Figure:
     """Where it holds and where it breaks, a bar for each controller."""
     data: list[Figure] = []
     edges = [edge for edge in result.edges if edge.key == span.key.path]
@@ -194,7 +194,7 @@ def _bands(result: Found, span: Span) -> Figure:
     names = list(dict.fromkeys(short_name(edge.controller) for edge in edges))
     layout = _layout(110 + ROW_PX * len(names))
     layout["annotations"] = [
-        _said(short_name(edge.controller), float(edge.breaks), text(edge.breaks, edge.unit), span.logarithmic)
+        _label(short_name(edge.controller), float(edge.breaks), text(edge.breaks, edge.unit), span.logarithmic)
         for edge in edges
         if edge.breaks is not None and not edge.start_breaks
     ]
@@ -217,17 +217,17 @@ def _bar(name: str, first: float, last: float, colour: str) -> Figure:
     }
 
 
-def _said(name: str, value: float, said: str, logarithmic: bool) -> Figure:
+def _label(name: str, value: float, label: str, logarithmic: bool) -> Figure:
     x = log10(value) if logarithmic else value
-    return {"x": x, "y": name, "text": said, "showarrow": False, "yshift": 15}
+    return {"x": x, "y": name, "text": label, "showarrow": False, "yshift": 15}
 
 
-def _curve(result: Found) -> Figure:
+def _curve(result: SearchResult) -> Figure:
     """The first key's edge over the second one, a line for each controller and side."""
     over, span = result.plan.over, result.plan.spans[0]
     assert over is not None
     data: list[Figure] = []
-    for number, controller in enumerate(result.study.flown_with):
+    for number, controller in enumerate(result.study.controller_names):
         for side in ("up", "down"):
             edges = [e for e in result.edges if e.controller == controller and e.side == side]
             if edges:
@@ -329,7 +329,7 @@ def _at(span: Span, deviation: float) -> float | None:
     return span.exact(deviation)
 
 
-def _shares(result: Found) -> Figure:
+def _shares(result: SearchResult) -> Figure:
     """By how much each key deviates in the nearest that breaks, of its range."""
     data = [
         {

@@ -37,7 +37,7 @@ class Verdict:
     """What became of a point's flights."""
 
     broken: int
-    flown: int
+    flights: int
     breaks: bool
     worst: Row  # of the first seed that broke, or else of the first
 
@@ -65,7 +65,7 @@ class Prober:
         share: float,
         workers: Workers,
         journal: Journal | None = None,
-        say: Callable[[int], None] = lambda flown: None,
+        say: Callable[[int], None] = lambda count: None,
     ) -> None:
         self.study = study
         self.seeds = tuple(seeds)
@@ -75,17 +75,17 @@ class Prober:
         self._journal = journal
         self._say = say
         self._known: Known = journal.read() if journal else {}
-        self._asked: dict[tuple[Point, int], None] = {}  # in the order in which they were
+        self._requests: dict[tuple[Point, int], None] = {}  # in the order in which they were
 
     @property
     def flights(self) -> int:
         """How many flights were asked for."""
-        return len(self._asked)
+        return len(self._requests)
 
     @property
     def points(self) -> list[Point]:
         """Every point that was looked at, in order."""
-        return list(dict.fromkeys(point for point, _ in self._asked))
+        return list(dict.fromkeys(point for point, _ in self._requests))
 
     def look(self, points: Sequence[Point]) -> list[bool]:
         """Whether each of them breaks.  Raises SpentError if that takes more flights than are allowed."""
@@ -107,26 +107,26 @@ class Prober:
         return Flight(number, number // len(self.seeds), point.controller, seed, dict(point.values))
 
     def _fly(self, points: Sequence[Point]) -> None:
-        new = [(p, seed) for p in dict.fromkeys(points) for seed in self.seeds if (p, seed) not in self._asked]
+        new = [(p, seed) for p in dict.fromkeys(points) for seed in self.seeds if (p, seed) not in self._requests]
         if self.left is not None:
             # what is known from before counts too: a search that is taken up again goes the way of one that was not
             # interrupted
             self.left -= len(new)
             if self.left < 0:
                 raise SpentError
-        self._asked.update(dict.fromkeys(new))
-        wanted = [key for key in new if key not in self._known]
+        self._requests.update(dict.fromkeys(new))
+        missing = [key for key in new if key not in self._known]
         first = len(self._known)
-        asked = {first + number: key for number, key in enumerate(wanted)}
-        flights = [self.flight(*key, number) for number, key in asked.items()]
+        numbered = {first + number: key for number, key in enumerate(missing)}
+        flights = [self.flight(*key, number) for number, key in numbered.items()]
         for row in self._workers.fly(self.study, flights):
-            key = asked.pop(int(row["flight"] or 0))
+            key = numbered.pop(int(row["flight"] or 0))
             self._known[key] = row
             if self._journal:
                 self._journal.add(*key, row)
             self._say(len(self._known))
-        if asked:
-            raise FlightError(f"{len(asked)} flights were not flown")
+        if numbered:
+            raise FlightError(f"{len(numbered)} flights were not flown")
 
 
 class Journal:

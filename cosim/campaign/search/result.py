@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.campaign.search.probe import Point
-from cosim.campaign.search.search import Found, Plan
+from cosim.campaign.search.search import Plan, SearchResult
 from cosim.campaign.study.keys import Value
 from cosim.simulation.build import find_controller
 from cosim.spec.controller_name import is_design
@@ -34,7 +34,7 @@ class Searched:
     """A finished search and its folder."""
 
     folder: Path
-    found: Found
+    result: SearchResult
     cases: tuple[Case, ...]
     looked: list[tuple[Point, bool]]  # every point that was flown, and whether it breaks
 
@@ -45,14 +45,14 @@ class Searched:
 
     def to_dict(self) -> dict[str, Any]:
         """What ``search.json`` says."""
-        result, base = self.found, self.found.study.base()
+        result, base = self.result, self.result.study.base()
         return {
             "folder": str(self.folder),
             "scenario": base.name,
             "aircraft": base.aircraft_name,
             "engine": base.engine,
-            "controllers": result.study.flown_with,
-            "controller_sha256": {name: _sha256(base, name) for name in result.study.flown_with},
+            "controllers": result.study.controller_names,
+            "controller_sha256": {name: _sha256(base, name) for name in result.study.controller_names},
             "criterion": result.criterion,
             **question(result.plan),
             "flights": result.flights,

@@ -122,7 +122,7 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """What a search came to."""
 
     study: Study
@@ -138,28 +138,30 @@ class Found:
         for name, span in self.study.success.items():
             metrics += [f"{name} is below {span.min:g}"] if span.min is not None else []
             metrics += [f"{name} is above {span.max:g}"] if span.max is not None else []
-        one = " or ".join(["it does not end completed within its limits", *metrics])
+        condition = " or ".join(["it does not end completed within its limits", *metrics])
         count = len(self.plan.seeds)
         if count == 1:
-            return f"the flight breaks if {one}"
+            return f"the flight breaks if {condition}"
         least = needed(self.plan.share, count)
         some = "any" if least == 1 else "all" if least == count else f"at least {least}"
-        return f"a flight breaks if {one}; a point if {some} of its {count} flights {'does' if least == 1 else 'do'}"
+        return (
+            f"a flight breaks if {condition}; a point if {some} of its {count} flights {'does' if least == 1 else 'do'}"
+        )
 
     def smallest(self, controller: str) -> Edge | None:
         """The edge of a controller with the smallest deviation, over all keys, sides and levels."""
         broken = [e for e in self.edges if e.controller == controller and e.deviation is not None]
-        return min(broken, key=lambda each: abs(each.deviation or 0.0), default=None)
+        return min(broken, key=lambda edge: abs(edge.deviation or 0.0), default=None)
 
 
-def search(plan: Plan, prober: Prober) -> Found:
+def search(plan: Plan, prober: Prober) -> SearchResult:
     """Search every controller of the study.  Raises FlightError if flights cannot be flown."""
     study = prober.study
-    edges = alone(plan, prober, study.flown_with)
+    edges = alone(plan, prober, study.controller_names)
     joints: tuple[Joint, ...] = ()
     if len(plan.spans) > 1:
-        joints = tuple(together(plan, prober, controller, edges) for controller in study.flown_with)
-    return Found(study, plan, tuple(edges), joints, prober.flights)
+        joints = tuple(together(plan, prober, controller, edges) for controller in study.controller_names)
+    return SearchResult(study, plan, tuple(edges), joints, prober.flights)
 
 
 def why(study: Study, row: Row) -> str:
@@ -203,7 +205,7 @@ def alone(plan: Plan, prober: Prober, controllers: Sequence[str]) -> list[Edge]:
         line: outward(plan.spans[line.span].places(line.side), plan.spans[line.span].between(line.side))
         for line in lines
     }
-    scans = side_by_side(walks, lambda asked: prober.look([line.point(plan, place) for line, place in asked]))
+    scans = side_by_side(walks, lambda requests: prober.look([line.point(plan, place) for line, place in requests]))
     return [_edge(plan, prober, line, scan) for line, scan in scans.items()]
 
 
@@ -230,7 +232,7 @@ def _edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
         end=span.end(side),
         deviation=None if value is None else span.deviation(float(value)),
         bands=tuple((span.at(side * a), span.at(side * b), breaks) for a, b, breaks in scan.bands),
-        flown=shown.flown,
+        flown=shown.flights,
         broken=shown.broken,
         outcome=str(shown.worst["outcome"]),
         reason=why(prober.study, shown.worst),
@@ -314,7 +316,7 @@ class _Rays:
         }
         walks = {number: outward(ray.places(ring, limit), ray.between(gap), AT_ONCE) for number, ray in rays.items()}
         scans = side_by_side(
-            walks, lambda asked: self._prober.look([rays[number].point(place) for number, place in asked])
+            walks, lambda requests: self._prober.look([rays[number].point(place) for number, place in requests])
         )
         distances = np.full(directions.shape[1], limit)
         for number, scan in scans.items():
@@ -336,7 +338,7 @@ def together(plan: Plan, prober: Prober, controller: str, edges: Sequence[Edge])
     """The smallest deviation of all keys together that is found within the flights allowed."""
     before = prober.flights
     own = [e for e in edges if e.controller == controller and e.breaks is not None]
-    nearest = min(own, key=lambda each: abs(each.deviation or 0.0), default=None)
+    nearest = min(own, key=lambda edge: abs(edge.deviation or 0.0), default=None)
     single = None if nearest is None else abs(nearest.deviation or 0.0)
     rays = _Rays(plan, prober, controller, single)
     spent = False

@@ -204,8 +204,10 @@ def _read(what: str, text: str) -> dict[str, Any]:
     if not len(takes[name]) <= len(parts) <= len(names):
         raise InputError(f"--vary {text}: {name} takes {', '.join(names)}")
     bounded = dict(zip(names, parts, strict=False))
-    left_out = [each for each, part in bounded.items() if not part and each in ("min", "max") and name != "triangular"]
-    return {name: {each: _number(part, text) for each, part in bounded.items() if each not in left_out}}
+    left_out = [
+        bound for bound, part in bounded.items() if not part and bound in ("min", "max") and name != "triangular"
+    ]
+    return {name: {bound: _number(part, text) for bound, part in bounded.items() if bound not in left_out}}
 
 
 def _span(what: str, text: str) -> dict[str, Any]:

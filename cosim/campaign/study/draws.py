@@ -217,12 +217,12 @@ def rearranged(points: Array, matrix: Array) -> Array:
 
     ranks = np.argsort(np.argsort(points[:, sides], axis=0), axis=0)
     scores = ndtri((ranks + 0.5) / len(points))
-    wanted = np.linalg.cholesky(matrix[np.ix_(sides, sides)])
+    target = np.linalg.cholesky(matrix[np.ix_(sides, sides)])
     try:
         by_chance = np.linalg.cholesky(np.corrcoef(scores, rowvar=False))
     except np.linalg.LinAlgError:  # a few runs may lie in a line
         by_chance = np.eye(len(sides))
-    scores = scores @ np.linalg.inv(by_chance).T @ wanted.T
+    scores = scores @ np.linalg.inv(by_chance).T @ target.T
     order = np.argsort(np.argsort(scores, axis=0, kind="stable"), axis=0, kind="stable")
     points = points.copy()
     for column, side in enumerate(sides):

@@ -136,14 +136,14 @@ class Key:
             number = self._rounded(float(value)) if isfinite(value) else value
             if isfinite(number) and self._within(number):
                 return number
-        raise InputError(f"{self.path} = {value}: must be {self._wanted}")
+        raise InputError(f"{self.path} = {value}: must be {self._requirement}")
 
     @property
     def _takes_files(self) -> bool:
         return self.path.split(".")[-1] in ("engine", "controller")
 
     @property
-    def _wanted(self) -> str:
+    def _requirement(self) -> str:
         return f"one of {self.allowed}" if self.kind == "choice" else self.allowed
 
     def _rounded(self, value: float) -> float | int:
@@ -303,7 +303,7 @@ def _need_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
         ("aircraft", scenario.aircraft, scenario.vehicle, ("vehicle.",)),
         ("engine", scenario.engine, scenario.engine_parameters, ("engine_parameters.", "stations.")),
     ]
-    for path in [each for each in values if each.startswith("stations.") and each.endswith(".engine")]:
+    for path in [key for key in values if key.startswith("stations.") and key.endswith(".engine")]:
         station = scenario.stations.get(path.split(".")[1])
         engine = (station and station.engine) or scenario.engine
         rules.append((path, engine, station.parameters if station else {}, (path.replace("engine", "parameters."),)))
@@ -337,7 +337,7 @@ def _names(name: str) -> list[str]:
     from cosim.engine import engine_names
 
     if name == "controller":
-        return [*PREDICTORS, *(each for each, _ in own_controllers())]
+        return [*PREDICTORS, *(own for own, _ in own_controllers())]
     return aircraft_names() if name == "aircraft" else engine_names()
 
 
@@ -386,12 +386,12 @@ def _leaves(path: str, annotation: Any, value: Any) -> Iterator[Key]:
         plain, bounds = _peeled(_of_its_kind(plain, value))
     arguments = get_args(plain)
     if isinstance(value, Mapping):
-        for name, each in value.items():
-            yield from _leaves(f"{path}.{name}", arguments[1] if len(arguments) == 2 else Any, each)
+        for name, item in value.items():
+            yield from _leaves(f"{path}.{name}", arguments[1] if len(arguments) == 2 else Any, item)
     elif isinstance(value, (list, tuple)):
-        for place, each in enumerate(value):
+        for place, item in enumerate(value):
             inner = arguments[place] if get_origin(plain) is tuple and Ellipsis not in arguments else arguments[0]
-            yield from _leaves(f"{path}.{place}", inner, each)
+            yield from _leaves(f"{path}.{place}", inner, item)
     else:
         key = _leaf(path, plain, bounds, value)
         if key is not None:
@@ -426,8 +426,8 @@ def _peeled(annotation: Any) -> tuple[Any, list[Any]]:
     while True:
         if get_origin(annotation) is Annotated:
             annotation, *more = get_args(annotation)
-            for each in more:
-                bounds += each.metadata if isinstance(each, FieldInfo) else [each]
+            for constraint in more:
+                bounds += constraint.metadata if isinstance(constraint, FieldInfo) else [constraint]
         elif _is_union(annotation):
             left = [part for part in get_args(annotation) if part is not type(None)]
             if len(left) != 1:
@@ -523,15 +523,15 @@ def _likeness(name: str, path: str) -> float:
     if not name:
         return 0.0
     parts = [part for part in path.split(".") if not part.isdigit()]
-    wanted = [part for part in name.split(".") if not part.isdigit()] or [name]
-    tail = parts[-len(wanted) :]
-    if all(want in part for want, part in zip(wanted, tail, strict=False)) and len(tail) == len(wanted):
-        share = sum(map(len, wanted)) / sum(map(len, tail))
+    typed = [part for part in name.split(".") if not part.isdigit()] or [name]
+    tail = parts[-len(typed) :]
+    if all(want in part for want, part in zip(typed, tail, strict=False)) and len(tail) == len(typed):
+        share = sum(map(len, typed)) / sum(map(len, tail))
         return 0.9 + 0.1 * share
-    plain = ".".join(wanted)
-    like = max(_ratio(plain, ".".join(each)) for each in (tail, parts))
-    return like if len(wanted) > 1 else max(like, *(0.95 * _ratio(plain, part) for part in parts))
+    plain = ".".join(typed)
+    like = max(_ratio(plain, ".".join(candidate)) for candidate in (tail, parts))
+    return like if len(typed) > 1 else max(like, *(0.95 * _ratio(plain, part) for part in parts))
 
 
-def _ratio(one: str, other: str) -> float:
-    return difflib.SequenceMatcher(None, one, other).ratio()
+def _ratio(left: str, right: str) -> float:
+    return difflib.SequenceMatcher(None, left, right).ratio()

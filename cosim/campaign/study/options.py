@@ -57,7 +57,7 @@ def open_study(
         **{".".join(path): value for path, value in map(parse_setting, settings)},
     }
     if controllers:
-        data["controllers"] = [seen_from(each, Path()) for each in controllers]
+        data["controllers"] = [seen_from(controller, Path()) for controller in controllers]
     given = {"design": design, "runs": runs, "repeats": repeats, "seed": seed}
     data |= {key: value for key, value in given.items() if value is not None}
     if not data["vary"]:

@@ -51,7 +51,7 @@ class _Flights(Sequence[Flight]):
 
     def __getitem__(self, index: int | slice) -> Flight | Sequence[Flight]:
         if isinstance(index, slice):
-            return [self[each] for each in range(*index.indices(len(self)))]
+            return [self[position] for position in range(*index.indices(len(self)))]
         number = range(len(self))[index]  # IndexError past the end, which iteration needs
         draw_number, place = divmod(number, len(self._controllers))
         draw = self._draws[draw_number]
@@ -67,7 +67,7 @@ def flights(study: Study) -> Sequence[Flight]:
 
 def controllers(study: Study) -> list[str]:
     """What each draw is flown with, as the rows name it: a file by its name as seen from the study's folder."""
-    return [_seen_from(study.folder, name) for name in study.flown_with]
+    return [_seen_from(study.folder, name) for name in study.controller_names]
 
 
 def scenario_of(study: Study, flight: Flight) -> Scenario:

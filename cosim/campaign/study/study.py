@@ -51,7 +51,7 @@ OWN_COLUMNS = {  # a row of the campaign has these itself
 }
 
 
-def _once_each(names: list[str]) -> list[str]:
+def _without_repeats(names: list[str]) -> list[str]:
     twice = next((name for place, name in enumerate(names) if name in names[:place]), None)
     if twice is not None:
         raise ValueError(f"{twice} is there twice")
@@ -80,7 +80,9 @@ class Study(Model):
     settings: dict[str, Any] = Field(
         default_factory=dict
     )  # written over the scenario by dotted key, as hexjet fly --set does
-    controllers: Annotated[list[str], AfterValidator(_once_each)] = Field(default_factory=list)  # none: the scenario's
+    controllers: Annotated[list[str], AfterValidator(_without_repeats)] = Field(
+        default_factory=list
+    )  # none: the scenario's
     design: Design
     runs: Annotated[int, Field(ge=1, le=MOST_DRAWS)] | None = None  # draws; a grid has as many as it has points
     repeats: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 1  # of a whole grid, with other seeds
@@ -114,7 +116,7 @@ class Study(Model):
         return self.controllers or [seen_from(self.base().controller, self.base().folder)]
 
     @property
-    def flown_with(self) -> list[str]:
+    def controller_names(self) -> list[str]:
         """Who flies, as rows have it: the controllers, or the autopilot in their place."""
         return self.tried if self.autopilot is None else [self.autopilot.name]
 

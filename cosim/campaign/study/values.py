@@ -42,10 +42,10 @@ def _check_steps(vary: Vary, key: Key, low: float, high: float) -> None:
         if abs(round(float(value) / step) * step - float(value)) > 1e-6 * step:
             raise InputError(f"vary {vary.text}: {key.path} = {value}: takes {what}")
     first, last = whole_bounds(low, high, step)
-    wanted = len(vary.values or []) or vary.levels or 2
+    needed = len(vary.values or []) or vary.levels or 2
     count = 0 if last < first else len(set(levels(vary, key))) if vary.discrete else int(min(last - first + 1.0, 2.0))
-    if count < wanted:
-        raise InputError(f"vary {vary.text}: {key.path} takes {what}; {wanted} are needed, and here are {count}")
+    if count < needed:
+        raise InputError(f"vary {vary.text}: {key.path} takes {what}; {needed} are needed, and here are {count}")
 
 
 def levels(vary: Vary, key: Key) -> list[Value]:
@@ -57,14 +57,14 @@ def levels(vary: Vary, key: Key) -> list[Value]:
     else:
         assert vary.range is not None
         drawn = _between(*vary.range, vary.levels or 2, vary.scale == "log")
-    return [key.fit(value) for value in whole([absolute(each, vary, key) for each in drawn], vary, key)]
+    return [key.fit(value) for value in whole([absolute(value, vary, key) for value in drawn], vary, key)]
 
 
 def _between(low: float, high: float, count: int, in_ratio: bool) -> list[float]:
     """``count`` numbers from ``low`` to ``high``; those between rounded to 12 digits (0.3, not 0.30000000000000004)."""
     shares = [place / (count - 1) for place in range(1, count - 1)]
     inner = [low * exp(share * log(high / low)) if in_ratio else low + share * (high - low) for share in shares]
-    return [low, *(float(f"{each:.12g}") for each in inner), high]
+    return [low, *(float(f"{value:.12g}") for value in inner), high]
 
 
 def whole(values: list[float], vary: Vary, key: Key) -> list[float]:

@@ -111,15 +111,15 @@ class DaskWorkers:
                 place = f"--scheduler-file {self._where}" if self._where.endswith(".json") else self._where
                 raise InputError(f"--cluster {self._where}: has no workers; one is started with: dask worker {place}")
             sleep(0.1)
-        told = {name: self._client.submit(remote.installed, workers=[name], pure=False) for name in workers}
+        installed = {name: self._client.submit(remote.installed, workers=[name], pure=False) for name in workers}
         end = monotonic() + CHECK_S
-        for name, future in told.items():
+        for name, future in installed.items():
             try:
                 theirs = future.result(timeout=max(0.1, end - monotonic()))
             except TimeoutError:
                 continue
             except Exception as error:
-                raise InputError(f"--cluster {self._where}: worker {name}: {_told(error)}") from error
+                raise InputError(f"--cluster {self._where}: worker {name}: {_describe(error)}") from error
             wrong = remote.differences(theirs, remote.installed())
             if wrong:
                 raise InputError(f"--cluster {self._where}: worker {name} has {', '.join(wrong)}")
@@ -180,12 +180,12 @@ class _Threads:
     def __init__(self, client: Any) -> None:
         self._client = client
         self._known: dict[str, int] = {}
-        self._asked = -LOOK_S
+        self._counted_at = -LOOK_S
         self._seen = monotonic()  # when there last was one
 
     @property
     def count(self) -> int:
-        if monotonic() > self._asked + LOOK_S:
+        if monotonic() > self._counted_at + LOOK_S:
             self.look()
         return sum(self._known.values())
 
@@ -198,9 +198,9 @@ class _Threads:
         """Threads by worker."""
         with suppress(OSError, TimeoutError):
             self._known = dict(self._client.sync(self._client.scheduler.ncores, callback_timeout=CONNECT_S))
-        self._asked = monotonic()
+        self._counted_at = monotonic()
         if self._known:
-            self._seen = self._asked
+            self._seen = self._counted_at
         return self._known
 
 
@@ -299,7 +299,7 @@ class _Tasks:
         except (FlightError, InputError) as error:
             raise FlightError(str(error)) from error
         except Exception as error:
-            raise FlightError(f"a worker cannot fly: {_told(error)}") from error
+            raise FlightError(f"a worker cannot fly: {_describe(error)}") from error
         else:
             self._learn(rows)
             yield from rows
@@ -396,7 +396,7 @@ async def _identity(address: str) -> dict[str, Any]:
         return identity
 
 
-def _told(error: BaseException) -> str:
+def _describe(error: BaseException) -> str:
     """What went wrong with a worker, in one line."""
     if isinstance(error, ModuleNotFoundError) and str(error.name).split(".")[0] == "cosim":
         return "hexjet-cosim is not installed there"

@@ -74,18 +74,18 @@ def fly_one(study: Study, flight: Flight) -> Row:
         scenario = scenario_of(study, flight)
         if study.autopilot is not None:
             with tempfile.TemporaryDirectory(prefix="hexjet-autopilot-") as folder:
-                flown, _ = with_autopilot(study, scenario, Path(folder) / "run", page=False)
+                outcome, _ = with_autopilot(study, scenario, Path(folder) / "run", page=False)
         else:
             sink = _sink(scenario)
-            flown = _flown(study, fly(scenario, sink=sink), sink.hexdigest())
+            outcome = _outcome_row(study, fly(scenario, sink=sink), sink.hexdigest())
     except Exception as error:
         trouble = _machine_trouble(error)
         if trouble is not None:
             raise FlightError(f"{_worker()}: {trouble.strerror}") from error
-        told = isinstance(error, (InputError, FlightError))
-        reason = str(error) if told else ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
-        flown = {"reason": reason}
-    return failed_row(study, flight, "") | flown | {"wall_s": time.perf_counter() - begin, "worker": _worker()}
+        expected = isinstance(error, (InputError, FlightError))
+        reason = str(error) if expected else ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
+        outcome = {"reason": reason}
+    return failed_row(study, flight, "") | outcome | {"wall_s": time.perf_counter() - begin, "worker": _worker()}
 
 
 def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = True) -> tuple[Row, Run]:
@@ -111,7 +111,7 @@ def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = 
         done = ready.fly(scenario, folder, page)
     run, counts = done.run, done.counts
     made = hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
-    row = _flown(study, run, log_digest(run.log)) | {
+    row = _outcome_row(study, run, log_digest(run.log)) | {
         "controller_sha256": None,
         "controller_repeatable": None,
         "inputs_sha256": made,
@@ -138,9 +138,9 @@ def _sink(scenario: Scenario) -> DigestSink:
     waypoints = any(isinstance(entry, WaypointsCommand) for entry in scenario.command)
     names = list(metrics.columns(flown_by(scenario.resolved_vehicle()[0]), waypoints))
     own = metrics_of(scenario)
-    said = [name for each in own for name in each.columns or ()]
-    return DigestSink([*names, *(name for name in dict.fromkeys(said) if name not in names)],
-                      whole=any(each.columns is None for each in own))  # fmt: skip
+    extra = [name for metric in own for name in metric.columns or ()]
+    return DigestSink([*names, *(name for name in dict.fromkeys(extra) if name not in names)],
+                      whole=any(metric.columns is None for metric in own))  # fmt: skip
 
 
 def failed_row(study: Study, flight: Flight, reason: str) -> Row:
@@ -163,7 +163,7 @@ def inputs_sha256(run: Run) -> str:
     return hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
 
 
-def _flown(study: Study, run: Run, digest: str) -> Row:
+def _outcome_row(study: Study, run: Run, digest: str) -> Row:
     summary, own = run.summary, run.summary.own_controller
     measured = summary.flat_metrics
     return {
@@ -187,7 +187,7 @@ def _flown(study: Study, run: Run, digest: str) -> Row:
 
 def _brought_sha256(run: Run) -> str:
     """One line for every block of the user's beside the controller."""
-    return "; ".join(f"{each.key} {each.name} {each.sha256}" for each in run.summary.brought)
+    return "; ".join(f"{block.key} {block.name} {block.sha256}" for block in run.summary.brought)
 
 
 def _kind(study: Study, key: str) -> type[Value]:

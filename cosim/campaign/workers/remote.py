@@ -126,7 +126,7 @@ def _files() -> str:
         root = data_folder(name)
         files += [(root, path) for kind in kinds for path in root.rglob(kind)]
     digest = hashlib.sha256()
-    for root, path in sorted(files, key=lambda each: (each[0].name, each[1].relative_to(each[0]).as_posix())):
+    for root, path in sorted(files, key=lambda file: (file[0].name, file[1].relative_to(file[0]).as_posix())):
         digest.update(f"{root.name}/{path.relative_to(root).as_posix()}\n".encode())
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()

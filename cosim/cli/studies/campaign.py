@@ -245,7 +245,7 @@ def _sweep_bar(quiet: bool) -> Iterator[Callable[[Tally, int, int], None]]:
                 progress.reset(task, total=of, completed=done)  # what was flown before says nothing of the rate
             speed = progress.tasks[0].speed
             rate = "" if speed is None else f"{speed:.1f}/s"
-            shares = ", ".join(f"{name} {tally.successes[name] / n:.0%}" for name, n in sorted(tally.flown.items()))
+            shares = ", ".join(f"{name} {tally.successes[name] / n:.0%}" for name, n in sorted(tally.flights.items()))
             progress.update(task, completed=done, rate=rate, shares=shares)
 
         yield show
@@ -294,7 +294,7 @@ def print_search(searched: Searched) -> None:
     from cosim.campaign.search.page import how_fine, joint_lines
     from cosim.campaign.search.page import table as edges
 
-    console, result = terminal(), searched.found
+    console, result = terminal(), searched.result
     base = result.study.base()
     console.print(f"{base.name}: {base.aircraft_name}, engine {base.engine}; {result.flights} flights", highlight=False)
     console.print(result.criterion, highlight=False, markup=False, soft_wrap=True)

@@ -246,7 +246,7 @@ def print_survival(result: Survival, report: Path) -> None:
         table.add_column(title, justify="left" if title in ("fault", "from") else "right")
     for kind, start, cells in rows:
         times = [time for cell in cells if cell.detected_s for time in cell.detected_s]
-        shown = [f"{cell.held}/{cell.flown}  {cell.lean_deg:3.0f} deg {cell.lost_m:4.1f} m" for cell in cells]
+        shown = [f"{cell.held}/{cell.flights}  {cell.lean_deg:3.0f} deg {cell.lost_m:4.1f} m" for cell in cells]
         table.add_row(kind, start, *shown, f"{min(times):.3f} to {max(times):.3f}" if times else "-")
     console.print(table)
     console.print(

@@ -47,8 +47,8 @@ class Range(NamedTuple):
         """Whether the two are one, to three digits."""
         return self.most < inf and self.most - self.least <= NEAR * abs(self.most)
 
-    def said(self) -> str:
-        """In words."""
+    def in_words(self) -> str:
+        """To three digits."""
         if self.met:
             return f"{self.least:.3g}"
         return f"at least {self.least:.3g}" if self.most == inf else f"{self.least:.3g} to {self.most:.3g}"

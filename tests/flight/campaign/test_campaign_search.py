@@ -25,7 +25,7 @@ from cosim.campaign.search.probe import (
     Prober,
     SpentError,
 )
-from cosim.campaign.search.search import Edge, Found, search
+from cosim.campaign.search.search import Edge, SearchResult, search
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
@@ -74,13 +74,13 @@ class Rule:
         pass
 
 
-def found(rule: Rule, vary: list[str], **options: Any) -> Found:
+def found(rule: Rule, vary: list[str], **options: Any) -> SearchResult:
     """A search by rule; the gust's scenario has 8 m/s along y, and 0 along x and z."""
     study, plan = opened("gust", vary=vary, **options)
     return search(plan, Prober(study, plan.seeds, plan.share, rule))
 
 
-def by_side(result: Found) -> dict[str, Edge]:
+def by_side(result: SearchResult) -> dict[str, Edge]:
     return {edge.side: edge for edge in result.edges}
 
 
@@ -391,11 +391,11 @@ def test_what_is_left_behind_flies_again_and_what_was_stopped_goes_on(tmp_path: 
     again = Here()
     searched = run_search(study, plan, tmp_path / "run", again, resume=True)
     whole = run_search(study, plan, tmp_path / "whole", Here())
-    assert len(stopped.flown) + len(again.flown) == searched.found.flights == whole.found.flights
-    assert len(Journal(journal).read()) == searched.found.flights
-    assert searched.found.edges == whole.found.edges
+    assert len(stopped.flown) + len(again.flown) == searched.result.flights == whole.result.flights
+    assert len(Journal(journal).read()) == searched.result.flights
+    assert searched.result.edges == whole.result.edges
 
-    (edge,) = searched.found.edges
+    (edge,) = searched.result.edges
     assert edge.breaks is not None
     assert searched.confirmed
     data = json.loads((tmp_path / "run" / "search.json").read_text())
@@ -413,7 +413,7 @@ def test_what_cannot_be_flown_breaks_and_says_so(tmp_path: Path) -> None:
     """Too heavy to hover: found as an edge, with the reason in the words of the one who refuses to fly it."""
     study, plan = opened("hover", vary=["vehicle.mass_kg=5.525:20:2"], settings=["duration_s=0.1"], tolerance=["5"])
     searched = run_search(study, plan, tmp_path / "run", Here())
-    (edge,) = searched.found.edges
+    (edge,) = searched.result.edges
     assert edge.outcome == "failed"
     assert edge.reason.startswith("not flown: ")
     assert "would hover at throttle" in edge.reason

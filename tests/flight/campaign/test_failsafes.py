@@ -38,7 +38,7 @@ def case(name: str) -> table.Case:
 
 def flown(
     name: str, aircraft: str = "hexjet", height: float = 3.0, wind: float = 0.0, speed: float = 0.0
-) -> table.Flown:
+) -> table.FlightTable:
     vehicle = load_vehicle(aircraft)[0]
     engine, step = vehicle.engine or "edf-as-flown", step_of(aircraft)
     controller = "smith" if "smith" in controllers_for(aircraft, engine, step) else "baseline"

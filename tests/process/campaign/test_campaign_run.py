@@ -65,7 +65,7 @@ def test_progress_is_told_and_a_second_call_flies_what_is_left(tmp_path: Path) -
         def fly(self, study: Study, planned: object) -> object:
             return (fly_one(study, flight) for flight, _ in zip(iter(planned), range(2)))  # type: ignore[call-overload]  # noqa: B905
 
-    first = run_campaign(halted, tmp_path, Few(), progress=lambda tally, done, of: told.append((tally.flown["smith"], done, of)))  # type: ignore[arg-type]  # fmt: skip
+    first = run_campaign(halted, tmp_path, Few(), progress=lambda tally, done, of: told.append((tally.flights["smith"], done, of)))  # type: ignore[arg-type]  # fmt: skip
     assert len(first) == 2
     assert told == [(0, 0, 6), (1, 1, 6), (1, 2, 6)]
     told.clear()

@@ -127,7 +127,7 @@ def test_a_killed_campaign_is_taken_up(tmp_path: Path, small_parts: None, torn: 
     assert open_campaign(folder).columns["flight"] == finished
     with Store.resume(folder, tools.study()) as again:
         assert [number for number in range(12) if number in again.done] == finished
-        assert (len(again.done), again.tally.flown["smith"]) == (len(finished), sum(n % 2 == 0 for n in finished))
+        assert (len(again.done), again.tally.flights["smith"]) == (len(finished), sum(n % 2 == 0 for n in finished))
         fill(again, range(12))  # what is finished is left aside
     assert sorted(held(folder)) == list(range(12))
     assert sorted(path.name for path in (folder / FLIGHTS).iterdir()) == [f"part-{n:05d}.parquet" for n in range(3)]

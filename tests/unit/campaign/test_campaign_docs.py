@@ -15,7 +15,7 @@ import pytest
 from places import ROOT
 
 from cosim.campaign import folder
-from cosim.campaign.analysis.table import KINDS, Flown, KeyColumn
+from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.search import folder as searches
 from cosim.campaign.study import keys
 from cosim.campaign.study.options import open_study
@@ -152,10 +152,12 @@ def writer() -> Any:
     return module
 
 
-def of(kinds: list[str], controllers: list[int], keys: dict[str, list[float]], values: dict[str, list[float]]) -> Flown:
+def of(
+    kinds: list[str], controllers: list[int], keys: dict[str, list[float]], values: dict[str, list[float]]
+) -> FlightTable:
     """Flights that never flew."""
     count = len(kinds)
-    return Flown(
+    return FlightTable(
         flight=np.arange(count),
         draw=np.arange(count),
         controller=np.array(controllers),

@@ -326,7 +326,7 @@ def test_options_go_over_a_studys_own(tmp_path: Path) -> None:
 def test_a_scenario_is_flown_over_a_grid_or_a_latin_hypercube(tmp_path: Path) -> None:
     assert open_study("hover", vary=[f"{MASS}=5:6:3", "engine=edf,motor"]).design == "grid"
     assert open_study("hover", vary=[f"{MASS}=5,6"], runs=9).design == "latin-hypercube"
-    assert open_study("hover", vary=[f"{MASS}=5:6"], runs=9).flown_with == ["smith"]
+    assert open_study("hover", vary=[f"{MASS}=5:6"], runs=9).controller_names == ["smith"]
     own = tmp_path / "own.toml"
     own.write_text("name = 'own'\nduration_s = 1.0\nengine = 'edf'\n")
     made = open_study(own, vary=[f"{MASS}=5:6"], runs=9)
@@ -373,8 +373,8 @@ def test_shipped_studies_are_listed_and_sound() -> None:
 def test_a_shipped_study_flies(name: str) -> None:
     """Its first draw with every controller; what became of it is the study's business, that it could be judged is ours."""
     made = Study.load(name)
-    rows = [fly_one(made, flight) for flight in flights(made)[: len(made.flown_with)]]
-    assert [row["controller"] for row in rows] == made.flown_with
+    rows = [fly_one(made, flight) for flight in flights(made)[: len(made.controller_names)]]
+    assert [row["controller"] for row in rows] == made.controller_names
     assert {row["outcome"] for row in rows} <= {"completed", "diverged", "crashed"}, [row["reason"] for row in rows]
     assert len({row["seed"] for row in rows}) == 1
     for metric in made.success:

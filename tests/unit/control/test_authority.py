@@ -120,7 +120,7 @@ def test_what_has_no_bound_is_at_least_what_a_search_attains() -> None:
     assert not reach.bounded
     found = reach.moment((0.0, 0.0, 1.0))
     assert found.most == inf
-    assert found.said() == f"at least {0.5 * WEIGHT * tan(0.3):.3g}"
+    assert found.in_words() == f"at least {0.5 * WEIGHT * tan(0.3):.3g}"
 
 
 def test_a_gimballed_vehicle_does_as_much_without_any_engine_that_symmetry_makes_alike() -> None:

@@ -147,7 +147,7 @@ def test_an_older_run_opens_and_flies(folder: Path, tmp_path: Path) -> None:
 def test_an_older_campaign_opens_and_flies(folder: Path) -> None:
     study = Study.load(folder / "campaign" / "study.toml")
     campaign = open_campaign(folder / "campaign")
-    assert len(campaign.columns["flight"]) == study.draws * len(study.flown_with)
+    assert len(campaign.columns["flight"]) == study.draws * len(study.controller_names)
     assert fly_again(campaign, 0).run.outcome == "completed"
 
 
